@@ -1,4 +1,4 @@
-"""A case: what a person made of a CT, as values, with the steps that led there; and the file that keeps it."""
+"""The case: the user's work on a CT as immutable values, its history of steps, and the file that stores it."""
 
 from carina.case.document import ChosenKeyFrame, Document, KeyFrames, Target
 from carina.case.file import CaseFile, StepFacts, migrate

@@ -1,7 +1,7 @@
-"""Bounds of the numbers and texts of a case file; content outside the bounds is damaged and is not shown.
+"""Bounds of the numbers and texts of a case file; content outside the bounds counts as damaged.
 
-The bounds are listed in docs/case-file.md. Carina writes no content outside the bounds: the writer shortens texts
-and leaves out values that could not be read back.
+The bounds are listed in docs/case-file.md. Carina writes no content outside the bounds: the writer shortens texts and
+omits values that could not be read back.
 """
 
 from __future__ import annotations
@@ -40,28 +40,34 @@ __all__ = [
 ]
 
 MAX_S: Final = 1e10
-"""Largest time since a case was begun, in seconds: 317 years, so that a wrong clock does not matter."""
+"""Largest time since the creation of a case, in seconds: 317 years, so that a wrong system clock is accepted."""
 MAX_MM: Final = 1e6
 MAX_PLACE_MM: Final = 1e5
 MAX_NUMBER: Final = 1e9
-"""Largest number without a unit of length: a cost, a value of the CT, an angle, a percentage."""
+"""Largest absolute number that is not a length: a cost, a CT value, an angle, a percentage."""
 MAX_WHOLE: Final = 2**53
 MAX_LABEL_CHARS: Final = 1000
-"""Length of a step's label; labels that Carina makes have at most about 200 characters."""
+"""Largest length of a step's label in characters; labels that Carina writes have at most about 200."""
 MAX_NAME_CHARS: Final = 4000
-"""Length of a name or a title, equal to the bound of a text of the wire."""
+"""Largest length of a name or a title in characters, equal to the limit of a text in the wire protocol."""
 MAX_MESSAGE_CHARS: Final = 20_000
-"""Length of a note or a message."""
+"""Largest length of a note or a message in characters."""
 MAX_DEPTH: Final = 32
 _TEXT: Final = re.compile(TEXT)
 _NOT_TEXT: Final = re.compile(r"[\x00-\x08\x0b-\x1f\ud800-\udfff]")
 
 
-# ------------------------------------------------------------ reading
-
-
 def bounded_number(value: object, where: str, low: float, high: float) -> float:
-    """Return a finite number within its bounds.
+    """Return a value as a finite number if it is within its bounds.
+
+    Parameters
+    ----------
+    value
+        The value from the file, of any type.
+    where
+        Name of the value for messages.
+    low, high
+        Smallest and largest accepted number.
 
     Raises
     ------
@@ -74,7 +80,16 @@ def bounded_number(value: object, where: str, low: float, high: float) -> float:
 
 
 def bounded_whole(value: object, where: str, low: int, high: int) -> int:
-    """Return a whole number within its bounds.
+    """Return a value if it is a whole number within its bounds.
+
+    Parameters
+    ----------
+    value
+        The value from the file, of any type.
+    where
+        Name of the value for messages.
+    low, high
+        Smallest and largest accepted number.
 
     Raises
     ------
@@ -87,7 +102,16 @@ def bounded_whole(value: object, where: str, low: int, high: int) -> int:
 
 
 def bounded_text(value: object, where: str, most: int) -> str:
-    """Return a text of bounded length without control characters; line breaks and tabs are allowed.
+    """Return a value if it is a text of bounded length without control characters; line breaks and tabs are allowed.
+
+    Parameters
+    ----------
+    value
+        The value from the file, of any type.
+    where
+        Name of the value for messages.
+    most
+        Largest number of characters.
 
     Raises
     ------
@@ -104,20 +128,36 @@ def bounded_text(value: object, where: str, most: int) -> str:
 
 
 def bounded_array(values: NDArray[Any], where: str, low: float, high: float) -> None:
-    """Refuse an array with a number that is undefined or outside the bounds.
+    """Raise an error if an array contains NaN or a number outside the bounds.
+
+    Parameters
+    ----------
+    values
+        The array.
+    where
+        Name of the array for messages.
+    low, high
+        Smallest and largest accepted number.
 
     Raises
     ------
     CaseFileError
         ``case.damaged``.
     """
-    # A comparison with NaN is false.
+    # Comparisons with NaN are false, so NaN is refused too.
     if len(values) and not (np.min(values) >= low and np.max(values) <= high):
         raise damaged(where, f"numbers from {low:g} to {high:g}", "other numbers")
 
 
 def check_ascending(values: NDArray[Any] | tuple[float, ...], where: str) -> None:
-    """Refuse positions that are not in ascending order.
+    """Raise an error if positions are not in ascending order.
+
+    Parameters
+    ----------
+    values
+        The positions, ``(n,)``.
+    where
+        Name of the positions for messages.
 
     Raises
     ------
@@ -133,6 +173,10 @@ def check_plain(value: object, where: str, *, most_chars: int = MAX_MESSAGE_CHAR
 
     Parameters
     ----------
+    value
+        The decoded JSON.
+    where
+        Name of the value for messages.
     most_chars
         Largest length of each text.
 
@@ -158,7 +202,16 @@ def check_plain(value: object, where: str, *, most_chars: int = MAX_MESSAGE_CHAR
 
 
 def check_tip(tip: Mapping[str, Any], where: str, *, has_route: bool) -> None:
-    """Check a tip's state (:meth:`carina.navigate.Navigator.state`); an empty state means the default start.
+    """Check the state of a tip (:meth:`carina.navigate.Navigator.state`); an empty state selects the default start.
+
+    Parameters
+    ----------
+    tip
+        The state.
+    where
+        Name of the state for messages.
+    has_route
+        Whether the document has a route, which the mode ``path`` requires.
 
     Raises
     ------
@@ -193,17 +246,14 @@ def _shown(value: object) -> str:
     return repr(value)[:60]
 
 
-# ------------------------------------------------------------ writing
-
-
 def shortened(text: str, most: int) -> str:
-    """Return a text that can be read back: without control characters, and with an ellipsis where it is cut."""
+    """Return a text with control characters replaced, cut with an ellipsis to at most ``most`` characters."""
     text = _NOT_TEXT.sub("\ufffd", text)
     return text if len(text) <= most else text[: most - 1] + "\u2026"
 
 
 def cleaned(value: Any, most: int) -> Any:
-    """Return plain JSON with all its texts :func:`shortened`."""
+    """Return a copy of plain JSON in which :func:`shortened` was applied to every text."""
     if isinstance(value, str):
         return shortened(value, most)
     if isinstance(value, Mapping):
@@ -214,7 +264,7 @@ def cleaned(value: Any, most: int) -> Any:
 
 
 def is_readable_tip(tip: Mapping[str, Any], *, has_route: bool) -> bool:
-    """Return whether a tip's state can be read back."""
+    """Return whether :func:`check_tip` accepts the state of a tip."""
     try:
         check_tip(tip, "tip", has_route=has_route)
     except CarinaError:

@@ -24,23 +24,33 @@ __all__ = [
 ]
 
 MAX_VALUE_BYTES: Final = 128 << 20
-"""Of one text or blob: a chunk of a packed CT is at most half as large."""
+"""Largest size of one text or blob in bytes; a chunk of a packed CT has at most half of this size."""
 MAX_SQL_BYTES: Final = 20_000
 OLDEST_SQLITE: Final = (3, 37, 0)
-"""The first with tables that keep their types."""
+"""The first version of SQLite with STRICT tables, which enforce column types."""
 
 
 def connected(path: Path | None, mode: str = "rw", *, immutable: bool = False) -> sqlite3.Connection:
-    """Open a connection whose limits do not depend on the content of the file.
+    """Open a connection whose settings and limits do not depend on the content of the file.
 
     Parameters
     ----------
     path
-        None is a database in memory.
+        The case file; None opens a database in memory.
     mode
         ``ro``, ``rw`` or ``rwc``.
     immutable
-        Ignore locks and journals, so that no file is written beside the case file.
+        Ignore locks and journals, so that SQLite writes no file beside the case file.
+
+    Returns
+    -------
+    sqlite3.Connection
+        A connection in autocommit mode that several threads may use.
+
+    Raises
+    ------
+    CaseFileError
+        ``case.sqlite``: if the version of SQLite is too old.
     """
     if sqlite3.sqlite_version_info < OLDEST_SQLITE:
         raise CaseFileError(
@@ -51,12 +61,12 @@ def connected(path: Path | None, mode: str = "rw", *, immutable: bool = False) -
     if path is not None:
         uri = path.absolute().as_uri() + f"?mode={mode}" + ("&immutable=1" if immutable else "")
     connection = sqlite3.connect(uri, uri=True, isolation_level=None, check_same_thread=False, timeout=10.0)
-    # Text that is none is found by its digest, or is words of a label that are shown as far as they go.
+    # Invalid UTF-8 is replaced, not refused: digests detect a damaged value, and a damaged label can still be shown.
     connection.text_factory = _text
     try:
         connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_VALUE_BYTES)
         connection.setlimit(sqlite3.SQLITE_LIMIT_SQL_LENGTH, MAX_SQL_BYTES)
-        connection.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 1)  # VACUUM needs it
+        connection.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 1)  # VACUUM attaches a temporary database
         connection.setlimit(sqlite3.SQLITE_LIMIT_COLUMN, 32)
         connection.setlimit(sqlite3.SQLITE_LIMIT_EXPR_DEPTH, 20)
         connection.setlimit(sqlite3.SQLITE_LIMIT_COMPOUND_SELECT, 4)
@@ -75,10 +85,10 @@ def _text(content: bytes) -> str:
 
 
 def set_up(connection: sqlite3.Connection) -> None:
-    """How the live file is written: docs/decisions/0127."""
+    """Set the journal mode and the flush settings of a live file: docs/decisions/0127."""
     mode = connection.execute("PRAGMA journal_mode=WAL").fetchone()[0]
     if mode != "wal":
-        # A share: there the ordinary journal is safe, if slower.
+        # A network share does not support WAL; the rollback journal is safe there, but slower.
         connection.execute("PRAGMA journal_mode=DELETE")
     for pragma in ("synchronous=FULL", "fullfsync=ON", "checkpoint_fullfsync=ON", "journal_size_limit=16777216"):
         connection.execute(f"PRAGMA {pragma}")
@@ -86,6 +96,7 @@ def set_up(connection: sqlite3.Connection) -> None:
 
 @contextlib.contextmanager
 def transaction(connection: sqlite3.Connection) -> Iterator[None]:
+    """Begin a transaction that is committed at the end of the block, and rolled back after an error."""
     connection.execute("BEGIN IMMEDIATE")
     try:
         yield
@@ -98,7 +109,13 @@ def transaction(connection: sqlite3.Connection) -> Iterator[None]:
 
 @contextlib.contextmanager
 def told(path: Path) -> Iterator[None]:
-    """Raise the errors of SQLite and of the disk as Carina's errors."""
+    """Convert errors of SQLite and of the disk that are raised in the block to Carina's errors.
+
+    Parameters
+    ----------
+    path
+        Path of the case file for messages.
+    """
     try:
         yield
     except CarinaError:
@@ -112,6 +129,7 @@ def told(path: Path) -> Iterator[None]:
 
 
 def _in_words(error: sqlite3.Error, path: Path) -> CarinaError:
+    """Return Carina's error for an error of SQLite."""
     code = getattr(error, "sqlite_errorcode", None)
     primary = None if code is None else code & 0xFF
     doing = f"cannot write the case to {path}"
@@ -144,7 +162,10 @@ def _in_words(error: sqlite3.Error, path: Path) -> CarinaError:
 
 @contextlib.contextmanager
 def no_surprise() -> Iterator[None]:
-    """Whatever a file holds in the place of our values is damage."""
+    """Convert type and value errors that are raised in the block to an error ``case.damaged``.
+
+    The block decodes content of a file, so such an error means that the file contains unexpected values.
+    """
     try:
         yield
     except CarinaError:
@@ -155,14 +176,14 @@ def no_surprise() -> Iterator[None]:
 
 
 def check_header(path: Path) -> None:
-    """Refuse a path that is not a database, by the kind of file, its journals and its first bytes.
+    """Raise an error for a path that is not a database, by its file type, its journals and its first bytes.
 
     Raises
     ------
     CaseFileError
         ``case.not-a-case``, or ``case.damaged`` if a journal beside the file is not a journal of SQLite.
     OSError
-        If it cannot be read.
+        If the file cannot be read.
     """
     check_files(path)
     with open_regular(path) as file:
@@ -172,6 +193,13 @@ def check_header(path: Path) -> None:
 
 
 def check_whole(connection: sqlite3.Connection, path: Path) -> None:
+    """Raise an error ``case.damaged`` if SQLite's quick check finds damage in the database.
+
+    Raises
+    ------
+    CaseFileError
+        ``case.damaged``.
+    """
     found = [row[0] for row in connection.execute("PRAGMA quick_check(3)")]
     if found != ["ok"]:
         raise refused(

@@ -1,4 +1,4 @@
-"""What a person decides about a case: one immutable value, so that undo is taking an older one."""
+"""The user's decisions about a case as one immutable value; undo selects an earlier value."""
 
 from __future__ import annotations
 
@@ -26,50 +26,53 @@ Point = tuple[float, float, float]
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class Lesion:
-    """A target with a size, and how the way to it is planned."""
+    """The lesion of a target, with the options for planning a route to it."""
 
     target: PlanTarget
-    """With the words of the target that it belongs to (:meth:`Target.described`)."""
+    """The planned target, with the name, note and priority of the target to which it belongs."""
     options: PlanOptions = field(default_factory=PlanOptions)
 
     @property
     def nodule(self) -> Nodule:
-        """What is to be reached."""
+        """The lesion's shape and position."""
         return self.target.nodule
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class Target:
-    """A place to go to, as asked and as used."""
+    """A point to navigate to: the requested point, the point where the path ends, and the path's properties.
+
+    Points are LPS, in mm.
+    """
 
     target_id: str
     name: str
     lps: Point
     used_lps: Point | None = None
-    """Where the path ends: the point itself, or the nearest lumen voxel within 5 mm."""
+    """End of the path: the requested point, or the nearest lumen voxel within 5 mm."""
     snapped_mm: float | None = None
     length_mm: float | None = None
     problem: str | None = None
-    """Why there is no path, in words."""
+    """Reason why there is no path, as a message for the user."""
     route: ChosenRoute | None = None
     cost: PathCost = "lumen"
-    """What its path was searched with; see :class:`carina.commands.AddTarget`."""
+    """Edge cost of the path search; see :class:`carina.commands.AddTarget`."""
     root_lps: Point | None = None
-    """Where the path begins, with the costs ``walls`` and ``paper``."""
+    """Start of the path, with the costs ``walls`` and ``paper``."""
     outside_mm: float | None = None
-    """Length of that path outside the lumen; None where there is no lumen to compare with."""
+    """Length of the path outside the lumen in mm; None if no lumen is known."""
     value_range: tuple[int, int] | None = None
-    """Least and greatest value along that path, in the scan's own numbers."""
+    """Smallest and largest value of the scan along the path, in the scan's own values."""
     lesion: Lesion | None = None
-    """What is to be reached there; None for a place in the airways."""
+    """The lesion at the target; None for a target in the airways."""
     note: str = ""
-    """What a person says about it."""
+    """The user's note."""
     priority: int = 1
-    """1 comes first."""
+    """Priority of the target; 1 is the highest."""
 
     def described(self, name: str, note: str, priority: int) -> Target:
-        """The same target with other words, its route's and its lesion's among them."""
+        """Return a copy of the target with another name, note and priority, also in its route and its lesion."""
         lesion = self.lesion
         if lesion is not None:
             told = replace(lesion.target, name=name, note=note, priority=priority)
@@ -81,20 +84,20 @@ class Target:
 @one_line
 @dataclass(frozen=True, slots=True)
 class ChosenKeyFrame:
-    """A key frame."""
+    """A camera pose that the user stored for a flight."""
 
     key_id: str
     pose: Pose
     name: str | None = None
-    """As a person called it; None is called by its branch."""
+    """Name given by the user; None: the key frame is named after its branch."""
     speed_mm_s: float | None = None
-    """On the way here; None takes that of all."""
+    """Speed from the preceding key frame in mm/s; None uses the common speed of all key frames."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class KeyFrames:
-    """The key frames in their order, and how they are flown through."""
+    """The key frames in their order, and the settings of the flight through them."""
 
     frames: tuple[ChosenKeyFrame, ...] = ()
     flying: KeyFrameFlying = KeyFrameFlying(20.0, "airways")
@@ -103,13 +106,13 @@ class KeyFrames:
 @one_line
 @dataclass(frozen=True, slots=True)
 class Document:
-    """All that undo and redo move between; poses, mode and :class:`carina.render.Sight` are not in it."""
+    """All content that undo and redo change; poses, mode and :class:`carina.render.Sight` are not part of it."""
 
     transfer: TransferFunction
     look: Look = Look()
     airways: Airways | None = None
     lumen_threshold: float | None = None
-    """As asked; None lets the tracker choose."""
+    """Requested threshold of the lumen; None: the tracker chooses it."""
     targets: tuple[Target, ...] = ()
     route: ChosenRoute | None = None
     key_frames: KeyFrames = KeyFrames()

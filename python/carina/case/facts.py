@@ -1,4 +1,4 @@
-"""JSON of a case file: the numbers and texts beside the arrays, with their bounds."""
+"""Classes for the JSON in a case file: the numbers and texts that accompany the arrays, with their bounds."""
 
 from __future__ import annotations
 
@@ -57,17 +57,17 @@ Message = Annotated[str, Meta(max_length=MAX_MESSAGE_CHARS, pattern=TEXT)]
 Name = Annotated[str, Meta(max_length=MAX_NAME_CHARS, pattern=TEXT)]
 ShortWords = Annotated[str, Meta(min_length=1, max_length=MAX_NAME_CHARS, pattern=TEXT)]
 EARLIER_NAMES = {"edit_keys": "edit_key_frames", "set_key_flight": "set_key_frame_flight"}
-"""What commands were called in files of earlier versions, and are called now."""
+"""Names of commands in files of earlier versions, with the present name of each command."""
 _EARLIER = re.compile(rf'^\{{"type":"({"|".join(EARLIER_NAMES)})"')
 Ids = Annotated[tuple[RowId, ...], Meta(max_length=MAX_LIST)]
 
 
 class _Facts(msgspec.Struct, frozen=True):
-    """Fields of one JSON object; those that a newer Carina adds are left alone."""
+    """Base of the JSON objects; unknown fields, which a newer version of Carina added, are ignored."""
 
 
 class BadgeFacts(_Facts, frozen=True):
-    """A lasting note."""
+    """A permanent note about an airway tree."""
 
     code: ShortWords
     words: Message
@@ -75,7 +75,7 @@ class BadgeFacts(_Facts, frozen=True):
 
 
 class BranchFacts(_Facts, frozen=True, omit_defaults=True):
-    """A branch without its line."""
+    """A branch of an airway tree in a case file, without its centreline points."""
 
     id: BranchId
     parent: BranchId | None
@@ -92,18 +92,18 @@ class BranchFacts(_Facts, frozen=True, omit_defaults=True):
 
 
 class TreeFacts(_Facts, frozen=True):
-    """The branches of a tree, parents first, and what puts the whole of it in doubt."""
+    """The branches of a tree, parents first, and notes about doubts that concern the whole tree."""
 
     branches: Annotated[tuple[BranchFacts, ...], Meta(min_length=1, max_length=MAX_BRANCHES)]
     notes: Annotated[tuple[BadgeFacts, ...], Meta(max_length=1000)] = ()
 
 
 class AirwaysFacts(_Facts, frozen=True):
-    """Airways without lumen, tree and tracker."""
+    """Airways in a case file, without lumen, tree and tracker, which other tables store."""
 
     root_lps: PointLps
     threshold: Number | None
-    """Null where a mask gave the lumen."""
+    """Threshold of the lumen; null if the lumen comes from a mask."""
     notes: Annotated[tuple[Message, ...], Meta(max_length=1000)]
     wall_levels: tuple[Number, Number, Number] | None
     next_id: Count | None
@@ -111,11 +111,11 @@ class AirwaysFacts(_Facts, frozen=True):
     uncertain: RowId
     bridges: Ids
     found_by: ShortWords | None = None
-    """The version of Carina that found them; null for edited ones, whose base has it."""
+    """Version of Carina that found the airways; null for edited airways, because their base stores it."""
 
 
 class StenosisFacts(_Facts, frozen=True):
-    """A narrowing, as :class:`carina.track.Stenosis`."""
+    """A stenosis, with the fields of :class:`carina.track.Stenosis`."""
 
     percent: Number
     percent_error: Number
@@ -127,7 +127,7 @@ class StenosisFacts(_Facts, frozen=True):
 
 
 class SummaryFacts(_Facts, frozen=True, omit_defaults=True):
-    """A branch in a few figures, as :class:`carina.track.BranchSummary`."""
+    """A summary of a branch's measures, with the fields of :class:`carina.track.BranchSummary`."""
 
     length_mm: Mm = 0.0
     angle_deg: Number | None = None
@@ -144,7 +144,7 @@ class SummaryFacts(_Facts, frozen=True, omit_defaults=True):
 
 
 class ForkFacts(_Facts, frozen=True):
-    """Where a branch divides, as :class:`carina.track.ForkMeasures`."""
+    """Measures of the fork at the end of a branch, with the fields of :class:`carina.track.ForkMeasures`."""
 
     children: Annotated[tuple[BranchId, ...], Meta(max_length=MAX_BRANCHES)]
     fork_lps: PointLps
@@ -154,19 +154,19 @@ class ForkFacts(_Facts, frozen=True):
 
 
 class MeasuredFacts(_Facts, frozen=True):
-    """What a branch measures beside its sections."""
+    """Measures of a branch without its cross-sections."""
 
     branch_id: BranchId
     summary: SummaryFacts
     fork: ForkFacts | None
     found_by: ShortWords
-    """The version of Carina that measured the sections."""
+    """Version of Carina that measured the cross-sections."""
     method: Count = 1
-    """How they were measured, as :attr:`carina.track.BranchMeasures.method`; earlier versions did not write it."""
+    """Number of the measuring method, :attr:`carina.track.BranchMeasures.method`; earlier versions did not write it."""
 
 
 class MeasuresFacts(_Facts, frozen=True):
-    """What the measures of a tree were made with."""
+    """Settings and notes that apply to all measures of a tree."""
 
     blur_mm: tuple[Mm, Mm] | None
     noise: Number
@@ -174,7 +174,7 @@ class MeasuresFacts(_Facts, frozen=True):
 
 
 class SpanFacts(_Facts, frozen=True):
-    """A branch along a route."""
+    """The part of a route that lies in one branch."""
 
     branch_id: Annotated[int, Meta(ge=-1, le=2**31)]
     name: Name | None
@@ -185,7 +185,7 @@ class SpanFacts(_Facts, frozen=True):
 
 
 class RouteFacts(_Facts, frozen=True):
-    """A route without its points."""
+    """A route in a case file, without its points, which other tables store."""
 
     route_id: ShortWords
     title: Name
@@ -195,7 +195,7 @@ class RouteFacts(_Facts, frozen=True):
     target_id: ShortWords | None
     branch_id: BranchId | None
     drawn: tuple[Mm, Mm, Mm]
-    """Length, drawn by hand, bridged."""
+    """Lengths in mm: the whole route, the part drawn by hand, the bridged part."""
     up_lps: PointLps | None
     path_forks_mm: Numbers
     path_lookouts_mm: Numbers
@@ -205,7 +205,7 @@ class RouteFacts(_Facts, frozen=True):
 
 
 class TargetFacts(_Facts, AskedPath, frozen=True, forbid_unknown_fields=False):
-    """A target; ``route`` is a row of that table."""
+    """A target; ``route`` is a row number of the table of routes."""
 
     target_id: ShortWords
     name: Name
@@ -223,7 +223,7 @@ class TargetFacts(_Facts, AskedPath, frozen=True, forbid_unknown_fields=False):
 
 
 class KeyFrameFacts(_Facts, frozen=True):
-    """A key frame."""
+    """A key frame with its camera pose."""
 
     key_id: ShortWords
     lps_from_camera: Matrix4
@@ -232,14 +232,14 @@ class KeyFrameFacts(_Facts, frozen=True):
 
 
 class KeyFramesFacts(_Facts, frozen=True):
-    """The key frames in their order."""
+    """The key frames in their order, and the settings of the flight through them."""
 
     frames: Annotated[tuple[KeyFrameFacts, ...], Meta(max_length=MAX_LIST)]
     flying: KeyFrameFlying
 
 
 class ScopeFacts(_Facts, frozen=True):
-    """A scope in the lumen."""
+    """Controls of a bronchoscope in the lumen."""
 
     insertion_mm: Mm
     roll_rad: Number
@@ -247,7 +247,7 @@ class ScopeFacts(_Facts, frozen=True):
 
 
 class MomentFacts(_Facts, frozen=True):
-    """What is shown, where the tip is, and how the search for the airways stands."""
+    """The present state: the view, the pose of the tip, and the state of the airway search."""
 
     sight: Sight
     tip: dict[Identifier, Any]
@@ -257,11 +257,11 @@ class MomentFacts(_Facts, frozen=True):
     person_moved: bool
     numbers: Annotated[dict[Identifier, Count], Meta(max_length=1000)]
     saved_by: ShortWords = "unknown"
-    """The version of Carina."""
+    """Version of Carina that saved the state."""
 
 
 class _Decoders:
-    """One decoder for each kind of JSON, made when the first case is opened."""
+    """Decoders for all kinds of JSON in a case file, created when the first case is opened."""
 
     def __init__(self) -> None:
         commands = tuple(cls for cls in all_commands() if not issubclass(cls, LocalCommand) and cls is not Command)
@@ -291,6 +291,13 @@ def decoders() -> _Decoders:
 
 def command_from_json(said: str | None, where: str) -> Any:
     """Return the command of a step, also under its name in an earlier version; None if the step has none.
+
+    Parameters
+    ----------
+    said
+        JSON of the command from the file; None for a step without a command.
+    where
+        Name of the step for messages.
 
     Raises
     ------

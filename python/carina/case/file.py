@@ -55,9 +55,9 @@ from carina.volume import Volume
 __all__ = ["CaseFile", "StepFacts", "all_content", "migrate", "migrate_live", "step_rows"]
 
 MAX_CONTENT_BYTES: Final = 2 << 30
-"""Of all rows of a case without its CT."""
+"""Largest size of all rows of a case without its CT, in bytes."""
 MAX_IN_MEMORY_BYTES: Final = 256 << 20
-"""A copy that is larger is made on the disk; without its CT hardly any case is."""
+"""Largest size in bytes of a case that is copied in memory; a larger case is copied on the disk."""
 MAX_ROWS: Final = 2_000_000
 MAX_STEPS: Final = 10_000
 
@@ -65,19 +65,19 @@ MAX_STEPS: Final = 10_000
 @one_line
 @dataclass(frozen=True, slots=True)
 class StepFacts:
-    """A step of the history, in words."""
+    """Label, command and time of a step of the history."""
 
     label: str
     command: str | None
-    """The kind of command that asked for it (``edit_tree``); None where nobody asked by one."""
+    """Type of the command that caused the step (``edit_tree``); None if no command caused it."""
     at_s: float
-    """Seconds since the case was begun."""
+    """Seconds since the creation of the case."""
     holds: bool
-    """False where it was taken back."""
+    """Whether the step is in effect; False if it was undone."""
 
 
 class CaseFile:
-    """An open case file: :meth:`create` or :meth:`open` one. May be used from several threads.
+    """An open case file, made by :meth:`create`, :meth:`in_memory` or :meth:`open`; several threads may use it.
 
     Examples
     --------
@@ -99,11 +99,11 @@ class CaseFile:
         note: str | None = None,
         scratch: ScratchFolder | None = None,
     ) -> None:
-        """As :meth:`create` and :meth:`open` do."""
+        """Wrap an open connection; :meth:`create` and :meth:`open` call this."""
         self.path = path
         self.read_only = read_only
         self.note = note
-        """What a person should know of it, in a sentence: a newer Carina saved it."""
+        """Message for the user if a newer version of Carina saved the file, otherwise None."""
         self._scratch = scratch
         self._lock = threading.RLock()
         self._connection: sqlite3.Connection | None = connection
@@ -111,30 +111,44 @@ class CaseFile:
         self._has_orphans = False
 
     def __repr__(self) -> str:
+        """Return the path of the file and whether it is open for reading only."""
         return f"CaseFile({str(self.path)!r}{', read only' if self.read_only else ''})"
 
     def __enter__(self) -> CaseFile:
+        """Return the open case for a ``with`` block."""
         return self
 
     def __exit__(self, *_trouble: object) -> None:
+        """Close the case at the end of a ``with`` block."""
         self.close()
-
-    # ------------------------------------------------------------ opening
 
     @classmethod
     def create(cls, path: Path | str, source: SourceFacts) -> CaseFile:
-        """Create a case file that only its user may read; a journal is beside the file while it is open.
+        """Create a case file that only its user may read; a journal exists beside the file while it is open.
+
+        Parameters
+        ----------
+        path
+            The new file.
+        source
+            Description of the CT.
+
+        Returns
+        -------
+        CaseFile
+            The open case, without any step.
 
         Raises
         ------
         DiskError
-            If it cannot be written, or a file is there.
+            If the file cannot be written, or already exists.
         """
         place = Path(path)
         try:
             if place.exists():
                 raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST))
-            # Whole from its first moment on: what a crash leaves is no file, or a case.
+            # The database is built in memory and written atomically, so a crash leaves either no file or a complete
+            # case.
             with told(place), contextlib.closing(_begun(source)) as begun:
                 content = begun.serialize()
             write_whole(place, content, what="the case", private=True, lasting=True, placement=move_to_new_name)
@@ -151,30 +165,39 @@ class CaseFile:
 
     @classmethod
     def in_memory(cls, source: SourceFacts) -> CaseFile:
-        """Begin a case file that no disk has to take, until it is written by :meth:`write_copy`."""
+        """Create a case in memory only; :meth:`write_copy` writes it to a file."""
         return cls(Path("case.carina"), _begun(source))
 
     @classmethod
     def open(cls, path: Path | str, *, read_only: bool = False) -> CaseFile:
-        """Open a case file of any user or version.
+        """Open a case file of any user and version.
 
         Parameters
         ----------
+        path
+            The case file.
         read_only
-            Nothing is written to it or beside it, and its last committed state is read. A newer Carina's file is
-            opened so in any case, where it has all that this one knows; :attr:`note` says it. One of an older Carina is
-            then migrated in a copy.
+            Read the last committed state, and write neither to the file nor beside it. A file of a newer version of
+            Carina is always opened in this way, with the content that this version knows; :attr:`note` then states it.
+            A file of an older version is migrated in a temporary copy.
 
-        Notes
-        -----
-        One that was not closed (a journal stands beside it) is looked through in a copy before its journal is replayed.
+        Returns
+        -------
+        CaseFile
+            The open case.
 
         Raises
         ------
         CaseFileError
-            ``case.not-a-case``, ``case.damaged``, ``case.newer``, ``case.older`` (to be written: migrate it first).
+            ``case.not-a-case``, ``case.damaged``, ``case.newer``, or ``case.older``: a file of an older version must be
+            migrated before it can be written.
         DiskError
-            If it cannot be read or written.
+            If the file cannot be read or written.
+
+        Notes
+        -----
+        A file that was not closed has a journal beside it. Such a file is checked in a copy before its journal is
+        replayed.
         """
         place = Path(path)
         with told(place), contextlib.ExitStack() as undo:
@@ -229,13 +252,13 @@ class CaseFile:
         return cls(place, connection)
 
     def close(self) -> None:
-        """Close it; its journal goes. Nothing if it is closed."""
+        """Close the file and remove its journal; a closed file stays unchanged."""
         with self._lock:
             connection, self._connection = self._connection, None
             self._writer = None
             try:
                 if connection is not None:
-                    # What is not reached any more costs room alone: trouble here loses nothing.
+                    # Unreferenced rows only use space, so errors while deleting them are ignored.
                     with contextlib.suppress(sqlite3.Error, CaseFileError):
                         if self._has_orphans and not self.read_only:
                             with transaction(connection):
@@ -247,15 +270,18 @@ class CaseFile:
                 if scratch is not None:
                     scratch.remove()
 
-    # ------------------------------------------------------------ the moment
-
     def save(self, moment: Moment) -> None:
-        """Write a moment, whole or not at all; what is there already is not written again.
+        """Write a moment in one transaction; content that the file already contains is not written again.
+
+        Parameters
+        ----------
+        moment
+            The state to save.
 
         Raises
         ------
         DiskError
-            If it cannot be written: what was saved before stays.
+            If the moment cannot be written; the previously saved state stays.
         """
         with self._lock, told(self.path):
             connection = self._writable()
@@ -264,7 +290,7 @@ class CaseFile:
                 with transaction(connection):
                     writer.write(moment)
             except BaseException:
-                # It may know rows that were taken back.
+                # The writer may remember rows that the transaction rolled back.
                 self._writer = None
                 raise
             writer.kept()
@@ -273,19 +299,24 @@ class CaseFile:
     def load(self, volume: Volume) -> Moment:
         """Return the moment that was saved last.
 
-        Nothing is found again: airways come with their tree as it was, and paths are calculated when they are first
-        needed. Those of steps far from the present one are :class:`carina.track.FoldedAirways`.
+        Nothing is detected again: airways are read with their stored tree, and paths are computed at first use. The
+        airways of steps far from the present step are :class:`carina.track.FoldedAirways`.
 
         Parameters
         ----------
         volume
-            The CT, whose voxels the caller has compared by their digest. Where its axes are in another order than when
-            the case was saved, what lies in voxels is turned to it.
+            The CT; the caller has compared the digest of its voxels. If its axes are in another order than in the saved
+            CT, voxel data are reordered.
+
+        Returns
+        -------
+        Moment
+            The saved state.
 
         Raises
         ------
         CaseFileError
-            ``case.other-scan``, ``case.damaged``, or ``case.empty``: nothing was saved yet.
+            ``case.other-scan``, ``case.damaged``, or ``case.empty`` if nothing was saved yet.
         """
         with self._lock, told(self.path):
             connection = self._open()
@@ -316,7 +347,7 @@ class CaseFile:
             return moment
 
     def history(self) -> tuple[StepFacts, ...]:
-        """Return the labels and facts of all steps, the oldest first, undone ones included; read nothing large."""
+        """Return the facts of all steps, the oldest first, undone steps included; no large data are read."""
         with self._lock, told(self.path):
             connection = self._open()
             found = connection.execute("SELECT position FROM moment").fetchone()
@@ -334,21 +365,19 @@ class CaseFile:
             )
 
     def summary(self) -> CaseSummary:
-        """Return a summary for the list of cases; read nothing large and no CT."""
+        """Return the summary for the list of cases; no large data and no CT are read."""
         with self._lock, told(self.path), no_surprise():
             return read_summary(self._open())
 
-    # ------------------------------------------------------------ beside it
-
     @property
     def source(self) -> SourceFacts:
-        """The CT that it is of."""
+        """Description of the CT of the case."""
         with self._lock, told(self.path):
             return read_source(self._open())
 
     @property
     def digest(self) -> str:
-        """Of the voxels of the CT that it is of."""
+        """Digest of the voxels of the CT."""
         return self.source.digest
 
     @property
@@ -358,14 +387,14 @@ class CaseFile:
             return read_save_mark(self._open())
 
     def pack(self, volume: Volume) -> None:
-        """Put the CT into this file: lossless, in pieces with checksums.
+        """Store the CT in this file, losslessly compressed, in chunks with checksums.
 
         Raises
         ------
         DiskError
-            If it cannot be written.
+            If the CT cannot be written.
         UsageError
-            ``case.other-scan``: if it is not the case's.
+            ``case.other-scan``: if the volume is not the CT of the case.
         """
         with self._lock, told(self.path):
             connection = self._writable()
@@ -374,12 +403,12 @@ class CaseFile:
 
     @property
     def holds_ct(self) -> bool:
-        """Whether the CT was packed with the case."""
+        """Whether the file contains the CT."""
         with self._lock, told(self.path):
             return self._open().execute("SELECT 1 FROM ct LIMIT 1").fetchone() is not None
 
     def packed_volume(self) -> Volume | None:
-        """Return the CT that was packed with the case; None without a packed CT.
+        """Return the CT stored in the file; None if the file contains none.
 
         Raises
         ------
@@ -390,7 +419,7 @@ class CaseFile:
             return packed_volume(self._open())
 
     def set_source_path(self, path: str | None) -> None:
-        """Store the place of the scan relative to the case file; None where the place is unknown."""
+        """Store the path of the scan relative to the case file; None if the path is unknown."""
         with self._lock, told(self.path):
             connection = self._writable()
             with transaction(connection):
@@ -406,7 +435,15 @@ class CaseFile:
             return found
 
     def set_extra(self, kind: str, values: tuple[Any, ...]) -> None:
-        """Keep plain JSON values under a word, in the place of those before."""
+        """Store plain JSON values of a kind, and delete the former values of that kind.
+
+        Parameters
+        ----------
+        kind
+            Name of the kind, such as that of a plan, a report or scores.
+        values
+            The new values, in their order.
+        """
         with self._lock, told(self.path):
             connection = self._writable()
             with transaction(connection):
@@ -415,29 +452,29 @@ class CaseFile:
                     row = (kind, n, as_checked_json(value, f.decoders().extra, kind))
                     connection.execute("INSERT INTO extra (kind, n, json) VALUES (?, ?, ?)", row)
 
-    # ------------------------------------------------------------ recordings
-
     def record(self, name: str, *, begun_s: float) -> RecordingWriter:
-        """Begin a recording: a text file for :class:`carina.navigate.Recorder`.
+        """Begin a recording and return the text file that :class:`carina.navigate.Recorder` writes to.
 
-        What is written to it is kept in memory until :meth:`RecordingWriter.keep` puts it into the file, in pieces of
-        at most a second: whoever flies never waits for a disk.
+        The text stays in memory until :meth:`RecordingWriter.keep` stores it in the case file, in chunks of at most a
+        second, so that navigation never waits for the disk.
 
         Parameters
         ----------
+        name
+            Name of the recording.
         begun_s
-            Seconds since the case was begun.
+            Start of the recording, in seconds since the creation of the case.
         """
         with self._lock, told(self.path):
             return RecordingWriter(name, begun_s, self._table())
 
     def keep_recording(self, recording: RecordingWriter) -> None:
-        """Put what was recorded since the last call into the file, in pieces of at most a second.
+        """Store the text recorded since the last call, in chunks of at most a second.
 
         Raises
         ------
         DiskError
-            If it cannot be written: it stays in memory.
+            If the text cannot be written; it then stays in memory.
         """
         with self._lock, told(self.path):
             self._writable()
@@ -449,61 +486,71 @@ class CaseFile:
             return self._table().all()
 
     def recording(self, recording_id: int) -> Recording:
-        """One of them, to be flown again.
+        """Return a recording for replay.
+
+        Parameters
+        ----------
+        recording_id
+            Number of the recording in this case.
 
         Raises
         ------
         UsageError
-            ``case.recording``: if there is none of that number.
+            ``case.recording``: if no recording has this number.
         CaseFileError, VolumeImportError
-            If it is damaged, or no recording.
+            If the recording is damaged, or its content is not a recording.
         """
         with self._lock, told(self.path):
             return self._table().read(recording_id)
 
     def recording_text(self, recording_id: int) -> str:
-        """One of them as the file that other programs read (``carina-recording``).
+        """Return a recording as the text of a ``carina-recording`` file, which other programs read.
 
         Raises
         ------
         UsageError, CaseFileError
-            As :meth:`recording`.
+            As in :meth:`recording`.
         """
         with self._lock, told(self.path):
             return self._table().text(recording_id)
 
     def set_recordings(self, wanted: Sequence[RecordingFacts], *, removed: Collection[int] = ()) -> None:
-        """Have the recordings called, described and ordered as these, without the removed ones.
+        """Set the names, notes and order of the recordings, and delete the removed ones.
 
-        What is in neither stays, and nothing is written where all is so already.
+        A recording that neither argument names stays unchanged. Nothing is written if nothing changes.
+
+        Parameters
+        ----------
+        wanted
+            Facts of the recordings, in the new order.
+        removed
+            Numbers of the recordings to delete.
 
         Raises
         ------
         DiskError
-            If it cannot be written.
+            If the changes cannot be written.
         """
         with self._lock, told(self.path):
             self._table().become(wanted, removed)
 
     def change_recording(self, recording_id: int, *, name: str | None = None, words: str | None = None) -> None:
-        """Call a recording otherwise, or say something about it; None leaves that as it is."""
+        """Change the name or the note of a recording; None leaves the value unchanged."""
         with self._lock, told(self.path):
             self._table().change(recording_id, name=name, words=words)
 
     def order_recordings(self, recording_ids: Sequence[int]) -> None:
-        """Have the recordings in this order: each by its number, once."""
+        """Set the order of the recordings; the argument contains the number of every recording once."""
         with self._lock, told(self.path):
             self._table().order(recording_ids)
 
     def forget_recording(self, recording_id: int) -> None:
-        """Take a recording away."""
+        """Delete a recording."""
         with self._lock, told(self.path):
             self._table().forget(recording_id)
 
     def _table(self) -> RecordingTable:
         return RecordingTable(self._open, self._writable, self._lock, self.path)
-
-    # ------------------------------------------------------------ copies
 
     def write_copy(
         self,
@@ -515,32 +562,34 @@ class CaseFile:
         save_mark: SaveMark | None = None,
         placement: Placement | None = None,
     ) -> None:
-        """Write the case as one whole file, without a journal, to be named, shared and backed up.
+        """Write the case as one complete file without a journal, for storing under a name, sharing and backup.
 
-        The copy is made in memory, or in a temporary folder if it is large, and is then moved to its path. No database
-        is ever open on a network share, and a copy on another disk needs no space on a full disk.
+        The copy is made in memory, or in a temporary folder if it is large, and is then moved to its path. So no
+        database is open on a network share, and a copy to another disk needs no space on a full disk.
 
         Parameters
         ----------
+        path
+            The file to write.
         ct_place
             Path of the scan relative to the copy; None if unknown.
         volume
-            The CT, to be packed into the copy: lossless, in pieces with checksums.
+            The CT, to be stored in the copy, losslessly compressed, in chunks with checksums; None stores no CT.
         private
             Whether only the user may read the copy, as for a live file.
         save_mark
             Mark that the copy gets, to identify this save; None stores no mark.
         placement
-            Moves the complete copy to its path; None replaces whatever file is there.
+            Moves the complete copy to its path; None replaces any file at the path.
 
         Raises
         ------
         DiskError
             If the copy cannot be written; a former file at the path stays.
         UsageError
-            ``case.other-scan``: if ``volume`` is not the case's.
+            ``case.other-scan``: if ``volume`` is not the CT of the case.
         CarinaError
-            As ``placement`` raises; a former file at the path stays.
+            If ``placement`` refuses the move; a former file at the path stays.
         """
         target = Path(path)
         with self._lock, told(self.path):
@@ -573,19 +622,17 @@ class CaseFile:
                 shutil.copyfileobj(whole, file, 1 << 20)
 
     def _back_up(self, copy: sqlite3.Connection, ct_place: str | None, save_mark: SaveMark | None) -> None:
-        """Copy the whole case, without unreferenced rows and without a journal."""
+        """Copy the whole case to another connection, without unreferenced rows and without a journal."""
         with self._lock:
             self._open().backup(copy)
         copy.execute("PRAGMA journal_mode=DELETE")
-        # Until it is whole it may be thrown away.
+        # An incomplete copy is thrown away after a crash, so it needs no flush.
         copy.execute("PRAGMA synchronous=OFF")
         with transaction(copy):
             write_source(copy, replace(read_source(copy), path=ct_place))
             write_save_mark(copy, save_mark)
             sweep(copy, all_content(copy))
         copy.execute("VACUUM")
-
-    # ------------------------------------------------------------ inside
 
     @contextlib.contextmanager
     def _newer_in_words(self) -> Iterator[None]:
@@ -624,37 +671,44 @@ class CaseFile:
 def migrate(path: Path | str, target: Path | str) -> None:
     """Write a case of an older version of Carina to a new file in the present format; the original stays unchanged.
 
+    Parameters
+    ----------
+    path
+        The case of an older version.
+    target
+        The new file; it must not exist.
+
     Raises
     ------
     CaseFileError
-        As :meth:`CaseFile.open`.
+        As in :meth:`CaseFile.open`.
     DiskError
-        If it cannot be written, or a file is at the target.
+        If the new file cannot be written, or the target exists.
     """
     with CaseFile.open(path, read_only=True) as case:
         case.write_copy(target, ct_place=case.source.path, placement=move_to_new_name)
 
 
 def migrate_live(path: Path) -> Path:
-    """Have a live file of an older Carina be one of this, in its place; whoever calls owns the case.
+    """Migrate a live file of an older version of Carina in place; the caller must own the case.
 
-    At each moment one of the two lies there whole.
+    The file is first copied to a new name, so a complete case exists at every moment.
 
     Returns
     -------
     Path
-        Where it lies as it was.
+        Copy of the file in the old format.
 
     Raises
     ------
     CaseFileError
-        As :meth:`CaseFile.open`.
+        As in :meth:`CaseFile.open`.
     DiskError
-        If it cannot be written; it stays as it was.
+        If a file cannot be written; the live file then stays unchanged.
     """
     with CaseFile.open(path, read_only=True) as case, told(path):
         if has_journal(path):
-            # Looked through in a copy just now: what stands in its journal goes into the file.
+            # CaseFile.open has checked the journal in a copy, so it is safe to write the journal into the file.
             with contextlib.closing(connected(path, "rw")) as live:
                 live.execute("PRAGMA journal_mode=DELETE")
         with contextlib.closing(connected(path, "ro", immutable=True)) as old:
@@ -671,7 +725,7 @@ def migrate_live(path: Path) -> Path:
 
 
 def _begun(source: SourceFacts) -> sqlite3.Connection:
-    """Create a case in memory in which nothing was done."""
+    """Create a case without steps in memory."""
     connection = connected(None)
     with transaction(connection):
         make_tables(connection)
@@ -680,7 +734,7 @@ def _begun(source: SourceFacts) -> sqlite3.Connection:
 
 
 def all_content(connection: sqlite3.Connection) -> Rows:
-    """All rows of content, after their number and size were looked at.
+    """Return all rows of the content tables, after checking their number and size.
 
     Raises
     ------
@@ -702,12 +756,12 @@ def all_content(connection: sqlite3.Connection) -> Rows:
 
 
 def step_rows(connection: sqlite3.Connection) -> list[tuple[Any, ...]]:
-    """Return the steps: number, label, command, seconds, document.
+    """Return the rows of the steps: number, label, command, seconds, document.
 
     Raises
     ------
     CaseFileError
-        ``case.damaged``: if there are too many, or one is missing.
+        ``case.damaged``: if there are no or too many steps, or the numbers have a gap.
     """
     count = connection.execute("SELECT count(*) FROM step").fetchone()[0]
     if not 1 <= count <= MAX_STEPS:
@@ -722,7 +776,16 @@ def step_rows(connection: sqlite3.Connection) -> list[tuple[Any, ...]]:
 
 
 def check_step(number: int, label: object, at_s: object) -> None:
-    """Check the columns of a step that have no digest.
+    """Check the columns of a step that no digest protects.
+
+    Parameters
+    ----------
+    number
+        Number of the step.
+    label
+        Label of the step.
+    at_s
+        Time of the step in seconds since the creation of the case.
 
     Raises
     ------
@@ -735,11 +798,11 @@ def check_step(number: int, label: object, at_s: object) -> None:
 
 
 def _ignored(_kind: str, _value: object, _row: int) -> None:
-    """Ignore a read row: a file that is only read needs no record of its rows."""
+    """Ignore a row that was read; a file that is open for reading only needs no record of its rows."""
 
 
 def _kind_of(command: object) -> str | None:
-    """Return the kind of a command from the beginning of its JSON, by its present name."""
+    """Return the present name of a command's type from the beginning of its JSON; None if there is none."""
     if not isinstance(command, str):
         return None
     _, mark, rest = command.partition('"type":"')

@@ -1,4 +1,4 @@
-"""The live file of a case that another process owns and writes: its newest moment, read again and again."""
+"""Reading of a live case file that another process owns and writes."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ __all__ = ["CaseFollower"]
 
 
 class CaseFollower:
-    """Reads what another process saves, while that one goes on: nothing is written, and nothing is read twice.
+    """Reader of the moments that another process saves in a live file; it writes nothing and reads no row twice.
 
-    Content is only ever added to a live file, so that what one moment shares with the one before is the same object
-    here: a tree that was renamed in brings no other lumen.
+    The owner only adds rows to a live file, so content that two moments share is the same object in both. If a branch
+    is renamed, for example, the lumen is not read again.
 
     Parameters
     ----------
     path
-        The live file of a case of this machine.
+        The live file of a case on this machine.
     volume
-        Its CT, whose voxels the caller has compared by their digest.
+        The CT of the case; the caller has compared the digest of its voxels.
     """
 
     def __init__(self, path: Path, volume: Volume) -> None:
@@ -46,17 +46,18 @@ class CaseFollower:
         self._newest: Moment | None = None
 
     def __repr__(self) -> str:
+        """Return the path of the file."""
         return f"CaseFollower({str(self.path)!r})"
 
     def newest(self) -> Moment:
-        """The moment that was saved last; the same object while nothing has been saved since.
+        """Return the moment that was saved last; the same object if nothing was saved since the last call.
 
         Raises
         ------
         CaseFileError
             ``case.empty``, ``case.other-scan``, ``case.newer`` or ``case.damaged``.
         DiskError
-            If it cannot be read.
+            If the file cannot be read.
         """
         with told(self.path), contextlib.closing(connected(self.path, "ro")) as connection:
             if check_schema(connection, self.path) != "ours":
@@ -78,6 +79,7 @@ class CaseFollower:
     def _read(
         self, connection: sqlite3.Connection, found: tuple[Any, ...], numbered: Sequence[tuple[Any, ...]]
     ) -> Moment:
+        """Return the moment of the given rows, after reading the content rows that are new."""
         if self._reader is None or not self._take_new_rows(connection):
             source = read_source(connection)
             turn = turn_between(source, self._volume)
@@ -96,7 +98,10 @@ class CaseFollower:
             return self._reader.moment([row[1:] for row in numbered], found[0], facts)
 
     def _take_new_rows(self, connection: sqlite3.Connection) -> bool:
-        """False where its owner has swept the file meanwhile: then a number may stand for other content."""
+        """Add the rows that were written since the last call; return False if rows were deleted or replaced.
+
+        After False, a row number may refer to other content, so the caller must read all rows again.
+        """
         for table in CONTENT:
             known = self._rows[table]
             there = dict(connection.execute(f"SELECT id, digest FROM {table}"))
@@ -110,15 +115,15 @@ class CaseFollower:
 
 
 class _GrowingReader(CaseReader):
-    """Reads one moment after the other; edited airways are kept whole only while they are the present ones."""
+    """Reader of consecutive moments; it holds edited airways in full only while they are the present ones."""
 
     _present: int | None = None
-    """The row of the present airways..."""
+    """Row number of the present airways."""
     _whole_documents: dict[int, Document] | None = None
-    """... and the documents that hold them whole."""
+    """Documents that contain the present airways in full, by row number."""
 
     def moment(self, steps: Sequence[tuple[Any, ...]], position: int, facts: f.MomentFacts) -> Moment:
-        """The moment of steps, sharing what it can with the one before."""
+        """Return the moment of the given steps; content shared with the preceding moment is reused."""
         if not 1 <= position + 1 <= len(steps):
             return super().moment(steps, position, facts)
         with self._lock:
@@ -126,7 +131,7 @@ class _GrowingReader(CaseReader):
             present = self.airways_of(steps[position][3])
             if present != self._present:
                 self._present, self._whole_documents = present, None
-                # Documents that were read while these were far away hold them folded.
+                # Documents that were read while these airways were not the present ones contain them in folded form.
                 folded: object = None if present is None else self._folded.get(present)
                 if folded is not None:
                     self._documents = {row: one for row, one in self._documents.items() if one.airways is not folded}
@@ -143,4 +148,4 @@ class _GrowingReader(CaseReader):
 
 
 def _ignored(_kind: str, _value: object, _row: int) -> None:
-    """Nothing is written to it, so nobody need know which row an object came from."""
+    """Ignore a row that was read; a follower writes nothing, so it needs no record of its rows."""

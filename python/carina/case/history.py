@@ -1,4 +1,4 @@
-"""Undo and redo over immutable documents: one line of steps, and a place on it."""
+"""Undo and redo over immutable documents: a list of steps, and the present position in it."""
 
 from __future__ import annotations
 
@@ -15,34 +15,34 @@ __all__ = ["MAX_STEPS", "History", "Step"]
 D = TypeVar("D")
 
 MERGE_WITHIN_S = 1.0
-"""Changes of one gesture (a drag of the grey window) that follow each other within this time are one step."""
+"""Longest pause in seconds between changes of one gesture, such as a drag of the grey window, that form one step."""
 MAX_STEPS = 1000
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class Step(Generic[D]):
-    """A change that can be taken back."""
+    """A change that can be undone."""
 
     label: str
-    """What was done, in words."""
+    """Description of the change for the user."""
     document: D
-    """The document after it."""
+    """The document after the change."""
     command: Command | None = None
-    """What was asked for; None where it names things of this machine, or nobody asked by a command."""
+    """The command that caused the change; None if it refers to this machine, or if no command caused the change."""
     at_s: float = 0.0
-    """When, in seconds since the case was begun."""
+    """Time of the change in seconds since the creation of the case."""
 
 
 class History(Generic[D]):
-    """A first document, the steps from there, and how many of them hold now.
+    """A first document, the steps that follow it, and the number of steps that are in effect.
 
     Parameters
     ----------
     document
-        What the first step changes.
+        The document before the first step.
     steps, position
-        Of a history that was kept: the whole line, and how many of its steps are not taken back; all unless told.
+        All steps of a saved history, and the number of steps that are not undone; None means all.
     """
 
     def __init__(self, document: D, steps: Sequence[Step[D]] = (), position: int | None = None) -> None:
@@ -55,41 +55,42 @@ class History(Generic[D]):
         self._gesture_s = float("-inf")
 
     def __repr__(self) -> str:
+        """Return the number of steps and how many of them are in effect."""
         return f"History({len(self._steps)} changes, {self._position} of them applied)"
 
     @property
     def first(self) -> D:
-        """The document before all steps that are kept."""
+        """The document before all stored steps."""
         return self._first
 
     @property
     def steps(self) -> tuple[Step[D], ...]:
-        """The whole line, the oldest first, with what was taken back and can be done again."""
+        """All steps, the oldest first, including undone steps that :meth:`redo` can repeat."""
         return tuple(self._steps)
 
     @property
     def position(self) -> int:
-        """How many steps hold; those after are taken back."""
+        """Number of steps in effect; the steps after this number are undone."""
         return self._position
 
     @property
     def current(self) -> D:
-        """The document shown."""
+        """The document at the present position."""
         return self._steps[self._position - 1].document if self._position else self._first
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Of the steps that can be taken back, the oldest first."""
+        """Labels of the steps that can be undone, the oldest first."""
         return tuple(step.label for step in self._steps[: self._position])
 
     @property
     def undo_label(self) -> str | None:
-        """What :meth:`undo` would take back, in words."""
+        """Label of the step that :meth:`undo` would undo; None if there is none."""
         return self._steps[self._position - 1].label if self._position else None
 
     @property
     def redo_label(self) -> str | None:
-        """What :meth:`redo` would do again, in words."""
+        """Label of the step that :meth:`redo` would repeat; None if there is none."""
         return self._steps[self._position].label if self._position < len(self._steps) else None
 
     def change(
@@ -102,7 +103,23 @@ class History(Generic[D]):
         command: Command | None = None,
         at_s: float = 0.0,
     ) -> None:
-        """Make a change that can be undone; changes of one gesture merge. What was taken back is forgotten."""
+        """Add a step, and delete the undone steps; consecutive changes of one gesture become one step.
+
+        Parameters
+        ----------
+        label
+            Description of the change for the user.
+        document
+            The document after the change.
+        now_s
+            Present time in seconds on a monotonic clock, to find out whether changes of a gesture follow closely.
+        gesture
+            Identifies the gesture; None for a change that always becomes its own step.
+        command
+            The command that caused the change; None if none did.
+        at_s
+            Time of the change in seconds since the creation of the case.
+        """
         merges = gesture is not None and gesture == self._gesture and now_s - self._gesture_s < MERGE_WITHIN_S
         del self._steps[self._position :]
         if merges and self._steps:
@@ -114,15 +131,15 @@ class History(Generic[D]):
         self._gesture, self._gesture_s = gesture, now_s
 
     def amend(self, edit: Callable[[D], D]) -> None:
-        """Edit the current document and all others without a step: what the machine found by itself.
+        """Apply an edit to all documents without adding a step, for results that Carina computes by itself.
 
-        The others too, else undoing an earlier change of a person would take the finding away with it.
+        All documents are edited, because otherwise undoing an earlier change of the user would remove the result.
         """
         self._first = edit(self._first)
         self._steps = [_with(step, edit(step.document)) for step in self._steps]
 
     def amend_current(self, edit: Callable[[D], D]) -> None:
-        """Edit the current document alone, without a step."""
+        """Apply an edit to the document at the present position only, without adding a step."""
         if not self._position:
             self._first = edit(self._first)
         else:
@@ -130,15 +147,36 @@ class History(Generic[D]):
             self._steps[self._position - 1] = _with(step, edit(step.document))
 
     def keep_distinct(self, what: Callable[[D], object], num_kept: int) -> None:
-        """Forget the oldest steps until the documents hold at most this many different values of something large."""
+        """Delete the oldest steps until the documents contain at most ``num_kept`` different values of ``what``.
+
+        The deletion limits the memory for ``what(document)``, a large part of the document; values are compared by
+        identity. The step at the present position is never deleted.
+
+        Parameters
+        ----------
+        what
+            Returns the large part of a document.
+        num_kept
+            Largest number of different large parts.
+        """
         while self._position and len({id(what(document)) for document in self.documents()}) > num_kept:
             self._forget_oldest()
             self._position -= 1
 
     def fold_far(self, what: Callable[[D], object], num_near: int, fold: Callable[[D], D]) -> None:
-        """Fold documents that hold something large and lie far from the current one.
+        """Apply ``fold`` to the documents far from the present one, to save memory.
 
-        The nearest ``num_near`` different values of what is large stay as they are, forwards and backwards alike.
+        The ``num_near`` different objects ``what(document)`` that are nearest to the present position, in both
+        directions, stay unfolded.
+
+        Parameters
+        ----------
+        what
+            Returns the large part of a document.
+        num_near
+            Number of different large parts that stay unfolded.
+        fold
+            Returns a document whose large part takes less memory.
         """
         documents = self.documents()
         here = self._position
@@ -159,26 +197,31 @@ class History(Generic[D]):
         return [self._first, *(step.document for step in self._steps)]
 
     def undo(self) -> str | None:
-        """Take back the last change; its label, or None where there is none."""
+        """Undo the latest step in effect and return its label; None if there is none."""
         label = self.undo_label
         if label is not None:
             self.go_to(self._position - 1)
         return label
 
     def redo(self) -> str | None:
-        """Do the last change taken back again; its label, or None."""
+        """Repeat the step that was undone last and return its label; None if there is none."""
         label = self.redo_label
         if label is not None:
             self.go_to(self._position + 1)
         return label
 
     def go_to(self, position: int) -> None:
-        """Have so many steps hold, from 0 to all.
+        """Move to a position: so many steps are then in effect, and the later ones are undone.
+
+        Parameters
+        ----------
+        position
+            From 0 to the number of steps.
 
         Raises
         ------
         IndexError
-            If there are not so many.
+            If the position is out of this range.
         """
         if not 0 <= position <= len(self._steps):
             raise IndexError(f"the history has {len(self._steps)} steps; there is no position {position}")

@@ -1,4 +1,4 @@
-"""Journals of SQLite beside a case file: their checks before anything is copied or replayed, and the copy."""
+"""SQLite journals beside a case file: checks before a journal is copied or replayed, and the copy."""
 
 from __future__ import annotations
 
@@ -29,11 +29,14 @@ logger = logging.getLogger(__name__)
 
 JOURNALS: Final = ("-wal", "-journal")
 MAX_JOURNAL_BYTES: Final = 16 << 30
-"""Of a journal; a live case truncates its journal to 16 MB after each checkpoint, unless a CT was packed into it."""
+"""Largest size of a journal in bytes.
+
+The journal of a live case is truncated to 16 MB after each checkpoint, unless a CT was stored through it.
+"""
 MAX_CASE_BYTES: Final = 32 << 30
-"""Of a case file that has to be copied: its content is at most 2 GB, and the rest a packed CT."""
+"""Largest size in bytes of a case file that is copied: its content has at most 2 GB, and the rest is a packed CT."""
 COPY_AGAIN: Final = 5
-"""How often a file is copied again that another program wrote to meanwhile."""
+"""Number of attempts to copy a file while another program writes to it."""
 WAL_MAGIC: Final = (b"\x37\x7f\x06\x82", b"\x37\x7f\x06\x83")
 WAL_VERSION: Final = (3_007_000).to_bytes(4, "big")
 WAL_HEADER_BYTES: Final = 32
@@ -43,19 +46,20 @@ PAGE_BYTES: Final = tuple(1 << power for power in range(9, 17))
 
 
 def beside(path: Path, tail: str) -> Path:
-    """Return the path of a file that SQLite keeps beside a database."""
+    """Return the path of a file that SQLite creates beside a database, such as a journal."""
     return path.with_name(path.name + tail)
 
 
 def has_journal(path: Path) -> bool:
-    """Return whether the file was not closed: a journal beside it contains its last changes."""
+    """Return whether the file has a journal, which contains the last changes of a case that was not closed."""
     return any(beside(path, tail).exists() for tail in JOURNALS)
 
 
 def check_files(path: Path) -> None:
-    """Refuse a case file or journal that is not a regular file, a huge journal, and one that names another file.
+    """Raise an error for a file that is not regular, a journal that is too large, or one that names another file.
 
-    Only a few bytes of each are read. A journal with a damaged beginning passes, because SQLite replays nothing of it.
+    Only a few bytes of the files are read. A journal with a damaged beginning passes, because SQLite does not replay
+    it.
 
     Raises
     ------
@@ -89,16 +93,16 @@ def check_files(path: Path) -> None:
                 path, journal, f"expected at most {say_size(MAX_JOURNAL_BYTES)}, found {say_size(size)}"
             )
         if tail == "-journal" and end == JOURNAL_MAGIC:
-            # It names a super-journal, which SQLite deletes after the replay: a file of any name.
+            # The end of this journal names a super-journal, a file of any name that SQLite deletes after the replay.
             raise _not_a_journal(
                 path, journal, "expected the journal of one database, found one that names a file of another"
             )
 
 
 def set_foreign_aside(path: Path) -> None:
-    """Rename a file beside a case that has the name of a journal and is none, because SQLite would overwrite it.
+    """Rename a file that has the name of a journal but is not one, because SQLite would overwrite it.
 
-    A power cut may leave such a file, too: a journal of which the disk did not store the beginning.
+    A power cut can also leave such a file: a journal whose beginning the disk did not store.
     """
     for tail in JOURNALS:
         journal = beside(path, tail)
@@ -117,7 +121,7 @@ def set_foreign_aside(path: Path) -> None:
 
 
 def _is_replayed(tail: str, head: bytes) -> bool:
-    """Return whether SQLite replays a file that begins so."""
+    """Return whether SQLite replays a journal with these first bytes."""
     if tail == "-journal":
         return head[:8] == JOURNAL_MAGIC
     is_log = len(head) == WAL_HEADER_BYTES and head[:4] in WAL_MAGIC and head[4:8] == WAL_VERSION
@@ -125,15 +129,27 @@ def _is_replayed(tail: str, head: bytes) -> bool:
 
 
 def copied_with_journal(path: Path, folder: Path) -> Path:
-    """Copy a case file and its journals, as they were at one moment, into a private folder.
+    """Copy a case file and its journals, in a consistent state, into a private folder.
+
+    Parameters
+    ----------
+    path
+        The case file.
+    folder
+        Folder for the copy.
+
+    Returns
+    -------
+    Path
+        The copied case file; its journals are beside it.
 
     Raises
     ------
     CaseFileError
-        As :func:`check_files`; ``case.damaged`` if the file is too large, ``case.read-only`` if another program keeps
-        changing it.
+        As in :func:`check_files`; ``case.damaged`` if the file is too large, ``case.read-only`` if another program
+        keeps changing the file.
     DiskError
-        ``disk.full`` before anything is copied, if the folder's disk has too little room.
+        ``disk.full``, before anything is copied, if the folder's disk has too little space.
     """
     check_files(path)
     parts = [path, *(beside(path, tail) for tail in JOURNALS)]
@@ -150,7 +166,7 @@ def copied_with_journal(path: Path, folder: Path) -> Path:
             if size or part is path:
                 _copy(part, target, size)
         if [_stamp(part) for part in parts] == before:
-            # What is replayed is the copy, whatever became of the original since its check.
+            # The copy is checked again, because the original may have changed between its check and the copy.
             check_files(folder / "case.carina")
             return folder / "case.carina"
         check_files(path)
@@ -162,7 +178,7 @@ def copied_with_journal(path: Path, folder: Path) -> Path:
 
 
 def _used_bytes(part: Path, tail: str, size: int) -> int:
-    """Return how much of a file SQLite reads: of a write-ahead log the frames of its present run."""
+    """Return how many bytes of a file SQLite reads; of a write-ahead log, only the frames of the latest run count."""
     if not tail:
         return size
     with open_regular(part) as file:
@@ -175,7 +191,7 @@ def _used_bytes(part: Path, tail: str, size: int) -> int:
         end = WAL_HEADER_BYTES
         while end + frame_bytes <= size:
             file.seek(end)
-            # Frames of an earlier run have other salts; SQLite stops at the first of them.
+            # Frames of an earlier run have other salt values; SQLite stops at the first such frame.
             if file.read(FRAME_HEADER_BYTES)[8:16] != salts:
                 break
             end += frame_bytes
@@ -183,7 +199,7 @@ def _used_bytes(part: Path, tail: str, size: int) -> int:
 
 
 def _copy(part: Path, target: Path, size: int) -> None:
-    """Copy what was measured and no more: a file that grows is copied again."""
+    """Copy the first ``size`` bytes of a file; if the file grows meanwhile, the caller copies it again."""
     with open_regular(part) as source, target.open("wb") as copy:
         left = size
         while left > 0 and (piece := source.read(min(left, 1 << 20))):
@@ -192,6 +208,7 @@ def _copy(part: Path, target: Path, size: int) -> None:
 
 
 def _check_room(path: Path, size: int, folder: Path) -> None:
+    """Raise an error if a case with its journals is too large, or larger than the free space of a folder."""
     if size > MAX_CASE_BYTES:
         raise refused(
             path,
@@ -205,6 +222,7 @@ def _check_room(path: Path, size: int, folder: Path) -> None:
 
 
 def _stamp(path: Path) -> tuple[int, int, int] | None:
+    """Return inode, size and time of change of a file, to detect changes; None if the file is missing."""
     try:
         found = path.stat()
     except FileNotFoundError:

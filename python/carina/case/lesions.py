@@ -1,4 +1,4 @@
-"""Targets with a size, as a case file stores them."""
+"""Conversion between lesions and their record in a case file."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ __all__ = ["LesionFacts", "lesion_facts", "made_lesion"]
 
 
 class LesionFacts(msgspec.Struct, frozen=True, omit_defaults=True):
-    """The target as :meth:`carina.plan.PlanTarget.to_record`, and how the way to it is planned."""
+    """A lesion in a case file: the record of :meth:`carina.plan.PlanTarget.to_record`, and the planning options."""
 
     record: dict[str, Any]
     options: PlanOptions = PlanOptions()
 
 
 def lesion_facts(lesion: Lesion) -> LesionFacts:
-    """Return the facts of a target's boundary, as a case file stores them."""
+    """Return the record of a lesion for a case file."""
     return LesionFacts(lesion.target.to_record(), lesion.options)
 
 
 def made_lesion(facts: LesionFacts) -> Lesion:
-    """Return the boundary of a target from the facts in a case file.
+    """Return a lesion from its record in a case file.
 
     Raises
     ------
@@ -37,7 +37,7 @@ def made_lesion(facts: LesionFacts) -> Lesion:
         ``case.damaged``.
     """
     where = "the boundary of a target"
-    # The voxels of a nodule are one long text, so the limit on texts does not apply.
+    # The voxels of a nodule are one long string, so they are excluded from the limit on the length of texts.
     check_plain({name: value for name, value in facts.record.items() if name != "nodule"}, where)
     nodule = facts.record.get("nodule")
     check_plain(

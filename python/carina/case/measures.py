@@ -1,4 +1,4 @@
-"""Measurements of airways in a case file: the sections of a branch are stored once for all edits that keep them."""
+"""Airway measures in a case file: edits that leave a branch unchanged share one stored copy of its cross-sections."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ FIGURES: Final = {
     "shift_mm": 1,
     "share": 1,
 }
-"""The columns of sections in their order, and how many numbers each has."""
+"""Fields of the cross-sections in the order of storage, each with the number of values per cross-section."""
 RAYS: Final = {"edge_mm": 64, "outer_mm": 64}
 NO_RAY: Final = -1
 AT_JUNCTION, AT_EDGE = 1, 2
@@ -42,9 +42,9 @@ MAX_SECTIONS: Final = 1_000_000
 
 
 def sections_of(measures: BranchMeasures) -> dict[str, Any]:
-    """Return the columns of a row of ``sections``."""
+    """Return the columns of a row of ``sections`` for the cross-sections of a branch."""
     columns = [np.asarray(getattr(measures, name), dtype="<f8") for name in FIGURES]
-    # Column by column: what is alike lies together.
+    # Stored field by field: similar values are then adjacent, which compresses better.
     figures = b"".join(np.ascontiguousarray(column.T).tobytes() for column in columns)
     rays = np.concatenate([getattr(measures, name) for name in RAYS], axis=1)
     steps = np.where(np.isfinite(rays), np.rint(rays * RAYS_PER_MM), NO_RAY).astype(np.int32)
@@ -52,12 +52,12 @@ def sections_of(measures: BranchMeasures) -> dict[str, Any]:
 
 
 def flags_of(measures: BranchMeasures) -> bytes:
-    """Which sections do not count: packed numbers, one for each."""
+    """Return packed flags, one number per cross-section, that mark sections excluded from the summary."""
     return packed_ints(measures.at_junction * AT_JUNCTION + measures.at_edge * AT_EDGE)
 
 
 def branch_facts(measures: BranchMeasures, fork: ForkMeasures | None) -> f.MeasuredFacts:
-    """Return the measurements of a branch and of the fork at its end, without the sections."""
+    """Return the summary of a branch and of the fork at its end, without the cross-sections."""
     summary, stenosis = measures.summary, measures.summary.measured_stenosis
     names = [name for name in f.SummaryFacts.__struct_fields__ if name != "stenosis"]
     return f.MeasuredFacts(
@@ -85,7 +85,20 @@ def branch_facts(measures: BranchMeasures, fork: ForkMeasures | None) -> f.Measu
 def branch_from(
     columns: tuple[Any, ...], flags: object, facts: f.MeasuredFacts, num_points: int, where: str
 ) -> BranchMeasures:
-    """Return the measurements of a branch from a row of ``sections``, flags and facts.
+    """Return the measures of a branch from a row of ``sections``, the flags and the summary.
+
+    Parameters
+    ----------
+    columns
+        Number of sections, packed numbers and packed rays.
+    flags
+        Packed flags from :func:`flags_of`.
+    facts
+        Summary of the branch.
+    num_points
+        Expected number of sections.
+    where
+        Name of the row for messages.
 
     Raises
     ------
@@ -125,7 +138,7 @@ def branch_from(
 
 
 def fork_from(facts: f.MeasuredFacts) -> ForkMeasures | None:
-    """Return the measurements of the fork at the end of a branch; None at a tip."""
+    """Return the measures of the fork at the end of a branch; None for a branch that ends at a tip."""
     fork = facts.fork
     return None if fork is None else ForkMeasures(facts.branch_id, **msgspec.structs.asdict(fork))
 

@@ -1,4 +1,4 @@
-"""All of a case that is kept at once: what was decided and how it came to that, what is shown, and where the tip is."""
+"""The state of a case at one moment: the document, its history, the view, and the pose of the tip."""
 
 from __future__ import annotations
 
@@ -17,30 +17,33 @@ __all__ = ["Moment"]
 @one_line
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """A case at one moment; its parts are immutable and shared with the moments before and after."""
+    """The complete state of a case at one moment; its immutable parts are shared with other moments."""
 
     first: Document
-    """Before all steps."""
+    """Document before all steps."""
     steps: tuple[Step[Document], ...]
-    """Each with the document after it, the oldest first; those beyond ``position`` were taken back."""
+    """Each step contains the document after it, the oldest first; steps beyond ``position`` are undone."""
     position: int
-    """How many steps hold."""
+    """Number of steps in effect."""
     sight: Sight
     tip: dict[str, Any]
-    """:meth:`carina.navigate.Navigator.state`: plain JSON."""
+    """State of the tip, as plain JSON of :meth:`carina.navigate.Navigator.state`."""
     scope: ScopeHold | None = None
-    """How the scope was held along its route, where one was in the lumen; ``tip`` then is its free pose."""
+    """Controls of the scope on its route, if a scope was in the lumen; ``tip`` is then the free camera pose."""
     search_status: str = "waiting"
-    """How the search for the airways stands: ``none``, ``waiting``, ``found`` or ``failed``."""
+    """State of the airway search: ``none``, ``waiting``, ``found`` or ``failed``."""
     search_words: str | None = None
     person_moved: bool = False
-    """Whether a person has moved the tip: airways that are found then do not move it."""
+    """Whether the user has moved the tip; if so, newly found airways do not move it."""
     numbers: dict[str, int] = field(default_factory=dict)
-    """The last number that was given, by what was numbered (``target``, ``key``): none is given twice."""
+    """Last assigned number by kind of object (``target``, ``key``), so that no number is used twice."""
     measures: tuple[tuple[Any, Any], ...] = ()
-    """Airways of the steps, whole or folded, each with its :class:`carina.track.TreeMeasures`, or with the
-    :class:`carina.case.KeptMeasures` of a file; those that were measured."""
+    """Pairs of the airways of steps and their measures; airways without measures are not listed.
+
+    Airways are :class:`carina.track.Airways` or :class:`carina.track.FoldedAirways`. Measures are
+    :class:`carina.track.TreeMeasures`, or :class:`carina.case.KeptMeasures` that a case file contains.
+    """
 
     def history(self) -> History[Document]:
-        """The steps as they can be undone and done again."""
+        """Return the steps as a history that supports undo and redo."""
         return History(self.first, self.steps, self.position)

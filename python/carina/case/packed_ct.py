@@ -1,4 +1,4 @@
-"""The CT in a case file: lossless, in pieces with checksums."""
+"""The CT in a case file: losslessly compressed, in chunks with checksums."""
 
 from __future__ import annotations
 
@@ -17,16 +17,23 @@ from carina.volume import Volume, VolumeSource, ct_digest
 __all__ = ["packed_volume", "write_ct"]
 
 CHUNK_BYTES: Final = 16 << 20
-"""Of voxels in a piece, or one slice where that is larger."""
+"""Largest size of the voxels in a chunk in bytes; a chunk has one slice if a slice is larger."""
 
 
 def write_ct(connection: sqlite3.Connection, volume: Volume) -> None:
-    """Put a CT into a case file, inside a transaction of the caller.
+    """Store a CT in a case file, in a transaction that the caller opened.
+
+    Parameters
+    ----------
+    connection
+        The case file.
+    volume
+        The CT; its axes may be in another order than in the case.
 
     Raises
     ------
     UsageError
-        ``case.other-scan``: if it is not the case's, or a slice is too large.
+        ``case.other-scan``: if the volume is not the CT of the case. ``case.value``: if a slice is too large.
     """
     source = read_source(connection)
     given = SourceFacts.of(volume, source.digest)
@@ -50,7 +57,7 @@ def write_ct(connection: sqlite3.Connection, volume: Volume) -> None:
 
 
 def packed_volume(connection: sqlite3.Connection) -> Volume | None:
-    """The CT that was packed with the case; None where none was.
+    """Return the CT stored in a case file; None if the file contains none.
 
     Raises
     ------
@@ -64,7 +71,7 @@ def packed_volume(connection: sqlite3.Connection) -> Volume | None:
         return None
     slice_bytes = 2 * ny * nx
     ahead = 0
-    # All of it before memory is taken.
+    # All declared sizes are checked before memory is allocated.
     for n, first, count, length in pieces:
         size = count * slice_bytes if isinstance(count, int) and count > 0 else -1
         if first != ahead or not 0 < size <= min(MAX_PIECE_BYTES, MOST_DEFLATED * length):
@@ -89,7 +96,10 @@ def packed_volume(connection: sqlite3.Connection) -> Volume | None:
 
 
 def _told_apart(slices: NDArray[np.int16]) -> bytes:
-    """Differences along x, low bytes before high ones: neighbours are alike, so this deflates to two thirds."""
+    """Return the differences along x, all low bytes before all high bytes.
+
+    Neighbouring voxels have similar values, so this order compresses to two thirds of the size.
+    """
     steps = np.diff(slices, axis=2, prepend=np.int16(0)).astype("<i2")
     return steps.view(np.uint8).reshape(-1, 2).T.tobytes()
 
@@ -101,5 +111,5 @@ def _put_together(content: bytes, shape: tuple[int, int, int]) -> NDArray[np.int
 
 
 def _standing_in(source: SourceFacts) -> Volume:
-    # Only its grid is looked at; pages of memory that nobody looks at are never made.
+    # Only the grid of this volume is used; unread pages of zeros need no physical memory.
     return Volume(np.zeros(source.shape_zyx, np.int16), source.lps_from_ijk, source.is_hu)

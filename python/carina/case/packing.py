@@ -1,4 +1,4 @@
-"""Bytes as a case file stores them: deflated, with their original size and digest."""
+"""Compressed bytes and JSON of a case file, with checks of size and digest."""
 
 from __future__ import annotations
 
@@ -29,31 +29,40 @@ __all__ = [
 ]
 
 MAX_PIECE_BYTES: Final = 64 << 20
-"""Of one piece, inflated; far below what SQLite takes, and what an array of a case never comes near."""
+"""Largest size of one piece in bytes after decompression, far below the limits of SQLite."""
 MAX_JSON_BYTES: Final = 16 << 20
 MOST_DEFLATED = 1040
-"""Deflate makes nothing smaller than by this factor: a piece that claims more is a lie."""
+"""Largest compression ratio that Deflate reaches; a piece with a larger declared ratio is damaged."""
 DTYPES: Final = {"f8": "<f8", "f4": "<f4", "i8": "<i8", "i4": "<i4", "u4": "<u4"}
 
 
 def digest_of(*parts: object) -> bytes:
-    """16 bytes that tell one content from another: of texts, numbers, None and bytes."""
+    """Return a digest of 16 bytes of texts, numbers, None and bytes."""
     digest = hashlib.blake2b(digest_size=16)
     for part in parts:
         content = part if isinstance(part, bytes | memoryview) else repr(part).encode()
-        # Lengths too, so that two parts never look like two others.
+        # Each length is part of the digest, so that different divisions of the same bytes give different digests.
         digest.update(b"%d:" % len(content))
         digest.update(content)
     return digest.digest()
 
 
 def deflated(content: bytes | memoryview) -> bytes:
-    """Smaller; :func:`inflated` needs the length of what was given."""
+    """Compress bytes with Deflate; :func:`inflated` needs their original length."""
     return zlib.compress(content, 6 if len(content) < 1 << 16 else 1)
 
 
 def inflated(data: object, size: object, where: str) -> bytes:
-    """Decompress deflated bytes; use at most as much memory as their declared size, which is bounded.
+    """Decompress deflated bytes; the memory used is limited by their declared size, which is bounded.
+
+    Parameters
+    ----------
+    data
+        The compressed bytes from the file.
+    size
+        Declared number of bytes after decompression.
+    where
+        Name of the data for messages.
 
     Raises
     ------
@@ -76,24 +85,46 @@ def inflated(data: object, size: object, where: str) -> bytes:
 
 
 def packed_ints(values: list[int] | NDArray[np.int32]) -> bytes:
-    """Numbers of 0 to 2**31 as deflated 32-bit differences, little-endian: lists of places in a table grow by ones."""
+    """Return integers from 0 to 2**31 as compressed 32-bit differences, little-endian.
+
+    Row numbers in a table are often consecutive, so their differences compress well.
+    """
     found = np.asarray(values, dtype="<i4")
     return deflated(np.diff(found, prepend=np.int32(0)).astype("<i4").tobytes())
 
 
 def unpacked_ints(data: object, count: int, where: str) -> NDArray[np.int32]:
-    """Return the numbers that :func:`packed_ints` packed."""
+    """Return the numbers that :func:`packed_ints` packed.
+
+    Parameters
+    ----------
+    data
+        The compressed bytes from the file.
+    count
+        Expected number of integers.
+    where
+        Name of the data for messages.
+    """
     content = np.frombuffer(inflated(data, 4 * count, where), dtype="<i4")
     return np.cumsum(content, dtype=np.int64).astype(np.int32)
 
 
 def as_json(value: object) -> bytes:
-    """Return a value as JSON with every bit of its numbers; JSON has no numbers that are not finite."""
+    """Return a value as JSON that preserves its numbers exactly; JSON has no infinite numbers and no NaN."""
     return _ENCODER.encode(value)
 
 
 def as_checked_json(value: object, decoder: msgspec.json.Decoder[Any], what: str) -> str:
-    """Return a value as JSON text, after a check that the decoder of the field can read it back.
+    """Return a value as JSON text, after checking that the decoder of the field can read it.
+
+    Parameters
+    ----------
+    value
+        The value to store.
+    decoder
+        Decoder of the field.
+    what
+        Name of the value for messages.
 
     Raises
     ------
@@ -105,7 +136,7 @@ def as_checked_json(value: object, decoder: msgspec.json.Decoder[Any], what: str
         try:
             decoder.decode(said)
         except msgspec.ValidationError:
-            # A long message or a control character in a name must not prevent the save.
+            # A message that is too long or a control character in a name must not prevent saving.
             said = as_json(cleaned(msgspec.json.decode(said), MAX_NAME_CHARS))
             decoder.decode(said)
         if len(said) > MAX_JSON_BYTES:
@@ -118,10 +149,19 @@ def as_checked_json(value: object, decoder: msgspec.json.Decoder[Any], what: str
 def from_json(content: object, decoder: msgspec.json.Decoder[Any], where: str) -> Any:
     """Decode JSON into a value of the decoder's type.
 
+    Parameters
+    ----------
+    content
+        The JSON from the file.
+    decoder
+        Decoder of the expected type.
+    where
+        Name of the value for messages.
+
     Raises
     ------
     CaseFileError
-        ``case.damaged``: if it is none.
+        ``case.damaged``: if the content is not JSON of this type.
     """
     if not isinstance(content, bytes | str) or len(content) > MAX_JSON_BYTES:
         raise damaged(where, f"JSON of at most {MAX_JSON_BYTES} bytes", type(content).__name__)
@@ -133,7 +173,7 @@ def from_json(content: object, decoder: msgspec.json.Decoder[Any], where: str) -
 
 
 def _plain(value: Any) -> Any:
-    """Numbers of numpy, which some values hold."""
+    """Convert NumPy numbers and arrays to plain Python values for the JSON encoder."""
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, np.ndarray):

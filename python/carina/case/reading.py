@@ -1,4 +1,4 @@
-"""Reader of the rows of a case file: makes a moment; steps far from the present one stay packed until needed."""
+"""Reader that builds a moment from the rows of a case file; airways far from the present step are read at first use."""
 
 from __future__ import annotations
 
@@ -60,16 +60,16 @@ from carina.volume import Note, Volume
 __all__ = ["CaseReader", "KeptAirways", "KeptMeasures", "Rows"]
 
 Rows = dict[str, dict[int, tuple[Any, ...]]]
-"""By table and id, the columns after the id."""
+"""Columns after the id, by table and id."""
 BOUNDS: Final = {"f8": (-MAX_MM, MAX_MM), "i8": (-1, 2**31), "u4": (0, 2**32)}
 """Bounds of the numbers of an array, by its type."""
 LENGTH_MM: Final = (0.0, MAX_MM)
 NO_TREES: Final = 4
-"""Trees that are kept at hand while airways are read: those of a base and of its edits."""
+"""Number of trees that stay in memory while airways are read: those of a base and of its edits."""
 
 
 class KeptAirways(FoldedAirways):
-    """Edited airways of a step that is not shown: still as the file has them."""
+    """Edited airways of a step that is not shown; they are read from the case file when :meth:`unfold` is called."""
 
     __slots__ = ("base", "reader", "row")
 
@@ -77,10 +77,11 @@ class KeptAirways(FoldedAirways):
         self.reader, self.row, self.base = reader, row, base
 
     def __repr__(self) -> str:
+        """Return the row number of the airways."""
         return f"KeptAirways(row={self.row})"
 
     def unfold(self) -> Airways:
-        """Return the airways as they were saved; their paths are calculated when they are first needed.
+        """Return the saved airways; their paths are computed at first use.
 
         Raises
         ------
@@ -92,7 +93,7 @@ class KeptAirways(FoldedAirways):
 
 
 class KeptMeasures:
-    """What airways measured when the case was saved: still as the file has it."""
+    """Measures of airways in a case file; they are read when :meth:`load` is called."""
 
     __slots__ = ("reader", "row")
 
@@ -100,10 +101,11 @@ class KeptMeasures:
         self.reader, self.row = reader, row
 
     def __repr__(self) -> str:
+        """Return the row number of the measures."""
         return f"KeptMeasures(row={self.row})"
 
     def load(self) -> TreeMeasures:
-        """Return the measurements as they were saved; nothing is measured again.
+        """Return the saved measures; nothing is measured again.
 
         Raises
         ------
@@ -115,18 +117,18 @@ class KeptMeasures:
 
 
 class CaseReader:
-    """The moment that rows hold.
+    """Reader that builds documents, airways and moments from the rows of a case file.
 
     Parameters
     ----------
     rows
-        All rows of the tables of content.
+        All rows of the content tables.
     volume
-        The CT, on the grid that the case was saved with.
+        The CT, on the grid of the saved case.
     know
-        Told of each object that stands for a row, by its kind.
+        Callback that receives the kind, the object and the row number of each object that was read.
     turn
-        How the case's voxels lie in the volume.
+        Order of the axes of the case relative to those of the volume.
     """
 
     def __init__(self, rows: Rows, volume: Volume, know: Callable[[str, object, int], None], turn: Turn) -> None:
@@ -139,9 +141,9 @@ class CaseReader:
         self._arrays: weakref.WeakValueDictionary[int, NDArray[Any]] = weakref.WeakValueDictionary()
         self._lumens: weakref.WeakValueDictionary[int, NDArray[np.uint8]] = weakref.WeakValueDictionary()
         self._grids: dict[int, PathGrid] = {}
-        """By the number of parts; trackers on one grid share its volume."""
+        """Grids of path searches by number of parts of a voxel; trackers on one grid share its volume."""
         self._num_voxels: dict[int, int] = {}
-        """Of lumens that were read, by their row."""
+        """Number of lumen voxels, by row of the lumen."""
         self._trackers: weakref.WeakValueDictionary[int, PathTracker] = weakref.WeakValueDictionary()
         self._trees: dict[int, tuple[tuple[Branch, ...], tuple[Note, ...]]] = {}
         self._whole: dict[int, Airways] = {}
@@ -150,23 +152,42 @@ class CaseReader:
         self._values: dict[tuple[str, int], Any] = {}
         self._documents: dict[int, Document] = {}
         self._measures = {columns[1]: row for row, columns in rows["measures"].items()}
-        """By the row of the airways."""
-
-    # ------------------------------------------------------------ the moment
+        """Row of the measures, by row of the airways."""
 
     def moment(self, steps: Sequence[tuple[Any, ...]], position: int, facts: f.MomentFacts) -> Moment:
-        """Return the moment of steps (label, command, seconds, document), the first of which is the first document."""
+        """Return the moment of the given steps.
+
+        Parameters
+        ----------
+        steps
+            Label, command, seconds and row of the document for each step; the first entry is the first document.
+        position
+            Number of steps in effect.
+        facts
+            View, pose of the tip and other parts of the moment outside the history.
+
+        Returns
+        -------
+        Moment
+            The moment.
+
+        Raises
+        ------
+        CaseFileError
+            ``case.damaged``.
+        """
         if not 1 <= position + 1 <= len(steps):
             raise damaged("position in the history", f"0 to {len(steps) - 1}", str(position))
         with self._lock:
-            # What is shown is made whole, and before all others, so that they share with it.
+            # The shown airways are read first and in full, so that all others share data with them.
             present = self.airways_of(steps[position][3])
             if present is not None:
                 self._whole[present] = self.airways(present)
             documents = [self.document(step[3]) for step in steps]
             measures = self._all_measures([step[3] for step in steps])
             if present is not None and self.columns("airways", present)[0] is not None:
-                # The document holds it; this reader lives as long as any step does.
+                # The document holds these airways. The reader must not hold them too, because it lives as long as any
+                # step.
                 del self._whole[present]
             check_tip(facts.tip, "tip", has_route=documents[position].route is not None)
             route = documents[position].route
@@ -191,7 +212,10 @@ class CaseReader:
             )
 
     def _check_path(self, route: ChosenRoute) -> None:
-        """Refuse a shown route that cannot be flown; the curves of other routes are made when they are shown."""
+        """Raise an error if the shown route is not a valid flight path.
+
+        The curves of other routes are checked when they are computed to be shown.
+        """
         try:
             length_mm = route.path.length_mm
         except CarinaError as trouble:
@@ -199,12 +223,12 @@ class CaseReader:
         bounded_number(length_mm, "route", *LENGTH_MM)
 
     def airways_of(self, document: int) -> int | None:
-        """Return the row of a document's airways."""
+        """Return the row of a document's airways; None if the document has none."""
         row: int | None = self.columns("document", document)[0]
         return row
 
     def _all_measures(self, documents: Sequence[int]) -> tuple[tuple[Any, KeptMeasures], ...]:
-        """Of the airways of documents that were measured."""
+        """Return the airways of documents that were measured, each with its measures."""
         measured = dict.fromkeys(self.airways_of(document) for document in documents)
         found = []
         for row in measured:
@@ -256,7 +280,7 @@ class CaseReader:
         return found
 
     def made_targets(self, targets: tuple[f.TargetFacts, ...]) -> tuple[Target, ...]:
-        """Targets with their paths."""
+        """Return the targets with their paths."""
         return tuple(
             Target(
                 target_id=t.target_id,
@@ -328,10 +352,8 @@ class CaseReader:
         self._know("route", made, row)
         return made
 
-    # ------------------------------------------------------------ airways
-
     def any_airways(self, row: int) -> Any:
-        """Whole where it was found and not edited, or is shown; else kept."""
+        """Return the airways in a row: in full if they are unedited or shown, otherwise as :class:`KeptAirways`."""
         base = self.columns("airways", row)[0]
         if base is None or row in self._whole:
             whole = self._whole.get(row)
@@ -345,6 +367,7 @@ class CaseReader:
         return known
 
     def _base(self, row: int) -> Airways:
+        """Return the unedited airways in a row, in full, as the base of edited airways."""
         if self.columns("airways", row)[0] is not None:
             raise damaged(f"row {row} of airways", "unedited airways as their base", "edited airways")
         whole = self._whole.get(row)
@@ -353,12 +376,13 @@ class CaseReader:
         return whole
 
     def airways(self, row: int) -> Airways:
-        """Return the whole airways in a row of ``airways``; their paths are calculated when they are first needed."""
+        """Return the airways in a row of ``airways`` in full; their paths are computed at first use."""
         with self._lock:
             known = self._whole.get(row)
             return self._made_airways(row) if known is None else known
 
     def _made_airways(self, row: int) -> Airways:
+        """Return the airways in a row, built from their lumen, tree and tracker."""
         base, lumen, tree, tracker, said = self.columns("airways", row)
         facts: f.AirwaysFacts = from_json(said, self._decoders.airways, f"row {row} of airways")
         columns = self.columns("tracker", tracker)
@@ -387,6 +411,7 @@ class CaseReader:
         return made
 
     def _tracker(self, row: int) -> PathTracker:
+        """Return the path tracker in a row, with its start point and its nodes."""
         known = self._trackers.get(row)
         if known is not None:
             return known
@@ -403,14 +428,15 @@ class CaseReader:
         grid = self._grid((nz, ny, nx), where)
         made = PathTracker(grid, None, recipe=recipe, root_ijk=root, lumen_zyx=lumen_zyx)
         branches, _ = self._tree(tree)
-        # Nodes are numbered along the axes.
+        # Stored node numbers count along the axes of the case, so they are invalid for another order of axes.
         if nodes is None or not self._turn.is_none:
             made.follow_branches(branches)
         else:
             all_nodes = self._array(nodes, "u4")
             counts = self._array(num_nodes, "i8", count=len(branches))
             ends = np.cumsum(counts)
-            # Not counted in the array: that would touch all of its memory, of which a tenth holds lumen.
+            # The voxels of the lumen were counted in the tiles, because counting in the array would touch all of its
+            # memory.
             num_voxels = self._num_voxels[lumen] if len(all_nodes) else 0
             if (counts < 1).any() or ends[-1] != len(all_nodes) or int(all_nodes.max()) >= num_voxels:
                 raise damaged(
@@ -424,6 +450,7 @@ class CaseReader:
         return made
 
     def _tree(self, row: int) -> tuple[tuple[Branch, ...], tuple[Note, ...]]:
+        """Return the branches and the notes of the tree in a row."""
         known = self._trees.get(row)
         if known is not None:
             return known
@@ -450,6 +477,7 @@ class CaseReader:
         return made
 
     def _branch(self, row: int, facts: f.BranchFacts) -> Branch:
+        """Return the branch whose points are in a row of ``branch`` and whose other values are given."""
         points, radius, wall = self.columns("branch", row)
         line = self._array(points, "f8", width=3)
         return Branch(
@@ -471,6 +499,7 @@ class CaseReader:
         )
 
     def _lumen(self, row: int) -> NDArray[np.uint8]:
+        """Return the lumen in a row, put together from its tiles, in the axes of the volume."""
         known = self._lumens.get(row)
         if known is not None:
             return known
@@ -495,7 +524,15 @@ class CaseReader:
         return made
 
     def _grid(self, shape_zyx: tuple[int, int, int], where: str) -> PathGrid:
-        """Return the grid of a lumen from its shape in the axes of the case: that of the CT, or with divided slices."""
+        """Return the grid of a lumen: that of the CT, or a grid whose longest voxel edges are divided.
+
+        Parameters
+        ----------
+        shape_zyx
+            Shape of the lumen in the axes of the case.
+        where
+            Name of the row for messages.
+        """
         i, j, k = (shape_zyx[::-1][axis] for axis in self._turn.axes)
         parts = PathGrid.parts_of(self.volume, (k, j, i))
         if parts is None:
@@ -509,10 +546,8 @@ class CaseReader:
         self._check("tile", row, digest_of("tile", bits))
         return bits
 
-    # ------------------------------------------------------------ measures
-
     def measures_of(self, airways: int) -> KeptMeasures | None:
-        """Return the measurements of a row of ``airways``; None where it was not measured."""
+        """Return the measures of a row of ``airways``; None if it was not measured."""
         row = self._measures.get(airways)
         if row is None:
             return None
@@ -521,7 +556,7 @@ class CaseReader:
         return kept
 
     def measures(self, row: int) -> TreeMeasures:
-        """Return the measurements in a row of ``measures``."""
+        """Return the measures in a row of ``measures``."""
         with self._lock:
             where = f"row {row} of measures"
             airways, packed, said = self.columns("measures", row)
@@ -552,8 +587,6 @@ class CaseReader:
             self._know("measures", made, row)
             return made
 
-    # ------------------------------------------------------------ content
-
     def _array(
         self,
         row: int,
@@ -563,6 +596,7 @@ class CaseReader:
         width: int = 0,
         bounds: tuple[float, float] | None = None,
     ) -> NDArray[Any]:
+        """Return the array in a row after checking its digest, its type, its shape and its bounds."""
         known = self._arrays.get(row)
         where = f"row {row} of array"
         if known is None:
@@ -585,6 +619,7 @@ class CaseReader:
         return known
 
     def _value(self, kind: str, row: int, decoder: msgspec.json.Decoder[Any], make: Callable[[Any], Any]) -> Any:
+        """Return the value in a row of ``value``, decoded from JSON and converted by ``make``."""
         if (kind, row) in self._values:
             return self._values[kind, row]
         where = f"row {row} of value, kind {kind}"
@@ -605,7 +640,7 @@ class CaseReader:
         return made
 
     def columns(self, table: str, row: int) -> tuple[Any, ...]:
-        """Return the columns of a row, after a check of the digest of these columns."""
+        """Return the columns of a row after checking their digest."""
         columns = self._rows_of(table, row)
         self._check(table, row, digest_of(table, *columns))
         return columns
@@ -622,7 +657,7 @@ class CaseReader:
 
 
 def _edit(row: dict[str, Any]) -> TreeEdit:
-    """Make an edit by its constructor: an edit from a program may be outside the limits for windows."""
+    """Return an edit, made by its constructor; edits of programs may exceed the limits of the user interface."""
     check_plain(row, "an edit")
     (edit,) = edits_from_json({**edits_to_json(()), "edits": [row]})
     return edit

@@ -1,4 +1,4 @@
-"""Recordings of a case, stored in pieces of at most a second, so that a crash loses no more than a second."""
+"""Recordings of a case, stored in chunks of at most a second, so that a crash loses at most a second."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from carina.navigate.recording import read_recording
 __all__ = ["CHUNK_S", "RecordingFacts", "RecordingTable", "RecordingWriter", "WholeRecording"]
 
 CHUNK_S: Final = 1.0
-"""No piece holds more of a flight; it is in memory until the next :meth:`RecordingWriter.keep`."""
+"""Largest duration of a chunk in seconds; a chunk stays in memory until the next :meth:`RecordingWriter.keep`."""
 MAX_CHUNK_CHARS: Final = 8 << 20
 MAX_CHUNKS: Final = 1_000_000
 MAX_RECORDING_BYTES: Final = 1 << 30
@@ -42,30 +42,30 @@ MAX_RECORDING_BYTES: Final = 1 << 30
 @one_line
 @dataclass(frozen=True, slots=True)
 class RecordingFacts:
-    """A recording in a list."""
+    """The properties of a recording without its lines."""
 
     recording_id: int
-    """From 1 for each case; none is given twice while it is there."""
+    """Number in the case, from 1; no two recordings have the same number."""
     name: str
     words: str
-    """What a person says about it."""
+    """The user's note."""
     begun_s: float
-    """Seconds since the case was begun."""
+    """Start of the recording in seconds since the creation of the case."""
     length_s: float
     complete: bool
-    """False where Carina was stopped while it recorded: it goes as far as it came."""
+    """False if Carina was stopped during the recording; the recording then ends early."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class WholeRecording:
-    """A recording with all its lines, for another file."""
+    """A recording with all its lines, to be copied to another case file."""
 
     facts: RecordingFacts
     text: str
 
     def writer(self) -> RecordingWriter:
-        """As if it had just been recorded."""
+        """Return a writer with the content of the recording; :meth:`RecordingWriter.keep` stores it in another file."""
         made = RecordingWriter(self.facts.name, self.facts.begun_s, number=self.facts.recording_id)
         made.write(self.text)
         if self.facts.complete:
@@ -74,7 +74,7 @@ class WholeRecording:
 
 
 class RecordingTable:
-    """The recordings of an open case file."""
+    """The recordings in an open case file."""
 
     def __init__(
         self,
@@ -86,7 +86,7 @@ class RecordingTable:
         self._reading, self._writing, self._lock, self._path = reading, writing, lock, path
 
     def begin(self, name: str, begun_s: float, number: int | None = None) -> int:
-        """Begin a recording without lines, and return its number: the given one, else the next free one."""
+        """Begin a recording without lines, and return its number: the given one, or the next free one."""
         with self._lock, told(self._path):
             connection = self._writing()
             with transaction(connection):
@@ -99,7 +99,21 @@ class RecordingTable:
             return made.lastrowid
 
     def add(self, recording_id: int, first_n: int, chunks: list[str], length_s: float, *, complete: bool) -> None:
-        """Add lines to a recording, in one transaction."""
+        """Add chunks of lines to a recording, in one transaction.
+
+        Parameters
+        ----------
+        recording_id
+            Number of the recording.
+        first_n
+            Number of the first new chunk in the recording.
+        chunks
+            The texts of the new chunks.
+        length_s
+            Duration of the whole recording in seconds.
+        complete
+            Whether the recording has ended.
+        """
         with self._lock, told(self._path):
             connection = self._writing()
             with transaction(connection):
@@ -125,7 +139,7 @@ class RecordingTable:
             return tuple(_facts_of(row) for row in rows)
 
     def text(self, recording_id: int) -> str:
-        """Its lines."""
+        """Return the lines of a recording as one text."""
         where = f"recording {recording_id}"
         connection = self._reading()
         found = connection.execute("SELECT count(*) FROM recording WHERE id = ?", (recording_id,)).fetchone()[0]
@@ -155,18 +169,18 @@ class RecordingTable:
             raise damaged(where, "UTF-8 text", "invalid bytes") from trouble
 
     def read(self, recording_id: int) -> Recording:
-        """One to be flown again."""
+        """Return a recording for replay."""
         return read_recording(io.StringIO(self.text(recording_id)), Path(f"recording {recording_id} of {self._path}"))
 
     def change(self, recording_id: int, *, name: str | None, words: str | None) -> None:
-        """Change the name or the description of a recording."""
+        """Change the name or the note of a recording; None leaves the value unchanged."""
         sql = "UPDATE recording SET name = coalesce(?, name), words = coalesce(?, words) WHERE id = ?"
         name = None if name is None else shortened(name, MAX_NAME_CHARS)
         words = None if words is None else shortened(words, MAX_MESSAGE_CHARS)
         self._change(sql, (name, words, recording_id), recording_id)
 
     def order(self, recording_ids: Sequence[int]) -> None:
-        """Have them in this order."""
+        """Set the order of the recordings; the argument contains the number of every recording once."""
         connection = self._writing()
         known = [row[0] for row in connection.execute("SELECT id FROM recording")]
         if sorted(recording_ids) != sorted(known):
@@ -180,9 +194,9 @@ class RecordingTable:
             connection.executemany("UPDATE recording SET place = ? WHERE id = ?", rows)
 
     def become(self, wanted: Sequence[RecordingFacts], removed: Collection[int]) -> None:
-        """Set the names, the descriptions and the order of the stored recordings, and delete the removed ones.
+        """Set the names, notes and order of the recordings, and delete the removed ones.
 
-        The file is not written if it has this content already. A recording in neither argument stays unchanged.
+        The file is not written if nothing changes. A recording that neither argument names stays unchanged.
         """
         with self._lock, told(self._path):
             connection = self._writing()
@@ -202,7 +216,7 @@ class RecordingTable:
                     )
 
     def forget(self, recording_id: int) -> None:
-        """Take it away."""
+        """Delete a recording."""
         self._change("DELETE FROM recording WHERE id = ?", (recording_id,), recording_id)
 
     def _change(self, sql: str, values: tuple[object, ...], recording_id: int) -> None:
@@ -216,19 +230,19 @@ class RecordingTable:
 
 
 class RecordingWriter(io.TextIOBase):
-    """What a recorder writes to: lines go to memory, and into the case file whenever :meth:`keep` is called.
+    """The text file that a recorder writes to: lines stay in memory until :meth:`keep` stores them in the case file.
 
     Parameters
     ----------
     name
-        What the recording is called.
+        Name of the recording.
     begun_s
-        Seconds since the case was begun.
+        Start of the recording in seconds since the creation of the case.
     number
-        Its own in the file, which no other has; None takes the next.
+        Number of the recording in the file; None selects the next free number.
     table
-        The recordings of the file; None where :meth:`CaseFile.keep_recording` is to be called, by whoever may wait for
-        a disk: then closing it does not.
+        The recordings of the case file. With None, :meth:`close` does not write to the disk; a thread that may wait for
+        the disk then calls :meth:`CaseFile.keep_recording`.
     """
 
     def __init__(
@@ -248,26 +262,27 @@ class RecordingWriter(io.TextIOBase):
         self._is_complete = False
 
     def __repr__(self) -> str:
+        """Return the name and the duration of the recording, and whether it is closed."""
         return f"RecordingWriter({as_words(self.name)}, {self._length_s:.1f} s{', closed' if self.closed else ''})"
 
     @property
     def recording_id(self) -> int:
-        """Its number in the file."""
+        """Number of the recording in the case file."""
         if self._recording_id is None:
             raise UsageError("no part of this recording has been saved in a case file yet", code="case.recording")
         return self._recording_id
 
     @property
     def is_complete(self) -> bool:
-        """It was closed, and all of it is in the file."""
+        """Whether the recording was closed and is stored completely in the case file."""
         return self._is_complete
 
     def writable(self) -> bool:
-        """Yes."""
+        """Return True: lines can be written."""
         return True
 
     def write(self, text: str) -> int:
-        """One line or more; the disk is not touched."""
+        """Add one or more lines in memory, without access to the disk; return the number of characters."""
         with self._lock:
             for line in text.splitlines(keepends=True):
                 at_s = _time_of(line)
@@ -280,12 +295,19 @@ class RecordingWriter(io.TextIOBase):
         return len(text)
 
     def keep(self, table: RecordingTable | None = None, *, complete: bool = False) -> None:
-        """Put what was written since into the case file.
+        """Store the lines written since the last call in the case file.
+
+        Parameters
+        ----------
+        table
+            The recordings of the case file, used if the writer has none yet.
+        complete
+            Mark the recording as complete.
 
         Raises
         ------
         DiskError
-            If it cannot be written: it stays in memory, and the next time tries again.
+            If the lines cannot be written; they stay in memory, and the next call tries again.
         """
         with self._keeping:
             if self._table is None:
@@ -296,7 +318,7 @@ class RecordingWriter(io.TextIOBase):
                 complete = complete or self.closed
                 ready = ["".join(lines) for lines in self._chunks]
                 length_s = self._length_s
-                # What comes meanwhile begins a piece of its own.
+                # Lines written during the save begin a new chunk.
                 num_ready = len(ready)
                 self._chunk_from_s = float("-inf")
             if not ready and not complete:
@@ -310,17 +332,17 @@ class RecordingWriter(io.TextIOBase):
                 del self._chunks[:num_ready]
 
     def waiting(self) -> tuple[int, str]:
-        """How many pieces are in the file, and the lines that are not; waits for no disk."""
+        """Return the number of chunks in the file and the lines that are not stored yet, without disk access."""
         with self._lock:
             return self._num_kept, "".join(line for lines in self._chunks for line in lines)
 
     def close(self) -> None:
-        """End the recording: write the remaining lines to the case file, now or with the next :meth:`keep`.
+        """End the recording: store the remaining lines in the case file, now or at the next :meth:`keep`.
 
         Raises
         ------
         DiskError
-            If it cannot be written.
+            If the lines cannot be written.
         """
         if not self.closed:
             try:
@@ -332,7 +354,7 @@ class RecordingWriter(io.TextIOBase):
 
 
 def _facts_of(row: tuple[object, ...]) -> RecordingFacts:
-    """Return the facts of a recording, after a check of its columns, which have no digest."""
+    """Return the facts of a recording after checking its columns, which no digest protects."""
     number, place, name, words, begun_s, length_s, complete = row
     where = f"recording {number}"
     bounded_whole(place, where, -MAX_WHOLE, MAX_WHOLE)
@@ -347,12 +369,12 @@ def _facts_of(row: tuple[object, ...]) -> RecordingFacts:
 
 
 def _seconds(value: float) -> float:
-    """Return a time that can be read back: the nearest bound for the time of a wrong clock."""
+    """Return a time that can be read back: a time outside the bounds becomes the nearest bound."""
     return min(max(float(value), 0.0), MAX_S) if math.isfinite(value) else 0.0
 
 
 def _time_of(line: str) -> float:
-    """Seconds of a line of a recording, 0 for its header."""
+    """Return the time of a line of a recording in seconds; 0 for its header."""
     try:
         value = json.loads(line)
         return float(value.get("t", value.get("end", 0.0)))

@@ -43,19 +43,19 @@ TROUBLE: Final = (CaseFileError, sqlite3.Error)
 def rescued(path: Path | str, target: Path | str) -> tuple[str, ...]:
     """Write the intact content of a damaged case to a new file; the original stays unchanged.
 
-    A step of which a part is lost stays, without that part: a target keeps its place where its path is gone.
+    A step with a lost part stays, without that part: a target whose path is lost keeps its position, for example.
 
     Parameters
     ----------
     path
-        The damaged file; it is copied and not touched.
+        The damaged file; only a copy of it is opened.
     target
-        Where the new one is written; nothing may be there.
+        The new file; it must not exist.
 
     Returns
     -------
     tuple of str
-        What was lost, in words; empty where all is whole.
+        Descriptions of the losses for the user; empty if nothing was lost.
 
     Raises
     ------
@@ -73,6 +73,8 @@ def rescued(path: Path | str, target: Path | str) -> tuple[str, ...]:
 
 
 class _Rescue:
+    """Reader of a damaged case that collects the intact content and lists the losses."""
+
     def __init__(self, connection: sqlite3.Connection, path: Path) -> None:
         self._connection, self._path = connection, path
         self._lost: list[str] = []
@@ -93,7 +95,7 @@ class _Rescue:
                 "nothing can be recovered, because the recorded size of its scan is impossible",
                 code="case.damaged",
             )
-        # Only the grid is looked at; pages of memory that nobody looks at are never made.
+        # Only the grid of this volume is used; unread pages of zeros need no physical memory.
         standing_in = Volume(np.zeros(self._source.shape_zyx, np.int16), self._source.lps_from_ijk, self._source.is_hu)
         turn = turn_between(self._source, standing_in)
         assert turn is not None
@@ -101,6 +103,7 @@ class _Rescue:
         self._whole: dict[int, bool] = {}
 
     def write(self, target: Path) -> tuple[str, ...]:
+        """Write the intact content to a new case file and return the list of losses."""
         moment = self._moment()
         with CaseFile.create(target, self._source) as made:
             made.save(moment)
@@ -108,8 +111,6 @@ class _Rescue:
             self._copy_extras(made)
             self._copy_scan(made)
         return tuple(self._lost)
-
-    # ------------------------------------------------------------ rows
 
     def _content(self) -> Rows:
         schema = SCHEMA
@@ -120,7 +121,7 @@ class _Rescue:
         return found | {table: {row[0]: row[1:] for row in self._rows(table, "*")} for table in tables}
 
     def _rows(self, table: str, columns: str, key: str = "id") -> Iterator[tuple[Any, ...]]:
-        """Yield the readable rows of a table: all in turn, and after the first failure each by its number."""
+        """Yield the readable rows of a table: in one query, and after an error one by one by their number."""
         seen = 0
         last: int | None = None
         try:
@@ -146,9 +147,8 @@ class _Rescue:
             misses, seen = 0, seen + 1
             yield row
 
-    # ------------------------------------------------------------ the moment
-
     def _moment(self) -> Moment:
+        """Return the moment of all steps whose documents are intact at least in part."""
         rows = list(self._rows("step", "n, label, command, at_s, document", "n"))[:MAX_STEPS]
         position, facts = self._facts(len(rows))
         documents: list[tuple[tuple[Any, ...], Document]] = []
@@ -182,7 +182,7 @@ class _Rescue:
         )
 
     def _measures(self, documents: Sequence[tuple[tuple[Any, ...], Document]]) -> tuple[tuple[Any, Any], ...]:
-        """Return the intact measurements of the intact airways."""
+        """Return the intact measures of the intact airways."""
         found: dict[int, tuple[Any, Any]] = {}
         lost: set[int] = set()
         for (n, label, _, _, row), document in documents:
@@ -208,7 +208,7 @@ class _Rescue:
                 return int(position), facts
         except TROUBLE:
             self._lost.append("the displayed views and the tip position")
-            numbers = {"target": 10_000, "key": 10_000}  # none that was given is given again
+            numbers = {"target": 10_000, "key": 10_000}  # higher than any assigned number
             return max(num_steps - 1, 0), f.MomentFacts(Sight(), {}, None, "found", None, True, numbers)
 
     def _command(self, said: Any) -> Any:
@@ -218,6 +218,7 @@ class _Rescue:
             return None
 
     def _document(self, step: tuple[Any, ...]) -> Document | None:
+        """Return the document of a step, if necessary without its damaged parts; None if it is lost."""
         n, label, _, _, row = step
         what = f"step {n} ({str(label)[:80] or 'the start'})"
         try:
@@ -288,7 +289,7 @@ class _Rescue:
         return tuple(found)
 
     def _part_of_target(self, said: TargetFacts, what: str) -> Target:
-        """Return a target without its lost part: its boundary, or its path."""
+        """Return a target without its damaged part, either its lesion or its path."""
         if said.lesion is not None:
             try:
                 with no_surprise():
@@ -300,8 +301,6 @@ class _Rescue:
         self._lost.append(f"{what}: the path to {said.name}")
         (one,) = self._reader.made_targets((msgspec.structs.replace(said, route=None),))
         return replace(one, problem="its path was lost when the case file was damaged")
-
-    # ------------------------------------------------------------ beside it
 
     def _copy_recordings(self, made: CaseFile) -> None:
         for number, name, begun_s, words in self._rows("recording", "id, name, begun_s, words"):
@@ -343,9 +342,9 @@ class _Rescue:
 
 
 def _seconds(value: object) -> float:
-    """Return the time of a step or recording; 0 where the time is lost."""
+    """Return the time of a step or recording in seconds; 0 if it is lost."""
     return value if isinstance(value, float) and 0.0 <= value <= MAX_S else 0.0
 
 
 def _ignored(_kind: str, _value: object, _row: int) -> None:
-    """Ignore a read row: the new file has no references to rows of the old one."""
+    """Ignore a row that was read; the new file has no references to rows of the old one."""

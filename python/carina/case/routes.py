@@ -1,4 +1,4 @@
-"""A route as it is flown and shown: one shape for a branch's tip and for a tracked target."""
+"""Routes to a branch, a point or a target, with the flight path and the data for showing them."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ __all__ = [
 
 
 PARKED_MM = 2.0
-"""An edit may move a centreline by this much: the scope still stands where the plan has it."""
+"""Largest distance in mm by which an edit may move a centreline so that the scope's planned position stays valid."""
 AT_THE_ROOT = "the point lies at the tracheal entry, so there is no path to fly along"
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class RouteSpan:
-    """A branch along a route."""
+    """The part of a route that lies in one branch, from ``from_mm`` to ``to_mm`` along the route."""
 
     branch_id: int
     name: str | None
@@ -52,22 +52,22 @@ class RouteSpan:
     from_mm: float
     to_mm: float
     kind: str = "tracked"
-    """As in :class:`carina.track.Branch`: what a person drew is named so wherever the route is shown."""
+    """Kind of the branch, as in :class:`carina.track.Branch`; every view marks branches drawn by hand with it."""
 
 
 class NeedleLine(FrozenValue, frozen=True):
     """The last leg of a planned route: straight from the scope's tip into the target."""
 
     ends_lps: tuple[PointLps, PointLps]
-    """The tip, and what it aims at."""
+    """The tip of the scope and the point that the needle aims at."""
     to_target_mm: float
-    """From the tip to the target's edge."""
+    """Distance from the tip of the scope to the edge of the target."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class ChosenRoute:
-    """Where to, and the way: parallel arrays from root to tip."""
+    """A route with its arrays, which have one entry per point from the root to the end."""
 
     route_id: str
     title: str
@@ -75,36 +75,36 @@ class ChosenRoute:
     cumulative_mm: NDArray[np.float64]
     radius_mm: NDArray[np.float64]
     wall_mm: NDArray[np.float64]
-    """How large a ball fits round the branch's centre there, mm: what an instrument has."""
+    """Radius in mm of the largest ball around the branch's centre in the lumen: the space for an instrument."""
     generation: NDArray[np.int64]
     branch_ids: NDArray[np.int64]
     forks_mm: tuple[float, ...]
     lookouts_mm: tuple[float, ...]
-    """Where to stop for each fork: in front of it, with its openings in view."""
+    """Positions in mm along the route at which to stop before each fork, with the fork's openings in view."""
     spans: tuple[RouteSpan, ...]
     path: FlightPath
     target_id: str | None = None
     branch_id: int | None = None
     drawn: DrawnPart = field(default_factory=lambda: DrawnPart(0.0))
-    """How much of it the CT does not show."""
+    """Lengths of the parts of the route that the CT does not show."""
     lumen_known: bool = True
-    """False where there are no airways round it: ``radius_mm`` and ``wall_mm`` are 0 and mean nothing."""
+    """Whether the airways along the route are known; if not, ``radius_mm`` and ``wall_mm`` are 0 without meaning."""
     needle: NeedleLine | None = None
-    """How the way goes on through the wall; None where the route ends in the airways."""
+    """Continuation of the route through the wall; None if the route ends in the airways."""
 
     @property
     def frames(self) -> PathFrames:
-        """The plane across the path at its places, for the views along it."""
+        """Planes perpendicular to the path at positions along it, for the views along the path."""
         return self.path.frames()
 
     @property
     def length_mm(self) -> float:
-        """Length from root to tip."""
+        """Length of the route from root to end in mm."""
         return float(self.cumulative_mm[-1])
 
 
 class AirwayIndex:
-    """All centreline points of a tree in one array: which branch is nearest, and how wide it is there."""
+    """All centreline points of a tree in one array, for a search of the nearest branch and the lumen's radius there."""
 
     def __init__(self, tree: AirwayTree) -> None:
         branches = list(tree.branches)
@@ -114,32 +114,39 @@ class AirwayIndex:
         self._ids = np.concatenate([np.full(len(b.points), b.id, dtype=np.int64) for b in branches])
 
     def nearest(self, point_lps: NDArray[np.float64]) -> tuple[Branch, float, float]:
-        """The branch, the lumen's radius there in mm, and the distance to the centreline in mm."""
+        """Return the branch nearest to a point, the lumen's radius there, and the distance to its centreline, in mm.
+
+        Parameters
+        ----------
+        point_lps
+            ``(3,)``, LPS mm.
+        """
         squared = np.square(self._points - point_lps).sum(axis=1)
         n = int(np.argmin(squared))
         return self._branches[int(self._ids[n])], float(self._radius[n]), float(np.sqrt(squared[n]))
 
     def branch(self, branch_id: int) -> Branch:
-        """A branch that the tree has."""
+        """Return the branch with an id."""
         return self._branches[branch_id]
 
 
 def default_branch_id(tree: AirwayTree) -> int | None:
-    """The tip to fly to when nobody chose: the deepest on the patient's right, else the deepest.
+    """Return the default branch to fly to: the deepest tip on the patient's right, or else the deepest tip.
 
-    LPS x grows to the patient's left, so "right" is a tip with a smaller x than the end of the trachea.
+    LPS x increases towards the patient's left, so a tip is on the right if its x is smaller than that of the end of the
+    trachea.
     """
     leaves = [branch for branch in tree.tips() if len(branch.points) > 1]
     if not leaves:
         return None
     middle_x = float(tree.root.points[-1, 0])
     right = [leaf for leaf in leaves if float(leaf.tip_lps[0]) < middle_x]
-    # The id last, so that equal tips are chosen the same way in every run.
+    # The id is the last criterion, so that ties have the same result in every run.
     return max(right or leaves, key=lambda leaf: (leaf.generation, leaf.length_mm, -leaf.id)).id
 
 
 def leaf_below(tree: AirwayTree, branch_id: int) -> int:
-    """The deepest tip that is reached through a branch; the branch itself where it is one."""
+    """Return the id of the deepest tip at or below a branch."""
     children = {branch.id: branch.children for branch in tree.branches}
     below, waiting = set(), [branch_id]
     while waiting:
@@ -151,16 +158,23 @@ def leaf_below(tree: AirwayTree, branch_id: int) -> int:
 
 
 def path_move(tree: AirwayTree | None, route: ChosenRoute | None) -> SetPath:
-    """The route as a pilot takes it: its path, and at each fork the ways on."""
+    """Return the command that sets a route's flight path, with the branches that continue at each fork."""
     if route is None:
         return SetPath(())
     return SetPath(**route.path.made_from(), ways=() if tree is None else _path_forks(tree, route))
 
 
 def seat_mm(before: ChosenRoute, before_mm: float, after: ChosenRoute) -> float | None:
-    """Where a tip is seated on another route: at the end of the last branch that both have.
+    """Return the position in mm on a new route for a tip that was on another route: the end of their common part.
 
-    None where it has not come farther than that: the place that is nearest is where it is.
+    The result is None if the tip is still in the common part; the nearest position on the new route is then correct.
+
+    Parameters
+    ----------
+    before, before_mm
+        The former route, and the position of the tip along that route in mm.
+    after
+        The new route.
     """
     common_mm = 0.0
     for old, new in zip(before.spans, after.spans, strict=False):
@@ -170,11 +184,12 @@ def seat_mm(before: ChosenRoute, before_mm: float, after: ChosenRoute) -> float 
     return None if before_mm <= common_mm else min(common_mm, after.path.length_mm)
 
 
-# Where a way leads, by its first centimetre: the bend behind it is not in view at the fork.
+# Length in mm of the start of a branch that gives its direction at a fork: a bend farther on is not in view.
 WAY_MM = 10.0
 
 
 def _path_forks(tree: AirwayTree, route: ChosenRoute) -> tuple[PathFork, ...]:
+    """Return the forks of a route, each with the directions of the branches that continue there."""
     branches = {branch.id: branch for branch in tree.branches}
     forks: list[PathFork] = []
     for span, after in itertools.pairwise(route.spans):
@@ -198,7 +213,7 @@ def _path_forks(tree: AirwayTree, route: ChosenRoute) -> tuple[PathFork, ...]:
 
 
 def route_to_branch(tree: AirwayTree, branch_id: int) -> ChosenRoute:
-    """The way from the root to the end of a branch."""
+    """Return the route from the root to the end of a branch."""
     route = tree.route_to(branch_id)
     branch = tree.branch(branch_id)
     title = branch.name or f"branch {branch_id}, generation {branch.generation}"
@@ -206,24 +221,42 @@ def route_to_branch(tree: AirwayTree, branch_id: int) -> ChosenRoute:
 
 
 def route_to_parking(tree: AirwayTree, needle: NeedleLine, target_id: str, name: str) -> ChosenRoute:
-    """The way from the root to where the scope stands for a needle, with the needle's line.
+    """Return the route from the root to the position of the scope for a needle biopsy, with the line of the needle.
+
+    Parameters
+    ----------
+    tree
+        The airways.
+    needle
+        Line of the needle; its first end is the position of the scope.
+    target_id, name
+        Id and name of the target.
 
     Raises
     ------
     NoResultError
-        If no airway is there any more.
+        If no airway reaches this position any more.
     """
     way = route_to_point(tree, np.asarray(needle.ends_lps[0], dtype=np.float64), snap_mm=PARKED_MM)
     return replace(way, route_id=target_id, title=name, target_id=target_id, needle=needle)
 
 
 def route_to_point(tree: AirwayTree, point_lps: NDArray[np.float64], *, snap_mm: float = 5.0) -> ChosenRoute:
-    """The way from the root to the place of the tree that is nearest to a point.
+    """Return the route from the root to the point of the tree that is nearest to a given point.
+
+    Parameters
+    ----------
+    tree
+        The airways.
+    point_lps
+        ``(3,)``, LPS mm.
+    snap_mm
+        Largest accepted distance between the point and the tree.
 
     Raises
     ------
     NoResultError
-        If no centreline comes within ``snap_mm``, or the place is the root itself.
+        If no centreline comes within ``snap_mm``, or the nearest point is the root itself.
     """
     branch, _, away_mm = tree.nearest_branch(point_lps)
     if away_mm > snap_mm:
@@ -248,7 +281,16 @@ def route_to_point(tree: AirwayTree, point_lps: NDArray[np.float64], *, snap_mm:
 
 
 def route_to_target(tree: AirwayTree, path: TrackedPath, target_id: str, name: str) -> ChosenRoute:
-    """The way of a tracked path, with the branches that it runs through.
+    """Return the route of a tracked path, with the branches that it runs through.
+
+    Parameters
+    ----------
+    tree
+        The airways.
+    path
+        The tracked path.
+    target_id, name
+        Id and name of the target.
 
     Raises
     ------
@@ -260,7 +302,6 @@ def route_to_target(tree: AirwayTree, path: TrackedPath, target_id: str, name: s
         raise NoResultError(AT_THE_ROOT, code="track.no-path")
     cumulative_mm = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     branch_ids = np.asarray(path.branch_ids, dtype=np.int64)
-    # A fork lies where one branch ends and the next begins.
     forks_mm = [float(cumulative_mm[n]) for n in np.flatnonzero(np.diff(branch_ids))]
     return _chosen(
         Route(points, cumulative_mm, path.radius_mm, path.generation, path.branch_ids, forks_mm),
@@ -274,7 +315,16 @@ def route_to_target(tree: AirwayTree, path: TrackedPath, target_id: str, name: s
 def route_along_points(
     airways: Airways | None, points_lps: NDArray[np.float64], target_id: str, name: str
 ) -> ChosenRoute:
-    """A way that was tracked without the lumen, beside the airways that there are.
+    """Return the route of a path that was tracked without the lumen, with data of the airways if they are known.
+
+    Parameters
+    ----------
+    airways
+        The airways; None if none are known.
+    points_lps
+        Points of the path, ``(n, 3)``, LPS mm, from the root to the target.
+    target_id, name
+        Id and name of the target.
 
     Raises
     ------
@@ -307,7 +357,10 @@ def _wall_distance(
     branch_ids: NDArray[np.int64],
     radius_mm: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Of the nearest centreline point, since a scope need not run beside the centre as a path may; else the radius."""
+    """Return the distance to the wall in mm at the nearest centreline point, but at most the radius of the path.
+
+    A scope follows the centreline and not exactly the path, so the centreline's distance to the wall applies.
+    """
     wall_mm = radius_mm.copy()
     for branch in tree.branches:
         here = np.flatnonzero(branch_ids == branch.id)
@@ -328,6 +381,7 @@ def _chosen(
     target_id: str | None = None,
     branch_id: int | None = None,
 ) -> ChosenRoute:
+    """Return a route with its branches, its stops before forks and its flight path."""
     points = np.ascontiguousarray(route.points_lps, dtype=np.float64)
     cumulative_mm = np.asarray(route.cumulative_mm, dtype=np.float64)
     branch_ids = np.asarray(route.branch_ids, dtype=np.int64)
@@ -364,29 +418,30 @@ def lookouts_mm(
     cumulative_mm: NDArray[np.float64],
     radius_mm: NDArray[np.float64],
 ) -> tuple[float, ...]:
-    """Where a flight stops for each fork: one lumen diameter in front of it, where the openings are in view together.
+    """Return a position in front of each fork at which a flight stops, with all openings of the fork in view.
 
-    At the branch point itself the tip stands between the openings, and the one that is not taken lies beside the lens.
-    Never before the middle of the branch that ends there, so that short branches get a stop of their own.
+    The stop is one lumen diameter before the fork, because at the fork itself the opening that is not taken lies beside
+    the lens. The stop is never before the middle of the branch that ends at the fork, so that each short branch has its
+    own stop.
 
     Parameters
     ----------
     forks_mm
-        Places of the forks, ascending.
+        Positions of the forks along the route, ascending.
     spans
         The branches along the route, one more than forks.
     cumulative_mm, radius_mm
-        Places and lumen radii of the route's points, ``(n,)``.
+        Positions along the route and lumen radii of the route's points, ``(n,)``.
 
     Returns
     -------
     tuple of float
-        Strictly increasing; two forks at one place share a look-out.
+        Positions in mm along the route, strictly increasing; two forks at one position share a stop.
     """
     stops: list[float] = []
     for fork_mm, span in zip(forks_mm, spans, strict=False):
         middle_mm = (min(span.from_mm, fork_mm) + fork_mm) / 2.0
-        # The branch's own width: at the branch point itself the two children count as well.
+        # Only the first half of the branch counts: near the fork, the radii also include the width of the children.
         inside = (cumulative_mm >= span.from_mm) & (cumulative_mm <= middle_mm)
         diameter_mm = 2.0 * float(np.median(radius_mm[inside] if inside.any() else radius_mm))
         stop_mm = max(fork_mm - diameter_mm, middle_mm)
@@ -396,7 +451,7 @@ def lookouts_mm(
 
 
 def _inside(forks_mm: Sequence[float], points: NDArray[np.float64]) -> list[float]:
-    """Forks clamped to the polyline's length: the last one may lie past it by rounding."""
+    """Return the forks limited to the polyline's length, which rounding may exceed."""
     length_mm = _length_mm(points)
     return [min(float(mm), length_mm) for mm in forks_mm]
 
@@ -411,6 +466,7 @@ def _spans(
     cumulative_mm: NDArray[np.float64],
     branches: dict[int, Branch],
 ) -> tuple[RouteSpan, ...]:
+    """Return the branches along a route, each with its start and its end in mm."""
     starts = np.flatnonzero(np.diff(branch_ids, prepend=branch_ids[0] - 1))
     ends = [*starts[1:], len(branch_ids) - 1]
     found = []

@@ -22,7 +22,7 @@ SaveId = Annotated[str, Meta(pattern=r"\A[0-9a-f]{16}\Z")]
 class SaveMark(FrozenValue, frozen=True):
     """Identity of one save of a named case file.
 
-    The mark holds no time: clocks of two computers differ, and copies can keep the times of their originals.
+    The mark contains no time, because clocks of two computers differ, and copies may keep the times of their originals.
     """
 
     save_id: SaveId
@@ -47,7 +47,7 @@ def write_save_mark(connection: sqlite3.Connection, mark: SaveMark | None) -> No
 
 
 def read_save_mark(connection: sqlite3.Connection) -> SaveMark | None:
-    """Return the mark of the last save; None without a readable mark."""
+    """Return the mark of the last save; None if the file has no readable mark."""
     found = connection.execute("SELECT json FROM extra WHERE kind = ? AND length(json) < 1000", (KIND,)).fetchone()
     if found is None:
         return None

@@ -1,4 +1,4 @@
-"""The tables of a case file, and the ways in which a file of them is opened."""
+"""The tables of a case file, the check of a file's tables, and the migration of older files."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ __all__ = [
 ]
 
 APPLICATION_ID: Final = 0x43415249
-"""``CARI``."""
+"""Value of SQLite's ``application_id`` in a case file: the letters ``CARI``."""
 SCHEMA: Final = 2
 Standing = Literal["ours", "older", "newer"]
-# What is content is kept once, found by its digest, and never changed; what points to it does so by its id.
+# Rows of content are never changed and are found by their digest, so equal content is stored once.
 _CONTENT = "id INTEGER PRIMARY KEY, digest BLOB NOT NULL UNIQUE"
 TABLES: Final = {
     "source": """CREATE TABLE source (
@@ -105,27 +105,27 @@ TABLES: Final = {
 ) STRICT""",
 }
 SINCE: Final = {"sections": 2, "measured_branch": 2, "measures": 2}
-"""The schema that a table came with, where it was not the first."""
+"""Schema version that introduced a table; tables that are not listed exist since version 1."""
 CONTENT: Final = (
     "value", "array", "branch", "tree", "tile", "lumen", "tracker", "airways", "sections", "measured_branch",
     "measures", "route", "document",
 )  # fmt: skip
-"""Tables of content, each after those that it points to."""
+"""Tables of content; each table follows those that it refers to."""
 
 
 def _add_measures(connection: sqlite3.Connection) -> None:
-    """To schema 2: what airways measure is kept with them, and empty here, since nothing was."""
+    """Migrate schema 1 to 2: add the tables of airway measures, which stay empty."""
     for name, since in SINCE.items():
         if since == 2:
             connection.execute(TABLES[name])
 
 
 MIGRATIONS: Final[dict[int, Callable[[sqlite3.Connection], None]]] = {1: _add_measures}
-"""By the schema that they begin with: what makes a file of it one of the next."""
+"""Function that migrates a file to the next schema version, by the version that it migrates from."""
 
 
 def make_tables(connection: sqlite3.Connection) -> None:
-    """Make an empty file a case file."""
+    """Create the tables of a case file in an empty database."""
     connection.execute(f"PRAGMA application_id={APPLICATION_ID}")
     for sql in TABLES.values():
         connection.execute(sql)
@@ -133,16 +133,16 @@ def make_tables(connection: sqlite3.Connection) -> None:
 
 
 def check_schema(connection: sqlite3.Connection, path: Path) -> Standing:
-    """Refuse a file whose tables are not exactly ours.
+    """Return whether a file has the present, an older or a newer schema; raise an error if its tables differ.
 
-    A newer Carina may have more tables beside them, and nothing else: no view, no trigger, no virtual table.
+    A newer version of Carina may add tables, but no view, no trigger and no virtual table.
 
     Raises
     ------
     CaseFileError
         ``case.not-a-case``, ``case.newer`` or ``case.damaged``.
     sqlite3.Error
-        If SQLite cannot read it.
+        If SQLite cannot read the file.
     """
     application = connection.execute("PRAGMA application_id").fetchone()[0]
     version = connection.execute("PRAGMA user_version").fetchone()[0]
@@ -179,7 +179,7 @@ def _is_plain(kind: object, name: object, _table: object, sql: object) -> bool:
 
 
 def migrated(connection: sqlite3.Connection, target: Path) -> None:
-    """Write a file of an older schema as one of this, elsewhere."""
+    """Write a copy of a file with an older schema, migrated to the present schema, to another path."""
     with contextlib.closing(sqlite3.connect(target, isolation_level=None)) as made:
         connection.backup(made)
         made.execute("PRAGMA journal_mode=DELETE")

@@ -1,4 +1,4 @@
-"""Facts about the CT of a case, as the case file stores them, without patient data."""
+"""Description of the CT of a case in the case file, without patient data."""
 
 from __future__ import annotations
 
@@ -22,24 +22,25 @@ __all__ = ["SourceFacts", "Turn", "grid_words", "read_source", "turn_between", "
 
 V = TypeVar("V", np.uint8, np.int16)
 GEOMETRY_MM: Final = 1e-3
-"""Two grids are the same where their voxels lie nearer than this."""
+"""Largest distance in mm between corresponding voxels of two grids that count as equal."""
 MAX_PATH_CHARS: Final = 4096
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class SourceFacts(Geometry):
-    """The CT that a case is of; nothing of the patient."""
+    """The CT of a case: its grid, digest and path, without patient data."""
 
     digest: str
-    """Of its voxels (:func:`carina.volume.ct_digest`), hexadecimal."""
+    """Digest of the voxels (:func:`carina.volume.ct_digest`), hexadecimal."""
     is_hu: bool = True
     path: str | None = None
-    """Where it lies, relative to the case file; None where that is not known."""
+    """Path of the scan relative to the case file; None if unknown."""
     choices: dict[str, Any] = field(default_factory=dict)
-    """What was chosen when it was imported: plain JSON."""
+    """Choices made at import, as plain JSON."""
 
     def __post_init__(self) -> None:
+        """Refuse an absolute path."""
         absolute = self.path is not None and (
             PurePosixPath(self.path).is_absolute() or PureWindowsPath(self.path).anchor != ""
         )
@@ -50,11 +51,12 @@ class SourceFacts(Geometry):
     def of(
         cls, volume: Volume, digest: str, *, path: str | None = None, choices: dict[str, Any] | None = None
     ) -> SourceFacts:
-        """Of a volume whose digest is known."""
+        """Return the description of a volume with a known digest."""
         return cls(volume.shape_zyx, volume.lps_from_ijk, digest, volume.is_hu, path, dict(choices or {}))
 
 
 def write_source(connection: sqlite3.Connection, source: SourceFacts) -> None:
+    """Write the description of the CT into a case file, in a transaction that the caller opened."""
     nz, ny, nx = source.shape_zyx
     matrix = np.ascontiguousarray(source.lps_from_ijk, dtype="<f8")
     if matrix.shape != (4, 4):
@@ -76,6 +78,7 @@ def write_source(connection: sqlite3.Connection, source: SourceFacts) -> None:
 
 
 def read_source(connection: sqlite3.Connection) -> SourceFacts:
+    """Read the description of the CT from a case file, and raise ``case.damaged`` if it is out of bounds."""
     where = "record of the scan"
     row = connection.execute("SELECT digest, nz, ny, nx, lps_from_ijk, is_hu, path, choices FROM source").fetchone()
     if row is None:
@@ -102,31 +105,31 @@ def read_source(connection: sqlite3.Connection) -> SourceFacts:
 
 
 def _is_path(path: object) -> bool:
-    # NUL is the only character that no file name has. The terminal shows a name without control characters.
+    # NUL is the only character that no file name contains. The terminal shows names without control characters.
     return isinstance(path, str) and 0 < len(path) <= MAX_PATH_CHARS and "\x00" not in path
 
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """How the voxels of a case lie in a volume: the same, or with axes in another order or the other way round."""
+    """Order and direction of the axes of a case relative to those of a volume."""
 
     axes: tuple[int, int, int]
-    """For each axis i, j, k of the volume that of the case."""
+    """Axis of the case for each axis i, j, k of the volume."""
     flipped: tuple[bool, bool, bool]
-    """For each axis of the volume, whether it runs the other way."""
+    """Whether each axis of the volume runs in the direction opposite to that of the case."""
     shape_zyx: tuple[int, int, int]
-    """Of the case."""
+    """Shape of the case's grid."""
 
     @property
     def is_none(self) -> bool:
-        """Whether both are the same."""
+        """Whether both grids have the same axes."""
         return self.axes == (0, 1, 2) and not any(self.flipped)
 
     def turned(self, array_zyx: NDArray[V]) -> NDArray[V]:
-        """Return an array of the case in the axes of the volume; the array itself where both have the same axes."""
+        """Return an array of the case in the axes of the volume; the array itself if both have the same axes."""
         if self.is_none:
             return array_zyx
-        # Axes of arrays run k, j, i.
+        # The axes of arrays are in the order k, j, i.
         order = tuple(2 - axis for axis in self.axes[::-1])
         steps = tuple(slice(None, None, -1 if flip else 1) for flip in self.flipped[::-1])
         turned = np.ascontiguousarray(array_zyx.transpose(order)[steps])
@@ -144,7 +147,7 @@ class Turn:
 
 
 def turn_between(source: SourceFacts, volume: Volume) -> Turn | None:
-    """How the grid of a case lies in a volume's; None where their voxels do not lie at the same places."""
+    """Return the order of the axes between the grids of a case and a volume; None if their voxels do not coincide."""
     steps = np.linalg.inv(volume.lps_from_ijk[:3, :3]) @ source.lps_from_ijk[:3, :3]
     largest = np.abs(steps).argmax(axis=1)
     if sorted(largest) != [0, 1, 2]:
@@ -163,5 +166,6 @@ def turn_between(source: SourceFacts, volume: Volume) -> Turn | None:
 
 
 def grid_words(shape_zyx: tuple[int, int, int]) -> str:
+    """Return the shape of a grid as text for messages, in the order x, y, z."""
     nz, ny, nx = shape_zyx
     return f"{nx} x {ny} x {nz}"

@@ -1,4 +1,4 @@
-"""What a case file holds, for a list: read from its tables, without the CT and without arrays."""
+"""Summary of a case for a list of cases, read from the tables without the CT and without arrays."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ __all__ = ["CaseSummary", "read_summary"]
 @one_line
 @dataclass(frozen=True, slots=True)
 class CaseSummary:
-    """Of the step that holds."""
+    """Summary of the present state of a case."""
 
     num_branches: int | None
-    """None where the case has no airways."""
+    """Number of branches; None if the case has no airways."""
     num_edits: int
-    """Of the airways, by a person."""
+    """Number of the user's edits of the airways."""
     targets: tuple[str, ...]
-    """Their names."""
+    """Names of the targets."""
     key_frames: tuple[str, ...]
-    """The names of key frames, else their ids."""
+    """Names of the key frames, or their ids if they have no names."""
     route: str | None
-    """The title of the route that is shown."""
+    """Title of the shown route; None if none is shown."""
     saved_by: str | None
-    """The version of Carina; None where nothing was saved yet."""
+    """Version of Carina that saved the case; None if nothing was saved yet."""
     is_packed: bool
-    """The CT is in the file."""
+    """Whether the file contains the CT."""
     is_measured: bool = False
-    """What the airways measure is in it."""
+    """Whether the file contains measures of the airways."""
 
 
 def read_summary(connection: sqlite3.Connection) -> CaseSummary:
-    """With one transaction's view of the file.
+    """Return the summary of a case, read in one transaction.
 
     Raises
     ------

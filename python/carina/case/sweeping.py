@@ -1,4 +1,4 @@
-"""Content that no step reaches any more: steps that were forgotten leave theirs behind."""
+"""Deletion of content rows that no step refers to any more, because their steps were deleted."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ __all__ = ["reached", "sweep"]
 
 
 def sweep(connection: sqlite3.Connection, rows: Rows) -> int:
-    """Delete what no step reaches, inside a transaction of the caller; how many rows went.
+    """Delete the rows that no step refers to, in a transaction that the caller opened; return their number.
 
     Raises
     ------
     CaseFileError
-        ``case.damaged``: if something that a step reaches is missing; nothing is deleted then.
+        ``case.damaged``: if a row that a step refers to is missing; nothing is deleted then.
     """
     documents = [row[0] for row in connection.execute("SELECT DISTINCT document FROM step")]
     kept = reached(rows, documents)
     num_gone = 0
-    # What points to others goes first.
+    # Rows that refer to other rows are deleted first.
     for table in reversed(CONTENT):
         gone = [(row,) for row in rows[table] if row not in kept[table]]
         if table == "airways":
@@ -38,11 +38,11 @@ def sweep(connection: sqlite3.Connection, rows: Rows) -> int:
 
 
 def reached(rows: Rows, documents: list[int]) -> dict[str, set[int]]:
-    """The rows that documents are made of, by table."""
+    """Return the rows that documents refer to, directly or indirectly, by table."""
     found: dict[str, set[int]] = {table: set() for table in CONTENT}
     decoders = f.decoders()
     waiting = [("document", row) for row in documents]
-    # Measures point to their airways, and not the other way round.
+    # Measures refer to their airways, but airways do not refer to their measures.
     measures = {columns[1]: row for row, columns in rows["measures"].items()}
     while waiting:
         table, row = waiting.pop()

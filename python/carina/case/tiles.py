@@ -1,4 +1,4 @@
-"""A lumen in tiles of 32 voxels a side, one bit a voxel: an edit changes few of them."""
+"""A lumen as tiles of 32 voxels per side with one bit per voxel; an edit changes few tiles."""
 
 from __future__ import annotations
 
@@ -16,13 +16,21 @@ TILE_BYTES = TILE**3 // 8
 
 
 def grid_of(shape_zyx: tuple[int, int, int]) -> tuple[int, int, int]:
-    """How many tiles there are along z, y, x."""
+    """Return the number of tiles along z, y, x."""
     nz, ny, nx = (-(-n // TILE) for n in shape_zyx)
     return nz, ny, nx
 
 
 def to_tiles(lumen_zyx: NDArray[np.uint8]) -> list[tuple[int, bytes]]:
-    """The tiles that hold lumen, by their places in C order of the tiles, with their bits in C order of the voxels."""
+    """Return the tiles that contain lumen, as pairs of number and bits.
+
+    Tiles are numbered in C order; the bits of a tile are the voxels in C order, one bit per voxel.
+
+    Parameters
+    ----------
+    lumen_zyx
+        (nz, ny, nx) uint8; every value but 0 is lumen.
+    """
     found = []
     nz, ny, nx = grid_of(lumen_zyx.shape)
     for z in range(nz):
@@ -36,7 +44,7 @@ def to_tiles(lumen_zyx: NDArray[np.uint8]) -> list[tuple[int, bytes]]:
 
 
 def _with_lumen(layer: NDArray[np.uint8]) -> list[tuple[int, int]]:
-    """Tiles of one layer that hold lumen, in order."""
+    """Return the tiles of one layer that contain lumen, as (y, x) in ascending order."""
     seen = np.bitwise_or.reduce(layer, axis=0)
     if not seen.any():
         return []
@@ -48,7 +56,14 @@ def _with_lumen(layer: NDArray[np.uint8]) -> list[tuple[int, int]]:
 
 
 def from_tiles(shape_zyx: tuple[int, int, int], tiles: Iterable[tuple[int, bytes]]) -> NDArray[np.uint8]:
-    """The lumen again, 1 inside, read-only.
+    """Return the lumen of tiles as a read-only array, 1 inside.
+
+    Parameters
+    ----------
+    shape_zyx
+        Shape of the volume.
+    tiles
+        Numbers and bits of the tiles, as :func:`to_tiles` returns them.
 
     Raises
     ------
@@ -67,13 +82,13 @@ def from_tiles(shape_zyx: tuple[int, int, int], tiles: Iterable[tuple[int, bytes
         z, y, x = z + tile_z * TILE, y + tile_y * TILE, x + tile_x * TILE
         if len(at) and (z[-1] >= nz or y.max() >= ny or x.max() >= nx):
             raise ValueError("a tile contains lumen outside the volume")
-        # Only pages of memory that hold lumen are ever touched: what a whole tile lies in is ten times as much.
+        # Only the lumen voxels are written: writing whole tiles would touch ten times as many pages of memory.
         voxels[(z * ny + y) * nx + x] = 1
     lumen.flags.writeable = False
     return lumen
 
 
 def num_tiles(shape_zyx: tuple[int, int, int]) -> int:
-    """How many tiles there may be."""
+    """Return the largest possible number of tiles."""
     nz, ny, nx = grid_of(shape_zyx)
     return nz * ny * nx

@@ -1,4 +1,4 @@
-"""What is wrong with a case file, in words."""
+"""Errors of case files, with their messages."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ __all__ = ["CaseFileError", "damaged", "refused"]
 
 
 MAX_FOUND_CHARS = 120
-"""Longest content of a file that a message quotes."""
+"""Largest number of characters of a file's content that a message quotes."""
 
 
 class CaseFileError(VolumeImportError):
-    """A case file that is not opened; the message names it and says what to do.
+    """Error for a case file that cannot be opened; the message names the file and a remedy.
 
     ``code`` is ``case.not-a-case``, ``case.newer``, ``case.older``, ``case.damaged``, ``case.other-scan``,
     ``case.empty``, ``case.read-only``, ``case.closed`` or ``case.sqlite``.
@@ -24,12 +24,30 @@ class CaseFileError(VolumeImportError):
 
 
 def refused(path: Path | str, why: str, *, code: str) -> CaseFileError:
-    """A file that is none of ours, or cannot be used: ``why`` says what was expected and found, and what to do."""
+    """Return the error for a file that is not a case or cannot be used.
+
+    Parameters
+    ----------
+    path
+        The file.
+    why
+        Expected and found content, and a remedy.
+    code
+        Code of the error.
+    """
     return CaseFileError(f"{path}: this case cannot be opened: {why}", code=code)
 
 
 def damaged(where: str, expected: str, found: str) -> CaseFileError:
-    """Return the refusal of a case file because of one part; long content is shortened in the message."""
+    """Return the error for damage in one part of a case file; long content is shortened in the message.
+
+    Parameters
+    ----------
+    where
+        Name of the damaged part.
+    expected, found
+        Expected and found content.
+    """
     if len(found) > MAX_FOUND_CHARS:
         found = f"{found[:MAX_FOUND_CHARS]}… ({len(found)} characters)"
     return CaseFileError(

@@ -1,4 +1,4 @@
-"""Writer of a moment as rows: stored values are found by identity or digest, and are not written twice."""
+"""Writer that stores a moment as rows; stored values are found by identity or digest and are not written twice."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ __all__ = ["CaseWriter", "StepRow"]
 logger = logging.getLogger(__name__)
 
 StepRow = tuple[str, str | None, float, int]
-"""Label, command, seconds, document."""
+"""Label, command as JSON, seconds and row of the document."""
 _DTYPES = {"f": "f8", "i": "i8", "u": "u4"}
 
 
 class _Identities:
-    """Rows of objects that are alive: nothing is kept alive for being known."""
+    """Row numbers of living objects; the weak references do not keep the objects alive."""
 
     def __init__(self) -> None:
         self._rows: dict[tuple[str, int], tuple[weakref.ref[Any], int]] = {}
@@ -58,12 +58,12 @@ class _Identities:
 
 
 class CaseWriter:
-    """Puts moments into the tables of one file, inside a transaction of its caller.
+    """Writer of moments into the tables of one case file, in a transaction that the caller opened.
 
     Parameters
     ----------
     connection
-        To write to; its tables are ours.
+        The case file.
     """
 
     def __init__(self, connection: sqlite3.Connection) -> None:
@@ -82,10 +82,20 @@ class CaseWriter:
         self._first_n = rows[0][0] if rows else 0
         self._pending = (self._steps, self._first_n)
         self.reader: object = None
-        """Of what was read from this file."""
+        """Reader of this file, whose rows need not be written again."""
 
     def know(self, kind: str, value: object, row: int) -> None:
-        """Something was read from this file."""
+        """Store the row number of an object that was read from this file.
+
+        Parameters
+        ----------
+        kind
+            Name of the table, or kind of the value.
+        value
+            The object.
+        row
+            Number of the row that stores the object.
+        """
         if kind in {"array", "lumen", "tracker", "sections"}:
             self._weak.note(kind, value, row)
         else:
@@ -114,11 +124,9 @@ class CaseWriter:
         self._connection.execute("INSERT OR REPLACE INTO moment (id, position, facts) VALUES (1, ?, ?)", row)
 
     def kept(self) -> None:
-        """Accept the written rows after the transaction has succeeded; keep only the objects of this moment alive."""
+        """Accept the written rows after the transaction was committed; only objects of this moment stay referenced."""
         self._of_last = self._of_this
         self._steps, self._first_n = self._pending
-
-    # ------------------------------------------------------------ steps
 
     def _first(self, moment: Moment) -> StepRow:
         return ("", None, 0.0, self._document(moment.first))
@@ -127,16 +135,16 @@ class CaseWriter:
         command = step.command
         said = None
         if command is not None and not isinstance(command, LocalCommand):
-            # What a program asked for may lie beyond what can be read; the step is known by its words then.
+            # A command of a program may exceed the bounds for reading; the step is then stored with its label only.
             with contextlib.suppress(UsageError):
                 said = as_checked_json(command, self._decoders.command, "a command")
         label = shortened(step.label, MAX_LABEL_CHARS)
-        # A step with the time of a wrong clock must not make the case unreadable.
+        # A time of a wrong system clock must not make the case unreadable.
         at_s = min(max(float(step.at_s), 0.0), MAX_S) if math.isfinite(step.at_s) else 0.0
         return (label, said, at_s, self._document(step.document))
 
     def _write_steps(self, entries: list[tuple[object, StepRow]]) -> None:
-        """Only rows that changed; where the oldest steps were forgotten, the others keep their numbers."""
+        """Write only rows that changed; if the oldest steps were deleted, the others keep their numbers."""
         rows = [row for _, row in entries]
         old = [row for _, row in self._steps]
         shift = 0
@@ -158,12 +166,11 @@ class CaseWriter:
         self._pending = (entries, first_n)
 
     def take_steps(self, entries: list[tuple[object, StepRow]], first_n: int) -> None:
-        """Take over the steps that were read from the file."""
+        """Use the steps that were read from the file as the stored state."""
         self._steps, self._first_n = entries, first_n
 
-    # ------------------------------------------------------------ documents
-
     def _document(self, document: Document) -> int:
+        """Return the row of a document; write the document if it is not stored yet."""
         known = self._found("document", document)
         if known is not None:
             self._still_held(document)
@@ -180,7 +187,7 @@ class CaseWriter:
         return self._note("document", document, self._put("document", values))
 
     def _still_held(self, document: Document) -> None:
-        """Parts of a document that is known are known to the next moment as well."""
+        """Keep the row numbers of a known document's parts for the next moment."""
         parts: list[tuple[str, object]] = [
             ("transfer", document.transfer),
             ("look", document.look),
@@ -215,6 +222,7 @@ class CaseWriter:
         )
 
     def _route(self, route: ChosenRoute) -> int:
+        """Return the row of a route; write the route if it is not stored yet."""
         known = self._found("route", route)
         if known is not None:
             return known
@@ -247,9 +255,8 @@ class CaseWriter:
         values["facts"] = as_checked_json(facts, self._decoders.route, "a route")
         return self._note("route", route, self._put("route", values))
 
-    # ------------------------------------------------------------ airways
-
     def _airways(self, airways: Airways | FoldedAirways) -> int:
+        """Return the row of airways, in full or packed; write them if they are not stored yet."""
         known = self._found("airways", airways)
         if known is not None:
             return known
@@ -265,7 +272,7 @@ class CaseWriter:
         return self._note("airways", airways, row)
 
     def _packed_airways(self, packed: PackedAirways) -> int:
-        # Put away from airways that were written: the same branches and edits.
+        # If the airways were packed from airways that are stored, both have the same branches and edits.
         for (kind, _), (value, row) in (*self._of_this.items(), *self._of_last.items()):
             if kind == "airways" and isinstance(value, Airways) and _is_of(value, packed):
                 return row
@@ -317,6 +324,7 @@ class CaseWriter:
         return row
 
     def _tree(self, branches: tuple[Branch, ...], tree: AirwayTree | None) -> int:
+        """Return the row of a tree; write the tree and its branches if they are not stored yet."""
         rows = [self._branch(branch) for branch in branches]
         facts = f.TreeFacts(
             branches=tuple(
@@ -362,6 +370,7 @@ class CaseWriter:
         return known
 
     def _lumen(self, lumen_zyx: NDArray[np.uint8]) -> int:
+        """Return the row of a lumen; write its tiles if they are not stored yet."""
         known = self._weak.find("lumen", lumen_zyx)
         if known is not None:
             return known
@@ -388,10 +397,8 @@ class CaseWriter:
         self._weak.note("lumen", lumen_zyx, found)
         return found
 
-    # ------------------------------------------------------------ measures
-
     def _measures(self, airways: int, measures: TreeMeasures | KeptMeasures) -> None:
-        """Write the measurements of airways in place of their former ones."""
+        """Write the measures of airways in place of their former ones."""
         if self._found("measures", measures) is not None:
             return
         if isinstance(measures, KeptMeasures) and measures.reader is self.reader:
@@ -401,7 +408,7 @@ class CaseWriter:
             whole = measures.load() if isinstance(measures, KeptMeasures) else measures
             row = self._whole_measures(airways, whole)
         except CarinaError as trouble:
-            # They can be made again; what a person did cannot, and is saved without them.
+            # Measures can be computed again, so the user's work is saved without them.
             logger.warning("the measurements of the airways could not be saved (%s)", trouble.code)
             row = 0
         self._note("measures", measures, row)
@@ -419,14 +426,14 @@ class CaseWriter:
         known = self._ids["measures"].get(digest)
         if known is not None:
             return known
-        # Airways have one row of measures.
+        # Airways have at most one row of measures.
         for (old,) in self._connection.execute("SELECT digest FROM measures WHERE airways = ?", (airways,)).fetchall():
             self._connection.execute("DELETE FROM measures WHERE airways = ?", (airways,))
             self._ids["measures"].pop(bytes(old), None)
         return self._insert("measures", digest, values)
 
     def _measured_branch(self, branch: BranchMeasures, fork: Any) -> int:
-        # An edit takes the rays of a branch that it leaves alone over as they are, with all that was found by them.
+        # An edit passes on the rays of branches that it leaves unchanged, so their array identifies stored sections.
         known = self._weak.find("sections", branch.edge_mm)
         if known is None:
             known = self._put("sections", sections_of(branch))
@@ -435,9 +442,8 @@ class CaseWriter:
         said = as_checked_json(facts, self._decoders.measured, f"the measurements of branch {branch.branch_id}")
         return self._put("measured_branch", {"sections": known, "flags": flags_of(branch), "facts": said})
 
-    # ------------------------------------------------------------ content
-
     def _array(self, array: NDArray[Any]) -> int:
+        """Return the row of an array; write the array if it is not stored yet."""
         known = self._weak.find("array", array)
         if known is not None:
             return known
@@ -461,7 +467,7 @@ class CaseWriter:
         return self._note(kind, value, self._put("value", {"kind": kind, "json": said}))
 
     def _put(self, table: str, values: dict[str, Any]) -> int:
-        """Return the row with these values; insert a new row where there is none."""
+        """Return the row with these values; insert a new row if there is none."""
         digest = digest_of(table, *values.values())
         known = self._ids[table].get(digest)
         return self._insert(table, digest, values) if known is None else known
@@ -493,7 +499,7 @@ def _is_of(airways: Airways, packed: PackedAirways) -> bool:
 
 def _transfer(transfer: TransferFunction) -> dict[str, Any]:
     document = transfer.to_json()
-    # What could not be read is not written.
+    # Parse the JSON before it is written, so that nothing unreadable is stored.
     TransferFunction.from_json(document)
     return document
 

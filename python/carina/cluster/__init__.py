@@ -1,4 +1,4 @@
-"""Many machines render one picture (paper 5): the scheduler, its lanes, and a renderer that uses them."""
+"""Rendering of one picture on several machines (paper 5): the scheduler, its lanes, and a renderer that uses them."""
 
 from carina.cluster.console import Console
 from carina.cluster.lanes import Lane, LaneFacts, LocalLane, StripAnswer, StripOrder

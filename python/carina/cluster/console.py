@@ -1,4 +1,4 @@
-"""The console (paper 5, Figure 7): hands strips out, watches deadlines, puts pictures together; a thread of its own."""
+"""The console (paper 5, Figure 7), a thread that distributes strips, monitors deadlines and assembles pictures."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ __all__ = ["Console", "Content", "Job"]
 logger = logging.getLogger(__name__)
 
 RETRY_S = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
-"""A renderer that cannot be loaded is asked again after these times, then always after the last."""
+"""Waiting times in seconds before a renderer that cannot load the content is tried again; the last one repeats."""
 TELL_AFTER_LOADS = 5
-"""A renderer that could not be loaded so often is told of; after a restart it is asked once or twice for nothing."""
+"""Failed attempts to load before the user is notified; a restart can cause one or two failures."""
 TELL_AFTER_S = 0.5
-"""A renderer that is late for so long is told of."""
+"""Delay of a renderer in seconds from which the user is notified."""
 MAX_FAULTS = 5
-"""Wrong answers after which a renderer is not used any more."""
+"""Number of wrong answers after which a renderer is not used any more."""
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One strip as the console saw it, for timelines (paper, Figure 11)."""
+    """One strip with its times on the console, for timelines (paper, Figure 11)."""
 
     lane: str
     frame_id: int
@@ -46,35 +46,37 @@ class Job:
     issued_s: float
     answered_s: float
     seconds: float
-    """What the renderer took."""
+    """Rendering time in seconds, as the renderer reported it."""
     accepted: bool
 
 
 @dataclass(slots=True)
 class _Member:
+    """State of one renderer of the console."""
+
     lane: Lane
     reserve: bool
     loading: bool = True
-    """Asked to load, or waiting to be asked again."""
+    """Whether the renderer is loading content, or waits for the next attempt."""
     attempts: int = 0
     faults: int = 0
     loaded: int = 0
     generation: int = 0
-    """Answers to loads of an earlier generation do not count."""
+    """Number of the latest load; answers to earlier loads are ignored."""
     latency: RateMeter = field(default_factory=RateMeter)
 
 
 class Console:
-    """Renders pictures on lanes.
+    """Scheduler thread that renders pictures on lanes.
 
     Parameters
     ----------
     settings
-        Of the scheduler.
+        Settings of the scheduler.
     clock
-        Seconds, monotonic.
+        Returns the present time in seconds, monotonic.
     keep_jobs
-        Remember what was rendered where, for timelines.
+        Store a :class:`Job` for each strip, for timelines.
     """
 
     def __init__(
@@ -100,23 +102,30 @@ class Console:
         self._status: ClusterStatus | None = None
         self.jobs: list[Job] | None = [] if keep_jobs else None
         self.parcels = Parcels()
-        """One series of content numbers, over all cases that are shown one after the other."""
+        """Source of content numbers that are unique over all cases shown one after the other."""
         self.address = "local"
         self.mixed = False
         self._closed = False
         self._closing = threading.Lock()
-        # The last resort, and the reason why a lost machine is no error.
+        # The local renderer takes over when all other machines fail, so the loss of a machine is not an error.
         self.add_lane(LocalLane(), reserve=True)
         self._thread = threading.Thread(target=self._run, name="carina-console", daemon=True)
         self._thread.start()
 
     def __repr__(self) -> str:
+        """Return the number of renderers."""
         return f"Console({len(self._members)} renderers)"
 
-    # --- called from anywhere --------------------------------------------------------------------------------------
-
     def add_lane(self, lane: Lane, *, reserve: bool = False) -> None:
-        """A renderer has come; it takes part once it has loaded what is shown. Where all is closed it is let go."""
+        """Add a renderer; it renders as soon as it has loaded the present content. A closed console closes the lane.
+
+        Parameters
+        ----------
+        lane
+            Connection to the renderer.
+        reserve
+            Use the lane only for strips that no other lane can render.
+        """
         with self._closing:
             if not self._closed:
                 self._inbox.put(lambda: self._add(lane, reserve))
@@ -124,23 +133,46 @@ class Console:
         lane.close()
 
     def remove_lane(self, name: str) -> None:
-        """A renderer is gone for good."""
+        """Remove a renderer permanently."""
         self._inbox.put(lambda: self._remove(name))
 
     def notice(self, words: str) -> None:
-        """Tell the person something, once."""
+        """Add a message for the user; a repeated message is shown once."""
         self._inbox.put(lambda: self._tell(words))
 
     def set_content(self, parcel: Parcel) -> None:
-        """What frames show from now on; frames before and after name theirs."""
+        """Set the content that renderers load; each frame names its own content.
+
+        Parameters
+        ----------
+        parcel
+            The packed content; content with a smaller number than the present one is ignored.
+        """
         self._inbox.put(lambda: self._set_content(parcel))
 
     def render(
         self, view: View, content: Content, *, whole: bool = False, stream: str | None = None
     ) -> tuple[int, Future[Picture]]:
-        """Want a picture; the number is for :meth:`drop`.
+        """Request a picture.
 
-        The future fails with what the view itself is refused for, or with CancelledError once it was dropped.
+        Parameters
+        ----------
+        view
+            The view to render.
+        content
+            What the view shows.
+        whole
+            Render the picture on one machine, without dividing it.
+        stream
+            Name of a series of pictures of which only the newest matters.
+
+        Returns
+        -------
+        int
+            Number of the frame, for :meth:`drop`.
+        Future
+            The picture. The future fails with the error of an invalid view, or with CancelledError if the frame was
+            dropped.
         """
         future: Future[Picture] = Future()
         frame_id = next(self._frame_ids)
@@ -149,11 +181,17 @@ class Console:
         return frame_id, future
 
     def drop(self, frame_id: int) -> None:
-        """Nobody wants this picture any more."""
+        """Cancel a requested picture."""
         self._inbox.put(lambda: self._drop(frame_id))
 
     def status(self) -> ClusterStatus:
-        """How the cluster does."""
+        """Return the state of the cluster and its machines.
+
+        Raises
+        ------
+        ClusterError
+            ``cluster.closed``: if the console is closed.
+        """
         answer: Future[ClusterStatus] = Future()
         with self._closing:
             if self._closed:
@@ -163,24 +201,24 @@ class Console:
 
     @property
     def has_renderers(self) -> bool:
-        """Whether any machine but the console's own can render now."""
+        """Whether any machine other than the console's own can render now."""
         return any(not m.reserve and not m.loading for m in list(self._members.values()))
 
     def facts(self, name: str) -> LaneFacts:
-        """The machine behind a lane."""
+        """Return the facts of a lane's machine."""
         return self._members[name].lane.facts
 
     def lane(self, name: str) -> Lane:
-        """A lane, for tests and benchmarks."""
+        """Return a lane, for tests and benchmarks."""
         return self._members[name].lane
 
     @property
     def num_ready(self) -> int:
-        """How many lanes can render now, the console's own only where there is no other."""
+        """Number of lanes that can render now; the console's own lane counts only if there is no other."""
         return max(1, sum(not m.reserve and not m.loading for m in list(self._members.values())))
 
     def close(self) -> None:
-        """Give up what is under way and let the lanes go."""
+        """Cancel all pictures and close the lanes."""
         with self._closing:
             if self._closed:
                 return
@@ -188,15 +226,14 @@ class Console:
             self._inbox.put(None)
         self._thread.join(timeout=30.0)
 
-    # --- the console's own thread ----------------------------------------------------------------------------------
-
     def _run(self) -> None:
+        """Handle events, deadlines and delayed retries until the console is closed."""
         while True:
             try:
                 happen = self._inbox.get(timeout=self._wait_s())
             except queue.Empty:
                 happen = _nothing
-            # Everything that has come, before anyone is called late: answers may have waited for this thread.
+            # All queued events are handled before lanes are declared late, because answers may wait in the queue.
             while happen is not None:
                 _whatever_happens(happen)
                 try:
@@ -222,11 +259,12 @@ class Console:
         self._act()
 
     def _wait_s(self) -> float | None:
+        """Return the time in seconds until the next deadline or retry; None if there is none."""
         due = [at_s for at_s, _ in self._later]
         deadline_s = self._scheduler.deadline_s
         if deadline_s is not None:
             due.append(deadline_s)
-        # A hair more, so that rounding of the wait does not end it just before.
+        # 0.2 ms longer, so that rounding does not end the wait just before the deadline.
         return max(0.0, min(due) - self._clock()) + 0.0002 if due else None
 
     def _add(self, lane: Lane, reserve: bool) -> None:
@@ -245,6 +283,7 @@ class Console:
         self._note_alone()
 
     def _set_content(self, parcel: Parcel) -> None:
+        """Set the content and load it on all renderers, unless it is older than the present content."""
         if self._parcel is not None and parcel.content <= self._parcel.content:
             return
         self._parcel = parcel
@@ -253,13 +292,13 @@ class Console:
                 self._load(name)
 
     def _load(self, name: str) -> None:
-        """Give a renderer what is shown now; it takes part when it has it."""
+        """Send the present content to a renderer; it renders as soon as it has loaded the content."""
         member = self._members.get(name)
         if member is None:
             return
         parcel = self._parcel
         if parcel is None:
-            # Nothing is shown yet.
+            # No content was set yet.
             if member.reserve:
                 member.loading = False
                 self._scheduler.join(name, self._clock(), reserve=True)
@@ -274,7 +313,7 @@ class Console:
         try:
             light = member.lane.load(parcel, done)
         except Exception as trouble:
-            # As one that cannot load: the others still get theirs, and this one is asked again.
+            # Handled as a failed load: other renderers still get the content, and this one is tried again.
             done(trouble)
             return
         if light and not was_loading:
@@ -282,6 +321,7 @@ class Console:
             self._act()
 
     def _loaded(self, name: str, generation: int, parcel: Parcel, trouble: BaseException | None) -> None:
+        """Handle the end of a load: let the renderer take part, load newer content, or try again."""
         member = self._members.get(name)
         if member is None or generation != member.generation:
             return
@@ -305,6 +345,7 @@ class Console:
         self._retry(name, trouble)
 
     def _retry(self, name: str, trouble: BaseException) -> None:
+        """Take a renderer out of use and schedule its next attempt to load."""
         member = self._members[name]
         if not member.loading:
             member.loading = True
@@ -320,9 +361,10 @@ class Console:
         self._note_alone()
 
     def _want(self, frame_id: int, frame: Frame, whole: bool, stream: str | None) -> None:
+        """Pass a requested picture to the scheduler."""
         self._frames[frame_id] = frame
         view = frame.view
-        # An answer carries three bytes a pixel.
+        # An answer has three bytes per pixel.
         max_rows = None if whole else max(1, self._settings.max_strip_bytes // (3 * view.width))
         self._scheduler.want(
             frame_id,
@@ -344,6 +386,7 @@ class Console:
             self._act()
 
     def _act(self) -> None:
+        """Carry out the actions that the scheduler has collected."""
         for action in self._scheduler.take():
             match action:
                 case Issue():
@@ -351,13 +394,13 @@ class Console:
                 case FrameDone(frame_id):
                     self._deliver(self._frames.pop(frame_id))
                 case FrameDropped(frame_id):
-                    # Not there: its future has been failed already, with what the view was refused for.
+                    # The frame is missing if its future already failed with the error of an invalid view.
                     frame = self._frames.pop(frame_id, None)
                     if frame is not None:
                         frame.stop.cancel()
                         fail(frame.future, CancelledError("the image was superseded by a newer one"))
                 case LaneLate(lane):
-                    # A moment's delay is nobody's business but the panel's.
+                    # The user is notified only of a delay that lasts; the cluster panel shows each delay.
                     self._later.append((self._clock() + TELL_AFTER_S, partial(self._tell_if_late, str(lane))))
                 case LaneBack():
                     pass
@@ -367,6 +410,7 @@ class Console:
             self._tell(f"the renderer {name} is late; the other machines render its part until it responds")
 
     def _issue(self, task: Issue) -> None:
+        """Send a strip to a lane."""
         frame = self._frames[task.frame_id]
         member = self._members[str(task.lane)]
         whole = (task.first_row, task.end_row) == (0, frame.view.height)
@@ -393,13 +437,14 @@ class Console:
         try:
             member.lane.submit(order, done)
         except Exception as trouble:
-            # Never without an answer: the console's own lane has no deadline that would notice.
+            # Every order needs an answer: the console's own lane has no deadline that would detect a missing one.
             done(trouble)
 
     def _answered(self, name: str, order: StripOrder, answer: StripAnswer | BaseException, at_s: float) -> None:
+        """Handle an answer: check it, copy its rows, and report it to the scheduler."""
         _, issued_s = self._tasks.pop(order.task_id, (order, None))
         if issued_s is None:
-            # A lane that answers twice.
+            # The lane has answered this order before.
             return
         frame = self._frames.get(order.frame_id)
         if isinstance(answer, BaseException):
@@ -409,7 +454,7 @@ class Console:
         try:
             wrong = what_is_wrong(answer, order)
             if wrong is None and frame is not None and self._scheduler.wants(name, order.task_id):
-                # Before the scheduler counts these rows as done: what cannot be taken has to come from another.
+                # Copied before the scheduler counts the rows as done: if the copy fails, another lane must render them.
                 frame.take(answer, rows)
         except Exception as trouble:
             wrong = f"an unusable strip ({type(trouble).__name__}: {trouble})"
@@ -419,13 +464,14 @@ class Console:
         member = self._members.get(name)
         if member is not None:
             member.latency.note(at_s, at_s - issued_s)
-        # The scheduler's clock never runs backwards, and answers may have waited.
+        # The present time, not the time of the answer: the scheduler's clock must not run backwards.
         accepted = self._scheduler.answered(name, order.task_id, answer.seconds, self._clock())
         if self.jobs is not None:
             self.jobs.append(Job(name, order.frame_id, rows, issued_s, at_s, answer.seconds, accepted))
         self._act()
 
     def _refused(self, name: str, order: StripOrder, frame: Frame | None, trouble: BaseException) -> None:
+        """Handle an error of a lane: the view is invalid, the frame was cancelled, or the renderer failed."""
         now_s = self._clock()
         if isinstance(trouble, ClusterError) and trouble.code == "cluster.fault":
             self._fault(name, order, str(trouble))
@@ -437,7 +483,7 @@ class Console:
             self._act()
             return
         if isinstance(trouble, CarinaError) and not isinstance(trouble, ClusterError):
-            # The view itself is refused; every renderer would say so.
+            # The view itself is invalid, so every renderer would refuse it.
             self._frames.pop(order.frame_id, None)
             if frame is not None:
                 fail(frame.future, trouble)
@@ -448,7 +494,7 @@ class Console:
         member = self._members.get(name)
         self._scheduler.failed(name, order.task_id, now_s)
         if member is not None and member.reserve:
-            # The console itself cannot: nobody is left to ask.
+            # The console's own lane failed, and no other lane can render the strip.
             self._scheduler.join(name, now_s, reserve=True)
             self._frames.pop(order.frame_id, None)
             if frame is not None:
@@ -462,6 +508,7 @@ class Console:
             self._retry(name, trouble)
 
     def _fault(self, name: str, order: StripOrder, wrong: str) -> None:
+        """Handle a wrong answer; a renderer with :data:`MAX_FAULTS` wrong answers is removed."""
         self._scheduler.failed(name, order.task_id, self._clock())
         self._act()
         member = self._members.get(name)
@@ -492,6 +539,7 @@ class Console:
             logger.info("no renderer is left; this machine renders alone")
 
     def _make_status(self) -> ClusterStatus:
+        """Return the state of all renderers, for :meth:`status`."""
         now_s = self._clock()
         views = {str(view.lane): view for view in self._scheduler.lanes()}
         members = []
@@ -525,7 +573,7 @@ class Console:
 
 
 def _whatever_happens(step: Callable[[], object]) -> None:
-    """Without this thread no picture would ever come again, and nobody would be told."""
+    """Run an event handler and log any error, because an error in the console's thread would stop all pictures."""
     try:
         step()
     except Exception:
@@ -533,4 +581,4 @@ def _whatever_happens(step: Callable[[], object]) -> None:
 
 
 def _nothing() -> None:
-    """Only the time has passed."""
+    """Do nothing; the wait for the next event has timed out."""

@@ -1,6 +1,6 @@
-"""Orders and answers as plain bytes, which the transport passes on as they are.
+"""Orders and answers as plain bytes, which the transport passes on unchanged.
 
-Ray packs each argument and result of another kind as a pickle of its own, at both ends, for each strip of each picture
+Ray would pickle each argument and result of another type separately, at both ends, for each strip
 (docs/decisions/0109).
 """
 
@@ -18,31 +18,44 @@ from carina.render import Picture
 __all__ = ["Counts", "Strip", "open_answer", "open_order", "pack_answer", "pack_order"]
 
 Counts = tuple[int, int, int, int, int, int, int]
-"""Rays, samples, look-ups, leaps, skipped, shaded, loads."""
+"""Number of rays, samples, look-ups, leaps, skipped samples, shaded samples and loads."""
 Strip = tuple[int, int, int, int, float, str, Counts, Picture | None, NDArray[np.uint8]]
-"""Frame, content, first row and number of rows again, seconds, method, counts; with the first rows the picture without
-pixels; and the pixels."""
+"""Content of an answer.
 
-# Frame, content, first row, row after the last; both rows -1 for the whole picture. The pickled view follows.
+The fields are frame, content, first row, number of rows, seconds, method, counts, picture and pixels. The picture has
+no pixels, and is None unless the strip contains the first row.
+"""
+
+# Frame, content, first row, row after the last; both rows are -1 for the whole picture. The pickled view follows.
 _ORDER = struct.Struct("<qqii")
-# Frame, content, first row, number of rows, seconds, counts, shape of the pixels, bytes of method and picture; these
-# two follow, then the pixels.
+# Frame, content, first row, number of rows, seconds, counts, shape of the pixels, number of bytes of the method and of
+# the picture. The method, the picture and the pixels follow.
 _ANSWER = struct.Struct("<qqiid7q3iii")
 
 
 def pack_order(frame_id: int, content: int, view: bytes, rows: tuple[int, int] | None) -> bytes:
-    """What :meth:`carina.cluster.host.RendererHost.strip` takes."""
+    """Return an order as the bytes that :meth:`carina.cluster.host.RendererHost.answer` accepts.
+
+    Parameters
+    ----------
+    frame_id, content
+        Numbers of the frame and of its content.
+    view
+        The pickled view.
+    rows
+        First row and row after the last; None for the whole picture.
+    """
     return _ORDER.pack(frame_id, content, *(rows or (-1, -1))) + view
 
 
 def open_order(order: bytes) -> tuple[int, int, bytes, tuple[int, int] | None]:
-    """What was packed."""
+    """Return the frame, the content, the pickled view and the rows of an order."""
     frame_id, content, first_row, end_row = _ORDER.unpack_from(order)
     return frame_id, content, order[_ORDER.size :], None if first_row < 0 else (first_row, end_row)
 
 
 def pack_answer(strip: Strip) -> bytes:
-    """What a host answers; pixels are copied once.
+    """Return an answer as bytes; the pixels are copied once.
 
     Raises
     ------
@@ -62,14 +75,14 @@ def pack_answer(strip: Strip) -> bytes:
 
 
 def open_answer(answer: bytes) -> Strip:
-    """What was packed; the pixels are a read-only view of ``answer``.
+    """Return the content of an answer; the pixels are a read-only view of ``answer``.
 
-    Only for answers of machines that were joined with a token: they hold a pickle.
+    An answer contains a pickle, so only answers of machines that joined with a token may be opened.
 
     Raises
     ------
     ClusterError
-        ``cluster.fault`` if these bytes are no answer.
+        ``cluster.fault`` if the bytes are not an answer.
     """
     try:
         frame_id, content, first_row, num_rows, seconds, *rest = _ANSWER.unpack_from(answer)
@@ -81,6 +94,6 @@ def open_answer(answer: bytes) -> Strip:
             raise ValueError(f"expected an image, found a {type(picture).__name__}")
         rgb = np.frombuffer(answer, np.uint8, offset=at + num_bare).reshape(shape)
     except Exception as nonsense:
-        # Whatever it is: bytes that are no pickle raise nearly everything.
+        # Bytes that are not a pickle can raise almost any exception.
         raise ClusterError(f"invalid strip reply: {nonsense}", code="cluster.fault") from nonsense
     return frame_id, content, first_row, num_rows, seconds, name, counts, picture, rgb

@@ -1,4 +1,4 @@
-"""A frame under way: what an answer must be, and how the picture is put together from answers."""
+"""A frame while it is rendered: the check of answers, and the assembly of the picture."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["Content", "Frame", "fail", "what_is_wrong"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Content:
-    """What a frame shows, and who can render it here."""
+    """The content of a frame, with the local renderer that can render it."""
 
     number: int
     renderer: Renderer
@@ -28,7 +28,7 @@ class Content:
 
 @dataclass(slots=True)
 class Frame:
-    """A picture that somebody waits for."""
+    """A requested picture that is not complete yet."""
 
     view: View
     content: Content
@@ -36,19 +36,26 @@ class Frame:
     stop: CancelToken
     wanted_s: float
     view_bytes: bytes = b""
-    """The view, pickled once for all its strips."""
+    """The view, pickled once for all strips."""
     _rgb: NDArray[np.uint8] | None = None
     _first: Picture | None = None
     _counts: Counts = (0, 0, 0, 0, 0, 0, 0)
     _method: str = ""
 
     def take(self, answer: StripAnswer, rows: tuple[int, int]) -> None:
-        """Copy the rows of an answer. Either all of it is taken or, with an error, nothing that counts.
+        """Copy the rows of an answer into the picture; if an error is raised, the answer has no effect.
+
+        Parameters
+        ----------
+        answer
+            The answer of a lane, already checked by :func:`what_is_wrong`.
+        rows
+            First row and row after the last.
 
         Raises
         ------
         Exception
-            Whatever is wrong with the answer; another of these rows must come.
+            Any error caused by the answer; another lane must render the rows.
         """
         first, end = rows
         if self._rgb is None:
@@ -61,7 +68,13 @@ class Frame:
         self._method = max(self._method, answer.method, key=lambda m: (m.startswith("gpu"), m))
 
     def deliver(self, now_s: float) -> None:
-        """All rows are here: whoever waits gets the picture, or hears why there is none, but never waits on."""
+        """Set the result of the future after the last row: the picture, or the error of the assembly.
+
+        Parameters
+        ----------
+        now_s
+            Present time in seconds, for the rendering time in the statistics.
+        """
         try:
             picture = self._picture(now_s)
         except Exception as trouble:
@@ -83,13 +96,13 @@ def _plus(a: Counts, b: Counts) -> Counts:
 
 
 def fail(future: Future[Picture], trouble: BaseException) -> None:
-    """Say why there will be no picture, if nothing was said yet."""
+    """Set an exception as the result of a future that has no result yet."""
     if not future.done() and future.set_running_or_notify_cancel():
         future.set_exception(trouble)
 
 
 def what_is_wrong(answer: StripAnswer, order: StripOrder) -> str | None:
-    """Why an answer is not what was asked for, or None."""
+    """Return the difference between an answer and its order as text; None if the answer is valid."""
     first, end = order.rows or (0, order.view.height)
     expected = (end - first, order.view.width, 3)
     if answer.frame_id != order.frame_id:
@@ -97,7 +110,8 @@ def what_is_wrong(answer: StripAnswer, order: StripOrder) -> str | None:
     if answer.content != order.content:
         return f"a strip with content {answer.content} instead of {order.content}"
     if (answer.first_row, answer.num_rows) != (first, end - first):
-        # A frame is cut anew when a renderer leaves: strips of one height may lie elsewhere.
+        # The strips of a frame are divided anew when a renderer leaves, so a strip of the right height may have wrong
+        # rows.
         found = f"{answer.num_rows} rows from row {answer.first_row}"
         return f"a strip of {found} instead of {end - first} from row {first}"
     if not isinstance(answer.rgb, np.ndarray) or answer.rgb.dtype != np.uint8:

@@ -1,4 +1,4 @@
-"""What runs on each machine of a cluster: one renderer that answers strips. Knows neither Ray nor a network."""
+"""The renderer on each machine of a cluster, which renders strips; it uses neither Ray nor the network."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ __all__ = ["RendererHost", "available_bytes", "bare_picture", "counts_of"]
 
 
 def available_bytes() -> int | None:
-    """Memory that this machine can still give, also under the limit of a container; None where it does not say."""
+    """Return the available memory in bytes, limited by the container; None if the system does not report it."""
     found: list[int] = []
     try:
         for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():
@@ -41,12 +41,12 @@ def available_bytes() -> int | None:
 
 
 def bare_picture(picture: Picture) -> Picture:
-    """A picture without its pixels and its lens, which the console knows: what travels beside a strip."""
+    """Return a picture without its pixels and its optics, to be sent with a strip; the console knows the optics."""
     return dataclasses.replace(picture, rgb=np.empty((0, 0, 3), np.uint8), optics=None)
 
 
 def counts_of(stats: RenderStats) -> Counts:
-    """What a picture took, as a tuple."""
+    """Return the counts of a rendered picture as a tuple."""
     return (
         stats.num_rays,
         stats.num_samples,
@@ -59,12 +59,12 @@ def counts_of(stats: RenderStats) -> Counts:
 
 
 class RendererHost:
-    """One machine's renderer, as the console calls it. It starts empty, and again after every restart.
+    """Renderer of one machine, called by the console; it has no content at first and after every restart.
 
     Parameters
     ----------
     mixed
-        Whether it may use a graphics device: its pictures then are the others' within one grey level only.
+        Whether the renderer may use a graphics device; its pictures may then differ by one grey level.
     simd
         Instruction set of the kernels, for tests.
     """
@@ -78,7 +78,7 @@ class RendererHost:
         self._lock = threading.Lock()
 
     def ping(self) -> dict[str, Any]:
-        """Who this is, and what it has."""
+        """Return the versions, the host, the process and the loaded content of this renderer."""
         info = build_info()
         return {
             "version": VERSION,
@@ -93,23 +93,29 @@ class RendererHost:
         }
 
     def load(self, content: int, skeleton: bytes, kept: list[int], tokens: list[int], *arrays: NDArray[Any]) -> int:
-        """Take what pictures are made from.
+        """Load the volume and the scene that pictures are rendered from.
 
         Parameters
         ----------
         content
-            Its number, which every strip names.
+            Number of the content, which every strip names.
         skeleton
             See :class:`carina.cluster.parcel.Parcel`.
         kept
             Tokens of arrays that this host already has.
         tokens, arrays
-            The others.
+            Tokens and values of the other arrays.
+
+        Returns
+        -------
+        int
+            Number of the content.
 
         Raises
         ------
         ClusterError
-            ``cluster.lost`` if one of ``kept`` is not here: it was restarted; everything has to come again.
+            ``cluster.lost`` if this host lacks an array of ``kept``, because it was restarted; all arrays must be sent
+            again.
         """
         with self._lock:
             known = {**self._arrays, **dict(zip(tokens, arrays, strict=True))}
@@ -120,7 +126,7 @@ class RendererHost:
             volume, scene = open_parcel(skeleton, self._arrays)
             if self._renderer is None or self._renderer.volume.hu_zyx is not volume.hu_zyx:
                 shown = self._renderer
-                # Volumes are equal where their values are one array: X-ray projections stay.
+                # Volumes with the same array of values keep their renderer, with its X-ray projections.
                 if shown is None or not _same(shown.volume.hu_zyx, volume.hu_zyx):
                     self._renderer = Renderer(volume, simd=self._simd, backend=self._backend)
             assert self._renderer is not None
@@ -129,12 +135,21 @@ class RendererHost:
             return content
 
     def strip(self, frame_id: int, content: int, view: bytes, rows: tuple[int, int] | None) -> Strip:
-        """Render rows of a view, which comes pickled: once for all strips of a frame.
+        """Render rows of a view, which is pickled once for all strips of a frame.
+
+        Parameters
+        ----------
+        frame_id, content
+            Numbers of the frame and of its content.
+        view
+            The pickled view.
+        rows
+            First row and row after the last; None for the whole picture.
 
         Raises
         ------
         ClusterError
-            ``cluster.lost`` if another content is loaded than the strip is of.
+            ``cluster.lost`` if the loaded content is not that of the strip.
         """
         began_s = time.perf_counter()
         with self._lock:
@@ -152,7 +167,7 @@ class RendererHost:
         return frame_id, content, first_row, end_row - first_row, seconds, stats.method, counts, first, picture.rgb
 
     def answer(self, order: bytes) -> bytes:
-        """:meth:`strip`, for a transport that carries bytes best; see :mod:`carina.cluster.envelope`."""
+        """Render the strip of a packed order and return the packed answer; see :mod:`carina.cluster.envelope`."""
         return pack_answer(self.strip(*open_order(order)))
 
 

@@ -1,4 +1,4 @@
-"""A lane is the console's side of one renderer: it takes strips in order and answers each, in any thread."""
+"""Lanes: the console's connections to renderers. A lane renders strips in order and returns the answers."""
 
 from __future__ import annotations
 
@@ -27,28 +27,28 @@ __all__ = ["Answered", "Lane", "LaneFacts", "Loaded", "LocalLane", "StripAnswer"
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class StripOrder:
-    """Rows of a view of some content."""
+    """An order to render rows of a view."""
 
     task_id: int
     frame_id: int
     content: int
     view: View
     rows: tuple[int, int] | None
-    """None for the whole picture."""
+    """First row and row after the last; None for the whole picture."""
     view_bytes: bytes = b""
     """The view, pickled once for all strips of a frame."""
     renderer: Renderer | None = None
-    """This and what follows are for lanes in this process: who can render it,"""
+    """Local renderer, for a lane in this process."""
     scene: Scene | None = None
-    """the content itself,"""
+    """Scene to render, for a lane in this process."""
     stop: CancelToken | None = None
-    """and how it is given up."""
+    """Cancels the rendering, for a lane in this process."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class StripAnswer:
-    """What came back; nothing in it is trusted before it is compared with the order."""
+    """The answer to an order; its content is checked against the order before use."""
 
     frame_id: int
     content: int
@@ -58,17 +58,17 @@ class StripAnswer:
     method: str
     counts: Counts
     picture: Picture | None
-    """Without pixels; only with the first rows."""
+    """The picture without pixels; always set if the strip contains the first row."""
     rgb: NDArray[np.uint8]
 
     @classmethod
     def of(cls, strip: Strip) -> StripAnswer:
-        """What a host said."""
+        """Return the answer with the content that a host returned."""
         return cls(*strip)
 
 
 class LaneFacts(Machine, frozen=True):
-    """The machine of a lane, and what runs on it."""
+    """Facts about the machine of a lane, with the version of Carina and the process on it."""
 
     version: str
     pid: int | None = None
@@ -79,39 +79,56 @@ Loaded = Callable[[BaseException | None], None]
 
 
 class Lane(Protocol):
-    """One renderer. Strips are answered in the order they were given, as far as there are answers."""
+    """Interface of a connection to one renderer; strips are answered in the order of submission."""
 
     name: str
 
     @property
     def facts(self) -> LaneFacts:
-        """The machine."""
+        """Facts of the machine."""
 
     def load(self, parcel: Parcel, done: Loaded) -> bool:
-        """Take new content; ``done`` is called once, from any thread.
+        """Load new content.
+
+        Parameters
+        ----------
+        parcel
+            The content.
+        done
+            Called once, from any thread, with an error or None.
 
         Returns
         -------
         bool
-            True where little travels: strips of the new content may be given at once, they come after it.
+            Whether few data must be sent; strips of the new content may then be submitted at once, because they arrive
+            after the content.
         """
 
     def submit(self, order: StripOrder, done: Answered) -> None:
-        """Render; ``done`` is called once, from any thread."""
+        """Render a strip.
+
+        Parameters
+        ----------
+        order
+            The strip.
+        done
+            Called once, from any thread, with the answer or an error.
+        """
 
     def close(self) -> None:
-        """No more strips."""
+        """Close the connection; the caller submits no more strips."""
 
 
 class LocalLane:
-    """A renderer of this process, in a thread of its own.
+    """Lane that renders in this process, in its own thread.
 
     Parameters
     ----------
     renderer
-        Another renderer of the same volume, for tests; else each order's own. Content comes with each order.
+        Another renderer of the same volume, for tests; None uses the renderer of each order. Each order brings its
+        scene.
     name
-        As shown to people.
+        Name for the user.
     """
 
     def __init__(self, renderer: Renderer | None = None, *, name: str = "console") -> None:
@@ -122,30 +139,32 @@ class LocalLane:
         self._thread.start()
 
     def __repr__(self) -> str:
+        """Return the name of the lane."""
         return f"LocalLane({self.name!r})"
 
     @property
     def facts(self) -> LaneFacts:
-        """This machine."""
+        """Facts of this machine."""
         from carina.render import build_info
 
         info = build_info()
         return LaneFacts(int(info["threads"]), str(info["simd"]), "this machine", VERSION)
 
     def load(self, parcel: Parcel, done: Loaded) -> bool:
-        """Nothing travels: orders bring their scene."""
+        """Call ``done`` at once and return True, because each order contains its scene."""
         done(None)
         return True
 
     def submit(self, order: StripOrder, done: Answered) -> None:
-        """Render after what was submitted before."""
+        """Render a strip after those submitted before."""
         self._orders.put((order, done))
 
     def close(self) -> None:
-        """End the thread after what was submitted."""
+        """End the thread after the submitted strips."""
         self._orders.put(None)
 
     def _run(self) -> None:
+        """Render the submitted strips one after another until the lane is closed."""
         while (item := self._orders.get()) is not None:
             order, done = item
             answer: StripAnswer | BaseException
@@ -168,11 +187,11 @@ class LocalLane:
                     bare_picture(picture),
                     picture.rgb,
                 )
-            except BaseException as trouble:  # a panic of the compiled module is no Exception
+            except BaseException as trouble:  # a panic of the compiled module is not a subclass of Exception
                 answer = trouble
             done(answer)
 
 
 def with_pixels(picture: Picture, rgb: NDArray[np.uint8], **changes: Any) -> Picture:
-    """A bare picture with its pixels."""
+    """Return a picture with other pixels."""
     return dataclasses.replace(picture, rgb=rgb, **changes)

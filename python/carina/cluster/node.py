@@ -1,6 +1,7 @@
-"""One machine's part in a cluster: the environment of Ray, its token, and the process that keeps the machine in it.
+"""Membership of this machine in a cluster: Ray's environment variables, the token, and the process that runs Ray.
 
-Nothing here imports Ray, and nothing ever calls ``ray stop``: that ends every Ray of the person, also other programs'.
+Nothing in this file imports Ray. Nothing calls ``ray stop``, because that would end all Ray processes of the user, also
+those of other programs.
 """
 
 from __future__ import annotations
@@ -37,22 +38,25 @@ __all__ = [
 DEFAULT_PORT = 6379
 TOKEN_NAME = "cluster.token"
 STARTED = "Ray runtime started"
-"""What Ray says when a machine has joined."""
+"""Line that Ray prints after a machine has joined."""
 CONSOLE_ENVIRONMENT = {"RAY_gcs_rpc_server_reconnect_timeout_s": str(10 * 365 * 86_400)}
-"""For the console alone. Ray ends a program whose head has been gone for a minute; a workstation renders alone and goes
-on. Machines do end, and join anew."""
+"""Environment variables for the console only.
+
+Without them, Ray ends a program whose head node has been unreachable for a minute. The console then renders alone and
+must go on. Other machines do end, and join again.
+"""
 TIMED_OUT = "timed out during startup"
-"""What it says when its own helpers were too slow."""
+"""Text that Ray prints if its own processes took too long to start."""
 LEAST_STORE_BYTES = 80 * 1024 * 1024
 
 
 def check_available() -> None:
-    """Say what is missing, and how to get it, before anything is tried.
+    """Raise an error with a remedy if this machine cannot be part of a cluster.
 
     Raises
     ------
     ClusterError
-        ``cluster.missing`` without Ray; ``cluster.platform`` where Ray has no clusters.
+        ``cluster.missing`` without Ray; ``cluster.platform`` if the system is not Linux.
     """
     if not sys.platform.startswith("linux"):
         msg = "a cluster needs Linux, the only system on which Ray supports clusters; render on this machine alone"
@@ -64,12 +68,12 @@ def check_available() -> None:
 
 
 def token_file(config_dir: Path) -> Path:
-    """Where the token of the person's cluster lies, unless told otherwise."""
+    """Return the default path of the token of the user's cluster."""
     return config_dir / TOKEN_NAME
 
 
 def make_token(path: Path) -> Path:
-    """Return the token file; create it with a fresh token, readable by its owner alone, where it is missing."""
+    """Return the token file; if it is missing, create it with a new token, readable by its owner only."""
     if not path.exists():
         make_folder(path.parent, what="the token", private=True)
         write_whole(path, secrets.token_hex(32).encode(), what="the token", private=True)
@@ -82,7 +86,7 @@ def check_token(path: Path) -> Path:
     Raises
     ------
     ClusterError
-        ``cluster.token`` if there is none, it is empty, or others may read it.
+        ``cluster.token`` if the file is missing, too short, or readable by other users.
     """
     if not path.is_file():
         msg = (
@@ -104,23 +108,23 @@ def check_token(path: Path) -> Path:
 
 
 def ray_environment(token: Path, *, dedicated: bool = False) -> dict[str, str]:
-    """Return the variables that Ray needs in the environment of each process before it is imported.
+    """Return the environment variables that Ray needs in each process before it is imported.
 
     Parameters
     ----------
     token
-        The token's file. A variable would be readable in every worker's environment.
+        The token file. A variable with the token itself would be readable in every worker's environment.
     dedicated
-        The machine does nothing else: renderers run at full priority.
+        Whether the machine is used for rendering only; renderers then run at full priority.
     """
     return {
         "RAY_AUTH_MODE": "token",
         "RAY_AUTH_TOKEN_PATH": str(token),
         "RAY_USAGE_STATS_ENABLED": "0",
-        # Answers up to 1 MiB go straight back: 400 KB between machines take 1.2 instead of 9.4 ms.
+        # Answers up to 1 MiB are returned directly: 400 KB between machines then take 1.2 ms instead of 9.4 ms.
         "RAY_max_direct_call_object_size": "1048576",
-        # A dead renderer is told after 0.3 to 1 s instead of 2, a machine cut off after 6 to 8 s instead of a minute.
-        # Our own deadlines have long acted by then; shorter times here would declare busy machines dead.
+        # A dead renderer is reported after 0.3 to 1 s instead of 2 s, a disconnected machine after 6 to 8 s instead of
+        # a minute. Carina's own deadlines act earlier; shorter times here would declare busy machines dead.
         "RAY_timeout_ms_task_wait_for_death_info": "50",
         "RAY_grpc_client_check_connection_status_interval_milliseconds": "200",
         "RAY_health_check_initial_delay_ms": "2000",
@@ -129,16 +133,22 @@ def ray_environment(token: Path, *, dedicated: bool = False) -> dict[str, str]:
         "RAY_health_check_failure_threshold": "3",
         "RAY_task_events_report_interval_ms": "0",
         "RAY_enable_metrics_collection": "0",
-        # On a desk the person comes first; Ray's own 15 would be too humble.
+        # On a workstation the user's programs have priority; Ray's default of 15 would be too low a priority.
         "RAY_worker_niceness": "0" if dedicated else "5",
     }
 
 
 def own_address(towards: str | None = None) -> str:
-    """Return the address of this machine on the network, as another machine would reach it."""
+    """Return the address of this machine on the network, as another machine would reach it.
+
+    Parameters
+    ----------
+    towards
+        Address of the other machine; None selects an address outside the local networks.
+    """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
-            # Nothing is sent: the kernel chooses the address.
+            # A datagram socket sends nothing on connect; the kernel only selects the address.
             probe.connect((towards or "192.0.2.1", 9))
             return str(probe.getsockname()[0])
         except OSError:
@@ -146,7 +156,7 @@ def own_address(towards: str | None = None) -> str:
 
 
 def split_address(address: str) -> tuple[str, int]:
-    """Host and port of ``HOST[:PORT]``."""
+    """Return the host and the port of ``HOST[:PORT]``."""
     host, _, port = address.partition(":")
     if not host or (port and not port.isdecimal()):
         raise UsageError(f"expected a cluster address HOST or HOST:PORT, such as 10.0.0.5:6379; found {address!r}")
@@ -154,28 +164,38 @@ def split_address(address: str) -> tuple[str, int]:
 
 
 class Node:
-    """The process that keeps this machine in a cluster: ``ray start --block``, in a session of its own.
+    """The process that keeps this machine in a cluster: ``ray start --block``, in its own process session.
 
     Parameters
     ----------
     token
-        The token's file.
+        The token file.
     head
-        Whether this is the first machine; else ``address`` names the head.
+        Whether this is the first machine; otherwise ``address`` names the head.
     address
         ``HOST:PORT`` of the head.
     ip
-        This machine's address, as the others reach it.
+        Address of this machine in the cluster's network.
     port
-        The head's.
+        Port of the head.
     renderers
-        Renderers on this machine: one, which uses all cores. None for a console that only looks.
+        Number of renderers on this machine: 1, which uses all cores, or 0 for a console without a renderer.
     store_bytes
-        Shared memory for volumes; a tenth of the machine's memory, at least 512 MiB, unless told.
-    temp_dir, environment
+        Shared memory for volumes in bytes; None selects a quarter of the machine's memory, from 512 MiB to 8 GiB,
+        limited to the free shared memory.
+    dedicated
+        As in :func:`ray_environment`.
+    temp_dir, environment, command_prefix
         For tests.
     log
-        File that Ray's own words go to.
+        File for the output of Ray.
+
+    Raises
+    ------
+    ClusterError
+        As in :func:`check_available` and :func:`check_token`.
+    UsageError
+        If both or neither of ``head`` and ``address`` are given.
     """
 
     def __init__(
@@ -199,8 +219,8 @@ class Node:
         if head == (address is not None):
             raise UsageError("a machine can either start a cluster or join one, not both")
         arguments = ["start", "--block", "--disable-usage-stats", "--num-cpus=0"]
-        # Nobody reads what renderers print, and no machine is hired when work waits: two processes fewer, each 1.2 s of
-        # a core at the start and awake ever after.
+        # Without the log monitor and the autoscaler, which Carina does not need, Ray starts two processes fewer. Each
+        # takes 1.2 s of a core at the start.
         arguments += ["--include-log-monitor=false"]
         if head:
             ip = ip or own_address()
@@ -240,11 +260,11 @@ class Node:
 
     @property
     def running(self) -> bool:
-        """Whether the machine is still in the cluster, as far as its own process knows."""
+        """Whether this machine's process of the cluster runs."""
         return self.process.poll() is None
 
     def wait_ready(self, timeout_s: float = 150.0) -> None:
-        """Until the head's port answers.
+        """Wait until the port of the head answers and this machine has joined.
 
         Raises
         ------
@@ -254,17 +274,18 @@ class Node:
         host, port = split_address(self.address)
         end_s = time.monotonic() + timeout_s
         while time.monotonic() < end_s:
-            # Asked once: it may end between two looks.
+            # Read once, because the process may end between two reads.
             has_ended = not self.running
             if has_ended and self._starts_left and TIMED_OUT in self._words():
-                # Ray's own helpers must answer within 15 s, which nothing can change: a busy machine needs another try.
+                # Ray requires its own processes to answer within 15 s, without a setting for this time, so a busy
+                # machine retries.
                 self.process = self._started()
             elif has_ended:
                 raise ClusterError(
                     f"joining the cluster at {self.address} failed{self._last_words()}", code="cluster.start"
                 )
             with contextlib.suppress(OSError), socket.create_connection((host, port), timeout=1.0):
-                # The head's port answers before the machine itself has joined.
+                # The head's port answers before this machine has joined.
                 if self._log_path is None or STARTED in self._words():
                     return
             time.sleep(0.1)
@@ -282,7 +303,13 @@ class Node:
         return f": {lines[-1].strip()}" if lines else ""
 
     def stop(self, grace_s: float = 10.0) -> None:
-        """Leave the cluster: end the process and what it has started, by their numbers."""
+        """Leave the cluster: end the process and its descendants, by their process ids.
+
+        Parameters
+        ----------
+        grace_s
+            Time in seconds after which the process is killed.
+        """
         tree = descendants(self.process.pid)
         if self.running:
             self.process.send_signal(signal.SIGTERM)
@@ -297,18 +324,19 @@ class Node:
 
 
 def _usual_store_bytes() -> int:
+    """Return the default size of the shared memory for volumes in bytes."""
     total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     free = 0
     with contextlib.suppress(OSError):
         found = os.statvfs("/dev/shm")
         free = found.f_frsize * found.f_bavail
     wanted = max(512 * 1024 * 1024, min(total // 4, 8 * 1024**3))
-    # What does not fit into shared memory would go to a disk, and be slow.
+    # Objects that exceed the shared memory would be written to the disk, which is slow.
     return max(LEAST_STORE_BYTES, min(wanted, int(free * 0.9)) if free else wanted)
 
 
 def _parents() -> dict[int, tuple[int, str]]:
-    """Parent and start time of every process."""
+    """Return the parent and the start time of every process."""
     found = {}
     for entry in Path("/proc").iterdir():
         if entry.name.isdecimal():
@@ -319,7 +347,7 @@ def _parents() -> dict[int, tuple[int, str]]:
 
 
 def descendants(pid: int) -> dict[int, str]:
-    """Return the child processes of a process, and their children, with start times, because process ids are reused."""
+    """Return the descendants of a process with their start times, because process ids are reused."""
     parents = _parents()
     tree: dict[int, str] = {}
     level = {pid}
@@ -330,7 +358,15 @@ def descendants(pid: int) -> dict[int, str]:
 
 
 def reap(tree: Mapping[int, str], grace_s: float = 5.0) -> None:
-    """End what is left of a tree of processes: some of Ray's agents outlive a hard end by minutes."""
+    """End the remaining processes of a tree; some of Ray's agents survive the end of their parent by minutes.
+
+    Parameters
+    ----------
+    tree
+        Process ids and start times from :func:`descendants`.
+    grace_s
+        Time in seconds after which the remaining processes are killed.
+    """
     end_s = time.monotonic() + grace_s
     sent = False
     while left := {pid for pid, (_, began) in _parents().items() if tree.get(pid) == began}:

@@ -1,4 +1,4 @@
-"""What a renderer must hold: volume, wall, maps, transfer function; large arrays apart, so that each travels once."""
+"""The content that a renderer needs, packed so that each large array is sent to a machine once."""
 
 from __future__ import annotations
 
@@ -19,27 +19,29 @@ from carina.volume import Volume
 __all__ = ["Parcel", "Parcels", "open_parcel"]
 
 Array = np.ndarray[Any, Any]
-# Smaller arrays travel within the skeleton.
+# Smaller arrays are sent within the skeleton.
 LARGE_BYTES = 1 << 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Parcel:
-    """A volume and a scene of it, as bytes and arrays. No name, no UID and no path of the case is in it."""
+    """A volume and a scene as bytes and arrays, without any name, UID or path of the case."""
 
     content: int
-    """Names what pictures are made from; grows."""
+    """Number of the content; later content has a larger number."""
     skeleton: bytes
     arrays: Mapping[int, Array]
     """Large arrays by token. An array keeps its token, so that it is sent to each machine once."""
 
     @property
     def num_bytes(self) -> int:
-        """What a renderer needs in memory."""
+        """Memory in bytes that a renderer needs for the content."""
         return len(self.skeleton) + sum(array.nbytes for array in self.arrays.values())
 
 
 class _Packer(pickle.Pickler):
+    """Pickler that replaces each large array by its token."""
+
     def __init__(self, file: io.BytesIO, parcels: Parcels) -> None:
         super().__init__(file, protocol=5)
         self._parcels = parcels
@@ -54,6 +56,8 @@ class _Packer(pickle.Pickler):
 
 
 class _Opener(pickle.Unpickler):
+    """Unpickler that replaces each token by its array."""
+
     def __init__(self, file: io.BytesIO, arrays: Mapping[int, Array]) -> None:
         super().__init__(file)
         self._arrays = arrays
@@ -63,7 +67,7 @@ class _Opener(pickle.Unpickler):
 
 
 class Parcels:
-    """Makes parcels, and remembers the tokens of arrays that still exist."""
+    """Factory of parcels that remembers the tokens of living arrays."""
 
     def __init__(self) -> None:
         self._contents = itertools.count(1)
@@ -72,7 +76,7 @@ class Parcels:
         self._lock = threading.Lock()
 
     def pack(self, volume: Volume, scene: Scene) -> Parcel:
-        """A parcel with a content number of its own."""
+        """Return a parcel with a new content number."""
         bare = Volume(volume.hu_zyx, volume.lps_from_ijk, volume.is_hu, volume.not_hu_reason)
         file = io.BytesIO()
         packer = _Packer(file, self)
@@ -80,8 +84,8 @@ class Parcels:
         return Parcel(next(self._contents), file.getvalue(), packer.arrays)
 
     def token(self, array: Array) -> int:
-        """The number of an array; views of the same values have the same."""
-        # Views of the same memory are one array; the owner of the memory tells whether it still exists.
+        """Return the token of an array; views of the same values have the same token."""
+        # Views of the same memory count as one array; the owner of the memory shows whether it still exists.
         owner = array
         while isinstance(owner.base, np.ndarray):
             owner = owner.base
@@ -97,9 +101,9 @@ class Parcels:
 
 
 def open_parcel(skeleton: bytes, arrays: Mapping[int, Array]) -> tuple[Volume, Scene]:
-    """The volume and the scene of a parcel; arrays are not copied.
+    """Return the volume and the scene of a parcel without copying arrays.
 
-    Only for parcels of the console that this process joined with a token: they are pickles.
+    A parcel is a pickle, so only parcels of the console that this process joined with a token may be opened.
     """
     volume, scene = _Opener(io.BytesIO(skeleton), arrays).load()
     return volume, scene

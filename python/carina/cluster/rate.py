@@ -1,4 +1,4 @@
-"""How often pictures are complete, and how long they take."""
+"""Meter of the rate and the duration of pictures."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ __all__ = ["RateMeter"]
 
 
 class RateMeter:
-    """How often, and how long, over the last moments."""
+    """Meter of the rate over the last ``over_s`` seconds, and of the median of the last ``keep`` durations."""
 
     def __init__(self, over_s: float = 1.0, keep: int = 64) -> None:
         self._over_s = over_s
@@ -16,14 +16,14 @@ class RateMeter:
         self._spans: deque[float] = deque(maxlen=keep)
 
     def note(self, now_s: float, span_s: float) -> None:
-        """One more."""
-        # Here as well, since nobody may ask.
+        """Add an event with its duration in seconds."""
+        # Old times are removed here too, because rate_hz may never be called.
         self._forget(now_s)
         self._times.append(now_s)
         self._spans.append(span_s)
 
     def rate_hz(self, now_s: float) -> float:
-        """Per second."""
+        """Return the number of events per second."""
         self._forget(now_s)
         return len(self._times) / self._over_s
 
@@ -33,6 +33,6 @@ class RateMeter:
 
     @property
     def median_s(self) -> float | None:
-        """Of the last spans."""
+        """Median of the last durations in seconds; None without any."""
         spans = sorted(self._spans)
         return spans[len(spans) // 2] if spans else None

@@ -1,7 +1,7 @@
-"""Renderers on other machines, by Ray: the one file that imports it.
+"""Renderers on other machines, connected by Ray; no other file imports Ray.
 
-Ray brings membership, placement, restarts, the broadcast of volumes and the transport. What it does not do is react in
-the time of a picture: that is :class:`carina.cluster.scheduler.StripScheduler`.
+Ray provides membership, placement, restarts, the broadcast of volumes and the transport. Ray cannot react within the
+time of a picture; :class:`carina.cluster.scheduler.StripScheduler` does.
 """
 
 from __future__ import annotations
@@ -33,39 +33,40 @@ logger = logging.getLogger(__name__)
 
 POLL_S = 1.0
 CONNECT_S = 15.0
-"""How long a head that does not answer is asked again."""
+"""Time in seconds for which a connection to a head that does not answer is tried again."""
 WAIT_AFTER_FAILURE_S = 5.0
 SLOW_START_S = 30.0
-"""A renderer that has not started for so long is told of."""
+"""Starting time of a renderer in seconds after which the user is notified."""
 SPARE_BYTES = 256 * 1024 * 1024
-"""Memory that a machine needs beside the volume."""
+"""Memory in bytes that a machine needs in addition to the volume."""
 
 
 class _RaysWords(logging.Handler):
-    """What Ray says on this console, as a word for those who look for a fault: people get the console's notices."""
+    """Handler that writes Ray's log messages at DEBUG; users see the notices of the console instead."""
 
     def emit(self, record: logging.LogRecord) -> None:
         logger.debug("Ray: %s", record.getMessage())
 
 
 def _import_ray(token: Path) -> Any:
+    """Import Ray with the environment variables of the cluster, and redirect its messages to the log."""
     check_available()
     os.environ.update({**ray_environment(check_token(token)), **CONSOLE_ENVIRONMENT})
     words = logging.getLogger("ray")
     if words.propagate:
-        # Ray names processes, addresses and paths on standard error, and calls a link that was closed an error.
+        # Ray prints processes, addresses and paths on standard error, and logs a closed connection as an error.
         words.propagate = False
         words.addHandler(_RaysWords())
     import ray
     import ray._private.worker as told
 
-    # What the cluster's machines publish goes to standard output else, in colours.
+    # Otherwise Ray prints the output of the cluster's machines to standard output, in colours.
     told.print_to_stdstream = lambda data, *_, **__: logger.debug("Ray: %s", " ".join(map(str, data.get("lines", ()))))
     return ray
 
 
 def _connect(ray: Any, address: str, ip: str | None) -> None:
-    """Join a cluster as one who gives work out; asked again for a while, since a machine may just be starting."""
+    """Join a cluster as a driver; try again for :data:`CONNECT_S`, because the machine may just be starting."""
     options: dict[str, Any] = {} if ip is None else {"_node_ip_address": ip}
     end_s = time.monotonic() + CONNECT_S
     while True:
@@ -86,13 +87,13 @@ def _connect(ray: Any, address: str, ip: str | None) -> None:
 
 
 def _plain(trouble: BaseException) -> BaseException:
-    """What went wrong on the other machine, without Ray's wrapping."""
+    """Return the original error of the other machine without Ray's wrapper."""
     cause = getattr(trouble, "cause", None)
     return cause if isinstance(cause, BaseException) else trouble
 
 
 class _Store:
-    """Large arrays that every machine fetches once; kept while what is shown needs them."""
+    """Large arrays in Ray's object store, which every machine fetches once, while the present content needs them."""
 
     def __init__(self, ray: Any) -> None:
         self._ray = ray
@@ -100,7 +101,7 @@ class _Store:
         self._lock = threading.Lock()
 
     def refs(self, parcel: Parcel) -> dict[int, Any]:
-        """References to the arrays of a parcel."""
+        """Return references to the arrays of a parcel."""
         with self._lock:
             for token in [token for token in self._refs if token not in parcel.arrays]:
                 del self._refs[token]
@@ -111,7 +112,7 @@ class _Store:
 
 
 class RayLane:
-    """The console's side of a renderer on another machine."""
+    """Lane to a renderer on another machine."""
 
     def __init__(self, name: str, handle: Any, cluster: RayCluster, facts: dict[str, Any], store_bytes: float) -> None:
         self.name = name
@@ -119,25 +120,26 @@ class RayLane:
         self._cluster = cluster
         self._store_bytes = store_bytes
         self._held: set[int] | None = None
-        """Tokens of arrays that the renderer holds; None while that is not known, as after a restart."""
+        """Tokens of arrays that the renderer has; None if unknown, as after a restart."""
         self._facts = _facts(facts)
 
     @property
     def facts(self) -> LaneFacts:
-        """The machine."""
+        """Facts of the machine."""
         return self._facts
 
     def load(self, parcel: Parcel, done: Loaded) -> bool:
-        """Send what is new to the renderer."""
+        """Send the parts of the content that the renderer lacks; see :meth:`carina.cluster.lanes.Lane.load`."""
         light = self._held is not None and set(parcel.arrays) <= self._held
         if light:
             self._send(parcel, {}, done)
         else:
-            # Large arrays are copied into shared memory first: not on the console's own thread.
+            # Large arrays are first copied into shared memory, which must not block the console's thread.
             self._cluster.loader.submit(self._load_large, parcel, done)
         return light
 
     def _load_large(self, parcel: Parcel, done: Loaded) -> None:
+        """Send content with the large arrays that the renderer lacks; runs in a thread of the loader."""
         try:
             ping = self._cluster.ray.get(self._ping(), timeout=10.0)
             self._facts = _facts(ping)
@@ -151,6 +153,7 @@ class RayLane:
             done(_plain(trouble))
 
     def _check_memory(self, parcel: Parcel, num_bytes: int, free_bytes: int | None) -> None:
+        """Raise an error if the machine has too little memory for the content."""
         words = (
             f"the case needs {_words(parcel.num_bytes)}; close other programs on that machine, or use one with more "
             "memory"
@@ -163,6 +166,7 @@ class RayLane:
             raise ClusterError(msg, code="cluster.memory")
 
     def _send(self, parcel: Parcel, new: dict[int, Any], done: Loaded) -> None:
+        """Send content and the references of new arrays to the renderer."""
         tokens = list(new)
         kept = [token for token in parcel.arrays if token not in new]
         ref = self._handle.load.remote(parcel.content, parcel.skeleton, kept, tokens, *new.values())
@@ -179,7 +183,7 @@ class RayLane:
         ref.future().add_done_callback(loaded)
 
     def submit(self, order: StripOrder, done: Answered) -> None:
-        """Render on the other machine."""
+        """Render a strip on the other machine; see :meth:`carina.cluster.lanes.Lane.submit`."""
 
         def answered(future: Future[Any]) -> None:
             trouble = future.exception()
@@ -199,7 +203,7 @@ class RayLane:
             done(_plain(trouble))
 
     def call(self, method: str, *arguments: Any, **options: Any) -> Any:
-        """What a method of the renderer gives, waited for: for tests and benchmarks."""
+        """Call a method of the renderer and wait for its result, for tests and benchmarks."""
         return self._cluster.ray.get(getattr(self._handle, method).remote(*arguments, **options), timeout=60.0)
 
     def _ping(self) -> Any:
@@ -220,7 +224,7 @@ def _words(num_bytes: float) -> str:
 
 @dataclass(slots=True, eq=False)
 class _Started:
-    """A renderer from the moment it was asked for until it is ended."""
+    """A renderer from its creation until its end."""
 
     node: str
     store_bytes: float
@@ -230,7 +234,7 @@ class _Started:
 
 
 class RayCluster:
-    """Keeps a console's lanes what the cluster's machines are: who joins renders, who leaves does not.
+    """Watcher that adds a lane for each machine that joins the cluster, and removes it when the machine leaves.
 
     Parameters
     ----------
@@ -239,17 +243,19 @@ class RayCluster:
     address
         ``HOST:PORT`` of the head. This machine must be in the cluster (``carina cluster start`` or ``join``).
     token
-        The token's file.
+        The token file.
     mixed
-        Let renderers use their graphics devices; pictures then are equal within one grey level only.
+        Let renderers use their graphics devices; pictures may then differ by one grey level.
     host_class, host_options
-        What runs on each machine, for tests and benchmarks.
+        Class and arguments of the renderer on each machine, for tests and benchmarks.
     ip
-        This machine's address in the cluster, where it has several.
+        Address of this machine in the cluster, if it has several.
     limit
-        Use no more renderers than these, for benchmarks.
+        Largest number of renderers, for benchmarks.
+    poll_s
+        Interval in seconds between two checks of the cluster's members.
     clock
-        Seconds, monotonic.
+        Returns the present time in seconds, monotonic.
 
     Raises
     ------
@@ -276,7 +282,7 @@ class RayCluster:
         self._clock = clock
         self._poll_s = poll_s
         self._limit = limit
-        # Tests connect once for many clusters.
+        # Tests use one connection for many clusters.
         self._connected = not self.ray.is_initialized()
         if self._connected:
             _connect(self.ray, address, ip)
@@ -286,22 +292,25 @@ class RayCluster:
         self._host_class = host_class
         self._host_options = {"mixed": mixed, **(host_options or {})}
         self._renderers: dict[str, _Started] = {}
-        """By name: whoever has a lane or is starting. Whoever takes one out of here ends it, for it takes its machine,
-        which has room for one, also where nobody waits for it any more."""
+        """Renderers by name that have a lane or are starting.
+
+        The method that removes a renderer from this dictionary must end it, because the renderer occupies its machine,
+        which has resources for one, even if no caller waits for it.
+        """
         self._not_before: dict[str, float] = {}
         self._refused: set[str] = set()
         self._lock = threading.Lock()
-        """Never held while Ray is asked anything: its own thread takes it, too."""
+        """Lock of the renderers; never held during a call of Ray, because Ray's thread takes it too."""
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._watch, name="carina-membership", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
-        """End all renderers, also those that are only starting, and leave; the cluster goes on."""
+        """End all renderers, including those that are starting, and disconnect; the cluster keeps running."""
         with self._lock:
             if self._stopping.is_set():
                 return
-            # From here on nothing that comes is added: see _start and _answered.
+            # After this, _start and _answered add no renderer.
             self._stopping.set()
             renderers, self._renderers = self._renderers, {}
         for name in renderers:
@@ -309,7 +318,7 @@ class RayCluster:
         for renderer in renderers.values():
             self.end(renderer.handle)
         self._thread.join(timeout=30.0)
-        # The lanes' ends are the console's: it answers in order.
+        # The console closes the lanes in its own thread; its answer to status() shows that this has been done.
         with contextlib.suppress(ClusterError):
             self._console.status()
         self.loader.shutdown(wait=True, cancel_futures=True)
@@ -317,7 +326,7 @@ class RayCluster:
             self.ray.shutdown()
 
     def end(self, handle: Any) -> None:
-        """End one renderer for good, also one that waits to be started; never from a thread of Ray's own."""
+        """End a renderer permanently, also one that has not started; must not be called from Ray's threads."""
         try:
             self.ray.kill(handle, no_restart=True)
         except Exception:  # the cluster may be gone already
@@ -333,6 +342,7 @@ class RayCluster:
                 return
 
     def _look(self) -> None:
+        """Compare the machines of the cluster with the renderers; start new renderers and remove lost ones."""
         places: dict[str, tuple[str, float]] = {}
         for node in self.ray.nodes():
             num = int(node["Resources"].get("renderer", 0)) if node["Alive"] else 0
@@ -366,10 +376,11 @@ class RayCluster:
             )
 
     def _start(self, name: str, node: str, store_bytes: float) -> None:
+        """Start a renderer on a machine; its lane is added when the renderer has answered."""
         remote = self.ray.remote(
             num_cpus=0,
             resources={"renderer": 1},
-            # The renderer comes back by itself after it died; strips are given again by us, never by Ray.
+            # Ray restarts a renderer that died; strips are issued again by Carina's scheduler, not by Ray.
             max_restarts=-1,
             max_task_retries=0,
             concurrency_groups={"control": 1},
@@ -389,14 +400,14 @@ class RayCluster:
         ref.future().add_done_callback(partial(self._heard, name, renderer))
 
     def _heard(self, name: str, renderer: _Started, ping: Future[Any]) -> None:
-        """In Ray's own thread, which may not wait for Ray."""
+        """Pass a renderer's first answer to another thread, because Ray's thread must not wait for Ray."""
         with self._lock:
-            # Once it is closed nobody is left to do it, and nothing to be done: it was ended.
+            # After close() the renderer has been ended, and nothing remains to be done.
             if self._renderers.get(name) is renderer:
                 self.loader.submit(self._answered, name, renderer, ping)
 
     def _answered(self, name: str, renderer: _Started, ping: Future[Any]) -> None:
-        """A renderer has started, or could not be."""
+        """Add the lane of a renderer that has started, or report why it could not start."""
         trouble: BaseException | None = None
         try:
             said = ping.result()
@@ -407,11 +418,11 @@ class RayCluster:
             words = f"the renderer on {name} could not be started: {_first_line(_plain(failure))}"
         with self._lock:
             if self._renderers.get(name) is not renderer:
-                # It has left, or all was closed, and it was ended by whoever found that.
+                # The machine has left or the cluster was closed, and the code that removed the renderer has ended it.
                 return
             if lane is not None:
                 renderer.has_answered = True
-                # Under the lock: whoever ends it removes the lane after it was added.
+                # Added under the lock, so that a later removal of the lane cannot happen before its addition.
                 self._console.add_lane(lane)
                 return
             del self._renderers[name]
@@ -424,7 +435,21 @@ class RayCluster:
 
 
 def look(address: str, token: Path, *, ip: str | None = None) -> list[dict[str, Any]]:
-    """Who is in a cluster: ``ip``, ``alive``, ``renderers``, ``busy`` (a console uses it), ``store_bytes``.
+    """Return the machines of a cluster.
+
+    Parameters
+    ----------
+    address
+        ``HOST:PORT`` of the head.
+    token
+        The token file.
+    ip
+        Address of this machine in the cluster, if it has several.
+
+    Returns
+    -------
+    list of dict
+        For each machine ``ip``, ``alive``, ``renderers``, ``busy`` (whether a console uses it) and ``store_bytes``.
 
     Raises
     ------
@@ -450,7 +475,7 @@ def look(address: str, token: Path, *, ip: str | None = None) -> list[dict[str, 
 
 
 def version_words(console: str, renderer: str, name: str) -> str | None:
-    """Why two versions do not work together, and which side to upgrade; None where they do."""
+    """Return a message about incompatible versions and which side to upgrade; None if the versions are equal."""
     if console == renderer:
         return None
 
@@ -470,6 +495,7 @@ def _first_line(trouble: BaseException) -> str:
 
 
 def _refusal(address: str, trouble: BaseException) -> str:
+    """Return the message about a connection that failed, with the likely cause."""
     text = str(trouble)
     if "version" in text.lower() and "mismatch" in text.lower():
         return (

@@ -1,4 +1,4 @@
-"""A renderer whose pictures come from many machines; to a session it is one like any other."""
+"""A renderer that uses many machines, with the interface of :class:`carina.render.Renderer`."""
 
 from __future__ import annotations
 
@@ -34,24 +34,25 @@ from carina.volume import Volume
 __all__ = ["ClusterRenderer", "render_frames"]
 
 LEAST_PIXELS = 128 * 128
-"""Smaller pictures are rendered sooner than they travel."""
+"""Pictures with fewer pixels are rendered on this machine, because sending them takes longer than rendering them."""
 POLL_S = 0.02
 
 
 class ClusterRenderer:
-    """Renders the views of one volume on the machines of a console.
+    """Renderer of the views of one volume on the machines of a console.
 
-    Pictures are those of :class:`carina.render.Renderer`, bit for bit. What travels slower than it is rendered (planes,
-    projections, small pictures) is rendered here, and so is everything while no machine is there.
+    Pictures are equal to those of :class:`carina.render.Renderer`, bit for bit. Views that take longer to send than to
+    render (planes, projections, small pictures) are rendered on this machine, and so are all views if no other machine
+    is available.
 
     Parameters
     ----------
     renderer
-        This machine's renderer of the volume. It holds what is shown; the others get it from here.
+        Renderer of the volume on this machine. The other machines get its content.
     console
-        Where the machines are. Its content becomes this renderer's.
+        Connection to the machines, which sends this renderer's content to them.
     spread_all
-        Spread every view that can be cut, however small: for tests.
+        Distribute every view that can be divided, also small ones, for tests.
     """
 
     def __init__(self, renderer: Renderer, console: Console, *, spread_all: bool = False) -> None:
@@ -63,11 +64,12 @@ class ClusterRenderer:
         self._sending = threading.Lock()
 
     def __repr__(self) -> str:
+        """Return the representation of the local renderer."""
         return f"ClusterRenderer({self._renderer!r})"
 
     @property
     def volume(self) -> Volume:
-        """The volume."""
+        """The volume whose views are rendered."""
         return self._renderer.volume
 
     @property
@@ -77,44 +79,44 @@ class ClusterRenderer:
 
     @property
     def prepared(self) -> bool:
-        """True if ``leap`` leaps."""
+        """Whether the maps for ``leap`` are built; without them, ``leap`` renders the same picture by brute force."""
         return self._renderer.prepared
 
     @property
     def scene(self) -> Scene:
-        """What pictures are made from now."""
+        """The present content of pictures."""
         return self._renderer.scene
 
     def set_transfer(self, transfer: TransferFunction) -> None:
-        """See :meth:`carina.render.Renderer.set_transfer`."""
+        """Set the transfer function; see :meth:`carina.render.Renderer.set_transfer`."""
         self._renderer.set_transfer(transfer)
 
     def set_lumen(self, lumen_zyx: NDArray[np.uint8] | None, tree: DecorationTree | None = None) -> None:
-        """See :meth:`carina.render.Renderer.set_lumen`."""
+        """Set the lumen and its tree; see :meth:`carina.render.Renderer.set_lumen`."""
         self._renderer.set_lumen(lumen_zyx, tree)
 
     @shows_progress
     def prepare(
         self, progress: ProgressChoice = None, cancel: Cancel | None = None, *, all_classes: bool | None = None
     ) -> None:
-        """See :meth:`carina.render.Renderer.prepare`; maps are built here and sent."""
+        """Build the maps on this machine and send them to the others; see :meth:`carina.render.Renderer.prepare`."""
         self._renderer.prepare(progress, cancel, all_classes=all_classes)
         self._send()
 
     def wait_stored(self) -> None:
-        """See :meth:`carina.render.Renderer.wait_stored`."""
+        """Wait until maps are stored; see :meth:`carina.render.Renderer.wait_stored`."""
         self._renderer.wait_stored()
 
     def surface(self, view: AirwayView, *, rows: tuple[int, int] | None = None) -> Surface:
-        """See :meth:`carina.render.Renderer.surface`; made here."""
+        """Return the visible surface, computed on this machine; see :meth:`carina.render.Renderer.surface`."""
         return self._renderer.surface(view, rows=rows)
 
     def pick(self, view: AirwayView, column: int, row: int) -> Hit | None:
-        """See :meth:`carina.render.Renderer.pick`; one ray, made here."""
+        """Return the hit of one ray, computed on this machine; see :meth:`carina.render.Renderer.pick`."""
         return self._renderer.pick(view, column, row)
 
     def spreads(self, view: View) -> bool:
-        """Whether a view is rendered by other machines, if there are any."""
+        """Return whether a view is rendered on other machines, if any are available."""
         if self._spread_all:
             return can_cut(view)
         large = view.width * view.height >= LEAST_PIXELS
@@ -129,10 +131,30 @@ class ClusterRenderer:
         scene: Scene | None = None,
         stream: str | None = None,
     ) -> Picture:
-        """Render one view; see :meth:`carina.render.Renderer.render`. Several threads may ask at once.
+        """Render one view; see :meth:`carina.render.Renderer.render`. Several threads may call this at once.
 
-        ``stream`` names pictures of which only the newest matters: an older one that still waits is given up, with
-        CancelledError.
+        Parameters
+        ----------
+        view
+            The view to render.
+        rows
+            First row and row after the last; None for the whole picture. Single rows are rendered on this machine.
+        stop
+            Cancels the rendering.
+        scene
+            Another scene than the present one, rendered on this machine.
+        stream
+            Name of a series of pictures of which only the newest matters: an older one that still waits is cancelled.
+
+        Returns
+        -------
+        Picture
+            The picture.
+
+        Raises
+        ------
+        CancelledError
+            If ``stop`` was cancelled, or a newer picture of the stream replaced this one.
         """
         if rows is not None or scene is not None or not self.spreads(view) or not self._console.has_renderers:
             return self._renderer.render(view, rows=rows, stop=stop, scene=scene)
@@ -146,9 +168,16 @@ class ClusterRenderer:
                     raise CancelledError("the image was superseded by a newer one") from None
 
     def want(self, view: View, *, whole: bool = False, stream: str | None = None) -> tuple[int, Future[Picture]]:
-        """Ask for a picture of what is shown now, and go on: its number, and the picture when it is there.
+        """Request a picture of the present content without waiting; return its number and its future.
 
-        ``whole`` gives it to one machine uncut, for jobs of many pictures.
+        Parameters
+        ----------
+        view
+            The view to render.
+        whole
+            Render the undivided picture on one machine, for jobs of many pictures.
+        stream
+            As in :meth:`render`.
         """
         scene, content = self._send()
         return self._console.render(view, Content(content, self._renderer, scene), whole=whole, stream=stream)
@@ -156,31 +185,30 @@ class ClusterRenderer:
     def render_frames(
         self, views: Iterable[View], *, first: int = 0, ahead: int | None = None, cancel: Cancel | None = None
     ) -> Iterator[tuple[int, Picture]]:
-        """Render many pictures, whole ones side by side, and hand them over in order: films, series, data sets.
+        """Render many pictures, each on one machine, and yield them in order, for films, series and data sets.
 
         Parameters
         ----------
         views
-            What to render; a generator is asked only as far ahead as pictures are under way.
+            The views to render; a generator is read only as far as pictures are being rendered.
         first
-            Number of the first picture to render: a job that was interrupted goes on behind the last number it got.
-            Earlier views are passed over.
+            Number of the first picture to render, to continue an interrupted job. Earlier views are skipped.
         ahead
-            Pictures under way at once; as many as keep all machines busy unless told.
+            Number of pictures rendered at the same time; None selects the number that keeps all machines busy.
         cancel
-            Asked between pictures.
+            Called between pictures; a true result cancels the job.
 
         Yields
         ------
         (number, picture)
-            In order, none left out. A machine that is lost costs time, never a picture.
+            In order, without gaps. The loss of a machine costs time, but no picture.
 
         Raises
         ------
         CancelledError
-            If ``cancel`` said so.
+            If ``cancel`` returned true.
         RenderError
-            What the first refused view is refused for, in its turn.
+            The error of the first invalid view, in its turn.
         """
         under_way: list[tuple[int, int, Future[Picture]]] = []
         source = iter(enumerate(views))
@@ -189,7 +217,7 @@ class ClusterRenderer:
             exhausted = False
             while True:
                 if limit is None or ahead is None:
-                    # Two for each machine, and one that is being handed over.
+                    # Two pictures for each machine, and one that is being yielded.
                     limit = 2 * self._console.num_ready + 1
                 while not exhausted and len(under_way) < limit:
                     item = next(source, None)
@@ -215,11 +243,11 @@ class ClusterRenderer:
                 self._console.drop(frame_id)
 
     def status(self) -> ClusterStatus:
-        """How the cluster does."""
+        """Return the state of the cluster and its machines."""
         return self._console.status()
 
     def _send(self) -> tuple[Scene, int]:
-        """The present scene and its number; told to the console where it is new."""
+        """Return the present scene and its content number; pass a new scene to the console."""
         with self._sending:
             scene = self._renderer.scene
             if self._sent is None or self._sent[0] is not scene:

@@ -1,11 +1,11 @@
-"""Who renders which strip, and when a strip goes to another: the paper's scheduler (5), driven by events.
+"""The scheduler that assigns strips to lanes and reassigns late strips (paper 5); it is driven by events.
 
-There is no clock, no thread and no socket in here: every event brings its time, and what has to be done about it is
-taken with :meth:`StripScheduler.take`. So the same scheduler runs a cluster, a simulation and the property tests.
+The scheduler has no clock, thread or socket: every event contains its time, and the resulting actions are collected by
+:meth:`StripScheduler.take`. So the same scheduler runs a cluster, a simulation and the property tests.
 
-What it promises, whatever order events come in: each row of a complete frame was answered exactly once; a lane never
-holds more than ``in_flight`` strips; no more than ``open_frames`` frames are open; a frame that is wanted is completed,
-dropped on purpose, or waits for a lane.
+Guarantees for any order of events: each row of a complete frame was answered exactly once; a lane never has more than
+``in_flight`` strips; at most ``open_frames`` frames are open; a requested frame is completed, dropped on request, or
+waits for a lane.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ LaneState = Literal["ready", "late", "away"]
 
 @dataclass(frozen=True, slots=True)
 class Issue:
-    """Send this strip to this lane."""
+    """Action: send a strip to a lane."""
 
     task_id: int
     lane: Lane
@@ -38,33 +38,33 @@ class Issue:
     first_row: int
     end_row: int
     again: bool
-    """Whether another lane has had it before."""
+    """Whether another lane has had the strip before."""
 
 
 @dataclass(frozen=True, slots=True)
 class FrameDone:
-    """All rows of a frame have been accepted."""
+    """Event: all rows of a frame have been accepted."""
 
     frame_id: int
 
 
 @dataclass(frozen=True, slots=True)
 class FrameDropped:
-    """A frame will never be complete: nobody wants it any more."""
+    """Event: a frame was dropped and will not be completed."""
 
     frame_id: int
 
 
 @dataclass(frozen=True, slots=True)
 class LaneLate:
-    """A lane has not answered in time; its strips went to others."""
+    """Event: a lane has not answered in time, and its strips were assigned to other lanes."""
 
     lane: Lane
 
 
 @dataclass(frozen=True, slots=True)
 class LaneBack:
-    """A late lane has answered after all."""
+    """Event: a late lane has answered."""
 
     lane: Lane
 
@@ -74,13 +74,13 @@ Action = Issue | FrameDone | FrameDropped | LaneLate | LaneBack
 
 @dataclass(frozen=True, slots=True)
 class LaneView:
-    """How a lane does, for people."""
+    """State of a lane, for the user."""
 
     lane: Lane
     state: LaneState
     reserve: bool
     share: float
-    """Of the next frame, 0 to 1."""
+    """Share of the next frame, 0 to 1."""
     num_in_flight: int
     num_answers: int
     num_late: int
@@ -89,6 +89,8 @@ class LaneView:
 
 @dataclass(slots=True)
 class _Task:
+    """A strip that was issued to a lane."""
+
     task_id: int
     frame_id: int
     strip: int
@@ -99,18 +101,20 @@ class _Task:
 
 @dataclass(slots=True)
 class _Lane:
+    """State of one lane."""
+
     reserve: bool
     content: Hashable
     order: int
     state: LaneState = "ready"
     in_flight: deque[_Task] = field(default_factory=deque)
     queue: list[tuple[int, int]] = field(default_factory=list)
-    """(frame id, strip) not yet issued, oldest frame first."""
+    """Strips that are not issued yet, as (frame id, strip), the oldest frame first."""
     answered_s: float = float("-inf")
     pace: dict[Hashable, float] = field(default_factory=dict)
-    """Smoothed seconds per row, by what is rendered: the deadlines' estimate."""
+    """Smoothed seconds per row by ``cost``, from which deadlines are estimated."""
     measured: dict[Hashable, tuple[float, int]] = field(default_factory=dict)
-    """Seconds and rows since the last epoch."""
+    """Seconds and rows since the last epoch, by ``cost``."""
     last_m: dict[Hashable, float] = field(default_factory=dict)
     num_answers: int = 0
     num_late: int = 0
@@ -118,6 +122,8 @@ class _Lane:
 
 @dataclass(slots=True)
 class _Frame:
+    """State of one frame."""
+
     frame_id: int
     num_rows: int
     content: Hashable
@@ -128,21 +134,24 @@ class _Frame:
     strips: list[tuple[int, int]] = field(default_factory=list)
     missing: set[int] = field(default_factory=set)
     holders: dict[int, set[Lane]] = field(default_factory=dict)
-    """Lanes that have a strip, issued or queued; late ones too."""
+    """Lanes to which a strip is issued or queued, including late lanes."""
 
 
-# Weight of a new time in the deadlines' estimate: a camera that comes near a wall changes a row's cost within frames.
+# Weight of a new time in the estimate for deadlines: near a wall, the cost of a row changes within a few frames.
 PACE_WEIGHT = 0.3
 KINDS_REMEMBERED = 32
 ALONE_S = 0.05
-"""A frame that one lane takes so long for has no other open beside it: its response is halved for less than a seventh
-of the rate. Quicker ones would lose up to half of it to the way there and back."""
+"""Rendering time in seconds from which a single lane has only one frame open.
+
+The rule halves the response time for less than a seventh of the frame rate. For faster frames the rule would cost up to
+half of the rate, because of the transport.
+"""
 
 
 class StripScheduler:
-    """Shares frames out among lanes.
+    """Scheduler that divides frames among lanes.
 
-    Every method is an event; the time ``now_s`` never runs backwards. Actions are collected for :meth:`take`.
+    Every method is an event; the time ``now_s`` must not decrease. Actions are collected for :meth:`take`.
     """
 
     def __init__(self, settings: ClusterSettings | None = None) -> None:
@@ -155,36 +164,34 @@ class StripScheduler:
         self._orders = itertools.count()
         self._actions: list[Action] = []
 
-    # --- what others ask -------------------------------------------------------------------------------------------
-
     def take(self) -> list[Action]:
-        """What has to be done, in order; then forgotten."""
+        """Return the collected actions in order, and clear them."""
         actions, self._actions = self._actions, []
         return actions
 
     @property
     def deadline_s(self) -> float | None:
-        """When :meth:`tick` should be called next, if nothing else happens; None for never."""
+        """Time of the next call of :meth:`tick` if no other event happens; None if no deadline is set."""
         due = (self._due_s(lane) for lane in self._lanes.values())
         return min((due_s for due_s in due if due_s is not None), default=None)
 
     @property
     def num_open(self) -> int:
-        """Frames under way."""
+        """Number of frames that are being rendered."""
         return len(self._frames)
 
     @property
     def num_waiting(self) -> int:
-        """Frames that wait for a buffer."""
+        """Number of frames that wait for a buffer."""
         return len(self._waiting)
 
     def rows(self, frame_id: int, strip: int) -> tuple[int, int] | None:
-        """First row and row after the last of a strip; None once its frame is done or dropped."""
+        """Return the first row and the row after the last of a strip; None after its frame is complete or dropped."""
         frame = self._frames.get(frame_id)
         return None if frame is None else frame.strips[strip]
 
     def lanes(self) -> list[LaneView]:
-        """How all lanes do, in the order they joined."""
+        """Return the states of all lanes, in the order in which they joined."""
         able = [name for name, lane in self._lanes.items() if lane.state == "ready" and not lane.reserve]
         shares = self._shares.of(able)
         if not able:
@@ -204,12 +211,22 @@ class StripScheduler:
             for name, lane in self._lanes.items()
         ]
 
-    # --- membership ------------------------------------------------------------------------------------------------
-
     def join(self, lane: Lane, now_s: float, *, content: Hashable = None, reserve: bool = False) -> None:
-        """A lane is ready to render ``content``. One that was away or late is as new.
+        """Add a lane that has loaded ``content``; a lane that was away or late starts anew.
 
-        A ``reserve`` lane renders any content, but only what no other lane can: the console itself.
+        A ``reserve`` lane renders any content, but only strips that no other lane can render; the console's own lane is
+        one.
+
+        Parameters
+        ----------
+        lane
+            Name of the lane.
+        now_s
+            Present time in seconds.
+        content
+            Content that the lane has loaded.
+        reserve
+            Whether the lane is used only if no other can render.
         """
         if lane in self._lanes:
             self.leave(lane, now_s)
@@ -219,7 +236,7 @@ class StripScheduler:
         self._go_on(now_s)
 
     def leave(self, lane: Lane, now_s: float) -> None:
-        """A lane is gone; what it had goes to others."""
+        """Remove a lane and assign its strips to others."""
         state = self._lanes.pop(lane, None)
         if state is None:
             return
@@ -228,19 +245,17 @@ class StripScheduler:
         self._go_on(now_s)
 
     def load(self, lane: Lane, content: Hashable, now_s: float) -> None:
-        """From now on a lane renders other content; what it has of the old one it still answers."""
+        """Set the content that a lane renders from now on; it still answers the issued strips of the former content."""
         state = self._lanes.get(lane)
         if state is None or state.content == content:
             return
         state.content = content
-        # What was not sent yet would arrive after the new content.
+        # Strips that were not sent yet would arrive after the new content.
         stale = [(f, s) for f, s in state.queue if self._frames[f].content != content]
         state.queue = [item for item in state.queue if item not in stale]
         for frame_id, strip in stale:
             self._release(lane, frame_id, strip)
         self._go_on(now_s)
-
-    # --- frames ----------------------------------------------------------------------------------------------------
 
     def want(
         self,
@@ -254,24 +269,26 @@ class StripScheduler:
         whole: bool = False,
         max_rows: int | None = None,
     ) -> None:
-        """Render a frame as soon as there is a buffer for it.
+        """Render a frame as soon as a buffer is available.
 
         Parameters
         ----------
         frame_id
-            Names the frame; never used twice.
+            Number of the frame; must not be used twice.
         num_rows
-            Its height.
+            Height of the frame.
+        now_s
+            Present time in seconds.
         content
-            What it shows: only lanes that have loaded this take part.
+            Content of the frame; only lanes that have loaded it take part.
         cost
-            Frames of one ``cost`` take about equally long per row: the same view in the same width.
+            Frames with equal ``cost`` take about the same time per row: the same view in the same width.
         stream
-            Of the frames of one stream that wait for a buffer only the newest is kept, and a frame that is complete
-            drops the older ones: the camera has moved on. None for frames that are all wanted.
+            Of the frames of one stream that wait for a buffer, only the newest stays, and a complete frame drops the
+            older ones, because the camera has moved on. None for frames that are all needed.
         whole
-            Do not cut it: each frame goes to one lane, for jobs of many pictures. Then as many frames are open as
-            lanes can hold.
+            Do not divide the frame: one lane renders it, for jobs of many pictures. As many frames are then open as
+            lanes can take.
         max_rows
             Largest height of a strip.
         """
@@ -287,7 +304,7 @@ class StripScheduler:
         self._go_on(now_s)
 
     def drop(self, frame_id: int, now_s: float) -> None:
-        """Nobody wants a frame any more. Answers that are still under way are thrown away when they come."""
+        """Drop a frame; answers that arrive later are discarded."""
         for frame in self._waiting:
             if frame.frame_id == frame_id:
                 self._waiting.remove(frame)
@@ -300,45 +317,44 @@ class StripScheduler:
             self._actions.append(FrameDropped(frame_id))
         self._go_on(now_s)
 
-    # --- answers ---------------------------------------------------------------------------------------------------
-
     def wants(self, lane: Lane, task_id: int) -> bool:
-        """Whether :meth:`answered` would accept this answer; changes nothing."""
+        """Return whether :meth:`answered` would accept an answer; nothing changes."""
         state = self._lanes.get(lane)
         task = None if state is None else next((t for t in state.in_flight if t.task_id == task_id), None)
         frame = None if task is None else self._frames.get(task.frame_id)
         return task is not None and frame is not None and task.strip in frame.missing
 
     def answered(self, lane: Lane, task_id: int, seconds: float, now_s: float) -> bool:
-        """A lane has rendered a strip.
+        """Record that a lane has rendered a strip.
 
         Parameters
         ----------
         lane, task_id
-            Of the :class:`Issue`.
+            Values of the :class:`Issue`.
         seconds
-            What the renderer says it took.
+            Rendering time that the renderer reported.
         now_s
-            When the answer was here.
+            Time at which the answer arrived.
 
         Returns
         -------
         bool
-            Whether its rows are wanted: the first answer of each strip of an open frame. Copy them before
-            :meth:`take`, which may say that the frame is done.
+            Whether the rows are needed: True for the first answer of each strip of an open frame. The caller copies
+            them before :meth:`take`, which may report that the frame is done.
         """
         state = self._lanes.get(lane)
         task = None if state is None else next((t for t in state.in_flight if t.task_id == task_id), None)
         if state is None or task is None:
             return False
-        # Strips wait in the lane for the one before. Measured is what the console waits: the network counts, as in
-        # the paper; two answers that are seen at once must not make one of them free.
+        # A strip waits in the lane for the one before. The measured time is the console's waiting time, which includes
+        # the network, as in the paper; ``seconds`` is its minimum in case two answers are read at once.
         service_s = max(now_s - max(task.issued_s, state.answered_s), seconds, 1e-9)
         state.in_flight.remove(task)
         state.answered_s = now_s
         state.num_answers += 1
         frame = self._frames.get(task.frame_id)
-        # Also where the frame was completed by others long ago: else the slowest would never be known as slow.
+        # Measured also if other lanes completed the frame earlier; otherwise the slowest lane would never count as
+        # slow.
         self._measure(state, task, service_s)
         if state.state == "late":
             state.state = "ready"
@@ -358,7 +374,7 @@ class StripScheduler:
         return accepted
 
     def failed(self, lane: Lane, task_id: int, now_s: float) -> None:
-        """A lane could not render a strip, or answered with something else: it gets nothing until it joins again."""
+        """Record that a lane could not render a strip or answered wrongly; it gets no strips until it joins again."""
         state = self._lanes.get(lane)
         if state is None:
             return
@@ -371,7 +387,7 @@ class StripScheduler:
         self._go_on(now_s)
 
     def tick(self, now_s: float) -> None:
-        """Time has passed: lanes whose oldest strip is overdue are late, and others get what they had."""
+        """Mark lanes whose oldest strip is overdue as late, and assign their strips to others."""
         for name, state in list(self._lanes.items()):
             due_s = self._due_s(state)
             if due_s is not None and now_s >= due_s:
@@ -381,10 +397,9 @@ class StripScheduler:
                 self._hand_over(name, state, gone=False)
         self._go_on(now_s)
 
-    # --- inside ----------------------------------------------------------------------------------------------------
-
     def _due_s(self, lane: _Lane) -> float | None:
-        # The console's own lane is the last resort: nobody is quicker.
+        """Return the time at which the oldest strip of a lane is late; None if the lane has no deadline."""
+        # The console's own lane has no deadline, because no other lane is left for its strips.
         if lane.state != "ready" or lane.reserve or not lane.in_flight:
             return None
         task = lane.in_flight[0]
@@ -396,10 +411,9 @@ class StripScheduler:
         return max(task.issued_s, lane.answered_s) + limit_s
 
     def _first_answer_s(self, task: _Task) -> float:
-        """How long a lane may take whose pace is not known: the pace of the others tells, where there is one.
+        """Return the deadline in seconds for a lane of unknown speed, estimated from the other lanes.
 
-        It may be many times slower than they are, or have to prepare; but whoever has just come must not hold the
-        picture up much longer than who was there before.
+        A new lane may be many times slower than the others or may have to prepare, but must not delay the picture much.
         """
         settings = self.settings
         paces = [lane.pace[task.cost] for lane in self._lanes.values() if task.cost in lane.pace and not lane.reserve]
@@ -409,9 +423,11 @@ class StripScheduler:
         return min(settings.first_answer_s, max(guess_s, 4.0 * settings.late_floor_s))
 
     def _measure(self, lane: _Lane, task: _Task, service_s: float) -> None:
+        """Update the pace of a lane with the measured time of a strip."""
         row_s = service_s / task.num_rows
         old = lane.pace.pop(task.cost, None)
-        # Slower is believed sooner than faster: a lane that has become slow would be late again and again.
+        # A larger time has more weight than a smaller one: otherwise a lane that became slow would be late again and
+        # again.
         weight = 1.0 if old is None else 0.7 if row_s > 2.0 * old else PACE_WEIGHT
         lane.pace[task.cost] = row_s if old is None else old + weight * (row_s - old)
         seconds, rows = lane.measured.get(task.cost, (0.0, 0))
@@ -421,6 +437,7 @@ class StripScheduler:
                 kept.pop(next(iter(kept)))
 
     def _finish(self, frame: _Frame) -> None:
+        """Complete a frame, drop older frames of its stream, and update the shares."""
         self._forget(frame.frame_id)
         self._actions.append(FrameDone(frame.frame_id))
         if frame.stream is not None:
@@ -446,13 +463,13 @@ class StripScheduler:
             lane.queue = [item for item in lane.queue if item[0] != frame_id]
 
     def _release(self, lane: Lane, frame_id: int, strip: int) -> None:
-        """A lane no longer has a strip."""
+        """Remove a lane from the holders of a strip."""
         frame = self._frames.get(frame_id)
         if frame is not None and strip in frame.holders:
             frame.holders[strip].discard(lane)
 
     def _hand_over(self, name: Lane, lane: _Lane, *, gone: bool) -> None:
-        """What a lane has goes to others: what it has not got yet for good, the rest to whoever answers first."""
+        """Give up the queued strips of a lane, and its issued strips only if the lane is gone or away."""
         queued, lane.queue = lane.queue, []
         for frame_id, strip in queued:
             self._release(name, frame_id, strip)
@@ -461,7 +478,7 @@ class StripScheduler:
                 self._release(name, task.frame_id, task.strip)
 
     def _able(self, frame: _Frame) -> list[Lane]:
-        """Lanes that can take strips of a frame now."""
+        """Return the lanes that can take strips of a frame now."""
         ready = [(name, lane) for name, lane in self._lanes.items() if lane.state == "ready"]
         able = [name for name, lane in ready if not lane.reserve and lane.content == frame.content]
         return able or [name for name, lane in ready if lane.reserve]
@@ -472,7 +489,7 @@ class StripScheduler:
         self._issue(now_s)
 
     def _adopt_orphans(self) -> None:
-        """Strips that only late lanes have, or none, go to one that is ready; whoever answers first wins."""
+        """Assign strips that no ready lane has to a ready lane; the first answer is accepted."""
         for frame in self._frames.values():
             for strip in sorted(frame.missing):
                 if any(name in self._lanes and self._lanes[name].state == "ready" for name in frame.holders[strip]):
@@ -486,7 +503,7 @@ class StripScheduler:
         return min(able, key=lambda name: (self._busy_s(name, frame), self._lanes[name].order))
 
     def _busy_s(self, name: Lane, frame: _Frame) -> float:
-        """How long a lane would take for what it has, and as much again."""
+        """Return the time in seconds that a lane needs for its strips and one more row."""
         lane = self._lanes[name]
         paces = [other.pace[frame.cost] for other in self._lanes.values() if frame.cost in other.pace]
         pace = lane.pace.get(frame.cost, sum(paces) / len(paces) if paces else 1.0)
@@ -503,7 +520,10 @@ class StripScheduler:
         frame.holders[strip].add(name)
 
     def _most_open(self, frame: _Frame, able: list[Lane]) -> int:
-        """Frames that may be open, this one included. Where one lane does all, another would wait in it and be old."""
+        """Return the largest number of open frames, including this one.
+
+        If a single slow lane renders everything, a second frame would only wait in the lane and become outdated.
+        """
         if len(able) == 1:
             pace = self._lanes[able[0]].pace.get(frame.cost)
             if pace is not None and pace * frame.num_rows >= ALONE_S:
@@ -511,12 +531,13 @@ class StripScheduler:
         return self.settings.open_frames
 
     def _open_frames(self) -> None:
+        """Open waiting frames while buffers are free, and divide them into strips."""
         for frame in list(self._waiting):
             able = self._able(frame)
             alike = sum(1 for other in self._frames.values() if other.whole == frame.whole)
             limit = self.settings.in_flight * len(able) if frame.whole else self._most_open(frame, able)
             if not able or alike >= limit:
-                # In order: a frame that cannot begin holds the later ones of its kind up.
+                # Frames of one kind start in order: a frame that cannot start blocks the later ones.
                 if all(other.whole == frame.whole for other in self._waiting):
                     return
                 continue
@@ -531,6 +552,7 @@ class StripScheduler:
                 self._queue(name, frame, strip)
 
     def _issue(self, now_s: float) -> None:
+        """Issue queued strips to ready lanes, up to ``in_flight`` per lane."""
         for name, lane in self._lanes.items():
             while lane.state == "ready" and lane.queue and len(lane.in_flight) < self.settings.in_flight:
                 frame_id, strip = lane.queue.pop(0)

@@ -1,4 +1,4 @@
-"""What decides how pictures are shared out; every number can be changed, and each says where it comes from."""
+"""Settings of the division of pictures among machines, with the source of each value."""
 
 from __future__ import annotations
 
@@ -13,32 +13,36 @@ __all__ = ["ClusterSettings"]
 @one_line
 @dataclass(frozen=True, slots=True)
 class ClusterSettings:
-    """How frames are cut, issued and watched (paper 5; docs/decisions/0109)."""
+    """Settings for dividing, issuing and monitoring frames (paper 5; docs/decisions/0109)."""
 
     in_flight: int = 2
-    """Strips issued to a lane before its first answer is back: subtask pre-assignment (paper 5.1). 1 is without."""
+    """Strips issued to a lane before its first answer: subtask pre-assignment (paper 5.1). 1 disables it."""
     open_frames: int = 2
     """Frames that are rendered at the same time: image buffers (paper 5.1). 1 waits for each frame."""
     balances: bool = True
-    """Whether shares follow the measured times (paper 5.2); without, all lanes get the same number of rows."""
+    """Whether shares follow the measured times (paper 5.2); if not, all lanes get the same number of rows."""
     inertia: float = 0.9
-    """I of the forgetting function (paper 5.2)."""
+    """Inertia I of the forgetting function (paper 5.2)."""
     settling_inertia: float = 0.5
-    """I for the first epochs after a lane has joined or come back: 23 frames to a true share by 0.9, 5 by 0.5."""
+    """Inertia for the first epochs after a lane has joined or returned.
+
+    The share reaches its true value after 5 frames with 0.5, and after 23 frames with 0.9.
+    """
     settling_epochs: int = 10
-    """How many epochs those are."""
+    """Number of epochs with ``settling_inertia``."""
     min_rows: int = 4
-    """Least height of a strip, so that a slow lane goes on being measured."""
+    """Smallest height of a strip, so that a slow lane is still measured."""
     max_strip_bytes: int = 1_000_000
-    """Larger strips are cut again. Answers above 1 MiB leave the quick path of the transport: 9 ms instead of 1."""
+    """Largest size of an answer; larger strips are divided. Answers above 1 MiB take 9 ms instead of 1 ms."""
     late_factor: float = 3.0
-    """A strip that takes this many times what was expected is late."""
+    """A strip is late if it takes this multiple of the expected time."""
     late_floor_s: float = 0.05
-    """But none is late sooner than this."""
+    """Shortest time in seconds after which a strip can be late."""
     first_answer_s: float = 2.0
-    """How long a lane may take whose pace is not known yet."""
+    """Deadline in seconds for the first answer of a lane of unknown speed."""
 
     def __post_init__(self) -> None:
+        """Raise an error for settings outside their ranges."""
         for what, value in (("in_flight", self.in_flight), ("open_frames", self.open_frames)):
             if not 1 <= value <= 64:
                 raise UsageError(f"cluster: {what} must be between 1 and 64; found {value}", code="usage.cluster")

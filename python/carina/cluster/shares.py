@@ -1,4 +1,4 @@
-"""Who gets how much of a picture: the paper's forgetting function (5.2)."""
+"""Shares of the lanes in a picture: the paper's forgetting function (5.2)."""
 
 from __future__ import annotations
 
@@ -10,12 +10,14 @@ __all__ = ["Shares"]
 
 
 class Shares:
-    """The shares p_i of the lanes. They sum to one.
+    """The shares p_i of the lanes, which sum to one.
 
     Paper 5.2: ``r_i = m_i^-1 / sum(m^-1)``, ``p_i(t) = p_i(t-1) I + r_i(t) (1 - I)``, ``p_i(0) = 1/n``.
-    Departure: m_i is the time *per row*, not of the strip. Strips get heights in proportion to p, so with raw times
-    p settles at 1/sqrt(cost): a renderer three times slower keeps 0.16 of four instead of its 0.10.
-    Departure: a lane that joins gets the mean share; one that leaves gives its share to the others in proportion.
+    Departure: m_i is the time *per row*, not of the strip. The heights of strips are proportional to p, so with times
+    per strip p would settle at 1/sqrt(cost): of four renderers, one that is three times slower would keep 0.16 instead
+    of 0.10.
+    Departure: a lane that joins gets the mean share; the share of a lane that leaves is divided among the others in
+    proportion.
     """
 
     def __init__(self, settings: ClusterSettings) -> None:
@@ -24,7 +26,7 @@ class Shares:
         self._settling = settings.settling_epochs
 
     def join(self, lane: Hashable) -> None:
-        """A lane of unknown speed: it gets the mean share."""
+        """Add a lane of unknown speed with the mean share."""
         if lane in self._p:
             return
         num = len(self._p)
@@ -33,7 +35,7 @@ class Shares:
         self.settle()
 
     def leave(self, lane: Hashable) -> None:
-        """A lane is gone."""
+        """Remove a lane and divide its share among the others."""
         if self._p.pop(lane, None) is None:
             return
         total = sum(self._p.values())
@@ -42,13 +44,16 @@ class Shares:
         self.settle()
 
     def settle(self) -> None:
-        """Something changed for good: forget faster for some epochs."""
+        """Use the smaller inertia for some epochs, because the speeds have changed permanently."""
         self._settling = self._settings.settling_epochs
 
     def epoch(self, row_seconds: dict[Hashable, float]) -> None:
-        """A frame is complete: take the measured times per row, in seconds, of the lanes that have one.
+        """Update the shares after a complete frame.
 
-        Lanes that were not measured keep their share.
+        Parameters
+        ----------
+        row_seconds
+            Measured time per row in seconds, by lane. Lanes without a measurement keep their share.
         """
         if not self._settings.balances:
             return
@@ -66,7 +71,7 @@ class Shares:
             self._p[lane] = self._p[lane] * inertia + mass * speed[lane] / total * (1.0 - inertia)
 
     def of(self, lanes: Iterable[Hashable]) -> dict[Hashable, float]:
-        """The shares of some lanes, summing to one; those of unknown lanes are the mean."""
+        """Return the shares of some lanes, scaled to a sum of one; unknown lanes get the mean share."""
         chosen = list(lanes)
         mean = 1.0 / max(1, len(self._p))
         found = {lane: self._p.get(lane, mean) for lane in chosen}

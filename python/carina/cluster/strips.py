@@ -1,4 +1,4 @@
-"""Cutting a picture into strips (paper 5.1, Figure 8)."""
+"""Division of a picture into strips (paper 5.1, Figure 8)."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ Lane = TypeVar("Lane", bound=Hashable)
 def cut_rows(
     num_rows: int, shares: Mapping[Lane, float], *, min_rows: int, max_rows: int | None = None
 ) -> list[tuple[Lane, int, int]]:
-    """Rows of a picture for each lane, top to bottom in the order of ``shares``.
+    """Return the rows of a picture for each lane, top to bottom in the order of ``shares``.
 
     Parameters
     ----------
     num_rows
         Height of the picture.
     shares
-        How much each lane should get, in any unit, at least 0.
+        Share of each lane, in any unit, at least 0.
     min_rows
-        Least height of a lane's band. Where there are too few rows for that, the slowest lanes get none.
+        Smallest height of a lane's band. If there are too few rows, the slowest lanes get none.
     max_rows
-        Bands that are higher are cut into strips of about equal height; None for no limit.
+        Higher bands are divided into strips of about equal height; None for no limit.
 
     Returns
     -------
     list of (lane, first row, row after the last)
-        Each row exactly once. Heights are those of the shares to within a row, but for ``min_rows``.
+        Each row exactly once. Heights follow the shares to within a row, except for ``min_rows``.
 
     Raises
     ------
@@ -40,12 +40,12 @@ def cut_rows(
     """
     if not shares or num_rows < 1:
         raise UsageError(f"cannot divide {num_rows} image rows among {len(shares)} renderers", code="usage.cluster")
-    # The fastest first: where rows are few, the others get none. Ties keep their order.
+    # The fastest lanes come first, because the others get none if rows are few. Ties keep their order.
     room = max(1, num_rows // min_rows)
     served = sorted(shares, key=lambda lane: -shares[lane])[:room]
     heights = dict.fromkeys(served, min(min_rows, num_rows))
     spare = num_rows - sum(heights.values())
-    # What a lane should have beyond its minimum; lanes whose share lies below it leave the rest to the others.
+    # Rows of a lane beyond its minimum; a lane whose share is below the minimum leaves no rows to the others.
     total = sum(shares[lane] for lane in served)
     wanted = {
         lane: max(0.0, (num_rows * shares[lane] / total if total > 0.0 else num_rows / len(served)) - heights[lane])
@@ -59,7 +59,7 @@ def cut_rows(
         left = num_rows - sum(heights.values())
         for lane in sorted(served, key=lambda lane: -(exact[lane] % 1.0))[:left]:
             heights[lane] += 1
-    # Rounding can leave a row or two over where the remainders are all nothing.
+    # If all remainders are zero, rounding can leave one or two rows.
     heights[served[0]] += num_rows - sum(heights.values())
     strips: list[tuple[Lane, int, int]] = []
     first = 0

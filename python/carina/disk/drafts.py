@@ -1,8 +1,8 @@
-"""Files that are written whole or not at all, by a draft beside each file; a later start removes drafts of a crash.
+"""Atomic file writes: content goes to a draft file beside the target, and the complete draft replaces the target.
 
-A draft is called ``.carina-HEX.draft``, so that a person and the next Carina know it: of what is written nothing stands
-in its name. While it is written its owner holds a lock on it (``locks.py``); the next file that any Carina writes into
-the same folder removes the drafts that nobody holds.
+A draft is called ``.carina-HEX.draft``; the name shows that Carina created the file and reveals nothing about its
+content. The process that writes a draft holds a lock on it (``locks.py``). A crash leaves a draft without a lock; the
+next process of Carina that writes a file into the same folder deletes such drafts.
 """
 
 from __future__ import annotations
@@ -40,9 +40,12 @@ Placement = Callable[[Path, Path], None]
 """``placement(draft, target)`` moves a complete draft to its target, or raises and leaves the target unchanged."""
 DRAFT = re.compile(r"\.carina-[0-9a-f]{16}\.draft")
 SWEEP_AGAIN_S = 60.0
-"""A folder is looked through at most so often: a flight keeps thousands of pictures in one."""
+"""Shortest time between two sweeps of one folder; a recorded flight writes thousands of pictures into one folder."""
 UNKNOWN_AFTER_S = 86_400.0
-"""Where nothing can be locked (and on Windows, for the moment before it is renamed) a draft this old has no owner."""
+"""Age in seconds from which a draft is considered abandoned if its lock gives no answer.
+
+The age decides on file systems without locks, and on Windows, where a draft has no lock shortly before its renaming.
+"""
 _swept: dict[str, float] = {}
 _sweeping = threading.Lock()
 
@@ -73,13 +76,18 @@ def write_whole(
     placement
         Moves the complete draft to ``path``; None replaces any file at ``path``.
 
+    Returns
+    -------
+    Path
+        The file.
+
     Raises
     ------
     DiskError
         If the folder is missing or not writable, the disk is full, or ``path`` is not a regular file; a former file
         stays unchanged.
     CarinaError
-        As ``placement`` raises; a former file stays unchanged.
+        If ``placement`` refuses the move; a former file stays unchanged.
     """
     with drafted(
         path, what=what, needed_bytes=len(content), private=private, lasting=lasting, placement=placement
@@ -89,12 +97,12 @@ def write_whole(
 
 
 class Draft:
-    """A file that is being written beside its target: end it by :meth:`commit` or :meth:`discard`.
+    """A file that is written beside its target until :meth:`commit` or :meth:`discard` is called.
 
     Parameters
     ----------
     path, what, private, needed_bytes, lasting, placement
-        As the parameters of :func:`drafted`.
+        As in :func:`drafted`.
 
     Raises
     ------
@@ -123,7 +131,7 @@ class Draft:
             sweep_drafts(self._target.parent)
             self.file, self._place = _begin(self._target.parent, 0o600 if private else 0o666)
             if former is not None and not private and os.name == "posix":
-                # A file that others could not read must not become one that they can.
+                # The replaced file may be readable by its user only, so the new file gets the same mode.
                 os.fchmod(self.file.fileno(), stat.S_IMODE(former.st_mode))
         except OSError as error:
             if self._place is not None:
@@ -131,6 +139,7 @@ class Draft:
             raise self.trouble(error) from error
 
     def __repr__(self) -> str:
+        """Return the target and the name of the file for messages."""
         return f"Draft({as_words(str(self._target))}, what={as_words(self._what)})"
 
     def commit(self) -> None:
@@ -139,16 +148,16 @@ class Draft:
         Raises
         ------
         DiskError
-            If the disk refuses; a former file stays unchanged.
+            If the disk refuses the move; a former file stays unchanged.
         CarinaError
-            As the placement raises; a former file stays unchanged.
+            If the placement refuses the move; a former file stays unchanged.
         """
         assert self._place is not None
         try:
             self.file.flush()
             os.fsync(self.file.fileno())
             if os.name == "nt":  # pragma: no cover
-                self.file.close()  # an open file cannot be renamed there
+                self.file.close()  # Windows cannot rename an open file
             if self._placement is None:
                 self._place.replace(self._target)
             else:
@@ -164,12 +173,12 @@ class Draft:
                 self.file.close()
 
     def discard(self) -> None:
-        """Give it up; nothing if it has ended."""
+        """Delete the draft; a call after :meth:`commit` or :meth:`discard` does nothing."""
         place, self._place = self._place, None
         if place is None:
             return
         if os.name == "posix":
-            # First: what is left in its buffer then finds room where it is thrown away.
+            # Unlink the file before closing it, so that closing can flush its buffer even if the disk is full.
             with contextlib.suppress(OSError):
                 place.unlink()
         with contextlib.suppress(OSError):
@@ -183,7 +192,7 @@ class Draft:
         if isinstance(error, CarinaError):
             return error
         unchanged = ""
-        with contextlib.suppress(OSError):  # a name that is too long
+        with contextlib.suppress(OSError):  # is_file raises an error for a name that is too long
             unchanged = "the existing file is unchanged" if self._target.is_file() else ""
         if error.errno == errno.ENOENT and self._target.parent.is_dir():
             unchanged = "another program removed its temporary file; try again"
@@ -201,19 +210,24 @@ def drafted(
     lasting: bool = False,
     placement: Placement | None = None,
 ) -> Iterator[BinaryIO]:
-    """Open a file to write to, which takes its place when the block ends; after an error the former file stays.
+    """Open a file for writing that replaces the target when the block ends; after an error the former file stays.
 
     Parameters
     ----------
     path, what, private, lasting, placement
-        As of :func:`write_whole`.
+        As in :func:`write_whole`.
     needed_bytes
         Number of bytes that will be written, if known, for the message.
+
+    Yields
+    ------
+    BinaryIO
+        The draft, open for writing.
 
     Raises
     ------
     DiskError
-        As :func:`write_whole`; an ``OSError`` of the block counts as an error of the disk.
+        As in :func:`write_whole`; an ``OSError`` raised in the block counts as an error of the disk.
     """
     draft = Draft(path, what=what, needed_bytes=needed_bytes, private=private, lasting=lasting, placement=placement)
     try:
@@ -228,16 +242,16 @@ def drafted(
 
 
 def make_folder(path: os.PathLike[str] | str, *, what: str, private: bool = False, lasting: bool = False) -> Path:
-    """Create a folder, with the missing folders above it; an existing folder stays as it is.
+    """Create a folder and its missing parent folders; an existing folder stays unchanged.
 
     Parameters
     ----------
     path, what
-        As of :func:`write_whole`.
+        As in :func:`write_whole`.
     private
-        Create the folder, and every missing folder above it, with mode 0700.
+        Create the folder, and every missing parent folder, with mode 0700.
     lasting
-        Flush the folders above the new ones, so that all survive a power cut after the call.
+        Flush the parents of the new folders, so that all new folders survive a power cut after the call.
 
     Raises
     ------
@@ -255,9 +269,17 @@ def make_folder(path: os.PathLike[str] | str, *, what: str, private: bool = Fals
 
 
 def create_folders(folder: Path, *, private: bool) -> tuple[Path, ...]:
-    """Create a folder with the missing folders above it, and return the missing ones, the innermost first.
+    """Create a folder and its missing parent folders, and return the created folders, the innermost first.
 
-    All private folders get mode 0700. ``Path.mkdir(mode=0o700, parents=True)`` gives that mode to the innermost alone.
+    All private folders get mode 0700. ``Path.mkdir(mode=0o700, parents=True)`` gives that mode only to the innermost
+    folder.
+
+    Parameters
+    ----------
+    folder
+        The folder to create.
+    private
+        Create every folder with mode 0700, and not with the default mode.
 
     Raises
     ------
@@ -267,13 +289,15 @@ def create_folders(folder: Path, *, private: bool) -> tuple[Path, ...]:
     missing = tuple(one for one in (folder, *folder.parents) if not one.exists())
     for one in reversed(missing):
         one.mkdir(exist_ok=True, mode=0o700 if private else 0o777)
-    # The call raises an error where a file has the name of the folder.
+    # mkdir raises an error here if a file has the name of the folder.
     folder.mkdir(exist_ok=True)
     return missing
 
 
 def sync_folder(folder: Path | str) -> None:
-    """Have the names in a folder on the disk; nothing where a system keeps them by itself or cannot be told.
+    """Flush the directory entries of a folder to the disk.
+
+    The function does nothing on Windows, and ignores file systems that do not support fsync on a folder.
 
     Raises
     ------
@@ -293,12 +317,12 @@ def sync_folder(folder: Path | str) -> None:
 
 
 def _former(target: Path) -> os.stat_result | None:
-    """Return the status of the file that a new file will replace; None where there is none.
+    """Return the status of the file that a new file will replace; None if no file has the target's name.
 
     Raises
     ------
     OSError
-        If it is a folder, a device, or anything else that no file may replace.
+        If the target is a folder, a device, or another object that a file must not replace.
     """
     try:
         found = target.stat()
@@ -312,12 +336,12 @@ def _former(target: Path) -> os.stat_result | None:
 
 
 def _begin(folder: Path, mode: int) -> tuple[BinaryIO, Path]:
-    """Create a draft that only this process writes."""
+    """Create a draft that only this process writes; return the open file and its path."""
     while True:
         place = folder / f".carina-{secrets.token_hex(8)}.draft"
         flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
         descriptor = os.open(place, flags, mode)
-        # One who sweeps may have been faster than the lock: then the draft is gone, or about to be.
+        # A sweep by another process may delete the draft before the lock is taken; then create another draft.
         if try_lock(descriptor) is not False and _is_still_there(place, descriptor):
             return os.fdopen(descriptor, "w+b"), place
         os.close(descriptor)
@@ -333,9 +357,17 @@ def _is_still_there(place: Path, descriptor: int) -> bool:
 
 
 def sweep_drafts(folder: Path, *, now_s: float | None = None) -> int:
-    """Remove the drafts in a folder that a crash has left; never one that is being written. Returns how many.
+    """Delete the drafts in a folder that a crash has left, and return their number.
 
-    Trouble costs nothing but the sweep. Done at most once in :data:`SWEEP_AGAIN_S`, unless ``now_s`` is given.
+    Drafts that a process still writes stay. Errors of the disk are ignored. A folder is swept at most once in
+    :data:`SWEEP_AGAIN_S`, unless ``now_s`` is given.
+
+    Parameters
+    ----------
+    folder
+        The folder to search.
+    now_s
+        Present time in seconds since 1970, for tests.
     """
     with _sweeping:
         key = str(Path(folder).absolute())
@@ -354,9 +386,10 @@ def sweep_drafts(folder: Path, *, now_s: float | None = None) -> int:
 
 
 def _sweep(place: Path, now_s: float) -> bool:
+    """Delete a draft whose owner has ended; return whether the draft was deleted."""
     flags = os.O_RDWR | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     try:
-        # Before it is opened: a pipe or a link of this name is none of ours.
+        # Check the type before opening: a pipe or a link of this name is not a draft of Carina.
         if not stat.S_ISREG(place.lstat().st_mode):
             return False
         descriptor = os.open(place, flags)
@@ -377,6 +410,6 @@ def _sweep(place: Path, now_s: float) -> bool:
     finally:
         os.close(descriptor)
     with contextlib.suppress(OSError):  # pragma: no cover
-        place.unlink()  # Windows removes no open file
+        place.unlink()  # Windows cannot delete an open file
         return True
     return False  # pragma: no cover

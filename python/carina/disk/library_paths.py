@@ -33,7 +33,7 @@ def library_path(path: Path) -> Iterator[str]:
         yield str(path)
         return
     with scratch_folder() as folder:
-        # The suffix decides which reader the library selects.
+        # The library selects its reader by the suffix.
         suffix = path.suffix if path.suffix.isascii() else ""
         link = folder / f"file{suffix}"
         if not _is_utf8(link):

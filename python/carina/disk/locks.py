@@ -1,4 +1,4 @@
-"""Locks that the operating system frees when their owner dies, however it dies."""
+"""File locks that the operating system releases when the process ends, also after a crash."""
 
 from __future__ import annotations
 
@@ -9,16 +9,19 @@ import sys
 __all__ = ["Held", "try_lock"]
 
 Held = bool | None
-"""True: the lock is ours now. False: another process has it. None: this file system knows no locks."""
+"""Result of :func:`try_lock`.
+
+True: this process now holds the lock. False: another process holds it. None: the file system has no locks.
+"""
 
 if sys.platform == "win32":
     import msvcrt
 
-    # Windows' locks keep others from reading and writing the bytes: one far behind every content.
+    # A lock on Windows blocks reads and writes of the locked bytes, so the locked byte is far behind any content.
     _FAR = 1 << 62
 
     def try_lock(descriptor: int) -> Held:
-        """Lock an open file for this process until it is closed; never waits."""
+        """Lock an open file for this process until it is closed, without waiting; return the result as :data:`Held`."""
         here = os.lseek(descriptor, 0, os.SEEK_CUR)
         try:
             os.lseek(descriptor, _FAR, os.SEEK_SET)
@@ -33,7 +36,7 @@ else:
     import fcntl
 
     def try_lock(descriptor: int) -> Held:
-        """Lock an open file for this process until it is closed; never waits."""
+        """Lock an open file for this process until it is closed, without waiting; return the result as :data:`Held`."""
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             return True

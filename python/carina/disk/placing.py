@@ -53,9 +53,10 @@ def move_to_new_name(source: Path, target: Path) -> None:
 
 
 def _remove_reservation(target: Path, reserved: os.stat_result) -> None:
-    """Remove the empty file that reserves a name; keep any other content.
+    """Delete the empty file that reserves a name; a file with other content stays.
 
-    A share may report a move as failed that was done, and another program may have used the name meanwhile.
+    A network share may report a failed move although the move succeeded, and another program may have used the name
+    meanwhile.
     """
     found = target.lstat()
     if found.st_size == 0 and os.path.samestat(found, reserved):
@@ -65,8 +66,8 @@ def _remove_reservation(target: Path, reserved: os.stat_result) -> None:
 def copy_to_new_name(source: Path, target: Path) -> None:
     """Give the content of a file a second name on the same disk; fail if the target exists.
 
-    A hard link is used where the file system has them: the content then has both names, at no cost, and replacing one
-    name leaves the other. Elsewhere the content is copied and flushed to the disk.
+    A hard link is used if the file system supports it: both names then share the content without a copy, and a file
+    that replaces one name does not affect the other. Otherwise the content is copied and flushed to the disk.
 
     Raises
     ------

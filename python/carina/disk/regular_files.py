@@ -1,4 +1,4 @@
-"""Opening of files that a user names: only regular files, without a wait for a pipe, a socket or a device."""
+"""Opening of files that a user names; pipes, sockets and devices are refused without waiting for them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ _KINDS: Final = (
     (stat.S_ISCHR, "a device"),
     (stat.S_ISBLK, "a device"),
 )
-# A pipe without a writer blocks open(2) for ever, and a terminal must not become the controlling terminal.
+# O_NONBLOCK: a pipe without a writer would block open(2) for ever. O_NOCTTY: a terminal must not become the controlling
+# terminal.
 _FLAGS: Final = (
     os.O_RDONLY
     | getattr(os, "O_NONBLOCK", 0)
@@ -41,9 +42,9 @@ def special_kind(path: AnyPath) -> str | None:
 
 
 def check_regular(path: AnyPath) -> None:
-    """Refuse a pipe, a socket or a device for a library that opens the path itself; this call opens nothing.
+    """Refuse a pipe, a socket or a device before a library opens the path itself; this function opens nothing.
 
-    Files, folders and missing paths pass, because the library reports those better.
+    Files, folders and missing paths pass, because the library reports errors about them more exactly.
 
     Raises
     ------
@@ -58,8 +59,20 @@ def check_regular(path: AnyPath) -> None:
 def open_regular(path: AnyPath, *, buffering: int = -1) -> BinaryIO:
     """Open a regular file for reading bytes; the call never waits for a writer or a device.
 
-    The kind is checked on the path, so that no device is opened, and again on the open file, so that an exchange
-    between the two is noticed.
+    The type of the file is checked on the path, so that no device is opened, and again on the open file, in case
+    another process replaced the file between the two checks.
+
+    Parameters
+    ----------
+    path
+        The file.
+    buffering
+        As in ``open``.
+
+    Returns
+    -------
+    BinaryIO
+        The open file.
 
     Raises
     ------
@@ -96,6 +109,20 @@ def open_regular_text(path: AnyPath, *, encoding: str = "utf-8") -> TextIO:
 
 def read_regular_text(path: AnyPath, *, max_bytes: int, encoding: str = "utf-8") -> str:
     """Read a whole text file of bounded size.
+
+    Parameters
+    ----------
+    path
+        The file.
+    max_bytes
+        Largest accepted size of the file.
+    encoding
+        Encoding of the text.
+
+    Returns
+    -------
+    str
+        The text.
 
     Raises
     ------

@@ -1,8 +1,8 @@
-"""Temporary folders that hold a patient's images: for this person alone, and gone even after a crash.
+"""Temporary folders for patient images: readable by this user only, and deleted even after a crash.
 
-A process has one folder, ``carina-scratch-XXXXXXXX``, made when it is first needed, and parts of it for each use. It
-holds a file ``lock``, which is locked as long as the process lives: the operating system frees it however the process
-ends. The next Carina removes the folders that nobody holds.
+A process has one root folder, ``carina-scratch-XXXXXXXX``, created at first use, with one subfolder for each use. The
+root folder contains a file ``lock`` that the process keeps locked; the operating system releases the lock when the
+process ends, also after a crash. The next process of Carina deletes the root folders whose lock nobody holds.
 """
 
 from __future__ import annotations
@@ -29,38 +29,53 @@ __all__ = ["ScratchFolder", "scratch_folder", "sweep_scratch"]
 PREFIX = "carina-scratch-"
 LOCK = "lock"
 OLD_AFTER_S = 86_400.0
-"""A folder without a lock is of an older Carina, or was being made when it was killed."""
+"""Age in seconds from which a folder without a lock file is deleted.
+
+Such a folder comes from an earlier version of Carina, or from a process that was killed while it created the folder.
+"""
 _OURS = re.compile(PREFIX + r"[a-z0-9_]{8}")
 _OLDER = re.compile(r"carina-(upload-|download-)[a-z0-9_]{8}")
 _OLDEST = re.compile(r"carina-[a-z0-9_]{8}")
 _OLDEST_FILES = re.compile(r"phone\.pem|pixels\.dcm|volume\.[a-z.]{3,8}")
-"""Such a short name may be a person's own: only a folder with nothing but these is known to be ours."""
+"""Names of the files in temporary folders of the earliest version of Carina.
+
+A folder with a name like ``_OLDEST`` may belong to the user, so it is deleted only if it contains these files and
+no others.
+"""
 _MAX_SWEPT = 1000
 
 
 class ScratchFolder:
-    """A folder in this process's own one, readable by this person alone; :meth:`remove` it when it is not needed."""
+    """A temporary folder in the process's root folder, readable by this user only; call :meth:`remove` after use."""
 
     def __init__(self) -> None:
         self.path = _Root.new_folder()
 
     def __repr__(self) -> str:
+        """Return the path of the folder."""
         return f"ScratchFolder({as_words(str(self.path))})"
 
     def remove(self) -> None:
-        """Remove it with all that it holds; nothing if it is gone."""
+        """Delete the folder with its content; a missing folder is ignored."""
         shutil.rmtree(self.path, ignore_errors=True)
 
     def __enter__(self) -> Path:
+        """Return the path for a ``with`` block."""
         return self.path
 
     def __exit__(self, *_trouble: object) -> None:
+        """Delete the folder at the end of a ``with`` block."""
         self.remove()
 
 
 @contextlib.contextmanager
 def scratch_folder() -> Iterator[Path]:
-    """A folder for the time of a block.
+    """Create a temporary folder and delete it at the end of the block.
+
+    Yields
+    ------
+    Path
+        The folder.
 
     Raises
     ------
@@ -77,7 +92,7 @@ def scratch_folder() -> Iterator[Path]:
 
 
 class _Root:
-    """This process's folder and its lock."""
+    """The root folder of this process and its lock."""
 
     _lock = threading.Lock()
     _path: Path | None = None
@@ -87,7 +102,7 @@ class _Root:
     @classmethod
     def new_folder(cls) -> Path:
         with cls._lock:
-            # A child of this process has the parent's variables and its lock, but not its folder.
+            # A forked child inherits the parent's variables and lock, but must not use the parent's folder.
             if cls._path is None or cls._pid != os.getpid() or not (cls._path / LOCK).exists():
                 cls._make()
             assert cls._path is not None
@@ -95,17 +110,19 @@ class _Root:
 
     @classmethod
     def _make(cls) -> None:
+        """Create and lock the root folder of this process, after a sweep of abandoned folders at the first call."""
         first = cls._pid != os.getpid()
         if first:
             sweep_scratch()
-        # mkdtemp: a new folder, never one that somebody has laid out for us, with mode 0700.
+        # mkdtemp always creates a new folder, with mode 0700; it never uses a folder that another user prepared.
         path = Path(tempfile.mkdtemp(prefix=PREFIX)).resolve()
         try:
-            # Locked before it has its name: who sees the name can trust the lock.
+            # The file is locked before it is renamed to its final name, so another process never sees an unlocked lock
+            # file.
             held = os.open(path / "new", os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
             try_lock(held)
             if os.name == "nt":  # pragma: no cover
-                os.close(held)  # an open file cannot be renamed there
+                os.close(held)  # Windows cannot rename an open file
                 (path / "new").replace(path / LOCK)
                 held = os.open(path / LOCK, os.O_RDWR)
                 try_lock(held)
@@ -123,7 +140,7 @@ class _Root:
 
     @classmethod
     def end(cls, pid: int) -> None:
-        """Remove the folder when the process ends as it should."""
+        """Delete the root folder at the regular end of the process."""
         if pid != os.getpid() or cls._path is None or cls._pid != pid:
             return
         path, cls._path = cls._path, None
@@ -133,17 +150,17 @@ class _Root:
 
 
 def sweep_scratch(folder: Path | None = None, *, now_s: float | None = None) -> int:
-    """Remove what a Carina of this person that was killed has left in the temporary folder; returns how many folders.
+    """Delete the temporary folders that killed processes of this user have left, and return the number of folders.
 
-    Never one that another Carina uses, never another person's, and nothing that a link leads to. Trouble costs
-    nothing but the sweep.
+    Folders in use by another process and folders of other users stay, and links are not followed. Errors of the disk
+    are ignored.
 
     Parameters
     ----------
     folder
-        The temporary folder; the system's unless told.
+        Folder for temporary files; None selects that of the system.
     now_s
-        Seconds since 1970, for tests.
+        Present time in seconds since 1970, for tests.
     """
     try:
         base = Path(tempfile.gettempdir()) if folder is None else folder
@@ -156,6 +173,7 @@ def sweep_scratch(folder: Path | None = None, *, now_s: float | None = None) -> 
 
 
 def _sweep(path: Path, now_s: float) -> bool:
+    """Delete a temporary folder of this user if no process uses it; return whether the folder was deleted."""
     try:
         if not _is_mine(path):
             return False
@@ -171,7 +189,7 @@ def _sweep(path: Path, now_s: float) -> bool:
 
 
 def _is_mine(path: Path) -> bool:
-    """Whether it is a folder (no link to one) of this person."""
+    """Return whether a path is a folder of this user, and not a link."""
     seen = path.lstat()
     return stat.S_ISDIR(seen.st_mode) and (not hasattr(os, "geteuid") or seen.st_uid == os.geteuid())
 
@@ -184,7 +202,7 @@ def _is_oldest(path: Path) -> bool:
 
 
 def _newest_s(path: Path) -> float:
-    """When something in a folder was last written."""
+    """Return the time of the latest change of a folder or of anything in it, in seconds since 1970."""
     newest = path.lstat().st_mtime
     for above, folders, files in os.walk(path):
         for name in (*folders, *files):
@@ -193,16 +211,17 @@ def _newest_s(path: Path) -> float:
 
 
 def _sweep_locked(path: Path) -> bool:
+    """Delete a root folder if its lock is free; return whether the folder was deleted."""
     flags = os.O_RDWR | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     lock = path / LOCK
     if not stat.S_ISREG(lock.lstat().st_mode):
         return False
     descriptor = os.open(lock, flags)
     try:
-        # Where nothing can be locked, nobody knows whether it is in use: it stays.
+        # Without support for locks, the use of the folder is unknown, so the folder stays.
         if try_lock(descriptor) is not True:
             return False
-        # The lock goes last: if this sweep is cut short, the next one still knows the folder.
+        # The lock file is deleted last, so that the next sweep recognises the folder if this sweep is interrupted.
         for entry in list(os.scandir(path)):
             if entry.name == LOCK:
                 continue

@@ -1,4 +1,4 @@
-"""One clear sentence for whatever a disk refuses: what, where, how much was needed and is free, what to do."""
+"""Errors of a disk as messages for the user: the operation, the path, the needed and free space, and a remedy."""
 
 from __future__ import annotations
 
@@ -45,26 +45,26 @@ def disk_trouble(
     needed_bytes: int | None = None,
     unchanged: str = "",
 ) -> DiskError:
-    """Return the error that states what a disk refused.
+    """Return the error that states which operation the disk refused.
 
     Parameters
     ----------
     error
-        What the system said. A :class:`DiskError` is handed back as it is.
+        The error from the operating system. A :class:`DiskError` is returned unchanged.
     doing
-        What could not be done: "cannot write the mask to"; the file or folder follows.
+        The operation that failed, such as "cannot write the mask to"; the path follows it in the message.
     where
-        File or folder; None where it is of no use to a person (a temporary folder that one never sees).
+        File or folder; None if the path would not help the user, such as a temporary folder.
     needed_bytes
-        How much was to be written, if known.
+        Number of bytes to be written, if known.
     unchanged
-        What became of what was there before, if anything: "the former file is unchanged".
+        State of the former file, if there is one, such as "the former file is unchanged".
 
     Returns
     -------
     DiskError
-        With a code by kind of trouble: ``disk.full``, ``disk.denied``, ``disk.missing``, ``disk.in-the-way``,
-        ``disk.failed``.
+        The code of the error states its kind: ``disk.full``, ``disk.denied``, ``disk.missing``, ``disk.in-the-way``,
+        ``disk.failed``, or ``machine.files`` for too many open files.
     """
     if isinstance(error, DiskError):
         return error
@@ -77,13 +77,15 @@ def disk_trouble(
 
 
 class _Reason(NamedTuple):
+    """Code, reason and remedy of an error of the operating system."""
+
     code: str
     why: str
     advice: str
 
 
 def _reason(error: OSError, where: Path | str | None, needed_bytes: int | None) -> _Reason:
-    """Code, reason, and what to do."""
+    """Return the code, the reason and the remedy for an error of the operating system."""
     place = None if where is None else Path(where)
     elsewhere = "choose another folder"
     or_elsewhere = "" if place is None else " or choose another folder"
@@ -93,7 +95,6 @@ def _reason(error: OSError, where: Path | str | None, needed_bytes: int | None) 
             free = _free_bytes(place)
             known += [] if free is None else [f"{say_size(free)} free"]
             numbers = f" ({', '.join(known)})" if known else ""
-            # "No space left on device" is what people search for.
             return _Reason("disk.full", f"the disk is full{numbers}", f"free some space{or_elsewhere}")
         case errno.EDQUOT:
             return _Reason("disk.full", "your quota on this disk is exhausted", f"delete files{or_elsewhere}")
@@ -126,7 +127,7 @@ def _reason(error: OSError, where: Path | str | None, needed_bytes: int | None) 
 
 
 def _free_bytes(place: Path | None) -> int | None:
-    """Of the disk that holds a place, or that temporary files go to."""
+    """Return the free space of the disk of a path, or of the folder for temporary files; None if it is unknown."""
     import tempfile
 
     try:

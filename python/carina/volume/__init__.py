@@ -1,6 +1,6 @@
-"""CT volumes: reading them, where their voxels are in the patient, and what they are good for.
+"""CT volumes: readers, positions of the voxels in the patient, and checks of image quality.
 
-Readers are loaded on first use: whoever needs only the types waits for no DICOM library.
+Readers are loaded at first use, so that code that needs only the types does not load a DICOM library.
 """
 
 from __future__ import annotations

@@ -1,13 +1,13 @@
-"""Opened CTs, kept on disk as they are in memory, so that the next opening reads one file and decodes nothing.
+"""Cache of opened CTs on the disk; a cached CT is opened by reading one file, without decoding.
 
-A folder holds two kinds of files, all written whole, never changed, only unlinked, and readable by this person alone:
+The folder contains two kinds of files, which are written atomically, never changed, and readable by this user only:
 
-- ``DIGEST-LPS-512x512x600.voxels``: the voxels (``voxel_file``), shared by all sources that hold them;
-- ``HASH.source``: for one path and series, everything else that a :class:`Volume` holds, and the state of the files
-  that it was read from. The hash is the path's; no name of a file, a folder or a patient stands in a name.
+- ``DIGEST-LPS-512x512x600.voxels``: the voxels (``voxel_file``), shared by all sources with these voxels;
+- ``HASH.source``: for one path and series, all other fields of :class:`Volume`, and the state of the files that it was
+  read from. The hash is that of the path; no file name contains the name of a file, a folder or a patient.
 
-What is found here is a volume that cannot be told from one that was read from its files. Trouble with the cache costs
-time, never a wrong voxel: whatever is cut, altered, or made by another Carina is not used (docs/decisions/0110).
+A cached volume is identical to one that is read from its files. Errors of the cache cost time but never change a voxel:
+a file that is truncated, altered, or written by another version of Carina is not used (docs/decisions/0110).
 """
 
 from __future__ import annotations
@@ -50,14 +50,15 @@ __all__ = ["MAX_AGE_S", "MAX_BYTES", "CachedCt", "CachedSize", "OpenedCt", "Volu
 logger = logging.getLogger(__name__)
 
 MAX_BYTES = 20_000_000_000
-"""That all cached CTs take at most, and no more than a tenth of the free disk."""
+"""Largest size of all cached CTs in bytes; a tenth of the free disk is a second limit."""
 MAX_AGE_S = 90 * 86_400.0
-"""A CT that was not opened for so long is removed."""
+"""Time in seconds since its last use after which a CT is deleted."""
 _SHARE_OF_FREE = 0.1
 _SOURCE = ".source"
 _SOURCE_NAME = re.compile(r"[0-9a-f]{40}\.source")
 _LOCK = "lock"
-_FOUND_FOR_S = 3600.0  # voxels without a source are being written, or were left by a crash
+# Age in seconds below which voxels without a source stay: another process may be writing the source.
+_FOUND_FOR_S = 3600.0
 _MAX_RECORD_BYTES = 1 << 24
 
 Cancel = Callable[[], bool]
@@ -65,7 +66,7 @@ State = Literal["unchanged", "changed", "missing"]
 
 
 class _Record(msgspec.Struct, frozen=True):
-    """What a volume holds beside its voxels, and where it was read from."""
+    """All fields of a volume except its voxels, and the source that it was read from."""
 
     made_by: str
     voxels: VoxelName
@@ -81,38 +82,39 @@ class _Record(msgspec.Struct, frozen=True):
 @one_line
 @dataclass(frozen=True, slots=True)
 class CachedSize:
-    """One CT in the cache, for a page that lists them."""
+    """Size and last use of one cached CT, for a list."""
 
     digest: str
     num_bytes: int
     last_used_s: float
-    """Seconds since 1970."""
+    """Last use, in seconds since 1970."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class OpenedCt:
-    """A volume that was opened, from the cache or from its files."""
+    """A volume that was opened from the cache or from its files."""
 
     volume: Volume
     source: CtSource | None
-    """What it was read from, to be kept; None where that cannot be asked, or the cache is off."""
+    """The source that the volume was read from, for storing in the cache; None if it is unknown or the cache is off."""
     from_cache: bool
 
 
 class CachedCt:
-    """A CT that the cache holds; nothing of its voxels was read yet."""
+    """A CT in the cache whose voxels are not read yet."""
 
     def __init__(self, cache: VolumeCache, record: _Record) -> None:
         self._cache, self._record = cache, record
         self.digest = record.voxels.digest
-        """See :func:`ct_digest`."""
+        """Digest of the voxels; see :func:`ct_digest`."""
         self.shape_zyx = record.voxels.shape_zyx
         self.lps_from_ijk: NDArray[np.float64] = np.array(record.lps_from_ijk, dtype=np.float64)
         self.source = record.source
-        """The path, and the files as they were."""
+        """The path, and the state of the files at opening."""
 
     def __repr__(self) -> str:
+        """Return the digest and the shape."""
         return f"CachedCt(digest={self.digest[:12]}..., shape_zyx={self.shape_zyx})"
 
     @property
@@ -120,14 +122,21 @@ class CachedCt:
         """State of the source's files.
 
         If the state is ``changed``, the caller opens the files and compares digests. The state is ``missing`` if a file
-        cannot be reached.
+        cannot be accessed.
         """
         now = self.source.now()
         return "missing" if now is None else "unchanged" if now == self.source.files else "changed"
 
     @shows_progress
     def load(self, *, progress: ProgressChoice = None, cancel: Cancel | None = None) -> Volume | None:
-        """Read the volume as it was opened; None where the cached file is gone or damaged (it is removed, then).
+        """Read the volume; return None if the cached file is missing, or damaged and therefore deleted.
+
+        Parameters
+        ----------
+        progress
+            See :func:`open_volume`.
+        cancel
+            Called repeatedly; a true result cancels the reading.
 
         Raises
         ------
@@ -139,19 +148,21 @@ class CachedCt:
 
 
 class VolumeCache:
-    """A folder of opened CTs of bounded size and age. Several processes may use it, and it may be deleted meanwhile.
+    """A folder of opened CTs with limited size and age.
+
+    Several processes may use the folder at the same time, and the folder may be deleted during use.
 
     Parameters
     ----------
     folder
-        Made when something is kept.
+        Created when the first CT is stored.
     max_bytes
-        Of all voxels together; 0 switches the cache off, and :meth:`sweep` then empties it. :data:`MAX_BYTES` or a
-        tenth of the free disk unless told, whichever is less.
+        Largest size of all voxels; 0 switches the cache off, and :meth:`sweep` then empties it. None selects the
+        smaller of :data:`MAX_BYTES` and a tenth of the free disk.
     max_age_s
-        After its last use a CT is kept for so long.
+        Time in seconds for which a CT is stored after its last use.
     clock
-        Seconds since 1970.
+        Returns the present time in seconds since 1970.
     """
 
     def __init__(
@@ -168,26 +179,27 @@ class VolumeCache:
         self._clock = clock
         self._lock = threading.Lock()
         self._forgotten: dict[str, int] = {}
-        """How often a CT was forgotten here: what is being written meanwhile is then not wanted."""
+        """Number of calls of :meth:`forget` by digest; a CT that is being written during a call is discarded."""
         self._ending = threading.Event()
         self._keeping: list[threading.Thread] = []
 
     def __repr__(self) -> str:
+        """Return the number and the size of the cached CTs."""
         sizes = self.sizes()
         return f"VolumeCache({len(sizes)} CTs, {say_size(sum(size.num_bytes for size in sizes))})"
 
     @property
     def is_on(self) -> bool:
-        """It may keep something."""
+        """Whether the cache may store CTs."""
         return self._max_bytes != 0
 
     @property
     def can_be_on(self) -> bool:
-        """It was not made with 0 bytes."""
+        """Whether :meth:`switch` can switch the cache on: it was not created with 0 bytes."""
         return self._told_bytes != 0
 
     def switch(self, on: bool) -> None:
-        """Keep CTs from now on, or none and also not those that are kept."""
+        """Switch the cache on, or switch it off and delete the stored CTs."""
         self._max_bytes = self._told_bytes if on else 0
         if not on:
             self.empty()
@@ -201,35 +213,35 @@ class VolumeCache:
         progress: ProgressChoice = None,
         cancel: Cancel | None = None,
     ) -> OpenedCt:
-        """Open a CT from the cache where its files are as they were, else as :func:`open_volume` does.
+        """Open a CT from the cache if its files are unchanged, otherwise with :func:`open_volume`.
 
-        What was read from its files is not kept yet: hand the result to :meth:`keep` when there is time.
+        A CT that was read from its files is not stored yet; the caller passes the result to :meth:`keep` later.
 
         Parameters
         ----------
         path, series, progress, cancel
-            As of :func:`open_volume`.
+            As in :func:`open_volume`.
 
         Raises
         ------
         VolumeImportError, UsageError, CancelledError
-            As :func:`open_volume`.
+            As in :func:`open_volume`.
         """
         found = self.find(path, series=series)
         if found is not None and found.state == "unchanged":
             volume = guarded(absolute(path), lambda _path: found.load(progress=progress, cancel=cancel))
             if volume is not None:
                 return OpenedCt(volume, found.source, from_cache=True)
-        from carina.volume.opening import open_volume  # its readers are slow to load, and a cached CT needs none
+        from carina.volume.opening import open_volume  # slow to load, and not needed for a cached CT
 
         source = CtSource.of(path, series=series) if self.is_on else None
         volume = open_volume(path, series=series, progress=progress, cancel=cancel)
         return OpenedCt(volume, source, from_cache=False)
 
     def keep(self, opened: OpenedCt, *, cancel: Cancel | None = None) -> bool:
-        """Keep what was read from its files; whether it is kept now.
+        """Store a CT that was read from its files, and return whether the cache now contains it.
 
-        Reads all voxels, and writes them: to be called beside other work.
+        The method reads and writes all voxels, so the caller runs it in the background.
 
         Raises
         ------
@@ -249,16 +261,16 @@ class VolumeCache:
         progress: ProgressChoice = None,
         cancel: Cancel | None = None,
     ) -> Volume:
-        """Open a CT as :meth:`open` does; what was read from its files is kept by a thread of its own.
+        """Open a CT as :meth:`open` does; a background thread stores a CT that was read from its files.
 
         Raises
         ------
         VolumeImportError, UsageError, CancelledError
-            As :func:`open_volume`.
+            As in :func:`open_volume`.
         """
         opened = self.open(path, series=series, progress=progress, cancel=cancel)
         if not opened.from_cache and not self._ending.is_set():
-            # A daemon: nobody waits for a cache when Carina ends; its draft is swept by the next one.
+            # A daemon thread: the end of Carina does not wait for it, and the next process deletes its draft.
             thread = threading.Thread(target=self._keep, args=(opened,), name="carina-ct-keep", daemon=True)
             with self._lock:
                 self._keeping = [*(t for t in self._keeping if t.is_alive()), thread]
@@ -270,14 +282,14 @@ class VolumeCache:
             self.keep(opened, cancel=self._ending.is_set)
 
     def wait_kept(self) -> None:
-        """Wait until nothing is being kept."""
+        """Wait until the background threads have stored their CTs."""
         with self._lock:
             threads = list(self._keeping)
         for thread in threads:
             thread.join()
 
     def close(self) -> None:
-        """Stop what is being kept, and keep nothing more by threads."""
+        """Cancel the background threads, and start no more of them."""
         self._ending.set()
         self.wait_kept()
 
@@ -292,7 +304,7 @@ class VolumeCache:
         return self._cached(record)
 
     def find_digest(self, digest: str) -> CachedCt | None:
-        """Return the cached CT with a digest, the source used last first, wherever its files are now."""
+        """Return the cached CT with a digest, wherever its files are now; the source used last has priority."""
         if not self.is_on:
             return None
         newest_first = sorted(self._sources(), key=lambda one: -one[1].st_mtime)
@@ -309,7 +321,7 @@ class VolumeCache:
         progress: ProgressChoice = None,
         cancel: Cancel | None = None,
     ) -> Volume | None:
-        """Return the volume of a path and series if its files are unchanged; else None.
+        """Return the volume of a path and series if its files are unchanged, otherwise None.
 
         Raises
         ------
@@ -322,20 +334,22 @@ class VolumeCache:
         return found.load(progress=progress, cancel=cancel)
 
     def put(self, volume: Volume, source: CtSource, *, cancel: Cancel | None = None) -> bool:
-        """Keep a volume. Where its voxels are kept already, only the source is written.
+        """Store a volume. If the cache contains its voxels already, only the source is written.
 
         Parameters
         ----------
         volume
-            As it was opened from the source.
+            The volume as opened from the source.
         source
-            Taken before it was opened.
+            The source as recorded before the volume was opened.
+        cancel
+            Called repeatedly; a true result cancels the operation.
 
         Returns
         -------
         bool
-            False where it is not kept: the files changed while they were read or a moment before, there is no room,
-            the disk refuses (logged), or the CT was forgotten meanwhile.
+            Whether the volume is stored. False if the files changed during or shortly before reading, if there is no
+            space, if the disk refuses (this is logged), or if :meth:`forget` deleted the CT meanwhile.
 
         Raises
         ------
@@ -376,7 +390,7 @@ class VolumeCache:
             logger.warning("a CT could not be cached: %s", error.strerror)
             return False
         except UnicodeEncodeError:
-            return False  # a file name that is no text
+            return False  # a file name that is not valid text
         self.sweep()
         return True
 
@@ -392,13 +406,13 @@ class VolumeCache:
         return tuple(sorted(sizes, key=lambda one: -one.last_used_s))
 
     def forget(self, digest: str) -> int:
-        """Remove all that is kept of a CT, also what is being written by this cache; returns the bytes removed."""
+        """Delete all files of a CT, also those that this cache is writing; return the number of bytes deleted."""
         with self._lock:
             self._forgotten[digest] = self._forgotten.get(digest, 0) + 1
             freed = 0
             for path, _ in self._sources():
                 record = self._record(path)
-                # One that cannot be read may be this CT's.
+                # A record that cannot be read may belong to this CT, so it is deleted too.
                 if record is None or record.voxels.digest == digest:
                     freed += _remove(path)
             for path, name, _ in self._voxels():
@@ -407,13 +421,13 @@ class VolumeCache:
             return freed
 
     def empty(self) -> int:
-        """Remove every CT; returns the bytes removed."""
+        """Delete every CT; return the number of bytes deleted."""
         return sum(self.forget(one.digest) for one in self.sizes())
 
     def sweep(self) -> int:
-        """Remove what is too old, too much or damaged; returns the bytes removed. Nothing while another process does.
+        """Delete CTs that are too old, exceed the size limit or are damaged; return the number of bytes deleted.
 
-        Files of another name than ours are left alone.
+        Nothing is deleted while another process sweeps. Files with other names stay.
         """
         return self._swept(0)
 
@@ -423,6 +437,7 @@ class VolumeCache:
             return self._sweep(needed_bytes) if alone else 0
 
     def _sweep(self, needed_bytes: int) -> int:
+        """Delete files that are too old, damaged or without a counterpart, then the oldest CTs above the size limit."""
         now_s, freed = self._clock(), 0
         records: dict[str, list[Path]] = {}
         for path, seen in self._sources():
@@ -451,7 +466,7 @@ class VolumeCache:
         return freed
 
     def _make_room(self, num_bytes: int) -> bool:
-        """Whether so much more may be kept, after the oldest have gone."""
+        """Delete the oldest CTs if necessary, and return whether a CT of this size can be stored."""
         if num_bytes > self._bound(sum(seen.st_size for _, _, seen in self._voxels())):
             logger.info("a CT was not cached, because it is larger than the size limit of the cache")
             return False
@@ -459,10 +474,11 @@ class VolumeCache:
         return True
 
     def _bound(self, held_bytes: int) -> float:
+        """Return the size limit of the cache in bytes."""
         if self._max_bytes is not None:
             return self._max_bytes
         try:
-            # What is held here counts as free: else the cache would shrink because it is there.
+            # The size of the cache counts as free space; otherwise the cache would shrink because of its own size.
             free = shutil.disk_usage(self._folder).free + held_bytes
         except OSError:
             return MAX_BYTES
@@ -470,7 +486,10 @@ class VolumeCache:
 
     @contextlib.contextmanager
     def _alone(self) -> Iterator[bool]:
-        """Whether no other process sweeps. Where nothing can be locked, two may: they remove the same files."""
+        """Take the lock for sweeping; yield whether no other process sweeps.
+
+        Without support for locks two processes may sweep at once; they delete the same files.
+        """
         try:
             descriptor = os.open(self._folder / _LOCK, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o600)
         except OSError:
@@ -482,7 +501,7 @@ class VolumeCache:
             os.close(descriptor)
 
     def _is_whole(self, place: Path, name: VoxelName) -> bool:
-        """Whether a CT's voxels are kept already, and read as they should."""
+        """Return whether the voxels of a CT are stored and readable."""
         try:
             read_voxel_file(place, name, Watch())
         except FileNotFoundError:
@@ -493,6 +512,7 @@ class VolumeCache:
         return True
 
     def _read(self, record: _Record, watch: Watch) -> NDArray[np.int16] | None:
+        """Read the voxels of a record; return None if their file is missing or damaged."""
         place = self._folder / record.voxels.file_name
         try:
             values = read_voxel_file(place, record.voxels, watch)
@@ -540,7 +560,7 @@ class VolumeCache:
         try:
             with os.scandir(self._folder) as entries:
                 for entry in entries:
-                    with contextlib.suppress(OSError):  # another process was faster
+                    with contextlib.suppress(OSError):  # another process has deleted the file
                         if entry.is_file(follow_symlinks=False):
                             found.append((Path(entry.path), entry.stat(follow_symlinks=False)))
         except OSError:
@@ -548,7 +568,7 @@ class VolumeCache:
         return found
 
     def _touch(self, path: Path) -> None:
-        """Remember that it was used."""
+        """Record the last use of a file."""
         now_s = self._clock()
         with contextlib.suppress(OSError):
             os.utime(path, (now_s, now_s))
@@ -556,8 +576,8 @@ class VolumeCache:
 
 @functools.cache
 def _made_by() -> str:
-    """Return a digest of the code and libraries that make a volume: a volume made by other code is not used."""
-    import importlib.metadata  # slow to load, and asked once
+    """Return a digest of the code and libraries that read volumes; a volume read by other code is not used."""
+    import importlib.metadata  # slow to load, and called once
 
     found = hashlib.blake2b(VERSION.encode(), digest_size=16)
     for source in sorted(Path(__file__).parent.glob("*.py")):
@@ -597,7 +617,7 @@ def _volume_of(record: _Record, values: NDArray[np.int16]) -> Volume:
         not_hu_reason=record.not_hu_reason,
         source=record.volume_source,
     )
-    # Known already: to find them again would take longer than reading the voxels.
+    # Stored values: computing them again would take longer than reading the voxels.
     object.__setattr__(volume, "_range", record.value_range)
     object.__setattr__(volume, "_quality", record.quality)
     object.__setattr__(volume, "_digest", record.voxels.digest)
@@ -606,7 +626,7 @@ def _volume_of(record: _Record, values: NDArray[np.int16]) -> Volume:
 
 def _encode(value: Any) -> Any:
     if isinstance(value, Path):
-        return os.fsencode(value).hex()  # a name need not be text
+        return os.fsencode(value).hex()  # a file name need not be valid text
     raise TypeError
 
 
@@ -617,7 +637,7 @@ def _decode(kind: type, value: Any) -> Any:
 
 
 def _packed(record: _Record) -> bytes:
-    """Return a record as JSON after its digest, so that a record that a disk has altered is recognised."""
+    """Return a record as JSON after its digest, so that altered records are detected."""
     body = msgspec.json.encode(record, enc_hook=_encode)
     return hashlib.blake2b(body, digest_size=16).hexdigest().encode() + b"\n" + body
 
@@ -628,7 +648,7 @@ def _unpacked(content: bytes) -> _Record:
     Raises
     ------
     ValueError
-        If it is cut, altered, or of another version.
+        If the file is truncated, altered, or written by another version.
     """
     head, _, body = content.partition(b"\n")
     if head != hashlib.blake2b(body, digest_size=16).hexdigest().encode():
@@ -640,12 +660,12 @@ def _unpacked(content: bytes) -> _Record:
 
 
 def _remove(path: Path) -> int:
-    """Unlink a file; returns its bytes, 0 where it stays."""
+    """Delete a file; return the number of bytes deleted, 0 if the file stays."""
     try:
         size = path.stat().st_size
         path.unlink()
     except OSError as error:
-        # In use (Windows), gone, or not ours to delete: looked at again next time.
+        # The file is in use (Windows), gone, or cannot be deleted; the next sweep tries again.
         logger.debug("a cached file could not be removed", exc_info=error)
         return 0
     return size

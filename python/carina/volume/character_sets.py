@@ -1,8 +1,8 @@
-"""Character sets of DICOM texts: which set a text is in if the file names none, or misspells it (PS3.5 6.1).
+"""Character sets of DICOM texts: finds the set of a text whose file names none or misspells it (PS3.5 6.1).
 
-Programs that write UTF-8 often leave out SpecificCharacterSet, or write *UTF-8* instead of *ISO_IR 192*. A reader
-then takes each byte for a letter: ``MÃ¼ller`` for ``Müller``. UTF-8 is recognisable, since text of another set is
-hardly ever valid UTF-8. Any other unknown set is not: such a text is *doubtful* and is not copied into other files.
+Programs that write UTF-8 often omit SpecificCharacterSet, or write *UTF-8* instead of *ISO_IR 192*. A reader then takes
+each byte for a letter: ``MÃ¼ller`` for ``Müller``. UTF-8 is recognisable, because text in another set is rarely valid
+UTF-8. Other unknown sets are not recognisable: a text in such a set is *doubtful* and is not copied into other files.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _UTF_8 = "ISO_IR 192"
 _SPECIFIC_CHARACTER_SET = Tag("SpecificCharacterSet")
 _TEXT = frozenset({"PN", "LO", "SH", "ST", "LT", "UC", "UT"})
 _LATIN = {1: 100, 2: 101, 3: 109, 4: 110, 5: 144, 6: 127, 7: 126, 8: 138, 9: 148}
-"""Registration numbers of the parts of ISO 8859."""
+"""Registration numbers (ISO_IR) of the parts of ISO 8859, by the number of the part."""
 _ONE_BYTE = frozenset(f"ISO_IR {number}" for number in (6, *_LATIN.values(), 166))
 
 
@@ -54,7 +54,8 @@ def character_set_name(text: str) -> str | None:
 def settle_character_set(dataset: Dataset) -> None:
     """Correct a missing, unknown or misspelt SpecificCharacterSet of a data set that was just read.
 
-    An unknown set whose texts are not UTF-8 becomes the default (ASCII); ``doubtful_texts`` names the texts beyond it.
+    An unknown set whose texts are not UTF-8 becomes the default (ASCII); ``doubtful_texts`` returns the texts with
+    other characters.
     """
     written = _written(dataset)
     names = _declared(dataset)
@@ -82,6 +83,7 @@ def doubtful_texts(dataset: Dataset) -> frozenset[str]:
 
 
 def _is_doubtful(value: bytes, names: list[str | None]) -> bool:
+    """Return whether a text may contain wrong characters when it is decoded with the given sets."""
     if None in names or names == ["ISO_IR 6"]:
         return True  # UTF-8 would have been recognised
     if len(names) > 1 or str(names[0]).startswith("ISO 2022"):
@@ -92,15 +94,15 @@ def _is_doubtful(value: bytes, names: list[str | None]) -> bool:
     except (UnicodeDecodeError, LookupError):
         return True
     if "\ufffd" in text:
-        return True  # another program lost the letter
+        return True  # another program lost the character
     if any(unicodedata.category(c) == "Cc" and c not in "\r\n\t\f\x1b\0" for c in text):
-        return True  # a code page of Windows
-    # A set of one-byte letters beside bytes that are valid UTF-8: one of the two is wrong.
+        return True  # control characters indicate a Windows code page
+    # The set has one byte per letter, but the bytes are valid UTF-8, so the set or the bytes are wrong.
     return names[0] in _ONE_BYTE and _is_utf_8([value])
 
 
 def _is_utf_8(values: list[bytes]) -> bool:
-    """Return whether texts, at least one of them beyond ASCII, are UTF-8 and can hardly be anything else."""
+    """Return whether texts, at least one of them not ASCII, are UTF-8 with high probability."""
     scripts = set()
     beyond = b"".join(value for value in values if not value.isascii())
     if not beyond or b"\x1b" in b"".join(values):
@@ -117,7 +119,7 @@ def _is_utf_8(values: list[bytes]) -> bool:
             return False
         if category[0] == "L":
             scripts.add(unicodedata.name(character, "unknown").split()[0])
-    # Two-byte sequences that spell letters of several scripts are another set; Latin letters stand beside any script.
+    # Two-byte sequences that give letters of several scripts come from another set; Latin letters occur in any text.
     return len(scripts - {"LATIN", "CJK", "HIRAGANA", "KATAKANA", "KATAKANA-HIRAGANA", "HANGUL"}) <= 1
 
 
@@ -126,7 +128,7 @@ def _written(dataset: Dataset) -> list[str]:
         element = dataset.get_item(_SPECIFIC_CHARACTER_SET)
         value: Any = None if element is None else element.value
     except Exception:
-        return []  # pydicom raises many kinds on a damaged element
+        return []  # pydicom raises various errors for a damaged element
     if value is None:
         return []
     if isinstance(value, bytes):
@@ -152,7 +154,7 @@ def _raw_texts(dataset: Dataset) -> Iterator[tuple[BaseTag, bytes]]:
 
 
 def _texts(dataset: Dataset) -> Iterator[bytes]:
-    """Yield the texts of a data set and of the sequences that are read already."""
+    """Yield the texts of a data set and of its sequences that were already read."""
     for _, value in _raw_texts(dataset):
         yield value
     for item in _items(dataset):
@@ -166,13 +168,13 @@ def _items(dataset: Dataset) -> Iterator[Dataset]:
             if isinstance(element, RawDataElement) and element.VR == "SQ":
                 element = dataset[tag]
         except Exception:
-            continue  # pydicom raises many kinds on a damaged sequence; its reader reports it
+            continue  # pydicom raises various errors for a damaged sequence; the reader of the sequence reports it
         if element is not None and isinstance(element.value, Sequence):
             yield from element.value
 
 
 def _set_encodings(dataset: Dataset, encodings: list[str]) -> None:
-    """Let pydicom decode the texts of a data set and of its sequences with other encodings than it read."""
+    """Set the encodings with which pydicom decodes the texts of a data set and of its sequences."""
     implicit, little = dataset.original_encoding
     dataset.set_original_encoding(implicit, little, encodings)
     for item in _items(dataset):

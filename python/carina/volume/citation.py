@@ -1,4 +1,4 @@
-"""What a case that others gave away must be shown with: who made it, where it is from, and under which licence."""
+"""Citation of a case that others published: authors, source and licence."""
 
 from __future__ import annotations
 
@@ -17,11 +17,12 @@ class Citation(FrozenValue, frozen=True):
     doi: str
     licence: str
     changes: str
-    """What was done to the original."""
+    """Changes made to the original data."""
     collection: str
-    """The title in short."""
+    """Short title."""
 
     def __str__(self) -> str:
+        """Return the citation as one line of text."""
         return (
             f"{self.authors} ({self.year}). {self.title}. {self.publisher}. https://doi.org/{self.doi} \u00b7 "
             f"Licence: {self.licence}. Changed: {self.changes}."

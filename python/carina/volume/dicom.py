@@ -1,4 +1,4 @@
-"""DICOM folders: which series they hold, which one is the chest CT, and how it becomes a volume."""
+"""Reading of DICOM folders: finds the series, chooses the chest CT, and reads the series into a volume."""
 
 from __future__ import annotations
 
@@ -35,37 +35,37 @@ __all__ = ["FoundSeries", "choose_series", "find_series", "open_series"]
 
 
 _CHEST = re.compile(r"chest|thora|lung|pulmo|bronch", re.IGNORECASE)
-# Many exporters name files by their UID; a volume carries none, not even inside a sentence about another series.
+# Many exporters use UIDs as file names. A volume contains no UID, not even in a message about another series.
 _UID = re.compile(r"[\w.-]*\d+(?:\.\d+){4,}[\w.-]*")
 _DERIVED = re.compile(r"\b(mip|minip|mpr|projection image|screen save|average|subtract\w*)\b")
-_MAX_SERIES_NAMED = 4  # in one message
+_MAX_SERIES_NAMED = 4  # largest number of series that one message names
 _IMAGE_TYPE = list(SETTINGS).index("ImageType")
 _ELSEWHERE = re.compile(r"head|brain|skull|neuro|sinus|abdom|pelvi|spine|knee|foot|hand|leg\b|hip\b", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
 class FoundSeries:
-    """One series of a folder, with its slices in order and its grid, or the reason why it has none."""
+    """One series of a folder with its slices in order and its grid, or with the reason why it has no grid."""
 
     info: SeriesInfo
     slices: tuple[SliceHeader, ...]
     lps_from_ijk: NDArray[np.float64] | None = None
     refusal: VolumeImportError | None = None
     score: float = 0.0
-    """Slices times covered height in mm, weighted by what the texts say; decides which one is the chest CT."""
+    """Number of slices times covered height in mm, weighted by the texts; the largest score is opened."""
     notes: tuple[Note, ...] = ()
-    """What is to be said of it as it lies in its folder."""
+    """Notes about the files of the series."""
     missing: tuple[UnusedFile, ...] = ()
-    """Files that look like a part of it and could not be used."""
+    """Files that look like a part of the series and could not be used."""
 
     @property
     def name(self) -> str:
-        """How messages call it."""
+        """Name of the series in messages."""
         return _name(self.info)
 
     @property
     def coverage_mm(self) -> float:
-        """Height of the stack along its normal."""
+        """Height of the stack along its normal in mm."""
         if len(self.slices) < 2:
             return 0.0
         normal = np.cross(self.slices[0].row_lps, self.slices[0].column_lps)
@@ -79,6 +79,7 @@ def _name(info: SeriesInfo) -> str:
 
 
 def _grid(group: Group, what: str) -> tuple[list[SliceHeader], NDArray[np.float64]]:
+    """Return the sorted slices of a group and their grid, after checks of all headers."""
     slices = group.slices
     bad = [header for header in slices if header.problem is not None]
     if bad:
@@ -98,7 +99,8 @@ def _grid(group: Group, what: str) -> tuple[list[SliceHeader], NDArray[np.float6
     try:
         found = grid_from_slices(slices, what=what)
     except VolumeImportError:
-        if group.mixed_with:  # what was parted from it is the reason, and says so
+        # Slices on other grids were separated from this series; the error of the undivided series states this cause.
+        if group.mixed_with:
             grid_from_slices(group.mixed_with, what=what)
         raise
     check_rescale_tags(found[0], what)
@@ -106,10 +108,12 @@ def _grid(group: Group, what: str) -> tuple[list[SliceHeader], NDArray[np.float6
 
 
 def _score(slices: Sequence[SliceHeader], coverage_mm: float) -> float:
+    """Return the score by which the chest CT is chosen; see :attr:`FoundSeries.score`."""
     first = slices[0]
     score = (1 + len(slices)) * (1 + coverage_mm)
     text = f"{first.body_part} {first.description}"
-    # Texts are optional and often wrong, so they only weigh: a long chest CT without a text beats a short one with it.
+    # Texts are optional and often wrong, so they only change the score: a long CT without a text has a larger score
+    # than a short one with a matching text.
     if _CHEST.search(text):
         score *= 4
     elif _ELSEWHERE.search(text):
@@ -126,9 +130,16 @@ def _score(slices: Sequence[SliceHeader], coverage_mm: float) -> float:
 
 
 def find_series(content: FolderContent, watch: Watch) -> list[FoundSeries]:
-    """Part the images of a folder into series, best chest CT first, by the rules of ``dicom_series``.
+    """Divide the images of a folder into series, the best chest CT first, by the rules of ``dicom_series``.
 
-    Scouts (ImageType LOCALIZER) are a series of their own.
+    Scouts (ImageType LOCALIZER) form their own series.
+
+    Parameters
+    ----------
+    content
+        Headers and unused files of the folder.
+    watch
+        Progress and cancellation.
     """
     headers, copies = without_copies(content.headers, watch)
     groups = group_slices(headers)
@@ -136,7 +147,7 @@ def find_series(content: FolderContent, watch: Watch) -> list[FoundSeries]:
     lost = LostFiles(content)
     used: dict[str, int] = {}
     found = []
-    # By number, then by file name: the keys a person types do not depend on UIDs.
+    # Sorted by number, then by file name, so that the keys that a user types do not depend on UIDs.
     for group in sorted(groups, key=lambda item: (item.slices[0].series_number or 0, str(item.slices[0].path))):
         watch.step("Sorting the images")
         slices = group.slices
@@ -194,7 +205,7 @@ def _notes_of_files(
 
 
 def _with_missing(error: VolumeImportError, missing: Sequence[UnusedFile]) -> VolumeImportError:
-    """Return the refusal with the names of the files that could not be used, because they are its likely cause."""
+    """Return the error extended by the files that could not be used, because they are its likely cause."""
     if not missing:
         return error
     shown = ", ".join(f"{bounded_name(file.path.name)} ({file.reason})" for file in missing[:4])
@@ -206,7 +217,7 @@ def _with_missing(error: VolumeImportError, missing: Sequence[UnusedFile]) -> Vo
 
 
 def describe_series(series: Sequence[SeriesInfo]) -> str:
-    """Return one line with the first series: "series 2 (Thorax 1.0), CT, 300 slices; series 1 (scout), CT, 1 slice"."""
+    """Return a list of the first series: "series 2 (Thorax 1.0), CT, 300 slices; series 1 (scout), CT, 1 slice"."""
     named = [
         f"{_name(info)}, {info.modality or 'no modality'}, {info.num_slices} slice{'s' if info.num_slices != 1 else ''}"
         for info in series
@@ -215,21 +226,31 @@ def describe_series(series: Sequence[SeriesInfo]) -> str:
 
 
 def choose_series(found: Sequence[FoundSeries], *, key: str | None, where: str) -> tuple[FoundSeries, tuple[Note, ...]]:
-    """Choose by key, else the largest chest CT; say which others there are.
+    """Choose a series by its key, or else the largest chest CT, and return it with notes about the other series.
 
-    Where the largest is refused, another CT takes its place only if it covers at least half of its height, and a
-    note says so.
+    If the largest series is refused, another CT replaces it only if it covers at least half of its height, and a note
+    states the replacement.
+
+    Parameters
+    ----------
+    found
+        Series from :func:`find_series`, the best first.
+    key
+        Key of the series; None chooses the best.
+    where
+        Name of the folder for messages.
 
     Returns
     -------
     chosen, notes
+        The chosen series and its notes.
 
     Raises
     ------
     UsageError
         ``usage.series``: no series has this key.
     VolumeImportError
-        The refusal of the chosen series, with the others named.
+        The refusal of the chosen series, with the names of the others.
     """
     if key is not None:
         chosen = next((item for item in found if item.info.key == key), None)
@@ -271,12 +292,23 @@ def choose_series(found: Sequence[FoundSeries], *, key: str | None, where: str) 
 def open_series(series: FoundSeries, *, others: Sequence[SeriesInfo], notes: tuple[Note, ...], watch: Watch) -> Volume:
     """Read the pixels of one series into a volume.
 
+    Parameters
+    ----------
+    series
+        The series to read.
+    others
+        The other series of the folder, for :attr:`VolumeSource.other_series`.
+    notes
+        Notes from :func:`choose_series`.
+    watch
+        Progress and cancellation.
+
     Raises
     ------
     VolumeImportError
-        If a slice is cut short or does not decode; the message names the file.
+        If a slice is truncated or cannot be decoded; the message names the file.
     CancelledError
-        If the person cancels, at the latest after one slice.
+        If the user cancels; at most one slice is read after that.
     """
     if series.lps_from_ijk is None or series.info.shape_zyx is None:
         raise series.refusal or VolumeImportError(f"reading {series.name}: it has no voxel grid")
@@ -339,7 +371,7 @@ def open_series(series: FoundSeries, *, others: Sequence[SeriesInfo], notes: tup
 
 
 def _common_thickness_mm(slices: Sequence[SliceHeader]) -> float | None:
-    """Return the thickness that all slices state, to 0.01 mm; None where they differ or some state none."""
+    """Return the thickness that all slices state, to 0.01 mm; None if they differ or some slices state none."""
     found = {None if header.thickness_mm is None else round(header.thickness_mm, 2) for header in slices}
     return found.pop() if len(found) == 1 else None
 
@@ -351,7 +383,7 @@ def _read_slices(
     doubts: list[tuple[SliceHeader, Doubt]],
     watch: Watch,
 ) -> NDArray[np.int16]:
-    """Decode the slices one by one; count clipped and padded voxels and collect doubts."""
+    """Return the decoded slices; count clipped and padded voxels, and collect doubts."""
     assert series.info.shape_zyx is not None
     values: NDArray[np.int16] | None = None
     before: tuple[SliceHeader, NDArray[Any]] | None = None
@@ -365,7 +397,8 @@ def _read_slices(
         if header.modality_lut is None:
             refuse_contradicting_rescale(before, header, numbers, f"reading {series.name}")
         before = header, numbers
-        if values is None:  # only now: a first slice that cannot be read costs no memory for the rest
+        # Allocated after the first slice, so that an unreadable one does not cost the memory of the volume.
+        if values is None:
             values = np.empty(series.info.shape_zyx, dtype=np.int16)
         if numbers.dtype.kind == "f":
             numbers = np.rint(numbers)

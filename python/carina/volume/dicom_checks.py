@@ -1,6 +1,7 @@
-"""Whether the numbers of a series fit together: its rescale tags, its slices beside each other, what had to be cut.
+"""Consistency checks of a series' values: rescale tags, differences between neighbouring slices, clipped values.
 
-Tags alone do not tell: a slice whose intercept was lost, or rewritten as 0, lies 1024 HU off and looks like any other.
+Tags alone are not sufficient: a slice whose intercept was lost, or rewritten as 0, is wrong by 1024 HU and otherwise
+looks normal.
 """
 
 from __future__ import annotations
@@ -23,12 +24,19 @@ __all__ = ["Clipping", "check_rescale_tags", "doubt_notes", "odd_slices", "refus
 
 
 def check_rescale_tags(slices: Sequence[SliceHeader], what: str) -> None:
-    """Refuse a series in which some slices have a slope, an intercept or a Modality LUT and others do not.
+    """Raise an error if only some slices of a series have a slope, an intercept or a Modality LUT.
+
+    Parameters
+    ----------
+    slices
+        All slices of the series.
+    what
+        Beginning of the message.
 
     Raises
     ------
     VolumeImportError
-        ``import.rescale-mixed``, naming the slices that lack what the others have.
+        ``import.rescale-mixed``, with the names of the slices that lack the tag.
     """
     for tag, given in (
         ("RescaleIntercept", [header.has_intercept for header in slices]),
@@ -47,7 +55,7 @@ def check_rescale_tags(slices: Sequence[SliceHeader], what: str) -> None:
 
 
 def _files(slices: Sequence[SliceHeader]) -> str:
-    """Names of files for a refusal, which a person at the screen reads: whole."""
+    """Return the complete names of files for an error message."""
     shown = ", ".join(sorted(bounded_name(header.path.name) for header in slices)[:6])
     return shown + (f" and {len(slices) - 6} more" if len(slices) > 6 else "")
 
@@ -59,15 +67,25 @@ def _some(numbers: NDArray[Any]) -> NDArray[np.float64]:
 def refuse_contradicting_rescale(
     before: tuple[SliceHeader, NDArray[Any]] | None, header: SliceHeader, numbers: NDArray[Any], what: str
 ) -> None:
-    """Refuse two neighbouring CT slices whose different rescale tears apart what their stored numbers join.
+    """Raise an error if the rescale tags of two neighbouring CT slices contradict their pixels.
 
-    Scanners and converters may give every slice its own slope and intercept; then the rescaled numbers fit together and
-    the stored ones do not. Where it is the other way round, one of the tags is wrong.
+    Scanners and converters may give every slice its own slope and intercept; then the rescaled values of neighbours are
+    similar and the stored values are not. If instead the stored values are similar and the rescaled ones are not, one
+    of the tags is wrong.
+
+    Parameters
+    ----------
+    before
+        Header and rescaled values of the preceding slice; None for the first slice.
+    header, numbers
+        Header and rescaled values of the slice.
+    what
+        Beginning of the message.
 
     Raises
     ------
     VolumeImportError
-        ``import.rescale-contradicts``, naming both slices.
+        ``import.rescale-contradicts``, with the names of both slices.
     """
     if before is None or header.modality != "CT":
         return
@@ -89,17 +107,17 @@ def refuse_contradicting_rescale(
 
 
 class Clipping:
-    """Counts what does not fit into int16, slice by slice; padding outside the reconstructed circle is no loss."""
+    """Counter of values outside int16; padding outside the reconstructed circle does not count as a loss."""
 
     def __init__(self) -> None:
         self.count = 0
-        """Voxels set to the nearest number of int16."""
+        """Number of voxels set to the nearest int16 value."""
         self.lost = 0
-        """Those that were no padding."""
+        """Number of clipped voxels that were not padding."""
         self._padding: set[float] = set()
 
     def take(self, header: SliceHeader, numbers: NDArray[Any]) -> NDArray[Any]:
-        """Return the numbers cut to int16, and count the cut ones."""
+        """Return the values clipped to int16, and count the clipped ones."""
         low, high = float(numbers.min()), float(numbers.max())
         if low >= -32768 and high <= 32767:
             return numbers
@@ -109,7 +127,7 @@ class Clipping:
             ends = sorted(number * header.slope + header.intercept for number in padding)
             outside = outside[(outside < ends[0]) | (outside > ends[1])]
         below = outside[outside < -32768]
-        # Without a tag, one single value far below air is padding too; it is the same in all slices.
+        # Without a tag, one single value far below air is padding too, if it is the same in all slices.
         if below.size and below.min() == below.max():
             self._padding.add(float(below[0]))
             if len(self._padding) == 1:
@@ -119,23 +137,28 @@ class Clipping:
 
 
 def odd_slices(values: NDArray[np.int16], *, compressed: bool, slice_mm: float) -> list[int]:
-    """Slices that differ from both neighbours far more than these differ from each other.
+    """Return the indices of slices that differ from both neighbours far more than these differ from each other.
 
-    Anatomy changes on its way through the body, so both neighbours of a slice differ at least about as much as the
-    slice from one of them; noise adds the same everywhere. On the shared CTs, thin and thick, the difference of the
-    differences stays below 0 HU over whole slices and below 15 HU in parts of a sixteenth of their width; a slice on
-    another scale or of damaged pixels reaches hundreds.
+    Anatomy changes gradually along the body, so the two neighbours of a slice differ from each other at least about as
+    much as the slice differs from one of them; noise adds the same to all differences. In the shared CTs, thin and
+    thick, the excess stays below 0 HU for whole slices and below 15 HU in parts of a sixteenth of their width; for a
+    slice with another scale or damaged pixels it reaches hundreds of HU.
 
     Parameters
     ----------
     values
-        [z, y, x] HU.
+        (nz, ny, nx) HU.
     compressed
-        Look at parts of a slice, too: a damaged stream often spoils one place alone.
+        Also compare parts of a slice, because a damaged stream often changes one place only.
     slice_mm
-        From slice to slice. The farther they lie apart, the more a healthy part of one slice may show alone: a rib, a
-        vessel that runs in its plane, a nodule. Every second slice of the shared CTs (6 mm) reaches 185 HU, every
-        third (9 mm) 409.
+        Distance of the slices in mm. With a larger distance, structures that appear in one slice only (a rib, a vessel
+        in its plane, a nodule) cause a larger excess: every second slice of the shared CTs (6 mm) reaches 185 HU, every
+        third (9 mm) 409 HU.
+
+    Returns
+    -------
+    list of int
+        Indices of the slices, ascending.
     """
     if len(values) < 3:
         return []
@@ -152,7 +175,11 @@ def odd_slices(values: NDArray[np.int16], *, compressed: bool, slice_mm: float) 
 
 
 def _fits_worst(below: NDArray[Any], middle: NDArray[Any], above: NDArray[Any], *, tile: int | None) -> float:
-    """How much more the middle differs from the nearer of its neighbours than it may, HU, where that is worst."""
+    """Return the largest excess in HU of the middle slice's difference from its nearer neighbour.
+
+    The excess is the part of that difference above a multiple of the difference of the two neighbours. With ``tile``,
+    differences are means over square tiles of this side, otherwise over the whole slice.
+    """
     step = 4 if tile is None else 1
     three = [np.clip(part[::step, ::step], -1200, 1500).astype(np.int32) for part in (below, middle, above)]
 
@@ -169,7 +196,7 @@ def _fits_worst(below: NDArray[Any], middle: NDArray[Any], above: NDArray[Any], 
 
 
 def doubt_notes(doubts: Sequence[tuple[SliceHeader, Doubt]], num_slices: int) -> list[Note]:
-    """One lasting note for each kind of doubt, with the number of its slices and the first few by name."""
+    """Return one permanent note for each kind of doubt, with the number of its slices and some file names."""
     notes = []
     for code, _ in Counter(doubt.code for _, doubt in doubts).most_common():
         mine = [(header, doubt) for header, doubt in doubts if doubt.code == code]

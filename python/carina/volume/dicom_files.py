@@ -1,8 +1,8 @@
-"""Which files of a folder are slices, and which look like slices and could not be used.
+"""Search of a folder for slices, and for files that look like slices and could not be used.
 
-A file that is empty, cut, unreadable or not allowed to be read vanishes from a stack without a trace when it lies at an
-end. So everything that was not used is kept with its reason, and ``LostFiles`` says which of it looks like a part
-of a series. Reports, directory files, documents and slices of other series are no such files.
+If an empty, truncated or unreadable file is the first or last slice of a stack, the stack shows no gap. Every unused
+file is therefore recorded with the reason, and ``LostFiles`` finds those that look like a part of a series. Reports,
+directory files, documents and slices of other series do not count as lost.
 """
 
 from __future__ import annotations
@@ -26,51 +26,52 @@ from carina.volume.watch import Watch
 
 __all__ = ["FolderContent", "LostFiles", "UnusedFile", "name_files", "read_folder", "read_headers", "shown_name"]
 
-_MAX_LOOKS = 1_000_000  # at lost files for all series together; the time must not grow with their product
+_MAX_LOOKS = 1_000_000  # comparisons of lost files for all series; bounds the time
 _MAX_SAID = 100
 
-# Many exporters name files by their UID; a volume carries none, not even inside a sentence.
+# Many exporters use UIDs as file names. A volume contains no UID, not even in a message.
 _UID_NAME = re.compile(r"[\w.-]*\d+(?:\.\d+){4,}[\w.-]*")
 _RUNS = re.compile(r"[0-9A-Fa-f]{8,}|\d+")
 _IMAGE_CLASSES = tuple(
     f"1.2.840.10008.5.1.4.1.1.{kind}" for kind in ("2", "2.1", "2.2", "4", "4.1", "7", "20", "128", "130")
 )
 _SCAN_MODALITIES = ("CT", "MR", "PT", "NM")
-# What a document or an archive begins with; of these only a file named like a slice counts as a lost one.
+# First bytes of documents and archives; such a file counts as lost only if it is named like a slice.
 _KNOWN_STARTS = (b"%PDF", b"PK\x03\x04", b"\x89PNG", b"\xff\xd8\xff", b"GIF8", b"\x1f\x8b", b"BM", b"<", b"{", b"NRRD")
 
 
 @dataclass(frozen=True, slots=True)
 class UnusedFile:
-    """A file that is no slice, or could not be read as one. Never printed: it may hold a UID."""
+    """A file that is not a slice, or could not be read as one; never logged, because it may contain a UID."""
 
     path: Path
     reason: str
-    """For a message, such as "empty" or "truncated header"."""
+    """Reason for messages, such as "empty" or "truncated header"."""
     size: int
     is_dicom: bool
-    """It begins like DICOM, or is a folder of which nothing is known."""
+    """Whether the file begins like DICOM, or is a folder with unknown content."""
     known: bool = False
-    """It begins like a document or an archive."""
+    """Whether the file begins like a document or an archive."""
     series_uid: str = field(default="", repr=False)
-    """Where this much could be read."""
+    """UID of the series; empty if it could not be read."""
 
 
 @dataclass(frozen=True, slots=True)
 class FolderContent:
-    """The images of a folder and what else may have been one."""
+    """The images of a folder, and the files that could not be used."""
 
     headers: tuple[SliceHeader, ...]
     unused: tuple[UnusedFile, ...]
 
 
 def _walk(folder: Path, unused: list[UnusedFile], *, recursive: bool, watch: Watch) -> Iterator[Path]:
+    """Yield the paths of all files in a folder; add folders and links that cannot be read to ``unused``."""
     count = 0
 
     def refused(error: OSError) -> None:
         unused.append(UnusedFile(Path(error.filename), "a folder that cannot be opened", 0, is_dicom=True))
 
-    # followlinks stays off: a link to a parent would never end.
+    # followlinks is off, because a link to a parent folder would cause an endless loop.
     for root, folders, files in os.walk(folder, onerror=refused):
         watch.step("Looking for images")
         folders.sort()
@@ -108,6 +109,7 @@ def _holds_no_scan(dataset: Dataset) -> bool:
 
 
 def _read(path: Path) -> SliceHeader | UnusedFile | None:
+    """Return the header of a slice, the reason why a file is unusable, or None for a DICOM file without a slice."""
     if special_kind(path) is not None:
         return UnusedFile(path, "not a file", 0, is_dicom=False)
     try:
@@ -128,20 +130,29 @@ def _read(path: Path) -> SliceHeader | UnusedFile | None:
             return header
         uid = str(dataset.get("SeriesInstanceUID") or "")
     except Exception:
-        # ``read_header`` raises ValueError, and pydicom many kinds on a damaged value.
+        # ``read_header`` raises ValueError, and pydicom raises various errors for a damaged value.
         return UnusedFile(path, "damaged DICOM file", _size(path), is_dicom=True)
     return UnusedFile(path, "truncated header", _size(path), is_dicom=True, series_uid=uid)
 
 
 def read_folder(folder: Path, *, recursive: bool, watch: Watch) -> FolderContent:
-    """Read the headers of all DICOM images in a folder, and remember every file that was not used.
+    """Read the headers of all DICOM images in a folder, and record every file that was not used.
+
+    Parameters
+    ----------
+    folder
+        The folder to search.
+    recursive
+        Whether to search the subfolders too.
+    watch
+        Progress and cancellation.
 
     Raises
     ------
     VolumeImportError
-        If the folder holds implausibly many files.
+        If the folder contains implausibly many files.
     CancelledError
-        If the person cancels.
+        If the user cancels.
     """
     headers: list[SliceHeader] = []
     unused: list[UnusedFile] = []
@@ -157,12 +168,12 @@ def read_folder(folder: Path, *, recursive: bool, watch: Watch) -> FolderContent
 
 
 def read_headers(folder: Path, *, recursive: bool, watch: Watch) -> list[SliceHeader]:
-    """Return the headers of a folder's slices alone; all other files are skipped."""
+    """Return the headers of a folder's slices; all other files are ignored."""
     return list(read_folder(folder, recursive=recursive, watch=watch).headers)
 
 
 def _shape(name: str) -> str:
-    """Return a name without its numbers: ``IM003.dcm`` and ``IM104.dcm`` are alike."""
+    """Return a file name with its numbers replaced, so that ``IM003.dcm`` and ``IM104.dcm`` give the same result."""
     return _RUNS.sub("#", name).casefold()
 
 
@@ -172,7 +183,7 @@ def _suffix(name: str) -> str:
 
 
 class LostFiles:
-    """The files of a folder that could not be used, ready to be asked which of them belong to a series."""
+    """The unused files of a folder, with a search for those that belong to a series."""
 
     def __init__(self, content: FolderContent) -> None:
         self._by_folder: dict[Path, list[UnusedFile]] = {}
@@ -185,10 +196,11 @@ class LostFiles:
         self._shapes = {_shape(header.path.name) for header in content.headers} if content.unused else set()
 
     def beside(self, slices: Sequence[SliceHeader]) -> list[UnusedFile]:
-        """Return the files that look like a part of a series, in the order of their names.
+        """Return the unused files that look like a part of a series, sorted by name.
 
-        They lie in its folder (or, where it lies in several, in one beside these) and begin like DICOM, or are named
-        like its slices, or are as large as these. A name like that of another series is that one's.
+        Such a file is in a folder of the series (or, if the series has several folders, in one next to them), and
+        begins like DICOM, is named like the slices, or has their size. A file that is named like another series belongs
+        to that series.
         """
         if not self._by_folder:
             return []
@@ -199,7 +211,8 @@ class LostFiles:
         if not near:
             return list(self._closed)
         self._looks_left -= len(near)
-        if self._looks_left < 0:  # thousands of series in one folder: better too many said than none
+        # With thousands of series in one folder, too many files are reported rather than none.
+        if self._looks_left < 0:
             return [*self._closed, *near[:_MAX_SAID]]
         uids = {header.series_uid for header in slices}
         shapes = {_shape(header.path.name) for header in slices}
@@ -217,19 +230,19 @@ class LostFiles:
                 return True
             return not file.known and file.size > 2048 and abs(file.size - size) <= 0.01 * size
 
-        # Nobody knows what is in a folder that cannot be opened.
+        # The content of a folder that cannot be opened is unknown, so the folder is always reported.
         found = {file.path: file for file in (*self._closed, *filter(belongs, near))}
         return [found[path] for path in sorted(found)]
 
 
 def shown_name(path: Path) -> str:
-    """Return a file's name as a volume may have it; a name made of a UID is reduced to its last digits."""
+    """Return a file's name in the form that a volume may contain; of a UID only the last characters stay."""
     name = path.name
     return f"...{name[-8:]}" if _UID_NAME.search(name) else bounded_name(name)
 
 
 def name_files(files: Sequence[tuple[Path, str]], *, at_most: int = 4) -> str:
-    """Return the first few files with a word each: "IM012 (empty), IM013 (not DICOM) and 7 more"."""
+    """Return the names of the first few files with a reason each: "IM012 (empty), IM013 (not DICOM) and 7 more"."""
     shown = [f"{shown_name(path)} ({word})" if word else shown_name(path) for path, word in files[:at_most]]
     more = len(files) - len(shown)
     return ", ".join(shown) + (f" and {more} more" if more > 0 else "")

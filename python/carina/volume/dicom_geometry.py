@@ -1,16 +1,16 @@
-"""Where the voxels of a DICOM series are, from the tags of every slice; refuses what is no regular, straight grid.
+"""Grid of a DICOM series from the tags of every slice; a series without a regular, rectangular grid is refused.
 
-The third axis is the way from slice to slice as ImagePositionPatient gives it (PS3.3 C.7.6.2.1.1). SliceThickness is
-never used for it: it is how much tissue one slice averages, and overlapping or gapped series are common.
+The third axis is the offset from slice to slice according to ImagePositionPatient (PS3.3 C.7.6.2.1.1). SliceThickness
+is not used: it is the thickness of tissue that one slice averages, and overlapping slices or gaps are common.
 
 Tolerances (each tested on both sides):
 
-- along the normal a slice may lie off the regular grid by a tenth of the slice distance, at most 0.3 mm; 0.06 mm is
-  always allowed, since some scanners write positions rounded to 0.1 mm;
-- across it by 0.1 mm or a tenth of a pixel, whichever is more;
-- the stack may lean by 0.2 degrees, or by 0.1 mm over its whole height, whichever is more (near-zero tilts are real and
-  harmless; the lean is then kept in ``lps_from_ijk``, so that no voxel is misplaced);
-- directions and pixel distances of all slices agree when the far corner of the image moves by less than 0.1 mm.
+- along the normal, a slice may deviate from the regular grid by a tenth of the slice distance, at most 0.3 mm; 0.06 mm
+  is always allowed, because some scanners round positions to 0.1 mm;
+- across the normal, a slice may deviate by 0.1 mm or a tenth of a pixel, whichever is more;
+- the stack may be sheared by 0.2 degrees, or by 0.1 mm over its whole height, whichever is more (tilts near zero occur
+  and are harmless; ``lps_from_ijk`` contains the shear, so that no voxel is displaced);
+- directions and pixel spacings of all slices must agree so that the far corner of the image moves by less than 0.1 mm.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ def _refuse(what: str, problem: str, way_out: str, code: str) -> VolumeImportErr
 
 
 def _check_alike(slices: Sequence[SliceHeader], what: str) -> None:
+    """Raise an error if slices differ in size, orientation or pixel spacing."""
     first = slices[0]
     extent_mm = math.hypot(first.columns * first.spacing_mm[0], first.rows * first.spacing_mm[1])
     way_out = "keep only the slices of one scan in the folder"
@@ -66,9 +67,10 @@ def _check_alike(slices: Sequence[SliceHeader], what: str) -> None:
 
 
 def _check_spacing(along_mm: NDArray[np.float64], ordered: Sequence[SliceHeader], what: str) -> None:
+    """Raise an error if slices share a position, or if their distances are irregular."""
     count = len(ordered)
     gaps = np.diff(along_mm)
-    # The median stands for the intended distance: one missing or doubled slice does not move it.
+    # The median is the intended distance; one missing or duplicate slice does not change it.
     expected = float(np.median(gaps))
     doubled = np.flatnonzero(gaps <= max(0.01, 0.02 * expected))
     if doubled.size:
@@ -109,19 +111,19 @@ def _check_spacing(along_mm: NDArray[np.float64], ordered: Sequence[SliceHeader]
 
 
 def grid_from_slices(slices: Sequence[SliceHeader], *, what: str) -> tuple[list[SliceHeader], NDArray[np.float64]]:
-    """Sort the slices of one series along their normal and find the grid they form.
+    """Sort the slices of one series along their normal and compute their grid.
 
     Parameters
     ----------
     slices
         In any order; none has a ``problem``.
     what
-        How a refusal begins, such as "reading series 3 (Thorax)".
+        Beginning of error messages, such as "reading series 3 (Thorax)".
 
     Returns
     -------
     ordered, lps_from_ijk
-        The slices by growing position along (row x column), and the 4x4 transform of voxel centres to LPS mm.
+        The slices sorted by position along (row x column), and the 4x4 transform from voxel centres to LPS mm.
 
     Raises
     ------
@@ -135,7 +137,7 @@ def grid_from_slices(slices: Sequence[SliceHeader], *, what: str) -> tuple[list[
     first = slices[0]
     row = np.array(first.row_lps)
     column = np.array(first.column_lps)
-    # The directions are unit vectors and meet at 90 degrees within MAX_SKEW_DEG; the grid keeps them as they are.
+    # The directions are unit vectors, perpendicular within MAX_SKEW_DEG; the grid uses them unchanged.
     normal = np.cross(row, column)
     normal /= np.linalg.norm(normal)
     ordered = sorted(slices, key=lambda header: (float(normal @ np.array(header.position_lps)), str(header.path)))

@@ -1,7 +1,7 @@
-"""The tags of each DICOM file that decide where its pixels are and what they mean (PS3.3 C.7.6.2, C.7.6.3, C.8.2.1).
+"""Reader of the DICOM tags that decide the position and the meaning of pixels (PS3.3 C.7.6.2, C.7.6.3, C.8.2.1).
 
-Headers of foreign files are hostile until proven otherwise: every value is checked where it is read, and what a file
-lacks is kept as a sentence (``problem``) for the person, never guessed.
+Headers are untrusted input: every value is checked when it is read. A missing value is never guessed; it is stored as a
+message for the user (``problem``).
 """
 
 from __future__ import annotations
@@ -44,16 +44,16 @@ __all__ = [
     "read_pixel_bytes",
 ]
 
-# pydicom reports odd values with the value itself, which may be a name; nothing of a header may reach a log.
+# pydicom logs odd values, which may be a name; nothing of a header may be logged.
 logging.getLogger("pydicom").setLevel(logging.CRITICAL + 1)
 
 MAX_IMAGE_SIDE = (
-    8192  # pixels; the largest detectors are half of that, and a lying header is stopped before memory is taken
+    8192  # pixels; twice the size of the largest detectors; larger claims are refused before memory is allocated
 )
-_MAX_INFLATED_BYTES = 1 << 28  # of one file in the deflated transfer syntax
+_MAX_INFLATED_BYTES = 1 << 28  # largest decompressed size of a deflated file
 _DEFLATED = b"1.2.840.10008.1.2.1.99"
 
-# What says whose and which scan a slice belongs to. Two values never make one volume.
+# Tags that identify the patient and the scan. Slices with two values never form one volume.
 IDENTITY = {
     "PatientID": "patients",
     "PatientName": "patients",
@@ -63,7 +63,8 @@ IDENTITY = {
     "Modality": "modalities",
 }
 
-# What may change within one scan (a chest in several breaths has several acquisitions) and also tells two scans apart.
+# Tags that may change within one scan (a chest in several breaths has several acquisitions) but may also distinguish
+# two scans.
 SETTINGS = {
     "ImageType": "image type",
     "ConvolutionKernel": "reconstruction kernel",
@@ -97,12 +98,12 @@ _DATES = ("AcquisitionDate", "AcquisitionDateTime", "StudyDate")
 _DATE_TAGS = [Tag(keyword) for keyword in _DATES]
 FIRST_CT_YEAR = 1971
 MOST_THICKNESS_MM = 20.0
-"""Thicker slices are no CT of a chest: the tag holds another unit or a default."""
+"""Largest thickness in mm of a chest CT's slices; a larger value of the tag has another unit or is a default."""
 
 
 @dataclass(frozen=True, slots=True)
 class SliceHeader:
-    """One image file of a series. Never printed: it holds a UID (left out of the repr)."""
+    """Header of one image file of a series; never logged, because it contains UIDs (omitted from the repr)."""
 
     path: Path
     series_uid: str = field(repr=False)
@@ -114,15 +115,15 @@ class SliceHeader:
     rows: int
     columns: int
     position_lps: tuple[float, float, float]
-    """Centre of the first pixel, mm."""
+    """Centre of the first pixel, LPS mm."""
     row_lps: tuple[float, float, float]
-    """Unit direction of growing column index (the first three numbers of ImageOrientationPatient)."""
+    """Unit direction of increasing column index (the first three numbers of ImageOrientationPatient), LPS."""
     column_lps: tuple[float, float, float]
-    """Unit direction of growing row index."""
+    """Unit direction of increasing row index, LPS."""
     spacing_mm: tuple[float, float]
-    """Distance of columns, distance of rows: (x, y), the reverse of PixelSpacing's order."""
+    """Distance of columns and distance of rows: (x, y), the reverse order of PixelSpacing."""
     thickness_mm: float | None
-    """SliceThickness; None where the tag is missing or is not a possible thickness."""
+    """SliceThickness; None if the tag is missing or is not a possible thickness."""
     slope: float
     intercept: float
     has_slope: bool
@@ -136,26 +137,27 @@ class SliceHeader:
     transfer_syntax: str
     sop_uid: str = field(repr=False)
     identity: tuple[str, ...] = field(repr=False)
-    """Values of ``IDENTITY``; "" where the tag is missing."""
+    """Values of the tags in ``IDENTITY``; "" for a missing tag."""
     settings: tuple[str, ...] = field(repr=False)
-    """Values of ``SETTINGS``; "" where the tag is missing."""
+    """Values of the tags in ``SETTINGS``; "" for a missing tag."""
     pixels_at: int | None = None
-    """Where in the file the element PixelData begins, if known."""
+    """Offset of the element PixelData in the file; None if unknown."""
     padding: tuple[PaddingRange, ...] = ()
-    """Stored numbers that mark padding (PixelPaddingValue, PixelPaddingRangeLimit); empty without the tags."""
+    """Ranges of stored values that mark padding (PixelPaddingValue, PixelPaddingRangeLimit); empty without the tags."""
     modality_lut: ModalityLut | None = None
     problem: str | None = None
     problem_code: str = "import.tags"
 
     @property
     def has_rescale(self) -> bool:
-        """True where slope and intercept are given."""
+        """Whether slope and intercept are given."""
         return self.has_slope and self.has_intercept
 
 
 def _check_inflated_size(path: Path) -> None:
-    # A deflated data set is inflated as a whole before any tag can be read: count first, so that a bomb takes no
-    # memory.
+    """Raise an error if a deflated file decompresses to an implausible size."""
+    # A deflated data set is decompressed as a whole before any tag can be read, so its size is counted first; a
+    # decompression bomb then takes no memory.
     with path.open("rb") as file:
         head = file.read(2048)
         at = head.find(_DEFLATED)
@@ -179,18 +181,25 @@ def _check_inflated_size(path: Path) -> None:
 
 
 def read_dataset(path: Path, *, pixels: bool) -> Dataset:
-    """Read one file with pydicom, without its warnings (they may quote patient data).
+    """Read one file with pydicom, without its warnings, which may quote patient data.
+
+    Parameters
+    ----------
+    path
+        The file.
+    pixels
+        Read all elements including the pixels; otherwise only the tags that Carina uses.
 
     Raises
     ------
     ValueError
-        If the file cannot be read as DICOM, whatever the reason; the text holds no value of the file.
+        If the file cannot be read as DICOM; the message contains no value of the file.
     """
     return _read(path, pixels=pixels)[0]
 
 
 def _read(path: Path, *, pixels: bool, tags: Sequence[Any] = _TAGS) -> tuple[Dataset, int | None]:
-    """Read the data set, and the offset of its pixel element, if that was left out and can be found."""
+    """Read the data set, and the offset of its pixel element if the element was skipped and can be found."""
     try:
         _check_inflated_size(path)
         with warnings.catch_warnings():
@@ -205,25 +214,25 @@ def _read(path: Path, *, pixels: bool, tags: Sequence[Any] = _TAGS) -> tuple[Dat
                 settle_character_set(dataset)
                 return dataset, at if file.read(4) in _PIXEL_TAGS else None
     except Exception as error:
-        # pydicom raises many kinds on a broken file; each of them means the same to us.
+        # pydicom raises various errors for a damaged file; all have the same meaning here.
         msg = f"cannot be read as DICOM ({type(error).__name__})"
         raise ValueError(msg) from None
 
 
 @contextlib.contextmanager
 def damaged_elements_refused(refusal: Callable[[str], CarinaError]) -> Iterator[None]:
-    """Turn whatever pydicom or NumPy raise on a damaged element into a refusal, and silence their warnings.
+    """Convert any error that pydicom or NumPy raises for a damaged element, and suppress their warnings.
 
-    pydicom converts a value when it is first used, so that a changed letter in a header appears anywhere in the code
-    that reads the data set, as nearly any exception.
+    pydicom converts a value at its first use, so that a damaged element can raise almost any exception anywhere in code
+    that reads the data set.
 
     Parameters
     ----------
     refusal
-        Makes the error from a problem, such as "one of its elements is damaged (ValueError)".
+        Returns the error for a problem, such as "one of its elements is damaged (ValueError)".
     """
     try:
-        with warnings.catch_warnings():  # pydicom's warnings may quote what is in the file
+        with warnings.catch_warnings():  # pydicom's warnings may quote content of the file
             warnings.simplefilter("ignore")
             yield
     except (CarinaError, OSError, MemoryError):
@@ -233,9 +242,9 @@ def damaged_elements_refused(refusal: Callable[[str], CarinaError]) -> Iterator[
 
 
 def acquisition_date(path: Path) -> str | None:
-    """ISO date on which an image was acquired, else of its study; None where the file has none that can be one.
+    """Return the ISO date of an image's acquisition, or else of its study; None if the file has no plausible date.
 
-    Years before the first clinical CT (1971) are what anonymisation puts in the place of a date.
+    Years before the first clinical CT (1971) are refused, because anonymisers write them in place of a date.
     """
     try:
         dataset = _read(path, pixels=False, tags=_DATE_TAGS)[0]
@@ -243,9 +252,9 @@ def acquisition_date(path: Path) -> str | None:
             warnings.simplefilter("ignore")
             texts = [_Tags(dataset).text(keyword) for keyword in _DATES]
     except Exception:
-        return None  # a damaged date is no date
+        return None  # a damaged date counts as missing
     for text in texts:
-        # A date of ACR-NEMA has points; a date with time begins with the date.
+        # ACR-NEMA dates contain points; the value of a date with time begins with the date.
         digits = text.replace(".", "")[:8]
         if re.fullmatch(r"[0-9]{8}", digits):
             with contextlib.suppress(ValueError):
@@ -256,10 +265,10 @@ def acquisition_date(path: Path) -> str | None:
 
 
 def read_pixel_bytes(header: SliceHeader) -> bytes:
-    """Return the value of PixelData as it is in the file; empty where there is none.
+    """Return the value of PixelData as stored in the file; empty if there is none.
 
-    The place that the header's reader passed is taken where it is known, since parsing a file twice costs more than
-    all the rest.
+    The offset that the header's reader found is used if it is known, because parsing a file twice would take most of
+    the time.
 
     Raises
     ------
@@ -291,7 +300,7 @@ def _pixel_data(path: Path) -> bytes:
         except Exception as error:
             msg = f"its pixel data cannot be read ({type(error).__name__})"
             raise ValueError(msg) from None
-    return value if isinstance(value, bytes) else b""  # a damaged element may hold a number
+    return value if isinstance(value, bytes) else b""  # a damaged element may contain a number
 
 
 _PIXEL_TAGS = (b"\xe0\x7f\x10\x00", b"\x7f\xe0\x00\x10")
@@ -299,7 +308,7 @@ _IMPLICIT = ("1.2.840.10008.1.2", "")
 
 
 class _Tags:
-    """Checked access to one data set; collects what is wrong with it."""
+    """Checked access to the values of one data set; collects the problems that it finds."""
 
     def __init__(self, dataset: Dataset) -> None:
         self.dataset = dataset
@@ -309,13 +318,13 @@ class _Tags:
         try:
             return self.dataset.get(keyword)
         except Exception:
-            # An unreadable value counts as a missing one, and pydicom raises many kinds.
+            # An unreadable value counts as missing; pydicom raises various errors for it.
             return None
 
     def plain(self, tag: BaseTag) -> str:
-        """Return a value as text that can be compared: numbers as numbers, letters without case, lists joined.
+        """Return a value as text for comparison: numbers in one form, letters without case, lists joined.
 
-        Most are compared as they stand in the file, which takes a tenth of the time of converting them.
+        Most values are compared as stored in the file, which takes a tenth of the time of converting them.
         """
         try:
             element = self.dataset.get_item(tag)
@@ -323,7 +332,7 @@ class _Tags:
             if value and isinstance(value, bytes) and not _is_comparable(element, tag, value):
                 value = self.dataset[tag].value
         except Exception:
-            return ""  # as in ``raw``
+            return ""  # an unreadable value counts as missing
         if not value:
             return ""
         if isinstance(value, bytes):
@@ -343,7 +352,7 @@ class _Tags:
             return default
 
     def cell(self, keyword: str) -> int | None:
-        """Return the bits of a pixel value, whatever form the file gives the tag; None if the tag is missing."""
+        """Return a pixel value of a tag as an integer, in whatever form the file stores it; None without the tag."""
         value = self.raw(keyword)
         if isinstance(value, (MultiValue, list)):
             value = value[0] if len(value) else None
@@ -358,7 +367,7 @@ class _Tags:
         try:
             value = self.dataset.get(keyword)
         except Exception:
-            value = ()  # there, and not a number
+            value = ()  # the tag exists, but is not a number
         if value is None or value == "":
             if needed:
                 self.problems.append(f"the tag {keyword} is missing")
@@ -374,7 +383,7 @@ class _Tags:
 
 
 def _thickness_mm(tags: _Tags) -> float | None:
-    """Return SliceThickness; None where it is missing or impossible, which is no reason to refuse a series."""
+    """Return SliceThickness; None if it is missing or impossible, for which a series is not refused."""
     try:
         thickness_mm = float(tags.text("SliceThickness"))
     except ValueError:
@@ -393,13 +402,16 @@ def _modality_lut(tags: _Tags, *, signed: bool) -> ModalityLut | None:
             return None
         return read_modality_lut(sequence[0], signed=signed, little_endian=_is_little_endian(tags.dataset))
     except Exception:
-        # pydicom raises many kinds on a damaged table.
+        # pydicom raises various errors for a damaged table.
         tags.problems.append("the tag ModalityLUTSequence contains no usable table")
         return None
 
 
 def _is_comparable(element: Any, tag: BaseTag, value: bytes) -> bool:
-    """Return whether the bytes of a value compare like the text; letters beyond ASCII depend on the character set."""
+    """Return whether the bytes of a value compare like the text, which needs ASCII.
+
+    Other characters depend on the character set.
+    """
     return isinstance(element, RawDataElement) and not _is_binary(tag) and value.isascii() and b"\x1b" not in value
 
 
@@ -423,7 +435,7 @@ def _unit(vector: tuple[float, ...]) -> tuple[float, float, float]:
 
 
 def read_header(path: Path) -> tuple[SliceHeader | None, Dataset]:
-    """Read the header of one file and its tags; None for a file without an image (a report, a structure set).
+    """Read the header of one file and its tags; the header is None for a file without an image, such as a report.
 
     Raises
     ------
@@ -431,17 +443,18 @@ def read_header(path: Path) -> tuple[SliceHeader | None, Dataset]:
         If the file cannot be read as DICOM.
     """
     dataset, pixels_at = _read(path, pixels=False)
-    with warnings.catch_warnings():  # pydicom's warnings may quote what is in the file
+    with warnings.catch_warnings():  # pydicom's warnings may quote content of the file
         warnings.simplefilter("ignore")
         try:
             return _parse(path, dataset, pixels_at), dataset
         except Exception as error:
-            # pydicom converts values late and raises many kinds on damaged ones.
+            # pydicom converts values at first use and raises various errors for damaged ones.
             msg = f"cannot be read as DICOM ({type(error).__name__})"
             raise ValueError(msg) from None
 
 
 def _parse(path: Path, dataset: Dataset, pixels_at: int | None) -> SliceHeader | None:
+    """Return the header of a slice from its tags; None for a file without an image."""
     tags = _Tags(dataset)
     rows, columns = tags.whole("Rows", 0), tags.whole("Columns", 0)
     modality = tags.text("Modality")
@@ -486,7 +499,7 @@ def _parse(path: Path, dataset: Dataset, pixels_at: int | None) -> SliceHeader |
         row_lps, column_lps = _unit(orientation[:3]), _unit(orientation[3:])
         lengths = [math.dist((0, 0, 0), orientation[:3]), math.dist((0, 0, 0), orientation[3:])]
         cosine = sum(a * b for a, b in zip(row_lps, column_lps, strict=True))
-        # 1e-3 accepts lengths of values written with four digits; the directions themselves are stored as they are.
+        # 1e-3 accepts vectors written with four digits; the directions themselves are stored unchanged.
         if any(abs(length - 1) > 1e-3 for length in lengths) or abs(cosine) > math.sin(math.radians(MAX_SKEW_DEG)):
             tags.problems.append("the tag ImageOrientationPatient does not contain two perpendicular unit vectors")
     if spacing is not None and min(spacing) <= 0:

@@ -1,7 +1,7 @@
 """The Modality LUT of a DICOM image: a table from stored numbers to values (PS3.3 C.11.1).
 
-An image has either a Modality LUT or a rescale. If an image has both and the two give the same values, the values are
-certain. If the two give different values, nobody knows which is right, and the values are not HU.
+An image has either a Modality LUT or a rescale. If an image has both and both give the same values, the values are
+certain. If they give different values, it is unknown which are right, and the values are not HU.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ __all__ = ["ModalityLut", "read_modality_lut"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModalityLut:
-    """Table from stored numbers to values."""
+    """A table that converts stored numbers to values."""
 
     first: int
-    """Stored number of the first entry; lower numbers get the first entry, higher ones than the table has the last."""
+    """Stored number of the first entry; lower numbers get the first entry, numbers above the table get the last."""
     table: NDArray[np.int32] = field(repr=False)
     unit: str
     """ModalityLUTType in capitals, such as ``HU``."""

@@ -1,7 +1,7 @@
-"""The pixels of one DICOM slice: stored numbers, then the rescale of that slice (PS3.3 C.7.6.16.2.9, C.11.1).
+"""Reader of the pixels of one DICOM slice: stored numbers, then rescale (PS3.3 C.7.6.16.2.9, C.11.1).
 
-Pixels that are surely wrong (too few, another size, a stream that does not decode) are refused. Where they can be read
-but something contradicts them, they come with a ``Doubt``, and the volume is not HU.
+Pixels that are certainly wrong (too few, another size, a stream that cannot be decoded) are refused. If pixels can be
+read but other data contradict them, they get a ``Doubt``, and the volume is not HU.
 """
 
 from __future__ import annotations
@@ -25,18 +25,19 @@ from carina.volume.padding import PaddedPixels, find_padding
 
 __all__ = ["Doubt", "SlicePixels", "decode_slice", "is_compressed", "read_slice"]
 
-# Stored as plain numbers: read here, checked byte for byte. Everything else is decoded by GDCM through SimpleITK.
+# Transfer syntaxes of uncompressed numbers, which this module reads and checks. GDCM decodes all others, through
+# SimpleITK.
 _IMPLICIT_LITTLE, _EXPLICIT_LITTLE = "1.2.840.10008.1.2", "1.2.840.10008.1.2.1"
 _DEFLATED_LITTLE, _EXPLICIT_BIG = "1.2.840.10008.1.2.1.99", "1.2.840.10008.1.2.2"
 _RLE = "1.2.840.10008.1.2.5"
-# What GDCM decodes: JPEG (lossy and lossless), JPEG-LS, JPEG 2000 (PS3.5 A.4).
+# Transfer syntaxes that GDCM decodes: JPEG (lossy and lossless), JPEG-LS, JPEG 2000 (PS3.5 A.4).
 _CODED = {f"1.2.840.10008.1.2.4.{number}" for number in (50, 51, 53, 55, 57, 70, 80, 81, 90, 91)} | {_RLE}
 _PLAIN = {_IMPLICIT_LITTLE, _EXPLICIT_LITTLE, _DEFLATED_LITTLE, _EXPLICIT_BIG, ""}
 
 
 @dataclass(frozen=True, slots=True)
 class Doubt(Remark):
-    """Why the pixels of a slice may be wrong although they could be read."""
+    """Reason why the pixels of a slice may be wrong although they could be read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +45,7 @@ class SlicePixels:
     """One slice after its rescale or Modality LUT, with padding set to air."""
 
     numbers: NDArray[np.float64] | NDArray[np.int32]
-    """(rows, columns), int32 if all values are whole numbers, else float64."""
+    """(rows, columns), int32 if all values are whole numbers, otherwise float64."""
     doubts: tuple[Doubt, ...]
     padded: PaddedPixels | None = None
     """Padding that was set to air; None if the slice has no padding above air."""
@@ -59,6 +60,7 @@ def _truncated(header: SliceHeader, expected: int, found: int) -> VolumeImportEr
 
 
 def _plain_pixels(header: SliceHeader) -> tuple[NDArray[np.int32], tuple[Doubt, ...]]:
+    """Return the stored numbers of an uncompressed slice, and doubts about their byte order."""
     num_bytes = header.bits_allocated // 8
     expected = header.rows * header.columns * num_bytes
     if header.path.stat().st_size < expected and header.transfer_syntax != _DEFLATED_LITTLE:
@@ -69,7 +71,7 @@ def _plain_pixels(header: SliceHeader) -> tuple[NDArray[np.int32], tuple[Doubt, 
         raise _truncated(header, expected, 0) from None
     if len(stored) < expected:
         raise _truncated(header, expected, len(stored))
-    if len(stored) > expected + 1:  # one byte of padding keeps the length even
+    if len(stored) > expected + 1:  # one byte of padding makes the length even
         msg = (
             f"reading {header.path.name}: expected {expected} bytes of pixel data for {header.columns} x {header.rows} "
             f"pixels, found {len(stored)}; the header does not match the pixel data; copy the series again"
@@ -82,7 +84,7 @@ def _plain_pixels(header: SliceHeader) -> tuple[NDArray[np.int32], tuple[Doubt, 
 
 
 def _used_bits(words: NDArray[np.generic], header: SliceHeader) -> NDArray[np.int32]:
-    # Bits beyond the used ones may hold anything (old overlays): shift them out at the top and at the bottom.
+    # Bits outside the used ones may contain other data (old overlays), so both ends are shifted out.
     word = words.astype(np.uint32) << np.uint32(31 - header.high_bit)
     kind = np.int32 if header.signed else np.uint32
     return (word.view(kind) >> kind(32 - header.bits_stored)).astype(np.int32)
@@ -95,10 +97,10 @@ def _roughness(values: NDArray[np.int32]) -> float:
 def _byte_order_doubts(
     words: NDArray[np.generic], used_bits: Callable[[NDArray[np.generic]], NDArray[np.int32]]
 ) -> tuple[Doubt, ...]:
-    """Numbers whose bytes stand in the wrong order are noise, and become a picture again when they are swapped.
+    """Return a doubt if the stored numbers are noise and become an image when their bytes are swapped.
 
-    Measured over shared and painted CTs, with noise up to 90 HU: swapping makes healthy rows 25 to 300 times as rough,
-    and swapped ones as much smoother. Numbers that use one byte alone tell nothing.
+    In shared and synthetic CTs, with noise up to 90 HU, swapping makes correct rows 25 to 300 times as rough, and
+    swapped rows smoother by the same factor. Numbers that use only one byte cannot be checked.
     """
     if words.dtype.itemsize != 2:
         return ()
@@ -114,6 +116,7 @@ def _byte_order_doubts(
 
 
 def _check_coded_size(header: SliceHeader, stream: Stream | None) -> None:
+    """Raise an error if the size of a compressed stream differs from that of the tags."""
     if stream is not None and (stream.rows, stream.columns, stream.components) == (header.rows, header.columns, 1):
         return
     found = (
@@ -129,7 +132,7 @@ def _check_coded_size(header: SliceHeader, stream: Stream | None) -> None:
 
 
 def _stream_doubts(header: SliceHeader, stream: Stream, pixels: NDArray[np.int32]) -> list[Doubt]:
-    """Where a stream contradicts the tags (PS3.5 8.2): which of the two is right, nobody knows."""
+    """Return doubts about a stream that contradicts the tags (PS3.5 8.2); it is unknown which of the two is right."""
     doubts = []
     if stream.problem is not None:
         doubts.append(Doubt("import.pixels-damaged", f"the compressed data is corrupt: {stream.problem}"))
@@ -138,7 +141,7 @@ def _stream_doubts(header: SliceHeader, stream: Stream, pixels: NDArray[np.int32
         words = f"the compressed stream contains {kinds[0]} numbers, but the tags say {kinds[1]}"
         doubts.append(Doubt("import.pixels-contradict", words))
     elif stream.bits != header.bits_stored:
-        # Harmless where every number means the same in both depths, as in the many files that pad 12 bits to 16.
+        # Harmless if every number has the same meaning with both depths, as in the many files that pad 12 bits to 16.
         bits = min(stream.bits, header.bits_stored)
         low, high = (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if header.signed else (0, (1 << bits) - 1)
         if int(pixels.min()) < low or int(pixels.max()) > high:
@@ -148,10 +151,9 @@ def _stream_doubts(header: SliceHeader, stream: Stream, pixels: NDArray[np.int32
 
 
 def _decoded_pixels(header: SliceHeader) -> tuple[NDArray[np.int32], tuple[Doubt, ...]]:
-    """Decode with GDCM, which gets a new file with the compressed pixels and what decoding needs, and nothing else.
+    """Decode with GDCM, from a new file with only the compressed pixels and the tags that decoding needs.
 
-    So no other element of a damaged file can mislead it, and slope, intercept and geometry are read in one place
-    only: ours.
+    So no other element of a damaged file affects GDCM, and slope, intercept and geometry are read by Carina only.
     """
     if header.transfer_syntax not in _CODED:
         msg = (
@@ -226,17 +228,17 @@ def _decoded_pixels(header: SliceHeader) -> tuple[NDArray[np.int32], tuple[Doubt
 
 
 def is_compressed(header: SliceHeader) -> bool:
-    """Return whether a decoder makes the pixels."""
+    """Return whether the pixels are compressed and need a decoder."""
     return header.transfer_syntax not in _PLAIN
 
 
 def decode_slice(header: SliceHeader) -> SlicePixels:
-    """Read one slice, rescaled by its own tags, with padding set to air and the doubts about its pixels.
+    """Read one slice, rescaled by its own tags, with padding set to air and with doubts about its pixels.
 
     Raises
     ------
     VolumeImportError
-        ``import.truncated``, ``import.header`` or ``import.unsupported``, naming the file.
+        ``import.truncated``, ``import.header`` or ``import.not-supported``; the message names the file.
     """
     stored, doubts = _plain_pixels(header) if header.transfer_syntax in _PLAIN else _decoded_pixels(header)
     numbers, more = _modality_values(stored, header)
@@ -255,7 +257,7 @@ def _rescaled(stored: NDArray[np.int32], header: SliceHeader) -> NDArray[np.floa
 def _modality_values(
     stored: NDArray[np.int32], header: SliceHeader
 ) -> tuple[NDArray[np.float64] | NDArray[np.int32], tuple[Doubt, ...]]:
-    """Return the values by the rescale or the Modality LUT, and a doubt if the two contradict each other."""
+    """Return the values after the rescale or the Modality LUT, and a doubt if the two contradict each other."""
     if header.modality_lut is None:
         return _rescaled(stored, header), ()
     by_table = header.modality_lut.values(stored)
@@ -273,5 +275,5 @@ def _modality_values(
 
 
 def read_slice(header: SliceHeader) -> NDArray[np.float64] | NDArray[np.int32]:
-    """Return the numbers of ``decode_slice`` alone."""
+    """Return only the values of a slice; see ``decode_slice``."""
     return decode_slice(header).numbers

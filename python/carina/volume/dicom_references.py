@@ -1,4 +1,4 @@
-"""Which images a DICOM file belongs to; without the readers of DICOM, for whoever only passes it on."""
+"""References of a DICOM object to images, in a module that does not load a DICOM library."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ __all__ = ["References"]
 @one_line
 @dataclass(frozen=True, slots=True)
 class References:
-    """Which images something belongs to; empty where its file does not say. Never printed: UIDs."""
+    """The images that a DICOM object refers to; empty if unknown. The sets contain UIDs, which are never logged."""
 
     frames: frozenset[str] = field(default=frozenset(), repr=False)
-    """Frames of reference: what has one in common lies in one coordinate system."""
+    """Frames of reference: objects with a common frame of reference have a common coordinate system."""
     studies: frozenset[str] = field(default=frozenset(), repr=False)
     series: frozenset[str] = field(default=frozenset(), repr=False)
     images: frozenset[str] = field(default=frozenset(), repr=False)

@@ -20,9 +20,9 @@ __all__ = ["Segmentation", "read_segmentation"]
 _SEGMENTATION_STORAGE = "1.2.840.10008.5.1.4.1.1.66.4"
 _LABEL_MAP_STORAGE = "1.2.840.10008.5.1.4.1.1.66.7"
 _TYPES = ("BINARY", "FRACTIONAL", "LABELMAP")
-# Of the distance of two planes: rounding of decimal strings.
+# Tolerance of the distance of two planes, as a fraction, for rounded decimal strings.
 _PLANE = 0.05
-# Of a direction: two axes are parallel (0.06 degrees).
+# Tolerance of directions: two axes within 0.06 degrees are parallel.
 _PARALLEL = 1e-3
 _WIDEST_MM = 100.0
 _LARGEST_NUMBER = 65535
@@ -30,7 +30,7 @@ _UNREADABLE = (ValueError, RuntimeError, AttributeError, NotImplementedError, Ty
 
 
 class Segmentation:
-    """The segments of a DICOM SEG file on the smallest regular grid that holds all frames.
+    """The segments of a DICOM SEG file on the smallest regular grid that contains all frames.
 
     Segments may overlap. A plane without a frame is empty (PS3.3 C.8.20.2.3.2 lets writers omit empty frames).
     """
@@ -41,13 +41,13 @@ class Segmentation:
         self._pixels = _Pixels(path, data, self._kind, shape)
         self._is_probability = str(data.get("SegmentationFractionalType", "")).upper() == "PROBABILITY"
         self.lps_from_ijk = places.lps_from_ijk
-        """4x4, voxel (0, 0, 0) at the centre of the first pixel of the first plane."""
+        """Transform (4x4) from voxels to LPS mm; voxel (0, 0, 0) is the centre of the first plane's first pixel."""
         self.names = _names(path, data)
-        """Labels of the described segments."""
+        """Labels of the described segments, by number."""
         self.notes = places.notes
-        """What was done to place the frames, in words."""
+        """Messages about corrections made to place the frames."""
         self.num_voxels: dict[int, int] = {}
-        """Voxels of each segment that is not empty."""
+        """Number of voxels of each segment that is not empty."""
         for frame, segment in zip(self._pixels, places.segments, strict=True):
             numbers = ((segment, int(np.count_nonzero(frame))),) if segment is not None else _counted(frame)
             for number, count in numbers:
@@ -55,7 +55,12 @@ class Segmentation:
                     self.num_voxels[number] = self.num_voxels.get(number, 0) + count
 
     def inside(self, number: int) -> tuple[NDArray[np.bool_], tuple[str, ...]]:
-        """Return the voxels ``[z, y, x]`` of one segment, whatever other segments hold, and notes on it.
+        """Return the voxels ``[z, y, x]`` of one segment, independent of other segments, and notes about it.
+
+        Parameters
+        ----------
+        number
+            Number of the segment.
 
         Raises
         ------
@@ -93,8 +98,12 @@ def read_segmentation(path: Path, watch: Watch, *, volume: Volume | None = None)
 
     Parameters
     ----------
+    path
+        The file.
+    watch
+        Progress and cancellation.
     volume
-        The CT. The distance of its slices is used where the file does not give that of its planes.
+        The CT. The distance of its slices is used if the file does not state the distance of its planes.
 
     Raises
     ------
@@ -143,7 +152,7 @@ def _read(path: Path, data: Any, volume: Volume | None, watch: Watch) -> Segment
 
 
 def _kind(data: Any) -> str:
-    """Return the segmentation type; files before 2009 and some writers leave it out."""
+    """Return the segmentation type; files from before 2009 and some writers omit it."""
     default = "LABELMAP" if str(data.get("SOPClassUID", "")) == _LABEL_MAP_STORAGE else "BINARY"
     return str(data.get("SegmentationType") or default).strip().upper()
 
@@ -161,14 +170,14 @@ def _counted(frame: NDArray[Any]) -> list[tuple[int, int]]:
 
 
 class _Pixels:
-    """Frames of a segmentation: bool where each segment has separate frames, numbers in a label map."""
+    """Frames of a segmentation: bool if each segment has its own frames, segment numbers in a label map."""
 
     def __init__(self, path: Path, data: Any, kind: str, shape: tuple[int, int, int]) -> None:
         self._path, self._kind, self._shape = path, kind, shape
         self.background = int(data.get("PixelPaddingValue", 0) or 0) if kind == "LABELMAP" else -1
-        """The number of a label map that is no segment (PS3.3 C.8.20.2)."""
+        """The number in a label map that is not a segment (PS3.3 C.8.20.2)."""
         self.is_graded = False
-        """Whether fractions other than nothing and all occur."""
+        """Whether fractions other than 0 and 1 occur."""
         self._bits: NDArray[np.uint8] | None = None
         self._frames: NDArray[Any] = np.empty(0)
         self._largest = 0
@@ -179,7 +188,7 @@ class _Pixels:
                 problem = "its segments are fractional, but it does not say which number means all (8 bits expected)"
                 raise _refused(path, problem, "export a binary segmentation")
         if kind == "BINARY" and bits == 1 and not data.file_meta.TransferSyntaxUID.is_compressed:
-            # Frames of single bits follow each other without padding (PS3.5 8.2), so that one can be read alone.
+            # Frames of single bits follow each other without padding (PS3.5 8.2), so that each can be read separately.
             self._bits = np.frombuffer(data.PixelData, dtype=np.uint8)
             if self._bits.size * 8 < shape[0] * shape[1] * shape[2]:
                 raise _refused(path, "its pixels cannot be read: some are missing", "copy or export it again")
@@ -192,6 +201,7 @@ class _Pixels:
             self.is_graded = bool(((self._frames != 0) & (self._frames != self._largest)).any())
 
     def __iter__(self) -> Iterator[NDArray[Any]]:
+        """Yield the frames in the order of the file, as bool or, in a label map, as numbers."""
         num, rows, columns = self._shape
         size = rows * columns
         for n in range(num):
@@ -209,7 +219,7 @@ class _Pixels:
 
 
 class _Places:
-    """Where the frames are: one stack of parallel planes at equal distances."""
+    """Positions of the frames: a stack of parallel planes at equal distances."""
 
     def __init__(self, path: Path, data: Any, num_frames: int, kind: str, volume: Volume | None) -> None:
         shared = _first(data, "SharedFunctionalGroupsSequence")
@@ -252,15 +262,15 @@ class _Places:
         claimed = _length(groups[0], shared, "SpacingBetweenSlices")
         self.notes: tuple[str, ...] = ()
         gaps = [claimed, _slice_mm(volume, normal)]
-        # Frames may be left out, so their distances alone need not tell the distance of the planes; and overlapping
-        # slices are thicker than their distance.
+        # Frames may be omitted, so the distances of frames may be multiples of the plane distance. SliceThickness comes
+        # last, because overlapping slices are thicker than their distance.
         gaps.append(float(np.diff(levels).min()) if len(levels) > 1 else _length(groups[0], shared, "SliceThickness"))
         for gap in (*gaps, 1.0):
             if gap is None or gap <= 0.0:
                 continue
             planes = np.rint((heights - levels[0]) / gap)
             off = np.abs(position - (self._first + np.outer(planes * gap, normal))).max()
-            # Two levels in one plane: the distance is too large for them.
+            # If two levels are in one plane, the distance is too large.
             apart = len(np.unique(planes)) == len(levels)
             if apart and off <= _PLANE * gap:
                 break
@@ -277,7 +287,7 @@ class _Places:
 
     @property
     def lps_from_ijk(self) -> NDArray[np.float64]:
-        """4x4, voxel (0, 0, 0) at the centre of the first pixel of the first plane."""
+        """Transform (4x4) from voxels to LPS mm; voxel (0, 0, 0) is the centre of the first plane's first pixel."""
         matrix = np.eye(4)
         for axis in range(3):
             matrix[:3, axis] = self._axes[axis]

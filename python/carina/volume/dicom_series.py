@@ -1,16 +1,16 @@
-"""Which images are one scan: what must never be joined, and what must never be torn apart.
+"""Rules that decide which images form one series.
 
-SeriesInstanceUID alone does not decide. Exporters and anonymisers leave it out or give one to several scans, and then
-two scans are stacked or, worse, interleaved into a volume that looks finer than either.
+SeriesInstanceUID alone is not sufficient. Exporters and anonymisers omit it or give one UID to several scans; two scans
+would then be stacked or interleaved into one volume that looks finer than either.
 
-- Two values of an *identity* (patient, study, frame of reference, modality) or of the grid (size and distance of
-  pixels, orientation) always part a series. A missing value beside a single one parts nothing and is said.
-- A series with more than half as many frames of reference as slices stays whole, with a note: software that removes
-  identities often gives each slice a new ``FrameOfReferenceUID``. The grid of the series is checked like any other.
-- Two values of a *setting* (kernel, acquisition, phase, contrast, ...) part it only where the parts share positions or
-  lie between each other like two combs. A chest in several breaths changes its acquisition number in mid-stack and
+- Two values of an *identity* (patient, study, frame of reference, modality) or of the grid (size and spacing of pixels,
+  orientation) always divide a series. A missing value beside a single one does not divide it, and a note states it.
+- A series with more than half as many frames of reference as slices stays undivided, with a note: anonymisers often
+  give each slice a new ``FrameOfReferenceUID``. The grid of the series is checked like any other.
+- Two values of a *setting* (kernel, acquisition, phase, contrast, ...) divide a series only if the parts share
+  positions or are interleaved. A chest scanned in several breaths changes its acquisition number within the stack and
   stays one series, with a note.
-- A file that stands there twice, byte for byte, counts once.
+- Of byte-identical files only one counts.
 """
 
 from __future__ import annotations
@@ -33,27 +33,27 @@ from carina.volume.watch import Watch
 __all__ = ["Group", "count_patients", "group_slices", "without_copies"]
 
 _MAX_GRIDS = 50
-"""In one series; a folder of images that are all different takes no time that grows with their square."""
+"""Largest number of grids in one series; bounds the time for a folder of images that are all different."""
 
 _MAX_PAIRS = 10_000
-"""Of series with and without a UID that are tried together."""
+"""Largest number of pairs of series with and without a UID that are compared."""
 
 _FEWEST_FRAMES = 3
-"""Frames of reference that can belong to one series: two are two scans."""
+"""Smallest number of frames of reference of a series that stays undivided: two frames are two scans."""
 
 _PATIENT = [index for index, word in enumerate(IDENTITY.values()) if word == "patients"]
 
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """Images that are one series, in no order."""
+    """Images that form one series, in no order."""
 
     slices: tuple[SliceHeader, ...]
     notes: tuple[Note, ...] = ()
     label: str = ""
-    """What tells it from the other parts of its series, for the list: "kernel b70f", "part 2"; no name, no UID."""
+    """Difference from the other parts of the series, such as "kernel b70f" or "part 2", without names or UIDs."""
     mixed_with: tuple[SliceHeader, ...] = ()
-    """All images of the series that it was parted from by the grid of its pixels."""
+    """All images of the series from which this one was separated because of its pixel grid."""
 
 
 def without_copies(
@@ -61,7 +61,7 @@ def without_copies(
 ) -> tuple[list[SliceHeader], dict[Hashable, list[SliceHeader]]]:
     """Return the images without byte-identical copies, and the copies by identifier, series and position.
 
-    Two files with one identifier and different content both stay: nobody knows which is right.
+    Two files with one identifier and different content both stay, because it is unknown which is right.
     """
     alike: dict[Hashable, list[SliceHeader]] = {}
     for header in headers:
@@ -86,19 +86,19 @@ def _digest(header: SliceHeader) -> bytes:
         with header.path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").digest()
     except OSError:
-        return str(header.path).encode()  # like nothing else
+        return str(header.path).encode()  # differs from every other digest
 
 
 def count_patients(headers: Sequence[SliceHeader]) -> int:
-    """How many patients the images belong to, as far as their tags tell; missing tags tell nothing."""
+    """Return the number of patients according to the tags; missing tags are ignored."""
     return max([1] + [len({header.identity[at] for header in headers} - {""}) for at in _PATIENT])
 
 
 def group_slices(headers: Sequence[SliceHeader]) -> list[Group]:
-    """Part images into series by the rules above."""
+    """Divide images into series by the rules of this module."""
     by_uid: dict[Hashable, list[SliceHeader]] = {}
     for header in headers:
-        # Without a UID the number of the series stands for it, where there is one.
+        # Without a UID, the series number is used instead.
         uid = header.series_uid or f"number {header.series_number}"
         by_uid.setdefault((uid, _kind(header)), []).append(header)
     groups: list[Group] = []
@@ -132,6 +132,7 @@ def _part_by_identity(group: Group) -> list[Group]:
 
 
 def _part_by_value(group: Group, word: str, parts: dict[str, list[SliceHeader]]) -> list[Group]:
+    """Divide a group by the values of one identity tag, or add a note why it stays undivided."""
     if word == "frames of reference" and _is_frame_per_slice(group.slices, parts):
         note = Note(
             "import.frame-per-slice",
@@ -171,7 +172,7 @@ def _part_by_value(group: Group, word: str, parts: dict[str, list[SliceHeader]])
 
 
 def _is_frame_per_slice(slices: Sequence[SliceHeader], parts: Mapping[str, Sequence[SliceHeader]]) -> bool:
-    """Return whether the slices of one series carry a frame of reference each instead of one together."""
+    """Return whether the slices of one series have different frames of reference instead of a common one."""
     count = len(parts.keys() - {""})
     return count >= _FEWEST_FRAMES and 2 * count > len(slices) and all(header.series_uid for header in slices)
 
@@ -199,6 +200,7 @@ def _same_grid(one: SliceHeader, other: SliceHeader) -> bool:
 
 
 def _part_by_grid(group: Group) -> list[Group]:
+    """Divide a group by the pixel grids of its images."""
     parts: list[list[SliceHeader]] = []
     broken = [header for header in group.slices if header.problem is not None]
     for header in group.slices:
@@ -208,7 +210,8 @@ def _part_by_grid(group: Group) -> list[Group]:
         if part is None and len(parts) < _MAX_GRIDS:
             parts.append([header])
         else:
-            (part or parts[-1]).append(header)  # with too many grids the last part is a mixed one, and refused so
+            # With too many grids, the last part contains several, and its grid check refuses it.
+            (part or parts[-1]).append(header)
     if len(parts) <= 1:
         return [group]
     parts.sort(key=len, reverse=True)
@@ -241,7 +244,7 @@ def _is_regular(slices: Sequence[SliceHeader]) -> bool:
 
 
 def _join_nameless(groups: list[Group]) -> list[Group]:
-    """Slices that lost their SeriesInstanceUID go back to the one series into which they fit without a gap."""
+    """Add slices without SeriesInstanceUID to the one series that they complete without a gap."""
     named = [group for group in groups if group.slices[0].series_uid]
     nameless = [group for group in groups if not group.slices[0].series_uid]
     if len(named) * len(nameless) > _MAX_PAIRS:
@@ -272,6 +275,7 @@ def _may_be_one(group: Group, other: Group) -> bool:
 
 
 def _part_by_setting(group: Group) -> list[Group]:
+    """Divide a group by a setting whose values form stacks that share heights or are interleaved."""
     if _kind(group.slices[0]) or len(group.slices) < 2 or any(h.problem is not None for h in group.slices):
         return [group]
     keys = [
@@ -281,17 +285,17 @@ def _part_by_setting(group: Group) -> list[Group]:
     ]
     if not keys:
         return [group]
-    # A value that nearly every slice has for itself alone (a time, a counter) makes no stacks.
+    # A setting with a different value in nearly every slice (a time, a counter) does not define stacks.
     telling = [(word, parts) for word, parts in keys if 2 * len(parts) <= len(group.slices)]
     if _is_regular(group.slices):
-        # Every second slice that lacks a tag is no second scan: nothing says so.
+        # In a regular stack, slices without the tag do not form a second scan.
         telling = [(word, parts) for word, parts in telling if "" not in parts or len(parts) > 2]
         telling = [(word, parts) for word, parts in telling if _are_combs(group.slices, list(parts.values()))]
     else:
         telling = [(word, parts) for word, parts in telling if _share_heights(list(parts.values()))]
     if not telling:
         return [_said(group, keys)]
-    # The key with the fewest values tells most: two kernels of three acquisitions are two series, not three.
+    # The setting with the fewest values is used: two kernels in three acquisitions are two series, not three.
     word, parts = min(telling, key=lambda item: len(item[1]))
     note = Note(
         "import.series-parted",
@@ -320,7 +324,8 @@ def _shown(value: str) -> str:
 
 
 def _said(group: Group, keys: Sequence[tuple[str, dict[str, list[SliceHeader]]]]) -> Group:
-    # A time tells apart two scans that lie in each other; that it runs on within one is no news.
+    """Add notes on settings that change or are missing within a group."""
+    # The acquisition time can separate two interleaved scans, but its change within one scan needs no note.
     keys = [(word, parts) for word, parts in keys if word != "acquisition time"]
     changes = [word for word, parts in keys if len(parts.keys() - {""}) > 1]
     missing = [word for word, parts in keys if "" in parts]
@@ -346,16 +351,16 @@ def _heights(slices: Sequence[SliceHeader]) -> np.ndarray:
 
 
 def _share_heights(parts: Sequence[Sequence[SliceHeader]]) -> bool:
-    """Return whether one part begins before another has ended."""
+    """Return whether the height ranges of two parts overlap."""
     spans = sorted((float(h[0]), float(h[-1])) for h in map(_heights, parts))
-    # Slices of one position in two parts share a height as well.
+    # Slices at one position in two parts count as an overlap, too.
     return any(later[0] <= earlier[1] + 0.01 for earlier, later in itertools.pairwise(spans))
 
 
 def _are_combs(whole: Sequence[SliceHeader], parts: Sequence[Sequence[SliceHeader]]) -> bool:
     """Return whether parts of a regular stack interleave, each regular by itself and coarser than the whole.
 
-    So two scans look that were interleaved; a block in mid-stack, a stray slice or two outer ones do not.
+    Two interleaved scans have this pattern; a block within the stack, a single slice or two outer slices do not.
     """
     heights = _heights(whole)
     step = float(heights[-1] - heights[0]) / (len(heights) - 1)

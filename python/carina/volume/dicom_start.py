@@ -1,4 +1,4 @@
-"""Whether a file begins as DICOM does: asked of any file, so without a library that is slow to load."""
+"""Check whether a file begins like DICOM, in a module that does not load a DICOM library."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ def starts_like_dicom(head: bytes) -> bool:
     """Return whether the first 132 bytes of a file begin like DICOM."""
     if head[128:132] == b"DICM":
         return True
-    # Without preamble: the first element's group is 0002 or 0008 (little or big endian) and its element is small.
+    # Without a preamble, the group of the first element is 0002 or 0008 (little or big endian) and its element is
+    # small.
     groups = {b"\x02\x00", b"\x08\x00", b"\x00\x02", b"\x00\x08"}
     return len(head) == 132 and head[:2] in groups and 0 in head[2:4]

@@ -1,8 +1,8 @@
-"""What a compressed stream says of itself, and what the decoder mutters while it reads one.
+"""Checks of compressed streams before decoding, and capture of the decoder's messages.
 
-A decoder believes the stream, not the tags, and none of the streams has a checksum: a damaged one often decodes into
-wrong pixels without an error. So the stream is looked at before it is decoded (its size, depth and sign; whether its
-parts follow each other to its end), and what the native decoder writes to stderr meanwhile is read.
+A decoder uses the stream, not the tags, and the streams have no checksum: a damaged stream is often decoded into wrong
+pixels without an error. The stream is therefore checked before it is decoded (size, depth, sign and the sequence of its
+parts), and messages of the native decoder on stderr are read.
 
 Sources: ITU-T T.81 B (JPEG), T.87 C (JPEG-LS), T.800 A (JPEG 2000), DICOM PS3.5 A.4 (fragments), G (RLE).
 """
@@ -25,29 +25,29 @@ from carina.volume.dicom_lossless_jpeg import lossless_jpeg_problem
 __all__ = ["Stream", "decoder_words", "fragments", "read_stream", "rle_problem"]
 
 _JPEG_START, _J2K_START = b"\xff\xd8\xff", b"\xff\x4f\xff\x51"
-_MAX_J2K_TILES = 4096  # one tile is usual; each costs the decoder kilobytes, whatever it holds
+_MAX_J2K_TILES = 4096  # one tile is usual; each tile costs the decoder kilobytes
 _LOSSY_JPEG = (0xC0, 0xC1, 0xC2)
 _END = b"\xff\xd9"
 
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """The head of a JPEG, JPEG-LS or JPEG 2000 stream."""
+    """The header of a JPEG, JPEG-LS or JPEG 2000 stream."""
 
     rows: int
     columns: int
     components: int
     bits: int
     signed: bool | None
-    """None where the format has no sign (JPEG, JPEG-LS)."""
+    """Whether the numbers are signed; None if the format does not state it (JPEG, JPEG-LS)."""
     problem: str | None
-    """What breaks off or does not follow, or None."""
+    """Description of a truncated or invalid part; None if the stream is valid."""
 
 
 def fragments(stored: bytes) -> bytes | None:
-    """The fragments of an encapsulated single frame, joined; None where they are no chain of items.
+    """Return the joined fragments of an encapsulated single frame; None if they are not a valid sequence of items.
 
-    The offset table is left out. A chain that just ends without its delimiter, as some writers leave it, is taken.
+    The offset table is omitted. A sequence without its final delimiter, as some writers leave it, is accepted.
     """
     at, parts = 0, []
     while at + 8 <= len(stored):
@@ -62,7 +62,7 @@ def fragments(stored: bytes) -> bytes | None:
 
 
 def read_stream(stored: bytes) -> Stream | None:
-    """Read the head of a stream and follow its parts; None where it has no readable head."""
+    """Read the header of a stream and check its parts; return None if it has no readable header."""
     try:
         at = stored.find(_J2K_START, 0, 4096)
         if at >= 0:
@@ -83,18 +83,18 @@ def _read_j2k(stored: bytes, start: int) -> Stream | None:
 
 
 def _follow_j2k(stored: bytes, at: int) -> str | None:
-    """Main header, then tile parts, each as long as it says, up to the end marker."""
+    """Check the main header and the tile parts up to the end marker; return the problem, or None."""
     while True:
         marker = stored[at : at + 2]
         if marker == _END:
             return None
         if len(marker) < 2:
             return "it ends without its end marker"
-        if marker == b"\xff\x90":  # start of a tile part; its length counts from here
+        if marker == b"\xff\x90":  # start of a tile part; its length counts from this marker
             if at + 12 > len(stored):
                 return "it ends within a tile"
             (length,) = struct.unpack_from(">I", stored, at + 6)
-            if length == 0:  # the last part may leave its length open
+            if length == 0:  # the length of the last part may be 0, which means up to the end
                 return None if stored.rstrip(b"\0").endswith(_END) else "it ends without its end marker"
             if length < 14 or at + length > len(stored):
                 return "a tile is truncated"
@@ -106,6 +106,7 @@ def _follow_j2k(stored: bytes, at: int) -> str | None:
 
 
 def _read_jpeg(stored: bytes, start: int) -> Stream | None:
+    """Read the header of a JPEG or JPEG-LS stream and check its parts."""
     at, head, kind = start + 2, None, 0
     while stored[at] == 0xFF:
         marker = stored[at + 1]
@@ -127,17 +128,17 @@ def _read_jpeg(stored: bytes, start: int) -> Stream | None:
     return Stream(*head, signed=None, problem=problem or lossless_jpeg_problem(stored))
 
 
-# A marker within coded data: in JPEG a byte FF of the data is followed by 00, in JPEG-LS by one below 80.
+# A marker within coded data: in JPEG a byte FF of the data is followed by 00, in JPEG-LS by a byte below 80.
 _IN_JPEG = re.compile(rb"\xff+([^\x00\xd0-\xd7\xff])", re.DOTALL)
 _IN_JPEG_LS = re.compile(rb"\xff+([\x80-\xcf\xd8-\xfe])", re.DOTALL)
-# What may follow a scan: tables, comments, the next scan, the number of lines.
+# Markers that may follow a scan: tables, comments, the next scan, the number of lines.
 _AFTER_SCAN = frozenset((0xC4, 0xDA, 0xDB, 0xDC, 0xDD, 0xFE, *range(0xE0, 0xF0), 0xF8))
 
 
 def _follow_jpeg(stored: bytes, at: int, in_data: re.Pattern[bytes]) -> str | None:
-    """From the first scan on: coded data, markers that may stand there, up to the end marker."""
+    """Check the coded data and the markers from the first scan to the end marker; return the problem, or None."""
     while True:
-        at += 2 + int.from_bytes(stored[at + 2 : at + 4], "big")  # past the head of the scan or the table
+        at += 2 + int.from_bytes(stored[at + 2 : at + 4], "big")  # skip the header of the scan or the table
         found = in_data.search(stored, at)
         if found is None:
             return "it ends without its end marker"
@@ -149,7 +150,7 @@ def _follow_jpeg(stored: bytes, at: int, in_data: re.Pattern[bytes]) -> str | No
 
 
 def rle_problem(frame: bytes, num_pixels: int) -> str | None:
-    """Whether the segments of an RLE frame unpack to exactly the pixels (PS3.5 G.3)."""
+    """Return why the segments of an RLE frame do not unpack to exactly the pixels (PS3.5 G.3); None if they do."""
     if len(frame) < 64:
         return "its header is truncated"
     count, *offsets = struct.unpack_from("<16I", frame)
@@ -170,36 +171,46 @@ def rle_problem(frame: bytes, num_pixels: int) -> str | None:
                 pixels += 257 - code
             else:
                 at += 1
-        # A pair of bytes at most pads a segment to an even length.
+        # At most a pair of bytes pads a segment to an even length.
         if pixels != num_pixels or not 0 <= len(segment) - at <= 2:
             return "a compressed segment does not decode to the size of the image"
     return None
 
 
 _lock = threading.Lock()
-# What libjpeg, CharLS, OpenJPEG, GDCM and ITK write; anything else on stderr comes from another thread.
+# Words in the messages of libjpeg, CharLS, OpenJPEG, GDCM and ITK; other lines on stderr come from other threads.
 _DECODER = re.compile(
     rb"jpeg|j2k|jp2|huffman|marker|quantization|\bD[QHAN][TCL]\b|\bSO[SFI]\b|\btile|code-?block|codestream|segment|"
     rb"packet|precinct|subband|resolution|component|\[(?:warning|error|info)\]|gdcm|\bitk|^warning: in |rle|"
     rb"scan parameters|progress",
     re.IGNORECASE,
 )
-# Said of healthy streams: the reader tries one library after the other.
+# Messages about intact streams, because the reader tries several libraries.
 _HARMLESS = re.compile(rb"Unsupported JPEG data precision|\[info\]", re.IGNORECASE)
 
 
 @contextmanager
 def decoder_words(theirs: re.Pattern[bytes] = _DECODER) -> Iterator[list[str]]:
-    """Catch what native code writes to stderr within the block; the list is filled at its end.
+    """Capture what native code writes to stderr within the block; the list is filled at the end of the block.
 
-    Only the descriptor is turned aside, for one decoder at a time. Lines that no decoder writes (they do not match
-    ``theirs``: another thread's log) go on to stderr afterwards.
+    Only the file descriptor is redirected, for one decoder at a time. Lines that do not match ``theirs``, such as the
+    log of another thread, are written to stderr afterwards.
+
+    Parameters
+    ----------
+    theirs
+        Pattern of the lines that a decoder writes.
+
+    Yields
+    ------
+    list of str
+        The captured lines.
     """
     caught: list[str] = []
     with _lock, tempfile.TemporaryFile() as taken:
         try:
             before = os.dup(2)
-        except OSError:  # no stderr at all: nothing is heard, and nothing needs to be kept quiet
+        except OSError:  # without stderr, there is nothing to capture
             yield caught
             return
         try:

@@ -1,6 +1,6 @@
-"""DICOM structure sets (RTSTRUCT, PS3.3 A.19, C.8.8.5, C.8.8.6): outlines in patient space, and the CT they belong to.
+"""Reader of DICOM structure sets (RTSTRUCT, PS3.3 A.19, C.8.8.5, C.8.8.6): outlines in LPS, and references to the CT.
 
-Nothing is put on a grid here, and no UID leaves these values for a message or a log.
+This module does not rasterise outlines. UIDs of these values never occur in messages or logs.
 """
 
 from __future__ import annotations
@@ -36,22 +36,22 @@ _STRUCTURE_SET_STORAGE = "1.2.840.10008.5.1.4.1.1.481.3"
 _CLOSED = {"CLOSED_PLANAR": False, "CLOSEDPLANAR_XOR": True}
 _MOST_POINTS = 5_000_000
 _LARGEST_LPS = 1e5
-# Of a voxel: the first pixel of a slice lies on a voxel's centre of its own CT.
+# Tolerance in voxels: the first pixel of a slice coincides with a voxel centre of its own CT.
 _ON_GRID = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contour:
-    """One closed outline."""
+    """One closed outline of a structure."""
 
     points_lps: NDArray[np.float64]
-    """(n, 3) LPS mm; the last point joins the first."""
+    """(n, 3) LPS mm; the last point is connected to the first."""
     is_xor: bool
-    """What lies in an even number of outlines of its plane is outside (PS3.3 C.8.8.6.3)."""
+    """Whether a point inside an even number of outlines of its plane is outside the structure (PS3.3 C.8.8.6.3)."""
 
     @property
     def area_mm2(self) -> float:
-        """What it encloses."""
+        """Enclosed area in mm²."""
         points = self.points_lps - self.points_lps[0]
         return 0.5 * float(np.linalg.norm(np.cross(points, np.roll(points, -1, axis=0)).sum(axis=0)))
 
@@ -59,31 +59,31 @@ class Contour:
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class Structure:
-    """One region of interest."""
+    """One region of interest with its outlines."""
 
     number: int
     name: str
     contours: tuple[Contour, ...]
     num_open: int
-    """Points and open lines, which enclose nothing."""
+    """Number of points and open lines, which enclose no area."""
     references: References
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class StructureSet:
-    """All regions of a file."""
+    """All structures of an RTSTRUCT file."""
 
     structures: tuple[Structure, ...]
 
 
 def read_structures(path: Path, watch: Watch) -> StructureSet:
-    """Read the regions of an RTSTRUCT file.
+    """Read the structures of an RTSTRUCT file.
 
     Raises
     ------
     VolumeImportError
-        If it is no structure set or is damaged (code ``import.mask``).
+        If the file is not a structure set or is damaged (code ``import.mask``).
     """
     with damaged_elements_refused(lambda problem: structures_refused(path, problem, "copy or export it again")):
         return _read_structures(path, watch)
@@ -137,11 +137,11 @@ def _structure(path: Path, region: Dataset, items: list[Dataset], whole: Referen
 
 
 def read_references(path: Path) -> References:
-    """Which images a DICOM object (RTSTRUCT, SEG) says that it belongs to; empty where it cannot be read."""
+    """Return the images that a DICOM object (RTSTRUCT, SEG) refers to; empty if the file cannot be read."""
     try:
         return _references(read_dataset(path, pixels=True))
     except Exception:
-        # pydicom raises many kinds on damaged elements.
+        # pydicom raises various errors for damaged elements.
         return References()
 
 
@@ -175,14 +175,16 @@ def _uids(item: Dataset, sequence: str, name: str) -> set[str]:
 
 
 def ct_references(path: Path, volume: Volume, watch: Watch) -> References | None:
-    """Of the DICOM series from which a CT was opened; None where its files are no DICOM, or none of them fits it.
+    """Return the UIDs of the DICOM series of a CT; None if its files are not DICOM, or no series matches it.
 
     Parameters
     ----------
     path
         The folder or a file of the CT.
     volume
-        The CT: of several series in the folder those that have its slices are meant.
+        The CT; only files whose position is a voxel of the CT count.
+    watch
+        Progress and cancellation.
     """
     folder = path if path.is_dir() else path.parent
     try:
@@ -208,15 +210,15 @@ def ct_references(path: Path, volume: Volume, watch: Watch) -> References | None
 
 
 def structures_refused(path: Path, problem: str, way_out: str, *, code: str = "import.mask") -> VolumeImportError:
-    """Return the refusal of a structure set."""
+    """Return the error for a structure set that cannot be used."""
     return VolumeImportError(f"reading the structure set {path.name}: {problem}; {way_out}", code=code)
 
 
 def is_structure_set(path: Path) -> bool:
-    """Whether a DICOM file is an RTSTRUCT."""
+    """Return whether a DICOM file is an RTSTRUCT."""
     try:
         data: Any = read_dataset(path, pixels=False)
         return str(data.get("SOPClassUID", "")) == _STRUCTURE_SET_STORAGE
     except Exception:
-        # ``read_dataset`` raises ValueError, and pydicom many kinds on a damaged element.
+        # ``read_dataset`` raises ValueError, and pydicom raises various errors for a damaged element.
         return False

@@ -1,7 +1,7 @@
-"""Which CT a volume is: a digest of its voxels that does not depend on the file format, and where they lie.
+"""Identity of a CT: a digest of its voxels that does not depend on the file format, and the position of the voxels.
 
 DICOM, NIfTI, NRRD and MetaImage files of one CT differ in the order and direction of their axes. Digest and geometry
-are therefore taken in *canonical order*: axes permuted and flipped (never resampled) so that they run as nearly as
+are therefore computed in *canonical order*: axes permuted and flipped (never resampled) so that they run as nearly as
 possible along L, P and S. The voxels are those that Carina shows: int16 after rescale, rounding and clipping
 (``volume.hu``).
 """
@@ -37,30 +37,30 @@ __all__ = [
 V = TypeVar("V", np.uint8, np.int16)
 
 GEOMETRY_TOLERANCE_MM = 1e-3
-"""By which a corner of one CT may differ between two files; float32 headers move it by about 1e-4 mm."""
+"""Largest difference of a corner of one CT between two files; float32 headers cause about 1e-4 mm."""
 _SLAB_BYTES = 8 << 20
 
-# Directions that stand for L, P and S when axes are chosen, as rows. They are turned by about a degree: where a scan is
-# tilted by exactly 45 degrees L and P (or S) fit an axis equally well, and the last bit of a header would decide.
+# Reference directions for the choice of axes, as rows: L, P and S, rotated by about a degree. For a scan tilted by
+# exactly 45 degrees, L and P (or S) would fit an axis equally well, and rounding of the header would decide.
 _NEARLY_LPS = np.eye(3) + 0.01 * np.array([[0.0, -1.3, 0.7], [1.3, 0.0, -1.1], [-0.7, 1.1, 0.0]])
 
 
 class Grid(Protocol):
-    """Anything that says how many voxels it has and where they lie: a volume, or what a case keeps of it."""
+    """Interface of objects with a grid: a volume, or the description of a CT in a case."""
 
     @property
     def shape_zyx(self) -> tuple[int, int, int]:
-        """Shape of the array."""
+        """Shape of the array of voxels."""
 
     @property
     def lps_from_ijk(self) -> NDArray[np.float64]:
-        """4x4, voxel centres to LPS mm."""
+        """Transform (4x4) from voxel centres to LPS mm."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class Geometry:
-    """Where the voxels of a volume lie."""
+    """Shape and position of a volume's voxels."""
 
     shape_zyx: tuple[int, int, int]
     lps_from_ijk: NDArray[np.float64]
@@ -68,33 +68,33 @@ class Geometry:
 
 @dataclass(frozen=True, slots=True)
 class CanonicalAxes:
-    """How the axes of a grid become L, P and S."""
+    """Permutation and flips that make the axes of a grid run along L, P and S."""
 
     axes_ijk: tuple[int, int, int]
-    """Which of i, j, k (0, 1, 2) runs along x, y, z of LPS."""
+    """Index of the axis i, j, k (0, 1, 2) that runs along x, y, z of LPS."""
     flipped: tuple[bool, bool, bool]
-    """Whether that axis runs the other way, for x, y, z."""
+    """Whether that axis runs in the opposite direction, for x, y, z."""
 
     @property
     def letters(self) -> str:
-        """Where i, j and k point, one letter each: ``LPS``, ``RAS``, ..."""
+        """Directions of i, j and k, one letter each: ``LPS``, ``RAS``, ..."""
         found = ["", "", ""]
         for along, (axis, flip) in enumerate(zip(self.axes_ijk, self.flipped, strict=True)):
             found[axis] = ("LR", "PA", "SI")[along][flip]
         return "".join(found)
 
     def view(self, values_zyx: NDArray[V]) -> NDArray[V]:
-        """The array ``[S, P, L]``, without a copy."""
+        """Return the array in the order ``[S, P, L]``, without a copy."""
         along_x, along_y, along_z = (2 - axis for axis in self.axes_ijk)
         steps = tuple(slice(None, None, -1 if flip else 1) for flip in reversed(self.flipped))
         return values_zyx.transpose(along_z, along_y, along_x)[steps]
 
 
 def canonical_axes(lps_from_ijk: NDArray[np.float64]) -> CanonicalAxes:
-    """The permutation and the flips after which a grid's axes lie nearest to L, P and S.
+    """Return the permutation and the flips after which a grid's axes are nearest to L, P and S.
 
     The permutation has the largest sum of the cosines' magnitudes. The result depends only on the lines along which the
-    axes run, never on their order in the file.
+    axes run, not on their order in the file.
     """
     steps = np.asarray(lps_from_ijk, dtype=np.float64)[:3, :3]
     cosines = _NEARLY_LPS @ (steps / np.linalg.norm(steps, axis=0))
@@ -104,7 +104,7 @@ def canonical_axes(lps_from_ijk: NDArray[np.float64]) -> CanonicalAxes:
 
 
 def canonical_geometry(grid: Grid) -> Geometry:
-    """Shape and place of a grid in canonical order; what is canonical already stays as it is."""
+    """Return the shape and the position of a grid in canonical order."""
     axes = canonical_axes(grid.lps_from_ijk)
     shape_ijk = grid.shape_zyx[::-1]
     sizes = [shape_ijk[axis] for axis in axes.axes_ijk]
@@ -120,23 +120,23 @@ def canonical_geometry(grid: Grid) -> Geometry:
 
 
 def ct_digest(volume: Volume, *, cancel: Callable[[], bool] | None = None) -> str:
-    """SHA-256 of a volume's voxels in canonical order: the same for one CT in any file format.
+    """Return the SHA-256 of a volume's voxels in canonical order, which is the same for one CT in any file format.
 
-    The bytes are little-endian int16, ``[S, P, L]``, L fastest. Neither shape nor place goes in: they are compared
-    beside it (:func:`same_geometry`). Takes a slab of some MB beside the volume, never a second copy. Found when first
-    asked for, and kept with the volume.
+    The bytes are little-endian int16, ``[S, P, L]``, L fastest. Shape and position are not part of the digest;
+    :func:`same_geometry` compares them. The function needs a buffer of some MB and no second copy of the volume. The
+    digest is computed at the first call and stored with the volume.
 
     Parameters
     ----------
     volume
         Not modified.
     cancel
-        Asked after every slab; when it returns true the work stops.
+        Called after every slab; a true result stops the work.
 
     Returns
     -------
     str
-        64 hexadecimal digits. They tell nothing about the patient.
+        64 hexadecimal digits, which reveal nothing about the patient.
 
     Raises
     ------
@@ -158,7 +158,8 @@ def ct_digest(volume: Volume, *, cancel: Callable[[], bool] | None = None) -> st
     watch = Watch(None, cancel)
     values = canonical_axes(volume.lps_from_ijk).view(volume.hu_zyx)
     found = hashlib.sha256()
-    # A slab and not a slice at a time: where slices lie across the file's, a cache line holds voxels of many of them.
+    # Slabs instead of single slices: if canonical slices cross the slices of the file, a cache line contains voxels of
+    # many canonical slices.
     num = max(1, _SLAB_BYTES // max(1, values[0].nbytes))
     for first in range(0, len(values), num):
         watch.step("Identifying the CT")
@@ -169,28 +170,28 @@ def ct_digest(volume: Volume, *, cancel: Callable[[], bool] | None = None) -> st
 
 
 def same_geometry(a: Grid, b: Grid) -> bool:
-    """Whether two grids have their voxels at the same places, in whatever order and direction of their axes.
+    """Return whether two grids have their voxels at the same positions, in any order and direction of their axes.
 
-    In canonical order both have the same shape, and none of the corners of the box differs by more than
+    In canonical order both have the same shape, and no corner of the box differs by more than
     :data:`GEOMETRY_TOLERANCE_MM`.
     """
     return _apart_mm(a, b) <= GEOMETRY_TOLERANCE_MM
 
 
 def refuse_other_ct(volume: Volume, digest: str, geometry: Grid) -> None:
-    """Refuse a volume that is not the CT with this digest and geometry.
+    """Raise an error if a volume is not the CT with this digest and geometry.
 
     Parameters
     ----------
     volume
-        What was opened.
+        The opened volume.
     digest, geometry
-        Of the CT that a case was made from.
+        Digest and geometry of the CT that a case was made from.
 
     Raises
     ------
     VolumeImportError
-        ``import.other-ct`` or, with the same voxels at another place, ``import.other-geometry``.
+        ``import.other-ct``, or ``import.other-geometry`` if the same voxels are at another position.
     """
     ours, theirs = canonical_geometry(volume), canonical_geometry(geometry)
     advice = "open the CT that the case was made from"
@@ -215,11 +216,11 @@ def _sizes(geometry: Geometry) -> str:
 
 
 def _apart_mm(a: Grid, b: Grid) -> float:
-    """The largest distance of two boxes' corners; infinite where the shapes differ."""
+    """Return the largest distance of corresponding corners of two boxes in mm; infinite if the shapes differ."""
     one, other = canonical_geometry(a), canonical_geometry(b)
     if one.shape_zyx != other.shape_zyx:
         return float("inf")
-    # Outer corners, half a voxel beyond the centres: with these a single slice has a thickness, too.
+    # Outer corners, half a voxel beyond the centres, so that a single slice has a thickness, too.
     ends = [(-0.5, n - 0.5) for n in reversed(one.shape_zyx)]
     corners = np.array([[*corner, 1.0] for corner in product(*ends)])
     return float(np.linalg.norm(corners @ (one.lps_from_ijk - other.lps_from_ijk).T, axis=1).max())

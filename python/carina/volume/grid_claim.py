@@ -1,4 +1,4 @@
-"""The contents of a grid file's header, the numbers in text headers, and the refusal of a header."""
+"""Content of a grid file's header, parsing of numbers in text headers, and errors about headers."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ _WHOLE = re.compile(r"[+-]?[0-9]{1,18}")
 _REAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?|[+-]?(nan|inf|infinity)", re.IGNORECASE)
 _DECIMAL_COMMA = re.compile(r"[0-9],[0-9]")
 _MAX_PROBLEM_CHARS = 400
-_MAX_NAME_BYTES = 255  # of every common file system
+_MAX_NAME_BYTES = 255  # limit of all common file systems
 
 
 class HeaderValueError(ValueError):
-    """A field of a header whose value does not follow the format; the message names the field and the value."""
+    """Error for a field of a header whose value does not follow the format; the message names both."""
 
     def __init__(self, name: str, expected: str, found: str) -> None:
         comma = ", with a decimal point (a comma is not accepted)" if _DECIMAL_COMMA.search(found) else ""
@@ -49,36 +49,36 @@ class HeaderValueError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class GridHeader:
-    """A file's claim about its grid."""
+    """The properties of a grid according to the header of its file."""
 
     format: str
-    """``nifti``, ``nrrd`` or ``metaimage``."""
+    """Format of the file: ``nifti``, ``nrrd`` or ``metaimage``."""
     shape_ijk: tuple[int, ...]
     num_components: int
     dtype: np.dtype[np.generic]
-    """Of one value, in the file's byte order."""
+    """Type of one value, in the file's byte order."""
     lps_from_ijk: NDArray[np.float64]
     data_path: Path
     data_offset: int
-    """Where the values begin, after decompression; -1: they are the file's last bytes."""
+    """Offset of the values after decompression; -1 if they are the last bytes of the file."""
     compression: str | None
-    """``gzip`` (the whole file or the stream at the offset), ``zlib`` or None."""
+    """Compression of the values: ``gzip`` (the whole file or the stream at ``stream_offset``), ``zlib`` or None."""
     stream_offset: int = 0
-    """Where the compressed stream begins in the file."""
+    """Offset of the compressed stream in the file."""
     values_are_elsewhere: bool = False
     """Whether the values are in another file than the header."""
     file_is_gzipped: bool = False
-    """Whether the data file as a whole is packed by gzip around values that are compressed themselves."""
+    """Whether gzip compresses the whole data file in addition to the compression of the values."""
     head: bytes = field(default=b"", repr=False)
-    """The header itself, unpacked, for the second library that reads it."""
+    """The header itself, decompressed, for the second library that reads it."""
     scaling: tuple[float, float] | None = None
-    """Slope and intercept by which the numbers become values; None where they are the values."""
+    """Slope and intercept that convert the stored numbers to values; None if no conversion is needed."""
     notes: tuple[Note, ...] = ()
-    """What a person should know about this header."""
+    """Notes about the header for the user."""
 
     @property
     def num_voxels(self) -> int:
-        """Voxels that it claims."""
+        """Number of voxels according to the header."""
         count = 1
         for n in self.shape_ijk:
             count *= n
@@ -86,17 +86,17 @@ class GridHeader:
 
     @property
     def num_bytes(self) -> int:
-        """Bytes that the values must have."""
+        """Number of bytes that the values must have."""
         return self.num_voxels * self.num_components * self.dtype.itemsize
 
     @property
     def sizes(self) -> str:
-        """The claimed sizes in words."""
+        """Sizes of the axes as text for messages."""
         return " x ".join(str(n) for n in self.shape_ijk)
 
 
 def refuse(path: Path, problem: str, way_out: str, code: str) -> VolumeImportError:
-    """Return a refusal that names the file, the problem (shortened if a header made it long) and the remedy."""
+    """Return the error for a header, with the file, the problem (shortened if it is long) and the remedy."""
     short = printable(problem)
     if len(short) > _MAX_PROBLEM_CHARS:
         short = f"{short[: _MAX_PROBLEM_CHARS - 1]}…"
@@ -104,7 +104,7 @@ def refuse(path: Path, problem: str, way_out: str, code: str) -> VolumeImportErr
 
 
 def whole(text: str, name: str = "number") -> int:
-    """Return a whole number of the field ``name``; ``int`` also accepts ``1_000`` and digits of other scripts.
+    """Return the whole number in the field ``name``; unlike ``int``, refuse ``1_000`` and digits of other scripts.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def whole(text: str, name: str = "number") -> int:
 
 
 def wholes(text: str, name: str) -> tuple[int, ...]:
-    """Return the whole numbers of the field ``name``, which are separated by white space.
+    """Return the whole numbers in the field ``name``, separated by white space.
 
     Raises
     ------
@@ -130,7 +130,7 @@ def wholes(text: str, name: str) -> tuple[int, ...]:
 
 
 def real(text: str, name: str = "number") -> float:
-    """Return a real number of the field ``name``.
+    """Return the real number in the field ``name``.
 
     Raises
     ------
@@ -143,7 +143,16 @@ def real(text: str, name: str = "number") -> float:
 
 
 def reals(text: str, name: str, count: int) -> list[float]:
-    """Return the real numbers of the field ``name``, which are separated by white space.
+    """Return the real numbers in the field ``name``, separated by white space.
+
+    Parameters
+    ----------
+    text
+        Value of the field.
+    name
+        Name of the field for messages.
+    count
+        Expected count of numbers.
 
     Raises
     ------
@@ -157,7 +166,16 @@ def reals(text: str, name: str, count: int) -> list[float]:
 
 
 def take_once(path: Path, fields: dict[str, str], name: str, value: str) -> None:
-    """Add a field of a text header; a field that is there twice has no one meaning.
+    """Add a field of a text header; a field with two different values is ambiguous and refused.
+
+    Parameters
+    ----------
+    path
+        The file.
+    fields
+        Values of the fields by name; the field is added here.
+    name, value
+        Name and value of the field.
 
     Raises
     ------
@@ -174,12 +192,21 @@ def take_once(path: Path, fields: dict[str, str], name: str, value: str) -> None
 
 
 def beside(path: Path, name: str) -> Path:
-    """Return the data file that a detached header names; only a plain file in the same folder is accepted.
+    """Return the data file that a detached header names; only a file in the same folder is accepted.
+
+    Parameters
+    ----------
+    path
+        The header's file.
+    name
+        Name of the data file in the header.
 
     Raises
     ------
     VolumeImportError
-        ``import.not-supported`` or ``import.not-found``.
+        ``import.not-supported``, ``import.elsewhere`` or ``import.not-found``.
+    HeaderValueError
+        If the name is too long.
     """
     simple = name.strip().removeprefix("./")
     if simple.upper().startswith("LIST") or "%" in simple:

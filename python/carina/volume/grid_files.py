@@ -1,4 +1,4 @@
-"""NIfTI, NRRD and MetaImage files: header and numbers are read here, and SimpleITK must agree about the geometry."""
+"""Reader of NIfTI, NRRD and MetaImage files; SimpleITK must read the same geometry from the header."""
 
 from __future__ import annotations
 
@@ -26,22 +26,22 @@ from carina.volume.watch import Watch
 __all__ = ["open_grid_file", "read_grid_array"]
 
 _ITK_READERS = {"nifti": "NiftiImageIO", "nrrd": "NrrdImageIO", "metaimage": "MetaImageIO"}
-# What MetaIO, teem and the NIfTI library write to stderr.
+# Words in the messages that MetaIO, teem and the NIfTI library write to stderr.
 _LIBRARY = re.compile(
     rb"Meta(?:Object|Image|IO|Command)|MET_|\bdefin(?:ed|ing)\b|nrrd|nifti|nii_|^\*\*|^\+\+|itk", re.IGNORECASE
 )
 _MAX_METAIO_LINE = 1000
 _LIBRARY_SKEW_DEG = 0.002
-"""ITK begins to refuse an sform at about ten times this angle."""
+"""Skew from which the header is straightened for ITK, which refuses an sform at about ten times this angle."""
 
 
 @contextmanager
 def _library_copy(header: GridHeader, head: bytes) -> Iterator[Path]:
     """Yield a private copy of a header, without values, under a name that the library accepts.
 
-    So the library reads neither the user's path nor a wrong suffix, and does not unpack the values.
+    So the library reads neither the user's path nor a wrong suffix, and does not decompress the values.
     """
-    # The NIfTI library and teem look for the file of the values, but do not read it.
+    # The NIfTI library and teem require that the file of the values exists, but do not read it.
     stand_in: str | None = None
     suffix = {"nifti": ".nii", "nrrd": ".nrrd", "metaimage": ".mha"}[header.format]
     if header.format == "nifti" and head[344:347] == b"ni1":
@@ -49,11 +49,11 @@ def _library_copy(header: GridHeader, head: bytes) -> Iterator[Path]:
     elif header.format == "nrrd" and header.values_are_elsewhere:
         suffix, stand_in = ".nhdr", header.data_path.name
     elif header.format == "metaimage":
-        # MetaIO cannot read long lines; those of the geometry are short.
+        # MetaIO cannot read long lines; the lines of the geometry are short.
         head = b"".join(text for text in head.splitlines(keepends=True) if len(text) <= _MAX_METAIO_LINE)
     with scratch_folder() as folder:
         named = folder / f"carina-header{suffix}"
-        # NIfTI: four bytes that say that no extension follows.
+        # In NIfTI, four bytes state that no extension follows.
         named.write_bytes(head + bytes(4) if suffix == ".nii" else head)
         if stand_in is not None:
             (folder / stand_in).touch()
@@ -61,13 +61,13 @@ def _library_copy(header: GridHeader, head: bytes) -> Iterator[Path]:
 
 
 def _library_grid(path: Path, header: GridHeader, head: bytes) -> NDArray[np.float64]:
-    """Return the place of the voxels as a second library reads the header, LPS mm."""
+    """Return the 4x4 transform from voxel centres to LPS mm as a second library reads it from the header."""
     import SimpleITK as sitk  # slow to load, and the types of a volume do not need it
 
     reader = sitk.ImageFileReader()
     reader.SetImageIO(_ITK_READERS[header.format])
     shown = sitk.ProcessObject.GetGlobalWarningDisplay()
-    # ITK and the libraries below it write to stderr; Carina's own checks and messages replace that output.
+    # ITK and its libraries write to stderr; Carina's own checks and messages replace that output.
     sitk.ProcessObject.SetGlobalWarningDisplay(False)
     try:
         with _library_copy(header, head) as copy, library_path(copy) as name:
@@ -97,15 +97,17 @@ def _library_grid(path: Path, header: GridHeader, head: bytes) -> NDArray[np.flo
 
 
 def _check_agreement(path: Path, header: GridHeader) -> None:
+    """Raise an error if a second library reads another geometry from the header."""
     ours, head = header.lps_from_ijk, header.head
     if header.format == "nifti" and skew_deg(ours) > _LIBRARY_SKEW_DEG:
-        # ITK accepts no sform off right angles: it reads the straightened one, and is compared with that.
+        # ITK reads only an sform with right angles, so it reads the straightened one, and the result is compared with
+        # that.
         ours, head = straightened(ours), straightened_nifti_head(head)
     theirs = _library_grid(path, header, head)
     ni, nj, nk = (n - 1 for n in header.shape_ijk)
     corners = np.array([[i, j, k, 1.0] for i in (0, ni) for j in (0, nj) for k in (0, nk)], dtype=np.float64)
     apart_mm = float(np.linalg.norm(corners @ (ours - theirs).T, axis=1).max())
-    # A twentieth of a voxel: float32 headers give about 1e-4 mm, another meaning of the header gives whole voxels.
+    # A twentieth of a voxel: float32 headers cause about 1e-4 mm, a different interpretation at least whole voxels.
     allowed_mm = 0.05 * float(np.linalg.norm(ours[:3, :3], axis=0).min())
     if apart_mm > allowed_mm:
         msg = (
@@ -122,14 +124,28 @@ def read_grid_array(
     *,
     watch: Watch,
 ) -> tuple[NDArray[np.generic], GridHeader, tuple[Note, ...]]:
-    """Read the numbers of one NIfTI, NRRD or MetaImage file unchanged, ``(nz, ny, nx)``, its checked header, and notes.
+    """Read the numbers of one NIfTI, NRRD or MetaImage file unchanged, with its checked header and notes.
+
+    Parameters
+    ----------
+    path
+        The file.
+    format
+        ``nifti``, ``nrrd`` or ``metaimage``.
+    watch
+        Progress and cancellation.
+
+    Returns
+    -------
+    values, header, notes
+        The numbers ``(nz, ny, nx)``, the header and the notes.
 
     Raises
     ------
     VolumeImportError
         If the header, the data or the geometry cannot be trusted; the message names the file.
     CancelledError
-        If the person cancels.
+        If the user cancels.
     """
     watch.step("Reading the header")
     header = read_grid_header(path, format)
@@ -139,14 +155,14 @@ def read_grid_array(
 
 
 def open_grid_file(path: Path, format: str, *, watch: Watch) -> Volume:  # noqa: A002 - the word of the field
-    """Open one NIfTI, NRRD or MetaImage file.
+    """Open one NIfTI, NRRD or MetaImage file as a volume.
 
     Raises
     ------
     VolumeImportError
         If the header, the data or the geometry cannot be trusted; the message names the file.
     CancelledError
-        If the person cancels.
+        If the user cancels.
     """
     values, header, notes = read_grid_array(path, format, watch=watch)
     watch.step("Converting the values", None)

@@ -1,8 +1,8 @@
-"""What the header of a NIfTI, NRRD or MetaImage file claims, read by ourselves before a library takes memory for it.
+"""Reader of NIfTI, NRRD and MetaImage headers, which are checked before a library allocates memory for them.
 
-A lying header is refused while it is still only text, and the geometry that the library finds must agree with ours.
-Sources: nifti1.h (NIfTI-1.1), the NRRD format definition (teem), MetaIO's documentation. Each format has a module of
-its own.
+A false header is refused before any allocation, and the geometry that the library reads must agree with the result.
+Sources: nifti1.h (NIfTI-1.1), the NRRD format definition (teem), MetaIO's documentation. Each format has its own
+module.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _OTHER_FORMATS = {
 
 
 def _head(path: Path, num_bytes: int) -> tuple[bytes, bool]:
-    """Return the first bytes of a file, unpacked, and whether the file is packed by gzip."""
+    """Return the first bytes of a file, decompressed, and whether gzip compresses the file."""
     with path.open("rb") as file:
         raw = file.read(num_bytes)
         if raw[:2] != _GZIP:
@@ -48,15 +48,16 @@ def _head(path: Path, num_bytes: int) -> tuple[bytes, bool]:
                 if len(head) >= num_bytes:
                     break
         except ValueError:
-            pass  # where the stream is damaged further on, its beginning still says what it is
+            pass  # a stream that is damaged farther on can still be identified by its beginning
     return bytes(head[:num_bytes]), True
 
 
 def sniff_format(path: Path) -> str | None:
-    """Return the format of a file from its first bytes, never from its name; None if they match no known format.
+    """Return the format of a file from its first bytes, never from its name; None if the format is unknown.
 
-    ``nifti``, ``nrrd`` and ``metaimage`` can be read, packed by gzip or not. The others are named for messages:
-    ``pdf``, ``zip``, ``bzip2``, ``xz``, ``zstd``, ``gzip twice``, ``gzip dicom`` and ``gzip tar`` (an archive).
+    ``nifti``, ``nrrd`` and ``metaimage`` can be read, with or without gzip. The other formats are returned for
+    messages: ``pdf``, ``zip``, ``bzip2``, ``xz``, ``zstd``, ``gzip twice``, ``gzip dicom`` and ``gzip tar`` (an
+    archive).
     """
     head, gzipped = _head(path, 4096)
     for start, name in _OTHER_FORMATS.items():
@@ -112,6 +113,7 @@ def _read(path: Path, format: str) -> GridHeader:  # noqa: A002 - the word of th
 
 
 def _check(path: Path, header: GridHeader) -> None:
+    """Raise an error if a header does not describe one rectangular volume with a plausible spacing."""
     if len(header.shape_ijk) != 3 or header.num_components != 1:
         values = f" with {header.num_components} values in each voxel" if header.num_components != 1 else ""
         problem = f"expected one volume with three axes, found {header.sizes}{values}"

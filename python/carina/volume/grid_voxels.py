@@ -1,7 +1,7 @@
-"""The numbers of a grid file as they stand in it: no library comes between, so all formats give the very same ones.
+"""Reader of the numbers in a grid file without a library, so that all formats give identical numbers.
 
-ITK turns NaN into 0 (soft tissue) in a NIfTI, adds an intercept where the slope is 0, reads the first member of a gzip
-file alone, and takes twice the memory.
+ITK converts NaN to 0 (soft tissue) in a NIfTI file, adds an intercept if the slope is 0, reads only the first member of
+a gzip file, and needs twice the memory.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from carina.volume.watch import Watch
 __all__ = ["read_voxels"]
 
 _CHUNK_BYTES = 1 << 23
-_MAX_RATIO = 1100  # deflate packs at most 1032 to 1
+_MAX_RATIO = 1100  # deflate compresses by at most 1032 to 1
 _READING = "Reading the voxels"
 _GZIP_DEFLATE = b"\x1f\x8b\x08"
 
@@ -30,17 +30,26 @@ _GZIP_DEFLATE = b"\x1f\x8b\x08"
 def read_voxels(path: Path, header: GridHeader, watch: Watch) -> tuple[NDArray[np.generic], tuple[Note, ...]]:
     """Return the values ``(nz, ny, nx)`` of a file in this machine's byte order, scaled as the header states.
 
+    Parameters
+    ----------
+    path
+        The file, for messages.
+    header
+        The checked header.
+    watch
+        Progress and cancellation.
+
     Returns
     -------
     values, notes
-        A note says where the file contains more than its header claims.
+        A note states if the file contains more data than its header claims.
 
     Raises
     ------
     VolumeImportError
         ``import.truncated`` or ``import.too-large``.
     CancelledError
-        If the person cancels.
+        If the user cancels.
     """
     if header.num_voxels > MAX_VOXELS:
         msg = (
@@ -57,7 +66,7 @@ def read_voxels(path: Path, header: GridHeader, watch: Watch) -> tuple[NDArray[n
         values = values.byteswap(inplace=True).view(values.dtype.newbyteorder("="))
     notes: tuple[Note, ...] = ()
     if extra:
-        # A few bytes are padding; as much as a slice is a sign that the header speaks of another volume.
+        # A few bytes are padding; the size of a slice or more indicates that the header describes another volume.
         per_slice = header.num_bytes // header.shape_ijk[2]
         words = f"the file contains {extra} bytes more than its header states; they were ignored"
         notes = (Note("import.extra-data", words, badge=extra >= per_slice),)
@@ -73,11 +82,12 @@ def _lying(path: Path, header: GridHeader, found: str) -> VolumeImportError:
 
 
 def _read_plain(path: Path, header: GridHeader, watch: Watch) -> tuple[NDArray[np.uint8], int]:
+    """Return the bytes of uncompressed values, and the number of bytes behind them."""
     size, needed = header.data_path.stat().st_size, header.num_bytes
     begin = size - needed if header.data_offset < 0 else header.data_offset
     extra = size - begin - needed
     if begin < 0 or extra < 0:
-        # Found before anything of that size is allocated.
+        # Detected before memory of that size is allocated.
         found = f"the file contains {size if begin < 0 else max(0, size - begin)} bytes"
         with header.data_path.open("rb") as file:
             file.seek(max(0, begin))
@@ -99,13 +109,14 @@ def _read_plain(path: Path, header: GridHeader, watch: Watch) -> tuple[NDArray[n
 
 
 def _read_packed(path: Path, header: GridHeader, watch: Watch) -> tuple[NDArray[np.uint8], int]:
+    """Return the bytes of compressed values, and the number of bytes behind them."""
     size, needed = header.data_path.stat().st_size, header.num_bytes
     layers = 2 if header.file_is_gzipped else 1
     if header.data_offset + needed > _MAX_RATIO**layers * size:
         raise _lying(path, header, f"the compressed file has only {size} bytes")
-    # The system gives memory page by page as it is filled, so a claim alone takes none.
+    # The system provides memory page by page as it is filled, so a false claim alone takes none.
     out = np.empty(needed, dtype=np.uint8)
-    most = header.data_offset + needed + max(needed, 1 << 26)  # much more behind it is a bomb
+    most = header.data_offset + needed + max(needed, 1 << 26)  # much more data is a decompression bomb
     total = 0
     with header.data_path.open("rb") as file:
         watch.step(_READING, 0.0)
@@ -134,7 +145,7 @@ def _at_stream(file: BinaryIO, header: GridHeader) -> Readable:
     Raises
     ------
     ValueError
-        If gzip packs the file as a whole and is damaged.
+        If gzip compresses the whole file and its stream is damaged.
     """
     if not header.file_is_gzipped:
         file.seek(header.stream_offset)
@@ -146,12 +157,12 @@ def _at_stream(file: BinaryIO, header: GridHeader) -> Readable:
 
 
 def _scaled(values: NDArray[np.generic], slope: float, intercept: float) -> NDArray[np.generic]:
-    """Values times slope plus intercept, slice by slice; whole numbers where all of it is whole and small."""
+    """Return values times slope plus intercept, slice by slice; integers if all numbers are whole and small."""
     small = values.dtype.kind in "iu" and values.dtype.itemsize <= 2
     if small and slope == int(slope) and intercept == int(intercept) and max(abs(slope), abs(intercept)) < 1 << 14:
         kind: type[np.generic] = np.int32
     else:
-        # float32 keeps all digits of 16-bit numbers and of its own; it rounds once, at the end.
+        # float32 is exact for 16-bit numbers and rounds once, at the end.
         kind = np.float64 if values.dtype.itemsize > 4 else np.float32
     out = np.empty(values.shape, dtype=kind)
     for k, plane in enumerate(values):

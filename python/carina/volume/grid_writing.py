@@ -1,8 +1,8 @@
-"""Arrays on a CT's grid as NIfTI, NRRD or MetaImage, written by ourselves.
+"""Writer of arrays on a CT's grid as NIfTI, NRRD or MetaImage files.
 
-ITK's NIfTI writer on a full disk leaves a file that is cut short, prints a line to stderr and reports success; the
-others fail in words of their own. Here each byte goes through a file that says what the disk says, and a draft that
-takes its place only when it is whole (``disk.drafts``).
+ITK's NIfTI writer leaves a truncated file on a full disk, prints a line to stderr and reports success; its other
+writers raise errors with unclear messages. This module reports errors of the disk, and a file is replaced only when it
+is complete (``disk.drafts``).
 
 References
 ----------
@@ -34,7 +34,7 @@ _CHUNK_BYTES = 8 << 20
 _NIFTI_TYPES = {"uint8": 2, "int16": 4}
 _NRRD_TYPES = {"uint8": "unsigned char", "int16": "short"}
 _META_TYPES = {"uint8": "MET_UCHAR", "int16": "MET_SHORT"}
-_NIFTI_MAX_VOXELS = 32767  # of one axis: dim is int16
+_NIFTI_MAX_VOXELS = 32767  # largest size of an axis: dim is int16
 
 
 def write_grid(
@@ -46,7 +46,7 @@ def write_grid(
     note: str | None = None,
     level: int = 6,
 ) -> Path:
-    """Write values on a grid, whole or not at all, so that other tools lay them exactly over the CT.
+    """Write values on a grid atomically, so that other tools place them exactly over the CT.
 
     Parameters
     ----------
@@ -58,19 +58,24 @@ def write_grid(
         (4, 4), mm, from voxel centres to LPS. Only ``.nrrd`` stores axes that are not at right angles
         (``right_angles``).
     what
-        What it is, for messages: "the mask".
+        Name of the content for messages: "the mask".
     note
-        What a reader must know: NIfTI has it as ``descrip`` (ASCII, 79 characters, the rest is cut off), the others as
-        a field ``note``.
+        Note for readers of the file: NIfTI stores it as ``descrip`` (ASCII, truncated to 79 characters), the other
+        formats as a field ``note``.
     level
-        Of the compression, 1 (fast) to 9 (small).
+        Compression level, 1 (fast) to 9 (small).
+
+    Returns
+    -------
+    Path
+        The file.
 
     Raises
     ------
     UsageError, GeometryError
-        As :func:`check_grid_fits`; or the kind of number is another.
+        As in :func:`check_grid_fits`; UsageError also for another type of number.
     DiskError
-        If it cannot be written; what was there before stays.
+        If the file cannot be written; a former file stays.
     """
     suffix = check_grid_fits(path, values_zyx.shape, lps_from_ijk, what=what)
     with drafted(path, what=what) as file:
@@ -88,7 +93,7 @@ def check_grid_fits(
     path
         The file to be written.
     shape_zyx, lps_from_ijk, what
-        As of :func:`write_grid`.
+        As in :func:`write_grid`.
 
     Raises
     ------
@@ -107,6 +112,7 @@ def check_grid_fits(
 
 
 def _check_format(suffix: str, shape_zyx: tuple[int, ...], lps_from_ijk: NDArray[np.float64], what: str) -> None:
+    """Raise an error if a format cannot store a grid."""
     if suffix == ".nrrd":
         return
     if not has_right_angles(lps_from_ijk, shape_zyx[::-1]):
@@ -136,24 +142,33 @@ def write_grid_to(
 ) -> None:
     """Write values on a grid to an open file; ``suffix`` of :data:`GRID_SUFFIXES` selects the format.
 
+    Parameters
+    ----------
+    file
+        The open file.
+    suffix
+        One of :data:`GRID_SUFFIXES`.
+    values_zyx, lps_from_ijk, what, note, level
+        As in :func:`write_grid`.
+
     Raises
     ------
     UsageError, GeometryError
-        As :func:`write_grid`.
+        As in :func:`write_grid`.
     OSError
-        What the disk says.
+        If the disk refuses the write.
     """
     if values_zyx.dtype.name not in _NIFTI_TYPES:
         raise UsageError(f"{what} must contain uint8 or int16 values; found {values_zyx.dtype.name}")
     _check_format(suffix, values_zyx.shape, lps_from_ijk, what)
     values = np.ascontiguousarray(values_zyx, dtype=values_zyx.dtype.newbyteorder("<"))
-    # One line: these headers are lines of text.
+    # Joined to one line, because these headers consist of lines of text.
     _WRITERS[suffix](file, _Grid(values, lps_from_ijk, " ".join((note or "").split()), level))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Grid:
-    """What is written: little-endian values, where they lie, one line to the reader, and the compression's level."""
+    """Content of a file: little-endian values, their grid, a note of one line, and the compression level."""
 
     values: Values
     lps_from_ijk: NDArray[np.float64]
@@ -173,7 +188,7 @@ def _nifti(file: BinaryIO, grid: _Grid) -> None:
 
 
 def _nifti_gz(file: BinaryIO, grid: _Grid) -> None:
-    # No name and no time inside: equal content makes equal files.
+    # The stream contains no name and no time, so that equal content gives equal files.
     with gzip.GzipFile(filename="", mode="wb", compresslevel=grid.level, fileobj=file, mtime=0) as packed:
         packed.write(_nifti_header(grid))
         for chunk in _chunks(grid.values):
@@ -181,16 +196,17 @@ def _nifti_gz(file: BinaryIO, grid: _Grid) -> None:
 
 
 def _nifti_header(grid: _Grid) -> bytes:
-    """Return 348 bytes and four for "no extension", with the transform as a matrix (sform) and a quaternion (qform).
+    """Return the header of 348 bytes and four bytes for "no extension".
 
-    The sform is exact. A quaternion has right angles only, so the qform is the nearest rotation.
+    The transform is stored as a matrix (sform), which is exact, and as a quaternion (qform). A quaternion has right
+    angles only, so the qform is the nearest rotation.
     """
     ras_from_ijk = np.diag([-1.0, -1.0, 1.0, 1.0]) @ grid.lps_from_ijk
     spacing = np.linalg.norm(ras_from_ijk[:3, :3], axis=0)
     turn = straightened(ras_from_ijk)[:3, :3] / spacing
     qfac = 1.0
     if np.linalg.det(turn) < 0.0:
-        # A quaternion turns, and does not mirror: the third axis is mirrored by qfac.
+        # A quaternion cannot mirror, so qfac mirrors the third axis.
         qfac = -1.0
         turn = turn * np.array([1.0, 1.0, -1.0])
     b, c, d = _quaternion(turn)
@@ -214,7 +230,7 @@ def _nifti_header(grid: _Grid) -> bytes:
 
 
 def _quaternion(turn: NDArray[np.float64]) -> tuple[float, float, float]:
-    """b, c, d of the unit quaternion (a >= 0) of a rotation; its largest part is found first, for precision."""
+    """Return b, c, d of the unit quaternion (a >= 0) of a rotation, computed from its largest part for precision."""
     m = turn
     # Four times the squares of a, b, c, d.
     squares = np.array(
@@ -287,7 +303,7 @@ def _meta(file: BinaryIO, grid: _Grid) -> None:
 
 
 def _digits(value: float) -> str:
-    """As many digits as give the number back."""
+    """Return the shortest text that gives the number back exactly."""
     return repr(float(value)).removesuffix(".0")
 
 
@@ -298,4 +314,4 @@ _WRITERS: dict[str, Callable[[BinaryIO, _Grid], None]] = {
     ".mha": _meta,
 }
 GRID_SUFFIXES = tuple(_WRITERS)
-"""Suffixes that :func:`write_grid` knows."""
+"""Suffixes of the formats that :func:`write_grid` writes."""

@@ -1,4 +1,4 @@
-"""Troubles of the disk and of memory while something is read, in our words."""
+"""Conversion of errors of the disk and of memory during an import to Carina's errors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,25 @@ T = TypeVar("T")
 
 
 def guarded(path: Path, action: Callable[[Path], T]) -> T:
-    """Run an import; troubles of the disk and of memory become refusals in our words."""
+    """Run an import, and convert errors of the disk and of memory to import errors with a remedy.
+
+    Parameters
+    ----------
+    path
+        The file or folder to import.
+    action
+        The import, called with the path.
+
+    Returns
+    -------
+    object
+        The result of ``action``.
+
+    Raises
+    ------
+    VolumeImportError
+        If the path is a pipe, a socket or a device, cannot be read, or needs too much memory.
+    """
     # Libraries open the path themselves, and a pipe would block them for ever.
     special = special_kind(path)
     if special is not None:

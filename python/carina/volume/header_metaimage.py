@@ -1,4 +1,4 @@
-"""MetaImage headers (MetaIO's documentation), with the values behind them or in a file beside them."""
+"""Reader of MetaImage headers (MetaIO's documentation), with the values in the same file or in a second one."""
 
 from __future__ import annotations
 
@@ -31,23 +31,25 @@ _KINDS = {
 _TRUTH = {"true": True, "t": True, "1": True, "false": False, "f": False, "0": False}
 _TURNS = ("TransformMatrix", "Rotation", "Orientation")
 _ORIGINS = ("Offset", "Position", "Origin")
-_FROM_LETTERS = ("RL", "AP", "IS")  # AnatomicalOrientation names where an axis comes from
+_FROM_LETTERS = ("RL", "AP", "IS")  # AnatomicalOrientation names the side from which an axis runs
 
 
 def read_metaimage_header(path: Path, text: bytes, *, gzipped: bool) -> GridHeader:
-    """Return the header of one file; ValueError and KeyError where it does not follow the format.
+    """Return the header of one file; raise ValueError or KeyError if it does not follow the format.
 
     Parameters
     ----------
     path
         The file.
     text
-        Its first bytes, unpacked.
+        First bytes of the file, decompressed.
     gzipped
-        Whether gzip packs the file as a whole.
+        Whether gzip compresses the whole file.
 
     Raises
     ------
+    ValueError, KeyError
+        If the header does not follow the format.
     VolumeImportError
         See ``read_grid_header``.
     """
@@ -80,7 +82,7 @@ def read_metaimage_header(path: Path, text: bytes, *, gzipped: bool) -> GridHead
         problem = "it is compressed as a whole, and its header counts the data from the end of the file"
         raise refuse(path, problem, "unpack it with gunzip and open the result", "import.not-supported")
     if header_size < -1 or (header_size != 0 and compressed) or (header_size > 0 and local):
-        # With LOCAL, programs count HeaderSize from different places.
+        # With LOCAL, programs count HeaderSize from different positions.
         raise HeaderValueError("HeaderSize", "0 (or -1 for uncompressed data)", str(header_size))
     lps_from_ijk = _transform(path, fields, num_axes)
     return GridHeader(
@@ -101,7 +103,7 @@ def read_metaimage_header(path: Path, text: bytes, *, gzipped: bool) -> GridHead
 
 
 def _given(fields: dict[str, str], name: str) -> str:
-    """Return the value of a required field; KeyError with the spelling of the format if the field is missing."""
+    """Return the value of a required field; the KeyError for a missing field contains the format's spelling."""
     try:
         return fields[name.lower()]
     except KeyError:
@@ -109,7 +111,7 @@ def _given(fields: dict[str, str], name: str) -> str:
 
 
 def _fields(path: Path, text: bytes) -> tuple[dict[str, str], int]:
-    """Return the fields to ElementDataFile, and where the text ends."""
+    """Return the fields up to ElementDataFile, and the offset of the end of the header's text."""
     fields: dict[str, str] = {}
     at = 0
     while True:
@@ -119,7 +121,7 @@ def _fields(path: Path, text: bytes) -> tuple[dict[str, str], int]:
         name, equals, value = line.partition("=")
         name = name.strip().lower()
         if "ndims" not in fields and name in ("dimsize", "elementspacing", "elementsize"):
-            # Lists cannot be read before their length is known.
+            # The length of lists must be known before they are read.
             raise HeaderValueError("first list of numbers", "behind NDims", f"{name} before NDims")
         if equals and name != "comment":
             take_once(path, fields, name, value.strip())
@@ -130,7 +132,7 @@ def _fields(path: Path, text: bytes) -> tuple[dict[str, str], int]:
 
 
 def _one_of(path: Path, fields: dict[str, str], names: tuple[str, ...], default: list[float]) -> list[float]:
-    """Return the numbers of fields that mean the same; refuse a header in which two of them differ."""
+    """Return the numbers of the fields of one meaning; refuse a header in which two of them differ."""
     given = {name: reals(fields[name.lower()], name, len(default)) for name in names if name.lower() in fields}
     if len({tuple(numbers) for numbers in given.values()}) > 1:
         problem = f"its {' and '.join(given)} contradict each other"
@@ -158,7 +160,7 @@ def _order(path: Path, fields: dict[str, str]) -> str:
 
 
 def _refuse_what_others_ignore(path: Path, fields: dict[str, str]) -> None:
-    """Scaling and units that some programs apply and others do not read: no reading of such a file is the right one."""
+    """Refuse scaling and units that some programs apply and others ignore, because the right values are unknown."""
     slope = real(fields.get("elementtointensityfunctionslope", "1"), "ElementToIntensityFunctionSlope")
     shift = real(fields.get("elementtointensityfunctionoffset", "0"), "ElementToIntensityFunctionOffset")
     if (slope, shift) != (1.0, 0.0):
@@ -171,7 +173,7 @@ def _refuse_what_others_ignore(path: Path, fields: dict[str, str]) -> None:
 
 
 def _notes(fields: dict[str, str], lps_from_ijk: NDArray[np.float64]) -> tuple[Note, ...]:
-    """Return notes on values that the format fills in by itself, and on values that contradict each other."""
+    """Return notes on missing values that the format replaces by defaults, and on contradicting values."""
     notes = []
     if not any(name.lower() in fields for name in _TURNS):
         words = "its header does not state where its axes point; they are assumed to point left, posterior and superior"
@@ -198,11 +200,12 @@ def _notes(fields: dict[str, str], lps_from_ijk: NDArray[np.float64]) -> tuple[N
 
 
 def _transform(path: Path, fields: dict[str, str], num_axes: int) -> NDArray[np.float64]:
+    """Return the 4x4 transform from voxel centres to LPS mm."""
     name = "ElementSpacing" if "elementspacing" in fields else "ElementSize"
     if name.lower() not in fields:
         raise refuse(path, "it has no ElementSpacing", "export it again with its spacing", "import.geometry.spacing")
     spacing = reals(fields[name.lower()], name, num_axes)
-    if not all(distance > 0 for distance in spacing):  # also for NaN; a negative one would mirror the patient
+    if not all(distance > 0 for distance in spacing):  # also for NaN; a negative spacing would mirror the patient
         problem = f"its {name} should be positive numbers in mm; found {shown_value(fields[name.lower()])}"
         raise refuse(path, problem, "export it again with its spacing", "import.geometry.spacing")
     matrix = np.eye(4)
@@ -213,7 +216,7 @@ def _transform(path: Path, fields: dict[str, str], num_axes: int) -> NDArray[np.
     origin = _one_of(path, fields, _ORIGINS, [0.0, 0.0, 0.0])
     directions = np.array(turn).reshape(3, 3)
     lengths = np.linalg.norm(directions, axis=1)
-    if not (np.abs(lengths - 1.0) < 0.01).all():  # three digits, as some programs write, are off by 0.001
+    if not (np.abs(lengths - 1.0) < 0.01).all():  # programs that write three digits cause deviations of 0.001
         found = ", ".join(f"{length:g}" for length in lengths)
         problem = f"the directions in its TransformMatrix should have length 1; found {found}"
         raise refuse(path, problem, "export it again, with its spacing in ElementSpacing", "import.geometry.ambiguous")

@@ -1,4 +1,4 @@
-"""NIfTI-1 headers as nifti1.h defines them."""
+"""Reader of NIfTI-1 headers as defined in nifti1.h."""
 
 from __future__ import annotations
 
@@ -20,15 +20,17 @@ _KINDS = {
     2: "u1", 4: "i2", 8: "i4", 16: "f4", 64: "f8", 256: "i1", 512: "u2", 768: "u4", 1024: "i8", 1280: "u8",
 }  # fmt: skip
 _OTHER_KINDS = {128: "colour", 2304: "colour", 32: "complex", 1792: "complex", 2048: "complex", 1: "1-bit"}
-_SAME_FORM = 0.1  # of a voxel: sform and qform of one grid differ by rounding
-_SMALLEST_OFFSET = 352  # of the values in a single file: 348 bytes of header and 4 that say whether more follow
+_SAME_FORM = 0.1  # largest difference of sform and qform in voxels, for rounding
+_SMALLEST_OFFSET = 352  # smallest vox_offset of a single file: 348 bytes of header, 4 for extensions
 
 
 def read_nifti_header(path: Path, head: bytes) -> GridHeader:
-    """Return the header of one file from its first (unpacked) bytes; ValueError and struct.error if it is malformed.
+    """Return the header of one file from its first bytes, decompressed.
 
     Raises
     ------
+    ValueError, struct.error
+        If the header is malformed.
     VolumeImportError
         See ``read_grid_header``.
     """
@@ -52,7 +54,7 @@ def read_nifti_header(path: Path, head: bytes) -> GridHeader:
     if not 1 <= dim[0] <= 7:
         raise HeaderValueError("dim[0] (the number of axes)", "1 to 7", str(dim[0]))
     shape = dim[1 : dim[0] + 1]
-    while len(shape) > 3 and shape[-1] == 1:  # trailing axes of one entry are written by many programs
+    while len(shape) > 3 and shape[-1] == 1:  # many programs write trailing axes of length 1
         shape = shape[:-1]
     if datatype not in _KINDS:
         known = _OTHER_KINDS.get(datatype)
@@ -64,7 +66,7 @@ def read_nifti_header(path: Path, head: bytes) -> GridHeader:
         problem = f"its values have {8 * dtype.itemsize} bits according to datatype but {bits} according to bitpix"
         raise refuse(path, problem, "one of them is wrong; export it again", "import.header")
     data_path = _data_file(path, single=magic[:2] == b"n+")
-    # For a single file this also finds 0, which means "behind the header" to one program and "at 348" to another.
+    # In a single file this also refuses an offset of 0, which programs interpret as "behind the header" or as 348.
     lowest = _SMALLEST_OFFSET if data_path == path else 0
     if not np.isfinite(offset) or offset < lowest or offset != int(offset):
         problem = f"its values should begin at byte {lowest} or later, but vox_offset is {offset:g}"
@@ -88,7 +90,10 @@ def read_nifti_header(path: Path, head: bytes) -> GridHeader:
 
 
 def _scaling(path: Path, slope: float, intercept: float) -> tuple[tuple[float, float] | None, tuple[Note, ...]]:
-    """nifti1.h: a slope of 0 means that the numbers are the values, whatever the intercept is."""
+    """Return slope and intercept, or None if the stored numbers are the values, and notes.
+
+    According to nifti1.h, a slope of 0 means that the numbers are the values, whatever the intercept is.
+    """
     if slope == 0.0:
         return None, ()
     if not np.isfinite(slope):
@@ -101,7 +106,7 @@ def _scaling(path: Path, slope: float, intercept: float) -> tuple[tuple[float, f
 
 
 def data_files(path: Path) -> list[Path]:
-    """Where the values of a header without them may be; the first that is there holds them."""
+    """Return the possible data files of a header without values; the first that exists is used."""
     stem = path.with_suffix("") if path.suffix.lower() == ".gz" else path
     return [stem.with_suffix(suffix) for suffix in (".img", ".img.gz", ".IMG", ".IMG.GZ")]
 
@@ -119,10 +124,10 @@ def _data_file(path: Path, *, single: bool) -> Path:
 
 
 def _is_gzipped(path: Path, header: GridHeader) -> bool:
-    """Return whether gzip packs the file of the values, whatever its name is."""
+    """Return whether gzip compresses the file of the values, whatever its name is."""
     with header.data_path.open("rb") as file:
         packed = file.read(3) == b"\x1f\x8b\x08"
-    # Values of a file without a header may begin with these bytes; a file of exactly their size is not packed.
+    # Uncompressed values may begin with these bytes; a file of exactly their size is uncompressed.
     whole = header.values_are_elsewhere and header.data_path.stat().st_size == header.data_offset + header.num_bytes
     return packed and not whole
 
@@ -130,6 +135,7 @@ def _is_gzipped(path: Path, header: GridHeader) -> bool:
 def _place(
     path: Path, head: bytes, order: str, shape: tuple[int, ...], pixdim: tuple[float, ...]
 ) -> NDArray[np.float64]:
+    """Return the 4x4 transform from voxel centres to LPS mm, from the sform or the qform."""
     qform, sform = struct.unpack_from(f"{order}2h", head, 252)
     scale = {0: 1.0, 1: 1000.0, 2: 1.0, 3: 0.001}.get(head[123] & 7)
     if scale is None:
@@ -146,7 +152,7 @@ def _place(
     _refuse_two_handed_pixdim(path, pixdim, qform_alone=sform <= 0)
     lps = [_RAS_TO_LPS @ np.diag([scale, scale, scale, 1.0]) @ form for form in forms]
     if len(lps) == 2 and len(shape) == 3 and np.isfinite(lps[0]).all() and np.isfinite(lps[1]).all():
-        # The caller refuses a sheared sform; here both forms are rectangular grids.
+        # The caller refuses a sheared sform; only forms that are rectangular grids are compared here.
         apart_mm = min(_apart_mm(lps[0], lps[1], shape), _apart_mm(_straight(lps[0]), lps[1], shape))
         smallest_mm = np.linalg.norm(lps[1][:3, :3], axis=0).min()
         if apart_mm > _SAME_FORM * smallest_mm and _is_rectangular(lps[0], shape):
@@ -156,10 +162,10 @@ def _place(
 
 
 def _refuse_two_handed_pixdim(path: Path, pixdim: tuple[float, ...], *, qform_alone: bool) -> None:
-    """Refuse signs of pixdim that programs read in different ways, so that one of them mirrors the patient.
+    """Refuse signs of pixdim that programs interpret in different ways, because some would mirror the patient.
 
     nifti1.h: pixdim[1..3] are positive, and pixdim[0] (qfac) is -1 or 1; 0 means 1. The NIfTI library multiplies by a
-    negative pixdim[1..3] and takes any negative qfac for -1; nibabel takes the magnitude and 1.
+    negative pixdim[1..3] and interprets any negative qfac as -1; nibabel uses the magnitude and 1.
     """
     negative = [axis for axis in (1, 2, 3) if pixdim[axis] < 0]
     if negative:
@@ -179,13 +185,13 @@ def _refuse_two_handed_pixdim(path: Path, pixdim: tuple[float, ...], *, qform_al
 
 
 def _apart_mm(one: NDArray[np.float64], other: NDArray[np.float64], shape: tuple[int, ...]) -> float:
-    """Return the largest distance between the corners of a grid at two places."""
+    """Return the largest distance in mm between the corners of a grid with two transforms."""
     corners = np.array([[i, j, k, 1.0] for i in (0, shape[0]) for j in (0, shape[1]) for k in (0, shape[2])])
     return float(np.linalg.norm(corners @ (one - other).T, axis=1).max())
 
 
 def _straight(transform: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the sform as programs convert it to a qform; an sform without directions is returned as it is."""
+    """Return the sform as programs convert it to a qform; an sform without directions is returned unchanged."""
     return straightened(transform) if np.linalg.norm(transform[:3, :3], axis=0).min() > 0 else transform
 
 
@@ -207,12 +213,13 @@ def straightened_nifti_head(head: bytes) -> bytes:
 
 
 def _qform(pixdim: tuple[float, ...], quaternion: tuple[float, ...]) -> NDArray[np.float64]:
+    """Return the 4x4 transform of a qform, from voxel centres to RAS in the unit of the file."""
     b, c, d, *offsets = quaternion
     squared = 1.0 - (b * b + c * c + d * d)
     if not np.isfinite([b, c, d, *offsets]).all() or squared < -1e-3:
         raise ValueError
     a = np.sqrt(max(0.0, squared))
-    if squared < 1e-7:  # nifti1.h: a half turn, where rounding may leave the vector a little too long
+    if squared < 1e-7:  # nifti1.h: a half turn; rounding may make the vector a little too long
         b, c, d = np.array([b, c, d]) / np.linalg.norm([b, c, d])
         a = 0.0
     rotation = np.array(

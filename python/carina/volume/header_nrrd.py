@@ -1,4 +1,4 @@
-"""NRRD headers (the format's definition by teem), attached and detached."""
+"""Reader of NRRD headers (teem's definition of the format), attached and detached."""
 
 from __future__ import annotations
 
@@ -49,19 +49,21 @@ _SAME_FIELD = {
 
 
 def read_nrrd_header(path: Path, text: bytes, *, gzipped: bool) -> GridHeader:
-    """Return the header of one file; ValueError and KeyError where it does not follow the format.
+    """Return the header of one file; raise ValueError or KeyError if it does not follow the format.
 
     Parameters
     ----------
     path
         The file.
     text
-        Its first bytes, unpacked.
+        First bytes of the file, decompressed.
     gzipped
-        Whether gzip packs the file as a whole.
+        Whether gzip compresses the whole file.
 
     Raises
     ------
+    ValueError, KeyError
+        If the header does not follow the format.
     VolumeImportError
         See ``read_grid_header``.
     """
@@ -91,7 +93,7 @@ def read_nrrd_header(path: Path, text: bytes, *, gzipped: bool) -> GridHeader:
     offset = 0 if detached is not None else (begin or 0)
     byte_skip = whole(fields.get("byte skip", "0"), "byte skip")
     gzipped = gzipped and detached is None
-    # The values at the end of a packed file cannot be found without unpacking it.
+    # The position of values at the end of a compressed file is unknown before the file is decompressed.
     if gzipped and byte_skip == -1:
         problem = "it is compressed as a whole, and its header counts the data from the end of the file"
         raise refuse(path, problem, "unpack it with gunzip and open the result", "import.not-supported")
@@ -108,7 +110,7 @@ def read_nrrd_header(path: Path, text: bytes, *, gzipped: bool) -> GridHeader:
         shape_ijk=shape,
         num_components=1,
         dtype=np.dtype(_order(path, fields, kind) + _KINDS[kind]),
-        # Another dimension is refused by the caller, with its sizes.
+        # The caller refuses other dimensions and names the sizes.
         lps_from_ijk=_transform(path, fields) if dimension == 3 else np.eye(4),
         data_path=data_path,
         data_offset=0 if compressed else (-1 if byte_skip == -1 else offset + byte_skip),
@@ -121,7 +123,7 @@ def read_nrrd_header(path: Path, text: bytes, *, gzipped: bool) -> GridHeader:
 
 
 def _fields(path: Path, text: bytes) -> tuple[dict[str, str], int | None]:
-    """Return the fields and the offset of the values; None if the header fills its file."""
+    """Return the fields and the offset of the values; the offset is None if the file ends with the header."""
     fields: dict[str, str] = {}
     at = text.find(b"\n") + 1
     while at > 0 and at < len(text):
@@ -132,7 +134,7 @@ def _fields(path: Path, text: bytes) -> tuple[dict[str, str], int | None]:
             return fields, at if line_end >= 0 else None
         line = raw.decode("utf-8", errors="replace")
         name, _, value = line.partition(":")
-        if line.startswith("#") or value.startswith("="):  # a comment, or a key of the writer's own
+        if line.startswith("#") or value.startswith("="):  # a comment, or a key defined by the writer
             continue
         name = name.strip().lower()
         take_once(path, fields, _SAME_FIELD.get(name, name), value.strip())
@@ -165,6 +167,7 @@ def _vectors(text: str, name: str, count: int) -> list[list[float]]:
 
 
 def _transform(path: Path, fields: dict[str, str]) -> NDArray[np.float64]:
+    """Return the 4x4 transform from voxel centres to LPS mm."""
     space = fields.get("space", "").lower()
     if space not in _SPACES:
         problem = f"its space is {shown_value(space) if space else 'not given'}, so left and right are unknown"

@@ -1,16 +1,17 @@
-"""Whether numbers are Hounsfield units, and how any numbers become int16.
+"""Decision whether numbers are Hounsfield units, and conversion of numbers to int16.
 
-The rule for files that do not say what their numbers mean (NIfTI, NRRD, MetaImage): they are HU if all of these hold.
+Numbers in files that do not state their unit (NIfTI, NRRD, MetaImage) are HU if all of these conditions are met:
 
-1. The lowest value is -800 or below: air or lung is in every chest CT, and no other common scale is that negative.
-2. At least 0.2 % of the voxels lie in -1100..-600 (air, lung) and at least 2 % in -200..300 (fat, water, muscle,
-   blood): water is 0 by definition, so soft tissue must show around it.
-3. At least a quarter of the voxels that are neither air nor padding (above -200) lie in -200..300: in HU soft tissue
-   is most of what is not air; a z-score times 1000 or a phase image fills its range evenly.
+1. The lowest value is -800 or below: every chest CT contains air or lung, and no other common scale has such negative
+values.
+2. At least 0.2 % of the voxels are in -1100..-600 (air, lung) and at least 2 % in -200..300 (fat, water, muscle,
+blood): water is 0 by definition, so values of soft tissue are near it.
+3. At least a quarter of the voxels that are neither air nor padding (above -200) are in -200..300: in HU, most of them
+are soft tissue; a z-score times 1000 or a phase image fills its range evenly.
 
-A DICOM CT with rescale tags and no other unit is believed, unless it has 8 bits or fewer or spans fewer than 300
-values (then it is a picture of a CT, windowed for the screen), or has no value below -200 and becomes a chest by the
-rule above when 1024 is taken off (then its tags lost the offset).
+A DICOM CT with rescale tags and no other unit is HU, with two exceptions. First, it has 8 bits or fewer or spans fewer
+than 300 values: it is then a CT windowed for display. Second, it has no value below -200 and meets the conditions above
+after subtraction of 1024: its tags then lost the offset.
 """
 
 from __future__ import annotations
@@ -34,19 +35,20 @@ __all__ = [
 ]
 
 HU_TYPES = ("", "HU", "HU_MOD")
-"""RescaleType of Hounsfield units, or none given."""
+"""Values of RescaleType for Hounsfield units, including a missing tag."""
 
 _INT16 = np.iinfo(np.int16)
-_MAX_SAMPLES = 4_000_000  # of the histogram; a share of 0.2 % is then known to better than a thousandth of itself
+# Largest number of samples of the histogram; a share of 0.2 % is then exact to a thousandth of itself.
+_MAX_SAMPLES = 4_000_000
 MAX_DOUBTFUL_SHARE = 0.01
-"""Of the voxels that were clipped, or that are in the body and are no numbers: with more, the values are not HU."""
-_TISSUE = -300  # above every lung and all air, below fat
-_STRETCHED_TOP = 4095  # 12 bits, as CT and MR scanners write
+"""Largest share of voxels that were clipped, or are in the body and not finite; above it, the values are not HU."""
+_TISSUE = -300  # above lung and air, below fat
+_STRETCHED_TOP = 4095  # 12 bits, as CT and MR scanners use
 
 
 @dataclass(frozen=True, slots=True)
 class HuVerdict:
-    """Is it HU, and if not, why (one sentence part for the badge)."""
+    """Whether values are HU, and if not, the reason for messages."""
 
     is_hu: bool
     reason: str | None
@@ -54,31 +56,31 @@ class HuVerdict:
 
 @dataclass(frozen=True, slots=True)
 class Int16Values:
-    """Values as int16 and what had to be done for it."""
+    """Values converted to int16, with notes on the conversion."""
 
     values: NDArray[np.int16]
     stretched: str | None
-    """How the file's numbers became these, where they were mapped; such values are never HU."""
+    """Description of the mapping of values that did not fit into int16; such values are never HU."""
     notes: tuple[Note, ...]
     doubt: str | None
-    """Why these are not to be called HU although they look like it, or None."""
+    """Reason why the values are not treated as HU although they look like HU; None if there is none."""
 
 
 def _sample(values: NDArray[np.int16]) -> NDArray[np.int16]:
     flat = values.reshape(-1)
-    # An odd stride visits all columns and rows in turn, where an even one would keep to a few.
+    # An odd stride visits all columns and rows in turn; an even one would visit only a few.
     return flat[:: (flat.size // _MAX_SAMPLES) | 1]
 
 
 def judge_values(values: NDArray[np.int16]) -> HuVerdict:
-    """Judge numbers by themselves, by the rule in this module's docstring."""
+    """Decide by the values whether they are HU; this module's docstring states the conditions."""
     lowest, highest = int(values.min()), int(values.max())
     if lowest >= 0 and highest <= 255:
         return HuVerdict(
             False, f"its values are {lowest} to {highest} (8 bits); Hounsfield units range from -1000 (air) to above 0"
         )
     if lowest > -800:
-        # Scanners store HU + 1024; some converters drop the offset.
+        # Scanners store HU + 1024; some converters do not subtract the offset.
         shifted = lowest >= 0 and judge_values(values - np.int16(1024)).is_hu
         hint = "; they look like HU with an offset of 1024" if shifted else ""
         return HuVerdict(False, f"its values are {lowest} to {highest}; expected air near -1000{hint}")
@@ -98,7 +100,21 @@ def judge_values(values: NDArray[np.int16]) -> HuVerdict:
 def judge_dicom(
     values: NDArray[np.int16], *, modality: str, has_rescale: bool, rescale_type: str, bits_stored: int
 ) -> HuVerdict:
-    """Judge a DICOM series: by its tags where they say enough, else by its numbers."""
+    """Decide whether a DICOM series is in HU: by its tags if they are sufficient, otherwise by its values.
+
+    Parameters
+    ----------
+    values
+        (nz, ny, nx) int16, after the rescale.
+    modality
+        Modality of the series, such as ``CT``.
+    has_rescale
+        Whether all slices have a slope and an intercept.
+    rescale_type
+        Unit that the tags state; empty without one.
+    bits_stored
+        Smallest number of bits of a stored value.
+    """
     if modality != "CT":
         return HuVerdict(False, f"its modality is {modality or 'unknown'}, not CT")
     if rescale_type not in HU_TYPES:
@@ -128,22 +144,26 @@ def _clip(values: NDArray[np.generic]) -> tuple[NDArray[np.int16], int]:
 
 
 def clipped_note(num_clipped: int) -> Note:
-    """That so many voxels did not fit into int16."""
+    """Return the note that states the number of clipped voxels."""
     words = f"{num_clipped} voxels lie outside -32768 to 32767 and were clipped"
     return Note("import.clipped", words, badge=True)
 
 
 def to_int16(values: NDArray[np.generic]) -> Int16Values:
-    """Bring a file's numbers into int16: as they are where they fit, rounded where they are HU, else stretched to
-    0..4095.
+    """Convert a file's numbers to int16.
 
-    Numbers that are none follow one rule: NaN and minus infinity become the lowest finite value, infinity the highest,
-    and a note counts them.
+    Whole numbers within int16 stay unchanged, HU are rounded, and other numbers are mapped to 0..4095. NaN and minus
+    infinity become the lowest finite value, infinity the highest, and a note counts them.
 
     Parameters
     ----------
     values
         (nz, ny, nx), any real number type. Not modified.
+
+    Returns
+    -------
+    Int16Values
+        The converted values with notes.
 
     Raises
     ------
@@ -172,7 +192,7 @@ def to_int16(values: NDArray[np.generic]) -> Int16Values:
                 f"{100 * share:.1f} % of its voxels lie outside -32768 to 32767, which no Hounsfield value can reach"
             )
         return Int16Values(clipped, None, notes, "; ".join(doubts) or None)
-    # Halved before the subtraction: the span of two large numbers may itself be none.
+    # Halved before the subtraction, because the difference of two large numbers may overflow.
     span = high / 2 - low / 2
     factor = _STRETCHED_TOP / 2 / span if span > 0 else 1.0
     stretched = np.rint((values.astype(np.float64) - low) * factor).astype(np.int16)
@@ -181,9 +201,9 @@ def to_int16(values: NDArray[np.generic]) -> Int16Values:
 
 
 def _all_finite(values: NDArray[np.generic]) -> tuple[NDArray[np.generic], Note, float]:
-    """A copy without NaN and infinities, a note that counts them, and their share of the body's voxels."""
+    """Return a copy without NaN and infinities, a note that counts them, and their share of the body's voxels."""
     lowest, highest, num_low, num_high = np.inf, -np.inf, 0, 0
-    for plane in values:  # slice by slice: no second volume of booleans
+    for plane in values:  # slice by slice, without a second volume of booleans
         finite = np.isfinite(plane)
         lowest = min(lowest, plane.min(where=finite, initial=np.inf))
         highest = max(highest, plane.max(where=finite, initial=-np.inf))
@@ -210,11 +230,11 @@ def _all_finite(values: NDArray[np.generic]) -> tuple[NDArray[np.generic], Note,
 
 
 def _share_of_body(values: NDArray[np.generic]) -> float:
-    """How much of the body holds no finite number, 0 to 1; 0 where nothing looks like a body in HU.
+    """Return the share of the body's voxels that are not finite, 0 to 1; 0 if nothing looks like a body in HU.
 
-    The body of a slice: the voxels with tissue (above -300) on both sides in their row and on both sides in their
-    column, so lungs belong to it and the air round the patient does not. A slice without tissue between two that have
-    some is lost in whole, and takes the body that both neighbours share.
+    The body in a slice consists of the voxels with tissue (above -300) on both sides in their row and in their column,
+    so it includes the lungs and excludes the air around the patient. A slice without tissue between slices with tissue
+    is lost completely; its body is the common part of the bodies in the two neighbouring slices.
     """
     bodies: list[NDArray[np.uint8] | None] = []
     for plane in values:
@@ -238,7 +258,7 @@ def _share_of_body(values: NDArray[np.generic]) -> float:
 
 
 def _enclosed(tissue: NDArray[np.bool_], axis: int) -> NDArray[np.bool_]:
-    """Where tissue lies on both sides along an axis, or in the voxel itself."""
+    """Return where tissue is on both sides along an axis, or in the voxel itself."""
     lines = tissue if axis == 1 else tissue.T
     first = lines.argmax(axis=1)
     last = lines.shape[1] - 1 - lines[:, ::-1].argmax(axis=1)

@@ -1,6 +1,6 @@
-"""``inspect_path``: facts about the file or folder at a path, from headers alone.
+"""Function ``inspect_path``, which returns facts about a file or folder from its headers, without reading pixels.
 
-The facts come at once, also for a file that cannot be opened as a volume.
+The function also describes a file that cannot be opened as a volume.
 """
 
 from __future__ import annotations
@@ -32,25 +32,25 @@ __all__ = ["Inspection", "inspect_path"]
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class Inspection:
-    """What a path holds, without its pixels, names or UIDs."""
+    """Content of a file or folder, without pixels, patient names or UIDs."""
 
     format: str
-    """``dicom``, ``nifti``, ``nrrd`` or ``metaimage``."""
+    """Format of the files: ``dicom``, ``nifti``, ``nrrd`` or ``metaimage``."""
     series: tuple[SeriesInfo, ...]
     """All DICOM series found, the largest chest CT first; empty for other formats."""
     chosen: SeriesInfo | None
-    """The series that would be opened."""
+    """The series that would be opened; None if there is none."""
     shape_zyx: tuple[int, int, int] | None
     lps_from_ijk: NDArray[np.float64] | None
-    """4x4, voxel centres to LPS mm; None where nothing can be opened."""
+    """Transform (4x4) from voxel centres to LPS mm; None if nothing can be opened."""
     notes: tuple[Note, ...]
     refused: str | None
-    """Why nothing would be opened, or None."""
+    """Reason why nothing can be opened; None if it can."""
     refused_code: str | None
 
     @property
     def spacing_mm(self) -> tuple[float, float, float] | None:
-        """Distance of voxel centres along i, j, k."""
+        """Distance of voxel centres along i, j, k in mm; None if nothing can be opened."""
         if self.lps_from_ijk is None:
             return None
         sx, sy, sz = np.linalg.norm(self.lps_from_ijk[:3, :3], axis=0)
@@ -60,7 +60,7 @@ class Inspection:
     def axes(self) -> str | None:
         """Directions of i, j and k, one letter each: L or R, P or A, S or I.
 
-        A letter is lower case where its axis is more than 1 degree oblique.
+        A letter is lower case if its axis is more than 1 degree oblique.
         """
         if self.lps_from_ijk is None:
             return None
@@ -73,7 +73,7 @@ class Inspection:
         return "".join(letters)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON types, as ``carina info --json`` prints them."""
+        """Return the facts as plain JSON types, as ``carina info --json`` prints them."""
         return {
             "format": self.format,
             "series": [asdict(info) for info in self.series],
@@ -98,24 +98,29 @@ def inspect_path(
     progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
 ) -> Inspection:
-    """Say what a path holds, from its headers; takes the same arguments as ``open_volume``.
+    """Return the content of a file or folder according to its headers; takes the same arguments as ``open_volume``.
 
     Parameters
     ----------
     path, series
-        As for ``open_volume``.
+        As in ``open_volume``.
     progress
-        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
-        None where it is unknown.
+        False, True or ``f(what, fraction)``. True or None shows a progress bar in a terminal or a notebook. The
+        fraction is None where it is unknown.
     cancel
         Called often; the work stops when it returns True.
+
+    Returns
+    -------
+    Inspection
+        The content. For a series that cannot be opened, ``refused`` states the reason.
 
     Raises
     ------
     VolumeImportError
-        If it holds no image at all. A series that would be refused is no error here: ``refused`` says why.
+        If the path contains no image.
     UsageError
-        If ``series`` names none of the folder's series.
+        If ``series`` is not the key of a series in the folder.
     CancelledError
         If ``cancel()`` returned true.
 

@@ -1,10 +1,10 @@
-"""How much is read at most, whatever a header or a folder claims."""
+"""Limits of what is read, independent of the claims of a header or a folder."""
 
 from __future__ import annotations
 
 __all__ = ["MAX_FILES", "MAX_VOXELS"]
 
 MAX_FILES = 200_000
-"""In one folder. More is somebody's disk, not a scan."""
+"""Largest number of files in one folder; a folder with more is not that of one scan."""
 MAX_VOXELS = 1 << 31
-"""Of any volume that is opened: 4 GiB as int16, ten times a large chest CT."""
+"""Largest number of voxels of a volume: 4 GiB as int16, ten times a large chest CT."""

@@ -1,4 +1,4 @@
-"""``open_mask``: a segmentation of any tool, placed on a CT's grid by its geometry and never by its array alone."""
+"""Function ``open_mask``, which reads a segmentation and places it on a CT's grid by its geometry."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from carina.volume.watch import Watch
 
 __all__ = ["Mask", "MaskGridError", "MaskLabel", "MaskLabelError", "open_mask"]
 
-# Tools count structures from 1. Larger ones would not be the same number in a browser, or after rounding to float32.
+# Tools number structures from 1. A larger number would change in a browser, or by rounding to float32.
 _LARGEST_LABEL = 2**24
 _SAMPLED = 10_000
-# Labels 0 to 25 in a byte are off by up to 0.05; a probability map of two values is a segmentation.
+# Labels 0 to 25 stored as scaled bytes deviate by up to 0.05.
 _MAX_FLOAT_LABEL_ERROR = 0.05
 _MAX_FLOAT_LABELS = 100_000
-# Of a voxel: headers in float32 are right to about 1e-4 mm, another grid is off by a good part of a voxel.
+# Tolerance in voxels: float32 headers are exact to about 1e-4 mm, other grids differ by a large part of a voxel.
 _SAME_VOXEL = 0.05
 
 
@@ -39,9 +39,9 @@ class Mask:
     """A structure on the grid of a CT."""
 
     inside_zyx: NDArray[np.uint8]
-    """(nz, ny, nx) of the CT, 1 inside, read-only."""
+    """(nz, ny, nx) uint8 on the grid of the CT, 1 inside the structure, read-only."""
     notes: tuple[str, ...] = ()
-    """What was done to bring it there, and what is doubtful about its file, in words."""
+    """Notes on the placement of the mask and on doubts about its file."""
 
     def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
         """Return ``inside_zyx`` for ``numpy.asarray``; the array is copied only for another type or on request."""
@@ -51,17 +51,17 @@ class Mask:
 @one_line
 @dataclass(frozen=True, slots=True)
 class MaskLabel:
-    """One structure of a mask that holds several."""
+    """One structure of a mask that contains several."""
 
     number: int
-    """Its number in the file (or its DICOM segment)."""
+    """Number of the structure in the file (or of its DICOM segment)."""
     name: str | None
-    """What the file calls it."""
+    """Name of the structure in the file; None if it has no name."""
     volume_ml: float
 
 
 class MaskLabelError(VolumeImportError):
-    """A mask holds several structures, and none of them was chosen."""
+    """Error for a mask with several structures of which none was chosen."""
 
     code = "import.mask-label"
 
@@ -71,18 +71,18 @@ class MaskLabelError(VolumeImportError):
 
 
 class MaskGridError(VolumeImportError):
-    """A mask is on another grid than the scan; it can be resampled."""
+    """Error for a mask on another grid than the scan's; the mask can be resampled."""
 
     code = "import.mask-grid"
 
     def __init__(self, message: str, *, expected: str, found: str, share_inside: float) -> None:
         super().__init__(message)
         self.expected = expected
-        """The scan's grid, in words."""
+        """Description of the scan's grid."""
         self.found = found
-        """The mask's grid, in words."""
+        """Description of the mask's grid."""
         self.share_inside = share_inside
-        """How much of the structure lies in the scan, 0 to 1."""
+        """Share of the structure that is inside the scan, 0 to 1."""
 
 
 @shows_progress
@@ -104,22 +104,22 @@ def open_mask(
 ) -> Mask:
     """Open a mask (NIfTI, NRRD, MetaImage or DICOM SEG) and place it on a volume's grid.
 
-    The axes may be flipped or exchanged and the mask may cover a part of the scan, as long as its voxels are the scan's
-    voxels: that is exact and is done without asking. Anything else is another grid.
+    The axes may be flipped or exchanged and the mask may cover a part of the scan, if its voxels coincide with voxels
+    of the scan; the placement is then exact. Any other mask is on another grid.
 
     Parameters
     ----------
     path
         The mask's file.
     volume
-        The CT that it belongs to.
+        The CT that the mask belongs to.
     label
-        The number (or DICOM segment) of the structure. Needed only where the mask holds several.
+        Number (or DICOM segment) of the structure; needed only if the mask contains several.
     resample
-        Take a mask on another grid all the same: each voxel of the CT takes the mask's nearest one.
+        Accept a mask on another grid: each voxel of the CT gets the value of the mask's nearest voxel.
     progress
-        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
-        None where it is unknown.
+        False, True or ``f(what, fraction)``. True or None shows a progress bar in a terminal or a notebook. The
+        fraction is None where it is unknown.
     cancel
         Called often; the work stops when it returns True.
 
@@ -131,11 +131,11 @@ def open_mask(
     Raises
     ------
     MaskGridError
-        If the mask is on another grid; says how the two differ.
+        If the mask is on another grid; the message states the difference.
     MaskLabelError
-        If it holds several structures and ``label`` names none of them.
+        If the mask contains several structures and ``label`` is not the number of one of them.
     VolumeImportError
-        If the file is no mask or is empty, or if the mask lies outside the scan.
+        If the file is not a mask or is empty, or if the mask is outside the scan.
     CancelledError
         If ``cancel()`` returned true.
 
@@ -164,20 +164,20 @@ def open_mask(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Labels:
-    """The structures of a file."""
+    """The structures in a file."""
 
     num_voxels: dict[int, int]
-    """Voxels of each structure that is not empty."""
+    """Number of voxels of each structure that is not empty."""
     inside: Callable[[int], tuple[NDArray[np.bool_], tuple[str, ...]]]
-    """Returns the voxels ``[z, y, x]`` of one structure, and notes on it."""
+    """Returns the voxels ``[z, y, x]`` of one structure, and notes about it."""
     lps_from_mask: NDArray[np.float64]
     names: dict[int, str]
-    """Names of the structures, where the file has them."""
+    """Names of the structures, if the file contains names."""
     notes: tuple[str, ...]
 
 
 def _labels(path: Path, volume: Volume, watch: Watch) -> _Labels:
-    """Read the structures of a file and where they are."""
+    """Return the structures in a file with their grid."""
     if not path.exists():
         msg = f"reading the segmentation {path.name}: there is no such file; check the path {path}"
         raise VolumeImportError(msg, code="import.not-found")
@@ -211,11 +211,11 @@ def _labels(path: Path, volume: Volume, watch: Watch) -> _Labels:
 
 
 def _rounded_labels(path: Path, values: NDArray[Any], scaling: tuple[float, float] | None) -> NDArray[np.int32]:
-    """Return the labels of a segmentation that stores them as numbers with fractions.
+    """Return the integer labels of a segmentation that stores labels as floating-point numbers.
 
-    nibabel stores labels of floating-point type under an integer header as multiples of a step (``scl_slope``), so that
-    labels 0 to 12 come back as 0.988, 2.024, 3.012, ... Such a value is at most half a step from its label. A file
-    without a step may contain the same numbers as floats; then each label has one single value, near the label.
+    nibabel stores floating-point labels under an integer header as multiples of a step (``scl_slope``), so that labels
+    0 to 12 are read as 0.988, 2.024, 3.012, ... Such a value differs by at most half a step from its label. A file
+    without a step may contain the same numbers as floats; each label then has one single value, near the label.
 
     Raises
     ------
@@ -263,6 +263,7 @@ def _fractions(path: Path, found: str) -> VolumeImportError:
 
 
 def _chosen(path: Path, found: _Labels, label: int | None, voxel_ml: float) -> int:
+    """Return the number of the chosen structure, or of the only one."""
     sizes, names = found.num_voxels, found.names
     present = sorted(sizes)
     if not present:
@@ -301,6 +302,7 @@ def _placed(
     resample: bool,
     watch: Watch,
 ) -> Mask:
+    """Return a structure on the grid of the volume: exactly if its voxels coincide, otherwise resampled."""
     watch.step("Placing the segmentation", None)
     nz, ny, nx = inside.shape
     volume_from_mask = np.linalg.inv(volume.lps_from_ijk) @ lps_from_mask
@@ -346,6 +348,7 @@ def _placed(
 def _resampled(
     path: Path, inside: NDArray[np.bool_], mask_from_volume: NDArray[np.float64], volume: Volume, watch: Watch
 ) -> Mask:
+    """Return a structure resampled to the grid of the volume by the nearest voxel."""
     nz, ny, nx = volume.shape_zyx
     out = np.zeros((nz, ny, nx), dtype=np.uint8)
     limits = np.array(inside.shape[::-1])
@@ -368,6 +371,8 @@ def _resampled(
 def _other_grid(
     path: Path, inside: NDArray[np.bool_], lps_from_mask: NDArray[np.float64], volume: Volume
 ) -> VolumeImportError:
+    """Return the error for a mask on another grid, with a description of both grids."""
+
     def grid_words(shape_zyx: tuple[int, ...], lps_from_ijk: NDArray[np.float64]) -> str:
         sizes = " x ".join(str(n) for n in shape_zyx[::-1])
         spacing = " x ".join(f"{v:.4g}" for v in np.linalg.norm(lps_from_ijk[:3, :3], axis=0))
@@ -391,10 +396,10 @@ def _other_grid(
 
 
 def _share_inside(inside: NDArray[np.bool_], lps_from_mask: NDArray[np.float64], volume: Volume) -> float:
-    """How much of a structure lies in the volume, 0 to 1: of some ten thousand of its voxels."""
+    """Return the share of a structure that is inside the volume, 0 to 1, from a sample of about ten thousand voxels."""
     step = max(1, int(np.count_nonzero(inside)) // _SAMPLED)
     taken, passed = [], 0
-    # Slice by slice: the places of all voxels of a large structure take gigabytes.
+    # Slice by slice, because the indices of all voxels of a large structure would take gigabytes.
     for k, plane in enumerate(inside):
         flat = np.flatnonzero(plane)
         j, i = np.divmod(flat[-passed % step :: step], inside.shape[2])

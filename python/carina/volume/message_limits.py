@@ -7,9 +7,9 @@ from collections.abc import Sequence
 __all__ = ["MAX_MESSAGE_CHARS", "MAX_NAME_CHARS", "bounded_list", "bounded_message", "bounded_name"]
 
 MAX_MESSAGE_CHARS = 600
-"""Length of a refusal or a note; ``--json`` of ``carina info`` lists every series in full."""
+"""Largest length of an error or a note; ``carina info --json`` lists every series completely."""
 MAX_NAME_CHARS = 60
-_HEAD_CHARS = 380  # what is wrong comes first in a message, and the remedy last
+_HEAD_CHARS = 380  # a message begins with the problem and ends with the remedy
 
 
 def bounded_message(text: str) -> str:

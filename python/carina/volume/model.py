@@ -1,4 +1,4 @@
-"""The volume every part works on: int16 values ``[z, y, x]`` and their place in patient space (LPS, mm)."""
+"""The volume on which all parts of Carina work: int16 values ``[z, y, x]`` and their position in LPS, mm."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from carina.volume.citation import Citation
 __all__ = ["SPACING_MM", "Note", "Remark", "SeriesInfo", "Volume", "VolumeSource", "badges_of"]
 
 SPACING_MM = (0.01, 100.0)
-"""The least and the largest distance of voxels in any volume. No scanner is outside; a lost unit or a lie is."""
+"""Smallest and largest voxel spacing of any volume, in mm; values outside come from a lost unit or a false header."""
 LUNG_WINDOW_HU = (1500.0, -600.0)
 SLICE_HEIGHT_PX = 240
 
@@ -27,69 +27,73 @@ SLICE_HEIGHT_PX = 240
 @one_line
 @dataclass(frozen=True, slots=True)
 class Remark:
-    """Something to be said, for programs and for people."""
+    """A code for programs with a message for the user."""
 
     code: str
-    """Stable, for programs: ``import.clipped``, ... The list is in ``docs/import-answers.md``."""
+    """Stable code: ``import.clipped``, ... The list is in ``docs/import-answers.md``."""
     words: str
-    """A sentence part for the screen and the terminal, without a patient's name or a UID."""
+    """Part of a sentence for the user, without a patient's name or a UID."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class Note(Remark):
-    """One thing that a person should know about a case."""
+    """A remark about a case for the user."""
 
     badge: bool = False
-    """True where it puts the values or the geometry in doubt: it goes with the case wherever the case goes."""
+    """Whether the remark puts values or geometry in doubt; such remarks are part of all results of the case."""
 
     def __post_init__(self) -> None:
+        """Raise an error for fields of a wrong type."""
         check_fields(self, code=text_of(200), words=text_of(20_000), badge=flag)
 
     def to_json(self) -> dict[str, str | bool]:
-        """Plain JSON types, as every ``--json`` prints a note."""
+        """Return the note as plain JSON types, as every ``--json`` option prints it."""
         return {"code": self.code, "words": self.words, "badge": self.badge}
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class SeriesInfo:
-    """One series found in a folder. Holds no patient name."""
+    """One series in a folder, without the patient's name."""
 
     key: str
-    """Short stable key to choose it by: the number of the series and a counter, never a UID."""
+    """Short stable key to choose the series: its number, with a counter if needed, never a UID."""
     modality: str
     description: str
     num_slices: int
     shape_zyx: tuple[int, int, int] | None = None
     refused: str | None = None
-    """Why it cannot be opened, or None."""
+    """Reason why the series cannot be opened; None if it can."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class VolumeSource:
-    """Where a volume came from, in words fit for the screen (no patient name, no UID)."""
+    """The origin of a volume, as texts for the user without a patient's name or a UID."""
 
     format: str
-    """``dicom``, ``nifti``, ``nrrd``, ``metaimage``, ``phantom`` or ``array``."""
+    """Format of the data: ``dicom``, ``nifti``, ``nrrd``, ``metaimage``, ``phantom`` or ``array``."""
     title: str
-    """Series text or file name, for the title bar."""
+    """Series description or file name, for the title bar."""
     series: SeriesInfo | None = None
     other_series: tuple[SeriesInfo, ...] = ()
     notes: tuple[Note, ...] = ()
-    """Things a person should know: clipped values, a series beside it, ..."""
+    """Notes for the user, for example on clipped values or on further series."""
     citation: Citation | None = None
     """Source and licence that must be shown with the data, for the bundled case."""
     acquired_on: str | None = field(default=None, repr=False)
-    """ISO date on which the scan was made, where its files say one. For this person's own list of cases alone: it tells
-    two scans apart and, with other things, whose they are. No file, message or log holds it."""
+    """ISO date of the scan; None if its files contain none.
+
+    The date is used only in this user's own list of cases, to distinguish two scans. No file, message or log contains
+    the date, because it can help to identify a patient.
+    """
     slice_thickness_mm: float | None = None
-    """SliceThickness of DICOM: how much tissue one slice averages. None where the files do not state one thickness."""
+    """SliceThickness of DICOM in mm: the thickness of tissue that one slice averages; None without one common value."""
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """The words of all notes."""
+        """Texts of all notes."""
         return tuple(note.words for note in self.notes)
 
 
@@ -97,9 +101,9 @@ class VolumeSource:
 class Volume:
     """A chest CT (or another int16 volume) on a regular grid.
 
-    ``hu_zyx`` is C-contiguous ``(nz, ny, nx)`` int16, read-only: HU where ``is_hu``, else the file's numbers.
-    ``lps_from_ijk`` is 4x4 float64; voxel (0, 0, 0) is the *centre* of the first voxel; columns are the steps of one
-    voxel along i, j, k in mm, each 0.01 to 100 mm long. ``numpy.asarray`` returns ``hu_zyx``.
+    ``hu_zyx`` is C-contiguous ``(nz, ny, nx)`` int16, read-only: HU if ``is_hu``, otherwise the file's numbers.
+    ``lps_from_ijk`` is 4x4 float64; voxel (0, 0, 0) is the *centre* of the first voxel; its columns are the steps of
+    one voxel along i, j, k in mm, each 0.01 to 100 mm long. ``numpy.asarray`` returns ``hu_zyx``.
 
     Examples
     --------
@@ -119,11 +123,12 @@ class Volume:
     source: VolumeSource = field(default_factory=lambda: VolumeSource(format="array", title="volume"))
     _range: tuple[int, int] | None = field(default=None, init=False, repr=False)
     _quality: Any = field(default=None, init=False, repr=False)
-    """What the quality gate found, once it was asked."""
+    """Cached result of the quality gate."""
     _digest: str | None = field(default=None, init=False, repr=False)
-    """What ``ct_digest`` found, once it was asked."""
+    """Cached result of ``ct_digest``."""
 
     def __post_init__(self) -> None:
+        """Check the arrays, and make them read-only."""
         check_fields(
             self,
             hu_zyx=instance(np.ndarray, "give an array (nz, ny, nx) of int16"),
@@ -144,7 +149,7 @@ class Volume:
             msg = "lps_from_ijk must be a finite, invertible 4x4 matrix"
             raise GeometryError(msg, code="geometry.transform")
         spacing = np.linalg.norm(matrix[:3, :3], axis=0)
-        # float32 headers round: a hundredth of a millimetre may come as a little less.
+        # float32 headers round, so 0.01 mm may be read as a slightly smaller number.
         if spacing.min() < SPACING_MM[0] * (1 - 1e-6) or spacing.max() > SPACING_MM[1] * (1 + 1e-6):
             found = ", ".join(f"{s:g}" for s in spacing)
             msg = f"the voxel spacing must be between {SPACING_MM[0]:g} and {SPACING_MM[1]:g} mm; found {found} mm"
@@ -156,9 +161,11 @@ class Volume:
         object.__setattr__(self, "lps_from_ijk", matrix)
 
     def __reduce__(self) -> tuple[Any, ...]:
+        """Return the parts for pickle and copy, including cached results."""
         return _volume_of, ({one.name: getattr(self, one.name) for one in fields(self)},)
 
     def __repr__(self) -> str:
+        """Return the shape, the spacing and the unit."""
         unit = "HU" if self.is_hu else "not HU"
         sx, sy, sz = self.spacing_mm
         return f"Volume(shape_zyx={self.shape_zyx}, spacing_mm=({sx:.4g}, {sy:.4g}, {sz:.4g}), {unit})"
@@ -168,7 +175,10 @@ class Volume:
         return np.array(self.hu_zyx, dtype=dtype, copy=copy)
 
     def _repr_html_(self) -> str:
-        """Three slices through the middle, in a notebook. No file name and no series text: they can name a patient."""
+        """Return three slices through the middle as HTML for notebooks, without file name and series text.
+
+        File names and series texts may contain a patient's name.
+        """
         low, high = self.value_range
         width, level = LUNG_WINDOW_HU if self.is_hu else (float(max(1, high - low)), (high + low) / 2.0)
         slices = middle_slices(self.hu_zyx, self.lps_from_ijk, (width, level), height_px=SLICE_HEIGHT_PX)
@@ -186,13 +196,13 @@ class Volume:
 
     @property
     def shape_zyx(self) -> tuple[int, int, int]:
-        """Shape of the array."""
+        """Shape of the array of voxels."""
         nz, ny, nx = self.hu_zyx.shape
         return nz, ny, nx
 
     @property
     def value_range(self) -> tuple[int, int]:
-        """The smallest and the largest value. Found when first asked for, and kept."""
+        """The smallest and the largest value; computed at the first access and cached."""
         if self._range is None:
             object.__setattr__(self, "_range", _core.value_range(self.hu_zyx))
         assert self._range is not None
@@ -200,42 +210,42 @@ class Volume:
 
     @property
     def spacing_mm(self) -> tuple[float, float, float]:
-        """Distance of voxel centres along i, j, k."""
+        """Distance of voxel centres along i, j, k in mm."""
         sx, sy, sz = np.linalg.norm(self.lps_from_ijk[:3, :3], axis=0)
         return float(sx), float(sy), float(sz)
 
     @property
     def ijk_from_lps(self) -> NDArray[np.float64]:
-        """The inverse of ``lps_from_ijk``."""
+        """Transform (4x4) from LPS mm to voxels, the inverse of ``lps_from_ijk``."""
         return np.asarray(np.linalg.inv(self.lps_from_ijk), dtype=np.float64)
 
     @check_arguments(points_ijk=coordinates(1e45))
     def to_lps(self, points_ijk: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Voxel coordinates ``(..., 3)`` to LPS mm."""
+        """Convert voxel coordinates ``(..., 3)`` to LPS mm."""
         return np.asarray(points_ijk, dtype=np.float64) @ self.lps_from_ijk[:3, :3].T + self.lps_from_ijk[:3, 3]
 
     @check_arguments(points_lps=coordinates(1e45))
     def to_ijk(self, points_lps: NDArray[np.float64]) -> NDArray[np.float64]:
-        """LPS mm ``(..., 3)`` to voxel coordinates."""
+        """Convert LPS mm ``(..., 3)`` to voxel coordinates."""
         inverse = self.ijk_from_lps
         return np.asarray(points_lps, dtype=np.float64) @ inverse[:3, :3].T + inverse[:3, 3]
 
     @property
     def centre_lps(self) -> NDArray[np.float64]:
-        """Middle of the grid, LPS mm."""
+        """Centre of the grid, LPS mm."""
         nz, ny, nx = self.shape_zyx
         return self.to_lps(np.array([(nx - 1) / 2, (ny - 1) / 2, (nz - 1) / 2]))
 
     @check_arguments(point_lps=array_of(3, largest=1e45))
     def contains_lps(self, point_lps: NDArray[np.float64]) -> bool:
-        """Return whether the point is in the grid, which includes half a voxel beyond the outer centres."""
+        """Return whether a point is inside the grid, which extends half a voxel beyond the outer voxel centres."""
         nz, ny, nx = self.shape_zyx
         ijk = self.to_ijk(point_lps)
         return bool(np.all(ijk >= -0.5) and np.all(ijk <= np.array([nx, ny, nz]) - 0.5))
 
 
 def _volume_of(values: dict[str, Any]) -> Volume:
-    """Return the volume that a pickle holds, read-only, with what was found of it."""
+    """Return the volume of a pickle, read-only, with its cached results."""
     found = {name: values.pop(name) for name in ("_range", "_quality", "_digest")}
     volume = Volume(**values)
     for name, value in found.items():
@@ -244,16 +254,16 @@ def _volume_of(values: dict[str, Any]) -> Volume:
 
 
 def badges_of(volume: Volume, airways: object | None = None) -> tuple[Note, ...]:
-    """Return the lasting notes of a case, which all its results repeat; empty where nothing is in doubt.
+    """Return the permanent notes of a case, which are part of all its results; empty if nothing is in doubt.
 
-    That its numbers are not HU is one of them, with the code ``import.not-hu``.
+    If the values are not HU, a note with the code ``import.not-hu`` states it.
 
     Parameters
     ----------
     volume
         The CT.
     airways
-        What was found in it; anything with ``badges``.
+        Airways found in the CT, or another object with ``badges``; None without airways.
     """
     badges = [note for note in volume.source.notes if note.badge]
     if not volume.is_hu:

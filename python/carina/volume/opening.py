@@ -1,4 +1,4 @@
-"""``open_volume``: whatever a person points at, by what it holds and not by its name."""
+"""Function ``open_volume``, which opens a file or folder according to its content, not its name."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from carina.volume.guarding import guarded
 from carina.volume.model import Volume
 from carina.volume.watch import Watch
 
-# The DICOM readers load on first use: a grid file, or the start page, waits for none of their libraries.
+# The DICOM readers are loaded at first use, so that grid files and the start page do not load their libraries.
 if TYPE_CHECKING:
     from carina.volume.dicom import FoundSeries
     from carina.volume.dicom_files import FolderContent
@@ -41,30 +41,30 @@ def open_volume(
     Parameters
     ----------
     path
-        Folders are searched with all their subfolders; files need no extension. One DICOM file stands for its series
-        in its folder.
+        Folders are searched with all their subfolders; files need no extension. One DICOM file selects its series in
+        its folder.
     series
-        Key of the DICOM series to open (``SeriesInfo.key``). Without it the largest chest CT is taken, and
-        ``source.notes`` say which others there are.
+        Key of the DICOM series to open (``SeriesInfo.key``). None opens the largest chest CT, and ``source.notes`` list
+        the other series.
     progress
-        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
-        None where it is unknown.
+        False, True or ``f(what, fraction)``. True or None shows a progress bar in a terminal or a notebook. The
+        fraction is None where it is unknown.
     cancel
         Called often; the work stops when it returns True.
 
     Returns
     -------
     Volume
-        int16 ``[z, y, x]`` with axes in the file's order, LPS mm. ``is_hu`` is false, with a reason, where the
-        numbers are not HU.
+        int16 ``[z, y, x]`` with axes in the file's order, LPS mm. ``is_hu`` is false, with a reason, if the values are
+        not HU.
 
     Raises
     ------
     VolumeImportError
-        If the file or series is refused: the message names it, what was expected, what was found and what to do. The
-        code begins with ``import.``.
+        If the file or series cannot be opened: the message states its name, the expected and the found content, and a
+        remedy. The code begins with ``import.``.
     UsageError
-        If ``series`` names none of the folder's series.
+        If ``series`` is not the key of a series in the folder.
     CancelledError
         If ``cancel()`` returned true.
 
@@ -90,7 +90,7 @@ def find_in(path: Path, watch: Watch) -> list[FoundSeries] | str:
     Raises
     ------
     VolumeImportError
-        If it is neither.
+        If the path contains neither.
     """
     if not path.exists():
         msg = f"reading {path.name}: there is no such file or folder; expected {_KINDS}; check the path {path}"
@@ -115,7 +115,7 @@ def find_in(path: Path, watch: Watch) -> list[FoundSeries] | str:
 
 
 def _not_an_image(path: Path, kind: str | None) -> str:
-    """Return what a file is instead of an image volume, and the remedy."""
+    """Return a message that states what a file is instead of an image volume, with a remedy."""
     match kind:
         case "pdf":
             return f"it is a PDF document, not an image volume; open {_KINDS}"
@@ -147,7 +147,9 @@ def _open(path: Path, series: str | None, watch: Watch) -> Volume:
 
 
 def refuse_series(path: Path, kind: str, series: str | None) -> None:
-    """Refuse a series for a file that holds one volume: an ignored choice could show another patient's scan.
+    """Raise an error if a series is requested from a file that contains one volume.
+
+    Ignoring the request could show another patient's scan.
 
     Raises
     ------
@@ -160,11 +162,12 @@ def refuse_series(path: Path, kind: str, series: str | None) -> None:
 
 
 def place_name(path: Path) -> str:
-    """How messages call the folder."""
+    """Return the name of the folder for messages."""
     return f"the folder {(path if path.is_dir() else path.parent).resolve().name}"
 
 
 def _series_of_file(path: Path, watch: Watch) -> list[FoundSeries]:
+    """Return the series of a DICOM file, from the files in its folder."""
     from carina.volume.dicom import find_series
     from carina.volume.dicom_files import read_folder
 
@@ -177,7 +180,7 @@ def _series_of_file(path: Path, watch: Watch) -> list[FoundSeries]:
             "open the folder of the scan"
         )
         raise VolumeImportError(msg, code="import.no-images")
-    # A copy that counted once stands for its twin.
+    # The file may be a copy that was removed from the series, so a slice with the same identity counts too.
     return [
         item
         for item in find_series(content, watch)
@@ -190,6 +193,7 @@ def _series_of_file(path: Path, watch: Watch) -> list[FoundSeries]:
 
 
 def _no_images(folder: Path, content: FolderContent) -> VolumeImportError:
+    """Return the error for a folder without usable DICOM images."""
     damaged = [file for file in content.unused if file.is_dicom]
     if damaged:
         shown = ", ".join(f"{file.path.name} ({file.reason})" for file in damaged[:4])

@@ -1,17 +1,18 @@
-"""Padding of CT images: pixels outside the reconstructed picture, whose values mean nothing (PS3.3 C.7.5.1.1.2).
+"""Padding of CT images: pixels outside the reconstructed image, whose values have no meaning (PS3.3 C.7.5.1.1.2).
 
-``PixelPaddingValue``, and with ``PixelPaddingRangeLimit`` a range of values, mark these pixels. A rescale turns the
-mark into any number: 63536 becomes 62512 HU. The rules, in this order:
+``PixelPaddingValue``, and with ``PixelPaddingRangeLimit`` a range of values, mark these pixels. The rescale can convert
+the mark to any number: 63536 becomes 62512 HU. The rules, in this order:
 
-1. A mark at or below -1000 HU, or at or below every other value of the slice, stays: nothing takes it for tissue.
-2. A mark above 30,710 HU (the end of the extended CT scale) is no tissue anywhere, so every such pixel is padding.
+1. A mark at or below -1000 HU, or at or below every other value of the slice, stays, because it cannot be confused with
+tissue.
+2. A mark above 30,710 HU (the end of the extended CT scale) is not a value of tissue, so every such pixel is padding.
 3. Any other mark is also a possible value of tissue or metal. Only connected regions of it that touch the edge of the
-   slice are padding; pixels within the picture keep their values.
-4. Without a mark, one value of 2000 HU or more in all four corners of a slice is padding, as is one above 30,710 HU in
-   any corner: no anatomy looks like that. A note says that the file does not state it. Files without padding tags
-   (NIfTI, NRRD, MetaImage) follow this rule with the eight corners of the volume.
+slice are padding; pixels within the image keep their values.
+4. Without a mark, a value of 2000 HU or more in all four corners of a slice is padding, and so is a value above 30,710
+HU in any corner, because no anatomy has this pattern. A note says that the file does not state it. Files without
+padding tags (NIfTI, NRRD, MetaImage) follow this rule with the eight corners of the volume.
 
-Padding becomes the lowest other value of its slice, but not less than -1024 HU.
+Padding is set to the lowest other value of its slice, but not below -1024 HU.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ _HARMLESS_HU = -1000
 _NO_TISSUE_HU = 30_710
 _CORNER_HU = 2000
 _TISSUE_HU = (-1000, 2000)
-# Noise makes regions of a few equal pixels at the edge; padding fills corners.
+# Noise causes regions of a few equal pixels at the edge; padding fills corners.
 _FEWEST_PIXELS = 16
 _SMALLEST_SHARE = 1 / 2000
 _SMALLEST_UNMARKED_SHARE = 0.01
@@ -54,15 +55,15 @@ class PaddedPixels:
     """The padding of one slice."""
 
     inside: NDArray[np.bool_]
-    """(rows, columns), true where a pixel is padding."""
+    """(rows, columns); true for pixels that are padding."""
     fill: float
     """The value that padding gets."""
     value: float
     """The most frequent rescaled value of the padding."""
     num_kept: int
-    """Pixels with a marked value within the picture, which stay."""
+    """Number of pixels with a marked value within the image, which stay unchanged."""
     is_marked: bool
-    """False if the file does not state the padding."""
+    """Whether the file states the padding."""
 
 
 def padding_ranges(
@@ -72,6 +73,13 @@ def padding_ranges(
 
     Writers confuse signed and unsigned forms of the tags (US and SS), so the bits of the tags decide, read in the form
     of the pixels. If the pixels use fewer bits than the tag, the used bits of the tag count too.
+
+    Parameters
+    ----------
+    value, limit
+        Values of PixelPaddingValue and PixelPaddingRangeLimit; ``limit`` is None without that tag.
+    bits_allocated, bits_stored, high_bit, signed
+        Format of the stored numbers.
     """
 
     def read(number: int, bits: int) -> int:
@@ -143,7 +151,7 @@ def _unmarked(stored: NDArray[np.int32], numbers: NDArray[np.float64] | NDArray[
     if corners.min() == corners.max() and heights[0] >= _CORNER_HU:
         return np.asarray(stored == corners[0])
     impossible = corners[heights > _NO_TISSUE_HU]
-    if not impossible.size:  # nearly every slice
+    if not impossible.size:  # true for nearly every slice
         return np.zeros(stored.shape, dtype=np.bool_)
     return np.asarray(np.isin(stored, impossible))
 
@@ -201,7 +209,7 @@ def without_corner_padding(hu: NDArray[np.int16]) -> tuple[NDArray[np.int16], tu
 
 
 class PaddingCount:
-    """Count of the padding of a series, for its note."""
+    """Sum of the padding of all slices of a series, for a note about it."""
 
     def __init__(self) -> None:
         self._num_pixels = self._num_kept = 0

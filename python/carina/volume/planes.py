@@ -1,4 +1,4 @@
-"""The three anatomical planes and how radiology displays them, once for all who draw, scroll or paint in them."""
+"""The three anatomical planes and their radiological display, for all code that draws, scrolls or paints in them."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ Plane = Literal["axial", "coronal", "sagittal"]
 
 @dataclass(frozen=True, slots=True)
 class PlaneDisplay:
-    """Patient axes (LPS, with a minus sign where they run the other way) of a plane on the screen.
+    """Patient axes (LPS) of a plane on the screen; a minus sign marks the opposite direction.
 
-    Patient right is on screen left in axial planes (seen from the feet, anterior up) and in coronal ones (from the
-    front, superior up); anterior is on the left in sagittal ones.
+    Patient right is on screen left in axial planes (seen from the feet, anterior up) and in coronal planes (seen from
+    the front, superior up); anterior is on the left in sagittal planes.
     """
 
     right: str
     down: str
     into: str
-    """Away from the viewer: right x down."""
+    """Direction away from the viewer: right x down."""
     next_slice: Literal[1, -1]
-    """Which way along ``into`` the next picture of the stack lies: towards the feet, or deeper into the screen."""
+    """Direction along ``into`` of the next slice when scrolling: 1 is deeper into the screen, -1 towards the viewer."""
 
     @property
     def normal_axis(self) -> int:
-        """0, 1 or 2 for x, y, z."""
+        """Index of the patient axis perpendicular to the plane: 0, 1 or 2 for x, y, z."""
         return "xyz".index(self.into[-1])
 
 

@@ -1,4 +1,4 @@
-"""The quality gate: what a volume can and cannot show, in words, before anybody trusts a tree made from it."""
+"""Quality gate: checks whether the spacing, the coverage and the values of a volume allow airway detection."""
 
 from __future__ import annotations
 
@@ -15,41 +15,41 @@ __all__ = ["Finding", "Quality", "quality_gate", "trusted_generation"]
 
 # Mean lumen diameter in mm by generation, trachea first (Weibel, Morphometry of the Human Lung, 1963, model A).
 _WEIBEL_MM = (18.0, 12.2, 8.3, 5.6, 4.5, 3.5, 2.8, 2.3, 1.86, 1.54, 1.30, 1.09)
-# Blur and noise of clinical scans hide lumens below about 1.5 mm, however fine the grid is.
+# Blur and noise of clinical scans hide lumens below about 1.5 mm, independent of the voxel spacing.
 _SMALLEST_VISIBLE_MM = 1.5
 _DARK_HU = -500  # half-way between lung and soft tissue
 _DENSEST_LUNG_HU = -600
 _PURE_AIR_HU = -980
 _MIN_REGION_L = 0.1
-# Both lungs of an adult hold 2 to 7 litres of air and tissue; half of one small lung is the least that helps.
+# Both lungs of an adult contain 2 to 7 litres of air and tissue; half of one small lung is the minimum that is useful.
 _MIN_LUNG_L = 0.7
-_MAX_LUNG_ON_FACE_CM2 = 10.0  # more lung than this on a face of the grid means that it goes on behind
-_PADDING_HU = -1100  # nothing in or around a patient is less dense than air, -1000
+_MAX_LUNG_ON_FACE_CM2 = 10.0  # more lung than this on a face of the grid means that the lung is cut off
+_PADDING_HU = -1100  # nothing in or around a patient is below air, -1000 HU
 _FACES = {(0, 1): "left", (0, -1): "right", (1, 1): "back", (1, -1): "front", (2, 1): "top", (2, -1): "bottom"}
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class Finding(Remark):
-    """One thing that limits what the volume is good for.
+    """One property that limits the use of a volume.
 
-    Its code is ``spacing``, ``uneven``, ``no-lungs``, ``cut``, ``padding``, ``mask`` or ``not-hu``.
+    The code is ``spacing``, ``uneven``, ``no-lungs``, ``cut``, ``padding``, ``mask`` or ``not-hu``.
     """
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class Quality:
-    """What the quality gate says about a volume."""
+    """Result of the quality gate for a volume."""
 
     findings: tuple[Finding, ...]
     trusted_generation: int
     """The last generation of airways (trachea 0) that a grid of this spacing can show."""
     lung_litres: float | None
-    """Volume of lung-like voxels; None where values are not HU."""
+    """Volume of lung-like voxels in litres; None if the values are not HU."""
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON types."""
+        """Return the result as plain JSON types."""
         return {
             "findings": [{"code": finding.code, "words": finding.words} for finding in self.findings],
             "trusted_generation": self.trusted_generation,
@@ -58,16 +58,16 @@ class Quality:
 
 
 def trusted_generation(spacing_mm: tuple[float, float, float]) -> int:
-    """The last generation whose mean lumen is at least as wide as the widest voxel spacing, and 1.5 mm.
+    """Return the last generation whose mean lumen is at least 1.5 mm and the largest voxel spacing wide.
 
-    A lumen narrower than the distance of two samples may fall between them.
+    A lumen narrower than the distance of two samples may be missed between them.
     """
     visible_mm = max(_SMALLEST_VISIBLE_MM, *spacing_mm)
     return max((index for index, width_mm in enumerate(_WEIBEL_MM) if width_mm >= visible_mm), default=0)
 
 
 def quality_gate(volume: Volume) -> Quality:
-    """Judge spacing, coverage and values of a volume. Found when first asked for, and kept with it.
+    """Check the spacing, coverage and values of a volume; the result is cached with the volume.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def quality_gate(volume: Volume) -> Quality:
     Returns
     -------
     Quality
-        Findings in the order in which a person should read them; empty where there is nothing to say.
+        Findings in the order for display; empty if there are none.
     """
     if volume._quality is None:
         object.__setattr__(volume, "_quality", _judge(volume))
@@ -86,6 +86,7 @@ def quality_gate(volume: Volume) -> Quality:
 
 
 def _judge(volume: Volume) -> Quality:
+    """Compute the result of the quality gate."""
     findings: list[Finding] = []
     if not volume.is_hu:
         findings.append(Finding("not-hu", f"not in Hounsfield units: {volume.not_hu_reason}"))
@@ -114,7 +115,7 @@ def _spacing_findings(spacing_mm: tuple[float, float, float]) -> list[Finding]:
     findings = []
     widest, narrowest = max(spacing_mm), min(spacing_mm)
     generation = trusted_generation(spacing_mm)
-    # Up to 1.5 mm the blur of the scan limits what is seen, not the grid.
+    # Up to 1.5 mm, the blur of the scan limits the visible lumens, not the grid.
     if widest > _SMALLEST_VISIBLE_MM:
         what = "slices are" if spacing_mm[2] == widest else "voxels are"
         words = (
@@ -133,24 +134,26 @@ def _spacing_findings(spacing_mm: tuple[float, float, float]) -> list[Finding]:
 
 @dataclass(frozen=True, slots=True)
 class _Lungs:
+    """Volume of the lungs, and the faces of the grid that cut them."""
+
     litres: float
     cut_faces: list[str]
-    """Faces of the grid that they touch, by the patient's directions."""
+    """Faces of the grid that the lungs touch, named by the patient's directions."""
 
 
 def _find_lungs(volume: Volume) -> _Lungs:
-    """Find lungs on a grid of about 4 mm: connected dark regions that are not the air round the patient.
+    """Find the lungs on a grid of about 4 mm: connected dark regions that are not the air around the patient.
 
-    Lung is air with tissue in it, about -850 HU; much of the air outside is near -1000, though couch and blankets lie
-    in it. It also reaches the edges where two faces of the grid meet. Touching a face alone says nothing, since crops
-    cut the lungs too.
+    Lung has about -850 HU, because it contains tissue; most of the air outside is near -1000 HU, although couch and
+    blankets are in it. The outside air also reaches the edges where two faces of the grid meet. A region that touches
+    only a face may be lung, because cropped volumes cut the lungs too.
     """
-    import SimpleITK as sitk  # slow to load, and the types of a volume do not need it
+    import SimpleITK as sitk  # slow to load, and not needed by the types of a volume
 
     strides = [max(1, int(4.0 / spacing)) for spacing in volume.spacing_mm]
     coarse = _block_means(volume.hu_zyx, (strides[2], strides[1], strides[0]))
     dark = sitk.GetImageFromArray((coarse < _DARK_HU).astype(np.uint8))
-    # Opened by one voxel: noise, and the thin layer between skin and air, would join the lungs to the outside.
+    # Opened by one voxel, because noise and the thin layer between skin and air would connect the lungs to the outside.
     regions = sitk.ConnectedComponent(sitk.BinaryMorphologicalOpening(dark, [1, 1, 1]))
     labels = sitk.GetArrayFromImage(regions)
     voxel_l = abs(float(np.linalg.det(volume.lps_from_ijk[:3, :3]))) * 1e-6 * float(np.prod(strides))
@@ -178,11 +181,11 @@ def _find_lungs(volume: Volume) -> _Lungs:
 
 
 def _block_means(values: NDArray[np.int16], strides_zyx: tuple[int, int, int]) -> NDArray[np.float32]:
-    """Means of whole blocks; the incomplete ones at the far ends are left out."""
+    """Return the means of complete blocks; incomplete blocks at the upper ends are omitted."""
     sz, sy, sx = strides_zyx
     nz, ny, nx = (max(1, n // s) for n, s in zip(values.shape, strides_zyx, strict=True))
     total = np.zeros((nz, ny, nx), dtype=np.float32)
-    # Sums over slices of the grid, not over a copy of it: the volume is too large to be copied as float.
+    # Sums over strided views, because a copy of the volume as float would be too large.
     for dz in range(min(sz, values.shape[0])):
         for dy in range(min(sy, values.shape[1])):
             for dx in range(min(sx, values.shape[2])):

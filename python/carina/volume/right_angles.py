@@ -1,4 +1,4 @@
-"""The tolerance for the angles between the axes of a grid, shared by every reader and writer of grid files."""
+"""Tolerances for the angles between the axes of a grid, used by all readers and writers of grid files."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ __all__ = ["MAX_LEAN_MM", "MAX_SKEW_DEG", "has_right_angles", "skew_deg", "strai
 MAX_SKEW_DEG = 0.2
 """Largest deviation of the angle between two axes from 90 degrees."""
 MAX_LEAN_MM = 0.1
-"""Largest shift over the shorter of two axes that is accepted at any angle (a stack of a few slices)."""
-_ROUNDING = 1e-9  # relative: 0.2 degrees computed from a matrix are not exactly 0.2
+"""Largest shift in mm over the shorter of two axes that is accepted at any angle, for stacks of a few slices."""
+_ROUNDING = 1e-9  # relative; rounding of 0.2 degrees when computed from a matrix
 
 
 def skew_deg(lps_from_ijk: NDArray[np.float64]) -> float:

@@ -71,7 +71,10 @@ _level_before: int | None = None
 
 @contextmanager
 def _warnings_on() -> Iterator[None]:
-    """Let FFmpeg report warnings to Python; the level is one for the whole process, so users are counted."""
+    """Let FFmpeg report warnings to Python within the block.
+
+    The level applies to the whole process, so the users of the block are counted.
+    """
     import av.logging
 
     global _level_users, _level_before  # noqa: PLW0603
@@ -97,12 +100,12 @@ def j2k_problem(frame: bytes) -> str | None:
     with _warnings_on(), av.logging.Capture(local=True) as reports:
         try:
             context = av.CodecContext.create("jpeg2000", "r")
-            context.thread_count = 1  # reports come from the thread that decodes
+            context.thread_count = 1  # messages are captured only in the thread that decodes
             decoded = context.decode(av.Packet(frame)) or context.decode(None)
         except av.error.InvalidDataError:
             return "a second decoder cannot read it"
         except (av.error.FFmpegError, MemoryError, ValueError):
-            return None  # not supported by FFmpeg, which says nothing of the stream
+            return None  # not supported by FFmpeg, which does not mean that the stream is damaged
     if any(report.startswith(_REPORTS_DAMAGE) for _, _, report in reports):
         return "a second decoder found that coded data end too early or too late"
     return None if decoded else "a second decoder finds no image in it"
@@ -116,7 +119,7 @@ class SecondDecoder:
         self._futures: list[tuple[SliceHeader, Future[str | None]]] = []
 
     def submit(self, slices: Sequence[SliceHeader]) -> None:
-        """Start the check of those slices that it can read."""
+        """Start the check of all slices that the second decoder can read."""
         for header in slices:
             if is_checkable(header):
                 self._futures.append((header, self._pool.submit(_problem, header)))
@@ -126,6 +129,7 @@ class SecondDecoder:
         self._pool.shutdown(wait=False, cancel_futures=True)
 
     def __len__(self) -> int:
+        """Return the number of slices that are checked."""
         return len(self._futures)
 
     def problems(self) -> Iterator[tuple[SliceHeader, str | None]]:

@@ -1,4 +1,4 @@
-"""The files that a volume is read from: how many, how large, when they were written. Asked without reading them."""
+"""State of the files of a volume: number, size and time of change, obtained without reading the files."""
 
 from __future__ import annotations
 
@@ -20,39 +20,50 @@ __all__ = ["CtSource", "SourceFiles"]
 
 Reads = Literal["tree", "folder", "files"]
 _UNSETTLED_S = 2.0
-"""The coarsest clock of a file system (FAT): what was written less than this ago may be written again unnoticed."""
+"""Resolution of file times on FAT, the coarsest file system; a later change within this time may be undetected."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class SourceFiles:
-    """What tells whether the files of a volume are as they were. Holds no path, and of a grid file two names."""
+    """State of a volume's files for the detection of changes; contains no path, and names only for single files."""
 
     reads: Reads
-    """Everything below a folder, everything in the folder of a DICOM file, or single files."""
+    """``tree``: all files below a folder; ``folder``: all files beside a DICOM file; ``files``: single files."""
     names: tuple[str, ...]
-    """Of single files, in one folder; also of such that would be read if they were there."""
+    """Names of single files in one folder, including missing files that would be read if they existed."""
     num_files: int
     num_bytes: int
     newest_ns: int
-    """When the newest was written, ns since 1970."""
+    """Time of the latest change, ns since 1970."""
     fingerprint: str
-    """Of all names, sizes and times."""
+    """Digest of all names, sizes and times."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class CtSource:
-    """What was opened, and the files that were there. Take it *before* opening: :attr:`is_unchanged` afterwards."""
+    """A path that was opened, with the state of its files.
+
+    The object is created *before* opening, and :attr:`is_unchanged` is read afterwards.
+    """
 
     path: Path = field(repr=False)
-    """Absolute, as it was named: a link stays a link."""
+    """Absolute path as given by the caller; links are not resolved."""
     series: str | None
     files: SourceFiles
 
     @classmethod
     def of(cls, path: str | Path, *, series: str | None = None) -> CtSource | None:
-        """What lies at a path; None where that cannot be said (opening it says why)."""
+        """Return the present state of a path; None if it cannot be read, in which case opening reports the reason.
+
+        Parameters
+        ----------
+        path
+            File or folder of the volume.
+        series
+            Key of the DICOM series; None for the default series.
+        """
         place = absolute(path)
         try:
             return cls(place, series, _look(place, *_what_is_read(place)))
@@ -60,7 +71,7 @@ class CtSource:
             return None
 
     def now(self) -> SourceFiles | None:
-        """The same files as they are now; None where one cannot be reached."""
+        """Return the present state of the same files; None if they cannot be accessed."""
         try:
             return _look(self.path, self.files.reads, self.files.names)
         except (OSError, ValueError):
@@ -68,26 +79,34 @@ class CtSource:
 
     @property
     def is_unchanged(self) -> bool:
-        """Size, time and number of all files are as they were."""
+        """Whether size, time and number of all files are unchanged."""
         return self.now() == self.files
 
     def is_settled(self, now_s: float) -> bool:
-        """Whether a later change of a file shows in its time: not where one was written just now."""
+        """Return whether a later change of a file is sure to change its time.
+
+        A file that was written less than 2 s ago may change again without a new time.
+
+        Parameters
+        ----------
+        now_s
+            Present time in seconds since 1970.
+        """
         return not -_UNSETTLED_S < now_s - self.files.newest_ns / 1e9 < _UNSETTLED_S
 
 
 def absolute(path: str | Path) -> Path:
-    """A path as a volume's facts know it: the name that was given, from the root."""
+    """Return the absolute path of a name without resolving links."""
     return Path(path).expanduser().absolute()
 
 
 def _what_is_read(path: Path) -> tuple[Reads, tuple[str, ...]]:
-    """As ``opening.find_in`` decides it.
+    """Return the files that opening a path would read; the rules are those of ``opening.find_in``.
 
     Raises
     ------
     OSError, ValueError, CarinaError
-        If it cannot be read, or is nothing that is opened.
+        If the path cannot be read, or is not a volume.
     """
     if path.is_dir():
         return "tree", ()
@@ -104,14 +123,14 @@ def _what_is_read(path: Path) -> tuple[Reads, tuple[str, ...]]:
 
 
 def _look(path: Path, reads: Reads, names: tuple[str, ...]) -> SourceFiles:
-    """The state of the files.
+    """Return the present state of the files.
 
     Raises
     ------
     OSError
-        If the path itself is not there, or cannot be read.
+        If the path is missing or cannot be read.
     ValueError
-        If there are too many.
+        If there are too many files.
     """
     path.stat()
     found = hashlib.blake2b(digest_size=20)
@@ -124,7 +143,7 @@ def _look(path: Path, reads: Reads, names: tuple[str, ...]) -> SourceFiles:
             seen = place.stat()
             size, time_ns = seen.st_size, seen.st_mtime_ns
         except OSError:
-            size = time_ns = -1  # not there, or a link to nothing: that, too, is a state
+            size = time_ns = -1  # a missing file or a broken link also counts as a state
         found.update(os.fsencode(name) + f"\0{size}\0{time_ns}\n".encode())
         num_bytes += max(0, size)
         newest_ns = max(newest_ns, time_ns)

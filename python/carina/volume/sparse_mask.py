@@ -1,4 +1,4 @@
-"""Masks that take memory only where they are set: a lumen of a large chest is a hundredth of its grid."""
+"""Masks that need memory only for the part that is set; a lumen fills about a hundredth of a large chest's grid."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ __all__ = ["PackedMask", "empty_mask", "sparse_mask"]
 
 
 def empty_mask(shape_zyx: tuple[int, int, int]) -> NDArray[np.uint8]:
-    """Zeros, as many bytes as voxels; pages of memory that are not written take none, and reading changes nothing.
+    """Return an array of zeros whose unwritten pages take no memory, also after reading.
 
-    NumPy asks the system for large pages, and a lumen lies in nearly all of those.
+    NumPy requests large pages from the system, and a lumen would touch nearly all of them.
     """
     size = math.prod(shape_zyx)
     if hasattr(mmap, "MAP_PRIVATE"):
-        # Pages of a mapping that could be shared are made by reading, too.
+        # In a shared mapping, reading a page would allocate memory, too.
         memory = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
         if hasattr(mmap, "MADV_NOHUGEPAGE"):
             memory.madvise(mmap.MADV_NOHUGEPAGE)
@@ -30,7 +30,7 @@ def empty_mask(shape_zyx: tuple[int, int, int]) -> NDArray[np.uint8]:
 
 
 def sparse_mask(mask_zyx: NDArray[np.uint8] | NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """A copy, read-only: 1 where the mask is not 0.
+    """Return a read-only copy of a mask that takes memory only where the mask is set; values other than 0 become 1.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def sparse_mask(mask_zyx: NDArray[np.uint8] | NDArray[np.bool_]) -> NDArray[np.u
 
 @dataclass(frozen=True, slots=True)
 class PackedMask:
-    """A mask of 0 and 1 in few bytes: the box round what is not 0, one bit per voxel, deflated.
+    """A mask of 0 and 1 in few bytes: one bit per voxel of its bounding box, compressed with Deflate.
 
     Examples
     --------

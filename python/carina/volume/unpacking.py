@@ -1,4 +1,4 @@
-"""Compressed streams, piece by piece: all members of a gzip file, its check sums, and what lies behind the last one."""
+"""Decompression of gzip and zlib streams in pieces: all members, their checksums, and the count of trailing bytes."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ _GZIP = b"\x1f\x8b"
 
 
 class Readable(Protocol):
-    """Anything that is read piece by piece."""
+    """Interface of an object that is read in pieces."""
 
     def read(self, num_bytes: int, /) -> bytes:
         """Return at most ``num_bytes``; empty at the end."""
 
 
 class Unpacker:
-    """Unpacks from where a file stands to its end.
+    """Decompression of a file from its present position to its end.
 
-    A gzip file may have several members one after another (bgzip and pigz write them); zeros behind them pad the file
-    to whole blocks and are nothing. Whatever else follows is counted in ``trailing_bytes``.
+    A gzip file may consist of several members (as bgzip and pigz write them); zeros behind them pad the file to whole
+    blocks and are ignored. All other bytes behind the last member are counted in ``trailing_bytes``.
     """
 
     def __init__(self, file: Readable, kind: str, *, chunk_bytes: int = _CHUNK_BYTES) -> None:
@@ -34,12 +34,12 @@ class Unpacker:
         self.trailing_bytes = 0
 
     def __iter__(self) -> Iterator[bytes]:
-        """Pieces of at most 1 MiB.
+        """Yield the decompressed data in pieces of at most 1 MiB.
 
         Raises
         ------
         ValueError
-            If the stream is damaged (its check sum included) or ends too early; says which.
+            If the stream is damaged (a wrong checksum included) or truncated.
         """
         inflater = zlib.decompressobj(self._bits)
         chunk = b""
@@ -64,7 +64,7 @@ class Unpacker:
                 inflater = zlib.decompressobj(self._bits)
 
     def _next_member(self, rest: bytes) -> bytes:
-        """Return the first bytes of the next member; empty where there is none."""
+        """Return the first bytes of the next member; empty if there is none."""
         while True:
             if self._many and not self.trailing_bytes:
                 while len(rest.lstrip(b"\0")) < 2:
@@ -82,9 +82,9 @@ class Unpacker:
 
 
 class UnpackedFile:
-    """The contents of a gzip file, read from the beginning to the end like a file.
+    """The decompressed content of a gzip file, read from the beginning to the end like a file.
 
-    Its ``read`` raises ValueError where the gzip file is damaged.
+    ``read`` raises ValueError if the gzip file is damaged.
     """
 
     def __init__(self, file: BinaryIO) -> None:

@@ -1,8 +1,8 @@
-"""One file with the voxels of a volume as they are in memory: written whole, never changed, checked when read.
+"""File with the voxels of a volume as they are in memory, written atomically and checked when it is read.
 
-Its name says what it holds (digest, axes, shape), so that two writers of one name write the same. It is read by plain
-reads and not mapped: a file that another program cuts short is then an error here, where a map would end the process
-(SIGBUS). A checksum for each chunk finds what a disk has changed (docs/decisions/0110).
+The name of the file states its content (digest, axes, shape), so that two writers of one name write the same content.
+The file is read by plain reads and not mapped: a truncated file then raises an error, whereas a map would end the
+process (SIGBUS). A checksum for each chunk detects changes on the disk (docs/decisions/0110).
 """
 
 from __future__ import annotations
@@ -32,27 +32,27 @@ __all__ = ["SUFFIX", "DamagedFileError", "VoxelName", "draft_voxel_file", "read_
 SUFFIX = ".voxels"
 _MAGIC = b"CARINACT"
 _VERSION = 1
-# Magic, version, bytes of the header, its CRC-32; then the header as JSON, zeros up to a page, the voxels.
+# Magic, version, length of the header, its CRC-32; then the header as JSON, zeros up to a page, the voxels.
 _START = struct.Struct("<8sIII")
 _PAGE = 4096
 _MAX_HEADER_BYTES = 1 << 22
 _CHUNK_BYTES = 1 << 20
-_LOOK_AGAIN_S = 0.05  # whether the person cancels
+_LOOK_AGAIN_S = 0.05  # interval between checks for cancellation
 _THREADS = min(4, os.cpu_count() or 1)
 _NAME = re.compile(r"(?P<digest>[0-9a-f]{64})-(?P<axes>[LRPASI]{3})-(?P<nx>\d{1,9})x(?P<ny>\d{1,9})x(?P<nz>\d{1,9})")
 
 
 class DamagedFileError(ValueError):
-    """A cached file is cut short, altered, or of another version."""
+    """Error for a cached file that is truncated, altered, or of another version."""
 
 
 @dataclass(frozen=True, slots=True)
 class VoxelName:
-    """What a file of voxels holds. Nothing about the patient."""
+    """The content of a file of voxels, as its name states it, without information about the patient."""
 
     digest: str
     axes: str
-    """Where i, j and k point: ``LPS``, ``RAS``, ..."""
+    """Directions of i, j and k: ``LPS``, ``RAS``, ..."""
     shape_zyx: tuple[int, int, int]
 
     @property
@@ -63,12 +63,12 @@ class VoxelName:
 
     @property
     def num_bytes(self) -> int:
-        """Of the voxels."""
+        """Number of bytes of the voxels."""
         return 2 * math.prod(self.shape_zyx)
 
     @classmethod
     def of_file(cls, path: Path) -> VoxelName | None:
-        """What a file of this name holds; None where it is none of ours."""
+        """Return the content that a file's name states; None if it is not the name of a file of voxels."""
         match = _NAME.fullmatch(path.name.removesuffix(SUFFIX)) if path.name.endswith(SUFFIX) else None
         if match is None:
             return None
@@ -77,6 +77,8 @@ class VoxelName:
 
 
 class _Header(msgspec.Struct, frozen=True):
+    """Header of a voxel file: its name, the size of a chunk, and the CRC-32 of each chunk."""
+
     name: str
     chunk_bytes: int
     crc32: tuple[int, ...]
@@ -85,21 +87,26 @@ class _Header(msgspec.Struct, frozen=True):
 def draft_voxel_file(
     folder: Path, name: VoxelName, hu_zyx: NDArray[np.int16], *, cancel: Callable[[], bool] | None = None
 ) -> Draft:
-    """Write voxels beside their place, readable by this person alone; they take it when the draft is committed.
+    """Write voxels to a draft beside the target, readable by this user only; the caller commits the draft.
 
     Parameters
     ----------
     folder, name
-        Where, and what it is.
+        Folder of the file, and its content.
     hu_zyx
-        (nz, ny, nx) int16 in the order that the name says.
+        (nz, ny, nx) int16 with the axes that the name states.
     cancel
-        Asked often; when it returns true nothing is left.
+        Called often; when it returns true, the draft is deleted.
+
+    Returns
+    -------
+    Draft
+        The complete draft.
 
     Raises
     ------
     DiskError
-        If they cannot be written.
+        If the voxels cannot be written.
     CancelledError
         If ``cancel()`` returned true.
     """
@@ -115,7 +122,7 @@ def draft_voxel_file(
         for chunk in chunks:
             watch.step("Caching the CT")
             draft.file.write(chunk)
-        # Already here: whoever commits may hold a lock, and nobody should wait for a disk.
+        # Flushed here, because the caller may hold a lock during the commit and must not wait for the disk.
         draft.file.flush()
         os.fsync(draft.file.fileno())
     except OSError as error:
@@ -128,20 +135,29 @@ def draft_voxel_file(
 
 
 def read_voxel_file(path: Path, name: VoxelName, watch: Watch) -> NDArray[np.int16]:
-    """The voxels ``(nz, ny, nx)``, checked.
+    """Read and check the voxels ``(nz, ny, nx)``.
+
+    Parameters
+    ----------
+    path
+        The file.
+    name
+        The expected content of the file.
+    watch
+        Progress and cancellation.
 
     Raises
     ------
     DamagedFileError
-        If the file is cut short, altered, or not what its name says.
+        If the file is truncated, altered, or does not match its name.
     OSError
-        What the disk says.
+        If the disk reports an error.
     CancelledError
-        If the person cancels.
+        If the user cancels.
     """
     with path.open("rb", buffering=0) as file:
         header, begin = _read_header(file, name)
-        # Before anything of that size is allocated.
+        # Checked before memory of that size is allocated.
         if os.fstat(file.fileno()).st_size != begin + name.num_bytes:
             raise DamagedFileError("its size has changed since it was written")
     out = np.empty(name.shape_zyx, dtype="<i2")
@@ -158,7 +174,7 @@ def read_voxel_file(path: Path, name: VoxelName, watch: Watch) -> NDArray[np.int
                     return
                 chunk = place[number * header.chunk_bytes : (number + 1) * header.chunk_bytes]
                 _fill(file, chunk)
-                # While it is still in the processor's cache.
+                # Checked while the chunk is still in the processor's cache.
                 if zlib.crc32(chunk) != header.crc32[number]:
                     raise DamagedFileError(f"chunk {number} of {count} was altered")
                 num_read[part] += 1
@@ -179,12 +195,12 @@ def read_voxel_file(path: Path, name: VoxelName, watch: Watch) -> NDArray[np.int
 
 
 def _begin_of_voxels(header_bytes: int) -> int:
-    """The first page behind the header."""
+    """Return the offset of the voxels: the first page behind the header."""
     return -(-(_START.size + header_bytes) // _PAGE) * _PAGE
 
 
 def _read_header(file: io.FileIO, name: VoxelName) -> tuple[_Header, int]:
-    """The header, and where the voxels begin."""
+    """Return the header, and the offset of the voxels."""
     start = file.read(_START.size)
     if len(start) < _START.size:
         raise DamagedFileError("it is truncated")
@@ -205,7 +221,7 @@ def _read_header(file: io.FileIO, name: VoxelName) -> tuple[_Header, int]:
 
 
 def _fill(file: io.FileIO, place: memoryview) -> None:
-    """Read exactly so much."""
+    """Fill a buffer completely from a file."""
     while len(place):
         count = file.readinto(place)
         if not count:

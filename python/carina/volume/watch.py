@@ -1,4 +1,4 @@
-"""How a long import reports what it does and notices that the person no longer wants it."""
+"""Progress reports and cancellation of long imports."""
 
 from __future__ import annotations
 
@@ -12,18 +12,25 @@ __all__ = ["Watch"]
 
 @dataclass(frozen=True, slots=True)
 class Watch:
-    """The ``progress`` and ``cancel`` arguments of a long function, as one object to pass down."""
+    """The ``progress`` and ``cancel`` arguments of a long function, as one object."""
 
     progress: Callable[[str, float | None], None] | None = None
     cancel: Callable[[], bool] | None = None
 
     def step(self, what: str, fraction: float | None = None) -> None:
-        """Report, and stop here if the person cancelled.
+        """Report progress, or raise an error if the user cancelled.
+
+        Parameters
+        ----------
+        what
+            Description of the present step for the user.
+        fraction
+            Finished share of the step, 0 to 1; None if unknown.
 
         Raises
         ------
         CancelledError
-            If ``cancel()`` is true.
+            If ``cancel()`` returned true.
         """
         if self.cancel is not None and self.cancel():
             msg = f"cancelled while {what[:1].lower()}{what[1:]}"
