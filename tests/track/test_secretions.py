@@ -11,6 +11,7 @@ from plugged_chest import CHEST
 import carina
 from carina.track import AirwayTree, Branch, Bridge, find_absent
 from carina.track.find.airway_ends import find_uncertain
+from carina.track.find.narrowed import find_narrowed
 from carina.track.tree.uncertain import filled_place
 from carina_bench.filled_bronchi import with_secretions
 from made import made_airways, made_phantom
@@ -106,6 +107,28 @@ def test_healthy_airways_have_none(seed):
 
 def test_the_bundled_patient_has_none():
     assert filled(the_patient()[1]) == []
+
+
+def narrowed(width_mm, *, least_mm=2.5):
+    """Return the places found in a straight branch of these widths, one per mm, with material in every section."""
+    num = len(width_mm)
+    points = np.stack([np.zeros(num), np.zeros(num), -np.arange(float(num))], axis=1)
+    trunk = Branch(0, None, (1,), 0, None, "tracked", np.array([[0.0, 0, 30], [0, 0, 0]]), np.full(2, 3.0))
+    branch = Branch(1, 0, (), 1, None, "tracked", points, 0.5 * np.array(width_mm))
+    return find_narrowed(None, AirwayTree((trunk, branch)), 0.7, least_mm)
+
+
+def test_a_narrowing_within_the_error_of_the_calibre_is_not_stated(monkeypatch):
+    monkeypatch.setattr("carina.track.find.narrowed._middle", lambda *_: np.zeros(3))
+    (place,) = narrowed([2.8] * 7 + [4.0] * 15)
+    assert place.calibre_mm - place.width_mm > place.calibre_error_mm
+    assert narrowed([3.45] * 7 + [4.0] * 15) == []
+
+
+def test_a_bronchus_narrower_than_two_slices_is_not_called_filled(monkeypatch):
+    monkeypatch.setattr("carina.track.find.narrowed._middle", lambda *_: np.zeros(3))
+    assert len(narrowed([4.0] * 10 + [2.4] * 7 + [4.0] * 10, least_mm=3.9)) == 1
+    assert narrowed([4.0] * 10 + [2.4] * 7 + [4.0] * 10, least_mm=6.0) == []
 
 
 def test_a_stenosis_is_told_as_no_more_than_narrowed():

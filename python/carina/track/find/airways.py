@@ -46,7 +46,7 @@ from carina.track.paths.tracker import SNAP_MM, PathTracker, Point, as_point, br
 from carina.track.stages import Cancel, Stages
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.track.tree.calibrated_size import with_size_note
-from carina.track.tree.thick_slices import with_slice_note
+from carina.track.tree.thick_slices import effective_slice_mm, with_slice_note
 from carina.track.tree.uncertain import Uncertainty, with_confidence
 from carina.volume.model import Note, Volume
 from carina.volume.sparse_mask import sparse_mask
@@ -275,7 +275,7 @@ def _found(
             with contextlib.suppress(NoResultError):
                 return _found(grid, given_root, lumen_threshold, None, stage, known=closed)
         tree = disturbed.with_less_confidence(tree)
-        filled = find_filled(searched, tree, lumen, noise, stage.cancel)
+        filled = find_filled(searched, tree, lumen, noise, slice_mm=effective_slice_mm(grid.ct), cancel=stage.cancel)
         uncertain = find_uncertain(searched, tree, leaks, filled)
         total = doubt_of_totals(branches, splits=trachea_mm is not None)
         badges += [] if total is None else [total]

@@ -67,8 +67,12 @@ LEAST_CROSS = 2
 """Smallest number of sections across the filling in which the border must be visible."""
 ALIKE = 1.4
 """Largest ratio between the widths of sections of one lumen; with a larger ratio, a section cuts the end or a fork."""
-FINE_MM, FINE_VOX = 2.5, 3.0
-"""Thinner airways are not reported: the CT hardly shows airways of this size."""
+FINE_MM, FINE_VOX, FINE_SLICES = 2.5, 3.0, 2.0
+"""Thinner airways are not reported: the CT does not show whether they are filled.
+
+The limit is the largest of 2.5 mm, three voxels, and two slices of the CT. An airway that runs along one slice has the
+brightness of its lumen and its wall together, as if it were partly filled.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,6 +97,8 @@ def find_filled(
     tree: AirwayTree,
     lumen_zyx: NDArray[np.uint8],
     noise: float,
+    *,
+    slice_mm: float,
     cancel: Callable[[], bool] | None = None,
 ) -> tuple[Uncertainty, ...]:
     """Find the places where a bronchus is narrowed or filled but continues; the lumen is not changed.
@@ -105,6 +111,8 @@ def find_filled(
         Airways that were found in the CT.
     noise
         Standard deviation of the values in air, in the numbers of the volume.
+    slice_mm
+        Effective thickness of the slices of the CT, also if ``volume`` has divided slices.
     cancel
         Function that returns True to stop the search.
 
@@ -114,8 +122,8 @@ def find_filled(
         Places of kind ``filled``, the widest first.
     """
     look = Across(volume)
-    search = _Search(volume, look, tree, lumen_zyx, noise)
-    found = list(find_narrowed(look, tree, search.voxel_mm))
+    search = _Search(volume, look, tree, lumen_zyx, noise, slice_mm=slice_mm)
+    found = list(find_narrowed(look, tree, search.voxel_mm, search.fine_mm))
     centrelines = np.concatenate([branch.points for branch in tree.branches])
     for island in find_islands(volume, lumen_zyx, centrelines, float(look.scale.level(DARKEST_HU))):
         if cancel is not None and cancel():
@@ -147,11 +155,18 @@ class _Search:
     """Search for the filled gaps between islands of air and the found airways."""
 
     def __init__(
-        self, volume: Volume, look: Across, tree: AirwayTree, lumen_zyx: NDArray[np.uint8], noise: float
+        self,
+        volume: Volume,
+        look: Across,
+        tree: AirwayTree,
+        lumen_zyx: NDArray[np.uint8],
+        noise: float,
+        *,
+        slice_mm: float,
     ) -> None:
         self._volume, self._look, self._tree, self._lumen = volume, look, tree, lumen_zyx
         self.voxel_mm = float(np.cbrt(np.prod(volume.spacing_mm)))
-        self._fine_mm = max(FINE_MM, FINE_VOX * self.voxel_mm)
+        self.fine_mm = max(FINE_MM, FINE_VOX * self.voxel_mm, FINE_SLICES * slice_mm)
         self._rise = max(look.scale.span(LEAST_RISE_HU), NOISE_RISE * noise)
         self._points = np.concatenate([branch.points for branch in tree.branches])
         self._radius = np.concatenate([branch.radius for branch in tree.branches])
@@ -255,9 +270,7 @@ class _Search:
         after = self._calibre_after(gap.end)
         axis, outer = self._followed(gap, after)
         calibre, error = self._calibre(outer, gap.end)
-        if (
-            calibre if calibre is not None else after if after is not None else 2.0 * gap.end.radius_mm
-        ) < self._fine_mm:
+        if (calibre if calibre is not None else after if after is not None else 2.0 * gap.end.radius_mm) < self.fine_mm:
             return None
         middle = axis[len(axis) // 2]
         air_mm = self._air_mm(middle, gap.near_lps - gap.far_lps, calibre)

@@ -27,7 +27,6 @@ A bronchus that is filled to half its height has 0.71.
 LEAST_LONG_MM = 4.0
 NEAR_MM = 25.0
 """The air must be wide again within this distance."""
-FINE_MM, FINE_VOX = 2.5, 3.0
 MOST_SHARE = 0.9
 """Quantile of the width that counts as the widest part of a branch: forks flare."""
 INNER = 0.85
@@ -41,7 +40,7 @@ LEAST_TOLD = 4
 MOST_SHIFT = 0.9
 
 
-def find_narrowed(look: Across, tree: AirwayTree, voxel_mm: float) -> list[Uncertainty]:
+def find_narrowed(look: Across, tree: AirwayTree, voxel_mm: float, least_mm: float) -> list[Uncertainty]:
     """Find the parts of branches that have material between the air and the wall.
 
     Parameters
@@ -52,18 +51,20 @@ def find_narrowed(look: Across, tree: AirwayTree, voxel_mm: float) -> list[Uncer
         The airway tree.
     voxel_mm
         Mean edge of a voxel.
+    least_mm
+        Calibre of the narrowest bronchi that are examined.
     """
-    return [place for branch in tree.branches for place in _of_branch(look, tree, branch, voxel_mm)]
+    return [place for branch in tree.branches for place in _of_branch(look, tree, branch, voxel_mm, least_mm)]
 
 
-def _of_branch(look: Across, tree: AirwayTree, branch: Branch, voxel_mm: float) -> list[Uncertainty]:
+def _of_branch(look: Across, tree: AirwayTree, branch: Branch, voxel_mm: float, least_mm: float) -> list[Uncertainty]:
     if branch.parent is None or len(branch.points) < 4:
         return []
     at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(branch.points, axis=0), axis=1))])
     width = 2.0 * branch.radius
     beyond_mm = [_usual_mm(tree.branch(child)) for child in branch.children]
     widest = max([float(np.quantile(width, MOST_SHARE)), *beyond_mm])
-    if widest < max(FINE_MM, FINE_VOX * voxel_mm):
+    if widest < least_mm:
         return []
     found = []
     for first, last in _runs(_smoothed(width) <= NARROW * widest):
@@ -83,6 +84,8 @@ def _of_branch(look: Across, tree: AirwayTree, branch: Branch, voxel_mm: float) 
         # A calibre from the peripheral side alone may be measured in the flare of a fork.
         error = max(voxel_mm, ONE_SIDED * after_mm) if before_mm is None else 0.5 * abs(before_mm - after_mm)
         error = max(error, 0.5 * voxel_mm)
+        if calibre < least_mm or calibre - inside <= error:
+            continue
         found.append(
             filled_place(
                 told[len(told) // 2][1],

@@ -117,6 +117,12 @@ class CalibratedShares:
         return f"slices of {self.slice_mm:g} mm{overlap}"
 
 
+def effective_slice_mm(ct: Volume) -> float:
+    """Return the effective thickness of the slices of a CT in mm (see :func:`effective_mm`)."""
+    distance_mm = round(max(ct.spacing_mm), 2)
+    return effective_mm(ct.source.slice_thickness_mm or 0.0, distance_mm)
+
+
 def effective_mm(slice_mm: float, distance_mm: float) -> float:
     """Return the thickness of slices without overlap that show as much as the given slices."""
     return 0.5 * (max(slice_mm, distance_mm) + distance_mm)
@@ -150,7 +156,7 @@ def shares_in(ct: Volume) -> CalibratedShares | None:
     """Return the shares of a CT with thick slices; None if its slices are thin."""
     distance_mm = round(max(ct.spacing_mm), 2)
     slice_mm = max(ct.source.slice_thickness_mm or 0.0, distance_mm)
-    effective = effective_mm(slice_mm, distance_mm)
+    effective = effective_slice_mm(ct)
     judged = _of_calibre(calibrated_shares(effective), JUDGED_MM).typical
     if judged is not None and judged >= THIN_SHARE:
         return None
