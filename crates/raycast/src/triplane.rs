@@ -7,23 +7,24 @@ use rayon::prelude::*;
 
 use crate::{Field, Window};
 
-/// The three planes through a point: sagittal (x), coronal (y) and axial (z) of patient space.
+/// Three planes through a point: sagittal (x), coronal (y) and axial (z) of patient space.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TriPlane {
-    /// Where they meet, LPS mm.
+    /// Point where the planes intersect, LPS mm.
     pub centre_lps: [f64; 3],
-    /// How values become grey.
+    /// Window that maps values to grey levels.
     pub window: Window,
-    /// Values below this are seen through, or `None` to keep all.
+    /// Value below which a plane is transparent; `None` for opaque planes.
     pub clear_below: Option<f32>,
-    /// Colour behind the planes.
+    /// Background colour.
     pub background: [u8; 3],
-    /// Brightness of the sagittal, coronal and axial plane, so that their edges can be told apart.
+    /// Brightness of the sagittal, coronal and axial plane; different values make the edges of the planes visible.
     pub brightness: [f32; 3],
 }
 
-/// Casts rows of the planes' picture, `[row, column, channel]`: along each ray the nearest plane that is in the volume there and not
-/// clear.
+/// Cast rows of the planes' picture, `[row, column, channel]`.
+///
+/// Each ray shows the nearest plane that is in the volume and not transparent there.
 #[must_use]
 pub fn cast_tri_plane(
     volume: VolumeView<'_, i16>,
@@ -44,7 +45,7 @@ pub fn cast_tri_plane(
             for (column, pixel) in out.chunks_exact_mut(3).enumerate() {
                 let dir = camera.ray(column, row).dir_lps;
                 let mut hits: [(f64, usize); 3] = std::array::from_fn(|axis| {
-                    // A ray along a plane never meets it; a plane behind the camera is not seen.
+                    // A ray parallel to a plane never meets it; a plane behind the camera is not visible.
                     let t = (planes.centre_lps[axis] - origin[axis]) / dir[axis];
                     (if t > 0.0 { t } else { f64::INFINITY }, axis)
                 });
