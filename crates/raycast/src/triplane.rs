@@ -80,11 +80,11 @@ mod tests {
 
     #[test]
     fn the_nearest_plane_hides_those_behind_it_and_clear_values_do_not() {
-        // Values are 10 i: the plane x = 2 shows 20 everywhere, the planes y and z show all.
+        // Values are 10 i: the plane x = 2 shows 20 everywhere, the planes y and z show all values.
         let grid = Grid::new([9, 9, 9], Affine::IDENTITY).unwrap();
         let data: Vec<i16> = (0..729).map(|n| (n % 9 * 10) as i16).collect();
         let volume = VolumeView::new(&data, &grid).unwrap();
-        // From far along -x, looking along +x, down along +y: the sagittal plane is met first.
+        // The camera is far away at -x and looks along +x with +y down, so rays meet the sagittal plane first.
         let pose = Affine::from_columns(
             [0.0, 0.0, -1.0],
             [0.0, 1.0, 0.0],
@@ -107,7 +107,7 @@ mod tests {
         let through = cast_tri_plane(volume, &planes, &camera, 0..65);
         let strip = cast_tri_plane(volume, &planes, &camera, 20..31);
         assert_eq!(strip, through[20 * 65 * 3..31 * 65 * 3]);
-        // Row 32 looks level along y = 3.3, so it meets neither of the other planes inside the box; a row further down
+        // Row 32 looks horizontally along y = 3.3, so it meets neither of the other planes inside the box; a lower row
         // meets y = 4.
         assert_eq!(&through[centre..centre + 3], &[9, 8, 7]);
         assert!(
