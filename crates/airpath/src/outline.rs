@@ -68,7 +68,7 @@ impl LumenSurface {
     #[must_use]
     pub fn new(lumen: &[u8], shape: [usize; 3]) -> Self {
         let [nx, ny, _] = shape;
-        // Cells begin one voxel before the volume: brick b begins at voxel 8 b - 1.
+        // Cells begin one voxel before the volume: brick b begins at voxel `BRICK * b - 1`.
         let counts = shape.map(|n| n / BRICK + 1);
         let slices: Vec<Vec<bool>> = lumen
             .par_chunks(nx * ny)
