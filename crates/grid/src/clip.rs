@@ -1,7 +1,8 @@
-/// The part of the line `origin + t * direction` that lies in the box `lo..=hi`, as `(t_in, t_out)`.
+/// Return the part of the line `origin + t * direction` inside the box `lo..=hi`, as `(t_in, t_out)`; `None` if the
+/// line misses the box.
 ///
-/// Works from inside and outside; `t` may be negative. `None` if the line misses the box. A direction component of 0 is
-/// decided by the origin alone, so no 0/0 arises on a face.
+/// The origin may be inside or outside; `t` may be negative. If a component of the direction is 0, only the origin
+/// decides, so no 0/0 occurs on a face.
 #[must_use]
 pub fn clip_line_to_box(
     origin: [f64; 3],
