@@ -10,13 +10,13 @@ from carina.render.appearance import Appearance
 from carina.render.decoration import Decoration
 
 def build_info() -> dict[str, Any]:
-    """version, profile, simd, threads, target, gpu."""
+    """Return the build settings and capabilities: version, profile, simd, threads, target, gpu."""
 
 # ---- scope ----
 
 @final
 class FlightCurve:
-    """A smooth curve with camera frames along a polyline."""
+    """Smooth curve with camera frames along a polyline."""
 
     def __new__(
         cls, points_lps: NDArray[np.float64], up_lps: tuple[float, ...] | None, max_deviation_mm: float
@@ -24,23 +24,23 @@ class FlightCurve:
     @property
     def length_mm(self) -> float: ...
     def pose_at(self, path_mm: float) -> NDArray[np.float64]:
-        """lps_from_camera, 4x4."""
+        """Return lps_from_camera, 4x4, at a position along the polyline."""
     def nearest(self, point_lps: tuple[float, float, float]) -> tuple[float, float]:
-        """(path_mm, distance_mm)."""
+        """Return the nearest position on the curve as (path_mm, distance_mm)."""
     def knots_lps(self) -> NDArray[np.float64]:
-        """(m, 3), a copy."""
+        """Return the knots as a new array (m, 3)."""
     def tangent_frames(self) -> NDArray[np.float64]:
-        """(m, 4, 4), at the knots: +z is the curve's own direction."""
+        """Return the frames at the knots, (m, 4, 4); +z is the curve's own direction."""
 
 # ---- scope: the wall and the drive ----
 
 @final
 class WallField:
-    """Signed distance to the lumen's wall."""
+    """Signed distance to the wall of a lumen."""
 
     @staticmethod
     def from_distances(distance_mm_zyx: NDArray[np.float32], lps_from_ijk: NDArray[np.float64]) -> WallField:
-        """From a grid."""
+        """Create a field from a grid of signed distances, positive in the lumen."""
     @staticmethod
     def from_mesh(
         vertices_lps: NDArray[np.float64],
@@ -50,19 +50,19 @@ class WallField:
         cancel: Callable[[], bool] | None = None,
         progress: Callable[[float], None] | None = None,
     ) -> WallField:
-        """From a closed mesh."""
+        """Create a field from a closed mesh."""
     def distance_mm(self, points_lps: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(n,) of (n, 3)."""
+        """Return the distances (n,) of points (n, 3)."""
     @property
     def num_bytes(self) -> int: ...
     def to_bytes(self) -> bytes:
-        """Lattice and samples, little-endian."""
+        """Return lattice and samples as little-endian bytes."""
     def digest(self) -> str:
-        """BLAKE3 of all that it holds, hexadecimal."""
+        """Return the BLAKE3 digest of all data of the field, hexadecimal."""
 
 @final
 class ScopeDrive:
-    """A scope in a lumen."""
+    """Simulated scope in a lumen."""
 
     def __new__(
         cls,
@@ -76,36 +76,36 @@ class ScopeDrive:
     @property
     def entry_mm(self) -> float: ...
     def drive(self, insertion_mm: float, roll_rad: float, flexion_rad: float, dt_s: float) -> dict[str, Any]:
-        """Set the controls."""
+        """Set the controls; return the state."""
     def place(self, path_lps: NDArray[np.float64], insertion_mm: float) -> dict[str, Any]:
-        """Lay along a path."""
+        """Place the scope along a path; return the state."""
     def copy(self) -> ScopeDrive:
-        """Another that lies as this one does."""
+        """Return a copy in the same position."""
     def shaft_lps(self) -> NDArray[np.float64]:
-        """(n, 3), a copy."""
+        """Return the axis of the shaft as a new array (n, 3)."""
     def wall_depths_mm(self) -> tuple[float, float]:
-        """(tip, shaft)."""
+        """Return the penetration of the wall by (tip, shaft)."""
 
 @final
 class ReservedThread:
-    """A thread that renders no pictures until it is released."""
+    """Thread that renders no pictures until it is released."""
 
     def __new__(cls) -> ReservedThread: ...
     def release(self) -> None:
         """Let pictures use the thread again; a second call does nothing."""
 
 def picture_clock_s() -> float | None:
-    """Mean processor time of the threads which make pictures now, in s; None where it cannot be told (yet)."""
+    """Return the mean processor time in s of the threads that render pictures now; None if it is not known (yet)."""
 
 def picture_threads() -> int:
-    """Number of threads that render a picture."""
+    """Return the number of threads that render a picture."""
 
 # ---- phantom ----
 
 def chest_lumen_distances(
     seed: int, generations: int, stenosis: bool, neck: bool, points_lps: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """(n,) signed mm, negative in the lumen."""
+    """Return the signed distances (n,) in mm of points to the lumen, negative inside."""
 
 def generate_chest(
     seed: int,
@@ -121,32 +121,35 @@ def generate_chest(
     with_distance: bool,
     proceed: Callable[[float], bool],
 ) -> dict[str, Any]:
-    """hu_zyx, lumen_zyx, lps_from_ijk, branches, and what else was asked for: nodule, stenosis, tube, cricoid_lps with
-    upper_airway_zyx, lumen_distance_mm."""
+    """Generate a phantom chest.
+
+    The result contains hu_zyx, lumen_zyx, lps_from_ijk, branches, and the optional parts that were requested: nodule,
+    stenosis, tube, cricoid_lps with upper_airway_zyx, lumen_distance_mm.
+    """
 
 # ---- isoregion ----
 
 _Classes = list[tuple[int, int, int, bool]]
-"""First value, last value, voxels, fully transparent."""
+"""Classes as (first value, last value, number of voxels, fully transparent)."""
 
 def value_range(hu_zyx: NDArray[np.int16]) -> tuple[int, int]:
-    """The smallest and the largest value."""
+    """Return the smallest and the largest value."""
 
 def content_digest(voxels: NDArray[np.int16] | NDArray[np.uint8]) -> str:
-    """BLAKE3 over the bytes of a [z, y, x] array, hexadecimal; not of its shape."""
+    """Return the BLAKE3 digest of the bytes of a [z, y, x] array, hexadecimal; the shape is not included."""
 
 def label_classes(
     hu_zyx: NDArray[np.int16], points: NDArray[np.float64], *, reference_mm: float = 1.0, bin_hu: int = 1
 ) -> tuple[NDArray[np.uint8], _Classes]:
-    """Labels of the classes of a transfer function, and the classes."""
+    """Return the labels of the classes of a transfer function, and the classes."""
 
 def label_values(hu_zyx: NDArray[np.int16]) -> tuple[NDArray[np.uint8], _Classes]:
-    """Labels of the paper's 16-HU bins, and the bins."""
+    """Return the labels of the paper's 16-HU bins, and the bins."""
 
 def transparent_runs(
     points: NDArray[np.float64], *, reference_mm: float = 1.0, bin_hu: int = 1
 ) -> list[tuple[int, int]]:
-    """The transparent runs of a transfer function over all int16 values."""
+    """Return the transparent runs of a transfer function over all int16 values."""
 
 def build_radius_map(
     labels_zyx: NDArray[np.uint8],
@@ -155,7 +158,7 @@ def build_radius_map(
     simd: str | None = None,
     num_slabs: int | None = None,
 ) -> NDArray[np.uint8]:
-    """The radius map of a label volume; one slab for each thread unless told."""
+    """Compute the radius map of a label volume, by default with one slab for each thread."""
 
 def build_cell_map(
     hu_zyx: NDArray[np.int16],
@@ -165,14 +168,16 @@ def build_cell_map(
     simd: str | None = None,
     num_slabs: int | None = None,
 ) -> NDArray[np.uint8]:
-    """The map of cells of disjoint runs of values (first, last), which leaps over clear samples read; 0 where a
-    value is in none."""
+    """Compute the cell map of disjoint runs of values (first, last); 0 for a voxel whose value is in no run.
+
+    Leaps over transparent samples use this map.
+    """
 
 # ---- optics ----
 
 @final
 class Optics:
-    """A lens in front of a picture of a size; ``brown`` (k1 k2 p1 p2 k3 k4 k5 k6) or ``fisheye`` (k1 to k4)."""
+    """Lens model for a picture of a given size: ``brown`` (k1 k2 p1 p2 k3 k4 k5 k6) or ``fisheye`` (k1 to k4)."""
 
     def __new__(
         cls,
@@ -187,13 +192,19 @@ class Optics:
         calibrated_size_px: tuple[int, int] | None = None,
     ) -> Optics: ...
     def directions(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Unit directions (n, 3) in camera space of points of the picture; NaN where the lens has none."""
+        """Return unit directions (n, 3) in camera space of points of the picture.
+
+        The directions are NaN where the lens has none.
+        """
 
     def pixels(self, directions: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Points of the picture (n, 2) of directions in camera space; NaN where the lens does not see them."""
+        """Return points of the picture (n, 2) of directions in camera space.
+
+        The points are NaN for directions that the lens does not see.
+        """
 
     def rays(self, *, shape: str, edge_px: float, vignette: float) -> LensRays:
-        """The rays of all pixels inside an outline."""
+        """Compute the rays of all pixels inside an outline."""
 
     @property
     def fov_rad(self) -> float: ...
@@ -206,7 +217,7 @@ class Optics:
 
 @final
 class LensRays:
-    """The rays of all pixels of a picture behind a lens, and how bright each pixel is."""
+    """Rays of all pixels of a picture behind a lens, and the relative brightness of each pixel."""
 
 def defocus(
     rgb: NDArray[np.uint8],
@@ -216,35 +227,35 @@ def defocus(
     far_mm: float,
     lens: LensRays | None = None,
 ) -> NDArray[np.uint8]:
-    """A whole picture (h, w, 3) blurred by its depth (h, w), then darkened by its lens."""
+    """Return a whole picture (h, w, 3) blurred by its depth map (h, w), then darkened as its lens does."""
 
 # ---- gpu ----
 
 def gpu_adapters() -> list[tuple[str, str, str, str]] | None:
-    """Name, interface, driver and kind, the likely fastest first; None in a build without GPU support."""
+    """Return name, interface, driver and kind, the likely fastest first; None in a build without GPU support."""
 
 @final
 class Gpu:
-    """An opened graphics device."""
+    """Opened graphics device."""
 
     def __new__(cls, adapter: int) -> Gpu: ...
     def upload(self, hu_zyx: NDArray[np.int16], radius_zyx: NDArray[np.uint8] | None = None) -> GpuScene:
-        """Copy a volume to the device, and its radius map."""
+        """Copy a volume to the device, and its radius map if there is one."""
     def lose(self) -> None:
-        """Give the device up, for tests."""
+        """Make the device lost, for tests."""
 
 @final
 class GpuScene:
-    """A volume on a graphics device, with a radius map or without."""
+    """Volume on a graphics device, with or without a radius map."""
 
     def with_map(self, radius_zyx: NDArray[np.uint8] | None = None) -> GpuScene:
-        """The same volume with another map, or without one."""
+        """Return the same volume with another map, or without one."""
 
 # ---- raycast ----
 
 @final
 class TransferTable:
-    """What one ray step adds, by value."""
+    """Colour and opacity of one ray step for each value."""
 
     def __new__(
         cls,
@@ -257,27 +268,30 @@ class TransferTable:
         bin_hu: int = 1,
     ) -> TransferTable: ...
     def entry(self, value: int) -> list[float]:
-        """Premultiplied colour and opacity of one step at a value."""
+        """Return the premultiplied colour and opacity of one step at a value."""
 
 @final
 class CancelToken:
-    """Gives up a picture under way, from any thread; for one picture, since it stays set."""
+    """Token that cancels the cast of one picture, from any thread; a cancelled token stays cancelled."""
 
     def __new__(cls) -> CancelToken: ...
     def cancel(self) -> None:
-        """The picture is no longer wanted."""
+        """Cancel the cast that uses this token."""
 
     @property
     def cancelled(self) -> bool:
-        """Whether it was cancelled."""
+        """Whether the token was cancelled."""
 
 @final
 class Bricks:
-    """What pictures of one array of values share, which must not change: slopes of walls, lit samples."""
+    """Cache that pictures of one array of values share: wall normals, samples with gradients.
+
+    The values must not change.
+    """
 
     def __new__(cls) -> Bricks: ...
     def __len__(self) -> int:
-        """Bricks kept."""
+        """Return the number of cached bricks."""
 
 def cast(
     hu_zyx: NDArray[np.int16],
@@ -304,9 +318,10 @@ def cast(
     always_leap: bool = False,
     bricks: Bricks | None = None,
 ) -> tuple[NDArray[np.uint8], tuple[int, int, int, int, int, int, int]]:
-    """(rows, width, 3) colours; rays, samples, look-ups, leaps, skipped samples, shaded samples, reads.
+    """Cast rows of a picture; return (rows, width, 3) colours and statistics.
 
-    CancelledError once stopped.
+    The statistics are the numbers of rays, samples, look-ups, leaps, skipped samples, shaded samples and reads.
+    A cancelled cast raises CancelledError.
     """
 
 def cast_surface(
@@ -325,7 +340,10 @@ def cast_surface(
     simd: str | None = None,
     lens: LensRays | None = None,
 ) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.float32]]:
-    """First walls of rows, or of one pixel (column, row): depth in mm, positions and normals in LPS; NaN for none."""
+    """Find the first walls of rows, or of one pixel (column, row); return depths in mm, positions and normals in LPS.
+
+    The values are NaN where a ray meets no wall.
+    """
 
 def cut_plane(
     hu_zyx: NDArray[np.int16],
@@ -337,7 +355,7 @@ def cut_plane(
     window_hu: tuple[float, float],
     rows: tuple[int, int] | None = None,
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Grey levels of rows of a plane and where the volume is."""
+    """Sample rows of a plane; return grey levels and a mask of the pixels inside the volume."""
 
 def tri_plane(
     hu_zyx: NDArray[np.int16],
@@ -354,7 +372,7 @@ def tri_plane(
     brightness: tuple[float, float, float] = ...,
     rows: tuple[int, int] | None = None,
 ) -> NDArray[np.uint8]:
-    """Rows of three planes in occlusion order, (rows, width, 3)."""
+    """Render rows of the tri-plane view in occlusion order, (rows, width, 3)."""
 
 def radiograph(
     hu_zyx: NDArray[np.int16],
@@ -370,7 +388,7 @@ def radiograph(
     bone_gain: float = 1.0,
     simd: str | None = None,
 ) -> NDArray[np.float32]:
-    """Water-equivalent length of each ray of some rows, (rows, width) mm."""
+    """Return the water-equivalent length of each ray of some rows, (rows, width) mm."""
 
 def sample_lines(
     hu_zyx: NDArray[np.int16],
@@ -381,12 +399,15 @@ def sample_lines(
     window_hu: tuple[float, float],
     slab: tuple[float, str] | None = None,
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Grey levels of rows of start, step and through, (rows, 9), and where the volume is."""
+    """Sample rows given by start, step and direction through the picture, (rows, 9).
+
+    Return grey levels and a mask of the pixels inside the volume.
+    """
 
 def project_maximum(
     hu_zyx: NDArray[np.int16],
 ) -> tuple[NDArray[np.int16], NDArray[np.int16], NDArray[np.int16]]:
-    """Maximum intensity projections along i [k, j], j [k, i] and k [j, i]."""
+    """Return the maximum intensity projections along i [k, j], j [k, i] and k [j, i]."""
 
 def raise_wall(
     values_zyx: NDArray[np.int16],
@@ -395,25 +416,32 @@ def raise_wall(
     open_below: int,
     heights: Sequence[Sequence[int]],
 ) -> None:
-    """Raises the values of a copy of a volume round a lumen, in place; heights of lumen, shell, backing."""
+    """Raise the values round a lumen, in place, in a copy of a volume.
+
+    The heights are those of lumen, shell and backing.
+    """
 
 def smooth_mask(mask_zyx: NDArray[np.uint8]) -> NDArray[np.int16]:
-    """A smooth field 0..1024 from a mask."""
+    """Return a smooth field with values 0 to 1024 of a mask."""
 
 def best_instruction_set() -> str:
-    """Name of the instruction set that casters use unless told."""
+    """Return the name of the instruction set that the casters use by default."""
 
 # ---- cross-sections ----
 
 @final
 class SectionCasts:
-    """Rays of many planes and the edges they met."""
+    """Rays cast in many planes, and the edges found on them."""
 
     def __len__(self) -> int: ...
     def blur(self) -> tuple[float, float] | None:
-        """The scan's blur within and across slices, mm; None where too few rays met thick tissue."""
+        """Return the scan's blur within and across slices in mm; None if too few rays met thick tissue."""
     def measure(self, blur: tuple[float, float] | None) -> dict[str, Any]:
-        """centre_lps (n, 3); area, diameters, wall, shift, their errors and shares (n,); edge_mm, outer_mm (n, 64)."""
+        """Measure all planes; without a blur, edges are at half maximum.
+
+        The result contains centre_lps (n, 3); area, diameters, wall, shift, their errors and shares (n,); edge_mm and
+        outer_mm (n, 64).
+        """
 
 def cast_sections(
     values_zyx: NDArray[np.int16],
@@ -432,7 +460,7 @@ def cast_sections(
     """Cast the rays of planes across airways."""
 
 def section_axes(normal_lps: Sequence[float] | NDArray[np.float64]) -> tuple[list[float], list[float]]:
-    """The two unit vectors that span the plane across a direction."""
+    """Return the two unit vectors that span the plane across a direction."""
 
 # ---- airpath ----
 
@@ -445,7 +473,11 @@ def find_trachea_voxels(
     lung: tuple[int, int] | None,
     cancel: Callable[[], bool] | None = None,
 ) -> dict[str, Any]:
-    """voxels_ijk (n, 3) from the top down, diameters_mm (n,), length_mm, carina_lps (3,), doubts (list of words)."""
+    """Find the trachea.
+
+    The result contains voxels_ijk (n, 3) from the top down, diameters_mm (n,), length_mm, carina_lps (3,) and doubts
+    (list of names).
+    """
 
 def flood_lumen(
     values_zyx: NDArray[np.int16],
@@ -462,7 +494,10 @@ def flood_lumen(
     cancel: Callable[[], bool] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[NDArray[np.uint8], dict[str, Any]]:
-    """The lumen (1 or 0), and num_voxels, num_without_wall, leaks [(point_lps, level)]."""
+    """Flood the airway from seed voxels; return the lumen (1 or 0) and a description.
+
+    The description contains num_voxels, num_without_wall and leaks [(point_lps, level)].
+    """
 
 def lumen_mesh(
     values_zyx: NDArray[np.int16],
@@ -473,7 +508,7 @@ def lumen_mesh(
     cancel: Callable[[], bool] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.uint32]]:
-    """Closed mesh: vertices (n, 3) LPS mm, triangles (m, 3), counterclockwise from outside."""
+    """Return the closed mesh of the lumen: vertices (n, 3) LPS mm, triangles (m, 3), counterclockwise from outside."""
 
 def lumen_mask(
     values_zyx: NDArray[np.int16],
@@ -482,11 +517,11 @@ def lumen_mask(
     *,
     levels: tuple[float, float, float] | None,
 ) -> NDArray[np.uint8]:
-    """Voxels whose centres lie inside that mesh, 1 inside."""
+    """Return the voxels whose centres are inside the mesh of the lumen, 1 inside."""
 
 @final
 class LumenSurface:
-    """The surface of one lumen, to be cut by planes; the arrays must not change."""
+    """Surface of one lumen that planes can cut; the arrays must not change."""
 
     def __new__(
         cls,
@@ -497,10 +532,10 @@ class LumenSurface:
         levels: tuple[float, float, float] | None,
     ) -> LumenSurface: ...
     def cut(self, lps_from_pixel: NDArray[np.float64], *, width: int, height: int) -> list[NDArray[np.float64]] | None:
-        """Lines in a picture, (n, 2) column and row each; None where there are more than can be shown."""
+        """Return lines in a picture, (n, 2) column and row each; None if there are too many to show."""
 
     def encoded(self, lps_from_pixel: NDArray[np.float64], *, width: int, height: int) -> bytes | None:
-        """The same as the wire has it."""
+        """Return the lines of a cut, clipped to the picture, as the bytes of the wire format."""
 
 def extend_lumen(
     values_zyx: NDArray[np.int16],
@@ -520,7 +555,10 @@ def extend_lumen(
     cancel: Callable[[], bool] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, Any]:
-    """Adds 2 to a lumen of 1 in place; num_voxels, num_reached, ran_out, enclosed, followed [points_lps, ...]."""
+    """Follow airways beyond the flood; in place, added voxels of the lumen (1) get the value 2.
+
+    The result contains num_voxels, num_reached, ran_out, enclosed, followed [points_lps, ...].
+    """
 
 def extend_thin_lumen(
     values_zyx: NDArray[np.int16],
@@ -540,7 +578,10 @@ def extend_thin_lumen(
     cancel: Callable[[], bool] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, Any]:
-    """Adds 2 to a lumen of 1 in place; num_reached, ran_out, followed [points_lps, length_mm, contrast]."""
+    """Follow the thinnest airways; in place, added voxels of the lumen (1) get the value 2.
+
+    The result contains num_reached, ran_out, followed [points_lps, length_mm, contrast].
+    """
 
 def find_pieces_of_air(
     values_zyx: NDArray[np.int16],
@@ -552,7 +593,10 @@ def find_pieces_of_air(
     voxels: tuple[int, int],
     most_air: int,
 ) -> list[NDArray[np.int64]]:
-    """Places in the flat volume of the pieces of air that share no face with the lumen, the largest piece first."""
+    """Return the pieces of air that share no face with the lumen, the largest piece first.
+
+    A piece is an array of indices in the flat volume.
+    """
 
 def mix_with_blurs(
     values_zyx: NDArray[np.int16],
@@ -562,7 +606,7 @@ def mix_with_blurs(
     blurs: Sequence[tuple[float, float]],
     axes_ijk: tuple[bool, bool, bool],
 ) -> NDArray[np.int16]:
-    """``own`` times each value, and blurs of the volume (weight, sigma in mm) along the chosen axes."""
+    """Return ``own`` times each value plus blurs of the volume (weight, sigma in mm) along the chosen axes."""
 
 def keep_cut_off_air_of(
     sharp_zyx: NDArray[np.int16],
@@ -575,11 +619,14 @@ def keep_cut_off_air_of(
     rise: int,
     seam_mm: float,
 ) -> int:
-    """Makes air, in place, of airways' lumen that a sharp volume has cut off at its floor; how many voxels."""
+    """Set clipped voxels of airway lumens to the value of air, in place; return the number of changed voxels.
+
+    The sharp volume has clipped these voxels at its lowest value (floor).
+    """
 
 @final
 class GraphTracker:
-    """A graph with a cost, and the least-cost tree from one root."""
+    """Graph with a cost, and the tree of least-cost paths from one root."""
 
     def __new__(
         cls,
@@ -609,11 +656,11 @@ class GraphTracker:
     @property
     def root(self) -> int: ...
     def num_edges(self) -> int:
-        """Undirected edges, counted one by one."""
+        """Count the undirected edges one by one."""
     def place(
         self, point_lps: tuple[float, float, float], reach_mm: float
     ) -> tuple[int, tuple[float, float, float], float] | None:
-        """Node, centre of the voxel taken for the point, mm from there to the node."""
+        """Return the node for a point, the centre of the voxel chosen for the point, and their distance in mm."""
     def solve_to(
         self,
         node: int,
@@ -621,15 +668,15 @@ class GraphTracker:
         cancel: Callable[[], bool] | None = None,
         progress: Callable[[float], None] | None = None,
     ) -> bool:
-        """True if a path exists."""
+        """Settle nodes until the given node is settled; return True if a path exists."""
     def cost(self, node: int) -> float | None:
-        """Least cost of a settled node."""
+        """Return the least cost of a settled node."""
     def path(self, node: int) -> tuple[NDArray[np.float64], NDArray[np.uint32]] | None:
-        """Voxel centres (n, 3) LPS from the root, and their nodes."""
+        """Return the voxel centres (n, 3) LPS from the root, and their nodes."""
 
 @final
 class LumenTracker:
-    """Lumen graph and least-cost tree from one root."""
+    """Graph of the lumen's voxels and the tree of least-cost paths from one root."""
 
     def __new__(
         cls,
@@ -650,7 +697,7 @@ class LumenTracker:
     @property
     def root(self) -> int: ...
     def nearest(self, point_lps: tuple[float, float, float], reach_mm: float) -> tuple[int, float] | None:
-        """Nearest node and its distance in mm."""
+        """Return the nearest node and its distance in mm."""
     def solve_to(
         self,
         node: int,
@@ -658,42 +705,48 @@ class LumenTracker:
         cancel: Callable[[], bool] | None = None,
         progress: Callable[[float], None] | None = None,
     ) -> bool:
-        """True if a path exists."""
+        """Settle nodes until the given node is settled; return True if a path exists."""
     def solve_all(
         self, *, cancel: Callable[[], bool] | None = None, progress: Callable[[float], None] | None = None
     ) -> None:
-        """Settle everything reachable."""
+        """Settle all nodes that a path can reach."""
     def cost(self, node: int) -> float | None:
-        """Least cost of a settled node."""
+        """Return the least cost of a settled node."""
     def path(self, node: int) -> tuple[NDArray[np.float64], NDArray[np.uint32]] | None:
-        """Voxel centres (n, 3) LPS from the root, and their nodes."""
+        """Return the voxel centres (n, 3) LPS from the root, and their nodes."""
     def smooth(
         self, points_lps: Sequence[tuple[float, float, float]] | NDArray[np.float64], *, step_mm: float, keep_end: bool
     ) -> NDArray[np.float64]:
-        """Even, smooth (n, 3) points that stay in lumen voxels."""
+        """Return evenly spaced, smooth (n, 3) points that stay in lumen voxels."""
     def radius_mm(self, points_lps: Sequence[tuple[float, float, float]] | NDArray[np.float64]) -> NDArray[np.float64]:
-        """(n,) distance to the wall."""
+        """Return the distances (n,) to the wall."""
     def section_radii(
         self, lines_lps: Sequence[NDArray[np.float64]], parents: Sequence[int | None], wanted: Sequence[bool]
     ) -> list[NDArray[np.float64] | None]:
-        """For each wanted branch, (n,) radius of the circle with the area of the lumen across it."""
+        """Return, for each wanted branch, the radii (n,) of circles with the area of the lumen's cross-sections."""
     def inside(self, points_lps: Sequence[tuple[float, float, float]] | NDArray[np.float64]) -> NDArray[np.bool_]:
-        """(n,) whether the voxel is lumen."""
+        """Return (n,) whether the voxel of each point is lumen."""
     def branches(
         self, *, cancel: Callable[[], bool] | None = None, progress: Callable[[float], None] | None = None
     ) -> list[dict[str, Any]]:
-        """parent, generation, points, radius_mm, wall_mm, cost, nodes; parents first."""
+        """Return the automatic tree, parents first.
+
+        Each branch has parent, generation, points, radius_mm, wall_mm, cost and nodes.
+        """
     def branches_to(
         self,
         nodes: Sequence[int],
         branch_nodes: Sequence[NDArray[np.uint32]],
         parents: Sequence[int | None],
     ) -> list[dict[str, Any]]:
-        """The part of the automatic tree that leads to settled nodes."""
+        """Return the part of the automatic tree that leads to the given settled nodes."""
     def branch_of_nodes(
         self, branch_nodes: Sequence[NDArray[np.uint32]], parents: Sequence[int | None]
     ) -> NDArray[np.int32]:
-        """(num_nodes,) branch in whose tube each node lies, -1 where none is connected to it."""
+        """Return for each node the branch whose tube contains the node, (num_nodes,).
+
+        The value is -1 for a node that is connected to no branch.
+        """
 
 def edit_lumen(
     tracker: LumenTracker,
@@ -703,7 +756,10 @@ def edit_lumen(
     *,
     cancel: Callable[[], bool] | None = None,
 ) -> tuple[LumenTracker, tuple[tuple[int, int, int], tuple[int, int, int]] | None]:
-    """The tracker of a lumen with voxels added and taken away, and the box (first, shape) of what changed in it."""
+    """Build the tracker of a lumen after voxels were added and removed.
+
+    Also return the box (first, shape) of the changes.
+    """
 
 def fresh_lumen(
     tracker: LumenTracker,
@@ -713,41 +769,47 @@ def fresh_lumen(
     *,
     cancel: Callable[[], bool] | None = None,
 ) -> LumenTracker:
-    """The tracker of a whole lumen from scratch, with the wall levels of another one."""
+    """Build the tracker of a whole lumen from scratch, with the wall levels of another tracker."""
 
 def reroot_lumen(
     tracker: LumenTracker, root_ijk: tuple[int, int, int], *, cancel: Callable[[], bool] | None = None
 ) -> LumenTracker:
-    """The tracker of the same lumen with another root."""
+    """Build the tracker of the same lumen with another root."""
 
 def lumen_array(tracker: LumenTracker) -> NDArray[np.uint8]:
-    """(nz, ny, nx) 1 inside the lumen."""
+    """Return a (nz, ny, nx) array that is 1 inside the lumen."""
 
 def lumen_states(
     tracker: LumenTracker, first_ijk: tuple[int, int, int], shape_ijk: tuple[int, int, int]
 ) -> NDArray[np.uint8]:
-    """(nz, ny, nx) of a box: 0 no lumen, 1 lumen that no path reaches, 2 lumen."""
+    """Return the states of a box, (nz, ny, nx).
+
+    The states are 0 no lumen, 1 lumen that no path reaches, 2 lumen that a path reaches.
+    """
 
 def nodes_at(tracker: LumenTracker, points_lps: NDArray[np.float64]) -> NDArray[np.int64]:
-    """(n,) the node whose voxel holds each point, -1 outside the lumen."""
+    """Return the node (n,) whose voxel contains each point, -1 outside the lumen."""
 
 def voxels_of(tracker: LumenTracker, nodes_of: NDArray[np.uint32]) -> NDArray[np.uint16]:
-    """(n, 3) voxels of nodes."""
+    """Return the voxels (n, 3) of nodes."""
 
 def reached(tracker: LumenTracker, nodes_of: NDArray[np.uint32]) -> NDArray[np.bool_]:
-    """(n,) whether a path reaches each node."""
+    """Return (n,) whether a path reaches each node."""
 
 def sees(tracker: LumenTracker, from_lps: NDArray[np.float64], to_lps: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """(n,) whether the straight line between two points stays in lumen voxels."""
+    """Return (n,) whether the straight line between two points stays in lumen voxels."""
 
 def pulled_inside(tracker: LumenTracker, points_lps: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(n, 3) points, each moved to the nearest place inside the lumen where it lies outside."""
+    """Return (n, 3) points; each point outside the lumen is moved to the nearest position inside."""
 
 def newly_reached(tracker: LumenTracker, other: LumenTracker) -> NDArray[np.uint16]:
-    """(n, 3) voxels that a path reaches in one tracker and not in another."""
+    """Return the voxels (n, 3) that a path reaches in one tracker but not in the other."""
 
 def cut_voxels(tracker: LumenTracker, cut: NDArray[np.uint32], kept: NDArray[np.uint32]) -> NDArray[np.uint16]:
-    """(n, 3) voxels in the tubes of a cut piece rather than of what is kept: nodes on centrelines."""
+    """Return the voxels (n, 3) in the tubes of the branches that were cut off, but not of the remaining branches.
+
+    Branches are given by the nodes of their centrelines.
+    """
 
 def more_tips(
     tracker: LumenTracker,
@@ -756,7 +818,10 @@ def more_tips(
     *,
     cancel: Callable[[], bool] | None = None,
 ) -> NDArray[np.uint32]:
-    """(n,) nodes: tips of branches among candidate voxels that a tree does not hold yet, longest path first."""
+    """Return the nodes (n,) at tips of branches that a tree does not contain yet, longest path first.
+
+    Only tips among the candidate voxels are returned.
+    """
 
 def cheapest_way(
     weights_zyx: NDArray[np.float32],
@@ -766,20 +831,26 @@ def cheapest_way(
     *,
     cancel: Callable[[], bool] | None = None,
 ) -> NDArray[np.uint16] | None:
-    """(n, 3) voxels of a box on the cheapest way from the nearest goal to a start; weights are per mm, 0 is closed."""
+    """Return the voxels (n, 3) of a box on the least-cost path from the nearest goal to a start.
+
+    Weights are per mm; no path passes a voxel of weight 0.
+    """
 
 # ---- evidence of airways ----
 
 @final
 class Enclosures:
-    """A volume without its finest noise, and how enclosed its voxels are by brighter ones."""
+    """Volume without its finest noise, and measures of how much brighter voxels enclose each voxel."""
 
     def __new__(cls, values_zyx: NDArray[np.int16], lps_from_ijk: NDArray[np.float64]) -> Enclosures: ...
     def at(self, voxels_ijk: NDArray[np.uint16]) -> NDArray[np.int16]:
-        """(n,) how far the values rise on all but a fifth of 48 rays of 3 mm from each voxel."""
+        """Return (n,) the rise of the values on all but a fifth of 48 rays of 3 mm from each voxel."""
 
     def values_at(self, points_lps: NDArray[np.float64]) -> NDArray[np.float32]:
-        """(n,) trilinear values without the finest noise at (n, 3) points, edge-clamped."""
+        """Return (n,) trilinear values without the finest noise at (n, 3) points.
+
+        Outside the volume the nearest edge value is used.
+        """
 
     def runs(
         self,
@@ -791,7 +862,10 @@ class Enclosures:
         bright: float,
         closed: float,
     ) -> list[NDArray[np.uint16] | None]:
-        """For each (n, 3) voxel the way with most wall to anywhere so far from it: (m, 3) voxels, or None."""
+        """Find for each voxel (n, 3) the path with the most wall to any voxel ``away_mm`` away.
+
+        Each path is (m, 3) voxels, or None.
+        """
 
     def way(
         self,
@@ -805,13 +879,13 @@ class Enclosures:
         closed: float,
         cancel: Callable[[], bool] | None = None,
     ) -> NDArray[np.uint16] | None:
-        """(n, 3) voxels of the way with most wall round it, from a lumen that a path reaches; None if there is none."""
+        """Find the path with the most wall round it from a lumen that a path reaches: (n, 3) voxels, or None."""
 
 # ---- tracker over a volume of weights ----
 
 @final
 class FieldTracker:
-    """Least-cost tree in a volume of weights."""
+    """Tree of least-cost paths in a volume of weights."""
 
     def __new__(
         cls,
@@ -838,17 +912,17 @@ class FieldTracker:
         cancel: Callable[[], bool] | None = None,
         progress: Callable[[float], None] | None = None,
     ) -> bool:
-        """True if a path exists."""
+        """Settle voxels until the given voxel is settled; return True if a path exists."""
     def solve_all(
         self, *, cancel: Callable[[], bool] | None = None, progress: Callable[[float], None] | None = None
     ) -> None:
-        """Settle everything reachable."""
+        """Settle all voxels that a path can reach."""
     def cost(self, target_ijk: tuple[int, int, int]) -> float | None:
-        """Least cost of a settled voxel."""
+        """Return the least cost of a settled voxel."""
     def path(self, target_ijk: tuple[int, int, int]) -> NDArray[np.int64] | None:
-        """Voxels (n, 3) i, j, k from the root."""
+        """Return the voxels (n, 3) i, j, k from the root."""
     def time_paths(self, targets_ijk: Sequence[tuple[int, int, int]]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Nanoseconds and voxels of each path."""
+        """Return the time in ns of one query of each path, and its number of voxels."""
 
 def aimed_field_path(
     field_zyx: NDArray[np.float32],
@@ -862,9 +936,12 @@ def aimed_field_path(
     cancel: Callable[[], bool] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[NDArray[np.int64], float, int] | None:
-    """Voxels (n, 3) i, j, k from the root to one target, cost, voxels settled; None if no path leads there."""
+    """Find the least-cost path to one target; return its voxels, its cost and the number of settled voxels.
+
+    The voxels are (n, 3) i, j, k. The result is None if no path leads there.
+    """
 
 def time_lumen_paths(
     tracker: LumenTracker, nodes: Sequence[int] | NDArray[np.uint32]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Nanoseconds and voxels of each path."""
+    """Return the time in ns of one query of each path, and its number of voxels."""

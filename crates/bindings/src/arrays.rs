@@ -1,4 +1,4 @@
-//! Conversion of NumPy arrays: check layout and shape, and borrow the values without a copy.
+//! Conversion of `NumPy` arrays: check layout and shape, and borrow the values without a copy.
 #![allow(dead_code, reason = "used as the parts' bindings land")]
 
 use carina_grid::{Affine, Grid, GridError};

@@ -103,9 +103,9 @@ fn transparent_runs(
     carina_isoregion::transparent_runs(lo, &transfer.range(lo, hi)).map_err(IntoPy::into_py)
 }
 
-/// Write a radius map directly into a NumPy array.
+/// Write a radius map directly into a `NumPy` array.
 ///
-/// NumPy places large arrays in large memory pages; with small pages, page faults take a third of the time.
+/// `NumPy` places large arrays in large memory pages; with small pages, page faults take a third of the time.
 fn map_array<'py>(
     py: Python<'py>,
     shape_zyx: [usize; 3],

@@ -17,7 +17,7 @@ impl IntoPy for PhantomError {
     }
 }
 
-/// Move the values of a volume into a NumPy array without a copy.
+/// Move the values of a volume into a `NumPy` array without a copy.
 fn volume<'py, T: numpy::Element>(
     py: Python<'py>,
     values: Vec<T>,

@@ -83,8 +83,8 @@ pub struct IsoRegionGraph<B> {
     /// Node for each node of the unpruned graph; [`NO_NODE`] for a pruned node.
     node_of: Vec<u32>,
     radius: Vec<u8>,
-    /// For each node n, the centres with n on the boundary of their cube are `centres[first_centre[n]..first_centre[n +
-    /// 1]]`.
+    /// For each node n, the centres with n on the boundary of their cube are
+    /// `centres[first_centre[n]..first_centre[n + 1]]`.
     first_centre: Vec<u32>,
     centres: Vec<u32>,
     num_centres: usize,

@@ -37,8 +37,8 @@ pub struct Projector {
     pub source_lps: Option<[f64; 3]>,
 }
 
-/// Rays of one packet with the same dominant axis, as functions of the coordinate `u` of that axis: `p_b(u) = b0 + u *
-/// b1`.
+/// Rays of one packet with the same dominant axis, as functions of the coordinate `u` of that axis:
+/// `p_b(u) = b0 + u * b1`.
 struct Packet {
     /// Part of the axis inside the volume, by lane; empty (`from > to`) for lanes of another packet.
     from: [f32; LANES],
@@ -58,8 +58,8 @@ const NOTHING: Packet = Packet {
     c1: [0.0; LANES],
 };
 
-/// Return the water-equivalent length in mm of each pixel of some rows, `[row, column]`: `integral of attenuation /
-/// 1000 dl`.
+/// Return the water-equivalent length in mm of each pixel of some rows, `[row, column]`:
+/// `integral of attenuation / 1000 dl`.
 ///
 /// The tests require an error of at most 1e-4 of the length in a box of water, 0.2 % of finely sampled integrals
 /// through tissue, and less than a millimetre through voxelised ellipsoids on a 1 mm grid.

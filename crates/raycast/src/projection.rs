@@ -141,8 +141,8 @@ macro_rules! registers {
             type V = std::arch::x86_64::$v;
             #[inline(always)]
             fn least(self) -> Self::V {
-                // SAFETY: a value `self` exists only on a machine with these instructions. Benchmark: `carina bench
-                // isoregion`, the projections.
+                // SAFETY: a value `self` exists only on a machine with these instructions. Benchmark:
+                // `carina bench isoregion`, the projections.
                 unsafe { std::arch::x86_64::$set1(i16::MIN) }
             }
             #[inline(always)]

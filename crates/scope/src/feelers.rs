@@ -9,8 +9,8 @@ use crate::wall::WallField;
 
 /// Radius of the rounded edge of the tip's face.
 const EDGE_MM: f64 = 0.6;
-/// Distance between neighbouring balls of the face, the edge and the side behind it: a ridge penetrates by `APART^2 /
-/// (8 EDGE)`.
+/// Distance between neighbouring balls of the face, the edge and the side behind it: a ridge penetrates by
+/// `APART^2 / (8 EDGE)`.
 const APART_MM: f64 = 0.36;
 /// Distance between the balls on the axis behind them, with a penetration of at most 0.03 mm for the thinnest tip.
 const AXIS_MM: f64 = 0.4;
@@ -87,7 +87,7 @@ impl Feelers {
         for n in 0..=num {
             ring(across * n as f64 / num as f64, edge, 0.0);
         }
-        // Gaps between successive rings are equal.
+        // Successive rings are staggered by half of the distance between their balls.
         for n in 1..=num {
             let behind = edge + across * n as f64 / (num + 1) as f64;
             ring(across, behind, 0.5 * (n % 2) as f64);

@@ -119,7 +119,7 @@ impl Enclosures {
 
     /// Find the cheapest path from the lumen to `start`; return `None` if there is none.
     ///
-    /// If an airway leads to `start`, the search finds it quickly. If the search has met none after [`PATIENCE`]
+    /// If an airway leads to `start`, the search finds it quickly. If the search has met none after `PATIENCE`
     /// voxels, it heads for `toward`, a position in the lumen: the resulting path follows no airway and need not be the
     /// cheapest of all.
     ///

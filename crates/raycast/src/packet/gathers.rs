@@ -22,8 +22,8 @@ pub(super) fn gathers_pay(simd: InstructionSet) -> bool {
     static PAY: [OnceLock<bool>; 2] = [OnceLock::new(), OnceLock::new()];
     match simd {
         InstructionSet::Avx2 if simd.is_available() => *PAY[0].get_or_init(|| {
-            // SAFETY: `simd.is_available()` has confirmed that the machine has the instruction set. Benchmark: `carina
-            // bench isoregion`, the oblique slice.
+            // SAFETY: `simd.is_available()` has confirmed that the machine has the instruction set. Benchmark:
+            // `carina bench isoregion`, the oblique slice.
             faster(|data, gathers| unsafe { read_avx2(data, gathers) })
         }),
         InstructionSet::Avx512 if simd.is_available() => *PAY[1].get_or_init(|| {

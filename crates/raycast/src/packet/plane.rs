@@ -229,8 +229,8 @@ impl<'a> PlaneTiles<'a> {
     /// The pixels must be in a tile for which [`Self::place`] returns [`Tile::Between`].
     #[inline(always)]
     unsafe fn all<L: Lanes>(&self, l: L, p: [L::F; 3], grey: &mut [u8]) {
-        // SAFETY: the caller guarantees that the pixels are in cells of eight voxels. Benchmark: `carina bench
-        // isoregion`, the oblique slice; without clamps and tests a slice takes a tenth less.
+        // SAFETY: the caller guarantees that the pixels are in cells of eight voxels. Benchmark:
+        // `carina bench isoregion`, the oblique slice; without clamps and tests a slice takes a tenth less.
         let cells = unsafe { self.voxels.cells_between(l, p) };
         let level = self.level(l, self.voxels.value(l, &cells));
         for n in 0..L::N {
