@@ -29,7 +29,9 @@ pub struct Mesh {
 /// an area of 0.
 pub(crate) const MARGIN: f64 = 0.02;
 
-/// Grid edges of a cube: lower corner and axis. Corner c is at (c & 1, c >> 1 & 1, c >> 2).
+/// Grid edges of a cube: lower corner and axis.
+///
+/// Corner c is at (c & 1, c >> 1 & 1, c >> 2).
 pub(crate) const EDGES: [(usize, usize); 12] = [
     (0, 0),
     (2, 0),

@@ -17,14 +17,17 @@ use rayon::prelude::*;
 use crate::mesh::{CellRing, EDGES, MARGIN, Reach, cell_rings};
 use carina_leastcost::lumen::WallLevels;
 
-/// Number of cells along each side of a brick. With 8, three quarters of the tested triangles are not in the plane;
-/// with 2 there are too many bricks.
+/// Number of cells along each side of a brick.
+///
+/// With 8, three quarters of the tested triangles are not in the plane; with 2 there are too many bricks.
 const BRICK: usize = 4;
 const SIDE: usize = BRICK + 1;
 /// Distance in pixels below which neighbouring points of a line are merged; the line moves by at most half of that
 /// distance.
 const APART_PX: f64 = 0.25;
-/// Limit of the number of pieces. A plane through any airways has fewer; more indicate that noise was taken for lumen.
+/// Limit of the number of pieces.
+///
+/// A plane through any airways has fewer; more indicate that noise was taken for lumen.
 const MAX_PIECES: usize = 200_000;
 /// Fractions of a pixel in an encoded outline.
 pub const PARTS_PER_PX: f64 = 16.0;
@@ -32,7 +35,9 @@ pub const PARTS_PER_PX: f64 = 16.0;
 /// Point of the picture: column and row, in corner coordinates.
 pub type PicturePoint = [f64; 2];
 
-/// Surface of a lumen that planes can cut. It belongs to one mask; another mask needs another surface.
+/// Surface of a lumen that planes can cut.
+///
+/// It belongs to one mask; another mask needs another surface.
 #[derive(Debug)]
 pub struct LumenSurface {
     /// Number of voxels along i, j, k.
@@ -64,7 +69,9 @@ struct Piece {
 pub struct TooRagged;
 
 impl LumenSurface {
-    /// Find the bricks that contain lumen. `lumen` is `[z, y, x]`, not 0 inside; `shape` is (i, j, k).
+    /// Find the bricks that contain lumen.
+    ///
+    /// `lumen` is `[z, y, x]`, not 0 inside; `shape` is (i, j, k).
     #[must_use]
     pub fn new(lumen: &[u8], shape: [usize; 3]) -> Self {
         let [nx, ny, _] = shape;
@@ -109,8 +116,9 @@ impl LumenSurface {
         }
     }
 
-    /// Cut the surface with a picture's plane; return lines in picture coordinates. The last point of a closed line
-    /// equals its first.
+    /// Cut the surface with a picture's plane; return lines in picture coordinates.
+    ///
+    /// The last point of a closed line equals its first.
     ///
     /// `pixel_from_ijk` gives column, row and the distance from the plane. `values` and `lumen` must be those of the
     /// surface.

@@ -117,7 +117,9 @@ impl SectionCasts {
             .map(|b| (b.in_plane_mm, b.across_mm))
     }
 
-    /// Measure all planes; return a dict of arrays. Without a blur, edges are at half maximum.
+    /// Measure all planes; return a dict of arrays.
+    ///
+    /// Without a blur, edges are at half maximum.
     fn measure<'py>(
         &self,
         py: Python<'py>,

@@ -122,8 +122,9 @@ pub(crate) struct GpuScene {
     gpu: Arc<carina_gpu::Gpu>,
     volume: Arc<GpuVolume>,
     map: Option<Arc<GpuMap>>,
-    /// Array that was copied to the device. The reference prevents another array from getting the same address in
-    /// memory.
+    /// Array that was copied to the device.
+    ///
+    /// The reference prevents another array from getting the same address in memory.
     values: Py<PyArray3<i16>>,
 }
 

@@ -191,8 +191,9 @@ enum Voxels<'py> {
     Labels(PyReadonlyArray3<'py, u8>),
 }
 
-/// Number of bytes hashed as one piece. The digest is the hash of the pieces' digests, so that threads can share the
-/// work.
+/// Number of bytes hashed as one piece.
+///
+/// The digest is the hash of the pieces' digests, so that threads can share the work.
 const PIECE_BYTES: usize = 4 << 20;
 
 /// Return the BLAKE3 digest, in hexadecimal, of the bytes of an array; the shape is not included.

@@ -18,7 +18,9 @@ use pyo3::types::PyBytes;
 use crate::arrays;
 use crate::errors::IntoPy;
 
-/// Surface of one lumen that planes can cut. The arrays must not change while the object exists.
+/// Surface of one lumen that planes can cut.
+///
+/// The arrays must not change while the object exists.
 #[pyclass(frozen, module = "carina._core")]
 pub(crate) struct LumenSurface {
     grid: Grid,

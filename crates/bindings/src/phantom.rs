@@ -43,7 +43,9 @@ fn branch<'py>(py: Python<'py>, branch: &Branch) -> PyResult<Bound<'py, PyDict>>
     Ok(dict)
 }
 
-/// Generate a phantom chest; `proceed(fraction)` returns False to stop. See `carina.phantom`.
+/// Generate a phantom chest; `proceed(fraction)` returns False to stop.
+///
+/// See `carina.phantom`.
 #[pyfunction]
 #[allow(
     clippy::fn_params_excessive_bools,

@@ -23,7 +23,9 @@ static RESERVATIONS: Mutex<Reservations> = Mutex::new(Reservations {
     pool: None,
 });
 
-/// Clock of the pool with all threads of the machine. The pool's threads never end.
+/// Clock of the pool with all threads of the machine.
+///
+/// The pool's threads never end.
 static ALL: LazyLock<PoolClock> = LazyLock::new(|| {
     let clock = PoolClock::new(rayon::current_num_threads());
     let asked = clock.clone();

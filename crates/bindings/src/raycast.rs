@@ -69,7 +69,9 @@ pub(crate) fn transfer(
 #[pyclass(frozen, module = "carina._core")]
 struct TransferTable {
     inner: carina_raycast::TransferTable,
-    /// Step table for the classes of the last call. Building a table takes as long as casting a small picture.
+    /// Step table for the classes of the last call.
+    ///
+    /// Building a table takes as long as casting a small picture.
     segments: Mutex<Option<(Vec<i32>, Arc<SegmentTable>)>>,
 }
 

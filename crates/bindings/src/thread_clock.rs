@@ -1,9 +1,13 @@
 //! Processor time of the threads of a pool, read from other threads: the cost of a picture without the load of other
-//! programs. On systems that do not report the time, there is no value.
+//! programs.
+//!
+//! On systems that do not report the time, there is no value.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Clocks of the threads of a pool. A clone refers to the same pool.
+/// Clocks of the threads of a pool.
+///
+/// A clone refers to the same pool.
 ///
 /// The pool's threads must live for as long as their clocks are read.
 #[derive(Clone)]

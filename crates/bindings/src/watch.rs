@@ -48,7 +48,9 @@ impl PyWatch {
         })
     }
 
-    /// Return false if the call should end. Any thread may call this method without the GIL.
+    /// Return false if the call should end.
+    ///
+    /// Any thread may call this method without the GIL.
     pub(crate) fn goes_on(&self, share: f64) -> bool {
         {
             // Another thread is running the check.

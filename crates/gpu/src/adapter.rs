@@ -11,8 +11,9 @@ pub enum AdapterKind {
     Integrated,
     /// Adapter provided by a virtual machine.
     Virtual,
-    /// Program that emulates a graphics card (lavapipe, WARP). It is never faster than the casters of `carina-raycast`
-    /// on the same cores.
+    /// Program that emulates a graphics card (lavapipe, WARP).
+    ///
+    /// It is never faster than the casters of `carina-raycast` on the same cores.
     Software,
     /// Unknown, because the driver does not report the kind.
     Unknown,
@@ -91,7 +92,9 @@ impl AdapterFacts {
     }
 }
 
-/// Return the instance behind all devices. There is one per process, created on first use, which loads the drivers.
+/// Return the instance behind all devices.
+///
+/// There is one per process, created on first use, which loads the drivers.
 fn instance() -> &'static wgpu::Instance {
     static INSTANCE: OnceLock<wgpu::Instance> = OnceLock::new();
     INSTANCE.get_or_init(|| {

@@ -18,8 +18,10 @@ use crate::{
 const GROUP: usize = 8;
 /// Largest number of pixels of a band: it limits the buffers of a picture to 16 MB, of walls to 80 MB.
 const BAND_PIXELS: usize = 1 << 21;
-/// Largest number of samples of a band. Desktop systems reset a device that does not answer for about two seconds; the
-/// slowest useful device takes some 10^9 samples a second.
+/// Largest number of samples of a band.
+///
+/// Desktop systems reset a device that does not answer for about two seconds; the slowest useful device takes some 10^9
+/// samples a second.
 const BAND_SAMPLES: f64 = 5e8;
 /// Largest number of steps of a ray: f32 counts steps exactly to 2^24, and the ends of a ray are computed in f32 here.
 const MOST_STEPS: f64 = 4_194_304.0;
@@ -130,8 +132,9 @@ impl Gpu {
         Ok(([before, walls, after].concat(), stats))
     }
 
-    /// Cast the rows band by band. `take` receives the output of the kernel and returns the number of pixels that the
-    /// kernel did not write.
+    /// Cast the rows band by band.
+    ///
+    /// `take` receives the output of the kernel and returns the number of pixels that the kernel did not write.
     fn bands(
         &self,
         frame: &Frame<'_>,

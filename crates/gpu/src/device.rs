@@ -29,7 +29,9 @@ pub(crate) struct Variant {
     pub(crate) walls: bool,
 }
 
-/// Graphics device with the kernels of the airway view. Several threads may cast pictures at once.
+/// Graphics device with the kernels of the airway view.
+///
+/// Several threads may cast pictures at once.
 #[derive(Debug)]
 pub struct Gpu {
     pub(crate) facts: AdapterFacts,
@@ -50,8 +52,9 @@ pub struct Gpu {
     trouble: Arc<Mutex<Option<String>>>,
 }
 
-/// Lock a mutex even after a panic in another thread. The protected data are caches, which are consistent at every
-/// moment.
+/// Lock a mutex even after a panic in another thread.
+///
+/// The protected data are caches, which are consistent at every moment.
 pub(crate) fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -146,8 +149,9 @@ impl Gpu {
         &self.facts
     }
 
-    /// Mark the device as lost, as after a driver reset: every later picture fails. For tests of the fallback to the
-    /// CPU.
+    /// Mark the device as lost, as after a driver reset: every later picture fails.
+    ///
+    /// For tests of the fallback to the CPU.
     pub fn lose(&self) {
         self.device.destroy();
         let _ = self.device.poll(wgpu::PollType::Poll);

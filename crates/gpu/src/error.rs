@@ -1,6 +1,8 @@
 use carina_raycast::RaycastError;
 
-/// Errors of casts on the GPU. None of them is caused by the viewer, and the CPU can render every picture instead.
+/// Errors of casts on the GPU.
+///
+/// None of them is caused by the viewer, and the CPU can render every picture instead.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum GpuError {
     /// There is no such adapter.
@@ -33,7 +35,9 @@ pub enum GpuError {
         /// The feature.
         reason: String,
     },
-    /// Some pixels were not written. The picture is rejected, because a wrong picture is worse than none.
+    /// Some pixels were not written.
+    ///
+    /// The picture is rejected, because a wrong picture is worse than none.
     #[error("the graphics device {name} left {num_missing} pixels of an image empty")]
     Incomplete {
         /// Name of the adapter.

@@ -44,8 +44,9 @@ const LOOK: Appearance = Appearance {
     spurs: 0.0,
 };
 
-/// Return every adapter of this machine. `make test-gpu` sets `CARINA_GPU_REQUIRED`, with which it is a failure to have
-/// no adapter.
+/// Return every adapter of this machine.
+///
+/// `make test-gpu` sets `CARINA_GPU_REQUIRED`, with which it is a failure to have no adapter.
 fn gpus() -> &'static [Gpu] {
     static GPUS: OnceLock<Vec<Gpu>> = OnceLock::new();
     GPUS.get_or_init(|| {

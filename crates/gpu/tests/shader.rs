@@ -1,5 +1,6 @@
-//! Test that the shader is valid, without an adapter and without `wgpu`. A device would reject an invalid shader, and
-//! the processor would then cast all pictures without any notice.
+//! Test that the shader is valid, without an adapter and without `wgpu`.
+//!
+//! A device would reject an invalid shader, and the processor would then cast all pictures without any notice.
 
 use naga::{
     front::wgsl::parse_str,

@@ -25,7 +25,9 @@ pub struct PixelRay {
 }
 
 impl Camera {
-    /// Create a pinhole camera at a rigid pose. `fov_rad` is the full angle across the shorter side of the viewport.
+    /// Create a pinhole camera at a rigid pose.
+    ///
+    /// `fov_rad` is the full angle across the shorter side of the viewport.
     ///
     /// # Errors
     ///
@@ -78,8 +80,9 @@ impl Camera {
         })
     }
 
-    /// Return the same camera with one row of rays in the given directions of camera space. A direction of length 0 is
-    /// no ray.
+    /// Return the same camera with one row of rays in the given directions of camera space.
+    ///
+    /// A direction of length 0 is no ray.
     #[must_use]
     pub fn listing(&self, directions: &[[f32; 3]]) -> Self {
         Self {
@@ -145,7 +148,9 @@ impl Camera {
         self.lens_rays.as_deref()
     }
 
-    /// Return the shared rays. While the caller keeps this reference, no other rays can have the same address.
+    /// Return the shared rays.
+    ///
+    /// While the caller keeps this reference, no other rays can have the same address.
     #[must_use]
     pub const fn shared_lens_rays(&self) -> Option<&Arc<LensRays>> {
         self.lens_rays.as_ref()

@@ -6,7 +6,9 @@ use core::f64::consts::PI;
 const MAX_PERSPECTIVE_ANGLE_RAD: f64 = 89.99 * PI / 180.0;
 /// Step of the search for the angle at which a model folds back: 0.01 degrees.
 const FOLD_STEP_RAD: f64 = 0.01 * PI / 180.0;
-/// Deviation of the image of a lens from the ideal image. Lengths are in focal lengths, angles in radians.
+/// Deviation of the image of a lens from the ideal image.
+///
+/// Lengths are in focal lengths, angles in radians.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Distortion {
     /// Distortion on the plane at distance 1 (`OpenCV`'s default model): `x' = x R(r) + 2 p1 x y + p2 (r^2 + 2 x^2)`, y

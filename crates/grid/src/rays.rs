@@ -6,8 +6,9 @@ use crate::{GridError, Optics};
 
 /// Gain of full brightness; gains are fractions of this number.
 pub const FULL_GAIN: u16 = 1 << 15;
-/// Exponent between light and display values: the lens attenuates the light before the display curve. The exponent of
-/// sRGB is close enough for a vignette.
+/// Exponent between light and display values: the lens attenuates the light before the display curve.
+///
+/// The exponent of sRGB is close enough for a vignette.
 const DISPLAY_GAMMA: f64 = 2.2;
 
 /// Outline of the picture on the monitor.
@@ -243,8 +244,9 @@ impl LensRays {
         [0, 1, 2].map(|a| &self.dirs[a][columns.clone()])
     }
 
-    /// Darken rows of a picture (RGB, from `first_row` on) by their gains. Pixels are independent, so strips agree with
-    /// the whole picture.
+    /// Darken rows of a picture (RGB, from `first_row` on) by their gains.
+    ///
+    /// Pixels are independent, so strips agree with the whole picture.
     pub fn shade_rows(&self, first_row: usize, rgb: &mut [u8]) {
         let Some(gains) = &self.gains else {
             return;

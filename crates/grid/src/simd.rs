@@ -1,4 +1,6 @@
-//! Instruction sets for which the kernels are compiled. All give the same bits.
+//! Instruction sets for which the kernels are compiled.
+//!
+//! All give the same bits.
 
 /// Instruction set of the kernels.
 ///

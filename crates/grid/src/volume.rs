@@ -8,7 +8,9 @@ pub struct Lps(pub [f64; 3]);
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ijk(pub [f64; 3]);
 
-/// Convert array order to `(i, j, k)`. Only this function and [`zyx_from_ijk`] swap the order.
+/// Convert array order to `(i, j, k)`.
+///
+/// Only this function and [`zyx_from_ijk`] swap the order.
 #[must_use]
 pub const fn ijk_from_zyx<T: Copy>(zyx: [T; 3]) -> [T; 3] {
     [zyx[2], zyx[1], zyx[0]]

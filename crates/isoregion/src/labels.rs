@@ -123,8 +123,9 @@ const fn position(hu: i16) -> usize {
     (hu as i32 - i16::MIN as i32) as usize
 }
 
-/// Apply `work` to a part of the values in each of several threads. The threads are separate from the pool, as for
-/// maps.
+/// Apply `work` to a part of the values in each of several threads.
+///
+/// The threads are separate from the pool, as for maps.
 fn in_threads<T: Send>(hu: &[i16], work: impl Fn(&[i16]) -> T + Sync) -> Vec<T> {
     let part = hu.len().div_ceil(num_threads()).max(1 << 16);
     std::thread::scope(|scope| {

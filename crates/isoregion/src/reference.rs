@@ -2,7 +2,9 @@
 
 use crate::{IsoRegionError, error::check_length};
 
-/// Largest recorded radius. Larger cubes exist; recording them with a smaller radius costs speed, never correctness.
+/// Largest recorded radius.
+///
+/// Larger cubes exist; recording them with a smaller radius costs speed, never correctness.
 pub const MAX_RADIUS_VOX: u8 = 255;
 
 /// Compute the radius of every voxel by the paper's iteration (4.2).

@@ -1,7 +1,8 @@
 //! The paper's `IsoRegion` step table: colour and transparency of a segment of equal samples (4.3).
 
-/// Largest number of samples of a segment; longer ones need several leaps. With this limit the table of 255 classes
-/// fits the second cache.
+/// Largest number of samples of a segment; longer ones need several leaps.
+///
+/// With this limit the table of 255 classes fits the second cache.
 pub const MAX_SEGMENT_SAMPLES: usize = 64;
 
 /// Table of `(C (1 - beta^n), beta^n)` by class and number of samples.

@@ -168,8 +168,9 @@ impl<'a> With<'a> for [&'a [u8]; 3] {
 
 // No closures from here on: a closure is a separate function without the instructions of its kernel.
 
-/// Compute the distance along the row to the nearest bit that is not set, 0 at such a bit. The last voxel's bit must
-/// not be set.
+/// Compute the distance along the row to the nearest bit that is not set, 0 at such a bit.
+///
+/// The last voxel's bit must not be set.
 #[inline(always)]
 fn distances_along_row<B: Bytes>(b: B, bits: &[u64], row: &mut [u8]) {
     let nx = row.len();

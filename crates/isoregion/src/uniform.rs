@@ -17,8 +17,9 @@ pub(crate) enum Unit {
 pub(crate) enum Source<'a> {
     /// Equal labels other than 0.
     Labels(&'a [u8], Unit),
-    /// Values in one run, given by its first value and the distance to its last value; only for cells. Runs are
-    /// disjoint; values in no run are unequal to all.
+    /// Values in one run, given by its first value and the distance to its last value; only for cells.
+    ///
+    /// Runs are disjoint; values in no run are unequal to all.
     Runs(&'a [i16], &'a [(i16, u16)]),
 }
 
@@ -36,8 +37,9 @@ pub(crate) struct Uniform<'a> {
     shape_zyx: [usize; 3],
     words: usize,
     rings: Vec<Ring>,
-    /// Bits of the current slice: three voxels (for a cell two) along x are equal. The next field: the voxel equals the
-    /// one in the next row.
+    /// Bits of the current slice: three voxels (for a cell two) along x are equal.
+    ///
+    /// The next field: the voxel equals the one in the next row.
     across: Vec<u64>,
     down: Vec<u64>,
     /// Row of zeros, to compare with label 0.
@@ -72,7 +74,9 @@ impl<'a> Uniform<'a> {
         self.words
     }
 
-    /// Read slice `z`. Slices must be read in order.
+    /// Read slice `z`.
+    ///
+    /// Slices must be read in order.
     #[inline(always)]
     pub(crate) fn read<B: Bytes>(&mut self, b: B, z: usize) {
         let [nz, ny, nx] = self.shape_zyx;
@@ -209,8 +213,9 @@ fn both_sides(row: &mut [u64]) {
     }
 }
 
-/// Comparison of voxels `at ..` of two rows, or of a row with a run. It is no closure, because a closure is a separate
-/// function without the instructions of its kernel.
+/// Comparison of voxels `at ..` of two rows, or of a row with a run.
+///
+/// It is no closure, because a closure is a separate function without the instructions of its kernel.
 trait Compare {
     /// Compare 64 voxels from `at`, one bit each.
     ///

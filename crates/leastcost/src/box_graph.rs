@@ -1,4 +1,6 @@
-//! Graph of paper 6: every voxel of a box is a node with edges to its 26 neighbours. The graph stores no edges.
+//! Graph of paper 6: every voxel of a box is a node with edges to its 26 neighbours.
+//!
+//! The graph stores no edges.
 
 use carina_grid::{Grid, length};
 

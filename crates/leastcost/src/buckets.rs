@@ -125,8 +125,9 @@ impl Buckets {
         }
     }
 
-    /// Take a block out of the front bucket. Entries that are pushed to that bucket meanwhile are returned by a later
-    /// call.
+    /// Take a block out of the front bucket.
+    ///
+    /// Entries that are pushed to that bucket meanwhile are returned by a later call.
     pub(crate) fn take(&mut self) -> Option<Block> {
         let bucket = self.front as usize & (self.tails.len() - 1);
         let (number, len) = self.tails[bucket];

@@ -17,7 +17,9 @@ use crate::dijkstra::least_costs_by;
 pub(crate) const HERE: usize = 13;
 
 /// Quanta of the cheapest step that is not free: rounding by half a quantum is 0.4 % of it, so a sum of such steps is
-/// accurate within 0.4 % as well. The rest up to 0.5 % is far more than the rounding of f32 needs.
+/// accurate within 0.4 % as well.
+///
+/// The rest up to 0.5 % is far more than the rounding of f32 needs.
 const CHEAPEST_STEP_QUANTA: f32 = 128.0;
 /// Largest number of quanta of a step: f32 represents this range exactly, with one bit to spare.
 pub(crate) const MAX_STEP_QUANTA: f32 = 4_194_304.0;
@@ -391,8 +393,9 @@ impl<'a> VoxelField<'a> {
 
 /// Cost of a step, computed from the weights of its two ends.
 pub trait StepCost: Copy + Sync + Send + 'static {
-    /// Whether the cost of a step depends only on the voxel that it enters. Then the first path to reach a voxel has
-    /// the least cost.
+    /// Whether the cost of a step depends only on the voxel that it enters.
+    ///
+    /// Then the first path to reach a voxel has the least cost.
     const BY_VOXEL: bool;
 
     /// Return the weight that is multiplied with [`StepCost::factor`].

@@ -18,8 +18,9 @@ const NODES_PER_LOOK: usize = 1 << 14;
 const CELL_BITS: u32 = 5;
 /// ... then the bit for a settled voxel; ...
 const SETTLED: u64 = 1 << CELL_BITS;
-/// ... and above them the least cost so far. The state is 0 for a voxel that no path has reached, so zeroed memory
-/// needs no initialisation.
+/// ... and above them the least cost so far.
+///
+/// The state is 0 for a voxel that no path has reached, so zeroed memory needs no initialisation.
 const COST_SHIFT: u32 = CELL_BITS + 1;
 
 /// Least-cost path, and the effort of the search.
@@ -141,8 +142,9 @@ fn path_to(layout: &Layout, reached: &[u64], target: u32) -> Vec<u32> {
 struct Aim<'a> {
     field: &'a VoxelField<'a>,
     target: [usize; 3],
-    /// For costs by the entered voxel: quanta of the cheapest step. For costs by both ends: smallest quanta per mm of
-    /// any step.
+    /// For costs by the entered voxel: quanta of the cheapest step.
+    ///
+    /// For costs by both ends: smallest quanta per mm of any step.
     quanta_per: f64,
     by_voxel: bool,
 }

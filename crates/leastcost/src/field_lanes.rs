@@ -15,11 +15,14 @@ pub(crate) const ROW: usize = 24;
 /// Index of a row's first own lane.
 pub(crate) const OWN: usize = 4;
 
-/// Cost of a voxel that no path has reached. A step into or out of a wall costs more, and a sum of both still fits in
-/// 32 bits.
+/// Cost of a voxel that no path has reached.
+///
+/// A step into or out of a wall costs more, and a sum of both still fits in 32 bits.
 pub(crate) const UNREACHED: u32 = i32::MAX as u32;
 
-/// Instruction set. A value of the implementing type proves that the machine has the set.
+/// Instruction set.
+///
+/// A value of the implementing type proves that the machine has the set.
 pub(crate) trait Lanes: Copy {
     /// Costs in quanta, at most 2^31 each.
     type Costs: Copy;
@@ -50,11 +53,13 @@ pub(crate) trait Lanes: Copy {
     fn less(self, a: Self::Costs, b: Self::Costs) -> u16;
     /// Return the lanes in which both are equal, as bits.
     fn equal(self, a: Self::Costs, b: Self::Costs) -> u16;
-    /// Shift lanes up: each lane gets the value `N` lanes before it; the first lanes become unreached. `N` is 1, 2, 4
-    /// or 8.
+    /// Shift lanes up: each lane gets the value `N` lanes before it; the first lanes become unreached.
+    ///
+    /// `N` is 1, 2, 4 or 8.
     fn up<const N: usize>(self, a: Self::Costs) -> Self::Costs;
-    /// Shift lanes down: each lane gets the value `N` lanes behind it; the last lanes become unreached. `N` is 1, 2, 4
-    /// or 8.
+    /// Shift lanes down: each lane gets the value `N` lanes behind it; the last lanes become unreached.
+    ///
+    /// `N` is 1, 2, 4 or 8.
     fn down<const N: usize>(self, a: Self::Costs) -> Self::Costs;
 }
 

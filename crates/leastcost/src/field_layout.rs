@@ -96,8 +96,9 @@ impl Layout {
     }
 }
 impl Layout {
-    /// Return which of the 27 cells round a voxel are open, one bit per cell. `byte` contains the bit of the first
-    /// neighbour.
+    /// Return which of the 27 cells round a voxel are open, one bit per cell.
+    ///
+    /// `byte` contains the bit of the first neighbour.
     #[inline(always)]
     pub(crate) fn around(&self, open: &[u8], byte: usize, shift: usize) -> u32 {
         let (row_bytes, slice_bytes) = self.row_and_slice_bytes();
@@ -140,7 +141,9 @@ impl Layout {
             !(1 << (bit % 8));
     }
 
-    /// Prefetch the bits round a voxel. Rows of bits are short, so three rows of a slice are in one or two cache lines.
+    /// Prefetch the bits round a voxel.
+    ///
+    /// Rows of bits are short, so three rows of a slice are in one or two cache lines.
     #[inline(always)]
     pub(crate) fn prefetch_bits(&self, open: &[u8], ijk: [usize; 3]) {
         let (row_bytes, slice_bytes) = self.row_and_slice_bytes();
@@ -211,8 +214,10 @@ pub(crate) fn fresh<T: Copy + Default>(len: usize) -> Vec<T> {
     zeros
 }
 
-/// Prefetch an element. The wave front is spread over the volume, and without prefetches most of the time is spent
-/// waiting for memory (`cargo bench --bench field`).
+/// Prefetch an element.
+///
+/// The wave front is spread over the volume, and without prefetches most of the time is spent waiting for memory
+/// (`cargo bench --bench field`).
 #[inline(always)]
 pub(crate) fn prefetch<T>(slice: &[T], at: usize) {
     #[cfg(target_arch = "x86_64")]

@@ -91,8 +91,9 @@ impl Sweep {
         }
     }
 
-    /// Return the least decreased cost that no sweep has processed; all costs up to it are final. `None` if there is
-    /// none.
+    /// Return the least decreased cost that no sweep has processed; all costs up to it are final.
+    ///
+    /// `None` if there is none.
     pub(crate) fn front_cost(&mut self) -> Option<u32> {
         while let Some(Reverse((least, number))) = self.queue.peek().copied() {
             if self.tiles[number as usize].least == least {

@@ -125,7 +125,9 @@ pub(crate) fn prefetch_tile(field: &VoxelField<'_>, left: &[i32], first: [usize;
 /// Code that is compiled once for each instruction set.
 pub(crate) trait Kernel {
     type Out;
-    /// Run the code. The method must be inlined, or it is compiled without the instruction set.
+    /// Run the code.
+    ///
+    /// The method must be inlined, or it is compiled without the instruction set.
     fn run<L: Lanes>(self, l: L) -> Self::Out;
 }
 

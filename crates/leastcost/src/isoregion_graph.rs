@@ -24,7 +24,9 @@ use crate::lumen::{LumenCost, LumenGraph};
 use crate::paper_cost::PaperCost;
 use crate::{TrackError, Watch};
 
-/// Largest number of links, 4 bytes each. More occur with regions whose centres are a whole slab of equal radius.
+/// Largest number of links, 4 bytes each.
+///
+/// More occur with regions whose centres are a whole slab of equal radius.
 pub const MAX_LINKS: u64 = 1 << 26;
 
 /// Compute the `IsoRegion` radii of the voxels of a box, without the voxels beyond the box.
@@ -150,8 +152,9 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
         Ok(graph)
     }
 
-    /// Record at each boundary voxel the centres whose cube it bounds. The opposite direction needs no table, because
-    /// it follows from the cube.
+    /// Record at each boundary voxel the centres whose cube it bounds.
+    ///
+    /// The opposite direction needs no table, because it follows from the cube.
     fn link(&mut self, watch: &impl Watch) -> Result<(), TrackError> {
         let num_nodes = self.kept.len();
         let mut first = vec![0u32; num_nodes + 1];
@@ -367,8 +370,9 @@ impl LinkCost<BoxGraph> for &PaperCost {
     }
 }
 
-/// A link costs as much as the straight line of voxels that it replaces. Its two ends alone (the middle and the wall)
-/// would say little about the voxels between.
+/// A link costs as much as the straight line of voxels that it replaces.
+///
+/// Its two ends alone (the middle and the wall) would say little about the voxels between.
 impl LinkCost<LumenGraph> for LumenCost<'_> {
     fn link_weight(&self, base: &LumenGraph, u: u32, v: u32) -> f64 {
         // From the smaller node number, so that both directions round in the same way.

@@ -43,8 +43,9 @@ struct Case {
     part: VoxelBox,
 }
 
-/// Return a strategy for a volume and a box in it. There are few values, so that gradients and Laplacians of 0 occur,
-/// and the extremes of int16.
+/// Return a strategy for a volume and a box in it.
+///
+/// There are few values, so that gradients and Laplacians of 0 occur, and the extremes of int16.
 fn case() -> impl Strategy<Value = Case> {
     (1usize..6, 1usize..7, 1usize..9)
         .prop_flat_map(|(nz, ny, nx)| {

@@ -254,8 +254,9 @@ impl Tracker {
     }
 }
 
-/// Dial's circular buckets, as linked lists in one pool. Within a bucket the last entry comes out first, so the order
-/// is fixed.
+/// Dial's circular buckets, as linked lists in one pool.
+///
+/// Within a bucket the last entry comes out first, so the order is fixed.
 #[derive(Debug)]
 struct BucketQueue {
     heads: Vec<u32>,

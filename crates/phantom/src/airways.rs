@@ -18,7 +18,9 @@ pub struct Branch {
     pub generation: usize,
     /// Name down to the segments; subsegments have none.
     pub name: Option<&'static str>,
-    /// Centreline, LPS mm, root to tip. The first point is the parent's last, bit for bit.
+    /// Centreline, LPS mm, root to tip.
+    ///
+    /// The first point is the parent's last, bit for bit.
     pub points: Vec<[f64; 3]>,
     /// Radius of the lumen at each point: of the circle with the lumen's area.
     pub radius_mm: Vec<f64>,
@@ -164,8 +166,9 @@ impl AirwayTree {
         });
     }
 
-    /// Return a child of `parent` that bends from the parent's direction into its own. The child is not yet part of the
-    /// tree.
+    /// Return a child of `parent` that bends from the parent's direction into its own.
+    ///
+    /// The child is not yet part of the tree.
     fn shoot(
         &self,
         parent: usize,

@@ -212,8 +212,9 @@ fn posterior_spine(out: &mut Vec<Solid>) {
     }
 }
 
-/// Add eleven ribs of one side, with the cartilage of the first seven. `rib_cage(azimuth, z)` is the pleura in a
-/// direction (0 = posterior, pi = anterior) as `[x >= 0, y]`.
+/// Add eleven ribs of one side, with the cartilage of the first seven.
+///
+/// `rib_cage(azimuth, z)` is the pleura in a direction (0 = posterior, pi = anterior) as `[x >= 0, y]`.
 fn ribs(out: &mut Vec<Solid>, side: f64, rib_cage: &impl Fn(f64, f64) -> [f64; 2]) {
     for i in 0..11 {
         let n = f64::from(i);

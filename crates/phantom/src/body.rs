@@ -11,8 +11,9 @@ pub(crate) struct Body {
     pub(crate) neck: Option<Neck>,
 }
 
-/// Half width of the pleural cavity at its widest level, mm. The next constants are its half depth, its middle y, and
-/// the heights of its widest level and of its apex.
+/// Half width of the pleural cavity at its widest level, mm.
+///
+/// The next constants are its half depth, its middle y, and the heights of its widest level and of its apex.
 const CAVITY_X: f64 = 128.0;
 const CAVITY_Y: f64 = 90.0;
 const CAVITY_MID_Y: f64 = -4.0;

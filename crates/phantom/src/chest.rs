@@ -37,8 +37,9 @@ pub struct ChestOptions {
     pub nodule: bool,
     /// Standard deviation of the noise, 0 to 200.
     pub noise_hu: f64,
-    /// Whether the volume continues above the chest: larynx, throat and the surrounding neck. The trachea then ends at
-    /// the cricoid.
+    /// Whether the volume continues above the chest: larynx, throat and the surrounding neck.
+    ///
+    /// The trachea then ends at the cricoid.
     pub neck: bool,
     /// Tube in the trachea; a tracheostomy requires the neck.
     pub tube: Option<TubeKind>,
@@ -95,7 +96,9 @@ pub struct Chest {
     /// Air above the cricoid (larynx, throat): 1 for a voxel whose centre is inside; `None` without a neck.
     pub upper_airway: Option<Vec<u8>>,
     /// Signed distance to the lumen's surface in mm, negative inside, exact including the fillets at the carinas; 5 or
-    /// more where no airway is near. `None` unless requested.
+    /// more where no airway is near.
+    ///
+    /// `None` unless requested.
     pub lumen_distance_mm: Option<Vec<f32>>,
     /// Exact airways.
     pub tree: AirwayTree,

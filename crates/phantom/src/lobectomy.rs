@@ -48,12 +48,15 @@ const STUMP_MM: f64 = 6.0;
 /// decay length of the displacement.
 const SHIFT: f64 = 0.15;
 const SHIFT_REACH_MM: f64 = 80.0;
-/// Distance from the midline up to which nothing moves; at twice this distance the full displacement applies. Trachea
-/// and main bronchi thus stay in place.
+/// Distance from the midline up to which nothing moves; at twice this distance the full displacement applies.
+///
+/// Trachea and main bronchi thus stay in place.
 const MIDLINE_MM: f64 = 12.0;
 
 impl AirwayTree {
-    /// Resect a lobe. No remaining branch has a name of the lobe; branches get new ids in the same order.
+    /// Resect a lobe.
+    ///
+    /// No remaining branch has a name of the lobe; branches get new ids in the same order.
     pub(crate) fn resect(&mut self, lobe: Lobe) {
         let Some(lost) = self.named(lobe.name()) else {
             return;

@@ -13,8 +13,9 @@ pub(crate) const fn mixed(mut x: u64) -> u64 {
 pub(crate) struct Random(u64);
 
 impl Random {
-    /// Create the stream `purpose` of a seed. Streams of different purposes are unrelated, so that a nodule does not
-    /// change the airways.
+    /// Create the stream `purpose` of a seed.
+    ///
+    /// Streams of different purposes are unrelated, so that a nodule does not change the airways.
     pub(crate) const fn new(seed: u64, purpose: u64) -> Self {
         Self(mixed(
             mixed(seed) ^ purpose.wrapping_mul(0xd6e8_feb8_6659_fd93),

@@ -11,8 +11,9 @@ use crate::RaycastError;
 /// curve.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Appearance {
-    /// Positions of the ends of the two light guides in camera space, mm; equal for one guide. Each guide gives half
-    /// the light.
+    /// Positions of the ends of the two light guides in camera space, mm; equal for one guide.
+    ///
+    /// Each guide gives half the light.
     pub guides_mm: [[f32; 3]; 2],
     /// Brightness of the guides; `None` selects an automatic exposure that keeps the bright parts of a picture below
     /// white.
@@ -32,11 +33,13 @@ pub struct Appearance {
     pub pale_hu: [f32; 2],
     /// Strength of the fine texture (mottling, and the fine relief that breaks up highlights); 0 for none.
     pub texture: f32,
-    /// Strength of the vessels drawn in the mucosa; 0 for none. CT does not show these vessels, and many of them are a
-    /// sign of disease.
+    /// Strength of the vessels drawn in the mucosa; 0 for none.
+    ///
+    /// CT does not show these vessels, and many of them are a sign of disease.
     pub vessels: f32,
-    /// Whether pixels at the edge of a near wall in front of a far wall get two rays. This is no decoration: both rays
-    /// show the CT.
+    /// Whether pixels at the edge of a near wall in front of a far wall get two rays.
+    ///
+    /// This is no decoration: both rays show the CT.
     pub silhouettes: bool,
     /// Strength of highlights on droplets in the film of mucus, which are visible also at a distance; 0 for none.
     pub specks: f32,
@@ -44,8 +47,9 @@ pub struct Appearance {
     pub secretions: f32,
     /// Strength of mist on the lens: 0 for none, 1 for a picture that hardly shows the lumen.
     pub fog: f32,
-    /// Strength of cartilage rings and plates; 0 for none. Like the next three fields, it needs a frame with a
-    /// [`crate::Decoration`].
+    /// Strength of cartilage rings and plates; 0 for none.
+    ///
+    /// Like the next three fields, it needs a frame with a [`crate::Decoration`].
     pub rings: f32,
     /// Strength of the flat, folded membranous wall at the back of trachea and main bronchi; 0 for none.
     pub membrane: f32,

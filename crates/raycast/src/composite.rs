@@ -10,8 +10,9 @@ pub struct Gathered {
     pub rgb: [f32; 3],
     /// Transparency that is left.
     pub transparency: f32,
-    /// Distance from the camera, in steps, where the transparency falls below 1/2; [`NO_HIT`] if it never does. Casters
-    /// compute it only if `HITS` is set.
+    /// Distance from the camera, in steps, where the transparency falls below 1/2; [`NO_HIT`] if it never does.
+    ///
+    /// Casters compute it only if `HITS` is set.
     pub hit: f32,
 }
 

@@ -12,8 +12,9 @@ use crate::RaycastError;
 /// Largest diameter of a circle of confusion that counts as a point, as a fraction of the picture's shorter side: about
 /// one sensor pixel of a video bronchoscope (400 x 400).
 const SHARP_PART: f32 = 1.0 / 400.0;
-/// Largest radius of a circle of confusion, as a fraction of the shorter side. A wall that would need a larger circle
-/// is too near for a scope to see anything.
+/// Largest radius of a circle of confusion, as a fraction of the shorter side.
+///
+/// A wall that would need a larger circle is too near for a scope to see anything.
 const WIDEST_PART: f32 = 1.0 / 32.0;
 
 /// Value used as radius for a pixel without a ray, which is no part of the picture.
@@ -53,8 +54,9 @@ impl Focus {
     }
 }
 
-/// Blur a picture (RGB) by the depth of its pixels (mm, NaN for none). Pixels without a ray are neither read nor
-/// changed.
+/// Blur a picture (RGB) by the depth of its pixels (mm, NaN for none).
+///
+/// Pixels without a ray are neither read nor changed.
 ///
 /// Each pixel gathers the pixels whose circle reaches it. Pixels behind a sharper edge do not spread over that edge.
 pub fn defocus(

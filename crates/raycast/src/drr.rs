@@ -32,8 +32,9 @@ pub struct Projector {
     /// Transform from pixel corners (column, row, 0) of the detector to patient space; its third column is the
     /// direction of parallel rays.
     pub lps_from_pixel: Affine,
-    /// Focal spot; `None` for parallel rays. Tissue behind the source does not count; rays continue behind the
-    /// detector.
+    /// Focal spot; `None` for parallel rays.
+    ///
+    /// Tissue behind the source does not count; rays continue behind the detector.
     pub source_lps: Option<[f64; 3]>,
 }
 

@@ -33,9 +33,13 @@ pub(crate) const MAX_STEPS: f32 = 1e9;
 /// before the cell's radius.
 pub(crate) const CELL_REACH: f32 = -0.5;
 
-/// Number of samples after the first look-up that saved nothing. With steps of half a voxel, two samples share a voxel.
+/// Number of samples after the first look-up that saved nothing.
+///
+/// With steps of half a voxel, two samples share a voxel.
 pub(crate) const LEAST_PATIENCE: u32 = 2;
-/// Largest number of samples between look-ups. A look-up then costs less than 1 percent of the samples' reads.
+/// Largest number of samples between look-ups.
+///
+/// A look-up then costs less than 1 percent of the samples' reads.
 pub(crate) const MOST_PATIENCE: u32 = 128;
 /// Number of samples before the first look-up of rays that start in no region.
 const BLIND_SAMPLES: u32 = 8;
@@ -61,7 +65,7 @@ impl Price {
     }
 }
 
-/// Initial waiting of the rays of a picture before their look-ups.
+/// Initial waiting length of the rays of a picture before their first look-up.
 #[derive(Clone, Copy)]
 pub(crate) struct Start {
     /// Number of samples before the first look-up.

@@ -11,8 +11,9 @@ pub struct Light {
     pub diffuse: f32,
     /// Strength of the white highlight of a wet surface at normal incidence.
     pub specular: f32,
-    /// Exponent of the highlight as a power of two: `2^shininess_log2`. Powers are computed by squaring, so no sample
-    /// needs `pow`.
+    /// Exponent of the highlight as a power of two: `2^shininess_log2`.
+    ///
+    /// Powers are computed by squaring, so no sample needs `pow`.
     pub shininess_log2: u32,
     /// Distance in mm at which half the light is left; infinite for no loss.
     pub reach_mm: f32,

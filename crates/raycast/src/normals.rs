@@ -9,8 +9,9 @@ use crate::{
     sampling::Lanes,
 };
 
-/// Distance in mm from a wall of the samples for its normal. The noise of a CT has about this grain size; cartilage
-/// rings are several times as wide.
+/// Distance in mm from a wall of the samples for its normal.
+///
+/// The noise of a CT has about this grain size; cartilage rings are several times as wide.
 const NORMAL_REACH_MM: f64 = 0.9;
 /// Smallest distance of these samples in voxels: within one voxel, values are linear and contain no noise to smooth.
 const NORMAL_REACH_VOX: f64 = 0.8;
@@ -124,7 +125,9 @@ impl NormalBricks {
         Self::new(frame.grid.shape_ijk(), normals.reach, normals.held, most)
     }
 
-    /// Return whether the bricks fit a frame. The caller must ensure that the frame shows the same values.
+    /// Return whether the bricks fit a frame.
+    ///
+    /// The caller must ensure that the frame shows the same values.
     #[must_use]
     pub fn fit(&self, frame: &Frame<'_>) -> bool {
         let normals = Normals::of(frame);

@@ -67,13 +67,16 @@ struct Slab<'a> {
     along_k: &'a mut [i16],
 }
 
-/// Registers of int16 values. A value of the implementing type proves that the machine has these registers.
+/// Registers of int16 values.
+///
+/// A value of the implementing type proves that the machine has these registers.
 trait Values: Copy {
     /// Number of values in a register.
     const N: usize;
-    /// Whether two rows are processed together with explicit prefetches. Otherwise the processor's own prefetcher
-    /// follows the rows; explicit prefetches can disturb it: on Zen 4 with AVX2 it reads 18 GB/s without them and 10
-    /// GB/s with them.
+    /// Whether two rows are processed together with explicit prefetches.
+    ///
+    /// Otherwise the processor's own prefetcher follows the rows; explicit prefetches can disturb it: on Zen 4 with
+    /// AVX2 it reads 18 GB/s without them and 10 GB/s with them.
     const ASKS: bool;
     type V: Copy;
     fn least(self) -> Self::V;

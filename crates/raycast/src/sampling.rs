@@ -2,7 +2,9 @@
 
 use carina_grid::VolumeView;
 
-/// Point or offset in voxel coordinates. The fourth lane is 0: four lanes fill one register.
+/// Point or offset in voxel coordinates.
+///
+/// The fourth lane is 0: four lanes fill one register.
 pub(crate) type Lanes = [f32; 4];
 
 /// Volume of int16 values, prepared for sampling at f32 voxel coordinates; indices are clamped to the edge.

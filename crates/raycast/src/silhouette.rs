@@ -21,12 +21,16 @@ use crate::{
     surface::cast_walls_row,
 };
 
-/// Offsets of the two rays from the centre of a pixel, in pixels. They are a fraction of a pixel apart along both axes
-/// and along neither diagonal, so that edges of most directions get an intermediate level.
+/// Offsets of the two rays from the centre of a pixel, in pixels.
+///
+/// They are a fraction of a pixel apart along both axes and along neither diagonal, so that edges of most directions
+/// get an intermediate level.
 const BESIDE: [[f64; 2]; 2] = [[-0.2, -0.36], [0.2, 0.36]];
 /// Limit of the second difference of the inverse depth from pixel to pixel, as a fraction of the nearest pixel's
-/// inverse depth. The inverse depth of a plane is linear at any inclination; a deviation of an eighth is 1/8 of the
-/// brightness of a wall.
+/// inverse depth.
+///
+/// The inverse depth of a plane is linear at any inclination; a deviation of an eighth is 1/8 of the brightness of a
+/// wall.
 const BEND: f32 = 0.125;
 /// Linear light of a wall at normal incidence below which a staircase is not visible.
 const FAINT: f32 = 0.02;

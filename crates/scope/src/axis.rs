@@ -21,8 +21,9 @@ const LEAST_SWEEPS: usize = 3;
 const MOST_SWEEPS: usize = 36;
 /// Number of sweeps within which the penetration must fall by half; otherwise the scope does not fit.
 const PATIENCE: usize = 8;
-/// Number of nodes near the tip that every sweep processes. Nodes farther back move little, and only the first sweep
-/// processes them.
+/// Number of nodes near the tip that every sweep processes.
+///
+/// Nodes farther back move little, and only the first sweep processes them.
 const NEAR_NODES: usize = 60;
 
 /// Controls of the scope.
@@ -34,7 +35,9 @@ pub(crate) struct Controls {
     pub(crate) flexion_rad: f64,
 }
 
-/// Nodes of the axis, the tip's face first. The last two are behind the entry and have prescribed positions.
+/// Nodes of the axis, the tip's face first.
+///
+/// The last two are behind the entry and have prescribed positions.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Axis {
     pub(crate) nodes: Vec<Point>,

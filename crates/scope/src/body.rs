@@ -7,7 +7,9 @@ use crate::ScopeError;
 /// Distance between the nodes of the scope's axis.
 pub(crate) const NODE_MM: f64 = 2.0;
 
-/// Sizes of a scope. Lengths in mm, angles in radians.
+/// Sizes of a scope.
+///
+/// Lengths in mm, angles in radians.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ScopeBody {
     /// Radius of the rigid tip and of the bending section.

@@ -4,13 +4,15 @@ use crate::ScopeError;
 use crate::frames::rotation_minimising_frames;
 use crate::gaze::{gaze, smoothed};
 
-/// Distance between the curve's knots. It is small relative to a voxel, so straight lines between knots look like a
-/// curve.
+/// Distance between the curve's knots.
+///
+/// It is small relative to a voxel, so straight lines between knots look like a curve.
 const STEP_MM: f64 = 0.25;
 /// Sigma of the smoothing of positions: it removes the steps of 0.5 to 1 mm voxels and keeps the bends of an airway.
 const POSITION_SIGMA_MM: f64 = 2.0;
-/// Distance of the centre of the gaze ahead; the next constant is its sigma. Together they cover about the length of
-/// one subsegmental airway (7 to 10 mm).
+/// Distance of the centre of the gaze ahead; the next constant is its sigma.
+///
+/// Together they cover about the length of one subsegmental airway (7 to 10 mm).
 const GAZE_AHEAD_MM: f64 = 3.0;
 const GAZE_SIGMA_MM: f64 = 4.0;
 /// Sigma of the smoothing of tangents, so that planes across the curve do not rock with the remaining voxel steps.

@@ -87,7 +87,9 @@ pub struct ScopeState {
     pub record: ContactRecord,
 }
 
-/// Scope in a lumen. Its states depend only on its samples: equal samples give equal states, bit for bit.
+/// Scope in a lumen.
+///
+/// Its states depend only on its samples: equal samples give equal states, bit for bit.
 #[derive(Debug, Clone)]
 pub struct ScopeDrive {
     field: Arc<WallField>,
@@ -503,8 +505,9 @@ impl ScopeDrive {
         };
     }
 
-    /// Return the red-out. A wall beside the tip is one radius away from the lens; only a wall in front of the lens can
-    /// be nearer.
+    /// Return the red-out.
+    ///
+    /// A wall beside the tip is one radius away from the lens; only a wall in front of the lens can be nearer.
     fn red_out(&self, tip: &Tip) -> f64 {
         if self.entry.depth_mm(tip.at) < 0.5 {
             return 0.0;

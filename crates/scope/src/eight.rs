@@ -6,7 +6,9 @@
 
 pub(crate) const LANES: usize = 8;
 
-/// Vector of eight f32. No operation is fused or approximated, so all implementations give the same bits.
+/// Vector of eight f32.
+///
+/// No operation is fused or approximated, so all implementations give the same bits.
 pub(crate) trait Eight: Copy {
     fn of(values: [f32; LANES]) -> Self;
     fn out(self) -> [f32; LANES];
@@ -114,8 +116,9 @@ mod avx2 {
 
     use super::{Eight, LANES};
 
-    /// Implementation by AVX2 registers. Values are created only in functions that run on machines with AVX2
-    /// (`Packets::signed`).
+    /// Implementation by AVX2 registers.
+    ///
+    /// Values are created only in functions that run on machines with AVX2 (`Packets::signed`).
     #[derive(Clone, Copy)]
     pub(crate) struct Avx2(x86::__m256);
 

@@ -14,13 +14,17 @@ const EDGE_MM: f64 = 0.6;
 const APART_MM: f64 = 0.36;
 /// Distance between the balls on the axis behind them, with a penetration of at most 0.03 mm for the thinnest tip.
 const AXIS_MM: f64 = 0.4;
-/// Gap between the balls and the wall. At an edge of the wall the interpolated field is some hundredths too large, and
-/// a ridge penetrates between balls by as much.
+/// Gap between the balls and the wall.
+///
+/// At an edge of the wall the interpolated field is some hundredths too large, and a ridge penetrates between balls by
+/// as much.
 pub(crate) const SKIN_MM: f64 = 0.03;
 /// Largest distance of the balls of a group from its leader.
 const REACH_MM: f64 = 0.75;
-/// Clearance that a leader must have beyond its reach. Distances change by at most 1 mm per mm, but interpolated values
-/// of the field may change a little more, and clearances up to the end of contact must be exact.
+/// Clearance that a leader must have beyond its reach.
+///
+/// Distances change by at most 1 mm per mm, but interpolated values of the field may change a little more, and
+/// clearances up to the end of contact must be exact.
 const GUARD_MM: f64 = 0.5;
 
 /// Ball: its centre in the tip's frame (right, down, forward; the face's centre is the origin) and radius.

@@ -15,8 +15,9 @@ fn gaussian(centre: f64, sigma: f64, step: f64) -> (isize, Vec<f64>) {
     (first, weights.into_iter().map(|w| w / sum).collect())
 }
 
-/// Replace each of the evenly spaced points by a Gaussian mean of its neighbours. Both ends stay fixed: beyond them the
-/// line is continued by mirroring in the end point.
+/// Replace each of the evenly spaced points by a Gaussian mean of its neighbours.
+///
+/// Both ends stay fixed: beyond them the line is continued by mirroring in the end point.
 pub(crate) fn smoothed(points: &[[f64; 3]], sigma_mm: f64, step_mm: f64) -> Vec<[f64; 3]> {
     let (first, weights) = gaussian(0.0, sigma_mm, step_mm);
     let last = points.len() as isize - 1;

@@ -133,7 +133,9 @@ impl Boxes {
         dot(sub(p, foot), self.normals[triangle][part]) <= 0.0
     }
 
-    /// Return the signed distance, positive inside, and the nearest triangle. `hint` is a triangle that may be near.
+    /// Return the signed distance, positive inside, and the nearest triangle.
+    ///
+    /// `hint` is a triangle that may be near.
     pub(crate) fn signed(&self, p: Point, hint: usize) -> (f64, usize) {
         let measure = |t: usize| {
             let away = sub(p, nearest_on(self.triangles[t], p).0);

@@ -102,8 +102,9 @@ impl<'a> Packets<'a> {
         }
     }
 
-    /// Return signed distances in mm, positive inside, and the nearest triangles. `hint` is a triangle that may be
-    /// near.
+    /// Return signed distances in mm, positive inside, and the nearest triangles.
+    ///
+    /// `hint` is a triangle that may be near.
     pub(crate) fn signed(&self, points: &Together, hint: u32) -> Found {
         let (mut signed_mm, triangles) = self.nearest(points, hint);
         for n in 0..LANES {

@@ -15,7 +15,9 @@ pub(crate) const SAMPLES: usize = SIDE * SIDE * SIDE;
 const HEAD_BYTES: usize = 8 * 15;
 /// Distance outside the lumen up to which distances are stored ...
 pub(crate) const OUTSIDE_MM: f64 = 2.5;
-/// ... and the distance inside; beyond, the stored value means "farther". No scope has such a radius.
+/// ... and the distance inside; beyond, the stored value means "farther".
+///
+/// No scope has such a radius.
 pub(crate) const INSIDE_MM: f64 = 4.5;
 const FAR_OUTSIDE: u32 = u32::MAX;
 const FAR_INSIDE: u32 = u32::MAX - 1;

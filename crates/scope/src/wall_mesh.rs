@@ -224,8 +224,9 @@ const fn bits(lane: usize) -> [usize; 3] {
     [lane & 1, lane >> 1 & 1, lane >> 2 & 1]
 }
 
-/// Return the offsets of a packet's samples from its first one: two on each axis, `apart_mm` apart. The lattice is
-/// parallel to the LPS axes.
+/// Return the offsets of a packet's samples from its first one: two on each axis, `apart_mm` apart.
+///
+/// The lattice is parallel to the LPS axes.
 fn two_on_each_axis(apart_mm: f32) -> [[f32; LANES]; 3] {
     let mut at = [[0.0; LANES]; 3];
     for (a, row) in at.iter_mut().enumerate() {

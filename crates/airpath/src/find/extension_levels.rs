@@ -66,10 +66,11 @@ pub(crate) const REFUSED: u8 = 4;
 const FOLLOWED_SHARE: f64 = 0.98;
 const KEPT_SHARE: f64 = 0.995;
 
-/// Largest fall of the values along a path, in thresholds. Along an airway the values rise, because its lumen narrows
-/// and the blur of its wall increases. A path whose values rise and fall again by more than this has crossed a wall
-/// into the lung. `LEAST_DROP` is the lower limit, as a fraction of the distance from air to half of a wall, for
-/// volumes with little noise.
+/// Largest fall of the values along a path, in thresholds.
+///
+/// Along an airway the values rise, because its lumen narrows and the blur of its wall increases. A path whose values
+/// rise and fall again by more than this has crossed a wall into the lung. `LEAST_DROP` is the lower limit, as a
+/// fraction of the distance from air to half of a wall, for volumes with little noise.
 const DROP: f64 = 8.0;
 const LEAST_DROP: f64 = 0.4;
 

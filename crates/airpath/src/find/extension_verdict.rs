@@ -1,4 +1,4 @@
-//! Criteria whether a section of a path looks like an airway.
+//! Criteria for whether a section of a path looks like an airway.
 
 use carina_grid::Grid;
 

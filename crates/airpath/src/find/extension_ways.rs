@@ -24,7 +24,9 @@ const FILL_NODES: usize = 2;
 /// Length to both sides over which the direction of a path is taken, mm.
 const TANGENT_MM: f64 = 2.0;
 /// Length of the first part of a path, which is beside the airway that it leaves and does not count for the distance
-/// from known lumens. The next constant is the upper limit of that distance; both mm.
+/// from known lumens.
+///
+/// The next constant is the upper limit of that distance; both mm.
 const BEYOND_MM: f64 = 5.0;
 const CLEAR_MM: f64 = 6.0;
 /// Radius of the lung around a path in which reached voxels are counted, mm.

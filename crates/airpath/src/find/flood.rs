@@ -49,7 +49,7 @@ pub struct Flood {
 
 const UNKNOWN: u8 = 0;
 const LUMEN: u8 = 1;
-/// State of a voxel above the level when it was met; it waits for its level.
+/// State of a voxel that was above the level when it was met and waits for its level.
 const WAITING: u8 = 2;
 /// State of a voxel that is closed permanently.
 const CLOSED: u8 = 3;

@@ -4,8 +4,9 @@ use carina_grid::{Ijk, VolumeView, length};
 
 use crate::find::spots::{AirLevels, transverse_axis};
 
-/// Smallest area of lung on each side of the carina, mm2 in one slice. The chest CTs examined show 7000 and more, the
-/// bowel of an abdomen 330.
+/// Smallest area of lung on each side of the carina, mm2 in one slice.
+///
+/// The chest CTs examined show 7000 and more, the bowel of an abdomen 330.
 pub(crate) const MIN_LUNG_MM2: f64 = 800.0;
 /// Distances from the carina within which lung is searched: sideways, front and back, down; mm.
 const LUNG_REACH_MM: [f64; 3] = [130.0, 80.0, 45.0];

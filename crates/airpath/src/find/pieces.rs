@@ -7,7 +7,9 @@ use rayon::prelude::*;
 pub struct PieceLimits {
     /// Largest value of air.
     pub darkest: i16,
-    /// First voxel (i, j, k) of the box to search, and the first voxel beyond it. Voxels outside do not count as air.
+    /// First voxel (i, j, k) of the box to search, and the first voxel beyond it.
+    ///
+    /// Voxels outside do not count as air.
     pub box_ijk: ([usize; 3], [usize; 3]),
     /// Smallest number of face neighbours at most as bright as `darkest`, lumen or not; a voxel with fewer is noise.
     pub least_neighbours: usize,
@@ -17,7 +19,9 @@ pub struct PieceLimits {
     pub most_air: usize,
 }
 
-/// Mark of a voxel of the box: air. The next constant marks a voxel that touches the lumen.
+/// Mark of a voxel of the box: air.
+///
+/// The next constant marks a voxel that touches the lumen.
 const AIR: u8 = 1;
 const TOUCHES: u8 = 2;
 

@@ -61,7 +61,9 @@ const NUM_SAMPLES: usize = 20_000;
 /// rejected path.
 const COVER_MM: f32 = 2.0;
 const COVER_REFUSED_MM: f32 = 1.0;
-/// Largest gain of a path by one voxel, in thresholds. A path without a positive gain is not examined further.
+/// Largest gain of a path by one voxel, in thresholds.
+///
+/// A path without a positive gain is not examined further.
 const MOST_GAIN: f64 = 1.5;
 /// Upper limit of the radius within which voxels beside a path are added to the lumen, mm.
 const MOST_RADIUS_MM: f64 = 1.0;

@@ -28,8 +28,10 @@ const MOST_GAIN: f64 = 3.0;
 /// like an airway.
 const KEPT_MEAN: f64 = 1.2;
 const KEPT_SHARE: f64 = 0.75;
-/// Largest distance of the crest of a thin airway's wall, mm. The next constants are the smallest mean number of 8
-/// sides with lung behind the wall (an artery is at the others), and the largest standard deviation of the radius, mm.
+/// Largest distance of the crest of a thin airway's wall, mm.
+///
+/// The next constants are the smallest mean number of 8 sides with lung behind the wall (an artery is at the others),
+/// and the largest standard deviation of the radius, mm.
 const FARTHEST_CREST_MM: f64 = 1.3;
 const LEAST_THIN: f64 = 4.5;
 const STEADY_MM: f64 = 0.06;

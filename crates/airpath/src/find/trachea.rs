@@ -196,8 +196,10 @@ impl Candidate {
         doubts.contains(&Doubt::OneBronchus) || doubts.contains(&Doubt::OneLung)
     }
 
-    /// Return whether this candidate is better: the larger tube. A candidate without a main bronchus or a lung is
-    /// better only if it is above the other, because the colon is below the lungs.
+    /// Return whether this candidate is better: the larger tube.
+    ///
+    /// A candidate without a main bronchus or a lung is better only if it is above the other, because the colon is
+    /// below the lungs.
     fn beats(&self, other: &Self) -> bool {
         let above = |a: &Self, b: &Self| a.bottom_z_mm >= b.top_z_mm - 15.0;
         match (self.is_strict(), other.is_strict()) {

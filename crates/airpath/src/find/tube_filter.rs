@@ -17,8 +17,9 @@ pub(crate) const NUM_SIDES: usize = 8;
 /// Number of positions along a piece; the next constant is the distance between them, mm.
 const NUM_ALONG: usize = 7;
 const STEP_MM: f64 = 0.75;
-/// Distances at which the crest of the wall is searched, mm: those of thin lumens, blurred. A thin lumen has no wall
-/// farther out.
+/// Distances at which the crest of the wall is searched, mm: those of thin lumens, blurred.
+///
+/// A thin lumen has no wall farther out.
 const CRESTS_MM: [f64; 3] = [0.65, 0.75, 1.1];
 /// Distance behind a thin wall at which there must be lung; the next constant is the smallest number of sides with lung
 /// (an artery is at the others).

@@ -57,7 +57,9 @@ pub struct Plane {
     pub radius_mm: f64,
 }
 
-/// Measurements of a section. Lengths are in mm; NaN if there is no value.
+/// Measurements of a section.
+///
+/// Lengths are in mm; NaN if there is no value.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Section {
     /// Centre of the area of the lumen found, in the plane.

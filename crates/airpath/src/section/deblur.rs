@@ -23,8 +23,9 @@ use crate::tree::smooth::Point;
 
 /// Smallest number of edges from which the blur is measured.
 const LEAST_EDGES: usize = 200;
-/// Limits of the slice axis's share in a ray's direction below which the ray counts for the blur within the slices. The
-/// first limit with enough edges is used, because the blur of thick slices already shows at a small slope.
+/// Limits of the slice axis's share in a ray's direction below which the ray counts for the blur within the slices.
+///
+/// The first limit with enough edges is used, because the blur of thick slices already shows at a small slope.
 const IN_PLANE: [f64; 4] = [0.1, 0.15, 0.2, 0.35];
 const ENOUGH_EDGES: usize = 1000;
 /// Share above which a ray counts for the blur across the slices.

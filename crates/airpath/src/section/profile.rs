@@ -4,7 +4,9 @@ use carina_grid::VolumeView;
 
 /// Smallest fall of the values behind a wall's peak, as a fraction of their rise, that counts as the wall's far side.
 const FALL: f32 = 0.3;
-/// Distance behind the lumen's edge up to which the wall's far side is searched, mm. Walls are 1 to 3 mm thick.
+/// Distance behind the lumen's edge up to which the wall's far side is searched, mm.
+///
+/// Walls are 1 to 3 mm thick.
 pub(crate) const WALL_REACH_MM: f64 = 5.0;
 
 /// Levels that distinguish lumen, wall and noise, in the units of the values.

@@ -8,7 +8,9 @@ use carina_leastcost::lumen::LumenGraph;
 /// Part of an airway between two bifurcations, or between a bifurcation and a tip.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Branch {
-    /// Index of the parent in the list; `None` at the root. Parents come first.
+    /// Index of the parent in the list; `None` at the root.
+    ///
+    /// Parents come first.
     pub parent: Option<usize>,
     /// Number of bifurcations between the root and this branch.
     pub generation: u32,

@@ -205,8 +205,9 @@ impl<'a> Cover<'a> {
         self.left_mm[node as usize] > 0.0
     }
 
-    /// Cover the surroundings of a chain. All nodes start at once, largest reach first, so that each node is visited
-    /// about once.
+    /// Cover the surroundings of a chain.
+    ///
+    /// All nodes start at once, largest reach first, so that each node is visited about once.
     pub(crate) fn add(&mut self, chain: &[u32]) {
         for &node in chain {
             let reach = self.limits.cover_radii * self.graph.wall_mm(node) + self.limits.cover_mm;

@@ -12,12 +12,14 @@ pub type Point = [f64; 3];
 
 /// Length of a bend below which it counts as a voxel step and not as anatomy, in a tube of [`REFERENCE_RADIUS_MM`].
 const SHORTEST_BEND_MM: f64 = 18.0;
-/// Radius of the reference tube. Wider tubes are smoothed more, because their middle is known less exactly and the
-/// chain may deviate more.
+/// Radius of the reference tube.
+///
+/// Wider tubes are smoothed more, because their middle is known less exactly and the chain may deviate more.
 const REFERENCE_RADIUS_MM: f64 = 2.0;
 const MAX_ROUNDS: usize = 24;
-/// Number of first rounds, in which a point outside is only pulled to just inside, so that the curve stays smooth. If
-/// the lumen is thinner than the slices, the chain has corners, and a curve that is pulled onto the chain would get
+/// Number of first rounds, in which a point outside is only pulled to just inside, so that the curve stays smooth.
+///
+/// If the lumen is thinner than the slices, the chain has corners, and a curve that is pulled onto the chain would get
 /// them.
 const GENTLE_ROUNDS: usize = 16;
 /// Step, as a fraction of the distance to the chain, of the search for a position inside.

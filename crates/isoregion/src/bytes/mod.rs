@@ -14,7 +14,9 @@ use x86::{Avx2, Avx512, Sse2};
 
 /// Code that is compiled once for each instruction set.
 pub(crate) trait Kernel {
-    /// Run the code. The method must be inlined, or it is compiled without the instruction set.
+    /// Run the code.
+    ///
+    /// The method must be inlined, or it is compiled without the instruction set.
     fn run<B: Bytes>(self, b: B);
 }
 

@@ -1,6 +1,8 @@
 //! Interface of an instruction set for the map's kernels.
 
-/// Instruction set. A value of the implementing type proves that the machine has the set.
+/// Instruction set.
+///
+/// A value of the implementing type proves that the machine has the set.
 ///
 /// A register holds `N` voxels that are neighbours along x. All numbers are distances; 255 means 255 or more.
 pub(crate) trait Bytes: Copy {

@@ -51,7 +51,9 @@ macro_rules! operations {
     )*};
 }
 
-/// Instruction set AVX-512 F and BW. A value proves that the machine has both.
+/// Instruction set AVX-512 F and BW.
+///
+/// A value proves that the machine has both.
 #[derive(Clone, Copy)]
 pub(crate) struct Avx512(());
 
@@ -149,7 +151,9 @@ impl Bytes for Avx512 {
     }
 }
 
-/// Instruction set AVX2. A value proves that the machine has it.
+/// Instruction set AVX2.
+///
+/// A value proves that the machine has it.
 #[derive(Clone, Copy)]
 pub(crate) struct Avx2(());
 
@@ -263,7 +267,9 @@ impl Bytes for Avx2 {
     }
 }
 
-/// Instruction set SSE2. It needs no proof, because it is part of `x86_64`.
+/// Instruction set SSE2.
+///
+/// It needs no proof, because it is part of `x86_64`.
 #[derive(Clone, Copy)]
 pub(crate) struct Sse2;
 

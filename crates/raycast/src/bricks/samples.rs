@@ -30,8 +30,9 @@ impl SampleBricks {
         }
     }
 
-    /// Return whether the bricks are for a volume of this shape. The caller must ensure that the volume has the same
-    /// values.
+    /// Return whether the bricks are for a volume of this shape.
+    ///
+    /// The caller must ensure that the volume has the same values.
     #[must_use]
     pub fn fit(&self, shape_ijk: [usize; 3]) -> bool {
         self.store.shape == shape_ijk
@@ -49,7 +50,9 @@ impl SampleBricks {
         self.len() == 0
     }
 
-    /// Return whether the cache is full. Cells without a stored brick are read from the volume.
+    /// Return whether the cache is full.
+    ///
+    /// Cells without a stored brick are read from the volume.
     #[must_use]
     pub fn is_full(&self) -> bool {
         self.store.is_full()

@@ -72,8 +72,9 @@ impl Case {
         Frame::new(volume, &self.table, camera, options).unwrap()
     }
 
-    /// Check that pictures of all instruction sets, twice from the same bricks, equal the scalar caster's. Return the
-    /// bricks.
+    /// Check that pictures of all instruction sets, twice from the same bricks, equal the scalar caster's.
+    ///
+    /// Return the bricks.
     fn check(&self, room: usize) -> Arc<SampleBricks> {
         let (truth, counts) = cast_rows_scalar(
             &self.frame(),

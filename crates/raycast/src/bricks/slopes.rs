@@ -111,7 +111,9 @@ impl NormalBricks {
         self.len() == 0
     }
 
-    /// Return whether the cache is full. Pictures are still correct then, but slow.
+    /// Return whether the cache is full.
+    ///
+    /// Pictures are still correct then, but slow.
     #[must_use]
     pub fn is_full(&self) -> bool {
         self.store.is_full()

@@ -23,8 +23,9 @@ pub(crate) const MOST_BRICKS: usize = 1 << 16;
 /// Numbers of a brick.
 pub(crate) type Numbers = Box<[i16; PER_BRICK]>;
 
-/// Table entry of a brick that is not stored. The next constants mean: is being filled; cannot be stored. Any other
-/// entry is one more than the brick's index.
+/// Table entry of a brick that is not stored.
+///
+/// The next constants mean: is being filled; cannot be stored. Any other entry is one more than the brick's index.
 const ABSENT: i32 = 0;
 const BUSY: i32 = -1;
 const UNFIT: i32 = -2;
@@ -43,8 +44,9 @@ pub(crate) struct Store {
     num_bricks: [usize; 3],
     /// State or index of each brick of the volume.
     table: Box<[AtomicI32]>,
-    /// Memory of the bricks. Each brick is written once, by the thread that has claimed it, before the table refers to
-    /// it.
+    /// Memory of the bricks.
+    ///
+    /// Each brick is written once, by the thread that has claimed it, before the table refers to it.
     numbers: UnsafeCell<Vec<i16>>,
     most: usize,
     len: AtomicUsize,

@@ -44,8 +44,9 @@ impl<L: Lanes> Pace<L> {
 }
 
 impl Scene<'_> {
-    /// Look up the map in some lanes. Lanes with a radius above 0 leap; the patience of the others grows. Return the
-    /// lanes that have leaped.
+    /// Look up the map in some lanes.
+    ///
+    /// Lanes with a radius above 0 leap; the patience of the others grows. Return the lanes that have leaped.
     #[inline(always)]
     pub(super) fn ask<L: Lanes>(
         &self,

@@ -14,7 +14,9 @@ use super::{
     },
 };
 
-/// Instruction set AVX2 and FMA. A value proves that the machine has both.
+/// Instruction set AVX2 and FMA.
+///
+/// A value proves that the machine has both.
 #[derive(Clone, Copy)]
 pub(super) struct Avx2 {
     /// Whether pairs of voxels are read by gather instructions.
@@ -22,7 +24,9 @@ pub(super) struct Avx2 {
 }
 
 impl Avx2 {
-    /// Create the proof. `gathers` selects gather instructions for reads of voxel pairs ([`super::gathers`]).
+    /// Create the proof.
+    ///
+    /// `gathers` selects gather instructions for reads of voxel pairs ([`super::gathers`]).
     ///
     /// # Safety
     ///

@@ -14,7 +14,9 @@ use super::{
     },
 };
 
-/// Instruction set AVX-512 F, BW, DQ and VL. A value proves that the machine has all of them.
+/// Instruction set AVX-512 F, BW, DQ and VL.
+///
+/// A value proves that the machine has all of them.
 #[derive(Clone, Copy)]
 pub(super) struct Avx512 {
     /// Whether pairs of voxels are read by gather instructions.
@@ -22,7 +24,9 @@ pub(super) struct Avx512 {
 }
 
 impl Avx512 {
-    /// Create the proof. `gathers` selects gather instructions for reads of voxel pairs ([`super::gathers`]).
+    /// Create the proof.
+    ///
+    /// `gathers` selects gather instructions for reads of voxel pairs ([`super::gathers`]).
     ///
     /// # Safety
     ///

@@ -1,5 +1,6 @@
-//! Wet surface of the wall: droplets in the film of mucus, and secretions. Both are decoration and are fixed to the
-//! tissue like the texture.
+//! Wet surface of the wall: droplets in the film of mucus, and secretions.
+//!
+//! Both are decoration and are fixed to the tissue like the texture.
 
 use std::array::from_fn;
 
@@ -13,17 +14,20 @@ use crate::appearance::Appearance;
 /// Noise cells per mm: of the pools of secretions here, of the bubbles in the next constant.
 const POOLS_PER_MM: f32 = 0.2;
 const BUBBLES_PER_MM: f32 = 1.5;
-/// Exponent of the highlight on a droplet as a power of two. A droplet is rounder than the film, so its highlight has a
-/// visible size.
+/// Exponent of the highlight on a droplet as a power of two.
+///
+/// A droplet is rounder than the film, so its highlight has a visible size.
 const DROP_LOG2: u32 = 5;
 /// Strength of the highlight of a droplet, as a fraction of the light that a guide gives at normal incidence.
 const DROP_GLINT: f32 = 1.2;
-/// Decrease, per unit of film thickness, of the height that a bump needs to carry a droplet. Droplets thus form groups
-/// with dry wall between them.
+/// Decrease, per unit of film thickness, of the height that a bump needs to carry a droplet.
+///
+/// Droplets thus form groups with dry wall between them.
 const GATHER: f32 = 1.0;
 const BUBBLE_GLINT: f32 = 2.4;
-/// Slope of a droplet's side. Along an airway only a steep side faces the scope; therefore a smooth film has no
-/// highlight there.
+/// Slope of a droplet's side.
+///
+/// Along an airway only a steep side faces the scope; therefore a smooth film has no highlight there.
 const DROP_SLOPE: f32 = 1.4;
 /// Display colour of secretions, pale and slightly yellow.
 const SECRETIONS_RGB: [f32; 3] = [0.90, 0.84, 0.66];

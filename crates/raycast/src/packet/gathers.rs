@@ -17,7 +17,9 @@ use super::{
 };
 use crate::InstructionSet;
 
-/// Return true if gathers read voxels faster than single loads. The first call takes some fifty microseconds.
+/// Return true if gathers read voxels faster than single loads.
+///
+/// The first call takes some fifty microseconds.
 pub(super) fn gathers_pay(simd: InstructionSet) -> bool {
     static PAY: [OnceLock<bool>; 2] = [OnceLock::new(), OnceLock::new()];
     match simd {

@@ -18,7 +18,9 @@ use super::{
 };
 use crate::CastStats;
 
-/// Number of rays in the shading pool at which shading starts. A change of stage saves and loads all lanes.
+/// Number of rays in the shading pool at which shading starts.
+///
+/// A change of stage saves and loads all lanes.
 const SHADE_FROM: usize = 96;
 
 /// State of a band of rows, whose rays are searched in `L` and shaded in `S`.

@@ -9,7 +9,9 @@ pub(super) const MAX_LANES: usize = 32;
 /// One value for each lane, in memory.
 pub(crate) type Array<T> = [T; MAX_LANES];
 
-/// Instruction set. A value of the implementing type proves that the machine has the set.
+/// Instruction set.
+///
+/// A value of the implementing type proves that the machine has the set.
 ///
 /// Every operation is the IEEE or integer operation of the scalar kernel; there are no approximations. `min(a, b)` is
 /// `if a < b { a } else { b }`, `max(a, b)` is `if a > b { a } else { b }`.
@@ -28,11 +30,13 @@ pub(crate) trait Lanes: Copy {
     fn store(self, v: Self::F) -> Array<f32>;
     fn store_i(self, v: Self::I) -> Array<i32>;
     fn load_i(self, values: &Array<i32>) -> Self::I;
-    /// Put consecutive values into the lanes of the mask; other lanes stay unchanged. There must be at least as many
-    /// values as lanes.
+    /// Put consecutive values into the lanes of the mask; other lanes stay unchanged.
+    ///
+    /// There must be at least as many values as lanes.
     fn fill(self, old: Self::F, mask: u32, values: &[f32]) -> Self::F;
-    /// Put consecutive integers into the lanes of the mask; other lanes stay unchanged. There must be at least as many
-    /// values as lanes.
+    /// Put consecutive integers into the lanes of the mask; other lanes stay unchanged.
+    ///
+    /// There must be at least as many values as lanes.
     fn fill_i(self, old: Self::I, mask: u32, values: &[i32]) -> Self::I;
 
     /// Write the lanes of the mask consecutively to `out`; the following items, up to the number of lanes, become

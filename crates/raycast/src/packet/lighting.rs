@@ -62,7 +62,9 @@ fn inward<L: Lanes>(l: L, light: &Lighting, field: &Field<'_>, p: [L::F; 3]) -> 
     turn(l, &light.normals.rows, rise(l, &light.bricks, field, p))
 }
 
-/// Return the linear colour of shaded walls, before the tone curve. `hit` must be 0 or more in all lanes.
+/// Return the linear colour of shaded walls, before the tone curve.
+///
+/// `hit` must be 0 or more in all lanes.
 #[inline(always)]
 fn lit<L: Lanes>(
     l: L,

@@ -1,5 +1,7 @@
-//! Loads from a separate address for each lane. On some machines single loads and insertions take half to two thirds of
-//! the time of the gather instructions (docs/decisions/0103); on others they take more ([`super::gathers`]).
+//! Loads from a separate address for each lane.
+//!
+//! On some machines single loads and insertions take half to two thirds of the time of the gather instructions
+//! (docs/decisions/0103); on others they take more ([`super::gathers`]).
 
 use std::{
     arch::x86_64::{

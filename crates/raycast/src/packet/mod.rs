@@ -136,8 +136,9 @@ impl<'a> Packets<'a> {
         self.cast_to(first_row, num_pixels, out)
     }
 
-    /// Cast rows and return everything that the rays gather, including first walls. The light at the tip is not
-    /// applied.
+    /// Cast rows and return everything that the rays gather, including first walls.
+    ///
+    /// The light at the tip is not applied.
     pub(crate) fn cast_walls(&self, first_row: usize, out: &mut [Gathered]) -> CastStats {
         let num_pixels = out.len();
         self.cast_to(first_row, num_pixels, Walls(out))

@@ -58,7 +58,9 @@ fn lerp<L: Lanes>(l: L, t: L::F, a: L::F, b: L::F) -> L::F {
     l.fma(t, l.sub(b, a), a)
 }
 
-/// Interpolate the cells round patient points `lps`; strengths are 0 outside the grid. Return `None` if all are 0.
+/// Interpolate the cells round patient points `lps`; strengths are 0 outside the grid.
+///
+/// Return `None` if all are 0.
 #[inline(always)]
 fn place<L: Lanes>(l: L, field: &Decoration<'_>, lps: [L::F; 3]) -> Option<Place<L>> {
     let s = |v: f32| l.splat(v);
@@ -167,7 +169,9 @@ pub(super) struct Wall<L: Lanes> {
     pub footprint_mm: L::F,
 }
 
-/// Return the colour factors by region. Away from the trachea, and where the region is unknown, the mucosa is redder.
+/// Return the colour factors by region.
+///
+/// Away from the trachea, and where the region is unknown, the mucosa is redder.
 #[inline(always)]
 fn hue<L: Lanes>(l: L, look: &Appearance, proximal: L::F) -> [L::F; 3] {
     let mut factors = [proximal; 3];
@@ -179,8 +183,9 @@ fn hue<L: Lanes>(l: L, look: &Appearance, proximal: L::F) -> [L::F; 3] {
     factors
 }
 
-/// Compute rings, membranous wall, colour by region and ridges of walls. The result depends only on the wall points
-/// themselves.
+/// Compute rings, membranous wall, colour by region and ridges of walls.
+///
+/// The result depends only on the wall points themselves.
 #[inline(always)]
 pub(super) fn decorate<L: Lanes>(
     l: L,

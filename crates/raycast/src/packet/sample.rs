@@ -3,8 +3,9 @@
 use super::{lanes::Lanes, out::Out, pool::Packet, scene::Scene};
 
 impl Scene<'_> {
-    /// Take samples `k` and advance to the next ones. Return the lanes whose sample had opacity and the lanes whose ray
-    /// has not ended.
+    /// Take samples `k` and advance to the next ones.
+    ///
+    /// Return the lanes whose sample had opacity and the lanes whose ray has not ended.
     ///
     /// In the lanes `take`, `k` must be the packet's next sample. In the other lanes it may be any number; if it does
     /// not depend on the result of the previous samples, the processor can read the next samples while the previous
@@ -49,7 +50,9 @@ impl Scene<'_> {
         l.max_i(l.min_i(n, l.splat_i(table.last)), l.splat_i(0))
     }
 
-    /// Read the samples `k` and add them in the lanes `take`. Return the lanes whose sample had opacity.
+    /// Read the samples `k` and add them in the lanes `take`.
+    ///
+    /// Return the lanes whose sample had opacity.
     #[inline(always)]
     fn add_samples<L: Lanes, O: Out, const SHADED: bool, const NEAREST: bool>(
         &self,

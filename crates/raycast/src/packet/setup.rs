@@ -86,7 +86,9 @@ impl Directions {
     }
 }
 
-/// Fill `to` with numbers from `first` on in steps of `by`. Four at a time, as in `scaled`.
+/// Fill `to` with numbers from `first` on in steps of `by`.
+///
+/// Four at a time, as in `scaled`.
 #[inline(always)]
 pub(super) fn count_up(to: &mut [i32], mut first: i32, by: i32) {
     let (fours, rest) = to.as_chunks_mut::<4>();
@@ -102,7 +104,9 @@ pub(super) fn count_up(to: &mut [i32], mut first: i32, by: i32) {
     }
 }
 
-/// Multiply numbers by a factor. Four at a time: for fewer, the loop costs more than its operations.
+/// Multiply numbers by a factor.
+///
+/// Four at a time: for fewer, the loop costs more than its operations.
 #[inline(always)]
 fn scaled(to: &mut [f64], from: &[f32], factor: f64) {
     let (to, to_rest) = to.as_chunks_mut::<4>();

@@ -64,7 +64,9 @@ impl Source {
         (columns, rows)
     }
 
-    /// Set up rays in an empty pool. If none of the pixels of a patch has a ray, write these pixels to `out` at once.
+    /// Set up rays in an empty pool.
+    ///
+    /// If none of the pixels of a patch has a ray, write these pixels to `out` at once.
     #[inline(always)]
     pub(super) fn set_up<O: Out>(
         &mut self,

@@ -29,8 +29,9 @@ fn mix<L: Lanes>(l: L, x: L::I) -> L::I {
     l.mul_i(x, l.add_i(l.add_i(x, x), l.splat_i(1)))
 }
 
-/// Return a pseudo-random number from -1 to 1 for a corner of the lattice. After two mixing steps the high bits show no
-/// visible pattern.
+/// Return a pseudo-random number from -1 to 1 for a corner of the lattice.
+///
+/// After two mixing steps the high bits show no visible pattern.
 #[inline(always)]
 fn corner<L: Lanes>(l: L, at: [[L::I; 2]; 3], [i, j, k]: [usize; 3]) -> L::F {
     let sum = l.add_i(l.add_i(at[0][i], at[1][j]), at[2][k]);

@@ -18,8 +18,9 @@ pub(super) struct Voxels<'a> {
     samples: Option<Reader<'a, SampleBricks>>,
 }
 
-/// Cell of eight voxels and a position in it, for each lane. Every lane's cell is in the volume, also in lanes that are
-/// not active.
+/// Cell of eight voxels and a position in it, for each lane.
+///
+/// Every lane's cell is in the volume, also in lanes that are not active.
 #[derive(Clone, Copy)]
 pub(super) struct Cells<L: Lanes> {
     ijk: [L::I; 3],

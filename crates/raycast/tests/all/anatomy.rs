@@ -84,8 +84,9 @@ impl Chest {
         Self::with_noise(dice, noise)
     }
 
-    /// Create a chest with noise of the given amplitude, HU. With an amplitude near 0, neighbours have equal or nearly
-    /// equal values.
+    /// Create a chest with noise of the given amplitude, HU.
+    ///
+    /// With an amplitude near 0, neighbours have equal or nearly equal values.
     pub(crate) fn with_noise(dice: &mut Dice, noise: f64) -> Self {
         let mut shape: [usize; 3] = std::array::from_fn(|_| dice.between(24.0, 60.0) as usize);
         if dice.roll() < 0.2 {
