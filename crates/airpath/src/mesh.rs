@@ -383,8 +383,9 @@ impl<'a> Reach<'a> {
         })
     }
 
-    /// Return the point where the surface crosses the grid edge from a voxel along an axis; exactly one of its ends
-    /// must be inside.
+    /// Return the point where the surface crosses the grid edge from a voxel along an axis.
+    ///
+    /// Exactly one of its ends must be inside.
     fn crossing_lps(&self, lower: [isize; 3], axis: usize) -> Point {
         let mut upper = lower;
         upper[axis] += 1;

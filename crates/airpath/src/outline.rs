@@ -22,8 +22,9 @@ use carina_leastcost::lumen::WallLevels;
 /// With 8, three quarters of the tested triangles are not in the plane; with 2 there are too many bricks.
 const BRICK: usize = 4;
 const SIDE: usize = BRICK + 1;
-/// Distance in pixels below which neighbouring points of a line are merged; the line moves by at most half of that
-/// distance.
+/// Distance in pixels below which neighbouring points of a line are merged.
+///
+/// The line moves by at most half of that distance.
 const APART_PX: f64 = 0.25;
 /// Limit of the number of pieces.
 ///
@@ -431,8 +432,9 @@ fn clipped(line: &[PicturePoint], size: [f64; 2]) -> Vec<Vec<PicturePoint>> {
     runs
 }
 
-/// Remove the points of a line that are too near to the previous one; the ends stay, and a small ring keeps at least
-/// two points.
+/// Remove the points of a line that are too near to the previous one.
+///
+/// The ends stay, and a small ring keeps at least two points.
 fn thinned(line: &[PicturePoint]) -> Vec<PicturePoint> {
     let far = |a: &PicturePoint, b: &PicturePoint| {
         (a[0] - b[0]).abs().max((a[1] - b[1]).abs()) >= APART_PX

@@ -316,8 +316,9 @@ impl LumenTracker {
         radius.into_pyarray(py)
     }
 
-    /// Return, for each wanted branch, the radii of circles with the same area as the lumen's cross-sections; None for
-    /// other branches.
+    /// Return, for each wanted branch, the radii of circles with the same area as the lumen's cross-sections.
+    ///
+    /// The result is None for other branches.
     ///
     /// All branches are passed: (n, 3) LPS points of each branch, and the index of its parent in the list.
     fn section_radii<'py>(
@@ -385,8 +386,9 @@ impl LumenTracker {
         self.branch_list(py, &branches)
     }
 
-    /// Return the part of the automatic tree that leads to the given settled nodes; `branch_nodes` lists the nodes of
-    /// all its branches.
+    /// Return the part of the automatic tree that leads to the given settled nodes.
+    ///
+    /// `branch_nodes` lists the nodes of all its branches.
     fn branches_to<'py>(
         &self,
         py: Python<'py>,
@@ -412,8 +414,9 @@ impl LumenTracker {
         self.branch_list(py, &branches)
     }
 
-    /// Return, for each lumen node, the index of the branch whose tube contains the node; -1 if the node is connected
-    /// to no branch.
+    /// Return, for each lumen node, the index of the branch whose tube contains the node.
+    ///
+    /// The result is -1 if the node is connected to no branch.
     fn branch_of_nodes<'py>(
         &self,
         py: Python<'py>,

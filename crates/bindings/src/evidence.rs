@@ -60,8 +60,9 @@ impl Enclosures {
         Ok(found.into_pyarray(py))
     }
 
-    /// Return (n,) trilinear values without the finest noise at (n, 3) points; outside the volume the nearest edge
-    /// value is used.
+    /// Return (n,) trilinear values without the finest noise at (n, 3) points.
+    ///
+    /// Outside the volume the nearest edge value is used.
     fn values_at<'py>(
         &self,
         py: Python<'py>,

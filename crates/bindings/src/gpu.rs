@@ -46,8 +46,9 @@ fn guarded<T>(work: impl FnOnce() -> Result<T, GpuError>) -> Result<T, GpuError>
     })
 }
 
-/// Return name, interface, driver and kind of each adapter, the likely fastest first; None in a build without GPU
-/// support.
+/// Return name, interface, driver and kind of each adapter, the likely fastest first.
+///
+/// The result is None in a build without GPU support.
 #[pyfunction]
 #[allow(
     clippy::unnecessary_wraps,

@@ -97,8 +97,9 @@ impl Optics {
         Ok(Self { inner })
     }
 
-    /// Return unit directions (n, 3) in camera space for points (n, 2) of the picture; NaN where the lens has no
-    /// direction.
+    /// Return unit directions (n, 3) in camera space for points (n, 2) of the picture.
+    ///
+    /// The result is NaN where the lens has no direction.
     fn directions(
         &self,
         py: Python<'_>,
@@ -112,8 +113,9 @@ impl Optics {
         triples(py, &found)
     }
 
-    /// Return points (n, 2) of the picture for directions (n, 3) in camera space; NaN for directions that the lens does
-    /// not see.
+    /// Return points (n, 2) of the picture for directions (n, 3) in camera space.
+    ///
+    /// The result is NaN for directions that the lens does not see.
     fn pixels(
         &self,
         py: Python<'_>,

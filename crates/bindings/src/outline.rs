@@ -62,8 +62,9 @@ impl LumenSurface {
         })
     }
 
-    /// Cut the surface with a plane; return lines of the picture, each (n, 2) column and row; None if there are too
-    /// many to show.
+    /// Cut the surface with a plane.
+    ///
+    /// Return lines of the picture, each (n, 2) column and row; None if there are too many to show.
     #[pyo3(signature = (lps_from_pixel, *, width, height))]
     fn cut<'py>(
         &self,

@@ -64,8 +64,9 @@ fn radiograph<'py>(
 
 type GreyAndInside<'py> = (Bound<'py, PyArray2<u8>>, Bound<'py, PyArray2<u8>>);
 
-/// Sample a picture whose rows are lines; return grey levels and a mask of the pixels inside the volume, both (rows,
-/// width) uint8.
+/// Sample a picture whose rows are lines.
+///
+/// Return grey levels and a mask of the pixels inside the volume, both (rows, width) uint8.
 ///
 /// A row of `lines` contains the start, the step and the direction through the picture.
 #[pyfunction(name = "sample_lines")]

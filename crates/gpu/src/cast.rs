@@ -68,7 +68,8 @@ impl Gpu {
         Ok((rgb.into_flattened(), stats))
     }
 
-    /// Cast the rays of `rows` without any light, including first walls, `[row, column]`;
+    /// Cast the rays of `rows` without any light, including first walls, `[row, column]`.
+    ///
     /// [`carina_raycast::light_gathered`] shades the result if the frame has an appearance.
     ///
     /// # Errors

@@ -30,7 +30,9 @@ fn kept<T, K: PartialEq + ?Sized>(
 }
 
 /// Return the directions of `rows`: those of a pinhole are computed in f64 and rounded once, those of a lens are
-/// copied; 0 for a pixel without a ray.
+/// copied.
+///
+/// The result is 0 for a pixel without a ray.
 fn directions(camera: &Camera, rows: &Range<usize>) -> Vec<f32> {
     let (width, z) = (camera.width(), camera.focal_px());
     let (half_width, half_height) = (width as f64 / 2.0, camera.height() as f64 / 2.0);

@@ -1,5 +1,7 @@
-//! Contract tests of the GPU caster: its picture equals that of the CPU within one grey level on 99.9 % of pixels, for
-//! any view; a failure gives an error, never a wrong picture.
+//! Contract tests of the GPU caster.
+//!
+//! Its picture equals that of the CPU within one grey level on 99.9 % of pixels, for any view. A failure gives an
+//! error, never a wrong picture.
 #![cfg(feature = "wgpu")]
 
 #[path = "../../raycast/tests/all/scene.rs"]

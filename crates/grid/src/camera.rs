@@ -93,8 +93,9 @@ impl Camera {
         }
     }
 
-    /// Return the direction of a pixel's ray in camera space, displaced from its centre by fractions of a pixel; all 0
-    /// for a pixel without a ray.
+    /// Return the direction of a pixel's ray in camera space, displaced from its centre by fractions of a pixel.
+    ///
+    /// The result is all 0 for a pixel without a ray.
     ///
     /// Within a pixel, the direction is interpolated between the neighbours on either side.
     #[must_use]

@@ -1,5 +1,6 @@
-/// Return the part of the line `origin + t * direction` inside the box `lo..=hi`, as `(t_in, t_out)`; `None` if the
-/// line misses the box.
+/// Return the part of the line `origin + t * direction` inside the box `lo..=hi`, as `(t_in, t_out)`.
+///
+/// The result is `None` if the line misses the box.
 ///
 /// The origin may be inside or outside; `t` may be negative. If a component of the direction is 0, only the origin
 /// decides, so no 0/0 occurs on a face.

@@ -218,8 +218,9 @@ impl Optics {
         Ok(())
     }
 
-    /// Check that the model has a direction everywhere in the image circle; outside the circle, the image ends at the
-    /// fold.
+    /// Check that the model has a direction everywhere in the image circle.
+    ///
+    /// Outside the circle, the image ends at the fold.
     fn check_circle(&self) -> Result<(), GridError> {
         let [w, h] = self.size_px.map(|side| side as f64);
         let radius = w.min(h) / 2.0 * (1.0 - 1e-9);
@@ -247,8 +248,9 @@ impl Optics {
         )
     }
 
-    /// Return the distorted position of a point of the plane at distance 1, and the derivatives; only for
-    /// [`Distortion::Brown`].
+    /// Return the distorted position of a point of the plane at distance 1, and the derivatives.
+    ///
+    /// The function is only for [`Distortion::Brown`].
     fn bend(&self, x: f64, y: f64) -> ([f64; 2], [[f64; 2]; 2]) {
         let Distortion::Brown { p: [p1, p2], .. } = self.distortion else {
             unreachable!("asked for perspective models only")
@@ -281,8 +283,9 @@ impl Optics {
         )
     }
 
-    /// Return the unit direction, in camera space, of a point of the picture (corner coordinates); `None` beyond the
-    /// fold of a model, and behind an angular model.
+    /// Return the unit direction, in camera space, of a point of the picture (corner coordinates).
+    ///
+    /// The result is `None` beyond the fold of a model, and behind an angular model.
     #[must_use]
     pub fn direction(&self, pixel: [f64; 2]) -> Option<[f64; 3]> {
         let [x, y] = [0, 1].map(|a| (pixel[a] - self.centre_px[a]) / self.focal_px[a]);
@@ -333,8 +336,9 @@ impl Optics {
         None
     }
 
-    /// Return the point of the picture, in corner coordinates, of a direction (camera space, any length above 0);
-    /// `None` if the lens does not see the direction.
+    /// Return the point of the picture, in corner coordinates, of a direction (camera space, any length above 0).
+    ///
+    /// The result is `None` if the lens does not see the direction.
     ///
     /// The point may be outside the picture.
     #[must_use]

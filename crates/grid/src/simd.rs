@@ -66,8 +66,9 @@ impl InstructionSet {
         Self::available().pop().unwrap_or(Self::Portable)
     }
 
-    /// Return the set with a name (`portable`, `avx2`, `avx512`, `neon`); `None` if the name is unknown or this machine
-    /// lacks the set.
+    /// Return the set with a name (`portable`, `avx2`, `avx512`, `neon`).
+    ///
+    /// The result is `None` if the name is unknown or this machine lacks the set.
     #[must_use]
     pub fn named(name: &str) -> Option<Self> {
         Self::available()

@@ -52,8 +52,9 @@ pub fn value_labels(hu: &[i16], transparent: impl Fn(i32, i32) -> bool) -> Class
     )
 }
 
-/// Label voxels by classes: maximal runs of HU whose table entries have one colour; all entries of opacity 0 count as
-/// one colour.
+/// Label voxels by classes: maximal runs of HU whose table entries have one colour.
+///
+/// All entries of opacity 0 count as one colour.
 ///
 /// `table[n]` is the entry of `lo_hu + n`. Values below and above the table count as its first and last entry. A class
 /// is one *contiguous* run, because interpolation between two transparent runs passes through the values between them.
@@ -74,8 +75,9 @@ pub fn class_labels(
     Ok(label_runs(hu, kept.collect()))
 }
 
-/// Return the transparent runs of a table, first and last value of each, in order; a transparent map depends only on
-/// these.
+/// Return the transparent runs of a table, first and last value of each, in order.
+///
+/// A transparent map depends only on these.
 ///
 /// # Errors
 ///

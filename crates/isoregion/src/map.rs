@@ -26,8 +26,9 @@ pub struct MapBuilder<'a> {
     pub simd: InstructionSet,
     /// Number of slabs of slices, rounded up to a power of two; one thread for each slab.
     pub num_slabs: usize,
-    /// Function that any thread calls once per slice; if it returns true, the construction ends with
-    /// [`IsoRegionError::Cancelled`].
+    /// Function that any thread calls once per slice.
+    ///
+    /// If it returns true, the construction ends with [`IsoRegionError::Cancelled`].
     pub cancelled: Option<&'a (dyn Fn() -> bool + Sync)>,
 }
 

@@ -187,8 +187,9 @@ fn distances_along_row<B: Bytes>(b: B, bits: &[u64], row: &mut [u8]) {
     }
 }
 
-/// Compute the distances for voxels `x ..= x + N - 1` with `before` set bits directly before them; return the number of
-/// set bits directly before their end.
+/// Compute the distances for voxels `x ..= x + N - 1` with `before` set bits directly before them.
+///
+/// Return the number of set bits directly before their end.
 #[inline(always)]
 fn distances_in_block<B: Bytes>(b: B, bits: &[u64], row: &mut [u8], x: usize, before: u8) -> u8 {
     let whole = if B::N == 64 { !0 } else { (1 << B::N) - 1 };

@@ -168,7 +168,9 @@ impl<'a> Uniform<'a> {
 }
 
 /// Set `flat[y] = across[y - 1 ..= y + 1]` (for cells `across[y ..= y + 1]`), and with `down` only for rows equal to
-/// the next; no bits in the first and last row.
+/// the next.
+///
+/// The first and the last row have no bits.
 #[inline(always)]
 fn flatten(unit: Unit, flat: &mut [u64], across: &[u64], down: Option<&[u64]>, words: usize) {
     let before = if unit == Unit::Voxel { words } else { 0 };
@@ -271,8 +273,9 @@ fn within<B: Bytes>(b: B, values: &[i16], run: (i16, u16), out: &mut [u64]) {
     unsafe { fill_words(b, &Within(values, run), values.len(), out) };
 }
 
-/// Fill words from 64 voxels each, the last word from the last 64 of the row; rows shorter than 64 are processed voxel
-/// by voxel.
+/// Fill words from 64 voxels each, the last word from the last 64 of the row.
+///
+/// Rows shorter than 64 are processed voxel by voxel.
 ///
 /// # Safety
 ///

@@ -17,8 +17,9 @@ pub struct Way {
     pub cost: f64,
 }
 
-/// Find the least-cost path from `start` to the nearest voxel for which `is_goal` is true; return `None` if there is
-/// none.
+/// Find the least-cost path from `start` to the nearest voxel for which `is_goal` is true.
+///
+/// Return `None` if there is none.
 ///
 /// A step costs its length in mm times the mean weight of its two voxels; no path passes a voxel of weight 0. All
 /// arrays run x fastest. Of equally cheap paths the first in array order is returned.

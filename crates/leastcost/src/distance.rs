@@ -51,8 +51,9 @@ impl VoxelBox {
 /// Index that stands for no voxel.
 pub const NOWHERE: u32 = u32::MAX;
 
-/// Return, for every voxel of a box, the index in the box of the nearest voxel for which `outside` is true; [`NOWHERE`]
-/// if there is none.
+/// Return, for every voxel of a box, the index in the box of the nearest voxel for which `outside` is true.
+///
+/// The result is [`NOWHERE`] if there is none.
 ///
 /// Distances are between voxel centres with `spacing_mm` along i, j, k.
 pub fn nearest_outside(

@@ -21,8 +21,9 @@ pub(crate) struct Layout {
     pub(crate) node_step: [isize; 27],
     /// Offset in the values for each cell.
     pub(crate) value_step: [isize; 27],
-    /// Number of bits of a row of the box including its rim; the next field is the number of rows of a slice including
-    /// its rim.
+    /// Number of bits of a row of the box including its rim.
+    ///
+    /// The next field is the number of rows of a slice including its rim.
     bits_of_row: usize,
     rows_of_slice: usize,
 }

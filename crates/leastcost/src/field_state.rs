@@ -26,11 +26,14 @@ pub struct FieldTracker<C: StepCost> {
     pub(crate) root: u32,
     /// Cell of the step that led to each voxel, plus 1; 0 for a voxel that no path has reached.
     pub(crate) step_here: Vec<u8>,
-    /// One bit for each voxel and for a rim round the box; 1 if a path may still change the voxel: the first path for
-    /// costs by the entered voxel, a cheaper one for costs by both ends.
+    /// One bit for each voxel and for a rim round the box.
+    ///
+    /// The value is 1 if a path may still change the voxel: the first path for costs by the entered voxel, a cheaper
+    /// one for costs by both ends.
     pub(crate) open: Vec<u8>,
-    /// For costs by both ends: `MOST_QUANTA` minus the least cost so far; 0 for a voxel that no path has reached, so
-    /// zeroed memory needs no initialisation.
+    /// For costs by both ends: `MOST_QUANTA` minus the least cost so far.
+    ///
+    /// The value is 0 for a voxel that no path has reached, so zeroed memory needs no initialisation.
     pub(crate) left: Vec<i32>,
     pub(crate) queue: Buckets,
     /// Buffer of `touch`.

@@ -427,8 +427,9 @@ fn write<L: Lanes>(
     (num_reached, beyond != 0)
 }
 
-/// Kernel that finds, for each voxel with a cost up to `known_to`, the first cell that led to it, plus 1; 0 for the
-/// others.
+/// Kernel that finds, for each voxel with a cost up to `known_to`, the first cell that led to it, plus 1.
+///
+/// The cell is 0 for the others.
 pub(crate) struct Steps<'a, C> {
     pub(crate) buffer: &'a mut Buffer,
     pub(crate) field: &'a VoxelField<'a>,

@@ -70,8 +70,9 @@ macro_rules! with_walk {
     };
 }
 
-/// Tree of least-cost paths from one root for one of the combinations of graph and cost; the search stops at a target
-/// and can be resumed.
+/// Tree of least-cost paths from one root for one of the combinations of graph and cost.
+///
+/// The search stops at a target and can be resumed.
 #[derive(Debug)]
 pub struct GraphTracker {
     grid: Grid,
@@ -157,8 +158,9 @@ impl GraphTracker {
         })
     }
 
-    /// Return the node for a point (voxel coordinates); `None` outside the box, or farther than `reach_mm` from the
-    /// lumen.
+    /// Return the node for a point (voxel coordinates).
+    ///
+    /// The result is `None` outside the box, or farther than `reach_mm` from the lumen.
     #[must_use]
     pub fn place(&self, ijk: [f64; 3], reach_mm: f64) -> Option<Place> {
         place(&self.walk, &self.grid, ijk, reach_mm)
@@ -290,8 +292,9 @@ mod tests {
     use super::*;
     use crate::Unwatched;
 
-    /// Return a tube of air along k with a half-width of three voxels, in tissue; every third slice is one grey value
-    /// brighter.
+    /// Return a tube of air along k with a half-width of three voxels, in tissue.
+    ///
+    /// Every third slice is one grey value brighter.
     fn tube() -> (Grid, Vec<i16>, Vec<u8>) {
         let axes =
             Affine::from_columns([0.8, 0.0, 0.0], [0.0, 0.9, 0.0], [0.0, 0.0, 1.5], [0.0; 3]);

@@ -26,8 +26,9 @@ pub struct WallLevels {
 }
 
 impl WallLevels {
-    /// Return the value at the true edge of a lumen with the value `air` whose wall has the maximum `peak`; `None` if
-    /// the lumen contains no air.
+    /// Return the value at the true edge of a lumen with the value `air` whose wall has the maximum `peak`.
+    ///
+    /// The result is `None` if the lumen contains no air.
     #[must_use]
     pub fn edge_level(self, air: f64, peak: f64) -> Option<f64> {
         let tissue = 2.0 * (f64::from(self.wall) - air);
@@ -313,8 +314,9 @@ impl LumenGraph {
         self.lumen.holds(ijk.map(|v| (v + 0.5).floor() as isize))
     }
 
-    /// Return the point itself if it is inside the lumen; else the nearest position on the line to the centre of the
-    /// nearest lumen voxel.
+    /// Return the point itself if it is inside the lumen.
+    ///
+    /// Otherwise return the nearest position on the line to the centre of the nearest lumen voxel.
     ///
     /// A straight line between two points inside the lumen can pass the corner of a voxel outside; this function
     /// corrects such points.
@@ -337,8 +339,9 @@ impl LumenGraph {
             .unwrap_or(centre)
     }
 
-    /// Return the lumen voxel nearest to a point within `reach_mm`, and its distance; of equally near voxels the first
-    /// in array order.
+    /// Return the lumen voxel nearest to a point within `reach_mm`, and its distance.
+    ///
+    /// Of equally near voxels, the first in array order is returned.
     #[must_use]
     pub fn nearest_node(&self, grid: &Grid, ijk: [f64; 3], reach_mm: f64) -> Option<(u32, f64)> {
         let spacing = grid.spacing_mm();

@@ -1,5 +1,6 @@
-//! Update of the graph and of the least-cost tree after a person has edited the lumen; only the parts that depend on
-//! the edit are computed again.
+//! Update of the graph and of the least-cost tree after a person has edited the lumen.
+//!
+//! Only the parts that depend on the edit are computed again.
 //!
 //! The results are exact by construction. An edge depends on its two voxels; a distance to the wall depends on the
 //! nearest voxel outside and on the voxels within two of that one. If these voxels are unchanged, the old number is
@@ -436,8 +437,9 @@ fn first_predecessors(
         .collect()
 }
 
-/// Return the voxels that a path reaches in one graph but not in the other; each graph is given with a flag for each
-/// reached node.
+/// Return the voxels that a path reaches in one graph but not in the other.
+///
+/// Each graph is given with a flag for each reached node.
 #[must_use]
 pub fn newly_reached(new: (&LumenGraph, &[bool]), old: (&LumenGraph, &[bool])) -> Vec<[u16; 3]> {
     let was = |voxel| {

@@ -29,8 +29,9 @@ pub const ZERO_CROSSING_WEIGHT: f64 = 0.3;
 /// below this limit.
 pub const LEAST_WEIGHT: f64 = 1.0 / 256.0;
 
-/// Return G(u), the length of the gradient in units per mm, by central differences; values beyond the edge repeat the
-/// edge.
+/// Return G(u), the length of the gradient in units per mm, by central differences.
+///
+/// Values beyond the edge repeat the edge.
 #[must_use]
 pub fn gradient(values: VolumeView<'_, i16>, ijk: [usize; 3]) -> f64 {
     let spacing = values.grid().spacing_mm();
@@ -45,8 +46,9 @@ pub fn gradient(values: VolumeView<'_, i16>, ijk: [usize; 3]) -> f64 {
     }))
 }
 
-/// Return 26 times the printed discrete Laplacian: 27 V minus the sum over the 27 voxels; values beyond the edge repeat
-/// the edge.
+/// Return 26 times the printed discrete Laplacian: 27 V minus the sum over the 27 voxels.
+///
+/// Values beyond the edge repeat the edge.
 #[must_use]
 pub fn laplacian(values: VolumeView<'_, i16>, ijk: [usize; 3]) -> i32 {
     let at = ijk.map(|v| v as isize);
@@ -222,8 +224,9 @@ pub struct PaperCost {
 }
 
 impl PaperCost {
-    /// Build the table for the voxels of a graph from the values of the whole volume; `greatest_gradient` is
-    /// [`Reading::scale`] of the volume.
+    /// Build the table for the voxels of a graph from the values of the whole volume.
+    ///
+    /// `greatest_gradient` is [`Reading::scale`] of the volume.
     ///
     /// # Errors
     ///

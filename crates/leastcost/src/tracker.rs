@@ -62,7 +62,8 @@ impl Tracker {
         Ok(tracker)
     }
 
-    /// Create a tracker in which all nodes with a cost are settled, in the order of cost and then of nodes;
+    /// Create a tracker in which all nodes with a cost are settled, in the order of cost and then of nodes.
+    ///
     /// `predecessor` is `NO_NODE` at the root and for nodes that are not settled.
     pub(crate) fn from_costs(
         root: u32,

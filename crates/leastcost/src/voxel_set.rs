@@ -53,8 +53,9 @@ impl VoxelSet {
             .then(|| self.before[at / 64] + (word & ((1 << bit) - 1)).count_ones())
     }
 
-    /// Return the members in a part of a row along i inside the box, with their indices, in order; empty parts are
-    /// skipped 64 voxels at a time.
+    /// Return the members in a part of a row along i inside the box, with their indices, in order.
+    ///
+    /// Empty parts are skipped 64 voxels at a time.
     pub(crate) fn in_row(
         &self,
         i: std::ops::RangeInclusive<isize>,

@@ -224,7 +224,9 @@ impl AirwayTree {
     }
 
     /// Return two children for an end, the pair with the largest clearance of some random tries, and the normal of
-    /// their plane; `None` if the lung has no space for any.
+    /// their plane.
+    ///
+    /// The result is `None` if the lung has no space for any.
     fn best_division(
         &self,
         id: usize,
@@ -266,8 +268,9 @@ impl AirwayTree {
         best.map(|(_, pair, normal)| (pair, normal))
     }
 
-    /// Return the clearance of a new branch from the pleura and from all unrelated branches, in mm; below 0 the branch
-    /// does not fit.
+    /// Return the clearance of a new branch from the pleura and from all unrelated branches, in mm.
+    ///
+    /// Below 0 the branch does not fit.
     fn room(&self, branch: &Branch) -> f64 {
         let mut room = f64::INFINITY;
         // The start is on the parent, which may still be in the hilum.

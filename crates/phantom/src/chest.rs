@@ -12,8 +12,9 @@ use crate::shapes::{along, normals, sub, tilted};
 use crate::vessels::vessels;
 use crate::voxels::Scene;
 
-/// Lower corner of the chest's box, LPS mm with the carina at the origin; the top of the box is at the first point of
-/// the ground truth.
+/// Lower corner of the chest's box, LPS mm with the carina at the origin.
+///
+/// The top of the box is at the first point of the ground truth.
 const LO_LPS: [f64; 3] = [-172.0, -126.0, -200.0];
 const HI_LPS: [f64; 3] = [172.0, 122.0, TOP_Z];
 const TOP_Z: f64 = 110.0;
@@ -95,10 +96,9 @@ pub struct Chest {
     pub lumen: Vec<u8>,
     /// Air above the cricoid (larynx, throat): 1 for a voxel whose centre is inside; `None` without a neck.
     pub upper_airway: Option<Vec<u8>>,
-    /// Signed distance to the lumen's surface in mm, negative inside, exact including the fillets at the carinas; 5 or
-    /// more where no airway is near.
+    /// Signed distance to the lumen's surface in mm, negative inside, exact including the fillets at the carinas.
     ///
-    /// `None` unless requested.
+    /// The value is 5 or more where no airway is near. The field is `None` unless requested.
     pub lumen_distance_mm: Option<Vec<f32>>,
     /// Exact airways.
     pub tree: AirwayTree,

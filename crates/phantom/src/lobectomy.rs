@@ -44,8 +44,9 @@ impl Lobe {
 
 /// Length of the stump of a lobe's bronchus beyond the wall of the airway that it leaves.
 const STUMP_MM: f64 = 6.0;
-/// Displacement of neighbouring airways, as a fraction of their distance to the lobe's hilum; the next constant is the
-/// decay length of the displacement.
+/// Displacement of neighbouring airways, as a fraction of their distance to the lobe's hilum.
+///
+/// The next constant is the decay length of the displacement.
 const SHIFT: f64 = 0.15;
 const SHIFT_REACH_MM: f64 = 80.0;
 /// Distance from the midline up to which nothing moves; at twice this distance the full displacement applies.

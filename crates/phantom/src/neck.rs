@@ -11,8 +11,9 @@ use crate::shapes::{Piece, cover, ellipsoid, mix, smooth_max, smooth_min};
 
 /// Top of a chest's box with its neck, mm above the carina.
 pub(crate) const NECK_TOP_Z: f64 = 195.0;
-/// Height at which spine, muscles and skin begin to change from the chest's shape to the neck's; the next constant is
-/// the height at which the change is complete.
+/// Height at which spine, muscles and skin begin to change from the chest's shape to the neck's.
+///
+/// The next constant is the height at which the change is complete.
 const INLET_Z: f64 = 85.0;
 const NECK_Z: f64 = 130.0;
 
@@ -108,7 +109,8 @@ impl Neck {
         mix(chest_y, own, smoothstep(INLET_Z, NECK_Z, z))
     }
 
-    /// Return the factor for a distance to the skin at a height, which accounts for the slope of shoulders and collar;
+    /// Return the factor for a distance to the skin at a height, which accounts for the slope of shoulders and collar.
+    ///
     /// [`Self::skin`] does not include the slope.
     pub(crate) fn slope(z: f64) -> f64 {
         mix(

@@ -122,8 +122,9 @@ pub(crate) fn ellipsoid(p: [f64; 3], centre: [f64; 3], radii: [f64; 3]) -> f64 {
     k0 * (k0 - 1.0) / k1
 }
 
-/// Return a point on the cubic from `a` (leaving along `ta`) to `b` (arriving along `tb`); the tangents have lengths in
-/// mm.
+/// Return a point on the cubic from `a` (leaving along `ta`) to `b` (arriving along `tb`).
+///
+/// The tangents have lengths in mm.
 pub(crate) fn hermite(a: [f64; 3], ta: [f64; 3], b: [f64; 3], tb: [f64; 3], t: f64) -> [f64; 3] {
     let (t2, t3) = (t * t, t * t * t);
     let (h0, h1) = (2.0 * t3 - 3.0 * t2 + 1.0, t3 - 2.0 * t2 + t);

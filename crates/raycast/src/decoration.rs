@@ -22,8 +22,9 @@ pub struct Decoration<'a> {
 }
 
 impl<'a> Decoration<'a> {
-    /// Create a decoration from cells of [`CHANNELS`] finite numbers, `[z, y, x, channel]`; the centre of the first
-    /// cell is at `origin_lps`.
+    /// Create a decoration from cells of [`CHANNELS`] finite numbers, `[z, y, x, channel]`.
+    ///
+    /// The centre of the first cell is at `origin_lps`.
     pub fn new(
         numbers: &'a [f32],
         shape_zyx: [usize; 3],

@@ -29,8 +29,9 @@ pub struct Attenuation {
 /// Geometry of the detector's pixels and of the source.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Projector {
-    /// Transform from pixel corners (column, row, 0) of the detector to patient space; its third column is the
-    /// direction of parallel rays.
+    /// Transform from pixel corners (column, row, 0) of the detector to patient space.
+    ///
+    /// Its third column is the direction of parallel rays.
     pub lps_from_pixel: Affine,
     /// Focal spot; `None` for parallel rays.
     ///
@@ -150,8 +151,9 @@ impl<'a> Caster<'a> {
         }
     }
 
-    /// Add the ray of a pixel to the packet of its dominant axis; return that axis and the distance in mm along the ray
-    /// between two planes.
+    /// Add the ray of a pixel to the packet of its dominant axis.
+    ///
+    /// Return that axis and the distance in mm along the ray between two planes.
     ///
     /// The computation uses f64, because the source is far away.
     fn set_up(

@@ -9,8 +9,9 @@ use crate::{Frame, Interpolation, composite::Gathered};
 pub enum Method<'a> {
     /// Brute force: every sample.
     Brute,
-    /// Leaps over transparent classes; holds the map of cells between voxels of these classes alone
-    /// ([`carina_isoregion::cell_map`]).
+    /// Leaps over transparent classes.
+    ///
+    /// The variant holds the map of cells between voxels of these classes alone ([`carina_isoregion::cell_map`]).
     LeapTransparent(&'a [u8]),
     /// Leaps over all classes by the step table; only without shading.
     LeapClasses(ClassMap<'a>),

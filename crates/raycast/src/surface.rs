@@ -23,8 +23,9 @@ pub struct Hit {
     pub depth_mm: f32,
     /// Position of the wall, LPS mm.
     pub position_lps: [f64; 3],
-    /// Unit normal of the wall, on the camera's side; in flat tissue, which has no direction, the reverse of the ray's
-    /// direction.
+    /// Unit normal of the wall, on the camera's side.
+    ///
+    /// In flat tissue, which has no direction, it is the reverse of the ray's direction.
     pub normal_lps: [f32; 3],
 }
 

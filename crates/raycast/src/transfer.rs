@@ -13,8 +13,9 @@ pub struct Transfer {
 }
 
 impl Transfer {
-    /// Create a transfer function from points `[hu, r, g, b, alpha]` in order of HU; colours and opacities are 0 to 1,
-    /// opacity is per `reference_mm`.
+    /// Create a transfer function from points `[hu, r, g, b, alpha]` in order of HU.
+    ///
+    /// Colours and opacities are 0 to 1, opacity is per `reference_mm`.
     ///
     /// Two points at one HU make a step; the later one applies at that HU. With `bin_hu` above 1 every bin of that
     /// width has the colour of its middle (the paper's quantised values).

@@ -13,8 +13,9 @@ use crate::wall::WallField;
 
 type Point = [f64; 3];
 
-/// Largest penetration of the wall by the tip with which a movement is accepted; the next constant is that of the
-/// shaft. (The specified limits are 0.1 and 0.5.)
+/// Largest penetration of the wall by the tip with which a movement is accepted.
+///
+/// The next constant is that of the shaft. (The specified limits are 0.1 and 0.5.)
 const TIP_TOLERANCE_MM: f64 = 0.02;
 const SHAFT_TOLERANCE_MM: f64 = 0.15;
 const LEAST_SWEEPS: usize = 3;

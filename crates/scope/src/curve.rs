@@ -162,8 +162,9 @@ impl FlightCurve {
         self.step_mm
     }
 
-    /// Return a frame at each knot whose +z is the curve's own direction, not the gaze; right and down span the plane
-    /// across the airway.
+    /// Return a frame at each knot whose +z is the curve's own direction, not the gaze.
+    ///
+    /// Right and down span the plane across the airway.
     ///
     /// The frames rotate about the direction as little as possible.
     #[must_use]

@@ -13,14 +13,16 @@ use crate::wall::WallField;
 
 type Point = [f64; 3];
 
-/// Largest step of the insertion; the next constant is that of flexion and roll (a bent tip of 50 mm then moves by
-/// about as much).
+/// Largest step of the insertion.
+///
+/// The next constant is that of flexion and roll (a bent tip of 50 mm then moves by about as much).
 const STEP_MM: f64 = 0.5;
 const STEP_RAD: f64 = 0.02;
 /// Largest distance between tip and wall that counts as contact.
 const TOUCH_MM: f64 = 0.1;
-/// Distance at which contact ends; it is larger, so that a tip that slides along a rough wall counts as one contact,
-/// not as a hundred.
+/// Distance at which contact ends.
+///
+/// It is larger, so that a tip that slides along a rough wall counts as one contact, not as a hundred.
 const RELEASE_MM: f64 = 0.3;
 /// Distances ahead at which a blocked scope measures the width of the airway.
 const LOOK_AHEAD_MM: [f64; 4] = [1.0, 2.0, 3.0, 4.0];

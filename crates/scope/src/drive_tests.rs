@@ -24,8 +24,9 @@ fn capsule(p: Point, a: Point, b: Point, radius: f64) -> f64 {
     radius - distance(ap, ab.map(|v| t * v))
 }
 
-/// Signed distance of a test lumen: a stem of 9 mm radius down to the origin, then two arms; the right one (x below 0)
-/// narrows to a radius of 2.
+/// Signed distance of a test lumen: a stem of 9 mm radius down to the origin, then two arms.
+///
+/// The right one (x below 0) narrows to a radius of 2.
 pub(crate) fn lumen(p: Point) -> f64 {
     let right = capsule(p, [0.0, 0.0, 0.0], [-30.0, 0.0, -45.0], 6.0).max(capsule(
         p,

@@ -50,8 +50,9 @@ pub(crate) fn nearest_on([a, b, c]: [Point; 3], p: Point) -> (Point, usize) {
 pub(crate) struct Node {
     low: Point,
     high: Point,
-    /// For a leaf, the first triangle and the number of triangles; for an inner node, the index of the right child and
-    /// 0 (the left child follows the node).
+    /// For a leaf, the first triangle and the number of triangles.
+    ///
+    /// For an inner node, the index of the right child and 0 (the left child follows the node).
     pub(crate) first: u32,
     pub(crate) count: u32,
 }

@@ -170,8 +170,9 @@ const fn index_of(at: [usize; 3], num: [usize; 3]) -> usize {
     (at[2] * num[1] + at[1]) * num[0] + at[0]
 }
 
-/// Return the kind of each brick: bricks near a triangle's box are `Near`; of the others the distance of the middle
-/// decides.
+/// Return the kind of each brick: bricks near a triangle's box are `Near`.
+///
+/// Of the others the distance of the middle decides.
 fn brick_kinds<F: Fn(f64) -> bool + Sync>(
     boxes: &Boxes,
     lps: &Affine,

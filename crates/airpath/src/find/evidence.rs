@@ -342,8 +342,9 @@ struct Search {
 #[derive(Debug)]
 struct Page {
     rise: [i16; PAGE_VOXELS],
-    /// Number of the search in which the weight was computed; the next field is the search in which the voxel was
-    /// reached.
+    /// Number of the search in which the weight was computed.
+    ///
+    /// The next field is the search in which the voxel was reached.
     seen: [u32; PAGE_VOXELS],
     met: [u32; PAGE_VOXELS],
     weight: [f32; PAGE_VOXELS],

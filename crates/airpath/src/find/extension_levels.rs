@@ -47,8 +47,9 @@ pub struct Followed {
     pub voxels: Vec<u32>,
     /// Length, mm.
     pub length_mm: f64,
-    /// Probability that this path and all paths that it leaves are airways; 1 for the thinnest airways, which are
-    /// judged in another way.
+    /// Probability that this path and all paths that it leaves are airways.
+    ///
+    /// The value is 1 for the thinnest airways, which are judged in another way.
     pub probability: f64,
     /// Mean rise to the wall divided by the threshold from the lung (a value of 1 equals the most enclosed fiftieth of
     /// the lung).
@@ -61,8 +62,9 @@ pub const EXTENDED: u8 = 2;
 pub(crate) const PENDING: u8 = 3;
 pub(crate) const REFUSED: u8 = 4;
 
-/// Share of the lung that is less enclosed than followed voxels; the next constant is the share for the mean of an
-/// accepted path.
+/// Share of the lung that is less enclosed than followed voxels.
+///
+/// The next constant is the share for the mean of an accepted path.
 const FOLLOWED_SHARE: f64 = 0.98;
 const KEPT_SHARE: f64 = 0.995;
 

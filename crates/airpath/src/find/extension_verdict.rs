@@ -22,8 +22,10 @@ const WEIGHTS: [&[f64]; 7] = [
     &[-7.69, 3.79],
     &[-1.98],
 ];
-/// Weights of the features of a path: 1; logarithm of the evidence of its sections; distance from other lumens (mm);
-/// share of the surrounding lung that the search reached; straightness (distance of its ends divided by its length).
+/// Weights of the features of a path.
+///
+/// The features are: 1; logarithm of the evidence of its sections; distance from other lumens (mm); share of the
+/// surrounding lung that the search reached; straightness (distance of its ends divided by its length).
 pub(crate) const WAY_WEIGHTS: [f64; 5] = [-8.23, 1.09, 0.57, -8.62, 6.44];
 /// Weights of the same features, for evidence that is the sum of the sections' log-odds.
 pub(crate) const WAY_WEIGHTS_DIVIDED: [f64; 5] = [-7.64, 1.03, 0.61, -2.82, 3.95];
@@ -91,8 +93,9 @@ pub(crate) fn log_odds(
         .sum()
 }
 
-/// Return the probability that a path is an airway if the airway that it leaves is one; the features are those of
-/// [`WAY_WEIGHTS`].
+/// Return the probability that a path is an airway if the airway that it leaves is one.
+///
+/// The features are those of [`WAY_WEIGHTS`].
 pub(crate) fn probability_of_way(figures: [f64; 5], weights: &[f64; 5]) -> f64 {
     let odds: f64 = weights.iter().zip(figures).map(|(w, f)| w * f).sum();
     1.0 / (1.0 + (-odds).exp())

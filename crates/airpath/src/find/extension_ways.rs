@@ -34,8 +34,9 @@ const AROUND_MM: f64 = 8.0;
 /// Largest gain of a path by one voxel, in thresholds, so that one bright wall does not compensate for a long part
 /// without wall.
 const MOST_GAIN: f64 = 3.0;
-/// In divided slices, a path ends where it has lost this much of its previous gain, in thresholds times mm; an airway
-/// farther on does not belong to this path (docs/decisions/0112).
+/// In divided slices, a path ends where it has lost this much of its previous gain, in thresholds times mm.
+///
+/// An airway farther on does not belong to this path (docs/decisions/0112).
 const MOST_LOSS_MM: f64 = 12.0;
 
 /// Accepted path, as indices in the list of reached voxels.
@@ -345,8 +346,9 @@ impl<'a> Search<'a> {
         least
     }
 
-    /// Return the share of the lung round a voxel that the search reached; the share is large where the search leaks
-    /// into the lung.
+    /// Return the share of the lung round a voxel that the search reached.
+    ///
+    /// The share is large where the search leaks into the lung.
     fn reached_share(&self, voxel: [usize; 3], limits: &ExtensionLimits) -> f64 {
         let (mut num_lung, mut num_reached) = (0usize, 0usize);
         let lung = limits.lung.0..=limits.lung.1;

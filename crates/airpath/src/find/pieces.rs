@@ -25,8 +25,9 @@ pub struct PieceLimits {
 const AIR: u8 = 1;
 const TOUCHES: u8 = 2;
 
-/// Find the face-connected pieces of air that share no face with the lumen (not 0); return their voxels in ascending
-/// order, the largest piece first.
+/// Find the face-connected pieces of air that share no face with the lumen (not 0).
+///
+/// Return their voxels in ascending order, the largest piece first.
 pub fn pieces_of_air(
     values: &[i16],
     lumen: &[u8],

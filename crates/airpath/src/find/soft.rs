@@ -24,8 +24,9 @@ const REACH_SIGMAS: f64 = 3.0;
 /// Sigma in voxels below which a Gaussian does not reach the next voxel.
 const NARROWEST_VOX: f64 = 0.25;
 
-/// Return `own` times each value plus the blurs of the volume along the axes that are `blurred`; beyond a face the
-/// values at the face are used.
+/// Return `own` times each value plus the blurs of the volume along the axes that are `blurred`.
+///
+/// Beyond a face the values at the face are used.
 #[must_use]
 pub fn mixed(
     values: VolumeView<'_, i16>,

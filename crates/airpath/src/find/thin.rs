@@ -57,8 +57,9 @@ pub struct Thin {
 const FOLLOWED_SHARE: f64 = 0.985;
 const MIN_SAMPLES: usize = 2_000;
 const NUM_SAMPLES: usize = 20_000;
-/// Distance from an accepted path within which voxels are no separate tips, mm; the next constant is that for a
-/// rejected path.
+/// Distance from an accepted path within which voxels are no separate tips, mm.
+///
+/// The next constant is that for a rejected path.
 const COVER_MM: f32 = 2.0;
 const COVER_REFUSED_MM: f32 = 1.0;
 /// Largest gain of a path by one voxel, in thresholds.

@@ -9,8 +9,9 @@ use crate::find::tube_filter::{NUM_SIDES, ROUNDNESS, ThinSection, across, sides}
 pub(crate) const EVERY_MM: f64 = 0.5;
 /// Number of positions to both sides over which values are averaged: 5 mm.
 const NUM_MEAN: usize = 5;
-/// Number of positions to both sides over which the zigzag between voxels is smoothed; the next constant is the number
-/// for the direction.
+/// Number of positions to both sides over which the zigzag between voxels is smoothed.
+///
+/// The next constant is the number for the direction.
 const NUM_SMOOTHED: usize = 2;
 const NUM_DIRECTION: usize = 3;
 /// Offsets across a path, mm, at which a darker position is searched; `NUM_CENTRED` is the number of repetitions.
@@ -24,8 +25,9 @@ const NUM_CRESTS: usize = 6;
 /// Largest gain of a path by one position, in thresholds, so that one bright wall does not compensate for a long part
 /// without wall.
 const MOST_GAIN: f64 = 3.0;
-/// Smallest mean dip of an accepted path, in thresholds; the next constant is the smallest share of positions that look
-/// like an airway.
+/// Smallest mean dip of an accepted path, in thresholds.
+///
+/// The next constant is the smallest share of positions that look like an airway.
 const KEPT_MEAN: f64 = 1.2;
 const KEPT_SHARE: f64 = 0.75;
 /// Largest distance of the crest of a thin airway's wall, mm.
@@ -36,8 +38,9 @@ const FARTHEST_CREST_MM: f64 = 1.3;
 const LEAST_THIN: f64 = 4.5;
 const STEADY_MM: f64 = 0.06;
 
-/// Number of positions at the start of a path that may be brighter than its median; the next constant is the largest
-/// difference, as a fraction of the wall's rise.
+/// Number of positions at the start of a path that may be brighter than its median.
+///
+/// The next constant is the largest difference, as a fraction of the wall's rise.
 const NUM_FIRST: usize = 4;
 const OPENNESS: f64 = 0.65;
 
@@ -153,8 +156,9 @@ impl Profile {
         }
     }
 
-    /// Return whether the wall is as thin as that of an airway and the radius constant along the path; a space enclosed
-    /// by vessels does not satisfy this.
+    /// Return whether the wall is as thin as that of an airway and the radius constant along the path.
+    ///
+    /// A space enclosed by vessels does not satisfy this.
     fn is_a_thread(&self, num: usize, section: &ThinSection) -> bool {
         let places = &self.places[..num];
         let mean =
@@ -175,8 +179,9 @@ impl Profile {
         brightest - median(places, |p| p.own) <= OPENNESS * median(places, |p| p.rise)
     }
 
-    /// Return whether the wall is on all sides (a groove between a vessel and a wall is open on one side); always true
-    /// for wide lumens.
+    /// Return whether the wall is on all sides (a groove between a vessel and a wall is open on one side).
+    ///
+    /// The result is always true for wide lumens.
     pub(crate) fn is_round(&self) -> bool {
         median(&self.places, |p| p.radius_mm) > WIDE_MM
             || median(&self.places, |p| p.dip / p.rise.max(1.0)) >= ROUND_WAY

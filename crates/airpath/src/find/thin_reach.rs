@@ -7,10 +7,9 @@ use rayon::prelude::*;
 use crate::find::extension_levels::LUMEN;
 use crate::find::tube_filter::{BLOCK, TubeFilter};
 
-/// Allowance of a path at the lumen: length in mm that it may pass through voxels without a dip; the next constant is
-/// the largest allowance.
+/// Allowance of a path at the lumen: length in mm that it may pass through voxels without a dip.
 ///
-/// At `PRICE` per mm, the actual length is half of that.
+/// The next constant is the largest allowance. At `PRICE` per mm, the actual length is half of that.
 const FIRST_MM: f32 = 1.0;
 const MOST_MM: f32 = 4.0;
 /// Change of the allowance per mm of path: this factor times (dip divided by the threshold, minus 1).

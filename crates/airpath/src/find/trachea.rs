@@ -66,15 +66,17 @@ const MIN_CUT_OFF_MM: f64 = 8.0;
 const STRICT_LENGTH_MM: f64 = 40.0;
 /// Smallest length of a trachea without both, or with other tubes beside it, mm.
 const BEYOND_DOUBT_MM: f64 = 60.0;
-/// Smallest median diameter of such a trachea, mm; the next constants are the smallest share surrounded by tissue, and
-/// the largest sideways displacement per mm down.
+/// Smallest median diameter of such a trachea, mm.
+///
+/// The next constants are the smallest share surrounded by tissue, and the largest sideways displacement per mm down.
 const STRICT_DIAMETER_MM: f64 = 9.0;
 const STRICT_RINGED: f64 = 0.8;
 const STRICT_SLANT: f64 = 0.6;
 /// Smallest distance by which a single main bronchus leaves the line of the trachea, mm.
 const ASIDE_MM: f64 = 10.0;
-/// Largest change of the area of a tube from slice to slice, as a factor; the next constant applies to a bronchus,
-/// which may meet a horizontal branch.
+/// Largest change of the area of a tube from slice to slice, as a factor.
+///
+/// The next constant applies to a bronchus, which may meet a horizontal branch.
 const TRACHEA_CHANGE: f64 = 2.2;
 const BRONCHUS_CHANGE: f64 = 5.0;
 const BOTH_BRONCHI: SplitRule = SplitRule {

@@ -21,8 +21,9 @@ const STEP_MM: f64 = 0.75;
 ///
 /// A thin lumen has no wall farther out.
 const CRESTS_MM: [f64; 3] = [0.65, 0.75, 1.1];
-/// Distance behind a thin wall at which there must be lung; the next constant is the smallest number of sides with lung
-/// (an artery is at the others).
+/// Distance behind a thin wall at which there must be lung.
+///
+/// The next constant is the smallest number of sides with lung (an artery is at the others).
 const BEYOND_MM: f64 = 2.4;
 const LEAST_BEYOND: usize = 4;
 /// Distance at which a blurred lumen is half-way up its wall, as a fraction of the crest's distance.
@@ -305,8 +306,9 @@ fn sums_of(window: &[i16], steps: &Steps) -> [i32; BLOCK] {
     sums
 }
 
-/// Return the second darkest of the sides and the sum of all, as [`risen`] does, for voxels that are consecutive in
-/// memory; `None` if no voxel is above its `least`.
+/// Return the second darkest of the sides and the sum of all, as [`risen`] does.
+///
+/// The function processes voxels that are consecutive in memory. The result is `None` if no voxel is above its `least`.
 #[expect(
     clippy::inline_always,
     reason = "compiled once for each instruction set"

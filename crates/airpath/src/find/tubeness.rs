@@ -144,8 +144,9 @@ impl Enclosure {
         *rises.select_nth_unstable(NUM_OPEN).1
     }
 
-    /// Return whether the values rise by `rise` or more on all but a fifth of the rays; equal to a comparison of
-    /// [`Enclosure::at`] with `rise`, but faster.
+    /// Return whether the values rise by `rise` or more on all but a fifth of the rays.
+    ///
+    /// The result equals that of a comparison of [`Enclosure::at`] with `rise`, but faster.
     #[must_use]
     pub fn reaches(&self, smooth: &[i16], voxel: usize, rise: i16) -> bool {
         let [nx, ny, _] = self.shape;

@@ -78,8 +78,9 @@ pub struct Tube {
 }
 
 impl Tube {
-    /// Return the measurements of a tube of this radius, interpolated linearly between computed sizes; `ratio` is the
-    /// blur across the slices divided by the blur within them.
+    /// Return the measurements of a tube of this radius, interpolated linearly between computed sizes.
+    ///
+    /// `ratio` is the blur across the slices divided by the blur within them.
     #[must_use]
     pub fn new(radius: f64, ratio: f64) -> Self {
         let at = (within_tables(radius) / LEAST_RADIUS).ln() / (MOST_RADIUS / LEAST_RADIUS).ln()
@@ -150,8 +151,9 @@ fn between(list: &[f64], value: f64) -> [(usize, f64); 2] {
     [(after - 1, 1.0 - share), (after, share)]
 }
 
-/// Compute the profiles of one tube and measure them; `ratio` is the blur across the slices divided by the blur within
-/// them.
+/// Compute the profiles of one tube and measure them.
+///
+/// `ratio` is the blur across the slices divided by the blur within them.
 fn image(radius: f64, wall: Option<f64>, ratio: f64) -> Shown {
     let widest = ratio.max(1.0);
     let step = 0.1;

@@ -30,8 +30,9 @@ pub const THICKEST_WALL_MM: f64 = 3.0;
 /// Distance of the centre from the middle, as a fraction of a voxel, below which the centre needs no correction.
 const CENTRED_VOX: f64 = 0.1;
 const MAX_CASTS: usize = 4;
-/// Number of planes between two checks of the watch; few, so that pictures that are due wait for at most some
-/// milliseconds.
+/// Number of planes between two checks of the watch.
+///
+/// The number is small, so that pictures that are due wait for at most some milliseconds.
 const PLANES_PER_LOOK: usize = 16;
 /// Uncertainty of one edge due to interpolation and step length, in voxels (one standard deviation).
 const EDGE_VOX: f64 = 0.1;

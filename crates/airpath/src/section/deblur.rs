@@ -37,16 +37,18 @@ const STEEP_SHARE: f64 = 0.3;
 const WIDENED_ACROSS: f64 = 1.36;
 /// Smallest ratio of the blur across the slices to the blur within them.
 const LEAST_ACROSS: f64 = 0.8;
-/// Thickness in blurs above which the half-maximum edges of a wall count for its thickness; the next constant is the
-/// further thickness after which only the edges count.
+/// Thickness in blurs above which the half-maximum edges of a wall count for its thickness.
+///
+/// The next constant is the further thickness after which only the edges count.
 const EDGES_TELL_FROM: f64 = 2.2;
 const EDGES_TELL_OVER: f64 = 1.2;
 /// Smallest weight of a direction that counts for the thickness of a wall.
 const CERTAIN: f64 = 0.6;
 /// Number of rays on each side over which the rise of a wall is averaged.
 const SMOOTHED_RAYS: usize = 2;
-/// Largest ratio of blur to radius for which the remaining bias is known; the next constant is that of the blur across
-/// to the blur within the slices.
+/// Largest ratio of blur to radius for which the remaining bias is known.
+///
+/// The next constant is that of the blur across to the blur within the slices.
 const MOST_BLURRED: f64 = 0.8;
 const MOST_ACROSS: f64 = 4.0;
 /// Blur in pixels of a kernel without overshoot; a kernel with a blur smaller by more than `SHARP` overshoots clearly.

@@ -196,10 +196,10 @@ fn outer_mm(
     (after > 0).then(|| profile.crossing_mm(peak_at + after - 1, half))
 }
 
-/// Interpolate the value at a point between voxels: Catmull-Rom along each axis; beyond the last voxel, its value is
-/// used.
+/// Interpolate the value at a point between voxels: Catmull-Rom along each axis.
 ///
-/// Unlike linear interpolation, this method hardly blurs: a lumen of three voxels keeps its width.
+/// Beyond the last voxel, its value is used. Unlike linear interpolation, this method hardly blurs: a lumen of three
+/// voxels keeps its width.
 #[must_use]
 pub fn value_at(values: VolumeView<'_, i16>, ijk: [f64; 3]) -> f32 {
     let base = ijk.map(|v| v.floor() as isize);

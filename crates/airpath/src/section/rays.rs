@@ -45,8 +45,10 @@ pub(crate) fn angle(n: usize) -> f64 {
     std::f64::consts::TAU * n as f64 / NUM_RAYS as f64
 }
 
-/// Return the edges of the lumen; NaN where there is none, or where the edge is far from those of the neighbouring rays
-/// and belongs to another structure (the far wall of a branch that leaves here).
+/// Return the edges of the lumen.
+///
+/// The result is NaN where there is none, or where the edge is far from those of the neighbouring rays and belongs to
+/// another structure (the far wall of a branch that leaves here).
 pub(crate) fn without_outliers(rays: &[Edges; NUM_RAYS]) -> [f64; NUM_RAYS] {
     without_far(&std::array::from_fn(|n| {
         rays[n].inner_mm.unwrap_or(f64::NAN)

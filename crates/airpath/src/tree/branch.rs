@@ -24,8 +24,9 @@ pub struct Branch {
     pub wall_mm: Vec<f64>,
 }
 
-/// Convert a chain of points in the lumen to evenly spaced, smooth points in the lumen; also return the distance of
-/// each point along the chain, mm.
+/// Convert a chain of points in the lumen to evenly spaced, smooth points in the lumen.
+///
+/// Also return the distance of each point along the chain, mm.
 #[must_use]
 pub fn smooth_inside(
     graph: &LumenGraph,

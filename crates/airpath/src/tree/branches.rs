@@ -135,8 +135,9 @@ pub fn branches_to(
     used.branches(limits, &forks)
 }
 
-/// Return, for every node of the graph, the index of the branch whose tube contains the node; `NO_NODE` if the node is
-/// connected to no branch.
+/// Return, for every node of the graph, the index of the branch whose tube contains the node.
+///
+/// The result is `NO_NODE` if the node is connected to no branch.
 ///
 /// This is the branch with the nearest centreline, measured inside the lumen and from the tube's surface: a wide tube
 /// reaches farther than a narrow one that leaves it.
@@ -330,8 +331,9 @@ impl<'a> NodeTree<'a> {
         lower
     }
 
-    /// Return the number of nodes at a chain's tip that run into the blind end of the tube, where the wall becomes
-    /// nearer with every step; at most 4 mm and a third of the chain.
+    /// Return the number of nodes at a chain's tip that run into the blind end of the tube.
+    ///
+    /// There the wall becomes nearer with every step. The result is at most 4 mm and a third of the chain.
     fn blunt_end(&self, chain: &[u32]) -> usize {
         let tip = chain.len() - 1;
         let mut num_cut = 0;

@@ -23,8 +23,9 @@ pub struct Calibre {
     pub wall_mm: Vec<f64>,
 }
 
-/// Compute the radii of the wanted branches of a tree; `lines` has the points of all branches, and `parents` their
-/// parents.
+/// Compute the radii of the wanted branches of a tree.
+///
+/// `lines` has the points of all branches, and `parents` their parents.
 ///
 /// The result depends only on the lumen and these lines, so equal trees have equal radii.
 #[must_use]

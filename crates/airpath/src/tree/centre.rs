@@ -18,8 +18,9 @@ use carina_leastcost::lumen::LumenGraph;
 
 /// Number of radii before a tip where the tube ends, because the lumen closes at the tip.
 const BEFORE_TIP_RADII: f64 = 0.5;
-/// Weight of the bifurcation of the least-cost paths relative to an axis; it matters only if the axes are nearly
-/// parallel.
+/// Weight of the bifurcation of the least-cost paths relative to an axis.
+///
+/// It matters only if the axes are nearly parallel.
 const OLD_FORK_WEIGHT: f64 = 0.05;
 /// Largest displacement of a bifurcation, as a multiple of its tube's radius.
 const FARTHEST_RADII: f64 = 2.5;

@@ -15,8 +15,9 @@ use carina_leastcost::{TrackError, Watch};
 /// Largest distance in mm of lumen from the centreline of a branch that is cut off.
 const CUT_REACH_MM: f64 = 25.0;
 
-/// Return the nodes that are in the tubes of the branches `cut` rather than of the branches `kept`; both are given by
-/// the nodes on their centrelines.
+/// Return the nodes that are in the tubes of the branches `cut` rather than of the branches `kept`.
+///
+/// Both are given by the nodes on their centrelines.
 ///
 /// Distances are measured inside the lumen from the tubes' surfaces, as in [`crate::tree::branches::branch_of_nodes`];
 /// a node at equal distance from both is not returned. Only the box round `cut` is searched.

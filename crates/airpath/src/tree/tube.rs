@@ -10,8 +10,9 @@ use carina_leastcost::lumen::LumenGraph;
 /// Interval in mm at which positions along two branches are compared.
 const LOOK_MM: f64 = 0.25;
 
-/// Number of radii past the carina at which a branch's own part begins; the next constant is the number of radii before
-/// its bifurcation at which the part ends.
+/// Number of radii past the carina at which a branch's own part begins.
+///
+/// The next constant is the number of radii before its bifurcation at which the part ends.
 pub(crate) const PAST_CARINA_RADII: f64 = 0.3;
 pub(crate) const BEFORE_FORK_RADII: f64 = 1.0;
 
@@ -203,8 +204,10 @@ impl View<'_> {
         self.holds(centre).then_some(centre)
     }
 
-    /// Return the distance at which a ray leaves the lumen: the distance to the last voxel in the lumen, plus that
-    /// voxel's distance to the wall; NaN beyond the reach.
+    /// Return the distance at which a ray leaves the lumen.
+    ///
+    /// It is the distance to the last voxel in the lumen plus that voxel's distance to the wall. The result is NaN
+    /// beyond the reach.
     fn ray_mm(&self, from: Point, dir: Point, reach_mm: f64) -> f64 {
         let step_mm = 0.5 * self.grid.min_spacing_mm();
         let first = self.grid.to_ijk(Lps(from)).0;

@@ -25,8 +25,9 @@ struct Case {
 }
 
 impl Case {
-    /// Create a case with random values between two limits, seen from the middle or from a corner; half of the values
-    /// are visible.
+    /// Create a case with random values between two limits, seen from the middle or from a corner.
+    ///
+    /// Half of the values are visible.
     fn random(shape: [usize; 3], limits: [i16; 2], seed: u64) -> Self {
         let mut state = seed | 1;
         let mut random = |n: i64| {

@@ -98,8 +98,9 @@ impl Store {
         self.num_bricks
     }
 
-    /// Return the index of a brick in [`Self::numbers`], and fill the brick if it is not yet filled; `None` if it is
-    /// not stored.
+    /// Return the index of a brick in [`Self::numbers`], and fill the brick if it is not yet filled.
+    ///
+    /// The result is `None` if it is not stored.
     ///
     /// `fill` returns `None` if the numbers cannot be stored; the table records this result, too.
     #[cold]

@@ -88,8 +88,9 @@ impl<'a, B: Fill> Reader<'a, B> {
         all
     }
 
-    /// Interpolate the four numbers of voxels in each lane's cell `ijk` at `t`; return `None` if a wanted lane has no
-    /// brick.
+    /// Interpolate the four numbers of voxels in each lane's cell `ijk` at `t`.
+    ///
+    /// Return `None` if a wanted lane has no brick.
     ///
     /// Every lane's cell must be in the volume, also in lanes that are not wanted.
     #[inline(always)]

@@ -143,8 +143,9 @@ impl<L: Lanes> Film<L> {
         *n_film = unit(l, mixed).0;
     }
 
-    /// Return the highlight towards the scope; `half` is the half-way vector between the directions to the scope and to
-    /// a light.
+    /// Return the highlight towards the scope.
+    ///
+    /// `half` is the half-way vector between the directions to the scope and to a light.
     #[inline(always)]
     pub(super) fn towards(self, l: L, half: [L::F; 3]) -> L::F {
         let mut highlight = l.max(dot(l, self.drop, half), l.splat(0.0));

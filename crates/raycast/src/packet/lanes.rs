@@ -39,11 +39,13 @@ pub(crate) trait Lanes: Copy {
     /// There must be at least as many values as lanes.
     fn fill_i(self, old: Self::I, mask: u32, values: &[i32]) -> Self::I;
 
-    /// Write the lanes of the mask consecutively to `out`; the following items, up to the number of lanes, become
-    /// undefined.
+    /// Write the lanes of the mask consecutively to `out`.
+    ///
+    /// The following items, up to the number of lanes, become undefined.
     fn put(self, v: Self::F, mask: u32, out: &mut [f32]);
-    /// Write the lanes of the mask consecutively to `out`, as integers; the following items, up to the number of lanes,
-    /// become undefined.
+    /// Write the lanes of the mask consecutively to `out`, as integers.
+    ///
+    /// The following items, up to the number of lanes, become undefined.
     fn put_i(self, v: Self::I, mask: u32, out: &mut [i32]);
 
     fn add(self, a: Self::F, b: Self::F) -> Self::F;

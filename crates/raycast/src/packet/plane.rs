@@ -109,8 +109,9 @@ impl<'a> PlaneTiles<'a> {
         Self { gathers, ..self }
     }
 
-    /// Sample rows of pixels, at most [`TILE_ROWS`], that start at voxel coordinates `starts`; both output slices must
-    /// contain zeros.
+    /// Sample rows of pixels, at most [`TILE_ROWS`], that start at voxel coordinates `starts`.
+    ///
+    /// Both output slices must contain zeros.
     pub(crate) fn sample(&self, starts: &[[f32; 3]], grey: &mut [u8], inside: &mut [u8]) {
         match self.simd {
             #[cfg(target_arch = "x86_64")]

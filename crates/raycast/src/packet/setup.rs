@@ -22,8 +22,9 @@ pub(super) struct Directions([[f64; MAX_LANES]; 3]);
 pub(super) type Patch = (Range<usize>, Range<usize>);
 
 impl Directions {
-    /// Compute the directions of some patches, one after the other and each row by row; there must be at most as many
-    /// pixels as lanes.
+    /// Compute the directions of some patches, one after the other and each row by row.
+    ///
+    /// There must be at most as many pixels as lanes.
     #[inline(always)]
     pub(super) fn of(frame: &Frame<'_>, patches: impl Iterator<Item = Patch>) -> Self {
         let camera = frame.camera();

@@ -135,8 +135,9 @@ impl<'a> Voxels<'a> {
         }
     }
 
-    /// Prefetch two of the four rows of the cells that contain points; the prefetches of neighbouring pixels cover the
-    /// other rows.
+    /// Prefetch two of the four rows of the cells that contain points.
+    ///
+    /// The prefetches of neighbouring pixels cover the other rows.
     #[inline(always)]
     pub(super) fn ask_for<L: Lanes>(&self, l: L, p: [L::F; 3]) {
         let base = l.store_i(self.cells(l, p).base);

@@ -184,8 +184,10 @@ impl Chest {
         })
     }
 
-    /// Return a random view: a third of the cameras in the lumen, a third anywhere in the volume, and a third outside
-    /// and looking at the volume; field of view 60 to 170 degrees.
+    /// Return a random view.
+    ///
+    /// A third of the cameras are in the lumen, a third anywhere in the volume, and a third outside and looking at the
+    /// volume. The field of view is 60 to 170 degrees.
     pub(crate) fn view(&self, dice: &mut Dice, width: usize, height: usize) -> View {
         let mut axes = frame(dice);
         let position = match (dice.roll() * 3.0) as u32 {

@@ -87,8 +87,9 @@ fn compare(found: &[u8], expected: &[u8]) -> Tally {
     tally
 }
 
-/// Cast one view with every caster of this machine and compare all with the scalar caster; return the scalar caster's
-/// picture.
+/// Cast one view with every caster of this machine and compare all with the scalar caster.
+///
+/// Return the scalar caster's picture.
 fn every_caster_agrees(frame: &Frame<'_>, radius: &[u8], height: usize) -> Vec<u8> {
     let mut pictures: Vec<Vec<u8>> = Vec::new();
     for method in [Method::Brute, Method::LeapTransparent(radius)] {
@@ -218,8 +219,9 @@ fn stretches() -> Vec<Vec<[f64; 5]>> {
     ]
 }
 
-/// Compare leaps over every class with brute force, without shading; also return the number of samples that leaps
-/// skipped.
+/// Compare leaps over every class with brute force, without shading.
+///
+/// Also return the number of samples that leaps skipped.
 fn leaps_over_opaque_classes(num_poses: u64, seed: u64, nearest: bool) -> (Tally, u64) {
     (0..num_poses.div_ceil(10))
         .into_par_iter()
