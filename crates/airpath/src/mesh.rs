@@ -122,8 +122,9 @@ fn fan(ring: &[usize]) -> Option<Vec<usize>> {
         .find(|turned| (2..n - 1).all(|m| !share_face(turned[0], turned[m])))
 }
 
-/// Ring of crossed edges as a fan of triangles: the apex is its first edge, or, if `has_apex` is false, the centre of
-/// the ring.
+/// Ring of crossed edges as a fan of triangles.
+///
+/// The apex is its first edge, or, if `has_apex` is false, the centre of the ring.
 pub(crate) struct CellRing {
     pub(crate) edges: Vec<usize>,
     pub(crate) has_apex: bool,
@@ -265,8 +266,10 @@ fn mean(points: impl ExactSizeIterator<Item = Point>) -> Point {
     sum.map(|v| v / count)
 }
 
-/// Lumen extended to the half-maximum: it includes the neighbouring voxels whose centre is in front of the
-/// half-maximum, because the flood stops at a lower value.
+/// Lumen extended to the half-maximum.
+///
+/// It includes the neighbouring voxels whose centre is in front of the half-maximum, because the flood stops at a lower
+/// value.
 pub(crate) struct Reach<'a> {
     values: VolumeView<'a, i16>,
     lumen: &'a [u8],

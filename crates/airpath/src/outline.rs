@@ -373,10 +373,11 @@ impl Places {
     }
 }
 
-/// Encode lines as bytes: for each line the number of its points and then column and row of each point, all u16
-/// little-endian, columns and rows in sixteenths of a pixel.
+/// Encode lines as bytes.
 ///
-/// Lines are clipped to the picture, and points that are too near to be distinguished are merged.
+/// Each line is the number of its points and then column and row of each point, all u16 little-endian, columns and rows
+/// in sixteenths of a pixel. Lines are clipped to the picture, and points that are too near to be distinguished are
+/// merged.
 #[must_use]
 pub fn encoded(lines: &[Vec<PicturePoint>], (width, height): (usize, usize)) -> Vec<u8> {
     let size = [width as f64, height as f64];

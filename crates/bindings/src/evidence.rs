@@ -78,8 +78,9 @@ impl Enclosures {
         Ok(found.into_pyarray(py))
     }
 
-    /// Find, for each of (n, 3) voxels, the path with the most wall round it to any voxel `away_mm` away: (m, 3)
-    /// voxels, or None.
+    /// Find, for each of (n, 3) voxels, the path with the most wall round it to any voxel `away_mm` away.
+    ///
+    /// Each path is (m, 3) voxels, or None.
     #[pyo3(signature = (starts_ijk, *, away_mm, enclosed, dark, bright, closed))]
     fn runs<'py>(
         &self,

@@ -249,8 +249,9 @@ pub(crate) fn instruction_set(name: Option<&str>) -> PyResult<InstructionSet> {
 /// Statistics of a cast as a Python tuple: rays, samples, look-ups, leaps, skipped samples, shaded samples, reads.
 type PyStats = (u64, u64, u64, u64, u64, u64, u64);
 
-/// Leaping map as passed from Python: the radius map alone, or labels, radius map and one value of each class for leaps
-/// over all classes.
+/// Leaping map as passed from Python.
+///
+/// It is the radius map alone, or labels, radius map and one value of each class for leaps over all classes.
 #[derive(FromPyObject)]
 enum LeapMap<'py> {
     Classes(

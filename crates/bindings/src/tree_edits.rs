@@ -141,8 +141,9 @@ fn lumen_array<'py>(py: Python<'py>, tracker: &LumenTracker) -> PyResult<Bound<'
     bytes.into_pyarray(py).reshape(tracker.grid.shape_zyx())
 }
 
-/// Return the states of the voxels of a box, (nz, ny, nx): 0 no lumen, 1 lumen that no path reaches, 2 lumen that a
-/// path reaches.
+/// Return the states of the voxels of a box, (nz, ny, nx).
+///
+/// The states are 0 no lumen, 1 lumen that no path reaches, 2 lumen that a path reaches.
 #[pyfunction]
 fn lumen_states<'py>(
     py: Python<'py>,

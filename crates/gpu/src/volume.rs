@@ -39,8 +39,10 @@ impl Gpu {
         })
     }
 
-    /// Upload data to a 3D texture: one fetch per voxel, with locality along all three axes, and independent of the
-    /// largest buffer that a shader may bind (128 MB on some devices).
+    /// Upload data to a 3D texture.
+    ///
+    /// A texture needs one fetch per voxel, has locality along all three axes, and is independent of the largest buffer
+    /// that a shader may bind (128 MB on some devices).
     fn upload(
         &self,
         what: &'static str,

@@ -11,8 +11,10 @@ const FOLD_STEP_RAD: f64 = 0.01 * PI / 180.0;
 /// Lengths are in focal lengths, angles in radians.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Distortion {
-    /// Distortion on the plane at distance 1 (`OpenCV`'s default model): `x' = x R(r) + 2 p1 x y + p2 (r^2 + 2 x^2)`, y
-    /// alike, with `R = (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6)`.
+    /// Distortion on the plane at distance 1 (`OpenCV`'s default model).
+    ///
+    /// `x' = x R(r) + 2 p1 x y + p2 (r^2 + 2 x^2)`, y alike, with
+    /// `R = (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6)`.
     Brown {
         /// Coefficients k1 to k6.
         k: [f64; 6],

@@ -12,8 +12,9 @@ pub const MIN_FOV_RAD: f64 = core::f64::consts::PI / 180.0;
 /// Largest field of view of a pinhole camera, 170 degrees: at 180 the image plane is infinite.
 pub const MAX_FOV_RAD: f64 = 170.0 * core::f64::consts::PI / 180.0;
 
-/// Largest relative difference between the scales of both sides of a viewport and of a calibration, which allows for
-/// rounding to whole pixels.
+/// Largest relative difference between the scales of both sides of a viewport and of a calibration.
+///
+/// It allows for rounding to whole pixels.
 const ASPECT_TOLERANCE: f64 = 0.01;
 
 /// Result of a camera calibration, for example by `OpenCV` with a chessboard.

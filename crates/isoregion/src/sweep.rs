@@ -11,10 +11,10 @@ use crate::{
     uniform::{Source, Uniform},
 };
 
-/// Kernel that computes the distances in slices `first_z ..` of a volume, as many as `out` holds, as if there were no 0
-/// beyond these slices.
+/// Kernel that computes the distances in slices `first_z ..` of a volume, as many as `out` holds.
 ///
-/// `stopped` is called before each slice; the distances of a stopped sweep are not valid.
+/// It assumes that there is no 0 beyond these slices. `stopped` is called before each slice; the distances of a stopped
+/// sweep are not valid.
 pub(crate) struct Sweep<'a> {
     pub(crate) source: Source<'a>,
     pub(crate) shape_zyx: [usize; 3],
@@ -97,10 +97,10 @@ impl Kernel for Sweep<'_> {
     }
 }
 
-/// Kernel that propagates distances from `edge`, the slice beside a finished slab, into the slab: forward from its
-/// first slice on, or backward from its last.
+/// Kernel that propagates distances from `edge`, the slice beside a finished slab, into the slab.
 ///
-/// The distances within both slabs are exact, so only steps to other slices are missing.
+/// It propagates forward from the slab's first slice on, or backward from its last. The distances within both slabs are
+/// exact, so only steps to other slices are missing.
 pub(crate) struct Push<'a> {
     pub(crate) edge: &'a [u8],
     pub(crate) slab: &'a mut [u8],

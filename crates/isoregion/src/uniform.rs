@@ -1,5 +1,6 @@
-//! Uniform voxels and cells, one bit each, slice after slice: voxels at the centre of 3x3x3 equal ones, or cells with
-//! eight equal corners.
+//! Uniform voxels and cells, one bit each, slice after slice.
+//!
+//! A uniform voxel is at the centre of 3x3x3 equal ones; a uniform cell has eight equal corners.
 
 use crate::bytes::Bytes;
 

@@ -16,10 +16,10 @@ use crate::dijkstra::least_costs_by;
 /// Cell of the voxel itself: 13 of the 27.
 pub(crate) const HERE: usize = 13;
 
-/// Quanta of the cheapest step that is not free: rounding by half a quantum is 0.4 % of it, so a sum of such steps is
-/// accurate within 0.4 % as well.
+/// Quanta of the cheapest step that is not free.
 ///
-/// The rest up to 0.5 % is far more than the rounding of f32 needs.
+/// Rounding by half a quantum is 0.4 % of it, so a sum of such steps is accurate within 0.4 % as well. The rest up to
+/// 0.5 % is far more than the rounding of f32 needs.
 const CHEAPEST_STEP_QUANTA: f32 = 128.0;
 /// Largest number of quanta of a step: f32 represents this range exactly, with one bit to spare.
 pub(crate) const MAX_STEP_QUANTA: f32 = 4_194_304.0;
@@ -560,8 +560,9 @@ impl<C: StepCost> Quanta<C> {
     }
 }
 
-/// Return the least cost in quanta from `root` to every node of the box by Dijkstra's algorithm with a heap: the
-/// reference.
+/// Return the least cost in quanta from `root` to every node of the box.
+///
+/// This is the reference: Dijkstra's algorithm with a heap.
 #[must_use]
 pub fn least_costs<C: StepCost>(
     field: &VoxelField<'_>,

@@ -1,5 +1,6 @@
-//! Sixteen voxels in a row along i, with the operations of the sweeps of [`crate::field_sweep`] on their costs (in
-//! quanta) and weights.
+//! Sixteen voxels in a row along i, with operations on their costs (in quanta) and weights.
+//!
+//! The sweeps of [`crate::field_sweep`] use them.
 #![allow(
     clippy::inline_always,
     reason = "small functions of the inner loop, compiled once for each instruction set"

@@ -1,5 +1,6 @@
-//! Least costs of all voxels at once: the volume is divided into tiles that fit the nearest cache, and each is swept
-//! until no cost decreases.
+//! Least costs of all voxels at once.
+//!
+//! The volume is divided into tiles that fit the nearest cache, and each is swept until no cost decreases.
 //!
 //! A queue of voxels accesses the 26 neighbours of voxels all over the front, which is larger than a cache, once for
 //! each voxel, and so waits for memory. Here the queue contains tiles, the one with the lowest changed cost first. A
@@ -211,8 +212,9 @@ impl Sweep {
                 .any(|left| *left > 0 && UNREACHED - *left as u32 > self.most)
     }
 
-    /// Write the step that led to each voxel, for the tiles swept since the last call: the first cell for which the
-    /// neighbour's cost and the step add up to the voxel's cost.
+    /// Write the step that led to each voxel, for the tiles swept since the last call.
+    ///
+    /// It is the first cell for which the neighbour's cost and the step add up to the voxel's cost.
     pub(crate) fn write_steps<C: StepCost>(
         &mut self,
         field: &VoxelField<'_>,

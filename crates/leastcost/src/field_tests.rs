@@ -1,5 +1,7 @@
-//! Contract tests of the tracker over a volume of weights: equal to Dijkstra with a heap, resumed equals fresh,
-//! accurate within half a percent, no path through walls or outside regions.
+//! Contract tests of the tracker over a volume of weights.
+//!
+//! The results equal those of Dijkstra's algorithm with a heap, resumed searches equal fresh ones, costs are accurate
+//! within half a percent, and no path goes through walls or outside regions.
 
 use std::ops::Range;
 
@@ -112,8 +114,9 @@ fn scene(weight: BoxedStrategy<f32>) -> impl Strategy<Value = Scene> {
     })
 }
 
-/// Return a strategy for scenes of several sweep tiles on every axis: noise, or few weights (many paths cost the same),
-/// with or without walls.
+/// Return a strategy for scenes of several sweep tiles on every axis.
+///
+/// The weights are noise, or a few values (many paths cost the same), with or without walls.
 fn wide_scene() -> impl Strategy<Value = Scene> {
     let shape = (14usize..54, 5usize..28, 3usize..26);
     (
@@ -253,8 +256,9 @@ fn resumes<C: StepCost>(
     Ok(())
 }
 
-/// Check that an A* path costs as much as the heap's and consists of steps with that cost, and that there is none if
-/// the heap finds none.
+/// Check that an A* path costs as much as the heap's and consists of steps with that cost.
+///
+/// There must be no path if the heap finds none.
 fn aimed_equals_the_heap<C: StepCost>(
     field: &VoxelField<'_>,
     root: [usize; 3],

@@ -58,8 +58,9 @@ impl WallLevels {
     }
 }
 
-/// Return the value at the lumen's true edge, as a fraction of the rise from the lumen to the wall's tissue, from the
-/// maximum value, as the same kind of fraction.
+/// Return the value at the lumen's true edge from the maximum value of the wall.
+///
+/// Both are fractions of the rise from the lumen to the wall's tissue.
 ///
 /// A flat wall of thickness w under a Gaussian blur sigma has a maximum of 2 Phi(w / 2 sigma) - 1 of its tissue, and
 /// Phi(w / sigma) - 1/2 at its edge; Phi is the normal distribution. Both depend only on w / sigma, so one follows from

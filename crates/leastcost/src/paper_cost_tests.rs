@@ -1,5 +1,6 @@
-//! Tests of the printed cost and of the cost with expensive walls on random volumes: the table equals the formulas,
-//! weights stay in their range, and the tracker finds the costs of the plain search.
+//! Tests of the printed cost and of the cost with expensive walls, on random volumes.
+//!
+//! The table equals the formulas, weights stay in their range, and the tracker finds the costs of the plain search.
 
 use carina_grid::{Affine, Grid, VolumeView};
 use proptest::prelude::*;

@@ -1,5 +1,7 @@
-//! Contract tests of the tracker on random graphs: equal to Dijkstra with a heap, resumed equals fresh, a path's cost
-//! is the sum of its edges.
+//! Contract tests of the tracker on random graphs.
+//!
+//! The results equal those of Dijkstra's algorithm with a heap, resumed searches equal fresh ones, and a path's cost is
+//! the sum of its edges.
 
 use proptest::prelude::*;
 

@@ -4,8 +4,9 @@ use carina_grid::{Grid, dot, length};
 
 use crate::shapes::{Piece, cover, direction, mix, sub};
 
-/// Compute the HU of each voxel from a signed distance at its centre: `inside` below 0, `outside` above, with a soft
-/// edge of about a voxel.
+/// Compute the HU of each voxel from a signed distance at its centre.
+///
+/// The HU is `inside` below 0 and `outside` above, with a soft edge of about a voxel.
 fn filled(
     grid: &Grid,
     inside_hu: i16,
@@ -22,8 +23,9 @@ fn filled(
         .collect()
 }
 
-/// Return an infinite straight tube of air in soft tissue: HU -1000 within `radius_mm` of the line through `a_lps` and
-/// `b_lps`, 40 outside.
+/// Return an infinite straight tube of air in soft tissue.
+///
+/// The HU is -1000 within `radius_mm` of the line through `a_lps` and `b_lps`, and 40 outside.
 #[must_use]
 pub fn tube(grid: &Grid, a_lps: [f64; 3], b_lps: [f64; 3], radius_mm: f64) -> Vec<i16> {
     let axis = direction(sub(b_lps, a_lps));
@@ -57,8 +59,10 @@ pub fn y_junction(
     })
 }
 
-/// Return concentric shells without soft edges: `values_hu[n]` between the radii `radii_mm[n - 1]` and `radii_mm[n]`
-/// (ascending), the last value outside all of them.
+/// Return concentric shells without soft edges.
+///
+/// The value is `values_hu[n]` between the radii `radii_mm[n - 1]` and `radii_mm[n]` (ascending), and the last value
+/// outside all of them.
 ///
 /// # Panics
 ///

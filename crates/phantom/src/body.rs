@@ -342,8 +342,9 @@ impl Superellipsoid {
     }
 }
 
-/// Distance within which exact values are needed: tissue changes up to 22 mm from these surfaces, and rounded edges and
-/// blur extend 6 mm farther.
+/// Distance in mm within which exact values are needed.
+///
+/// Tissue changes up to 22 mm from these surfaces, and rounded edges and blur extend 6 mm farther.
 const SEEN_MM: f64 = 30.0;
 
 /// Return the signed distance to the diaphragm, negative above it: two domes, the right one higher.
@@ -365,8 +366,9 @@ fn heart(p: [f64; 3]) -> f64 {
     smooth_min(smooth_min(ventricles, right_atrium, 10.0), left_atrium, 6.0)
 }
 
-/// Return the signed distance to the mediastinum, a sheet of varying thickness: broad round the trachea and the great
-/// vessels, thin in front.
+/// Return the signed distance to the mediastinum, a sheet of varying thickness.
+///
+/// The sheet is broad round the trachea and the great vessels, and thin in front.
 fn mediastinum(p: [f64; 3]) -> f64 {
     // Higher up the great vessels are further forward, and the inlet is wider.
     let up = (p[2] / 90.0).clamp(0.0, 1.0);

@@ -1,5 +1,6 @@
-//! Chest after a lobectomy: of a lobe's airways only the stump of its bronchus is left, and neighbouring airways have
-//! moved into the free space.
+//! Chest after a lobectomy.
+//!
+//! Of a lobe's airways only the stump of its bronchus is left, and neighbouring airways have moved into the free space.
 
 use carina_grid::length;
 

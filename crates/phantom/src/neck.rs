@@ -1,5 +1,6 @@
-//! Neck above the chest: larynx, throat and surrounding tissue, in a frame that starts at the lower border of the
-//! cricoid, where the trachea begins.
+//! Neck above the chest: larynx, throat and surrounding tissue.
+//!
+//! Its frame starts at the lower border of the cricoid, where the trachea begins.
 //!
 //! Heights and widths are those of adults: the cords 18 to 25 mm above the cricoid's lower border, a rima of 18 to 24
 //! mm from front to back, trachea 104 to 126 mm from the carina to the cricoid. The sinuses beside the larynx end

@@ -1,5 +1,6 @@
-//! Conversion of shapes to voxels: each brick has a list of the pieces near it, and only voxels near a surface are
-//! sampled in detail.
+//! Conversion of shapes to voxels.
+//!
+//! Each brick has a list of the pieces near it, and only voxels near a surface are sampled in detail.
 
 use carina_grid::{Affine, Grid, dot, length};
 use rayon::prelude::*;
@@ -351,10 +352,9 @@ impl<'a> Scene<'a> {
             .fold(f64::INFINITY, f64::min)
     }
 
-    /// Return the signed distances to the lumen at any points in a grid's box (negative inside; 5 where no airway is
-    /// near, and beyond the box).
+    /// Return the signed distances to the lumen at any points in a grid's box, negative inside.
     ///
-    /// The voxels are computed from the same function.
+    /// The value is 5 where no airway is near, and beyond the box. The voxels are computed from the same function.
     pub(crate) fn distances_at(&self, grid: &Grid, points: &[[f64; 3]]) -> Vec<f64> {
         let bricks = Bricks::new(grid);
         let margin = BLUR_MM + voxel_diagonal(grid);
@@ -658,8 +658,9 @@ fn voxel_diagonal(grid: &Grid) -> f64 {
     length(grid.spacing_mm())
 }
 
-/// Return positions within a voxel, as LPS offsets from its centre: evenly over its box, at most [`SAMPLE_MM`] apart,
-/// or five per axis.
+/// Return positions within a voxel, as LPS offsets from its centre, evenly over its box.
+///
+/// They are at most [`SAMPLE_MM`] apart, or five per axis.
 fn sample_offsets(lps_from_ijk: &Affine, spacing: [f64; 3]) -> Vec<[f64; 3]> {
     let num = spacing.map(|s| ((s / SAMPLE_MM).ceil() as usize).clamp(1, 5));
     let place = |n: usize, i: usize| (i as f64 + 0.5) / n as f64 - 0.5;

@@ -1,7 +1,7 @@
-//! Appearance of the airway wall in the scope's picture, shaded after casting, once per pixel at the first wall
-//! (docs/decisions/0105).
+//! Appearance of the airway wall in the scope's picture (docs/decisions/0105).
 //!
-//! The casters gather flat colours; [`Appearance`] describes the light, gloss and texture that the shading adds.
+//! Walls are shaded after casting, once per pixel at the first wall. The casters gather flat colours; [`Appearance`]
+//! describes the light, gloss and texture that the shading adds.
 
 use crate::RaycastError;
 

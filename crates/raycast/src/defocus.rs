@@ -9,8 +9,9 @@ use rayon::prelude::*;
 
 use crate::RaycastError;
 
-/// Largest diameter of a circle of confusion that counts as a point, as a fraction of the picture's shorter side: about
-/// one sensor pixel of a video bronchoscope (400 x 400).
+/// Largest diameter of a circle of confusion that counts as a point, as a fraction of the picture's shorter side.
+///
+/// It is about one sensor pixel of a video bronchoscope (400 x 400).
 const SHARP_PART: f32 = 1.0 / 400.0;
 /// Largest radius of a circle of confusion, as a fraction of the shorter side.
 ///

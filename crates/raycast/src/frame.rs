@@ -245,8 +245,9 @@ impl<'a> Frame<'a> {
         inside.then_some(self.origin)
     }
 
-    /// Return an upper bound of the number of steps of any ray: the distance to the farthest corner of the box and the
-    /// box's diagonal.
+    /// Return an upper bound of the number of steps of any ray.
+    ///
+    /// It is the distance to the farthest corner of the box plus the box's diagonal.
     pub(crate) fn most_steps(&self) -> f64 {
         let lps_from_ijk = self.grid.lps_from_ijk();
         let camera = self.camera.origin_lps();

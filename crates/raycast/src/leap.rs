@@ -29,8 +29,9 @@ pub(crate) const FAR: f32 = 1e30;
 /// Upper bound of the steps of any ray within a cube of 511 voxels.
 pub(crate) const MAX_STEPS: f32 = 1e9;
 
-/// Reach of a leap from the centre of a cell of radius 0, in voxels: the known region of a cell ends half a voxel
-/// before the cell's radius.
+/// Reach of a leap from the centre of a cell of radius 0, in voxels.
+///
+/// The known region of a cell ends half a voxel before the cell's radius.
 pub(crate) const CELL_REACH: f32 = -0.5;
 
 /// Number of samples after the first look-up that saved nothing.

@@ -53,8 +53,9 @@ impl CastStats {
         if nearest { 1 } else { 4 }
     }
 
-    /// Additional reads of a shaded sample: its gradient needs the eight rows beside its cell. (The cell's own rows are
-    /// then read with two more voxels.)
+    /// Additional reads of a shaded sample: its gradient needs the eight rows beside its cell.
+    ///
+    /// The cell's own rows are then read with two more voxels.
     const GRADIENT_LOADS: u64 = 8;
 
     /// Reads of a shaded first wall: gradients at the eight corners of its cell, and one sample beneath the wall.

@@ -18,11 +18,11 @@ const NORMAL_REACH_VOX: f64 = 0.8;
 /// Half of the contrast between air and tissue.
 const HALF_CONTRAST_HU: f32 = 500.0;
 
-/// Parameters of the normals of walls: a gradient over [`NORMAL_REACH_MM`], so that noise does not appear as a rough
-/// surface.
+/// Parameters of the normals of walls.
 ///
-/// Values are clamped to a range round the wall's own value: distant structures behind or before the wall (vessels,
-/// bone, noise of the air) do not influence its inclination.
+/// The normal is a gradient over [`NORMAL_REACH_MM`], so that noise does not appear as a rough surface. Values are
+/// clamped to a range round the wall's own value: distant structures behind or before the wall (vessels, bone, noise of
+/// the air) do not influence its inclination.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Normals {
     /// Distance of the samples along each axis, voxels.

@@ -241,8 +241,9 @@ impl Slab<'_> {
         }
     }
 
-    /// Project four slices at a time: the image along k is in a slower cache than the rows, and is read once for all
-    /// four slices.
+    /// Project four slices at a time.
+    ///
+    /// The image along k is in a slower cache than the rows, and is read once for all four slices.
     #[inline(always)]
     fn run<V: Values>(self, v: V) {
         const AT_ONCE: usize = 4;

@@ -35,8 +35,9 @@ const BEND: f32 = 0.125;
 /// Linear light of a wall at normal incidence below which a staircase is not visible.
 const FAINT: f32 = 0.02;
 
-/// Smallest wrap lighting at a silhouette: the edge of thin, wet mucosa is not the dark line that matt stone shows
-/// where it turns away.
+/// Smallest wrap lighting at a silhouette.
+///
+/// The edge of thin, wet mucosa is not the dark line that matt stone shows where it turns away.
 const EDGE_WRAP: f32 = 0.6;
 
 /// Number of rows that are searched together, and of pixels that are cast together.

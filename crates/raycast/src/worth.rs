@@ -1,5 +1,6 @@
-//! Decision whether leaping saves time in a picture: in dense or noisy tissue it skips too few samples to compensate
-//! for its look-ups.
+//! Decision whether leaping saves time in a picture.
+//!
+//! In dense or noisy tissue leaping skips too few samples to compensate for its look-ups.
 //!
 //! A few rays that are spread over the whole picture are cast first and counted. The rule uses only these counts, so
 //! the decision is the same for every strip, instruction set and number of threads. Both casters give the same picture,

@@ -91,8 +91,9 @@ impl Axis {
         unit(sub(self.nodes[node - 1], self.nodes[node])).unwrap_or([0.0, 0.0, -1.0])
     }
 
-    /// Return the up direction of each segment: index 0 is segment (1, 0) at the tip, the last index the segment behind
-    /// the entry.
+    /// Return the up direction of each segment.
+    ///
+    /// Index 0 is segment (1, 0) at the tip, the last index the segment behind the entry.
     pub(crate) fn ups(&self, first_up: Point, roll_rad: f64) -> Vec<Point> {
         let last = self.nodes.len() - 1;
         let mut ups = vec![[0.0; 3]; last];
@@ -247,8 +248,9 @@ impl Axis {
         }
     }
 
-    /// Return the positions along the shaft that are kept off the wall: nodes and the midpoints between them, as pairs
-    /// of the nodes that are moved.
+    /// Return the positions along the shaft that are kept off the wall.
+    ///
+    /// They are nodes and the midpoints between them, as pairs of the nodes that are moved.
     fn shaft_places(body: &ScopeBody, num: usize) -> impl Iterator<Item = (usize, usize)> + use<> {
         let base = body.rigid_nodes().min(num);
         (base..num).flat_map(move |n| [(n, n), (n, n + 1)])

@@ -1,5 +1,6 @@
-//! Drive of the scope: the controls change in small steps, and each step is accepted only if tip and shaft stay in the
-//! lumen.
+//! Drive of the scope.
+//!
+//! The controls change in small steps, and each step is accepted only if tip and shaft stay in the lumen.
 
 use std::sync::Arc;
 
@@ -360,10 +361,10 @@ impl ScopeDrive {
         advance == 0.0
     }
 
-    /// Place the scope along a path that starts where its own path does, with the tip `insertion_mm` along it, roll and
-    /// flexion 0 and a new contact record.
+    /// Place the scope along a path that starts where its own path does, with the tip `insertion_mm` along it.
     ///
-    /// If the path is too narrow, the tip ends before the narrow position, and the limit of the state is set.
+    /// Roll and flexion become 0, and the contact record starts again. If the path is too narrow, the tip ends before
+    /// the narrow position, and the limit of the state is set.
     ///
     /// # Errors
     ///

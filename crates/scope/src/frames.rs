@@ -10,12 +10,12 @@ fn mirrored(a: [f64; 3], v: [f64; 3]) -> [f64; 3] {
     std::array::from_fn(|i| a[i] - f * v[i])
 }
 
-/// Return camera frames along a curve that rotate about the tangent as little as possible, by double reflection (Wang,
-/// Juettler, Zheng and Liu, "Computation of rotation minimizing frames", ACM TOG 27(1), 2008, table I).
+/// Return camera frames along a curve that rotate about the tangent as little as possible.
 ///
-/// `tangents` are unit vectors, one per point. `up` defines the first frame; it need not be perpendicular to the first
-/// tangent, but must not be along it (then the result is `None`). Each frame has +x right, +y down, +z along the
-/// tangent, and the point as origin.
+/// The method is double reflection (Wang, Juettler, Zheng and Liu, "Computation of rotation minimizing frames", ACM TOG
+/// 27(1), 2008, table I). `tangents` are unit vectors, one per point. `up` defines the first frame; it need not be
+/// perpendicular to the first tangent, but must not be along it (then the result is `None`). Each frame has +x right,
+/// +y down, +z along the tangent, and the point as origin.
 #[must_use]
 pub fn rotation_minimising_frames(
     points: &[[f64; 3]],

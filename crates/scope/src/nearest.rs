@@ -1,5 +1,6 @@
-//! Nearest triangle of a mesh for one point at a time: the readable reference of [`crate::nearest_packet`], which
-//! processes eight points.
+//! Nearest triangle of a mesh for one point at a time.
+//!
+//! This is the readable reference of [`crate::nearest_packet`], which processes eight points.
 
 use std::collections::HashMap;
 
@@ -12,8 +13,10 @@ type Point = [f64; 3];
 /// Number of triangles of a leaf.
 const LEAF: usize = 4;
 
-/// Return the nearest point of a triangle (Ericson, "Real-Time Collision Detection", 5.1.5), and the feature that
-/// contains it: 0 to 2 a corner, 3 to 5 the edge from that corner (minus 3) to the next, 6 the face.
+/// Return the nearest point of a triangle, and the feature that contains it (Ericson, "Real-Time Collision Detection",
+/// 5.1.5).
+///
+/// The feature is 0 to 2 for a corner, 3 to 5 for the edge from that corner (minus 3) to the next, 6 for the face.
 pub(crate) fn nearest_on([a, b, c]: [Point; 3], p: Point) -> (Point, usize) {
     let (ab, ac, ap) = (sub(b, a), sub(c, a), sub(p, a));
     let (d1, d2) = (dot(ab, ap), dot(ac, ap));
@@ -183,8 +186,10 @@ impl Boxes {
     }
 }
 
-/// Compute the normals: of corners the sum of their faces' normals weighted by angle, of edges the sum of those of
-/// their two faces.
+/// Compute the normals of corners and edges.
+///
+/// The normal of a corner is the sum of its faces' normals weighted by angle, that of an edge the sum of those of its
+/// two faces.
 fn normals(num_vertices: usize, order: &[[u32; 3]], corners: &[[Point; 3]]) -> Vec<[Point; 7]> {
     let add = |to: &mut Point, share: f64, n: Point| *to = along(*to, share, n);
     let mut of_corner = vec![[0.0; 3]; num_vertices];

@@ -280,8 +280,9 @@ fn own_samples(packets: &Packets<'_>, lps: &Affine, first: [usize; 3], hint: usi
 /// Marker for no near triangle.
 const NONE: u32 = u32::MAX;
 
-/// Return, for each brick, a triangle whose box is within [`OUTSIDE_MM`] of the brick, or [`NONE`]: then the whole
-/// brick is inside, or farther outside.
+/// Return, for each brick, a triangle whose box is within [`OUTSIDE_MM`] of the brick.
+///
+/// The result is [`NONE`] if there is none: then the whole brick is inside, or farther outside.
 fn triangles_near(boxes: &Boxes, low: Point, brick_mm: f64, num: [usize; 3]) -> Vec<u32> {
     let mut near = vec![NONE; num.iter().product()];
     for (t, corners) in boxes.triangles.iter().enumerate() {

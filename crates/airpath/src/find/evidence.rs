@@ -141,10 +141,10 @@ impl Enclosures {
         self.cheapest(&mut search, start, Some(toward), levels, is_lumen, watch)
     }
 
-    /// Find from each start the cheapest path to any voxel `away_mm` away, regardless of the tissue: it shows the cost
-    /// of paths through lung alone.
+    /// Find from each start the cheapest path to any voxel `away_mm` away, regardless of the tissue.
     ///
-    /// Paths begin at their far end; `None` where there is no path.
+    /// The results show the cost of paths through lung alone. Paths begin at their far end; `None` where there is no
+    /// path.
     ///
     /// # Errors
     ///

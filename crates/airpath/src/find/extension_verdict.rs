@@ -115,10 +115,10 @@ fn radius_of(section: &Section) -> f64 {
     section.radius_mm.clamp(0.4, 2.2)
 }
 
-/// Return the logarithm of the ratio between the blur that gives a lumen of this radius this brightness and the blur of
-/// the slices in this direction.
+/// Return the logarithm of the ratio between an assumed blur and the blur of the slices in this direction.
 ///
-/// `along` is the component of the path's direction across the slices.
+/// The assumed blur is the one that gives a lumen of this radius this brightness. `along` is the component of the
+/// path's direction across the slices.
 fn blur_ratio(section: &Section, own: f64, along: f64, air: f64, divided: Divided) -> f64 {
     let blur_mm = radius_of(section) / (-2.0 * share_of_wall(section, own, air).ln()).sqrt();
     let across_mm = (divided.slice_mm / 12f64.sqrt()).hypot(LEAST_BLUR_ACROSS_MM);

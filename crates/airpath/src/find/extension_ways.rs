@@ -23,10 +23,9 @@ const FILL_RADII: f64 = 1.5;
 const FILL_NODES: usize = 2;
 /// Length to both sides over which the direction of a path is taken, mm.
 const TANGENT_MM: f64 = 2.0;
-/// Length of the first part of a path, which is beside the airway that it leaves and does not count for the distance
-/// from known lumens.
+/// Length of the first part of a path, which does not count for the distance from known lumens.
 ///
-/// The next constant is the upper limit of that distance; both mm.
+/// That part is beside the airway that the path leaves. The next constant is the upper limit of that distance; both mm.
 const BEYOND_MM: f64 = 5.0;
 const CLEAR_MM: f64 = 6.0;
 /// Radius of the lung around a path in which reached voxels are counted, mm.

@@ -11,11 +11,10 @@ pub(crate) const MIN_LUNG_MM2: f64 = 800.0;
 /// Distances from the carina within which lung is searched: sideways, front and back, down; mm.
 const LUNG_REACH_MM: [f64; 3] = [130.0, 80.0, 45.0];
 
-/// Return the areas of lung on the right and on the left of the carina, at its height or below: the largest in one
-/// slice, mm2.
+/// Return the areas of lung on the right and on the left of the carina, at its height or below.
 ///
-/// A voxel is lung if it and its four neighbours in the slice are in lung's range (the blurred edges of bowel gas and
-/// skin pass through that range within one voxel), with tissue farther out.
+/// Each area is the largest in one slice, mm2. A voxel is lung if it and its four neighbours in the slice are in lung's
+/// range (the blurred edges of bowel gas and skin pass through that range within one voxel), with tissue farther out.
 pub(crate) fn lungs_beside(
     values: VolumeView<'_, i16>,
     levels: AirLevels,

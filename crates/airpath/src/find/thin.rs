@@ -35,8 +35,9 @@ pub struct ThinLimits {
     pub blur_mm: f64,
     /// Smallest length of an airway that continues from the end of another, mm.
     pub min_length_mm: f64,
-    /// Smallest length of an airway that leaves from the side of another, mm: shorter paths there are strips of lung
-    /// enclosed by vessels.
+    /// Smallest length of an airway that leaves from the side of another, mm.
+    ///
+    /// Shorter paths there are strips of lung enclosed by vessels.
     pub min_side_mm: f64,
     /// Largest share of the lung that the search may reach before it is cancelled.
     pub most_reached: f64,
@@ -261,8 +262,9 @@ fn kept_ways(
     Ok(kept)
 }
 
-/// Return whether a path continues a thin airway from its end in the same direction: there is lumen behind its start,
-/// and little lumen beside that.
+/// Return whether a path continues a thin airway from its end in the same direction.
+///
+/// There must be lumen behind its start, and little lumen beside that.
 fn goes_on(grid: &Grid, lumen: &[u8], places: &[Place]) -> bool {
     let far = &places[(NUM_START - 1).min(places.len() - 1)];
     let start = places[0].mm;

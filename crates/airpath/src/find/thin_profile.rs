@@ -124,8 +124,9 @@ impl Profile {
         Self { places }
     }
 
-    /// Return the number of positions, from the first, that are an airway: the part with the largest gain, or 0 if it
-    /// does not qualify.
+    /// Return the number of positions, from the first, that are an airway.
+    ///
+    /// They are the part with the largest gain; the result is 0 if the part does not qualify.
     pub(crate) fn kept(&self, asked: &Asked) -> usize {
         let (mut gain, mut most, mut num) = (0.0, 0.0, 0);
         let looks: Vec<bool> = self.places.iter().map(|p| p.looks_like(asked)).collect();
@@ -170,8 +171,9 @@ impl Profile {
             && varies_mm <= STEADY_MM
     }
 
-    /// Return whether the lumen opens into the airway that it leaves: a path that begins in that airway's wall leads to
-    /// lung beside it.
+    /// Return whether the lumen opens into the airway that it leaves.
+    ///
+    /// A path that begins in that airway's wall leads to lung beside it.
     fn is_open(&self, num: usize) -> bool {
         let places = &self.places[..num];
         let first = &places[..NUM_FIRST.min(num)];

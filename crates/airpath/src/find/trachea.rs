@@ -1,5 +1,7 @@
-//! Search for the trachea by its anatomy: a tube of air, 7 to 27 mm wide, with a wall of soft tissue, that runs down
-//! between the lungs and divides into one branch to the right and one to the left.
+//! Search for the trachea by its anatomy.
+//!
+//! A trachea is a tube of air, 7 to 27 mm wide, with a wall of soft tissue, that runs down between the lungs and
+//! divides into one branch to the right and one to the left.
 //!
 //! The search uses the grid's slices that are nearest to transverse, in any order and orientation: only the LPS
 //! directions of the grid's axes matter (+z superior, +x left). Arms, the table and the air outside never qualify,
@@ -91,8 +93,10 @@ const NARROW_BRONCHUS: SplitRule = SplitRule {
     narrower_mm: 3.9,
     front_back_mm: 12.0,
 };
-/// A tube beside a candidate is a twin if it has at least this fraction of the candidate's diameter, is within this
-/// range of distances, and runs beside it for at least this length.
+/// Smallest diameter of a twin (a similar tube beside a candidate), as a fraction of the candidate's diameter.
+///
+/// The next constants are the range of distances of a twin, and the smallest length over which it runs beside the
+/// candidate.
 const TWIN_DIAMETER: f64 = 0.6;
 const TWIN_OFF_MM: (f64, f64) = (22.0, 130.0);
 const TWIN_LENGTH_MM: f64 = 12.0;
@@ -283,8 +287,9 @@ impl Scene<'_> {
         (!candidate.is_strict() || self.passes_strictly(chain, &candidate)).then_some(candidate)
     }
 
-    /// Return true if the tube is long, wide, upright and surrounded by tissue throughout, so that no second main
-    /// bronchus or lung is required.
+    /// Return true if the tube is long, wide, upright and surrounded by tissue throughout.
+    ///
+    /// Then no second main bronchus or lung is required.
     fn passes_strictly(&self, chain: &Chain, candidate: &Candidate) -> bool {
         let trachea = &candidate.trachea;
         let ringed: Vec<f64> = (0..=candidate.ends_at)
@@ -368,8 +373,9 @@ impl Scene<'_> {
         None
     }
 
-    /// Return the position where the chain, or the tube that continues it, leaves its line to one side: the carina if
-    /// one main bronchus is closed.
+    /// Return the position where the chain, or the tube that continues it, leaves its line to one side.
+    ///
+    /// This is the carina if one main bronchus is closed.
     fn turn_aside(&self, chain: &Chain) -> Option<([f64; 3], usize)> {
         let last = chain.spots.len() - 1;
         let end = self.spot(chain, last);

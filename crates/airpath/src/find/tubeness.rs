@@ -9,8 +9,9 @@
 use carina_grid::{Grid, VolumeView};
 use rayon::prelude::*;
 
-/// Length of the rays, mm: it includes the wall of an airway up to 4 mm wide, and the two open ends take a fifth of the
-/// rays.
+/// Length of the rays, mm.
+///
+/// It includes the wall of an airway up to 4 mm wide, and the two open ends take a fifth of the rays.
 pub const REACH_MM: f64 = 3.0;
 
 const NUM_RAYS: usize = 48;

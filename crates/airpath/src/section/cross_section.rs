@@ -95,8 +95,9 @@ pub struct Section {
     pub outer_mm: [f64; NUM_RAYS],
 }
 
-/// Return the distance up to which a ray searches for the lumen's edge, mm: 3 radii, for a lumen three times as wide as
-/// high, and 3 voxels.
+/// Return the distance up to which a ray searches for the lumen's edge, mm.
+///
+/// It is 3 radii, for a lumen three times as wide as high, and 3 voxels.
 #[must_use]
 pub fn reach_mm(radius_mm: f64, voxel_mm: f64) -> f64 {
     3.0 * radius_mm + 3.0 * voxel_mm

@@ -30,8 +30,9 @@ const IN_PLANE: [f64; 4] = [0.1, 0.15, 0.2, 0.35];
 const ENOUGH_EDGES: usize = 1000;
 /// Share above which a ray counts for the blur across the slices.
 const ACROSS: f64 = 0.8;
-/// Quantile of the measured blurs that is used within the slices: not all tissue has a sharp edge, so the steeper edges
-/// show the blur.
+/// Quantile of the measured blurs that is used within the slices.
+///
+/// Not all tissue has a sharp edge, so the steeper edges show the blur.
 const STEEP_SHARE: f64 = 0.3;
 /// Factor by which interpolation widens an edge across slices, which contains few values.
 const WIDENED_ACROSS: f64 = 1.36;
@@ -189,9 +190,9 @@ impl Blur {
         })
     }
 
-    /// Compute the correction of a section: fit the round tube whose blurred image has the section's edges and its rise
-    /// from lumen to wall.
+    /// Compute the correction of a section.
     ///
+    /// The function fits the round tube whose blurred image has the section's edges and its rise from lumen to wall.
     /// The wall is modelled as soft tissue of constant thickness. The thickness of a wall thinner than the blur follows
     /// from its rise, that of a thick wall from its own half-maximum edges.
     #[must_use]

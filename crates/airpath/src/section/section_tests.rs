@@ -151,9 +151,9 @@ fn cut(grid: &Grid, values: &[i16], tube: &Tube) -> Cast {
     cast_plane(view, plane, LEVELS)
 }
 
-/// Return the blur of a profile: that of the tube, and that of interpolation between voxels (a triangle as wide as two
-/// voxels has a variance of a sixth of a voxel's square).
+/// Return the blur of a profile, which includes the interpolation between voxels.
 ///
+/// Interpolation is a triangle as wide as two voxels, with a variance of a sixth of a voxel's square.
 /// [`Blur::of_casts`] measures both together.
 fn seen_sigma_mm(spacing_mm: f64) -> f64 {
     (SIGMA_MM * SIGMA_MM + spacing_mm * spacing_mm / 12.0).sqrt()

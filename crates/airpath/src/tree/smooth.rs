@@ -40,8 +40,9 @@ pub fn pull_of(radius_mm: f64) -> f64 {
         .clamp(0.05, 4.0)
 }
 
-/// Return points every `step_mm` (or a little less) along a chain, with both ends unchanged, and the distance of each
-/// point along the chain, mm.
+/// Return points every `step_mm` (or a little less) along a chain, with both ends unchanged.
+///
+/// Also return the distance of each point along the chain, mm.
 #[must_use]
 pub fn resampled(chain: &[Point], step_mm: f64) -> (Vec<Point>, Vec<f64>) {
     let along = cumulative_mm(chain);

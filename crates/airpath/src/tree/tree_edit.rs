@@ -72,11 +72,10 @@ pub fn cut_nodes(graph: &LumenGraph, grid: &Grid, cut: &[u32], kept: &[u32]) -> 
         .collect()
 }
 
-/// Return the tips of branches that are among `candidates` and not in a tree with `tree_nodes` on its centrelines,
-/// longest path first.
+/// Return the tips of branches that are among `candidates` and not in an existing tree, longest path first.
 ///
-/// The tips are found as for the automatic tree (see [`crate::tree::branches::find_branches`]), except that the
-/// existing tree already covers its surroundings.
+/// The existing tree has `tree_nodes` on its centrelines. The tips are found as for the automatic tree (see
+/// [`crate::tree::branches::find_branches`]), except that the existing tree already covers its surroundings.
 ///
 /// # Errors
 ///

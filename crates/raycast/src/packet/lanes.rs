@@ -1,5 +1,6 @@
-//! Operations that a packet kernel needs from an instruction set: numbers, masks and gathers for as many rays as fit a
-//! register.
+//! Operations that a packet kernel needs from an instruction set.
+//!
+//! They are numbers, masks and gathers for as many rays as fit a register.
 
 use std::sync::atomic::AtomicI32;
 
@@ -116,8 +117,9 @@ pub(crate) trait Lanes: Copy {
         base: Self::I,
         offsets: [i32; R],
     ) -> [[Self::I; 2]; R];
-    /// Load, for each offset, four int16 at `base + offset` and the next four, as pairs: both first ones, both second
-    /// ones and so on.
+    /// Load, for each offset, four int16 at `base + offset` and the next four, interleaved as pairs.
+    ///
+    /// The pairs are both first ones, both second ones and so on.
     ///
     /// # Safety
     ///

@@ -355,8 +355,9 @@ fn gather<L: Lanes>(l: L, delta: &[Array<f32>; 3], pixels: &[Gathered]) -> Walls
     }
 }
 
-/// Return the reflected light of pixels (column, row, gathered ray) at an exposure of 1 and without decoration, for the
-/// automatic exposure.
+/// Return the reflected light of pixels (column, row, gathered ray) for the automatic exposure.
+///
+/// The exposure is 1, and decoration is off.
 pub(crate) fn brightness(
     frame: &Frame<'_>,
     light: &Lighting,

@@ -19,8 +19,9 @@ const HALF_WIDTH: f32 = 0.34;
 const EDGE: f32 = 0.24;
 /// Largest displacement of regular and of irregular rings, as a fraction of their distance.
 const STRAY: [f32; 2] = [0.09, 0.30];
-/// Cosines of the angle from the middle of the back at which the membranous wall begins and is complete: it takes about
-/// a third of the circumference.
+/// Cosines of the angle from the middle of the back at which the membranous wall begins and is complete.
+///
+/// The membranous wall takes about a third of the circumference.
 const BACK: [f32; 2] = [0.28, 0.70];
 /// Number of folds of the membranous wall across one radius, and along one ring's distance.
 const FOLDS: [f32; 2] = [9.0, 0.26];
@@ -160,8 +161,10 @@ pub(super) struct Decorated<L: Lanes> {
     pub tint: [L::F; 3],
 }
 
-/// Points of walls: position in the patient, normal towards the camera, cosine between normal and viewing direction (0
-/// to 1), and width of a pixel.
+/// Points of walls.
+///
+/// The fields are the position in the patient, the normal towards the camera, the cosine between normal and viewing
+/// direction (0 to 1), and the width of a pixel.
 pub(super) struct Wall<L: Lanes> {
     pub lps: [L::F; 3],
     pub normal: [L::F; 3],

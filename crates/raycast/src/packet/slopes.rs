@@ -9,8 +9,9 @@ use crate::{
     bricks::{NormalBricks, STRIDE},
 };
 
-/// Return the slopes of a volume round positions in voxels, interpolated from those at voxels: per voxel axis, in HU
-/// over the reach.
+/// Return the slopes of a volume round positions in voxels, interpolated from those at voxels.
+///
+/// They are per voxel axis, in HU over the reach.
 #[inline(always)]
 pub(crate) fn rise<L: Lanes>(
     l: L,
@@ -45,8 +46,9 @@ pub(crate) fn rise<L: Lanes>(
     slope
 }
 
-/// Return the slopes if not all bricks can be stored: a brick that is not stored is computed again for each lane that
-/// needs it.
+/// Return the slopes if not all bricks can be stored.
+///
+/// A brick that is not stored is computed again for each lane that needs it.
 #[cold]
 #[inline(never)]
 fn one_by_one(

@@ -32,8 +32,9 @@ pub(super) struct Cells<L: Lanes> {
 struct Rows<L: Lanes> {
     /// The four rows of the cell, four voxels each.
     own: [[L::I; 4]; 4],
-    /// The rows before and after the cell, two voxels each as a pair: along y at the lower and the upper z, along z at
-    /// the lower and the upper y.
+    /// Rows before and after the cell, two voxels each as a pair.
+    ///
+    /// The rows along y are at the lower and the upper z, the rows along z at the lower and the upper y.
     beside: [L::I; 8],
 }
 

@@ -1,5 +1,7 @@
-//! Tests of the shading of first walls: the bits are the same from every caster, in strips and on every instruction
-//! set, and the texture stays on the tissue.
+//! Tests of the shading of first walls.
+//!
+//! The bits are the same from every caster, in strips and on every instruction set, and the texture stays on the
+//! tissue.
 
 use crate::scene::{Scene, any_scene, options};
 use carina_grid::{Affine, Camera, Grid, VolumeView, cross, unit};

@@ -1,5 +1,6 @@
-//! Contract tests of the casters on difficult scenes: volumes of a few voxels, single bright voxels, transfer functions
-//! with a jump within one HU.
+//! Contract tests of the casters on difficult scenes.
+//!
+//! The scenes are volumes of a few voxels, single bright voxels, and transfer functions with a jump within one HU.
 //!
 //! Leaping equals brute force, strips equal the whole picture, instruction sets agree, and the error of brute force
 //! stays within a bound, derived for each ray, of the effect of rounding at such a jump. `truth.rs` tests the accuracy

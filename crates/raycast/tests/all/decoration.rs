@@ -1,5 +1,6 @@
-//! Tests of the decoration that is fixed to anatomy: the bits are the same from every caster, for any pixels in one
-//! register, and no wall moves.
+//! Tests of the decoration that is fixed to anatomy.
+//!
+//! The bits are the same from every caster, for any pixels in one register, and no wall moves.
 
 use crate::scene::{Scene, any_scene, options};
 use carina_grid::{Affine, Camera, Grid, VolumeView};

@@ -66,8 +66,9 @@ fn wall(most: f64) -> Vec<[f64; 5]> {
     ]
 }
 
-/// Return a transfer function of many clear runs with thin faint ones between: a noisy volume is clear nearly
-/// everywhere and has no region.
+/// Return a transfer function of many clear runs with thin faint ones between.
+///
+/// With it a noisy volume is clear nearly everywhere and has no region.
 fn stripes() -> Vec<[f64; 5]> {
     (0..40)
         .flat_map(|n| {

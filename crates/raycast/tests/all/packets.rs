@@ -1,5 +1,6 @@
-//! Contract tests of the packets: on every instruction set of this machine, pictures and statistics equal those of the
-//! scalar casters, bit for bit.
+//! Contract tests of the packets.
+//!
+//! On every instruction set of this machine, pictures and statistics equal those of the scalar casters, bit for bit.
 
 use std::ops::Range;
 

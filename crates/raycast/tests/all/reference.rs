@@ -94,8 +94,9 @@ impl World<'_> {
         })
     }
 
-    /// Return colour and opacity per mm at a value: linear between points, the later of two points at one value,
-    /// constant beyond the ends.
+    /// Return colour and opacity per mm at a value.
+    ///
+    /// They are linear between points, those of the later of two points at one value, and constant beyond the ends.
     fn colour(&self, hu: f64) -> [f64; 4] {
         let part = |p: &[f64; 5]| [p[1], p[2], p[3], p[4]];
         let after = self.points.iter().position(|p| p[0] > hu);

@@ -1,5 +1,6 @@
-//! Tests of first walls: on shapes with exactly known walls, the result is the same from every caster, and for single
-//! pixels as for all pixels at once.
+//! Tests of first walls on shapes with exactly known walls.
+//!
+//! The result is the same from every caster, and for single pixels as for all pixels at once.
 
 use crate::scene::{Scene, any_scene, options};
 use carina_grid::{Affine, Camera, Grid, VolumeView, dot, length, unit};
@@ -69,8 +70,9 @@ proptest! {
     }
 }
 
-/// Return a volume on an oblique, anisotropic grid: air where `inside_mm` (the depth below the surface of the air) is
-/// positive, tissue elsewhere, with an edge blurred as by a scanner.
+/// Return a volume of air and tissue on an oblique, anisotropic grid, with an edge blurred as by a scanner.
+///
+/// The volume is air where `inside_mm` (the depth below the surface of the air) is positive.
 fn phantom(inside_mm: impl Fn([f64; 3]) -> f64) -> (Grid, Vec<i16>) {
     let turn = |axis: usize, angle: f64| {
         let (a, b) = ((axis + 1) % 3, (axis + 2) % 3);

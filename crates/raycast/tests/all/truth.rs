@@ -1,8 +1,8 @@
-//! Accuracy tests of the casters on chests as from a scanner: every instruction set gives the bits of the scalar
-//! casters, and the picture equals that of a ray caster in f64 except for rounding to 8 bits.
+//! Accuracy tests of the casters on chests as from a scanner.
 //!
-//! Volumes and transfer functions here are smooth, as in the product. `casters.rs` bounds, for each ray, the effect of
-//! rounding at a transfer function that jumps within one HU.
+//! Every instruction set gives the bits of the scalar casters, and the picture equals that of a ray caster in f64
+//! except for rounding to 8 bits. Volumes and transfer functions here are smooth, as in the product. `casters.rs`
+//! bounds, for each ray, the effect of rounding at a transfer function that jumps within one HU.
 
 use std::ops::AddAssign;
 
