@@ -268,8 +268,8 @@ fn mean(points: impl ExactSizeIterator<Item = Point>) -> Point {
 
 /// Lumen extended to the half-maximum.
 ///
-/// It includes the neighbouring voxels whose centre is in front of the half-maximum, because the flood stops at a lower
-/// value.
+/// The extended lumen includes the neighbouring voxels whose centre is in front of the half-maximum, because the flood
+/// stops at a lower value.
 pub(crate) struct Reach<'a> {
     values: VolumeView<'a, i16>,
     lumen: &'a [u8],

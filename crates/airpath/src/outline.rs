@@ -38,7 +38,7 @@ pub type PicturePoint = [f64; 2];
 
 /// Surface of a lumen that planes can cut.
 ///
-/// It belongs to one mask; another mask needs another surface.
+/// The surface belongs to one mask; another mask needs another surface.
 #[derive(Debug)]
 pub struct LumenSurface {
     /// Number of voxels along i, j, k.

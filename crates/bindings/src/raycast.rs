@@ -251,7 +251,7 @@ type PyStats = (u64, u64, u64, u64, u64, u64, u64);
 
 /// Leaping map as passed from Python.
 ///
-/// It is the radius map alone, or labels, radius map and one value of each class for leaps over all classes.
+/// The variants are the radius map alone, or labels, radius map and one value of each class for leaps over all classes.
 #[derive(FromPyObject)]
 enum LeapMap<'py> {
     Classes(

@@ -1,7 +1,7 @@
 //! Processor time of the threads of a pool, read from other threads.
 //!
-//! It is the cost of a picture without the load of other programs. On systems that do not report the time, there is no
-//! value.
+//! This time is the cost of a picture without the load of other programs. On systems that do not report the time, there
+//! is no value.
 
 use std::sync::{Arc, Mutex, PoisonError};
 

@@ -13,7 +13,7 @@ pub enum AdapterKind {
     Virtual,
     /// Program that emulates a graphics card (lavapipe, WARP).
     ///
-    /// It is never faster than the casters of `carina-raycast` on the same cores.
+    /// Such a program is never faster than the casters of `carina-raycast` on the same cores.
     Software,
     /// Unknown, because the driver does not report the kind.
     Unknown,

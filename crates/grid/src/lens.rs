@@ -14,7 +14,7 @@ pub const MAX_FOV_RAD: f64 = 170.0 * core::f64::consts::PI / 180.0;
 
 /// Largest relative difference between the scales of both sides of a viewport and of a calibration.
 ///
-/// It allows for rounding to whole pixels.
+/// The tolerance allows for rounding to whole pixels.
 const ASPECT_TOLERANCE: f64 = 0.01;
 
 /// Result of a camera calibration, for example by `OpenCV` with a chessboard.
@@ -375,8 +375,8 @@ impl Optics {
 
     /// Return the brightness of the image of a uniform field in a direction, relative to the middle.
     ///
-    /// It combines the apparent size of the pupil seen from the side and the area in the picture of a solid angle. For
-    /// a pinhole it is the cos^4 law.
+    /// The brightness combines the apparent size of the pupil seen from the side and the area in the picture of a solid
+    /// angle. For a pinhole it is the cos^4 law.
     #[must_use]
     pub fn natural_light(&self, direction: [f64; 3]) -> f64 {
         let [x, y, z] = direction;

@@ -13,8 +13,8 @@ use crate::{
 
 /// Kernel that computes the distances in slices `first_z ..` of a volume, as many as `out` holds.
 ///
-/// It assumes that there is no 0 beyond these slices. `stopped` is called before each slice; the distances of a stopped
-/// sweep are not valid.
+/// The kernel assumes that there is no 0 beyond these slices. `stopped` is called before each slice; the distances of a
+/// stopped sweep are not valid.
 pub(crate) struct Sweep<'a> {
     pub(crate) source: Source<'a>,
     pub(crate) shape_zyx: [usize; 3],
@@ -99,8 +99,8 @@ impl Kernel for Sweep<'_> {
 
 /// Kernel that propagates distances from `edge`, the slice beside a finished slab, into the slab.
 ///
-/// It propagates forward from the slab's first slice on, or backward from its last. The distances within both slabs are
-/// exact, so only steps to other slices are missing.
+/// The kernel propagates forward from the slab's first slice on, or backward from its last. The distances within both
+/// slabs are exact, so only steps to other slices are missing.
 pub(crate) struct Push<'a> {
     pub(crate) edge: &'a [u8],
     pub(crate) slab: &'a mut [u8],

@@ -562,7 +562,7 @@ impl<C: StepCost> Quanta<C> {
 
 /// Return the least cost in quanta from `root` to every node of the box.
 ///
-/// This is the reference: Dijkstra's algorithm with a heap.
+/// The function is the reference for the trackers: Dijkstra's algorithm with a heap.
 #[must_use]
 pub fn least_costs<C: StepCost>(
     field: &VoxelField<'_>,

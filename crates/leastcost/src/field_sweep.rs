@@ -214,7 +214,7 @@ impl Sweep {
 
     /// Write the step that led to each voxel, for the tiles swept since the last call.
     ///
-    /// It is the first cell for which the neighbour's cost and the step add up to the voxel's cost.
+    /// The step is the first cell for which the neighbour's cost and the step add up to the voxel's cost.
     pub(crate) fn write_steps<C: StepCost>(
         &mut self,
         field: &VoxelField<'_>,

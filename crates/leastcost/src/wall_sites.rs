@@ -1,9 +1,9 @@
 //! Nearest voxel outside for every lumen voxel, without a search of the rest of the volume.
 //!
-//! This is the separable transform of [`crate::distance`] on runs of lumen voxels: along a line, no voxel beyond the
-//! first voxel outside a run can be nearest to a voxel of the run, so only a run and its two ends matter. The result
-//! for a voxel depends only on the lumen and not on a box round it, so an edited lumen gives, bit for bit, the same
-//! result as an equal new lumen.
+//! The method is the separable transform of [`crate::distance`] on runs of lumen voxels: along a line, no voxel beyond
+//! the first voxel outside a run can be nearest to a voxel of the run, so only a run and its two ends matter. The
+//! result for a voxel depends only on the lumen and not on a box round it, so an edited lumen gives, bit for bit, the
+//! same result as an equal new lumen.
 
 use crate::voxel_set::VoxelSet;
 

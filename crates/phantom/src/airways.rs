@@ -74,7 +74,8 @@ pub struct AirwayTree {
 
 /// Return the thickness of a wall from the radius of its lumen.
 ///
-/// It is 1.8 mm at the trachea, 0.9 at a segment, 0.6 at generation 6 (docs/algorithms.md, sizes of airways).
+/// The thickness is 1.8 mm at the trachea, 0.9 at a segment, 0.6 at generation 6 (docs/algorithms.md, sizes of
+/// airways).
 fn wall_mm(radius: f64) -> f64 {
     0.4 + 0.15 * radius
 }

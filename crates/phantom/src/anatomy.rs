@@ -1,7 +1,7 @@
 //! Fixed anatomy around the lungs, LPS mm with the carina at the origin: great vessels, spine, ribs, sternum.
 //!
-//! These are plain shapes at plausible positions. They serve as landmarks in the picture and as difficulties for an
-//! airway search; they are not ground truth.
+//! The structures are plain shapes at plausible positions. They serve as landmarks in the picture and as difficulties
+//! for an airway search; they are not ground truth.
 
 use crate::shapes::{Piece, add, mix};
 

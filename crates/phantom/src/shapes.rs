@@ -65,8 +65,8 @@ pub(crate) fn smooth_max(a: f64, b: f64, k: f64) -> f64 {
 
 /// Return the fraction of a point-spread function of width `sigma_mm` that is inside a flat surface at distance `d`.
 ///
-/// It is a cubic step with the slope of the Gaussian's integral at the surface; it ends at 1.88 sigma, which keeps
-/// lists short.
+/// The function is a cubic step with the slope of the Gaussian's integral at the surface; it ends at 1.88 sigma, which
+/// keeps lists short.
 pub(crate) fn cover(d: f64, sigma_mm: f64) -> f64 {
     let t = (0.5 - d / (3.76 * sigma_mm)).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)

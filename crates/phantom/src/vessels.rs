@@ -1,6 +1,6 @@
 //! Vessels of the lungs: arteries beside the bronchi, smaller ones beyond them, veins between.
 //!
-//! They give a lung a realistic appearance, with bright tubes beside the dark airways, which an airway search must
+//! Vessels give a lung a realistic appearance, with bright tubes beside the dark airways, which an airway search must
 //! distinguish. They are not ground truth.
 
 use carina_grid::{dot, length};

@@ -624,8 +624,8 @@ enum Kind {
 impl AirwayPiece {
     /// Return the distance from its axis within which a piece can affect the lumen or a wall of `wall` mm.
     ///
-    /// It includes the branch's largest radius (the nearest piece must be known near any part of the branch) and the
-    /// largest fillet.
+    /// The distance includes the branch's largest radius (the nearest piece must be known near any part of the branch)
+    /// and the largest fillet.
     fn reach(&self, wall: f64) -> f64 {
         // A cut circle is wider than the circle of equal area.
         let more = if self.behind.is_some() { 2.0 } else { 0.0 };
@@ -660,7 +660,7 @@ fn voxel_diagonal(grid: &Grid) -> f64 {
 
 /// Return positions within a voxel, as LPS offsets from its centre, evenly over its box.
 ///
-/// They are at most [`SAMPLE_MM`] apart, or five per axis.
+/// The positions are at most [`SAMPLE_MM`] apart, or five per axis.
 fn sample_offsets(lps_from_ijk: &Affine, spacing: [f64; 3]) -> Vec<[f64; 3]> {
     let num = spacing.map(|s| ((s / SAMPLE_MM).ceil() as usize).clamp(1, 5));
     let place = |n: usize, i: usize| (i as f64 + 0.5) / n as f64 - 0.5;

@@ -1,6 +1,6 @@
 //! Reference caster that reads every sample of every ray.
 //!
-//! It stays readable and defines the correct result for the leaping caster.
+//! The code stays readable and defines the correct result for the leaping caster.
 
 use crate::{
     composite::Gathered,

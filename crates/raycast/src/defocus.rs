@@ -11,7 +11,7 @@ use crate::RaycastError;
 
 /// Largest diameter of a circle of confusion that counts as a point, as a fraction of the picture's shorter side.
 ///
-/// It is about one sensor pixel of a video bronchoscope (400 x 400).
+/// The limit is about one sensor pixel of a video bronchoscope (400 x 400).
 const SHARP_PART: f32 = 1.0 / 400.0;
 /// Largest radius of a circle of confusion, as a fraction of the shorter side.
 ///

@@ -21,8 +21,8 @@ impl Lighting {
     /// Compute the exposure from rays that are spread over the whole picture, so that every strip gets the same value.
     ///
     /// The automatic exposure of a video bronchoscope favours bright parts, so that a near wall is hardly overexposed.
-    /// Here the fourth root of the mean fourth power of the brightness is set to a fixed level. This mean depends
-    /// mostly on the near walls, not on how much of the picture the dark lumen ahead covers.
+    /// Here the fourth root of the mean fourth power of the brightness is set to a fixed level. The mean depends mostly
+    /// on the near walls, not on how much of the picture the dark lumen ahead covers.
     fn find_exposure(&self, frame: &Frame<'_>, method: Method<'_>) -> f32 {
         let (width, height) = (frame.camera().width(), frame.camera().height());
         let place = |n: usize, size: usize| (2 * n + 1) * size / (2 * METERED);

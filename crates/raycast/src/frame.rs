@@ -247,7 +247,7 @@ impl<'a> Frame<'a> {
 
     /// Return an upper bound of the number of steps of any ray.
     ///
-    /// It is the distance to the farthest corner of the box plus the box's diagonal.
+    /// The bound is the distance to the farthest corner of the box plus the box's diagonal.
     pub(crate) fn most_steps(&self) -> f64 {
         let lps_from_ijk = self.grid.lps_from_ijk();
         let camera = self.camera.origin_lps();

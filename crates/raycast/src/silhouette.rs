@@ -23,8 +23,8 @@ use crate::{
 
 /// Offsets of the two rays from the centre of a pixel, in pixels.
 ///
-/// They are a fraction of a pixel apart along both axes and along neither diagonal, so that edges of most directions
-/// get an intermediate level.
+/// The rays are a fraction of a pixel apart along both axes and along neither diagonal, so that edges of most
+/// directions get an intermediate level.
 const BESIDE: [[f64; 2]; 2] = [[-0.2, -0.36], [0.2, 0.36]];
 /// Limit of the second difference of the inverse depth from pixel to pixel, as a fraction of the nearest pixel's
 /// inverse depth.

@@ -32,7 +32,7 @@ pub struct Hit {
 /// Return the first walls of `rows` of the picture, `[row, column]`; `None` for a ray that meets no wall.
 ///
 /// Depths and positions are the same for brute force and for leaps over transparent classes, in whole pictures and in
-/// strips, on every instruction set. They do not depend on the light of the frame's options.
+/// strips, on every instruction set. The walls do not depend on the light of the frame's options.
 pub fn cast_surface(
     frame: &Frame<'_>,
     method: Method<'_>,

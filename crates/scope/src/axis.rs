@@ -1,9 +1,9 @@
 //! Axis of the scope: nodes from the tip back to the entry, their frames, and the relaxation.
 //!
 //! The axis is an elastic rod of nodes [`NODE_MM`] apart (Bergou et al., "Discrete elastic rods", SIGGRAPH 2008: frames
-//! carried along without twist, bending energy from the angle at each node). It is stiff against twist and stretch, so
-//! the roll of the hand arrives at the tip. The rest shape of the bending section has the curvature set by the lever;
-//! elsewhere the rest shape is straight. Walls limit the positions of the nodes.
+//! carried along without twist, bending energy from the angle at each node). The rod is stiff against twist and
+//! stretch, so the roll of the hand arrives at the tip. The rest shape of the bending section has the curvature set by
+//! the lever; elsewhere the rest shape is straight. Walls limit the positions of the nodes.
 
 use carina_grid::{cross, dot, unit};
 
@@ -250,7 +250,7 @@ impl Axis {
 
     /// Return the positions along the shaft that are kept off the wall.
     ///
-    /// They are nodes and the midpoints between them, as pairs of the nodes that are moved.
+    /// The positions are nodes and the midpoints between them, as pairs of the nodes that are moved.
     fn shaft_places(body: &ScopeBody, num: usize) -> impl Iterator<Item = (usize, usize)> + use<> {
         let base = body.rigid_nodes().min(num);
         (base..num).flat_map(move |n| [(n, n), (n, n + 1)])

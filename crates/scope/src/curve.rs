@@ -6,7 +6,7 @@ use crate::gaze::{gaze, smoothed};
 
 /// Distance between the curve's knots.
 ///
-/// It is small relative to a voxel, so straight lines between knots look like a curve.
+/// The distance is small relative to a voxel, so straight lines between knots look like a curve.
 const STEP_MM: f64 = 0.25;
 /// Sigma of the smoothing of positions: it removes the steps of 0.5 to 1 mm voxels and keeps the bends of an airway.
 const POSITION_SIGMA_MM: f64 = 2.0;

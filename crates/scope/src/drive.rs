@@ -23,7 +23,8 @@ const STEP_RAD: f64 = 0.02;
 const TOUCH_MM: f64 = 0.1;
 /// Distance at which contact ends.
 ///
-/// It is larger, so that a tip that slides along a rough wall counts as one contact, not as a hundred.
+/// The limit is larger than that of contact, so that a tip that slides along a rough wall counts as one contact, not as
+/// a hundred.
 const RELEASE_MM: f64 = 0.3;
 /// Distances ahead at which a blocked scope measures the width of the airway.
 const LOOK_AHEAD_MM: [f64; 4] = [1.0, 2.0, 3.0, 4.0];

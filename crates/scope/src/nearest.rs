@@ -1,6 +1,6 @@
 //! Nearest triangle of a mesh for one point at a time.
 //!
-//! This is the readable reference of [`crate::nearest_packet`], which processes eight points.
+//! The module is the readable reference of [`crate::nearest_packet`], which processes eight points.
 
 use std::collections::HashMap;
 

@@ -249,7 +249,7 @@ impl WallField {
 
     /// Return the distance to the wall, positive in the lumen.
     ///
-    /// It is limited to -2.5 mm outside (also beyond the lattice, and for a NaN) and to 4.5 mm inside.
+    /// The distance is limited to -2.5 mm outside (also beyond the lattice, and for a NaN) and to 4.5 mm inside.
     #[must_use]
     pub fn distance_mm(&self, p_lps: [f64; 3]) -> f64 {
         let at = self.lattice_from_lps.point(p_lps);

@@ -1,6 +1,6 @@
 //! Tests of the extension on drawn tubes.
 //!
-//! It follows a faint tube and crosses a short gap, but enters neither the lung nor a groove.
+//! The extension follows a faint tube and crosses a short gap, but enters neither the lung nor a groove.
 
 use carina_grid::{Affine, Grid, VolumeView, length};
 

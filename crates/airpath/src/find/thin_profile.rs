@@ -126,7 +126,7 @@ impl Profile {
 
     /// Return the number of positions, from the first, that are an airway.
     ///
-    /// They are the part with the largest gain; the result is 0 if the part does not qualify.
+    /// These positions are the part with the largest gain; the result is 0 if the part does not qualify.
     pub(crate) fn kept(&self, asked: &Asked) -> usize {
         let (mut gain, mut most, mut num) = (0.0, 0.0, 0);
         let looks: Vec<bool> = self.places.iter().map(|p| p.looks_like(asked)).collect();

@@ -1,6 +1,6 @@
 //! Tests of the search for thin airways on drawn chests.
 //!
-//! It follows a thread with a dark middle, but neither vessels nor lung.
+//! The search follows a thread with a dark middle, but neither vessels nor lung.
 
 use carina_grid::{Affine, Grid, VolumeView, cross, dot, length, unit};
 use carina_leastcost::{TrackError, Unwatched, Watch};

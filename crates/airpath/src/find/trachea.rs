@@ -375,7 +375,7 @@ impl Scene<'_> {
 
     /// Return the position where the chain, or the tube that continues it, leaves its line to one side.
     ///
-    /// This is the carina if one main bronchus is closed.
+    /// The position is the carina if one main bronchus is closed.
     fn turn_aside(&self, chain: &Chain) -> Option<([f64; 3], usize)> {
         let last = chain.spots.len() - 1;
         let end = self.spot(chain, last);

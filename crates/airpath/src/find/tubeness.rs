@@ -3,15 +3,15 @@
 //! The wall of a bronchus of a few voxels is blurred: its lumen may be as bright as lung, or brighter, and its wall no
 //! brighter than a vessel's rim. The shape remains visible: from the middle of the lumen the values rise in all
 //! directions but the two along the tube (three at a bifurcation). So rays start at the voxel, each gives the rise of
-//! the values along it, and the *enclosure* is the rise that all but a fifth of the rays reach. It needs no estimate of
-//! direction or scale, and a voxel beside one vessel, or between two, is enclosed on some sides only.
+//! the values along it, and the *enclosure* is the rise that all but a fifth of the rays reach. The enclosure needs no
+//! estimate of direction or scale, and a voxel beside one vessel, or between two, is enclosed on some sides only.
 
 use carina_grid::{Grid, VolumeView};
 use rayon::prelude::*;
 
 /// Length of the rays, mm.
 ///
-/// It includes the wall of an airway up to 4 mm wide, and the two open ends take a fifth of the rays.
+/// This length includes the wall of an airway up to 4 mm wide, and the two open ends take a fifth of the rays.
 pub const REACH_MM: f64 = 3.0;
 
 const NUM_RAYS: usize = 48;

@@ -97,7 +97,7 @@ pub struct Section {
 
 /// Return the distance up to which a ray searches for the lumen's edge, mm.
 ///
-/// It is 3 radii, for a lumen three times as wide as high, and 3 voxels.
+/// The distance is 3 radii, for a lumen three times as wide as high, and 3 voxels.
 #[must_use]
 pub fn reach_mm(radius_mm: f64, voxel_mm: f64) -> f64 {
     3.0 * radius_mm + 3.0 * voxel_mm

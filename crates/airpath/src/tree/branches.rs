@@ -139,8 +139,8 @@ pub fn branches_to(
 ///
 /// The result is `NO_NODE` if the node is connected to no branch.
 ///
-/// This is the branch with the nearest centreline, measured inside the lumen and from the tube's surface: a wide tube
-/// reaches farther than a narrow one that leaves it.
+/// The result is the branch with the nearest centreline, measured inside the lumen and from the tube's surface: a wide
+/// tube reaches farther than a narrow one that leaves it.
 #[must_use]
 pub fn branch_of_nodes(graph: &LumenGraph, branches: &[Branch]) -> Vec<u32> {
     let mut branch_of = vec![NO_NODE; graph.num_nodes()];

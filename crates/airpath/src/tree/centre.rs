@@ -20,7 +20,7 @@ use carina_leastcost::lumen::LumenGraph;
 const BEFORE_TIP_RADII: f64 = 0.5;
 /// Weight of the bifurcation of the least-cost paths relative to an axis.
 ///
-/// It matters only if the axes are nearly parallel.
+/// The weight matters only if the axes are nearly parallel.
 const OLD_FORK_WEIGHT: f64 = 0.05;
 /// Largest displacement of a bifurcation, as a multiple of its tube's radius.
 const FARTHEST_RADII: f64 = 2.5;

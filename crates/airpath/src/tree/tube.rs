@@ -206,8 +206,8 @@ impl View<'_> {
 
     /// Return the distance at which a ray leaves the lumen.
     ///
-    /// It is the distance to the last voxel in the lumen plus that voxel's distance to the wall. The result is NaN
-    /// beyond the reach.
+    /// The result is the distance to the last voxel in the lumen plus that voxel's distance to the wall. The result is
+    /// NaN beyond the reach.
     fn ray_mm(&self, from: Point, dir: Point, reach_mm: f64) -> f64 {
         let step_mm = 0.5 * self.grid.min_spacing_mm();
         let first = self.grid.to_ijk(Lps(from)).0;

@@ -269,7 +269,7 @@ impl Bytes for Avx2 {
 
 /// Instruction set SSE2.
 ///
-/// It needs no proof, because it is part of `x86_64`.
+/// This set needs no proof, because SSE2 is part of `x86_64`.
 #[derive(Clone, Copy)]
 pub(crate) struct Sse2;
 

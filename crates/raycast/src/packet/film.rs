@@ -63,8 +63,8 @@ fn bump<L: Lanes>(
 
 /// Return the visibility of noise detail.
 ///
-/// It is 1 if a noise cell covers ten pixels or more, and 0 below about three, because a droplet would be only a white
-/// dot.
+/// The visibility is 1 if a noise cell covers ten pixels or more, and 0 below about three, because a droplet would be
+/// only a white dot.
 #[inline(always)]
 fn fades<L: Lanes>(l: L, footprint_mm: L::F, per_mm: f32) -> L::F {
     let cells = l.mul(footprint_mm, l.splat(per_mm));

@@ -1,6 +1,6 @@
 //! Operations that a packet kernel needs from an instruction set.
 //!
-//! They are numbers, masks and gathers for as many rays as fit a register.
+//! The operations work on numbers, masks and gathers for as many rays as fit a register.
 
 use std::sync::atomic::AtomicI32;
 

@@ -14,7 +14,7 @@ pub(super) const MIST_RGB: [f32; 3] = [0.66, 0.56, 0.53];
 
 /// Return the opacity of the mist, 0 to 1, for rays with steps `delta` in voxels.
 ///
-/// It depends only on the ray's direction relative to the camera.
+/// The opacity depends only on the ray's direction relative to the camera.
 #[inline(always)]
 pub(super) fn mist<L: Lanes>(l: L, light: &Lighting, delta: [L::F; 3]) -> L::F {
     let s = |v: f32| l.splat(v);

@@ -121,7 +121,7 @@ impl<'a> Packets<'a> {
 
     /// Return true if packets find first walls for this picture.
     ///
-    /// They do not with nearest voxels, nor within segments of opaque classes.
+    /// Packets find no first walls with nearest voxels, nor within segments of opaque classes.
     pub(crate) fn find_walls(&self) -> bool {
         !self.nearest && self.leap != CLASSES
     }

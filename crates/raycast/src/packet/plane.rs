@@ -75,7 +75,7 @@ fn range_of(starts: &[[f32; 3]]) -> Option<[[f32; 3]; 2]> {
 impl<'a> PlaneTiles<'a> {
     /// Prepare a plane; return `None` if pixels must be sampled one by one.
     ///
-    /// That is the case without AVX2, for volumes beyond 32-bit indices, and for one voxel along x.
+    /// Pixels are sampled one by one without AVX2, for volumes beyond 32-bit indices, and for one voxel along x.
     pub(crate) fn of(
         field: &Field<'a>,
         along_row: [f32; 3],

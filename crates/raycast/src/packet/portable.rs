@@ -1,7 +1,7 @@
 //! Instruction set of eight lanes in plain arrays: loops that the compiler translates to the vector instructions of the
 //! target.
 //!
-//! It is the packet kernel for NEON, and on every machine the kernel that tests compare with the scalar casters.
+//! The set is the packet kernel for NEON, and on every machine the kernel that tests compare with the scalar casters.
 
 use std::{
     array::from_fn,

@@ -116,7 +116,7 @@ impl Scene<'_> {
             // Same computation as in `Gathered::cross`.
             let (half, before) = (l.splat(0.5), packet.transparency);
             let crossed = l.without(l.and(lit, l.less(through, half)), l.less(before, half));
-            // This happens once per ray.
+            // A crossing happens once per ray.
             if l.bits(crossed) != 0 {
                 let part = l.div(l.sub(before, half), l.sub(before, through));
                 packet.hit = l.select(crossed, l.add(l.to_f(k), part), packet.hit);

@@ -11,7 +11,7 @@ use crate::{
 
 /// Return the slopes of a volume round positions in voxels, interpolated from those at voxels.
 ///
-/// They are per voxel axis, in HU over the reach.
+/// The slopes are per voxel axis, in HU over the reach.
 #[inline(always)]
 pub(crate) fn rise<L: Lanes>(
     l: L,

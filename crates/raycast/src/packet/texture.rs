@@ -186,8 +186,8 @@ fn vessel<L: Lanes>(
 
 /// Compute the texture at patient points `lps` (mm).
 ///
-/// It depends on the point alone, so it stays on the tissue when the scope moves; detail finer than `footprint_mm`, the
-/// width of a pixel there, fades out.
+/// The texture depends on the point alone, so it stays on the tissue when the scope moves; detail finer than
+/// `footprint_mm`, the width of a pixel there, fades out.
 #[inline(always)]
 pub(super) fn texture<L: Lanes>(
     l: L,

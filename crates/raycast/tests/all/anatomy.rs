@@ -1,7 +1,7 @@
 //! Small random chests for tests.
 //!
-//! They contain forked tubes of air with a wall, lung, vessels, and correlated noise like a scanner's, on oblique,
-//! anisotropic and sometimes mirrored grids. Cameras are in the lumen, anywhere inside, and outside.
+//! The chests contain forked tubes of air with a wall, lung, vessels, and correlated noise like a scanner's, on
+//! oblique, anisotropic and sometimes mirrored grids. Cameras are in the lumen, anywhere inside, and outside.
 
 use crate::reference::{Matrix, Shares, View};
 

@@ -1,7 +1,7 @@
 //! Reference ray caster in f64, written from the formulas (docs/algorithms.md, paper 4.3) without the crates' code.
 //!
-//! It has its own camera, box, interpolation, gradients, table and light. The pictures of the casters may differ from
-//! it only by rounding.
+//! The reference has its own camera, box, interpolation, gradients, table and light. The pictures of the casters may
+//! differ from it only by rounding.
 
 /// Rows of a 3x4 matrix.
 pub(crate) type Matrix = [[f64; 4]; 3];
@@ -96,7 +96,7 @@ impl World<'_> {
 
     /// Return colour and opacity per mm at a value.
     ///
-    /// They are linear between points, those of the later of two points at one value, and constant beyond the ends.
+    /// Both are linear between points, those of the later of two points at one value, and constant beyond the ends.
     fn colour(&self, hu: f64) -> [f64; 4] {
         let part = |p: &[f64; 5]| [p[1], p[2], p[3], p[4]];
         let after = self.points.iter().position(|p| p[0] > hu);

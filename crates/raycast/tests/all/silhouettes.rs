@@ -1,7 +1,7 @@
 //! Tests of the two rays at silhouettes.
 //!
-//! The result is nearer to a picture of many rays, and changes only where a wall ends in front of another one. It is
-//! the same in strips, with leaps and from every caster. Depths stay those of the pixel's centre.
+//! The result is nearer to a picture of many rays, and changes only where a wall ends in front of another one. The
+//! result is the same in strips, with leaps and from every caster. Depths stay those of the pixel's centre.
 
 use carina_grid::{
     Affine, Camera, FieldShape, Grid, ImageField, Lens, LensRays, Optics, VolumeView,
