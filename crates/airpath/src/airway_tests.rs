@@ -138,7 +138,7 @@ fn a_path_keeps_to_the_middle_and_its_cost_is_finite() {
     assert!(tracker.solve_to(&graph, &cost, target, &Unwatched).unwrap());
     for node in tracker.path_to(target).unwrap() {
         let p = grid.to_lps(Ijk(graph.voxel(node).map(|v| v as f64))).0;
-        // One voxel's diagonal in plane.
+        // Tolerance: the diagonal of one voxel in plane.
         assert!(off_segment(p, far(-1.0), far(1.0)) < 1.21);
     }
 }
@@ -425,7 +425,7 @@ fn the_tree_has_the_drawn_branches_and_children_begin_where_their_parent_ends() 
         let radius = branch.radius_mm[branch.points.len() / 2];
         let off = off_segment(middle, tube.0, tube.1);
         assert!(off < 1.5, "{off}");
-        // 0.8 mm: half a voxel along the axis.
+        // Tolerance: 0.8 mm, half a voxel along the axis.
         let free = radius + off;
         assert!((free - tube.2).abs() < 0.8, "{radius} {off} {}", tube.2);
     }

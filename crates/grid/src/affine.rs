@@ -174,7 +174,7 @@ mod tests {
             let a = oblique(angles, spacing, origin);
             let back = a.inverse().unwrap().point(a.point(p));
             for axis in 0..3 {
-                // 1e-9: some 2000 mm through two maps in f64, divided by the smallest spacing.
+                // Tolerance 1e-9: some 2000 mm through two maps in f64, divided by the smallest spacing.
                 prop_assert!((back[axis] - p[axis]).abs() < 1e-9);
             }
         }

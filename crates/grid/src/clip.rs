@@ -58,7 +58,7 @@ mod tests {
             let (lo, hi) = ([-0.5, -0.5, -0.5], [7.5, 4.5, 9.5]);
             let inside = |t: f64| (0..3).all(|a| {
                 let p = origin[a] + t * direction[a];
-                // 1e-9: rounding of coordinates below 100.
+                // Tolerance 1e-9: rounding of coordinates below 100.
                 p >= lo[a] - 1e-9 && p <= hi[a] + 1e-9
             });
             match clip_line_to_box(origin, direction, lo, hi) {

@@ -178,7 +178,7 @@ proptest! {
             let back = optics.pixel(d);
             // A point at the very edge of the fold may be on either side.
             if let Some(back) = back {
-                // 1e-6 px: near a fold a pixel's direction is badly conditioned, elsewhere the error is 1e-10.
+                // Tolerance 1e-6 px: near a fold a pixel's direction is badly conditioned, elsewhere the error is 1e-10.
                 prop_assert!((back[0] - pixel[0]).abs() + (back[1] - pixel[1]).abs() < 1e-6, "{pixel:?} {back:?}");
             } else {
                 let angle = libm::atan2((d[0] * d[0] + d[1] * d[1]).sqrt(), d[2]);

@@ -90,7 +90,7 @@ mod tests {
             for count in 0..=MAX_SEGMENT_SAMPLES {
                 let segment = table.segment(n as u8 + 1, count);
                 for c in 0..3 {
-                    // 1e-6: entries are f32.
+                    // Tolerance 1e-6: the entries of the table are f32.
                     assert!((f64::from(segment[c]) - colour[c]).abs() < 1e-6);
                 }
                 assert!((f64::from(segment[3]) - through).abs() < 1e-6);

@@ -204,7 +204,7 @@ mod tests {
                 let best = (0..bits.len()).filter(|&b| bits[b]).map(|b| distance(at, b)).reduce(f64::min);
                 match best {
                     None => prop_assert_eq!(found[at], NOWHERE),
-                    // 1e-4 mm: squared distances are passed between the axes as f32.
+                    // Tolerance 1e-4 mm: squared distances are passed between the axes as f32.
                     Some(best) => prop_assert!((distance(at, found[at] as usize) - best).abs() < 1e-4),
                 }
             }

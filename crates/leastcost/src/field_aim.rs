@@ -14,11 +14,11 @@ use crate::{TrackError, Watch};
 /// Number of nodes settled between two checks of the watch.
 const NODES_PER_LOOK: usize = 1 << 14;
 
-/// Bits of a voxel's state for the cell of the step that led to the voxel, plus 1; ...
+/// Number of low bits of a voxel's state that contain the cell of the step that led to the voxel, plus 1.
 const CELL_BITS: u32 = 5;
-/// ... then the bit for a settled voxel; ...
+/// Bit of a voxel's state that marks a settled voxel, above the bits of the cell.
 const SETTLED: u64 = 1 << CELL_BITS;
-/// ... and above them the least cost so far.
+/// Position in a voxel's state of the least cost so far, above the other bits.
 ///
 /// The state is 0 for a voxel that no path has reached, so zeroed memory needs no initialisation.
 const COST_SHIFT: u32 = CELL_BITS + 1;

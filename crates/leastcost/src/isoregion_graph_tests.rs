@@ -235,7 +235,7 @@ proptest! {
         for node in 0..graph.num_nodes() as u32 {
             if let Some(found) = pruned_tracker.cost(node) {
                 let least = tracker.cost(graph.whole(node)).unwrap();
-                // 0.5 % for the quantum of each graph.
+                // Tolerance: 0.5 % for the quantum of each of the two graphs.
                 prop_assert!(found >= 0.99 * least, "{found} {least}");
             }
         }

@@ -150,7 +150,7 @@ proptest! {
         match found {
             None => prop_assert!(least[goal].is_infinite()),
             Some(way) => {
-                // 1e-9: the sums have another order.
+                // Tolerance 1e-9: the two sums add their terms in different orders.
                 prop_assert!((way.cost - least[goal]).abs() < 1e-9);
                 prop_assert_eq!(way.voxels[0], voxel(goal));
                 prop_assert_eq!(way.voxels[way.voxels.len() - 1], voxel(start));

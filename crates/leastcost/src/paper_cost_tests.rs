@@ -91,7 +91,7 @@ proptest! {
             .map(|n| gradient(view, grid.voxel(n)))
             .fold(0.0, f64::max);
         let found = greatest_gradient(view, &Unwatched).unwrap();
-        // The sum of three squares has another order.
+        // The table adds the three squares in another order.
         prop_assert!((found - greatest).abs() <= 1e-12 * greatest);
         let graph = BoxGraph::new(&grid, case.part).unwrap();
         for reading in [Reading::Printed, Reading::Walls] {

@@ -167,7 +167,7 @@ mod tests {
                     .reduce(f64::min);
                 match best {
                     None => prop_assert_eq!(site, NO_SITE),
-                    // 1e-9 mm: the crossings of the parabolas are rounded.
+                    // Tolerance 1e-9 mm: the crossings of the parabolas are rounded.
                     Some(best) => prop_assert!((distance(*voxel, site) - best).abs() < 1e-9),
                 }
             }

@@ -111,7 +111,7 @@ mod tests {
             .count();
         let area = dark as f64 * 0.7 * 0.9;
         let found = (area / core::f64::consts::PI).sqrt();
-        // 3 %: 80 voxels of which some 30 are on the edge.
+        // Tolerance 3 %: 80 voxels, of which some 30 are on the edge.
         assert!((found - radius).abs() < 0.03 * radius, "{found}");
     }
 

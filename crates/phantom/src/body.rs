@@ -375,7 +375,7 @@ fn mediastinum(p: [f64; 3]) -> f64 {
     let v = (p[1] - mix(2.0, -12.0, up)) / mix(36.0, 34.0, up);
     let v4 = v * v * v * v;
     let half = 3.5 + mix(18.0, 30.0, up * up) / (1.0 + v4);
-    // 0.85: the sheet's sides have a slope of up to 30 degrees.
+    // Factor 0.85: the sides of the sheet have a slope of up to 30 degrees.
     0.85 * ((p[0] - 1.0).abs() - half)
 }
 

@@ -73,7 +73,7 @@ mod tests {
         let n = slice.len() as f32;
         let mean = slice.iter().sum::<f32>() / n;
         let variance = slice.iter().map(|v| (v - mean) * (v - mean)).sum::<f32>() / n;
-        // 3 %: 30 000 samples, some 8 000 of them independent.
+        // Tolerance 3 %: 30 000 samples, some 8 000 of them independent.
         assert!((variance.sqrt() - 20.0).abs() < 0.6, "{}", variance.sqrt());
         assert!(mean.abs() < 1.0, "{mean}");
         let neighbours: f32 = slice

@@ -585,7 +585,7 @@ impl<'a> Scene<'a> {
             }
             *value = hu as f32;
             let below = self.below_the_cricoid(p, to_lumen);
-            // 2 marks the upper airway.
+            // The value 2 marks the upper airway.
             lumen[x] = if to_lumen >= 0.0 {
                 0
             } else {

@@ -92,7 +92,7 @@ mod tests {
 
     #[test]
     fn the_highlight_is_a_power_of_the_cosine() {
-        // 0.5^8 is exact.
+        // f32 represents 0.5^8 exactly.
         assert_eq!(LIGHT.shares(0.5, 0.0).1, 0.5 / 256.0);
         assert!(
             Light {

@@ -325,7 +325,7 @@ mod tests {
             let Ok(curve) = FlightCurve::new(&line, None, deviation) else { return Ok(()) };
             for n in 0..=200 {
                 let pose = curve.pose_at(curve.length_mm() * f64::from(n) / 200.0);
-                // 1e-9: rounding of coordinates of some hundred mm.
+                // Tolerance 1e-9: rounding of coordinates of some hundred mm.
                 prop_assert!(distance_to_line(pose.column(3), &line) <= deviation + 1e-9);
                 prop_assert!(pose.is_rigid(1e-12));
             }
@@ -367,7 +367,7 @@ mod tests {
         // right.
         let curve = FlightCurve::new(&[[5.0, 6.0, 100.0], [5.0, 6.0, 0.0]], None, 0.5).unwrap();
         let near = |found: [f64; 3], wanted: [f64; 3]| {
-            // 1e-12: rounding of the weighted means.
+            // Tolerance 1e-12: rounding of the weighted means.
             assert!(
                 length(std::array::from_fn(|a| found[a] - wanted[a])) < 1e-12,
                 "{found:?}"
@@ -422,7 +422,7 @@ mod tests {
             // Down stays posterior, because the curve is in the coronal plane.
             assert!((frames[i].column(1)[1] - 1.0).abs() < 1e-6, "{i}");
             let chord = unit(std::array::from_fn(|a| knots[i + 1][a] - knots[i - 1][a])).unwrap();
-            // 2 degrees: where the bend begins, its smoothing over 2 mm of 40 mm.
+            // Tolerance: 2 degrees at the beginning of the bend, from the smoothing over 2 mm of a radius of 40 mm.
             assert!(dot(chord, frames[i].column(2)) > 0.9994, "{i}");
         }
     }

@@ -107,7 +107,7 @@ fn a_free_tip_bends_to_its_angle_with_the_radius_of_its_bending_section() {
     let state = scope.drive(60.0, 0.0, 1.0, 0.1).unwrap();
     let look = state.lps_from_tip.column(2);
     let angle = libm::acos(-look[2]);
-    // 1e-3: the residual error of the relaxation.
+    // Tolerance 1e-3: the residual error of the relaxation.
     assert!((angle - 1.0).abs() < 1e-3, "{angle}");
     // Up is anterior, and the tip moves in that direction.
     assert!(look[1] < 0.0 && state.lps_from_tip.column(3)[1] < -2.0);

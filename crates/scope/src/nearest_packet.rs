@@ -334,7 +334,7 @@ mod tests {
             for n in 0..LANES {
                 let p = std::array::from_fn(|a| points.origin[a] + f64::from(points.at[a][n]));
                 let (truth, _) = boxes.signed(p, 0);
-                // f32 of coordinates within some 10 mm.
+                // Tolerance: rounding to f32 of coordinates within some 10 mm.
                 let one = f64::from(found.signed_mm[n]);
                 assert!((one - truth).abs() < 2e-5, "{one} {truth} at {p:?}");
                 let triangle = boxes.triangles[found.triangles[n] as usize];

@@ -13,9 +13,9 @@ const SIDE: usize = CELLS + 1;
 pub(crate) const SAMPLES: usize = SIDE * SIDE * SIDE;
 /// Size of the matrix and of the shape in the serialised bytes of a field.
 const HEAD_BYTES: usize = 8 * 15;
-/// Distance outside the lumen up to which distances are stored ...
+/// Largest distance outside the lumen that is stored; beyond, the stored value means "farther".
 pub(crate) const OUTSIDE_MM: f64 = 2.5;
-/// ... and the distance inside; beyond, the stored value means "farther".
+/// Largest distance inside the lumen that is stored; beyond, the stored value means "farther".
 ///
 /// No scope has such a radius.
 pub(crate) const INSIDE_MM: f64 = 4.5;

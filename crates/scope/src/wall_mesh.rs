@@ -394,7 +394,7 @@ mod tests {
                     let (truth, _) = boxes.signed(p, 0);
                     let wanted = truth.clamp(-OUTSIDE_MM, INSIDE_MM);
                     num_in_band += u32::from(wanted == truth);
-                    // f32, and an interpolation at a position that rounding moves slightly off a sample.
+                    // Tolerance: rounding to f32, and interpolation at a position that rounding moves slightly off a sample.
                     let found = field.distance_mm(p);
                     assert!((found - wanted).abs() < 5e-5, "{found} {wanted} at {p:?}");
                 }

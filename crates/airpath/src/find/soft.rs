@@ -305,7 +305,7 @@ mod tests {
             let blurs = [Blur { weight: 0.4, sigma_mm }, Blur { weight: 0.25, sigma_mm: 1.5 * sigma_mm }];
             let fast = mixed(view, 0.35, &blurs, blurred);
             for (a, b) in fast.iter().zip(mixed_slowly(view, 0.35, &blurs, blurred)) {
-                // Half a unit of rounding, and the difference between f32 and f64.
+                // Tolerance: half a unit of rounding, and the difference between f32 and f64.
                 prop_assert!((f64::from(*a) - b).abs() <= 0.51);
             }
         }

@@ -66,7 +66,7 @@ const MIN_LENGTH_MM: f64 = 18.0;
 const MIN_CUT_OFF_MM: f64 = 8.0;
 /// Smallest length of a trachea without one main bronchus or one lung, mm: no other airway is wide for this length.
 const STRICT_LENGTH_MM: f64 = 40.0;
-/// Smallest length of a trachea without both, or with other tubes beside it, mm.
+/// Smallest length of a trachea without one main bronchus and one lung, or with other tubes beside the trachea, mm.
 const BEYOND_DOUBT_MM: f64 = 60.0;
 /// Smallest median diameter of such a trachea, mm.
 ///

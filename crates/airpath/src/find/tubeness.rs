@@ -361,7 +361,7 @@ mod tests {
             let view = VolumeView::new(&values, &grid).unwrap();
             let fast = smoothed(view);
             for (a, b) in fast.iter().zip(smoothed_slowly(view)) {
-                // One unit: f32 and f64 may differ at a rounding tie.
+                // Tolerance: one unit, because f32 and f64 may differ at a rounding tie.
                 prop_assert!((i32::from(*a) - i32::from(b)).abs() <= 1);
             }
             let enclosure = Enclosure::new(&grid, REACH_MM);

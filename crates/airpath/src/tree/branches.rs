@@ -22,9 +22,9 @@ use carina_leastcost::{TrackError, Watch};
 pub struct BranchLimits {
     /// Smallest distance in mm by which a side path must extend beyond the tube that it leaves.
     pub min_length_mm: f64,
-    /// A path covers all nodes within this multiple of its tube's radius ...
+    /// Multiple of a tube's radius within which a path covers all nodes; `cover_mm` is added to this distance.
     pub cover_radii: f64,
-    /// ... plus this distance, mm.
+    /// Distance in mm that is added to the multiple `cover_radii` of the radius.
     pub cover_mm: f64,
     /// Distance between points along a centreline, mm.
     pub step_mm: f64,

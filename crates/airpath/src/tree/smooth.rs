@@ -357,7 +357,7 @@ mod tests {
                         gradient += lambda * factor * bend(at);
                     }
                 }
-                // 1e-8: rounding of sums of some 60 mm times 12.5 in f64.
+                // Tolerance 1e-8: rounding of sums of some 60 mm times 12.5 in f64.
                 assert!(gradient.abs() < 1e-8, "{a} {m} {gradient}");
             }
         }

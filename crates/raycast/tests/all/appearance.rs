@@ -73,7 +73,7 @@ proptest! {
 
 #[test]
 fn a_volume_that_packets_cannot_read_is_lit_too() {
-    // One voxel along x has no pairs.
+    // A volume with one voxel along x has no pairs of voxels, which packets need.
     let mut scene = Scene::fixed([0.0; 3], [0.0, 0.0, 1.0]);
     let shape = [9, 8, 1];
     scene.grid = Grid::new(shape, Affine::IDENTITY).unwrap();
@@ -287,7 +287,7 @@ fn values_out_of_range_are_refused() {
     for look in bad {
         assert_eq!(refused(lit(look)), "render.setting", "{look:?}");
     }
-    // Two lights at once, or no gradient for the shading.
+    // Invalid options: two lights at once, or no gradient for the shading.
     let both = FrameOptions {
         appearance: Some(LOOK),
         ..options(true, false)

@@ -147,7 +147,7 @@ fn check_against(
             .map(|a| (position_lps[a] - ray.origin_lps[a]) * ray.dir_lps[a])
             .sum();
         assert!((along - f64::from(depth_mm)).abs() < 1e-3);
-        // 2 degrees.
+        // The normals may differ by 2 degrees.
         let cosine = dot(normal_lps.map(f64::from), normal);
         assert!(
             cosine > 2f64.to_radians().cos(),
