@@ -158,6 +158,10 @@ pub(crate) fn cell_rings() -> &'static [Vec<CellRing>] {
 ///
 /// `levels` is `None` for a lumen that was not found in these values (an imported mask); the surface is then half-way
 /// between voxels. At the volume's faces, beyond which no values exist, the mesh is closed half a voxel further out.
+///
+/// # Errors
+///
+/// Returns an error if `watch` stops the computation.
 pub fn lumen_mesh(
     values: VolumeView<'_, i16>,
     lumen: &[u8],

@@ -23,6 +23,10 @@ pub struct Way {
 ///
 /// A step costs its length in mm times the mean weight of its two voxels; no path passes a voxel of weight 0. All
 /// arrays run x fastest. Of equally cheap paths the first in array order is returned.
+///
+/// # Errors
+///
+/// Returns an error if `watch` stops the computation.
 pub fn cheapest_way(
     shape_ijk: [usize; 3],
     spacing_mm: [f64; 3],

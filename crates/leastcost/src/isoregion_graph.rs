@@ -101,7 +101,8 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
     ///
     /// # Errors
     ///
-    /// Returns an error if there are too many links or `watch` stops the computation.
+    /// Returns an error if the radius map has the wrong size, if there are too many links, or if `watch` stops the
+    /// computation.
     pub fn build(
         base: B,
         grid: &Grid,

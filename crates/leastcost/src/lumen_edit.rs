@@ -39,6 +39,10 @@ pub struct Edited {
 ///
 /// Added voxels that already exist and removed voxels that do not exist have no effect. `values` and `levels` must be
 /// those of the graph.
+///
+/// # Errors
+///
+/// Returns an error if the edited lumen is empty.
 pub fn edited(
     graph: &LumenGraph,
     values: VolumeView<'_, i16>,

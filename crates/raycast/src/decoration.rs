@@ -25,6 +25,10 @@ impl<'a> Decoration<'a> {
     /// Create a decoration from cells of [`CHANNELS`] finite numbers, `[z, y, x, channel]`.
     ///
     /// The centre of the first cell is at `origin_lps`.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the number of values does not match the shape, or if a value is not valid.
     pub fn new(
         numbers: &'a [f32],
         shape_zyx: [usize; 3],

@@ -60,6 +60,10 @@ impl Focus {
 /// Pixels without a ray are neither read nor changed.
 ///
 /// Each pixel gathers the pixels whose circle reaches it. Pixels behind a sharper edge do not spread over that edge.
+///
+/// # Errors
+///
+/// Returns an error if the range of `focus` or the number of depths is not valid.
 pub fn defocus(
     rgb: &[u8],
     depth_mm: &[f32],

@@ -65,6 +65,10 @@ const NOTHING: Packet = Packet {
 ///
 /// The tests require an error of at most 1e-4 of the length in a box of water, 0.2 % of finely sampled integrals
 /// through tissue, and less than a millimetre through voxelised ellipsoids on a 1 mm grid.
+///
+/// # Errors
+///
+/// Returns an error if the size of the picture or a number is not valid.
 pub fn cast_radiograph(
     volume: VolumeView<'_, i16>,
     projector: &Projector,

@@ -91,7 +91,7 @@ impl<'a> Frame<'a> {
     ///
     /// # Errors
     ///
-    /// Returns an error if the settings or the camera do not fit the volume.
+    /// Returns an error if the light or the appearance is not valid or needs another interpolation, or if both are set.
     pub fn new(
         volume: VolumeView<'a, i16>,
         table: &'a TransferTable,
@@ -154,6 +154,10 @@ impl<'a> Frame<'a> {
     }
 
     /// Set a stop limit other than [`STOP_TRANSPARENCY`], for comparisons with renderers that use another limit.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if `transparency` is not from 1/65536 to 1/4.
     pub fn stopping_at(mut self, transparency: f32) -> Result<Self, RaycastError> {
         // With a limit above 1/2 a ray would stop before its first wall; with a very small limit a ray through fog
         // would not end.
@@ -179,6 +183,10 @@ impl<'a> Frame<'a> {
     /// Set cached bricks of values and gradients of this volume; the light at every sample is computed from them.
     ///
     /// The caller must ensure that `samples` was filled from the same values.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the bricks are not for a volume of this shape.
     pub fn with_samples(mut self, samples: Arc<SampleBricks>) -> Result<Self, RaycastError> {
         if !samples.fit(self.shape_ijk()) {
             return Err(RaycastError::Setting {

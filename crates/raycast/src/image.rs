@@ -20,6 +20,10 @@ use crate::{
 /// Cast `rows` of the picture as 8-bit RGB, `[row, column, channel]`.
 ///
 /// Rows are independent, so strips that are cast anywhere assemble to the whole picture bit for bit.
+///
+/// # Errors
+///
+/// Returns an error if the rows, the instruction set or the maps of `method` are not valid for the frame.
 pub fn cast_rows(
     frame: &Frame<'_>,
     method: Method<'_>,
@@ -32,6 +36,10 @@ pub fn cast_rows(
 /// Cast `rows` as [`cast_rows`] does, but stop when another thread sets `stop`; then return `None`.
 ///
 /// The flag is checked before each band of a few rows, so the delay is at most the time of the slowest band.
+///
+/// # Errors
+///
+/// Returns an error if the rows, the instruction set or the maps of `method` are not valid for the frame.
 pub fn cast_rows_until(
     frame: &Frame<'_>,
     method: Method<'_>,
@@ -70,6 +78,10 @@ fn cast(
 }
 
 /// Cast the same picture with the scalar casters, which define the correct result, for any instruction set.
+///
+/// # Errors
+///
+/// Returns an error if the rows, the instruction set or the maps of `method` are not valid for the frame.
 pub fn cast_rows_scalar(
     frame: &Frame<'_>,
     method: Method<'_>,

@@ -45,6 +45,10 @@ const MAX_SLAB_SAMPLES: f64 = 256.0;
 ///
 /// Samples across a slab are at most the smallest voxel spacing apart, but there are at most 256; samples outside the
 /// volume do not count.
+///
+/// # Errors
+///
+/// Returns an error if the size of the picture or the slab is not valid.
 pub fn sample_lines(
     volume: VolumeView<'_, i16>,
     lines: &[PixelLine],

@@ -139,6 +139,10 @@ impl Frame<'_> {
     /// Set cached bricks of wall normals of this volume.
     ///
     /// The caller must ensure that `bricks` was filled from the same values.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the bricks are not for a volume of this shape and this transfer function.
     pub fn with_normals(mut self, bricks: Arc<NormalBricks>) -> Result<Self, RaycastError> {
         if !bricks.fit(&self) {
             return Err(RaycastError::Setting {

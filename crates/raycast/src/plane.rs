@@ -22,6 +22,10 @@ pub struct PlaneImage {
 /// Sample a plane.
 ///
 /// `lps_from_pixel` maps pixel corners (column, row, 0) to patient space; pixel centres are at + 1/2.
+///
+/// # Errors
+///
+/// Returns an error if the size of the picture is not valid.
 pub fn sample_plane(
     volume: VolumeView<'_, i16>,
     lps_from_pixel: &Affine,
@@ -34,6 +38,10 @@ pub fn sample_plane(
 }
 
 /// Sample rows of a plane with a given instruction set; the bits do not depend on the set.
+///
+/// # Errors
+///
+/// Returns an error if the size of the picture is not valid.
 pub fn sample_plane_by(
     volume: VolumeView<'_, i16>,
     lps_from_pixel: &Affine,

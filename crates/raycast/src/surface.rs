@@ -33,6 +33,10 @@ pub struct Hit {
 ///
 /// Depths and positions are the same for brute force and for leaps over transparent classes, in whole pictures and in
 /// strips, on every instruction set. The walls do not depend on the light of the frame's options.
+///
+/// # Errors
+///
+/// Returns an error if the rows, the instruction set or the maps of `method` are not valid for the frame.
 pub fn cast_surface(
     frame: &Frame<'_>,
     method: Method<'_>,
@@ -56,6 +60,10 @@ pub fn cast_surface(
 }
 
 /// Return the first wall at one pixel: one ray, with the same numbers as from [`cast_surface`].
+///
+/// # Errors
+///
+/// Returns an error if the pixel is outside the picture, or if the maps of `method` are not valid for the frame.
 pub fn pick(
     frame: &Frame<'_>,
     method: Method<'_>,

@@ -19,6 +19,10 @@ impl Transfer {
     ///
     /// Two points at one HU make a step; the later one applies at that HU. With `bin_hu` above 1 every bin of that
     /// width has the colour of its middle (the paper's quantised values).
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the points are not finite, not in order or out of range, or if a number is not valid.
     pub fn new(
         points: Vec<[f64; 5]>,
         reference_mm: f64,
@@ -103,6 +107,10 @@ impl TransferTable {
     ///
     /// Opacity of a step: `1 - (1 - alpha)^(step / reference)`, in f64 by a pure-Rust `pow`, so that tables are equal
     /// on all machines.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the length of the step or the range of the values is not valid.
     pub fn new(
         transfer: &Transfer,
         step_mm: f64,

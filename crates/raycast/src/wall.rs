@@ -26,6 +26,10 @@ pub type BoxZyx = [(usize, usize); 3];
 /// `part` must contain the lumen and the four voxels round it, or reach the end of the volume. A voxel beside the lumen
 /// with a value below `open_below` counts as lumen, because a lumen found with a low threshold ends inside its blurred
 /// edge. The function works slice by slice and needs one extra byte for each voxel of the box.
+///
+/// # Errors
+///
+/// Returns an error if an array, a table or the box has the wrong size.
 pub fn raise_wall(
     values: &mut [i16],
     lumen: &[u8],

@@ -11,6 +11,10 @@ pub struct Window {
 
 impl Window {
     /// Create a window from `level - width / 2` (black) to `level + width / 2` (white).
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the width is not above 0 or the level is not finite.
     pub fn new(width_hu: f64, level_hu: f64) -> Result<Self, RaycastError> {
         if !(width_hu.is_finite() && width_hu > 0.0 && level_hu.is_finite()) {
             return Err(RaycastError::Setting {

@@ -1,4 +1,4 @@
-//! Decision whether leaping saves time in a picture.
+//! Rule that decides whether rays leap in a picture.
 //!
 //! In dense or noisy tissue leaping skips too few samples to compensate for its look-ups.
 //!

@@ -64,8 +64,8 @@ impl WallField {
     ///
     /// # Errors
     ///
-    /// Returns an error if the number of distances does not match the shape, if a distance is not finite, or if there
-    /// is no lumen.
+    /// Returns an error if the number of distances does not match the shape, if a distance is NaN, or if there is no
+    /// lumen.
     pub fn from_distances(
         distance_mm: &[f32],
         shape_ijk: [usize; 3],

@@ -113,6 +113,10 @@ pub fn voxel_in_plane_mm(grid: &Grid, axes: (Point, Point)) -> f64 {
 }
 
 /// Cast the rays of many planes on all cores; the result does not depend on the number of cores.
+///
+/// # Errors
+///
+/// Returns an error if `watch` stops the computation.
 pub fn cast_planes(
     values: VolumeView<'_, i16>,
     planes: &[Plane],

@@ -45,6 +45,10 @@ impl BranchLimits {
 }
 
 /// Return the automatic tree of all nodes that `tracker` has settled.
+///
+/// # Errors
+///
+/// Returns an error if `watch` stops the computation.
 pub fn find_branches(
     graph: &LumenGraph,
     tracker: &Tracker,

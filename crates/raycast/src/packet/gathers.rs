@@ -1,4 +1,4 @@
-//! Measurement whether gather instructions are faster than single loads on this machine.
+//! Measurement that decides whether gather instructions or single loads are used on this machine.
 //!
 //! Gathers are faster on Intel's server processors since Sapphire Rapids, slower on Zen 4 and Zen 5, and several times
 //! slower where microcode mitigates Gather Data Sampling. No feature flag distinguishes these machines, a virtual
