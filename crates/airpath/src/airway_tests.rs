@@ -105,7 +105,7 @@ fn a_diagonal_step_does_not_cross_a_wall() {
     // With one corner open, the middle of the step is still -750 HU, which is not certainly air.
     values[grid.index(c)] = -1000;
     assert_eq!(edges(&values), 1, "the face neighbour only");
-    // With both corners open, it is certainly air.
+    // With both corners open, the middle of the step is certainly air.
     values[grid.index([3, 2, 1])] = -1000;
     assert_eq!(edges(&values), 3);
 }
@@ -138,7 +138,7 @@ fn a_path_keeps_to_the_middle_and_its_cost_is_finite() {
     assert!(tracker.solve_to(&graph, &cost, target, &Unwatched).unwrap());
     for node in tracker.path_to(target).unwrap() {
         let p = grid.to_lps(Ijk(graph.voxel(node).map(|v| v as f64))).0;
-        // Tolerance: the diagonal of one voxel in plane.
+        // Tolerance: the in-plane diagonal of one voxel.
         assert!(off_segment(p, far(-1.0), far(1.0)) < 1.21);
     }
 }
@@ -261,7 +261,7 @@ fn the_trachea_is_found_however_the_grid_is_stored() {
 
 #[test]
 fn a_tube_that_splits_without_lungs_beside_it_is_no_trachea() {
-    // Bowel: the same tubes in an abdomen.
+    // The same tubes without lungs around them look like bowel in an abdomen.
     let grid = chest_grid([false; 3]);
     let tubes = airway(&grid);
     let mut values = chest(&grid, &tubes);
@@ -306,7 +306,7 @@ fn a_trachea_with_a_narrow_bronchus_or_a_collapsed_lung_is_the_same_trachea_with
     let narrow = find(&chest(&grid, &narrowed));
     assert_eq!(narrow.doubts, [Doubt::NarrowBronchus]);
     assert_eq!(narrow.voxels[0], healthy.voxels[0]);
-    // The left lung (+x) without air.
+    // Replace the air of the left lung (+x) with soft tissue, as in a collapsed lung.
     let mut collapsed = chest(&grid, &whole);
     for (at, value) in collapsed.iter_mut().enumerate() {
         let x = grid.to_lps(Ijk(grid.voxel(at).map(|v| v as f64))).0[0];

@@ -51,7 +51,7 @@ impl AdapterKind {
 pub struct AdapterFacts {
     /// Name as reported by the driver.
     pub name: String,
-    /// Vulkan, Metal or Dx12.
+    /// Graphics interface: Vulkan, Metal or Dx12.
     pub api: String,
     /// Driver and its version, as far as the driver reports them.
     pub driver: String,

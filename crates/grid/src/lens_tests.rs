@@ -24,7 +24,7 @@ fn an_equidistant_lens_puts_equal_angles_at_equal_distances() {
     for degrees in [0.0, 10.0, 45.0, 85.0, 100.0f64] {
         let a = degrees.to_radians();
         let [x, y] = optics.pixel([a.sin(), 0.0, a.cos()]).unwrap();
-        // 340 pixels over 170 degrees.
+        // 340 pixels over 170 degrees are 2 pixels per degree.
         assert!((x - 170.0 - 2.0 * degrees).abs() < 1e-9 && (y - 170.0).abs() < 1e-12);
     }
     // In a picture that is large enough, directions behind the camera have points too.

@@ -139,10 +139,10 @@ fn wide_scene() -> impl Strategy<Value = Scene> {
                 .map(|_| match kind {
                     0 => 1.0 + 40.0 * noise(),
                     1 => 1.0 + (2.0 * noise()).floor(),
-                    // A maze: a third is wall, some of it NaN.
+                    // A maze: a third of the voxels are wall, half of them with the weight NaN.
                     2 if noise() < 0.35 => [f32::INFINITY, f32::NAN][usize::from(noise() < 0.5)],
                     2 => 1.0 + noise(),
-                    // Cheap threads through expensive tissue.
+                    // A fifth of the voxels are cheap and form thin paths through expensive tissue.
                     _ if noise() < 0.2 => 1.0,
                     _ => 60.0 + noise(),
                 })

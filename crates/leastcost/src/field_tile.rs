@@ -329,7 +329,7 @@ fn relax_row<L: Lanes, C: StepCost>(
 fn relax_round<L: Lanes, C: StepCost>(l: L, buffer: &mut Buffer, scale: &[f32; 27], changed: u64) {
     for row in 0..ACROSS * ACROSS {
         let (j, k) = (row % ACROSS, row / ACROSS);
-        // Changed own rows round this row.
+        // Numbers (0 to 8) of the rows of the 3 x 3 neighbourhood that changed and belong to the tile.
         let mut near = [0usize; 9];
         let mut num_near = 0;
         for block in 0..9 {
@@ -345,7 +345,7 @@ fn relax_round<L: Lanes, C: StepCost>(l: L, buffer: &mut Buffer, scale: &[f32; 2
             continue;
         }
         if (1..9).contains(&j) && (1..9).contains(&k) {
-            // One voxel at both ends of an own row.
+            // Relax the one voxel before and the one voxel after the tile's own part of the row.
             for (lane, cell) in [(OWN - 1, 2), (OWN + LANES, 0)] {
                 let at = lane + cell - 1;
                 let here = buffer.weights[row][lane];

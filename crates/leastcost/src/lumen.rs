@@ -44,7 +44,7 @@ impl WallLevels {
     fn crossing(self, [low, next, beyond]: [i16; 3]) -> f64 {
         let [low, next, beyond] = [low, next, beyond].map(f64::from);
         let Some(level) = self.edge_level(low, next.max(beyond)) else {
-            // No air: lumen that a person painted.
+            // The voxel has no air: a person painted this part of the lumen.
             return 0.5;
         };
         if low < level && level <= next {

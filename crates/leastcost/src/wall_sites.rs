@@ -40,7 +40,7 @@ pub(crate) fn nearest_outside_lumen(
             if lumen.holds(at) {
                 continue;
             }
-            // First voxel of a run, after the end outside.
+            // The first voxel of a run of lumen. The site outside the lumen before it is added first.
             line.begin(outside(*voxel, axis, -1, shape_ijk));
             let mut next = Some(first as u32);
             at[axis] += 1;

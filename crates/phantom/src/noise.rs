@@ -35,7 +35,7 @@ pub(crate) fn add_noise(slice: &mut [f32], width: usize, z: usize, seed: u64, si
 /// Return an approximately normal number with variance 1: the sum of four uniform ones (Irwin-Hall), from 16 bits each.
 fn white(bits: u64) -> f32 {
     let sum: u64 = (0..4).map(|n| (bits >> (16 * n)) & 0xffff).sum();
-    // Mean 2 * 65535, variance 4 * 65536^2 / 12.
+    // The sum has mean 2 * 65535 and variance 4 * 65536^2 / 12.
     (sum as f32 - 131_070.0) * (1.0 / 37_837.2)
 }
 

@@ -63,7 +63,7 @@ impl Normals {
             rise[a] = AXIS_WEIGHT * (held(after) - held(before));
         }
         for corner in 0..4 {
-            // A corner and the opposite one.
+            // Compute the difference between a corner of the cube and the opposite corner.
             let side = [1.0, [1.0f32, -1.0][corner & 1], [1.0f32, -1.0][corner >> 1]];
             let (mut before, mut after) = (p, p);
             for a in 0..3 {

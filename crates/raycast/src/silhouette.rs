@@ -270,7 +270,7 @@ fn smoothed_pixels(
     let shown = pairs
         .iter()
         .map(|two| [0, 1, 2].map(|c| mean(two[c], two[3 + c])));
-    // Rays are counted by pixel.
+    // The number of rays is the number of pixels, so further rays of a pixel are not counted.
     let stats = CastStats {
         num_rays: 0,
         ..stats.with_loads(frame, method).lit(&walls)

@@ -56,7 +56,7 @@ pub fn raise_wall(
     let row_of =
         |z: usize, y: usize| (part[0].0 + z) * plane + (part[1].0 + y) * shape_zyx[2] + part[2].0;
 
-    // The lumen, extended into its own blurred edge.
+    // Mask of the lumen, extended by the voxels of its blurred edge.
     let mut open = vec![0u8; nz * ny * nx];
     open.par_chunks_mut(ny * nx)
         .enumerate()

@@ -78,7 +78,7 @@ fn lit<L: Lanes>(
     let look = &light.look;
     let p = along(l, splat(l, light.origin_ijk), hit, delta);
     let step = turn(l, &light.lps_from_ijk, delta);
-    // Vector from the camera's centre.
+    // Vector in mm from the camera's centre to the wall.
     let offset = scaled(l, hit, step);
     let back = scaled(l, s(-1.0 / light.step_mm), step);
     let depth = l.mul(hit, s(light.step_mm));
@@ -287,7 +287,7 @@ fn light_row<L: Lanes>(
                 l.add(x, s(1.0)),
             );
             let v = l.sqrt(l.max(tone, s(0.0)));
-            // Dark tones are darkened further.
+            // The toe of the tone curve darkens dark tones further.
             let v = l.mul(v, l.fma(v, s(TOE), s(1.0 - TOE)));
             let behind = s(light.background[c]);
             let mut v = l.fma(walls.transparency, l.sub(behind, v), v);
@@ -376,7 +376,7 @@ pub(crate) fn brightness(
         let gathered: Vec<Gathered> = pixels.iter().map(|pixel| pixel.2).collect();
         let walls = gather(l, &deltas_of(frame, &directions), &gathered);
         let [r, g, b] = lit(l, &plain, None, (&frame.field, &frame.field), &walls);
-        // Weights close to those of the eye.
+        // Luminance weights of red, green and blue, close to the sensitivity of the eye.
         let weights = [l.splat(0.3), l.splat(0.6), l.splat(0.1)];
         out.extend_from_slice(&l.store(dot(l, [r, g, b], weights))[..pixels.len()]);
     }

@@ -18,7 +18,7 @@ pub(super) struct Rays {
 #[derive(Clone, Copy)]
 pub(super) struct Directions([[f64; MAX_LANES]; 3]);
 
-/// Some columns of some rows.
+/// Range of columns and range of rows of a picture.
 pub(super) type Patch = (Range<usize>, Range<usize>);
 
 impl Directions {

@@ -200,7 +200,7 @@ fn the_wall_of_a_tube_is_where_it_is_and_faces_its_axis() {
         let depth = (-b + (b * b - a * (dot(o, o) - radius * radius)).sqrt()) / a;
         let wall = off(std::array::from_fn(|a| origin[a] + depth * dir[a]));
         // The angle between ray and far wall becomes so small that a step of the ray is longer than the edge is thick.
-        // Also, the volume ends.
+        // Far walls beyond 15 mm are left out, because the volume ends.
         let normal = wall.map(|v| -v / radius);
         (depth < 15.0 && -dot(normal, dir) > 0.25).then_some((depth, normal))
     });
