@@ -17,7 +17,7 @@ use crate::arrays;
 use crate::errors::IntoPy;
 use crate::watch::PyWatch;
 
-/// Levels of core, wall and rise.
+/// Levels `(core, wall, rise)` that define the beginning of the wall; see [`WallLevels`].
 type Levels = (f32, f32, f32);
 type VerticesAndTriangles<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<u32>>);
 

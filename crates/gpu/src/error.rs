@@ -32,7 +32,7 @@ pub enum GpuError {
     /// The frame needs a feature that only the CPU's casters have.
     #[error("the graphics device cannot render this view: {reason}")]
     Unsupported {
-        /// The feature.
+        /// Explanation: the feature that the device lacks, or the limit that the frame exceeds.
         reason: String,
     },
     /// Some pixels were not written.

@@ -20,7 +20,7 @@ pub struct Camera {
 pub struct PixelRay {
     /// Camera centre, LPS mm.
     pub origin_lps: [f64; 3],
-    /// Unit direction.
+    /// Direction from the camera, a unit vector, LPS.
     pub dir_lps: [f64; 3],
 }
 

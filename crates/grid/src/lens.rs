@@ -22,12 +22,12 @@ const ASPECT_TOLERANCE: f64 = 0.01;
 pub struct Calibration {
     /// Fitted model.
     pub distortion: Distortion,
-    /// Focal lengths fx, fy.
+    /// Focal lengths fx, fy, pixels.
     pub focal_px: [f64; 2],
     /// Principal point in corner coordinates: `OpenCV`'s plus 1/2, because its pixel (0, 0) is the *centre* of the
     /// first pixel.
     pub centre_px: [f64; 2],
-    /// Width and height of the calibration's pictures.
+    /// Width and height of the calibration's pictures, pixels.
     pub size_px: [usize; 2],
 }
 

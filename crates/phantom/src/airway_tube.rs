@@ -23,11 +23,11 @@ pub struct TubeTruth {
     pub kind: TubeKind,
     /// Middle of its open end, LPS mm.
     pub tip_lps: [f64; 3],
-    /// Distance from the tip to the carina along the trachea's centreline.
+    /// Distance from the tip to the carina along the trachea's centreline, mm.
     pub above_carina_mm: f64,
-    /// Radius of its outer surface.
+    /// Radius of its outer surface, mm.
     pub outer_mm: f64,
-    /// Radius of its inner surface.
+    /// Radius of its inner surface, mm.
     pub inner_mm: f64,
 }
 
@@ -43,10 +43,10 @@ pub(crate) struct AirwayTube {
 
 /// Distance from the tip to the cuff, and the cuff's length.
 const CUFF_MM: [f64; 2] = [16.0, 24.0];
-/// Range of the height of the fluid on the cuff.
+/// Range of the height of the fluid on the cuff, mm.
 const FLUID_MM: [f64; 2] = [5.0, 12.0];
 const LINE_HU: f64 = 1500.0;
-/// Half of the width of the radio-opaque line in the wall.
+/// Half of the width of the radio-opaque line in the wall, mm.
 const HALF_LINE_MM: f64 = 0.6;
 const FLUID_HU: f64 = 12.0;
 

@@ -24,7 +24,7 @@ pub struct Branch {
     pub points: Vec<[f64; 3]>,
     /// Radius of the lumen at each point: of the circle with the lumen's area.
     pub radius_mm: Vec<f64>,
-    /// Thickness of the wall.
+    /// Thickness of the wall, mm.
     pub wall_mm: f64,
 }
 
@@ -80,7 +80,7 @@ fn wall_mm(radius: f64) -> f64 {
     0.4 + 0.15 * radius
 }
 
-/// Smallest distance between the walls of unrelated branches.
+/// Smallest distance between the walls of unrelated branches, mm.
 const GAP_MM: f64 = 0.8;
 /// Smallest distance of subsegments from the pleura, in addition to their own radius and wall.
 const PLEURA_MM: f64 = 2.5;

@@ -27,7 +27,7 @@ pub(crate) fn spine_y(z: f64) -> f64 {
     53.0 - 0.00085 * u * u
 }
 
-/// Height of one vertebra with its disc.
+/// Height of one vertebra with its disc, mm.
 pub(crate) const VERTEBRA_MM: f64 = 24.0;
 
 fn chain(out: &mut Vec<Solid>, tissue: Tissue, points: &[([f64; 3], f64)]) {

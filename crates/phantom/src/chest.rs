@@ -36,7 +36,7 @@ pub struct ChestOptions {
     pub stenosis: bool,
     /// Whether there is a nodule near a peripheral airway.
     pub nodule: bool,
-    /// Standard deviation of the noise, 0 to 200.
+    /// Standard deviation of the noise, 0 to 200 HU.
     pub noise_hu: f64,
     /// Whether the volume continues above the chest: larynx, throat and the surrounding neck.
     ///
@@ -77,11 +77,11 @@ pub struct Stenosis {
     pub branch_id: usize,
     /// Narrowest position, LPS mm, a point of the centreline.
     pub centre_lps: [f64; 3],
-    /// Length of the narrowed part.
+    /// Length of the narrowed part, mm.
     pub length_mm: f64,
-    /// Radius at the narrowest position.
+    /// Radius at the narrowest position, mm.
     pub min_radius_mm: f64,
-    /// Radius at that position without the narrowing.
+    /// Radius at that position without the narrowing, mm.
     pub reference_radius_mm: f64,
 }
 
@@ -90,7 +90,7 @@ pub struct Stenosis {
 pub struct Chest {
     /// Grid of the voxels.
     pub grid: Grid,
-    /// HU, x fastest.
+    /// Values of the voxels in HU, x fastest.
     pub hu: Vec<i16>,
     /// Lumen: 1 for a voxel whose centre is inside an airway's lumen.
     pub lumen: Vec<u8>,

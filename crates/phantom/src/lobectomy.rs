@@ -43,7 +43,7 @@ impl Lobe {
     }
 }
 
-/// Length of the stump of a lobe's bronchus beyond the wall of the airway that it leaves.
+/// Length of the stump of a lobe's bronchus beyond the wall of the airway that it leaves, mm.
 const STUMP_MM: f64 = 6.0;
 /// Displacement of neighbouring airways, as a fraction of their distance to the lobe's hilum.
 ///

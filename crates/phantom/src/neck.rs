@@ -24,16 +24,16 @@ pub(crate) struct Neck {
     seed: u64,
     /// Middle of the airway at the lower border of the cricoid, LPS mm: the beginning of the ground truth's trachea.
     pub(crate) cricoid_lps: [f64; 3],
-    /// Radius of the trachea at the cricoid.
+    /// Radius of the trachea at the cricoid, mm.
     radius: f64,
-    /// Height of the vocal cords above the cricoid's lower border.
+    /// Height of the vocal cords above the cricoid's lower border, mm.
     cords: f64,
-    /// Half of the width of the rima between the cords; the next field is half of its depth.
+    /// Half of the width of the rima between the cords; the next field is half of its depth; both mm.
     gap: f64,
     rima: f64,
-    /// Difference of the rima's width between back and front.
+    /// Fraction by which the rima is wider at the back, and narrower in front, than in the middle.
     wedge: f64,
-    /// Half width and half depth of the throat.
+    /// Half width and half depth of the throat, mm.
     throat: [f64; 2],
     /// Share of the cartilage that is calcified, 0 to 1.
     calcified: f64,
@@ -150,8 +150,8 @@ impl Neck {
             return f64::INFINITY;
         }
         let (r, g, gap, b) = (self.radius, self.cords, self.gap, self.rima);
-        // Half width, half depth and extra width behind, for: trachea, cricoid, cone, cords, ventricle, false cords,
-        // vestibule.
+        // Half width, half depth, and fraction by which the back is wider and the front is narrower, for: trachea,
+        // cricoid, cone, cords, ventricle, false cords, vestibule.
         let larynx = row(
             &[
                 (-6.0, [r, r, 0.0]),

@@ -5,10 +5,10 @@
 pub struct Nodule {
     /// Centre, LPS mm.
     pub centre_lps: [f64; 3],
-    /// Radius.
+    /// Radius, mm.
     pub radius_mm: f64,
     /// Id of the nearest airway.
     pub branch_id: usize,
-    /// Distance of its centre from that airway's centreline.
+    /// Distance of its centre from that airway's centreline, mm.
     pub distance_mm: f64,
 }

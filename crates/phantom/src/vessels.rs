@@ -18,7 +18,7 @@ struct End {
     depth: usize,
 }
 
-/// Radius below which vessels are part of the lung's texture.
+/// Radius below which vessels are part of the lung's texture, mm.
 const THINNEST_MM: f64 = 0.5;
 
 /// Return all vessels of the lungs.

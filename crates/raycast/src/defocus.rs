@@ -24,9 +24,9 @@ const NO_RAY: f32 = -1.0;
 /// Range of distances that is in focus, mm from the tip.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Focus {
-    /// Nearest sharp distance.
+    /// Nearest sharp distance, mm.
     pub near_mm: f32,
-    /// Farthest sharp distance.
+    /// Farthest sharp distance, mm.
     pub far_mm: f32,
 }
 

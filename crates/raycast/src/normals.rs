@@ -15,7 +15,7 @@ use crate::{
 const NORMAL_REACH_MM: f64 = 0.9;
 /// Smallest distance of these samples in voxels: within one voxel, values are linear and contain no noise to smooth.
 const NORMAL_REACH_VOX: f64 = 0.8;
-/// Half of the contrast between air and tissue.
+/// Half of the contrast between air and tissue, HU.
 const HALF_CONTRAST_HU: f32 = 500.0;
 
 /// Parameters of the normals of walls.

@@ -19,7 +19,7 @@ pub struct FrameNumbers<'a> {
     pub origin_ijk: [f64; 3],
     /// Number of voxels along each axis.
     pub shape_ijk: [usize; 3],
-    /// Length of a ray step.
+    /// Length of a ray step, mm.
     pub step_mm: f64,
     /// Metric of gradients per voxel: `|gradient in LPS per mm|^2 = g^T metric g`; xx, yy, zz, 2xy, 2xz, 2yz.
     pub metric: [f32; 6],

@@ -19,7 +19,7 @@ use crate::{
 /// First wall of a ray, where the remaining transparency falls below one half.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Hit {
-    /// Distance along the ray from the camera's centre.
+    /// Distance along the ray from the camera's centre, mm.
     pub depth_mm: f32,
     /// Position of the wall, LPS mm.
     pub position_lps: [f64; 3],

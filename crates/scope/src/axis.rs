@@ -30,7 +30,7 @@ const NEAR_NODES: usize = 60;
 /// Controls of the scope.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Controls {
-    /// Insertion depth from the entry.
+    /// Insertion depth from the entry, mm.
     pub(crate) depth_mm: f64,
     pub(crate) roll_rad: f64,
     pub(crate) flexion_rad: f64,

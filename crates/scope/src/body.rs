@@ -4,7 +4,7 @@ use carina_grid::{dot, length};
 
 use crate::ScopeError;
 
-/// Distance between the nodes of the scope's axis.
+/// Distance between the nodes of the scope's axis, mm.
 pub(crate) const NODE_MM: f64 = 2.0;
 
 /// Sizes of a scope.
@@ -12,19 +12,19 @@ pub(crate) const NODE_MM: f64 = 2.0;
 /// Lengths in mm, angles in radians.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ScopeBody {
-    /// Radius of the rigid tip and of the bending section.
+    /// Radius of the rigid tip and of the bending section, mm.
     pub tip_radius_mm: f64,
-    /// Radius of the insertion tube.
+    /// Radius of the insertion tube, mm.
     pub tube_radius_mm: f64,
-    /// Length of the rigid tip.
+    /// Length of the rigid tip, mm.
     pub rigid_mm: f64,
-    /// Length of the bending section.
+    /// Length of the bending section, mm.
     pub bending_mm: f64,
-    /// Largest upward flexion.
+    /// Largest upward flexion, radians.
     pub up_rad: f64,
     /// Largest downward flexion, positive.
     pub down_rad: f64,
-    /// Working length.
+    /// Working length, mm.
     pub length_mm: f64,
 }
 

@@ -25,7 +25,7 @@ const MAX_LENGTH_MM: f64 = 20_000.0;
 pub struct Nearest {
     /// Position on the curve, in mm along the given polyline.
     pub path_mm: f64,
-    /// Distance from the curve.
+    /// Distance from the curve, mm.
     pub distance_mm: f64,
 }
 

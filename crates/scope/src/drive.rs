@@ -19,14 +19,14 @@ type Point = [f64; 3];
 /// The next constant is that of flexion and roll (a bent tip of 50 mm then moves by about as much).
 const STEP_MM: f64 = 0.5;
 const STEP_RAD: f64 = 0.02;
-/// Largest distance between tip and wall that counts as contact.
+/// Largest distance between tip and wall that counts as contact, mm.
 const TOUCH_MM: f64 = 0.1;
 /// Distance at which contact ends.
 ///
 /// The limit is larger than that of contact, so that a tip that slides along a rough wall counts as one contact, not as
 /// a hundred.
 const RELEASE_MM: f64 = 0.3;
-/// Distances ahead at which a blocked scope measures the width of the airway.
+/// Distances ahead at which a blocked scope measures the width of the airway, mm.
 const LOOK_AHEAD_MM: [f64; 4] = [1.0, 2.0, 3.0, 4.0];
 
 /// Reason why the scope did not follow the controls completely.
@@ -53,7 +53,7 @@ pub struct Contact {
     pub point_lps: Point,
     /// Direction away from the wall, unit length.
     pub normal_lps: Point,
-    /// Additional distance by which the tip would move into the wall if the wall did not exist.
+    /// Additional distance by which the tip would move into the wall if the wall did not exist, mm.
     pub depth_mm: f64,
 }
 
@@ -62,7 +62,7 @@ pub struct Contact {
 pub struct ContactRecord {
     /// Number of contacts of the tip.
     pub count: u64,
-    /// Total time of contact.
+    /// Total time of contact, s.
     pub time_s: f64,
     /// Largest [`Contact::depth_mm`].
     pub max_depth_mm: f64,
@@ -73,7 +73,7 @@ pub struct ContactRecord {
 pub struct ScopeState {
     /// Pose of the tip's face: +x right, +y down, +z forward.
     pub lps_from_tip: Affine,
-    /// Insertion from the path's start.
+    /// Insertion from the path's start, mm.
     pub insertion_mm: f64,
     /// Roll, clockwise as the operator sees it.
     pub roll_rad: f64,

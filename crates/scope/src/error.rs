@@ -18,7 +18,7 @@ pub enum ScopeError {
         "the largest deviation from the path must be between 0.2 and 10 mm; found {found_mm} mm"
     )]
     Deviation {
-        /// Rejected length.
+        /// Rejected length, mm.
         found_mm: f64,
     },
     /// The wall field cannot be computed.

@@ -7,7 +7,7 @@
 use crate::body::{Entry, ScopeBody, Tip, distance};
 use crate::wall::WallField;
 
-/// Radius of the rounded edge of the tip's face.
+/// Radius of the rounded edge of the tip's face, mm.
 const EDGE_MM: f64 = 0.6;
 /// Distance between neighbouring balls of the face, the edge and the side behind it: a ridge penetrates by
 /// `APART^2 / (8 EDGE)`.
@@ -19,7 +19,7 @@ const AXIS_MM: f64 = 0.4;
 /// At an edge of the wall the interpolated field is some hundredths too large, and a ridge penetrates between balls by
 /// as much.
 pub(crate) const SKIN_MM: f64 = 0.03;
-/// Largest distance of the balls of a group from its leader.
+/// Largest distance of the balls of a group from its leader, mm.
 const REACH_MM: f64 = 0.75;
 /// Clearance that a leader must have beyond its reach.
 ///
@@ -39,7 +39,7 @@ pub(crate) struct Feeler {
 struct Group {
     first: usize,
     end: usize,
-    /// Distance from the leader's centre to the farthest of the other centres.
+    /// Distance from the leader's centre to the farthest of the other centres, mm.
     reach_mm: f64,
 }
 

@@ -23,7 +23,7 @@ use crate::find::extension_ways::Search;
 use crate::find::tubeness::{Enclosure, REACH_MM, smoothed};
 use carina_leastcost::{TrackError, Watch};
 
-/// Result of the extension.
+/// Result of [`extend`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Extension {
     /// Accepted paths; a path comes before the paths that leave it.

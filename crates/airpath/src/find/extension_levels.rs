@@ -11,7 +11,7 @@ pub struct ExtensionLimits {
     pub air: f64,
     /// Range of values of lung, for the calibration's sample.
     pub lung: (i16, i16),
-    /// Largest value of lumen.
+    /// Largest smoothed value of a voxel that can be lumen.
     pub brightest: i16,
     /// Smallest rise from a lumen to its wall, independent of the lung.
     pub least_rise: f64,

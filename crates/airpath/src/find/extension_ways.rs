@@ -69,7 +69,7 @@ impl Path {
     }
 }
 
-/// Section of a path.
+/// Section across a path at one of its voxels, with the direction of the path there.
 struct WaySection {
     /// Direction of the path, a unit vector in mm on the grid's axes.
     along: [f64; 3],

@@ -24,11 +24,11 @@ pub struct FloodLimits {
     pub core_level: i16,
     /// Last level (half-way between lumen and wall).
     pub last_level: i16,
-    /// Largest volume of a basin that is not a leak.
+    /// Largest volume of a basin that is not a leak, mm^3.
     pub leak_mm3: f64,
     /// Largest volume of a basin that is not a leak, above the core level.
     pub small_leak_mm3: f64,
-    /// Radius of the ball round a breach that stays closed.
+    /// Radius of the ball round a breach that stays closed, mm.
     pub closed_radius_mm: f64,
     /// Smallest mean difference between a basin's surroundings and the level, above the core level.
     pub min_contrast: f64,

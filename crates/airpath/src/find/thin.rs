@@ -23,7 +23,7 @@ pub struct ThinLimits {
     pub air: f64,
     /// Range of values of lung, for the calibration's sample.
     pub lung: (i16, i16),
-    /// Largest value of lumen.
+    /// Largest smoothed value of a voxel that can be lumen.
     pub brightest: i16,
     /// Smallest value of a wall: brighter than lung.
     pub least_wall: f64,
@@ -43,7 +43,7 @@ pub struct ThinLimits {
     pub most_reached: f64,
 }
 
-/// Result of the search.
+/// Result of the search for thin airways.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Thin {
     /// Airways; an airway comes before those that leave it.
@@ -185,7 +185,7 @@ fn pretended(sample: &[usize], dip: impl Fn(usize) -> i16 + Sync) -> f64 {
     f64::from(dips[((dips.len() - 1) as f64 * FOLLOWED_SHARE) as usize])
 }
 
-/// Accepted path.
+/// Accepted path along a thin airway: its voxels, its positions and its mean dip.
 struct Kept {
     voxels: Vec<u32>,
     places: Vec<Place>,

@@ -74,7 +74,7 @@ pub(crate) struct Place {
     beyond: [f64; NUM_SIDES],
 }
 
-/// Requirements for a path.
+/// Requirements that a path must meet to be accepted as a thin airway.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Asked {
     pub(crate) section: ThinSection,
@@ -214,7 +214,7 @@ fn value_at(values: VolumeView<'_, i16>, mm: [f64; 3]) -> f64 {
     ))
 }
 
-/// Values at one position.
+/// Values at one position of a path: in the middle, and at several distances on each side.
 struct Seen {
     middle: f64,
     walls: [[f64; NUM_SIDES]; DISTANCES_MM.len()],

@@ -282,7 +282,7 @@ pub(crate) struct Dips<'a> {
     filter: &'a TubeFilter,
     values: &'a [i16],
     smooth: &'a [i16],
-    /// Largest value of lumen.
+    /// Largest smoothed value of a voxel that can be lumen.
     brightest: i16,
     simd: InstructionSet,
     /// Dips in blocks of voxels that are consecutive in memory, because neighbours are usually needed soon.

@@ -65,13 +65,13 @@ pub struct Plane {
 pub struct Section {
     /// Centre of the area of the lumen found, in the plane.
     pub centre: Point,
-    /// Area of the lumen.
+    /// Area of the lumen, mm^2.
     pub area_mm2: f64,
-    /// Diameter of the circle with the area of the lumen.
+    /// Diameter of the circle with the area of the lumen, mm.
     pub equivalent_mm: f64,
-    /// Smallest width through the centre.
+    /// Smallest width through the centre, mm.
     pub min_mm: f64,
-    /// Largest width through the centre.
+    /// Largest width through the centre, mm.
     pub max_mm: f64,
     /// Thickness of the wall, from the rays whose wall has a far side.
     pub wall_mm: f64,
@@ -79,9 +79,9 @@ pub struct Section {
     pub shift_mm: f64,
     /// Half-width of an interval that should contain the true diameter in 95 of 100 cases; see [`Section::set_errors`].
     pub equivalent_error_mm: f64,
-    /// Half-width of such an interval for the smallest and the largest width.
+    /// Half-width of such an interval for the smallest and the largest width, mm.
     pub width_error_mm: f64,
-    /// Half-width of such an interval for the wall.
+    /// Half-width of such an interval for the wall, mm.
     pub wall_error_mm: f64,
     /// Fraction of rays that met a wall, 0 to 1.
     pub share: f64,

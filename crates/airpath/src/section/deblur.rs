@@ -65,20 +65,20 @@ const THINNEST: f64 = 0.6;
 pub struct Blur {
     /// Unit vector across the slices.
     pub slice_normal: Point,
-    /// Blur within a slice.
+    /// Blur within a slice, mm.
     pub in_plane_mm: f64,
-    /// Blur across the slices.
+    /// Blur across the slices, mm.
     pub across_mm: f64,
-    /// Smallest voxel spacing.
+    /// Smallest voxel spacing, mm.
     pub pixel_mm: f64,
 }
 
 /// Correction of one section.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Correction {
-    /// Distance by which each edge of the lumen moves outwards.
+    /// Distance by which each edge of the lumen moves outwards, mm.
     pub shift_mm: [f64; NUM_RAYS],
-    /// Thickness of the wall.
+    /// Thickness of the wall, mm.
     pub wall_mm: f64,
     /// Half-width, as a fraction of the radius, of an interval that should contain the true radius in 95 of 100 cases,
     /// without noise.

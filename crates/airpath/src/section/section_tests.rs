@@ -23,7 +23,7 @@ const SIGMA_MM: f64 = 0.5;
 struct Tube {
     centre: Point,
     axis: Point,
-    /// Half of the lumen's width along the two axes of the plane.
+    /// Half of the lumen's width along the two axes of the plane, mm.
     half_mm: [f64; 2],
     wall_mm: f64,
     /// Value behind the wall.

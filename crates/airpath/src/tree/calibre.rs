@@ -19,7 +19,7 @@ use carina_leastcost::lumen::LumenGraph;
 pub struct Calibre {
     /// Radius, at each point, of the circle with the area of the lumen's cross-section.
     pub section_mm: Vec<f64>,
-    /// Distance to the wall at each point.
+    /// Distance to the wall at each point, mm.
     pub wall_mm: Vec<f64>,
 }
 

@@ -27,7 +27,7 @@ const ROUNDS: usize = 3;
 pub(crate) struct Tube {
     pub(crate) points: Vec<Point>,
     pub(crate) along_mm: Vec<f64>,
-    /// Median distance to the wall.
+    /// Median distance to the wall, mm.
     pub(crate) radius_mm: f64,
     /// Start of the branch's own part, mm along the branch; the next field is its end.
     pub(crate) from_mm: f64,
