@@ -118,7 +118,7 @@ fn a_path_keeps_to_the_middle_and_its_cost_is_finite() {
     let tubes = [(far(-1.0), far(1.0), 5.0)];
     let values = draw(&grid, &tubes, 3.0);
     let view = VolumeView::new(&values, &grid).unwrap();
-    // The drawn lumen, because lung outside the wall is dark as well.
+    // Use the drawn lumen instead of a threshold, because lung outside the wall is dark as well.
     let lumen: Vec<u8> = (0..grid.num_voxels())
         .map(|at| {
             let p = grid.to_lps(Ijk(grid.voxel(at).map(|v| v as f64))).0;

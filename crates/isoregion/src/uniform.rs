@@ -40,7 +40,7 @@ pub(crate) struct Uniform<'a> {
     rings: Vec<Ring>,
     /// Bits of the current slice: three voxels (for a cell two) along x are equal.
     ///
-    /// The next field: the voxel equals the one in the next row.
+    /// In the next field, a bit is set if the voxel equals the voxel in the next row.
     across: Vec<u64>,
     down: Vec<u64>,
     /// Row of zeros, to compare with label 0.

@@ -316,7 +316,7 @@ impl Superellipsoid {
         }
     }
 
-    /// Return the distance, to first order near the surface.
+    /// Return the signed distance of the point from the surface, accurate to first order near the surface.
     fn distance(&self) -> f64 {
         self.distance_by(root)
     }

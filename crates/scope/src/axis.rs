@@ -13,9 +13,9 @@ use crate::wall::WallField;
 
 type Point = [f64; 3];
 
-/// Largest penetration of the wall by the tip with which a movement is accepted.
+/// Largest penetration of the wall by the tip with which a movement is accepted, mm.
 ///
-/// The next constant is that of the shaft. (The specified limits are 0.1 and 0.5.)
+/// The next constant is the limit for the shaft. (The specified limits are 0.1 mm and 0.5 mm.)
 const TIP_TOLERANCE_MM: f64 = 0.02;
 const SHAFT_TOLERANCE_MM: f64 = 0.15;
 const LEAST_SWEEPS: usize = 3;

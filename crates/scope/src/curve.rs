@@ -10,7 +10,9 @@ use crate::gaze::{gaze, smoothed};
 const STEP_MM: f64 = 0.25;
 /// Sigma of the smoothing of positions: it removes the steps of 0.5 to 1 mm voxels and keeps the bends of an airway.
 const POSITION_SIGMA_MM: f64 = 2.0;
-/// Distance of the centre of the gaze ahead; the next constant is its sigma.
+/// Distance from a point to the centre of the Gaussian that weights the tangents ahead of it for the gaze, mm.
+///
+/// The next constant is the sigma of the Gaussian, mm.
 ///
 /// Together they cover about the length of one subsegmental airway (7 to 10 mm).
 const GAZE_AHEAD_MM: f64 = 3.0;

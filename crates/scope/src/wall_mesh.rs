@@ -170,9 +170,10 @@ const fn index_of(at: [usize; 3], num: [usize; 3]) -> usize {
     (at[2] * num[1] + at[1]) * num[0] + at[0]
 }
 
-/// Return the kind of each brick: bricks near a triangle's box are `Near`.
+/// Return the kind of each brick.
 ///
-/// Of the others the distance of the middle decides.
+/// Bricks near a triangle's box are `Near`, and bricks that are connected with the faces of the lattice are `Outside`.
+/// For the other bricks the signed distance from the brick's centre to the wall determines the kind.
 fn brick_kinds<F: Fn(f64) -> bool + Sync>(
     boxes: &Boxes,
     lps: &Affine,

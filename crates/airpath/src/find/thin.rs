@@ -60,7 +60,7 @@ const MIN_SAMPLES: usize = 2_000;
 const NUM_SAMPLES: usize = 20_000;
 /// Distance from an accepted path within which voxels are no separate tips, mm.
 ///
-/// The next constant is that for a rejected path.
+/// The next constant is the same distance for a rejected path.
 const COVER_MM: f32 = 2.0;
 const COVER_REFUSED_MM: f32 = 1.0;
 /// Largest gain of a path by one voxel, in thresholds.

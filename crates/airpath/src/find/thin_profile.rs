@@ -11,7 +11,7 @@ pub(crate) const EVERY_MM: f64 = 0.5;
 const NUM_MEAN: usize = 5;
 /// Number of positions to both sides over which the zigzag between voxels is smoothed.
 ///
-/// The next constant is the number for the direction.
+/// The next constant is the number of positions on each side between which the direction of the path is measured.
 const NUM_SMOOTHED: usize = 2;
 const NUM_DIRECTION: usize = 3;
 /// Offsets across a path, mm, at which a darker position is searched; `NUM_CENTRED` is the number of repetitions.

@@ -40,7 +40,7 @@ const WIDENED_ACROSS: f64 = 1.36;
 const LEAST_ACROSS: f64 = 0.8;
 /// Thickness in blurs above which the half-maximum edges of a wall count for its thickness.
 ///
-/// The next constant is the further thickness after which only the edges count.
+/// The next constant is the further thickness, in blurs, beyond which the edges alone determine the thickness.
 const EDGES_TELL_FROM: f64 = 2.2;
 const EDGES_TELL_OVER: f64 = 1.2;
 /// Smallest weight of a direction that counts for the thickness of a wall.
@@ -49,7 +49,7 @@ const CERTAIN: f64 = 0.6;
 const SMOOTHED_RAYS: usize = 2;
 /// Largest ratio of blur to radius for which the remaining bias is known.
 ///
-/// The next constant is that of the blur across to the blur within the slices.
+/// The next constant is the largest ratio of the blur across the slices to the blur within them.
 const MOST_BLURRED: f64 = 0.8;
 const MOST_ACROSS: f64 = 4.0;
 /// Blur in pixels of a kernel without overshoot; a kernel with a blur smaller by more than `SHARP` overshoots clearly.

@@ -12,7 +12,7 @@ const LOOK_MM: f64 = 0.25;
 
 /// Number of radii past the carina at which a branch's own part begins.
 ///
-/// The next constant is the number of radii before its bifurcation at which the part ends.
+/// The next constant is the number of radii before the branch's bifurcation at which that part ends.
 pub(crate) const PAST_CARINA_RADII: f64 = 0.3;
 pub(crate) const BEFORE_FORK_RADII: f64 = 1.0;
 

@@ -25,7 +25,8 @@ pub(crate) type Numbers = Box<[i16; PER_BRICK]>;
 
 /// Table entry of a brick that is not stored.
 ///
-/// The next constants mean: is being filled; cannot be stored. Any other entry is one more than the brick's index.
+/// The next constants are the entries of a brick that is being filled and of a brick that cannot be stored. Any other
+/// entry is one more than the brick's index.
 const ABSENT: i32 = 0;
 const BUSY: i32 = -1;
 const UNFIT: i32 = -2;

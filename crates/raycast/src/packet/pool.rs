@@ -27,7 +27,8 @@ pub(super) struct Packet<L: Lanes> {
     pub end: L::I,
     /// Index of the pixel in the band.
     pub pixel: L::I,
-    /// Sample from which on the map is looked up; the next field is the ray's patience (see `leap`).
+    /// Number of the sample at which the map is next looked up; the next field is the number of samples
+    /// between a failed look-up and the next one (see `leap`).
     pub ask_at: L::I,
     pub patience: L::I,
     /// Lanes that contain a ray.
