@@ -73,7 +73,7 @@ fn the_wall_distance_is_the_radius_in_the_middle_of_a_tube() {
     let mut worst: f64 = 0.0;
     for node in 0..graph.num_nodes() as u32 {
         let voxel = graph.voxel(node);
-        // Only away from the volume's faces, where the wall is cut off.
+        // Leave out voxels near the volume's faces, because the wall is cut off there.
         if !(6..34).contains(&voxel[2]) {
             continue;
         }

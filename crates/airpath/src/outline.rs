@@ -30,7 +30,7 @@ const APART_PX: f64 = 0.25;
 ///
 /// A plane through any airways has fewer; more indicate that noise was taken for lumen.
 const MAX_PIECES: usize = 200_000;
-/// Fractions of a pixel in an encoded outline.
+/// Number of steps per pixel of the coordinates in an encoded outline.
 pub const PARTS_PER_PX: f64 = 16.0;
 
 /// Point of the picture: column and row, in corner coordinates.

@@ -185,7 +185,7 @@ proptest! {
                 prop_assert!(angle > optics.limit_rad() - 1e-9);
             }
         } else {
-            // Only outside the image circle.
+            // A pixel without a ray must be outside the image circle.
             let side = width.min(height) as f64;
             let away = ((pixel[0] - width as f64 / 2.0).powi(2) + (pixel[1] - height as f64 / 2.0).powi(2)).sqrt();
             prop_assert!(away > side / 2.0 * (1.0 - 1e-6));

@@ -208,7 +208,7 @@ mod x86 {
     pub(crate) struct Avx512(());
 
     impl Avx512 {
-        /// Create the proof.
+        /// Create a value, which proves that the machine has the instructions.
         ///
         /// # Safety
         ///

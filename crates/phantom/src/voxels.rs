@@ -26,7 +26,7 @@ const NODULE_HU: f64 = 34.0;
 const CUT: f64 = 0.6;
 /// Radius of the circle with the same area as the cut circle of radius 1.
 const CUT_EQUIVALENT: f64 = 0.926;
-/// Distance of the cut circle's centroid in front of the circle's centre.
+/// Distance, in radii, of the cut circle's centroid in front of the circle's centre.
 const CUT_CENTROID: f64 = 0.1267;
 
 struct AirwayPiece {

@@ -322,7 +322,7 @@ mod tests {
                 let (x, y) = (i as f64 - 12.0, j as f64 - 16.0);
                 let off = x.hypot(y);
                 match i {
-                    // Tissue, and a dark rim two voxels wide beside it.
+                    // The volume has tissue from i = 30 on, and a dark rim two voxels wide in front of it.
                     30.. => 40,
                     28..30 => -1024,
                     _ if off <= 1.2 => -1024,

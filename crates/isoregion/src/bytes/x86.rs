@@ -58,7 +58,7 @@ macro_rules! operations {
 pub(crate) struct Avx512(());
 
 impl Avx512 {
-    /// Create the proof.
+    /// Create a value, which proves that the machine has the instructions.
     ///
     /// # Safety
     ///
@@ -158,7 +158,7 @@ impl Bytes for Avx512 {
 pub(crate) struct Avx2(());
 
 impl Avx2 {
-    /// Create the proof.
+    /// Create a value, which proves that the machine has the instructions.
     ///
     /// # Safety
     ///

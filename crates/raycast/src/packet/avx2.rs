@@ -24,7 +24,7 @@ pub(super) struct Avx2 {
 }
 
 impl Avx2 {
-    /// Create the proof.
+    /// Create a value, which proves that the machine has the instructions.
     ///
     /// `gathers` selects gather instructions for reads of voxel pairs ([`super::gathers`]).
     ///

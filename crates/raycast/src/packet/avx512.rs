@@ -24,7 +24,7 @@ pub(super) struct Avx512 {
 }
 
 impl Avx512 {
-    /// Create the proof.
+    /// Create a value, which proves that the machine has the instructions.
     ///
     /// `gathers` selects gather instructions for reads of voxel pairs ([`super::gathers`]).
     ///

@@ -42,7 +42,7 @@ fn corner<L: Lanes>(l: L, at: [[L::I; 2]; 3], [i, j, k]: [usize; 3]) -> L::F {
 /// Return the noise of the integer lattice, -1 to 1, and its gradient; it is smooth to the second derivative.
 #[inline(always)]
 pub(super) fn noise<L: Lanes>(l: L, q: [L::F; 3], seed: i32) -> (L::F, [L::F; 3]) {
-    // Odd numbers without a pattern.
+    // Multipliers of the hash of a lattice point: odd numbers without a pattern in their bits.
     const PRIMES: [i32; 3] = [
         0x0019_660d_u32 as i32,
         0x9e37_79b1_u32 as i32,
