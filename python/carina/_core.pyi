@@ -1,7 +1,4 @@
-"""Types of the compiled module.
-
-The Python modules that use it document the contracts, the crates document the algorithms.
-"""
+"""Types of the compiled module; contracts are in the Python facade, algorithms in the crates' documentation."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, final
@@ -13,13 +10,13 @@ from carina.render.appearance import Appearance
 from carina.render.decoration import Decoration
 
 def build_info() -> dict[str, Any]:
-    """Return version, profile, simd, threads, target and gpu."""
+    """Return the build settings and capabilities: version, profile, simd, threads, target, gpu."""
 
 # ---- scope ----
 
 @final
 class FlightCurve:
-    """Smooth curve along a polyline, with camera frames."""
+    """Smooth curve with camera frames along a polyline."""
 
     def __new__(
         cls, points_lps: NDArray[np.float64], up_lps: tuple[float, ...] | None, max_deviation_mm: float
@@ -27,23 +24,23 @@ class FlightCurve:
     @property
     def length_mm(self) -> float: ...
     def pose_at(self, path_mm: float) -> NDArray[np.float64]:
-        """Return ``lps_from_camera`` (4, 4) at a position along the path."""
+        """Return lps_from_camera, 4x4, at a position along the polyline."""
     def nearest(self, point_lps: tuple[float, float, float]) -> tuple[float, float]:
-        """Return the nearest position along the path and its distance from the point, both in mm."""
+        """Return the nearest position on the curve as (path_mm, distance_mm)."""
     def knots_lps(self) -> NDArray[np.float64]:
-        """Return a copy of the knots (m, 3), LPS mm."""
+        """Return the knots as a new array (m, 3)."""
     def tangent_frames(self) -> NDArray[np.float64]:
-        """Return the frames (m, 4, 4) at the knots; +z is the tangent of the curve."""
+        """Return the frames at the knots, (m, 4, 4); +z is the curve's own direction."""
 
 # ---- scope: the wall and the drive ----
 
 @final
 class WallField:
-    """Signed distance to the lumen's wall."""
+    """Signed distance to the wall of a lumen."""
 
     @staticmethod
     def from_distances(distance_mm_zyx: NDArray[np.float32], lps_from_ijk: NDArray[np.float64]) -> WallField:
-        """Create a field from signed distances on a grid."""
+        """Create a field from a grid of signed distances, positive in the lumen."""
     @staticmethod
     def from_mesh(
         vertices_lps: NDArray[np.float64],
@@ -55,17 +52,17 @@ class WallField:
     ) -> WallField:
         """Create a field from a closed mesh."""
     def distance_mm(self, points_lps: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the distances (n,) of points (n, 3), mm."""
+        """Return the distances (n,) of points (n, 3)."""
     @property
     def num_bytes(self) -> int: ...
     def to_bytes(self) -> bytes:
-        """Return grid and samples as little-endian bytes."""
+        """Return lattice and samples as little-endian bytes."""
     def digest(self) -> str:
-        """Return the BLAKE3 digest of the whole field, hexadecimal."""
+        """Return the BLAKE3 digest of all data of the field, hexadecimal."""
 
 @final
 class ScopeDrive:
-    """Bronchoscope in a lumen."""
+    """Simulated scope in a lumen."""
 
     def __new__(
         cls,
@@ -79,15 +76,15 @@ class ScopeDrive:
     @property
     def entry_mm(self) -> float: ...
     def drive(self, insertion_mm: float, roll_rad: float, flexion_rad: float, dt_s: float) -> dict[str, Any]:
-        """Set the three controls and return the new state."""
+        """Set the controls; return the state."""
     def place(self, path_lps: NDArray[np.float64], insertion_mm: float) -> dict[str, Any]:
-        """Place the scope along a path and return the new state."""
+        """Place the scope along a path; return the state."""
     def copy(self) -> ScopeDrive:
-        """Return an independent copy in the same position."""
+        """Return a copy in the same position."""
     def shaft_lps(self) -> NDArray[np.float64]:
-        """Return a copy of the scope's axis (n, 3), LPS mm."""
+        """Return the axis of the shaft as a new array (n, 3)."""
     def wall_depths_mm(self) -> tuple[float, float]:
-        """Return the depths of tip and shaft in the wall, mm."""
+        """Return the penetration of the wall by (tip, shaft)."""
 
 @final
 class ReservedThread:
@@ -95,10 +92,10 @@ class ReservedThread:
 
     def __new__(cls) -> ReservedThread: ...
     def release(self) -> None:
-        """Return the thread to the rendering of pictures; a second call does nothing."""
+        """Let pictures use the thread again; a second call does nothing."""
 
 def picture_clock_s() -> float | None:
-    """Return the mean processor time of the present picture threads in s; None if unknown."""
+    """Return the mean processor time in s of the threads that render pictures now; None if it is not known (yet)."""
 
 def picture_threads() -> int:
     """Return the number of threads that render a picture."""
@@ -108,7 +105,7 @@ def picture_threads() -> int:
 def chest_lumen_distances(
     seed: int, generations: int, stenosis: bool, neck: bool, points_lps: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return signed distances (n,) to the lumen in mm, negative in the lumen."""
+    """Return the signed distances (n,) in mm of points to the lumen, negative inside."""
 
 def generate_chest(
     seed: int,
@@ -124,21 +121,22 @@ def generate_chest(
     with_distance: bool,
     proceed: Callable[[float], bool],
 ) -> dict[str, Any]:
-    """Return a dictionary of hu_zyx, lumen_zyx, lps_from_ijk and branches, and of the requested extras.
+    """Generate a phantom chest.
 
-    Extras: nodule, stenosis, tube, cricoid_lps with upper_airway_zyx, lumen_distance_mm.
+    The result contains hu_zyx, lumen_zyx, lps_from_ijk, branches, and the optional parts that were requested: nodule,
+    stenosis, tube, cricoid_lps with upper_airway_zyx, lumen_distance_mm.
     """
 
 # ---- isoregion ----
 
 _Classes = list[tuple[int, int, int, bool]]
-"""First value, last value, number of voxels, fully transparent; one entry for each class."""
+"""Classes as (first value, last value, number of voxels, fully transparent)."""
 
 def value_range(hu_zyx: NDArray[np.int16]) -> tuple[int, int]:
     """Return the smallest and the largest value."""
 
 def content_digest(voxels: NDArray[np.int16] | NDArray[np.uint8]) -> str:
-    """Return the BLAKE3 digest of the bytes of a [z, y, x] array, without its shape, hexadecimal."""
+    """Return the BLAKE3 digest of the bytes of a [z, y, x] array, hexadecimal; the shape is not included."""
 
 def label_classes(
     hu_zyx: NDArray[np.int16], points: NDArray[np.float64], *, reference_mm: float = 1.0, bin_hu: int = 1
@@ -160,7 +158,7 @@ def build_radius_map(
     simd: str | None = None,
     num_slabs: int | None = None,
 ) -> NDArray[np.uint8]:
-    """Return the radius map of a label volume; the default is one slab for each thread."""
+    """Compute the radius map of a label volume, by default with one slab for each thread."""
 
 def build_cell_map(
     hu_zyx: NDArray[np.int16],
@@ -170,16 +168,16 @@ def build_cell_map(
     simd: str | None = None,
     num_slabs: int | None = None,
 ) -> NDArray[np.uint8]:
-    """Return the map of cells of disjoint runs of values (first, last), for leaps over clear samples.
+    """Compute the cell map of disjoint runs of values (first, last); 0 for a voxel whose value is in no run.
 
-    The map is 0 for cells whose values are in no run.
+    Leaps over transparent samples use this map.
     """
 
 # ---- optics ----
 
 @final
 class Optics:
-    """Lens in front of a picture of a given size: ``brown`` (k1 k2 p1 p2 k3 k4 k5 k6) or ``fisheye`` (k1 to k4)."""
+    """Lens model for a picture of a given size: ``brown`` (k1 k2 p1 p2 k3 k4 k5 k6) or ``fisheye`` (k1 to k4)."""
 
     def __new__(
         cls,
@@ -196,17 +194,17 @@ class Optics:
     def directions(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return unit directions (n, 3) in camera space of points of the picture.
 
-        The directions of points outside the lens model are NaN.
+        The directions are NaN where the lens has none.
         """
 
     def pixels(self, directions: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return points (n, 2) of the picture for directions in camera space.
+        """Return points of the picture (n, 2) of directions in camera space.
 
-        The points of directions that the lens cannot see are NaN.
+        The points are NaN for directions that the lens does not see.
         """
 
     def rays(self, *, shape: str, edge_px: float, vignette: float) -> LensRays:
-        """Return the rays of all pixels inside an outline."""
+        """Compute the rays of all pixels inside an outline."""
 
     @property
     def fov_rad(self) -> float: ...
@@ -219,7 +217,7 @@ class Optics:
 
 @final
 class LensRays:
-    """Rays of all pixels of a picture behind a lens, with the brightness of each pixel."""
+    """Rays of all pixels of a picture behind a lens, and the relative brightness of each pixel."""
 
 def defocus(
     rgb: NDArray[np.uint8],
@@ -229,12 +227,12 @@ def defocus(
     far_mm: float,
     lens: LensRays | None = None,
 ) -> NDArray[np.uint8]:
-    """Return a whole picture (h, w, 3) blurred by its depth (h, w), then darkened by its lens."""
+    """Return a whole picture (h, w, 3) blurred by its depth map (h, w), then darkened as its lens does."""
 
 # ---- gpu ----
 
 def gpu_adapters() -> list[tuple[str, str, str, str]] | None:
-    """Return name, interface, driver and kind of each adapter, fastest first; None in a build without GPU support."""
+    """Return name, interface, driver and kind, the likely fastest first; None in a build without GPU support."""
 
 @final
 class Gpu:
@@ -242,22 +240,22 @@ class Gpu:
 
     def __new__(cls, adapter: int) -> Gpu: ...
     def upload(self, hu_zyx: NDArray[np.int16], radius_zyx: NDArray[np.uint8] | None = None) -> GpuScene:
-        """Copy a volume and its radius map to the device."""
+        """Copy a volume to the device, and its radius map if there is one."""
     def lose(self) -> None:
-        """Simulate the loss of the device, for tests."""
+        """Make the device lost, for tests."""
 
 @final
 class GpuScene:
     """Volume on a graphics device, with or without a radius map."""
 
     def with_map(self, radius_zyx: NDArray[np.uint8] | None = None) -> GpuScene:
-        """Return the same volume with another map, or without a map."""
+        """Return the same volume with another map, or without one."""
 
 # ---- raycast ----
 
 @final
 class TransferTable:
-    """Colour and opacity of one ray step, by value."""
+    """Colour and opacity of one ray step for each value."""
 
     def __new__(
         cls,
@@ -270,23 +268,26 @@ class TransferTable:
         bin_hu: int = 1,
     ) -> TransferTable: ...
     def entry(self, value: int) -> list[float]:
-        """Return the premultiplied colour and the opacity of one step at a value."""
+        """Return the premultiplied colour and opacity of one step at a value."""
 
 @final
 class CancelToken:
-    """Token that cancels one picture from any thread; it stays cancelled."""
+    """Token that cancels the cast of one picture, from any thread; a cancelled token stays cancelled."""
 
     def __new__(cls) -> CancelToken: ...
     def cancel(self) -> None:
-        """Cancel the rendering of the picture."""
+        """Cancel the cast that uses this token."""
 
     @property
     def cancelled(self) -> bool:
-        """Whether the token is cancelled."""
+        """Whether the token was cancelled."""
 
 @final
 class Bricks:
-    """Cache for all pictures of one unchanged array of values: slopes of walls, lit samples."""
+    """Cache that pictures of one array of values share: wall normals, samples with gradients.
+
+    The values must not change.
+    """
 
     def __new__(cls) -> Bricks: ...
     def __len__(self) -> int:
@@ -317,10 +318,10 @@ def cast(
     always_leap: bool = False,
     bricks: Bricks | None = None,
 ) -> tuple[NDArray[np.uint8], tuple[int, int, int, int, int, int, int]]:
-    """Return colours (rows, width, 3), and the counts of the cast.
+    """Cast rows of a picture; return (rows, width, 3) colours and statistics.
 
-    The counts are rays, samples, look-ups, leaps, skipped samples, shaded samples and reads. A cancelled cast raises
-    CancelledError.
+    The statistics are the numbers of rays, samples, look-ups, leaps, skipped samples, shaded samples and reads.
+    A cancelled cast raises CancelledError.
     """
 
 def cast_surface(
@@ -339,9 +340,9 @@ def cast_surface(
     simd: str | None = None,
     lens: LensRays | None = None,
 ) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.float32]]:
-    """Return the first walls of rows, or of one pixel (column, row): depth in mm, positions and normals in LPS.
+    """Find the first walls of rows, or of one pixel (column, row); return depths in mm, positions and normals in LPS.
 
-    Pixels without a wall are NaN.
+    The values are NaN where a ray meets no wall.
     """
 
 def cut_plane(
@@ -354,7 +355,7 @@ def cut_plane(
     window_hu: tuple[float, float],
     rows: tuple[int, int] | None = None,
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Return the grey levels of rows of a plane, and the mask of the volume."""
+    """Sample rows of a plane; return grey levels and a mask of the pixels inside the volume."""
 
 def tri_plane(
     hu_zyx: NDArray[np.int16],
@@ -371,7 +372,7 @@ def tri_plane(
     brightness: tuple[float, float, float] = ...,
     rows: tuple[int, int] | None = None,
 ) -> NDArray[np.uint8]:
-    """Return rows (rows, width, 3) of three planes in occlusion order."""
+    """Render rows of the tri-plane view in occlusion order, (rows, width, 3)."""
 
 def radiograph(
     hu_zyx: NDArray[np.int16],
@@ -387,7 +388,7 @@ def radiograph(
     bone_gain: float = 1.0,
     simd: str | None = None,
 ) -> NDArray[np.float32]:
-    """Return the water-equivalent length (rows, width) of the rays of some rows, mm."""
+    """Return the water-equivalent length of each ray of some rows, (rows, width) mm."""
 
 def sample_lines(
     hu_zyx: NDArray[np.int16],
@@ -398,7 +399,10 @@ def sample_lines(
     window_hu: tuple[float, float],
     slab: tuple[float, str] | None = None,
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Return the grey levels of rows given by start, step and through (rows, 9), and the mask of the volume."""
+    """Sample rows given by start, step and direction through the picture, (rows, 9).
+
+    Return grey levels and a mask of the pixels inside the volume.
+    """
 
 def project_maximum(
     hu_zyx: NDArray[np.int16],
@@ -412,27 +416,31 @@ def raise_wall(
     open_below: int,
     heights: Sequence[Sequence[int]],
 ) -> None:
-    """Raise the values of a copy of a volume around a lumen, in place; heights of lumen, shell and backing."""
+    """Raise the values round a lumen, in place, in a copy of a volume.
+
+    The heights are those of lumen, shell and backing.
+    """
 
 def smooth_mask(mask_zyx: NDArray[np.uint8]) -> NDArray[np.int16]:
-    """Return a smooth field 0..1024 of a mask."""
+    """Return a smooth field with values 0 to 1024 of a mask."""
 
 def best_instruction_set() -> str:
-    """Return the name of the instruction set that casters use by default."""
+    """Return the name of the instruction set that the casters use by default."""
 
 # ---- cross-sections ----
 
 @final
 class SectionCasts:
-    """Rays of many planes, with the edges that they met."""
+    """Rays cast in many planes, and the edges found on them."""
 
     def __len__(self) -> int: ...
     def blur(self) -> tuple[float, float] | None:
-        """Return the scan's blur within and across slices, mm; None if too few rays met thick tissue."""
+        """Return the scan's blur within and across slices in mm; None if too few rays met thick tissue."""
     def measure(self, blur: tuple[float, float] | None) -> dict[str, Any]:
-        """Return the measures of all planes.
+        """Measure all planes; without a blur, edges are at half maximum.
 
-        centre_lps (n, 3); area, diameters, wall, shift, their errors and shares (n,); edge_mm, outer_mm (n, 64).
+        The result contains centre_lps (n, 3); area, diameters, wall, shift, their errors and shares (n,); edge_mm and
+        outer_mm (n, 64).
         """
 
 def cast_sections(
@@ -452,7 +460,7 @@ def cast_sections(
     """Cast the rays of planes across airways."""
 
 def section_axes(normal_lps: Sequence[float] | NDArray[np.float64]) -> tuple[list[float], list[float]]:
-    """Return the two unit vectors that span the plane perpendicular to a direction."""
+    """Return the two unit vectors that span the plane across a direction."""
 
 # ---- airpath ----
 
@@ -465,9 +473,10 @@ def find_trachea_voxels(
     lung: tuple[int, int] | None,
     cancel: Callable[[], bool] | None = None,
 ) -> dict[str, Any]:
-    """Return a dictionary: voxels_ijk (n, 3) from the top down, diameters_mm (n,), length_mm, carina_lps (3,), doubts.
+    """Find the trachea.
 
-    The doubts are a list of texts.
+    The result contains voxels_ijk (n, 3) from the top down, diameters_mm (n,), length_mm, carina_lps (3,) and doubts
+    (list of names).
     """
 
 def flood_lumen(
@@ -485,7 +494,10 @@ def flood_lumen(
     cancel: Callable[[], bool] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[NDArray[np.uint8], dict[str, Any]]:
-    """Return the lumen (1 or 0), and num_voxels, num_without_wall, leaks [(point_lps, level)]."""
+    """Flood the airway from seed voxels; return the lumen (1 or 0) and a description.
+
+    The description contains num_voxels, num_without_wall and leaks [(point_lps, level)].
+    """
 
 def lumen_mesh(
     values_zyx: NDArray[np.int16],
@@ -496,7 +508,7 @@ def lumen_mesh(
     cancel: Callable[[], bool] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.uint32]]:
-    """Return a closed mesh: vertices (n, 3) LPS mm, triangles (m, 3), counterclockwise from outside."""
+    """Return the closed mesh of the lumen: vertices (n, 3) LPS mm, triangles (m, 3), counterclockwise from outside."""
 
 def lumen_mask(
     values_zyx: NDArray[np.int16],
@@ -505,11 +517,11 @@ def lumen_mask(
     *,
     levels: tuple[float, float, float] | None,
 ) -> NDArray[np.uint8]:
-    """Return a mask that is 1 in voxels whose centres lie inside the mesh of `lumen_mesh`."""
+    """Return the voxels whose centres are inside the mesh of the lumen, 1 inside."""
 
 @final
 class LumenSurface:
-    """Surface of one lumen, to be cut by planes; the arrays must not change."""
+    """Surface of one lumen that planes can cut; the arrays must not change."""
 
     def __new__(
         cls,
@@ -520,10 +532,10 @@ class LumenSurface:
         levels: tuple[float, float, float] | None,
     ) -> LumenSurface: ...
     def cut(self, lps_from_pixel: NDArray[np.float64], *, width: int, height: int) -> list[NDArray[np.float64]] | None:
-        """Return the lines of the cut in a picture, (n, 2) column and row each; None if they exceed the limit."""
+        """Return lines in a picture, (n, 2) column and row each; None if there are too many to show."""
 
     def encoded(self, lps_from_pixel: NDArray[np.float64], *, width: int, height: int) -> bytes | None:
-        """Return the lines of the cut in the encoding of the wire."""
+        """Return the lines of a cut, clipped to the picture, as the bytes of the wire format."""
 
 def extend_lumen(
     values_zyx: NDArray[np.int16],
@@ -543,7 +555,7 @@ def extend_lumen(
     cancel: Callable[[], bool] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, Any]:
-    """Mark additional lumen by the value 2 in a lumen of 1, in place.
+    """Follow airways beyond the flood; in place, added voxels of the lumen (1) get the value 2.
 
     The result contains num_voxels, num_reached, ran_out, enclosed, followed [points_lps, ...].
     """
@@ -566,7 +578,7 @@ def extend_thin_lumen(
     cancel: Callable[[], bool] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, Any]:
-    """Mark additional thin lumen by the value 2 in a lumen of 1, in place.
+    """Follow the thinnest airways; in place, added voxels of the lumen (1) get the value 2.
 
     The result contains num_reached, ran_out, followed [points_lps, length_mm, contrast].
     """
@@ -581,7 +593,10 @@ def find_pieces_of_air(
     voxels: tuple[int, int],
     most_air: int,
 ) -> list[NDArray[np.int64]]:
-    """Return indices, in the flat volume, of the pieces of air without a common face with the lumen, largest first."""
+    """Return the pieces of air that share no face with the lumen, the largest piece first.
+
+    A piece is an array of indices in the flat volume.
+    """
 
 def mix_with_blurs(
     values_zyx: NDArray[np.int16],
@@ -604,11 +619,14 @@ def keep_cut_off_air_of(
     rise: int,
     seam_mm: float,
 ) -> int:
-    """Set to air, in place, airway lumen that a sharp volume cuts off at its floor; return the number of voxels."""
+    """Set clipped voxels of airway lumens to the value of air, in place; return the number of changed voxels.
+
+    The sharp volume has clipped these voxels at its lowest value (floor).
+    """
 
 @final
 class GraphTracker:
-    """Graph with a cost, and the least-cost tree from one root."""
+    """Graph with a cost, and the tree of least-cost paths from one root."""
 
     def __new__(
         cls,
@@ -638,11 +656,11 @@ class GraphTracker:
     @property
     def root(self) -> int: ...
     def num_edges(self) -> int:
-        """Count the undirected edges one by one and return their number."""
+        """Count the undirected edges one by one."""
     def place(
         self, point_lps: tuple[float, float, float], reach_mm: float
     ) -> tuple[int, tuple[float, float, float], float] | None:
-        """Return the node for a point, the centre of the voxel used, and its distance from the node in mm."""
+        """Return the node for a point, the centre of the voxel chosen for the point, and their distance in mm."""
     def solve_to(
         self,
         node: int,
@@ -650,15 +668,15 @@ class GraphTracker:
         cancel: Callable[[], bool] | None = None,
         progress: Callable[[float], None] | None = None,
     ) -> bool:
-        """Solve until a node is settled; return whether a path to it exists."""
+        """Settle nodes until the given node is settled; return True if a path exists."""
     def cost(self, node: int) -> float | None:
-        """Return the least cost of a settled node; None if it is not settled."""
+        """Return the least cost of a settled node."""
     def path(self, node: int) -> tuple[NDArray[np.float64], NDArray[np.uint32]] | None:
-        """Return the voxel centres (n, 3) LPS of the path from the root, and their nodes."""
+        """Return the voxel centres (n, 3) LPS from the root, and their nodes."""
 
 @final
 class LumenTracker:
-    """Graph of a lumen, and the least-cost tree from one root."""
+    """Graph of the lumen's voxels and the tree of least-cost paths from one root."""
 
     def __new__(
         cls,
@@ -687,42 +705,48 @@ class LumenTracker:
         cancel: Callable[[], bool] | None = None,
         progress: Callable[[float], None] | None = None,
     ) -> bool:
-        """Solve until a node is settled; return whether a path to it exists."""
+        """Settle nodes until the given node is settled; return True if a path exists."""
     def solve_all(
         self, *, cancel: Callable[[], bool] | None = None, progress: Callable[[float], None] | None = None
     ) -> None:
-        """Settle all reachable nodes."""
+        """Settle all nodes that a path can reach."""
     def cost(self, node: int) -> float | None:
-        """Return the least cost of a settled node; None if it is not settled."""
+        """Return the least cost of a settled node."""
     def path(self, node: int) -> tuple[NDArray[np.float64], NDArray[np.uint32]] | None:
-        """Return the voxel centres (n, 3) LPS of the path from the root, and their nodes."""
+        """Return the voxel centres (n, 3) LPS from the root, and their nodes."""
     def smooth(
         self, points_lps: Sequence[tuple[float, float, float]] | NDArray[np.float64], *, step_mm: float, keep_end: bool
     ) -> NDArray[np.float64]:
-        """Return smooth points (n, 3) at even steps that stay in lumen voxels."""
+        """Return evenly spaced, smooth (n, 3) points that stay in lumen voxels."""
     def radius_mm(self, points_lps: Sequence[tuple[float, float, float]] | NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the distances (n,) to the wall, mm."""
+        """Return the distances (n,) to the wall."""
     def section_radii(
         self, lines_lps: Sequence[NDArray[np.float64]], parents: Sequence[int | None], wanted: Sequence[bool]
     ) -> list[NDArray[np.float64] | None]:
-        """Return, for each selected branch, the radius (n,) of the circle with the area of the lumen's section."""
+        """Return, for each wanted branch, the radii (n,) of circles with the area of the lumen's cross-sections."""
     def inside(self, points_lps: Sequence[tuple[float, float, float]] | NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return whether the voxel of each point is lumen (n,)."""
+        """Return (n,) whether the voxel of each point is lumen."""
     def branches(
         self, *, cancel: Callable[[], bool] | None = None, progress: Callable[[float], None] | None = None
     ) -> list[dict[str, Any]]:
-        """Return parent, generation, points, radius_mm, wall_mm, cost and nodes of each branch, parents first."""
+        """Return the automatic tree, parents first.
+
+        Each branch has parent, generation, points, radius_mm, wall_mm, cost and nodes.
+        """
     def branches_to(
         self,
         nodes: Sequence[int],
         branch_nodes: Sequence[NDArray[np.uint32]],
         parents: Sequence[int | None],
     ) -> list[dict[str, Any]]:
-        """Return the part of the automatic tree that leads to settled nodes."""
+        """Return the part of the automatic tree that leads to the given settled nodes."""
     def branch_of_nodes(
         self, branch_nodes: Sequence[NDArray[np.uint32]], parents: Sequence[int | None]
     ) -> NDArray[np.int32]:
-        """Return the branch (num_nodes,) in whose tube each node lies; -1 for nodes that are connected to none."""
+        """Return for each node the branch whose tube contains the node, (num_nodes,).
+
+        The value is -1 for a node that is connected to no branch.
+        """
 
 def edit_lumen(
     tracker: LumenTracker,
@@ -732,7 +756,10 @@ def edit_lumen(
     *,
     cancel: Callable[[], bool] | None = None,
 ) -> tuple[LumenTracker, tuple[tuple[int, int, int], tuple[int, int, int]] | None]:
-    """Return the tracker of a lumen with voxels added and removed, and the changed box (first, shape)."""
+    """Build the tracker of a lumen after voxels were added and removed.
+
+    Also return the box (first, shape) of the changes.
+    """
 
 def fresh_lumen(
     tracker: LumenTracker,
@@ -742,41 +769,47 @@ def fresh_lumen(
     *,
     cancel: Callable[[], bool] | None = None,
 ) -> LumenTracker:
-    """Return a new tracker of a whole lumen, with the wall levels of another tracker."""
+    """Build the tracker of a whole lumen from scratch, with the wall levels of another tracker."""
 
 def reroot_lumen(
     tracker: LumenTracker, root_ijk: tuple[int, int, int], *, cancel: Callable[[], bool] | None = None
 ) -> LumenTracker:
-    """Return the tracker of the same lumen with another root."""
+    """Build the tracker of the same lumen with another root."""
 
 def lumen_array(tracker: LumenTracker) -> NDArray[np.uint8]:
-    """Return an array (nz, ny, nx) that is 1 inside the lumen."""
+    """Return a (nz, ny, nx) array that is 1 inside the lumen."""
 
 def lumen_states(
     tracker: LumenTracker, first_ijk: tuple[int, int, int], shape_ijk: tuple[int, int, int]
 ) -> NDArray[np.uint8]:
-    """Return the states (nz, ny, nx) of a box: 0 no lumen, 1 lumen that no path reaches, 2 lumen."""
+    """Return the states of a box, (nz, ny, nx).
+
+    The states are 0 no lumen, 1 lumen that no path reaches, 2 lumen that a path reaches.
+    """
 
 def nodes_at(tracker: LumenTracker, points_lps: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return the node (n,) whose voxel contains each point; -1 outside the lumen."""
+    """Return the node (n,) whose voxel contains each point, -1 outside the lumen."""
 
 def voxels_of(tracker: LumenTracker, nodes_of: NDArray[np.uint32]) -> NDArray[np.uint16]:
     """Return the voxels (n, 3) of nodes."""
 
 def reached(tracker: LumenTracker, nodes_of: NDArray[np.uint32]) -> NDArray[np.bool_]:
-    """Return whether a path reaches each node (n,)."""
+    """Return (n,) whether a path reaches each node."""
 
 def sees(tracker: LumenTracker, from_lps: NDArray[np.float64], to_lps: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return whether the straight line between two points stays in lumen voxels (n,)."""
+    """Return (n,) whether the straight line between two points stays in lumen voxels."""
 
 def pulled_inside(tracker: LumenTracker, points_lps: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the points (n, 3), with each outside point moved to the nearest position inside the lumen."""
+    """Return (n, 3) points; each point outside the lumen is moved to the nearest position inside."""
 
 def newly_reached(tracker: LumenTracker, other: LumenTracker) -> NDArray[np.uint16]:
-    """Return the voxels (n, 3) that a path reaches in one tracker and not in the other."""
+    """Return the voxels (n, 3) that a path reaches in one tracker but not in the other."""
 
 def cut_voxels(tracker: LumenTracker, cut: NDArray[np.uint32], kept: NDArray[np.uint32]) -> NDArray[np.uint16]:
-    """Return the voxels (n, 3) in the tubes of a cut piece instead of the kept tree; nodes are on centrelines."""
+    """Return the voxels (n, 3) in the tubes of the branches that were cut off, but not of the remaining branches.
+
+    Branches are given by the nodes of their centrelines.
+    """
 
 def more_tips(
     tracker: LumenTracker,
@@ -785,7 +818,10 @@ def more_tips(
     *,
     cancel: Callable[[], bool] | None = None,
 ) -> NDArray[np.uint32]:
-    """Return the tips (n,) of branches among candidate voxels that a tree does not contain, longest path first."""
+    """Return the nodes (n,) at tips of branches that a tree does not contain yet, longest path first.
+
+    Only tips among the candidate voxels are returned.
+    """
 
 def cheapest_way(
     weights_zyx: NDArray[np.float32],
@@ -797,21 +833,24 @@ def cheapest_way(
 ) -> NDArray[np.uint16] | None:
     """Return the voxels (n, 3) of a box on the least-cost path from the nearest goal to a start.
 
-    Weights are per mm; a voxel of weight 0 is closed.
+    Weights are per mm; no path passes a voxel of weight 0.
     """
 
 # ---- evidence of airways ----
 
 @final
 class Enclosures:
-    """Volume without its finest noise, for the measure of how brighter voxels enclose a voxel."""
+    """Volume without its finest noise, and measures of how much brighter voxels enclose each voxel."""
 
     def __new__(cls, values_zyx: NDArray[np.int16], lps_from_ijk: NDArray[np.float64]) -> Enclosures: ...
     def at(self, voxels_ijk: NDArray[np.uint16]) -> NDArray[np.int16]:
-        """Return the rise (n,) of the values on all but a fifth of 48 rays of 3 mm from each voxel."""
+        """Return (n,) the rise of the values on all but a fifth of 48 rays of 3 mm from each voxel."""
 
     def values_at(self, points_lps: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Return trilinear values (n,) without the finest noise at points (n, 3), clamped to the edge."""
+        """Return (n,) trilinear values without the finest noise at (n, 3) points.
+
+        Outside the volume the nearest edge value is used.
+        """
 
     def runs(
         self,
@@ -823,7 +862,10 @@ class Enclosures:
         bright: float,
         closed: float,
     ) -> list[NDArray[np.uint16] | None]:
-        """Return for each voxel (n, 3) the path with most wall to any point this far away: voxels (m, 3), or None."""
+        """Find for each voxel (n, 3) the path with the most wall to any voxel ``away_mm`` away.
+
+        Each path is (m, 3) voxels, or None.
+        """
 
     def way(
         self,
@@ -837,16 +879,13 @@ class Enclosures:
         closed: float,
         cancel: Callable[[], bool] | None = None,
     ) -> NDArray[np.uint16] | None:
-        """Return the voxels (n, 3) of the path with most wall, from a lumen that a path reaches.
-
-        The result is None if there is no such path.
-        """
+        """Find the path with the most wall round it from a lumen that a path reaches: (n, 3) voxels, or None."""
 
 # ---- tracker over a volume of weights ----
 
 @final
 class FieldTracker:
-    """Least-cost tree in a volume of weights."""
+    """Tree of least-cost paths in a volume of weights."""
 
     def __new__(
         cls,
@@ -873,17 +912,17 @@ class FieldTracker:
         cancel: Callable[[], bool] | None = None,
         progress: Callable[[float], None] | None = None,
     ) -> bool:
-        """Solve until a voxel is settled; return whether a path to it exists."""
+        """Settle voxels until the given voxel is settled; return True if a path exists."""
     def solve_all(
         self, *, cancel: Callable[[], bool] | None = None, progress: Callable[[float], None] | None = None
     ) -> None:
-        """Settle all reachable voxels."""
+        """Settle all voxels that a path can reach."""
     def cost(self, target_ijk: tuple[int, int, int]) -> float | None:
-        """Return the least cost of a settled voxel; None if it is not settled."""
+        """Return the least cost of a settled voxel."""
     def path(self, target_ijk: tuple[int, int, int]) -> NDArray[np.int64] | None:
-        """Return the voxels (n, 3) i, j, k of the path from the root."""
+        """Return the voxels (n, 3) i, j, k from the root."""
     def time_paths(self, targets_ijk: Sequence[tuple[int, int, int]]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Return the time (ns) and the number of voxels of each path."""
+        """Return the time in ns of one query of each path, and its number of voxels."""
 
 def aimed_field_path(
     field_zyx: NDArray[np.float32],
@@ -897,9 +936,12 @@ def aimed_field_path(
     cancel: Callable[[], bool] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[NDArray[np.int64], float, int] | None:
-    """Return voxels (n, 3) i, j, k from the root to one target, cost, number of settled voxels; None without a path."""
+    """Find the least-cost path to one target; return its voxels, its cost and the number of settled voxels.
+
+    The voxels are (n, 3) i, j, k. The result is None if no path leads there.
+    """
 
 def time_lumen_paths(
     tracker: LumenTracker, nodes: Sequence[int] | NDArray[np.uint32]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the time (ns) and the number of voxels of each path."""
+    """Return the time in ns of one query of each path, and its number of voxels."""

@@ -1,4 +1,4 @@
-//! The lumen's graph, wall distance, flood, trachea and tree on drawn airways, on anisotropic oblique grids.
+//! Tests of the lumen's graph, wall distance, flood, trachea and tree on drawn airways, on anisotropic oblique grids.
 
 use carina_grid::{Affine, Grid, Ijk, Lps, VolumeView, dot, length};
 
@@ -16,7 +16,7 @@ const LEVELS: WallLevels = WallLevels {
     rise: 25.0,
 };
 
-/// Rotated about two axes, three spacings: swapped axes cannot pass.
+/// Return a grid rotated about two axes, with three different spacings, so that swapped axes cannot pass.
 fn oblique(shape_zyx: [usize; 3]) -> Grid {
     let (s, c) = (0.25f64.sin(), 0.25f64.cos());
     let (t, d) = (0.1f64.sin(), 0.1f64.cos());
@@ -30,7 +30,7 @@ fn oblique(shape_zyx: [usize; 3]) -> Grid {
     .unwrap()
 }
 
-/// Distance from a point to a segment.
+/// Return the distance from a point to a segment.
 fn off_segment(p: [f64; 3], a: [f64; 3], b: [f64; 3]) -> f64 {
     let d = [0, 1, 2].map(|i| b[i] - a[i]);
     let e = [0, 1, 2].map(|i| p[i] - a[i]);
@@ -40,7 +40,8 @@ fn off_segment(p: [f64; 3], a: [f64; 3], b: [f64; 3]) -> f64 {
 
 type Tube = ([f64; 3], [f64; 3], f64);
 
-/// Air inside the tubes, a wall of `wall_mm` at 0 HU, lung of -850 HU around; edges blurred over one voxel.
+/// Draw air inside the tubes, a wall of `wall_mm` at 0 HU, and lung of -850 HU around; edges are blurred over one
+/// voxel.
 fn draw(grid: &Grid, tubes: &[Tube], wall_mm: f64) -> Vec<i16> {
     (0..grid.num_voxels())
         .map(|at| {
@@ -72,7 +73,7 @@ fn the_wall_distance_is_the_radius_in_the_middle_of_a_tube() {
     let mut worst: f64 = 0.0;
     for node in 0..graph.num_nodes() as u32 {
         let voxel = graph.voxel(node);
-        // Away from the volume's faces, where the wall is cut off.
+        // Leave out voxels near the volume's faces, because the wall is cut off there.
         if !(6..34).contains(&voxel[2]) {
             continue;
         }
@@ -80,7 +81,7 @@ fn the_wall_distance_is_the_radius_in_the_middle_of_a_tube() {
         let truth = 5.0 - off_segment(p, tubes[0].0, tubes[0].1);
         worst = worst.max((graph.wall_mm(node) - truth).abs());
     }
-    // 0.4 mm: crossings are looked up on grid edges only, 0.8 to 1.5 mm apart; whole voxels would be 0.75 mm off.
+    // 0.4 mm: crossings are found on grid edges only, 0.8 to 1.5 mm apart; whole voxels would have an error of 0.75 mm.
     assert!(worst < 0.4, "{worst}");
 }
 
@@ -99,12 +100,12 @@ fn a_diagonal_step_does_not_cross_a_wall() {
         graph.for_each_edge(0, |_, _| count += 1);
         count
     };
-    // Only the corners touch, and between them is tissue.
+    // Only the corners touch, with tissue between them.
     assert_eq!(edges(&values), 0);
-    // With one corner open the middle of the step is still -750 HU: not air for certain.
+    // With one corner open, the middle of the step is still -750 HU, which is not certainly air.
     values[grid.index(c)] = -1000;
     assert_eq!(edges(&values), 1, "the face neighbour only");
-    // With both open it is.
+    // With both corners open, the middle of the step is certainly air.
     values[grid.index([3, 2, 1])] = -1000;
     assert_eq!(edges(&values), 3);
 }
@@ -117,7 +118,7 @@ fn a_path_keeps_to_the_middle_and_its_cost_is_finite() {
     let tubes = [(far(-1.0), far(1.0), 5.0)];
     let values = draw(&grid, &tubes, 3.0);
     let view = VolumeView::new(&values, &grid).unwrap();
-    // The drawn lumen: lung outside the wall is dark as well.
+    // Use the drawn lumen instead of a threshold, because lung outside the wall is dark as well.
     let lumen: Vec<u8> = (0..grid.num_voxels())
         .map(|at| {
             let p = grid.to_lps(Ijk(grid.voxel(at).map(|v| v as f64))).0;
@@ -137,12 +138,12 @@ fn a_path_keeps_to_the_middle_and_its_cost_is_finite() {
     assert!(tracker.solve_to(&graph, &cost, target, &Unwatched).unwrap());
     for node in tracker.path_to(target).unwrap() {
         let p = grid.to_lps(Ijk(graph.voxel(node).map(|v| v as f64))).0;
-        // One voxel's diagonal in plane.
+        // Tolerance: the in-plane diagonal of one voxel.
         assert!(off_segment(p, far(-1.0), far(1.0)) < 1.21);
     }
 }
 
-/// A trachea that splits into two bronchi, each of which splits again, on a given grid.
+/// Return a trachea that divides into two bronchi, each of which divides again, on a given grid.
 fn airway(grid: &Grid) -> Vec<Tube> {
     let centre = grid
         .to_lps(Ijk(grid.shape_ijk().map(|n| (n as f64 - 1.0) / 2.0)))
@@ -159,7 +160,7 @@ fn airway(grid: &Grid) -> Vec<Tube> {
     ]
 }
 
-/// Neck and mediastinum of soft tissue, two lungs at -880 HU, air outside the body, and the airway with a wall.
+/// Draw neck and mediastinum of soft tissue, two lungs at -880 HU, air outside the body, and the airway with a wall.
 fn chest(grid: &Grid, tubes: &[Tube]) -> Vec<i16> {
     let centre = grid
         .to_lps(Ijk(grid.shape_ijk().map(|n| (n as f64 - 1.0) / 2.0)))
@@ -177,7 +178,7 @@ fn chest(grid: &Grid, tubes: &[Tube]) -> Vec<i16> {
                     < 1.0
             };
             let body = (q[0] / 58.0).powi(2) + (q[1] / 36.0).powi(2) < 1.0;
-            // A speckle without a random generator: about 25 HU up and down.
+            // Pseudo-random noise without a generator: about 25 HU up and down.
             let noise = ((at.wrapping_mul(2_654_435_761) >> 7) % 51) as f64 - 25.0;
             let around = if depth < 1.6 {
                 0.0
@@ -196,7 +197,7 @@ fn chest(grid: &Grid, tubes: &[Tube]) -> Vec<i16> {
 
 fn chest_grid(flips: [bool; 3]) -> Grid {
     let grid = oblique([92, 88, 150]);
-    // A flip reverses an axis and moves the first voxel to its other end: the same place, stored the other way.
+    // A flip reverses an axis and moves the first voxel to its other end: the same positions in reverse storage order.
     let mut columns = [0, 1, 2].map(|a| grid.lps_from_ijk().column(a));
     let mut origin = grid.lps_from_ijk().column(3);
     for axis in 0..3 {
@@ -250,7 +251,7 @@ fn the_trachea_is_found_however_the_grid_is_stored() {
         // The slices are tilted, so the highest spot is a part of the rounded top.
         let off = off_segment(top, tubes[0].0, tubes[0].1);
         assert!(off < 5.0, "{off}");
-        // The split is seen in slices of 1.5 mm, up to a diameter below the point where the axes meet.
+        // The division is found in slices of 1.5 mm, up to a diameter below the intersection of the axes.
         let off = length([0, 1, 2].map(|i| found.carina_lps[i] - tubes[0].1[i]));
         assert!(off < 16.0, "{off}");
         let middle = found.diameters_mm[found.diameters_mm.len() / 2];
@@ -260,7 +261,7 @@ fn the_trachea_is_found_however_the_grid_is_stored() {
 
 #[test]
 fn a_tube_that_splits_without_lungs_beside_it_is_no_trachea() {
-    // Bowel: the same tubes in a belly.
+    // The same tubes without lungs around them look like bowel in an abdomen.
     let grid = chest_grid([false; 3]);
     let tubes = airway(&grid);
     let mut values = chest(&grid, &tubes);
@@ -305,7 +306,7 @@ fn a_trachea_with_a_narrow_bronchus_or_a_collapsed_lung_is_the_same_trachea_with
     let narrow = find(&chest(&grid, &narrowed));
     assert_eq!(narrow.doubts, [Doubt::NarrowBronchus]);
     assert_eq!(narrow.voxels[0], healthy.voxels[0]);
-    // The left lung without air: +x.
+    // Replace the air of the left lung (+x) with soft tissue, as in a collapsed lung.
     let mut collapsed = chest(&grid, &whole);
     for (at, value) in collapsed.iter_mut().enumerate() {
         let x = grid.to_lps(Ijk(grid.voxel(at).map(|v| v as f64))).0[0];
@@ -323,7 +324,7 @@ fn a_main_bronchus_is_no_trachea_where_the_volume_begins_below_the_carina() {
     let grid = chest_grid([false; 3]);
     let centre = airway(&grid)[0].1;
     let at = |x: f64, y: f64, z: f64| [centre[0] + x, centre[1] + y, centre[2] + z];
-    // Each is long and splits between the lungs; the other one gives it away.
+    // Each tube is long and divides between the lungs; only the other tube beside it shows that it is no trachea.
     let side = |s: f64| {
         let fork = at(18.0 * s, 0.0, -5.0);
         [
@@ -415,7 +416,7 @@ fn the_tree_has_the_drawn_branches_and_children_begin_where_their_parent_ends() 
         for p in &branch.points {
             assert!(graph.holds(grid.to_ijk(Lps(*p)).0), "{p:?}");
         }
-        // The radius half-way is a drawn tube's, within a voxel's half diagonal.
+        // The radius in the middle is that of a drawn tube, within half a voxel's diagonal.
         let middle = branch.points[branch.points.len() / 2];
         let tube = tubes
             .iter()
@@ -424,7 +425,7 @@ fn the_tree_has_the_drawn_branches_and_children_begin_where_their_parent_ends() 
         let radius = branch.radius_mm[branch.points.len() / 2];
         let off = off_segment(middle, tube.0, tube.1);
         assert!(off < 1.5, "{off}");
-        // 0.8 mm: half a voxel along the axis.
+        // Tolerance: 0.8 mm, half a voxel along the axis.
         let free = radius + off;
         assert!((free - tube.2).abs() < 0.8, "{radius} {off} {}", tube.2);
     }
@@ -435,7 +436,7 @@ fn the_tree_has_the_drawn_branches_and_children_begin_where_their_parent_ends() 
         let tip = branch.nodes[branch.nodes.len() - 1];
         assert_eq!(of_node[tip as usize] as usize, b);
     }
-    // The tree of two targets on the right, with the airway's forks: trachea, right bronchus, two tips.
+    // The tree of two targets on the right, with the airway's bifurcations: trachea, right bronchus, two tips.
     let tips: Vec<u32> = branches
         .iter()
         .filter(|b| b.generation == 2 && b.points[0][0] < tubes[0].1[0])
@@ -446,7 +447,7 @@ fn the_tree_has_the_drawn_branches_and_children_begin_where_their_parent_ends() 
     let generations: Vec<u32> = part.iter().map(|b| b.generation).collect();
     assert_eq!(generations.iter().max(), Some(&2), "{generations:?}");
     assert_eq!(part.len(), 4, "{generations:?}");
-    // Branches of an edited tree are looked up along their centrelines: nodes that come back to where they were make no circle.
+    // The nodes of an edited tree's branches are found along their centrelines; repeated nodes must not form a cycle.
     let mut wavering = branches.clone();
     for branch in &mut wavering {
         let middle = branch.nodes.len() / 2;
@@ -479,7 +480,7 @@ fn the_nearest_lumen_voxel_is_the_nearest_of_all() {
     let graph = LumenGraph::build(view, &lumen, None).unwrap();
     let shape = grid.shape_ijk();
     for at in 0..400 {
-        // Places inside, outside, and on the corners of voxels, where several are as near.
+        // Positions inside, outside, and on the corners of voxels, where several voxels are equally near.
         let mut ijk: [f64; 3] = std::array::from_fn(|a| (1.6 * noise() - 0.3) * shape[a] as f64);
         if at % 2 == 0 {
             ijk = ijk.map(|v| v.floor() + 0.5);

@@ -1,12 +1,13 @@
-//! The anatomy of airways, from a chest CT (paper 6; docs/algorithms.md): what the least-cost paths are found for.
+//! Anatomy of airways from a chest CT (paper 6; docs/algorithms.md): from the trachea to branches and cross-sections.
 //!
-//! - [`find`]: where to begin (`trachea`), the lumen with a leak guard (`flood`), what the flood could not follow, by its shape
-//!   (`extension`), and whether the CT shows a wall round a way at all (`evidence`).
-//! - [`tree`]: branches read off the tree of least-cost paths, centred and smoothed, how wide they are, what edits ask.
-//! - [`section`]: cross-sections, with the scanner's blur taken out of their edges.
+//! - [`find`]: the start (`trachea`), the lumen with a limit on leaks (`flood`), airways beyond the end of the flood,
+//!   recognised by their shape (`extension`), and the evidence in the CT for a wall round a path (`evidence`).
+//! - [`tree`]: branches derived from the tree of least-cost paths, centred and smoothed, their widths, and queries for
+//!   edits.
+//! - [`section`]: cross-sections, with the scanner's blur removed from their edges.
 //! - [`mesh`] and [`outline`]: the lumen's surface, and its outline in a slice.
 //!
-//! Graphs, costs and trackers are `carina-leastcost`.
+//! Graphs, costs and trackers are in `carina-leastcost`.
 
 pub mod find;
 pub mod mesh;

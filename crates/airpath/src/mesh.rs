@@ -1,9 +1,10 @@
-//! The lumen's surface as a closed mesh, its vertices on the sub-voxel wall.
+//! Surface of the lumen as a closed mesh with vertices on the sub-voxel wall.
 //!
-//! Marching cubes (Lorensen and Cline 1987) over the lumen voxels, with two differences. The cases are not a printed
-//! table: each face of a cube joins the crossings of its edges by one rule that looks at that face only, so that both
-//! cubes of a face agree and the mesh has no holes; and a vertex lies where the wall's half-maximum lies between the
-//! two voxels of its grid edge, as the radii of the tree have it (docs/decisions/0117, 0111).
+//! The method is marching cubes (Lorensen and Cline 1987) over the lumen voxels, with two differences. First, the cases
+//! do not come from a printed table: in each face of a cube, one rule that uses only that face joins the crossings of
+//! its edges, so that both cubes of a face agree and the mesh has no holes. Second, a vertex is at the wall's
+//! half-maximum between the two voxels of its grid edge, which the radii of the tree also use (docs/decisions/0117,
+//! 0111).
 
 use std::collections::HashMap;
 use std::sync::OnceLock;
@@ -15,19 +16,22 @@ use crate::tree::smooth::Point;
 use carina_leastcost::lumen::WallLevels;
 use carina_leastcost::{TrackError, Watch};
 
-/// A closed mesh of triangles, seen counterclockwise from outside the lumen.
+/// Closed mesh of triangles, whose vertices are counterclockwise as seen from outside the lumen.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Mesh {
-    /// Places, LPS mm.
+    /// Positions of the vertices, LPS mm.
     pub vertices: Vec<Point>,
-    /// Three vertices each.
+    /// Three vertex indices per triangle.
     pub triangles: Vec<[u32; 3]>,
 }
 
-/// Vertices keep this far from the voxels of their edge (in edges): no triangle has an area of 0.
+/// Smallest distance of a vertex from the voxels of its grid edge, as a fraction of the edge, so that no triangle has
+/// an area of 0.
 pub(crate) const MARGIN: f64 = 0.02;
 
-/// Grid edges of a cube: lower corner and axis. Corner c is at (c & 1, c >> 1 & 1, c >> 2).
+/// Grid edges of a cube: lower corner and axis.
+///
+/// Corner c is at (c & 1, c >> 1 & 1, c >> 2).
 pub(crate) const EDGES: [(usize, usize); 12] = [
     (0, 0),
     (2, 0),
@@ -43,7 +47,7 @@ pub(crate) const EDGES: [(usize, usize); 12] = [
     (3, 2),
 ];
 
-/// The faces' corners in order, counterclockwise from outside.
+/// Corners of the faces in order, counterclockwise from outside.
 const FACES: [[usize; 4]; 6] = [
     [0, 4, 6, 2],
     [1, 3, 7, 5],
@@ -53,7 +57,7 @@ const FACES: [[usize; 4]; 6] = [
     [4, 5, 7, 6],
 ];
 
-/// Closed rings of edges that a cube's surface crosses, for one set of inside corners.
+/// Closed rings of edges that the surface crosses in a cube, for one set of inside corners.
 type Rings = Vec<Vec<usize>>;
 
 fn edge_between(a: usize, b: usize) -> usize {
@@ -66,14 +70,14 @@ fn edge_between(a: usize, b: usize) -> usize {
 
 fn rings_of(inside: u8) -> Rings {
     let holds = |corner: usize| inside >> corner & 1 == 1;
-    // Each crossed edge leaves a run of inside corners on one of its two faces and enters one on the other.
+    // On one of its two faces, each crossed edge ends a run of inside corners; on the other it begins one.
     let mut after = [usize::MAX; 12];
     for face in FACES {
         for n in 0..4 {
             if holds(face[n]) || !holds(face[(n + 1) % 4]) {
                 continue;
             }
-            // Where a face has two single inside corners they are kept apart: a rule of the face alone.
+            // A face with two single inside corners keeps them apart; the rule depends only on the face.
             let mut last = (n + 1) % 4;
             while holds(face[(last + 1) % 4]) {
                 last = (last + 1) % 4;
@@ -101,7 +105,7 @@ fn rings_of(inside: u8) -> Rings {
     rings
 }
 
-/// True if two crossings lie on one face: a chord between them might also be drawn by the cube beyond.
+/// Return true if two crossings are on one face; the neighbouring cube might draw the same chord between them.
 fn share_face(a: usize, b: usize) -> bool {
     let on = |edge: usize, face: &[usize; 4]| {
         let (corner, axis) = EDGES[edge];
@@ -110,7 +114,7 @@ fn share_face(a: usize, b: usize) -> bool {
     FACES.iter().any(|face| on(a, face) && on(b, face))
 }
 
-/// The ring turned so that a fan from its first edge draws no chord in a face, if it can be.
+/// Rotate the ring so that a fan from its first edge has no chord in a face; return `None` if that is impossible.
 fn fan(ring: &[usize]) -> Option<Vec<usize>> {
     let n = ring.len();
     (0..n)
@@ -118,13 +122,15 @@ fn fan(ring: &[usize]) -> Option<Vec<usize>> {
         .find(|turned| (2..n - 1).all(|m| !share_face(turned[0], turned[m])))
 }
 
-/// A ring of crossed edges as a fan of triangles: its first edge is the apex, or none is and the fan is about the middle.
+/// Ring of crossed edges as a fan of triangles.
+///
+/// The apex is its first edge, or, if `has_apex` is false, the centre of the ring.
 pub(crate) struct CellRing {
     pub(crate) edges: Vec<usize>,
     pub(crate) has_apex: bool,
 }
 
-/// The rings of a cell for each set of its corners that are inside.
+/// Return the rings of a cell for each set of its corners that are inside.
 pub(crate) fn cell_rings() -> &'static [Vec<CellRing>] {
     static CASES: OnceLock<Vec<Vec<CellRing>>> = OnceLock::new();
     CASES.get_or_init(|| {
@@ -148,10 +154,14 @@ pub(crate) fn cell_rings() -> &'static [Vec<CellRing>] {
     })
 }
 
-/// The surface of the voxels where `lumen` is not 0.
+/// Return the surface of the voxels where `lumen` is not 0.
 ///
-/// `levels` is `None` for a lumen that did not come from these values (an imported mask): the surface then lies half-way
-/// between voxels. At the volume's faces, where nothing is known of what lies beyond, the mesh is closed half a voxel out.
+/// `levels` is `None` for a lumen that was not found in these values (an imported mask); the surface is then half-way
+/// between voxels. At the volume's faces, beyond which no values exist, the mesh is closed half a voxel further out.
+///
+/// # Errors
+///
+/// Returns an error if `watch` stops the computation.
 pub fn lumen_mesh(
     values: VolumeView<'_, i16>,
     lumen: &[u8],
@@ -164,7 +174,7 @@ pub fn lumen_mesh(
         return Err(TrackError::NoResult("the airway lumen is empty".to_owned()));
     };
     let cases: Vec<Rings> = (0..=255u8).map(rings_of).collect();
-    // A grid whose axes form a left-handed frame turns every triangle inside out.
+    // A grid with left-handed axes turns every triangle inside out.
     let mirrored = values.grid().lps_from_ijk().determinant() < 0.0;
     let mut mesh = Mesh::default();
     let mut vertex_at: HashMap<(u64, u8), u32> = HashMap::new();
@@ -185,7 +195,7 @@ pub fn lumen_mesh(
                     let mut vertex = |edge: usize| {
                         let (corner, axis) = EDGES[edge];
                         let lower = at(corner);
-                        // One beyond the volume on each side, so the key is never negative.
+                        // The shape extends by one voxel on each side, so the key is never negative.
                         let key = (0..3).rev().fold(0u64, |key, a| {
                             key * (shape[a] as u64 + 2) + (lower[a] + 1) as u64
                         });
@@ -219,10 +229,10 @@ pub fn lumen_mesh(
     Ok(mesh)
 }
 
-/// The voxels whose centres lie inside the surface of [`lumen_mesh`]: 1 inside, 0 not.
+/// Return the voxels whose centres are inside the surface of [`lumen_mesh`]: 1 inside, 0 outside.
 ///
-/// The flood stops below the wall's half-maximum, so its last voxels are missing from the lumen; what is handed out as a mask
-/// has them.
+/// The flood stops below the wall's half-maximum, so the lumen lacks its outermost voxels. Masks for users contain
+/// them.
 pub fn lumen_mask(
     values: VolumeView<'_, i16>,
     lumen: &[u8],
@@ -237,7 +247,7 @@ pub fn lumen_mask(
     mask.par_chunks_mut(nx * ny)
         .enumerate()
         .for_each(|(k, slice)| {
-            // Only beside lumen: a row of nothing has nothing beside it.
+            // Only voxels beside the lumen can be added, so rows without lumen in or beside them are skipped.
             for (j, row) in slice.chunks_mut(nx).enumerate() {
                 if !reach.has_lumen_round(j, k) {
                     continue;
@@ -260,7 +270,10 @@ fn mean(points: impl ExactSizeIterator<Item = Point>) -> Point {
     sum.map(|v| v / count)
 }
 
-/// The lumen, with the voxels beyond its last ones whose centre lies in front of the half-maximum: the flood stops lower.
+/// Lumen extended to the half-maximum.
+///
+/// The extended lumen includes the neighbouring voxels whose centre is in front of the half-maximum, because the flood
+/// stops at a lower value.
 pub(crate) struct Reach<'a> {
     values: VolumeView<'a, i16>,
     lumen: &'a [u8],
@@ -291,14 +304,15 @@ impl<'a> Reach<'a> {
             && self.lumen[((at[2] * self.shape[1] + at[1]) * self.shape[0] + at[0]) as usize] != 0
     }
 
-    /// From a lumen voxel one step out: where the wall begins, in steps (0 to 2).
+    /// Return the distance from a lumen voxel, along a step, to the beginning of the wall, in steps (0 to 2).
     pub(crate) fn crossing(&self, from: [isize; 3], step: [isize; 3]) -> f64 {
         let Some(levels) = self.levels else {
             return 0.5;
         };
         let place = |n: isize| std::array::from_fn(|a| from[a] + n * step[a]);
         let [here, next, beyond] = [0, 1, 2].map(|n| f64::from(self.values.at_clamped(place(n))));
-        // Of the air and the wall all round: along a line that grazes the wall three voxels do not reach its top.
+        // Levels of air and wall come from all neighbours, because three voxels along a line that grazes the wall do
+        // not reach its maximum.
         let (air, _) = self.range_round(from);
         let (_, wall) = self.range_round(place(1));
         let Some(level) = levels.edge_level(air, wall) else {
@@ -311,12 +325,12 @@ impl<'a> Reach<'a> {
         } else if level <= beyond {
             1.0 + (level - next) / (beyond - next)
         } else {
-            // No wall to be seen: the lumen was ended here for another reason (a closed breach).
+            // No wall is visible: the lumen was ended here for another reason (a closed breach).
             0.5
         }
     }
 
-    /// Least and greatest value within one voxel.
+    /// Return the smallest and the largest value within one voxel.
     fn range_round(&self, at: [isize; 3]) -> (f64, f64) {
         let (mut low, mut high) = (i16::MAX, i16::MIN);
         for cell in 0..27isize {
@@ -329,7 +343,7 @@ impl<'a> Reach<'a> {
         (f64::from(low), f64::from(high))
     }
 
-    /// Whether a row of voxels or one of the four beside it has any lumen.
+    /// Return whether a row of voxels or one of the four rows beside it contains lumen.
     fn has_lumen_round(&self, j: usize, k: usize) -> bool {
         let [nx, ny, nz] = self.shape;
         [[0, 0], [-1, 0], [1, 0], [0, -1], [0, 1]]
@@ -356,7 +370,7 @@ impl<'a> Reach<'a> {
             })
     }
 
-    /// First and last voxel that may be inside, on each axis.
+    /// Return the first and the last voxel that may be inside, on each axis.
     fn extent(&self) -> Option<([isize; 3], [isize; 3])> {
         let (mut low, mut high) = (self.shape, [-1isize; 3]);
         for (row, cells) in self.lumen.chunks(self.shape[0] as usize).enumerate() {
@@ -376,7 +390,9 @@ impl<'a> Reach<'a> {
         })
     }
 
-    /// Where the surface crosses the grid edge from a voxel along an axis; exactly one of its ends is inside.
+    /// Return the point where the surface crosses the grid edge from a voxel along an axis.
+    ///
+    /// Exactly one of its ends must be inside.
     fn crossing_lps(&self, lower: [isize; 3], axis: usize) -> Point {
         let mut upper = lower;
         upper[axis] += 1;
@@ -392,7 +408,8 @@ impl<'a> Reach<'a> {
         } else if self.in_lumen(from) {
             self.crossing(from, step)
         } else {
-            // Inside only by reach: seen from the lumen voxel behind it, if that is on this line.
+            // The voxel is inside only by extension: use the crossing as seen from the lumen voxel behind it, if that
+            // voxel is on this line.
             let behind = std::array::from_fn(|a| from[a] - step[a]);
             if self.in_lumen(behind) {
                 self.crossing(behind, step) - 1.0
@@ -447,7 +464,7 @@ mod tests {
         Grid::new(shape_zyx, Affine::from_matrix("test", &rows).unwrap()).unwrap()
     }
 
-    /// Every edge once in each direction.
+    /// Return true if the mesh has every edge once in each direction.
     fn is_closed(mesh: &Mesh) -> bool {
         let mut edges: HashMap<(u32, u32), usize> = HashMap::new();
         for t in &mesh.triangles {
@@ -485,7 +502,7 @@ mod tests {
                     .map(|a| ((at[a] as f64 - [14.6, 13.7, 11.4][a]) * spacing[a]).powi(2))
                     .sum::<f64>()
                     .sqrt();
-                // A wall as a scanner blurs it: half-way up at the radius.
+                // A wall blurred as by a scanner, with the half-maximum at the radius.
                 let up = ((from_middle - radius) / 1.6 + 0.5).clamp(0.0, 1.0);
                 *value = (-1000.0 + 1040.0 * up) as i16;
             }
@@ -493,7 +510,8 @@ mod tests {
             let view = VolumeView::new(&values, &grid).unwrap();
             let mesh = lumen_mesh(view, &lumen, Some(LEVELS), &Unwatched).unwrap();
             assert!(is_closed(&mesh));
-            // The wall level of -500 HU lies a little inside of half-way; chords of a ball are a little shorter still.
+            // The wall level of -500 HU is slightly inside the half-maximum, and the chords of a ball are slightly
+            // shorter still.
             let truth = 4.0 / 3.0 * PI * f64::powi(radius - 1.6 * (0.5 - 500.0 / 1040.0), 3);
             let share = volume_mm3(&mesh) / truth;
             assert!((share - 1.0).abs() < 0.02, "volume is {share} of the truth");

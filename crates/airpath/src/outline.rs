@@ -1,13 +1,13 @@
-//! The lumen's outline in a plane: closed lines on the sub-voxel wall, never farther than half a voxel from the mask.
+//! Outline of the lumen in a plane: closed lines on the sub-voxel wall, never farther than half a voxel from the mask.
 //!
-//! The plane is cut through the triangles of the lumen's surface (as in `mesh`), so a line is as exact in an oblique,
-//! zoomed picture as in an axial one, and does not depend on the picture's pixels. The surface differs from that of
-//! `mesh` in one point: a vertex never leaves the grid edge between the last lumen voxel and the first that is none.
-//! `mesh` may go one voxel further out, to where the wall begins; here a person judges the mask itself, and a voxel that
-//! was painted or erased must be seen to be.
+//! The plane cuts the triangles of the lumen's surface (see `mesh`), so lines are equally accurate in an oblique,
+//! zoomed picture and in an axial one, and do not depend on the picture's pixels. The surface differs from that of
+//! `mesh` in one point: a vertex never leaves the grid edge between the last lumen voxel and the first voxel outside.
+//! `mesh` may extend one voxel further, to the beginning of the wall; the outline is for checking the mask itself, so a
+//! voxel that was painted or erased must be visible.
 //!
-//! Triangles are made brick by brick, when a plane first passes there, and kept: nothing is built after an edit but a
-//! list of the bricks that hold lumen.
+//! The triangles of a brick are computed when a plane first crosses it, and are cached. After an edit, only the list of
+//! the bricks that contain lumen is computed again.
 
 use std::sync::OnceLock;
 
@@ -17,40 +17,47 @@ use rayon::prelude::*;
 use crate::mesh::{CellRing, EDGES, MARGIN, Reach, cell_rings};
 use carina_leastcost::lumen::WallLevels;
 
-/// Cells along each side of a brick. With 8, three quarters of the triangles that are looked at lie off the plane; with 2
-/// there are too many bricks.
+/// Number of cells along each side of a brick.
+///
+/// With 8, three quarters of the tested triangles are not in the plane; with 2 there are too many bricks.
 const BRICK: usize = 4;
 const SIDE: usize = BRICK + 1;
-/// Picture points nearer to one another than this are one, in pixels: a line moves by half of it at most.
+/// Distance in pixels below which neighbouring points of a line are merged.
+///
+/// The line moves by at most half of that distance.
 const APART_PX: f64 = 0.25;
-/// More pieces than any airways have in a plane: noise that was taken for a lumen.
+/// Limit of the number of pieces.
+///
+/// A plane through any airways has fewer; more indicate that noise was taken for lumen.
 const MAX_PIECES: usize = 200_000;
-/// Parts of a pixel in an encoded outline.
+/// Number of steps per pixel of the coordinates in an encoded outline.
 pub const PARTS_PER_PX: f64 = 16.0;
 
-/// A point of the picture: column and row, in corner coordinates.
+/// Point of the picture: column and row, in corner coordinates.
 pub type PicturePoint = [f64; 2];
 
-/// The surface of a lumen, to be cut by planes. Of one mask: another mask needs another surface.
+/// Surface of a lumen that planes can cut.
+///
+/// The surface belongs to one mask; another mask needs another surface.
 #[derive(Debug)]
 pub struct LumenSurface {
-    /// Voxels, i j k.
+    /// Number of voxels along i, j, k.
     shape: [usize; 3],
-    /// Low corners of the bricks that hold lumen, in voxels; each brick has cells from there on.
+    /// Low corners, in voxels, of the bricks that contain lumen; the cells of a brick begin at its corner.
     corners: Vec<[i32; 3]>,
     bricks: Vec<OnceLock<Brick>>,
 }
 
 #[derive(Debug, Default)]
 struct Brick {
-    /// Voxel coordinates.
+    /// Positions in voxel coordinates.
     vertices: Vec<[f32; 3]>,
-    /// One number for each place of the grid that a vertex can have: the same in the brick beside.
+    /// Unique number of each vertex position on the grid; a neighbouring brick uses the same number.
     keys: Vec<u64>,
     triangles: Vec<[u16; 3]>,
 }
 
-/// One triangle's part of the outline: from one crossed edge to another, edges named by their ends.
+/// Part of the outline in one triangle: from one crossed edge to another; edges are identified by their ends.
 struct Piece {
     from: u128,
     to: u128,
@@ -58,16 +65,18 @@ struct Piece {
     end: PicturePoint,
 }
 
-/// The outline has more pieces than a picture can show.
+/// Error: the outline has more pieces than a picture can show.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct TooRagged;
 
 impl LumenSurface {
-    /// Finds where the lumen is. `lumen` is `[z, y, x]`, not 0 inside; `shape` is (i, j, k).
+    /// Find the bricks that contain lumen.
+    ///
+    /// `lumen` is `[z, y, x]`, not 0 inside; `shape` is (i, j, k).
     #[must_use]
     pub fn new(lumen: &[u8], shape: [usize; 3]) -> Self {
         let [nx, ny, _] = shape;
-        // Cells begin one voxel before the volume: a brick's low corner is at 8 b - 1.
+        // Cells begin one voxel before the volume: brick b begins at voxel `BRICK * b - 1`.
         let counts = shape.map(|n| n / BRICK + 1);
         let slices: Vec<Vec<bool>> = lumen
             .par_chunks(nx * ny)
@@ -108,9 +117,16 @@ impl LumenSurface {
         }
     }
 
-    /// Cuts the surface with a picture's plane, in picture coordinates; closed lines end where they begin.
+    /// Cut the surface with a picture's plane; return lines in picture coordinates.
     ///
-    /// `pixel_from_ijk` gives column, row and the distance from the plane. `values` and `lumen` are those of the surface.
+    /// The last point of a closed line equals its first.
+    ///
+    /// `pixel_from_ijk` gives column, row and the distance from the plane. `values` and `lumen` must be those of the
+    /// surface.
+    ///
+    /// # Errors
+    ///
+    /// Returns [`TooRagged`] if the outline has too many pieces.
     pub fn cut(
         &self,
         values: VolumeView<'_, i16>,
@@ -131,7 +147,7 @@ impl LumenSurface {
                 let r = &rows[n];
                 r[0] * middle[0] + r[1] * middle[1] + r[2] * middle[2] + r[3]
             };
-            // Nearly all bricks lie off the plane: nothing else is asked of them.
+            // Nearly all bricks are off the plane; this test rejects them first.
             if along(2).abs() > spread[2] {
                 continue;
             }
@@ -189,7 +205,8 @@ impl Brick {
                         std::array::from_fn(|a| sum[a] + brick.vertices[usize::from(*v)][a])
                     });
                     let lower = std::array::from_fn(|a| low[a] + at[a] as isize);
-                    // Two rings of one cell never both need a middle: that takes more than half its edges.
+                    // Two rings of one cell never both need a centre, because such a ring has more than half of the
+                    // cell's edges.
                     brick.keys.push(key_of(lower, 3, shape));
                     brick.vertices.push(middle.map(|v| v / count));
                     ring.push(ring[0]);
@@ -217,7 +234,8 @@ impl Brick {
         depths.clear();
         depths.extend(self.vertices.iter().map(|v| along(&rows[2], v)));
         for triangle in &self.triangles {
-            // A vertex in the plane counts as behind it, in every triangle alike: lines have no gaps and no doubles.
+            // A vertex in the plane counts as behind it in all triangles, so that lines have no gaps and no duplicate
+            // parts.
             let behind = triangle.map(|v| depths[usize::from(v)] >= 0.0);
             if behind[0] == behind[1] && behind[1] == behind[2] {
                 continue;
@@ -227,7 +245,8 @@ impl Brick {
                     .find(|&n| behind[n] == leaves && behind[(n + 1) % 3] != leaves)
                     .unwrap_or(0);
                 let (a, b) = (usize::from(triangle[n]), usize::from(triangle[(n + 1) % 3]));
-                // From the same end in both triangles of the edge: the same place to the last bit.
+                // Both triangles of the edge interpolate from the same end, so that the result is equal to the last
+                // bit.
                 let (a, b) = if self.keys[a] < self.keys[b] {
                     (a, b)
                 } else {
@@ -261,14 +280,14 @@ impl Brick {
 }
 
 fn key_of(lower: [isize; 3], what: u64, shape: [usize; 3]) -> u64 {
-    // One beyond the volume on each side, so it is never negative.
+    // The shape extends by one voxel on each side, so the number is never negative.
     let place = (0..3).rev().fold(0u64, |key, a| {
         key * (shape[a] as u64 + 2) + (lower[a] + 1) as u64
     });
     4 * place + what
 }
 
-/// Where the surface crosses a grid edge of which one end is lumen.
+/// Return the point where the surface crosses a grid edge with one end in the lumen.
 fn crossing(reach: &Reach<'_>, lower: [isize; 3], axis: usize, from_lower: bool) -> [f32; 3] {
     let mut upper = lower;
     upper[axis] += 1;
@@ -286,7 +305,7 @@ fn crossing(reach: &Reach<'_>, lower: [isize; 3], axis: usize, from_lower: bool)
     std::array::from_fn(|a| (from[a] as f64 + share * step[a] as f64) as f32)
 }
 
-/// Pieces put together to lines, where the end of one is the beginning of the next.
+/// Join pieces to lines: the end of one piece is the beginning of the next.
 fn joined(pieces: &[Piece]) -> Vec<Vec<PicturePoint>> {
     let at = Places::of(pieces);
     let next: Vec<Option<usize>> = pieces.iter().map(|p| at.get(pieces, p.to)).collect();
@@ -296,7 +315,7 @@ fn joined(pieces: &[Piece]) -> Vec<Vec<PicturePoint>> {
     }
     let mut done = vec![false; pieces.len()];
     let mut lines = Vec::new();
-    // Lines that leave the picture first; what is left are rings.
+    // Lines that leave the picture come first; the rest are rings.
     let begins = (0..pieces.len()).filter(|n| !follows[*n]);
     for first in begins.chain(0..pieces.len()) {
         if done[first] {
@@ -314,7 +333,7 @@ fn joined(pieces: &[Piece]) -> Vec<Vec<PicturePoint>> {
     lines
 }
 
-/// Where each edge's piece is: a table of twice as many places as there are pieces, looked through from a key's own on.
+/// Hash table from each edge to its piece, with twice as many slots as pieces and linear probing from a key's own slot.
 struct Places(Vec<u32>);
 
 impl Places {
@@ -346,7 +365,7 @@ impl Places {
         None
     }
 
-    /// Keys are numbers of places: a multiplication spreads them well enough.
+    /// Keys are numbers of positions, so a multiplication distributes them well enough.
     fn hash(key: u128) -> usize {
         let (high, low) = ((key >> 64) as u64, key as u64);
         let mixed = (high.rotate_left(29) ^ low).wrapping_mul(0x9e37_79b9_7f4a_7c15);
@@ -354,8 +373,11 @@ impl Places {
     }
 }
 
-/// Lines as bytes: for each the number of its points and then column and row of each, all u16 little-endian, columns and
-/// rows in sixteenths of a pixel. Cut off at the picture's edges; points that the eye cannot tell apart become one.
+/// Encode lines as bytes.
+///
+/// Each line is the number of its points and then column and row of each point, all u16 little-endian, columns and rows
+/// in sixteenths of a pixel. Lines are clipped to the picture, and points that are too near to be distinguished are
+/// merged.
 #[must_use]
 pub fn encoded(lines: &[Vec<PicturePoint>], (width, height): (usize, usize)) -> Vec<u8> {
     let size = [width as f64, height as f64];
@@ -374,7 +396,7 @@ pub fn encoded(lines: &[Vec<PicturePoint>], (width, height): (usize, usize)) -> 
     bytes
 }
 
-/// The runs of a line that lie in a picture.
+/// Return the parts of a line that are in a picture.
 fn clipped(line: &[PicturePoint], size: [f64; 2]) -> Vec<Vec<PicturePoint>> {
     let holds = |p: &PicturePoint| (0..2).all(|a| (0.0..=size[a]).contains(&p[a]));
     if line.iter().all(holds) {
@@ -411,7 +433,9 @@ fn clipped(line: &[PicturePoint], size: [f64; 2]) -> Vec<Vec<PicturePoint>> {
     runs
 }
 
-/// A line without the points that lie too near to the one before; its ends, and enough of a small ring to be one, stay.
+/// Remove the points of a line that are too near to the previous one.
+///
+/// The ends stay, and a small ring keeps at least two points.
 fn thinned(line: &[PicturePoint]) -> Vec<PicturePoint> {
     let far = |a: &PicturePoint, b: &PicturePoint| {
         (a[0] - b[0]).abs().max((a[1] - b[1]).abs()) >= APART_PX
@@ -428,7 +452,7 @@ fn thinned(line: &[PicturePoint]) -> Vec<PicturePoint> {
     if kept.len() < 2 {
         kept.push(*end);
     } else if let Some(last) = kept.last_mut() {
-        // What was kept last is the end, or too near to it to be seen.
+        // The last remaining point is the end itself, or too near to the end to be distinguished.
         *last = *end;
     }
     kept

@@ -1,4 +1,4 @@
-//! Bindings of `carina-airpath`.
+//! Python bindings of `carina-airpath`.
 #![allow(
     clippy::needless_pass_by_value,
     reason = "pyo3 hands arguments over by value"
@@ -61,7 +61,7 @@ const fn doubt_name(doubt: Doubt) -> &'static str {
     }
 }
 
-/// Find the trachea; a dict of `voxels_ijk`, `diameters_mm`, `length_mm`, `carina_lps`, `doubts`.
+/// Find the trachea; return a dict of `voxels_ijk`, `diameters_mm`, `length_mm`, `carina_lps`, `doubts`.
 #[pyfunction]
 #[pyo3(signature = (values_zyx, lps_from_ijk, *, air, tissue, lung, cancel=None))]
 fn find_trachea_voxels<'py>(
@@ -91,7 +91,7 @@ fn find_trachea_voxels<'py>(
     Ok(dict)
 }
 
-/// Flood the airway from seed voxels; the lumen (1 or 0) and a dict of what was limited.
+/// Flood the airway from seed voxels; return the lumen (1 or 0) and a dict that describes the limits that were applied.
 #[pyfunction]
 #[pyo3(signature = (values_zyx, lps_from_ijk, seeds_ijk, *, first_level, core_level, last_level, leak_mm3, small_leak_mm3, closed_radius_mm, min_contrast, cancel=None, progress=None))]
 fn flood_lumen<'py>(
@@ -153,7 +153,7 @@ fn flood_lumen<'py>(
 
 type PointsAndNodes<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<u32>>);
 
-/// The lumen's graph and the least-cost tree that grows from one root.
+/// Graph of the lumen's voxels and the tree of least-cost paths from one root.
 #[pyclass(frozen, module = "carina._core")]
 pub(crate) struct LumenTracker {
     pub(crate) grid: Grid,
@@ -236,13 +236,13 @@ impl LumenTracker {
         self.read(py, Tracker::root)
     }
 
-    /// The lumen node nearest to a point, and its distance in mm; None beyond `reach_mm`.
+    /// Return the lumen node nearest to a point and its distance in mm; None if no node is within `reach_mm`.
     fn nearest(&self, py: Python<'_>, point_lps: [f64; 3], reach_mm: f64) -> Option<(u32, f64)> {
         let ijk = self.grid.to_ijk(Lps(point_lps)).0;
         py.detach(|| self.graph.nearest_node(&self.grid, ijk, reach_mm))
     }
 
-    /// Settle what is needed for a node; True if a path exists.
+    /// Settle nodes until the given node is settled; return True if a path exists.
     #[pyo3(signature = (node, *, cancel=None, progress=None))]
     fn solve_to(
         &self,
@@ -260,7 +260,7 @@ impl LumenTracker {
         .map_err(|e| watch.error(e))
     }
 
-    /// Settle everything that a path can reach.
+    /// Settle all nodes that a path can reach.
     #[pyo3(signature = (*, cancel=None, progress=None))]
     fn solve_all(
         &self,
@@ -276,13 +276,13 @@ impl LumenTracker {
         .map_err(|e| watch.error(e))
     }
 
-    /// Least cost of a settled node, or None.
+    /// Return the least cost of a settled node; None for a node that is not settled.
     fn cost(&self, py: Python<'_>, node: u32) -> PyResult<Option<f64>> {
         self.check(node)?;
         Ok(self.read(py, |t| t.cost(node)))
     }
 
-    /// Voxel centres (n, 3) LPS from the root to a settled node, and the nodes.
+    /// Return the voxel centres (n, 3) LPS from the root to a settled node, and their nodes.
     fn path<'py>(&self, py: Python<'py>, node: u32) -> PyResult<Option<PointsAndNodes<'py>>> {
         self.check(node)?;
         Ok(self.read(py, |t| t.path_to(node)).map(|nodes| {
@@ -291,7 +291,7 @@ impl LumenTracker {
         }))
     }
 
-    /// Smooth (n, 3) LPS points; every result lies in a lumen voxel where every input does.
+    /// Smooth (n, 3) LPS points; every result is in a lumen voxel if every input point is.
     #[pyo3(signature = (points_lps, *, step_mm, keep_end))]
     fn smooth<'py>(
         &self,
@@ -306,7 +306,7 @@ impl LumenTracker {
         points_array(py, &curve)
     }
 
-    /// Distance to the wall at (n, 3) LPS points, mm; 0 outside the lumen.
+    /// Return the distance to the wall at (n, 3) LPS points in mm; 0 outside the lumen.
     fn radius_mm<'py>(
         &self,
         py: Python<'py>,
@@ -316,8 +316,11 @@ impl LumenTracker {
         radius.into_pyarray(py)
     }
 
-    /// The radii of the circles with the area of the lumen across the wanted branches; None for the others. All branches
-    /// are given: (n, 3) LPS points of each, and the place of its parent in the list.
+    /// Return, for each wanted branch, the radii of circles with the same area as the lumen's cross-sections.
+    ///
+    /// The result is None for other branches.
+    ///
+    /// All branches are passed: (n, 3) LPS points of each branch, and the index of its parent in the list.
     fn section_radii<'py>(
         &self,
         py: Python<'py>,
@@ -355,7 +358,7 @@ impl LumenTracker {
             .collect())
     }
 
-    /// For (n, 3) LPS points, whether the voxel that holds each is lumen.
+    /// Return, for (n, 3) LPS points, whether the voxel that contains each point is lumen.
     fn inside<'py>(
         &self,
         py: Python<'py>,
@@ -365,7 +368,7 @@ impl LumenTracker {
         inside.into_pyarray(py)
     }
 
-    /// The automatic tree of all that is settled: a list of dicts, parents first.
+    /// Return the automatic tree of all settled nodes: a list of dicts, parents first.
     #[pyo3(signature = (*, cancel=None, progress=None))]
     fn branches<'py>(
         &self,
@@ -383,7 +386,9 @@ impl LumenTracker {
         self.branch_list(py, &branches)
     }
 
-    /// The part of the automatic tree (`branch_nodes` of all its branches) that leads to settled nodes.
+    /// Return the part of the automatic tree that leads to the given settled nodes.
+    ///
+    /// `branch_nodes` lists the nodes of all its branches.
     fn branches_to<'py>(
         &self,
         py: Python<'py>,
@@ -409,7 +414,9 @@ impl LumenTracker {
         self.branch_list(py, &branches)
     }
 
-    /// For each lumen node the branch in whose tube it lies (-1 where none is connected to it).
+    /// Return, for each lumen node, the index of the branch whose tube contains the node.
+    ///
+    /// The result is -1 if the node is connected to no branch.
     fn branch_of_nodes<'py>(
         &self,
         py: Python<'py>,
@@ -435,7 +442,7 @@ impl LumenTracker {
 }
 
 impl LumenTracker {
-    /// The tracker of another graph, solved, in the same grid and with the same wall levels.
+    /// Build the tracker of another, solved graph with the same grid and wall levels.
     pub(crate) fn with(&self, graph: Arc<LumenGraph>, solved: Tracker) -> Self {
         Self {
             grid: self.grid.clone(),
@@ -446,12 +453,15 @@ impl LumenTracker {
     }
 
     pub(crate) fn lock(&self) -> std::sync::MutexGuard<'_, Tracker> {
-        // A stop leaves the tracker whole (it stops between nodes); a panic inside is a bug reported elsewhere.
+        // A stopped search leaves the tracker consistent, because it stops between nodes. A panic is reported elsewhere
+        // as a bug, so a poisoned lock is usable.
         self.tracker.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Reads the tracker. The interpreter is left before waiting for the lock: whoever holds the lock may wait for the
-    /// interpreter, to ask `cancel()`.
+    /// Read the tracker.
+    ///
+    /// The GIL is released before the lock is taken, because the thread that holds the lock may wait for the GIL to
+    /// call `cancel()`.
     pub(crate) fn read<T: Send>(
         &self,
         py: Python<'_>,

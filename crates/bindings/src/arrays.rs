@@ -1,4 +1,4 @@
-//! The gate every long call passes: check layout and shape, borrow without copying, then leave the GIL.
+//! Conversion of `NumPy` arrays: check layout and shape, and borrow the values without a copy.
 #![allow(dead_code, reason = "used as the parts' bindings land")]
 
 use carina_grid::{Affine, Grid, GridError};
@@ -9,7 +9,7 @@ use pyo3::prelude::*;
 
 use crate::errors::IntoPy;
 
-/// A 4x4 matrix as an affine map.
+/// Convert a 4x4 matrix to an affine map.
 pub(crate) fn affine(what: &'static str, matrix: &PyReadonlyArray2<'_, f64>) -> PyResult<Affine> {
     let shape = matrix.shape();
     if shape != [4, 4] {
@@ -24,7 +24,7 @@ pub(crate) fn affine(what: &'static str, matrix: &PyReadonlyArray2<'_, f64>) -> 
     Affine::from_matrix(what, &rows).map_err(IntoPy::into_py)
 }
 
-/// The grid of a `[z, y, x]` array placed by `lps_from_ijk`.
+/// Return the grid of a `[z, y, x]` array with the transform `lps_from_ijk`.
 pub(crate) fn grid<T: Element>(
     array: &PyReadonlyArray3<'_, T>,
     lps_from_ijk: &PyReadonlyArray2<'_, f64>,
@@ -37,7 +37,7 @@ pub(crate) fn grid<T: Element>(
     .map_err(IntoPy::into_py)
 }
 
-/// The array's values without a copy; refused unless C-contiguous.
+/// Borrow the array's values without a copy; an array that is not C-contiguous is an error.
 pub(crate) fn values<'a, T: Element>(
     name: &str,
     array: &'a PyReadonlyArray3<'_, T>,
@@ -52,7 +52,7 @@ pub(crate) fn values<'a, T: Element>(
         .map_err(|e| pyo3::exceptions::PyValueError::new_err(format!("{name}: {e}")))
 }
 
-/// A `[z, y, x]` array from its values.
+/// Create a `[z, y, x]` array from its values.
 pub(crate) fn volume_array<T: numpy::Element>(
     py: Python<'_>,
     data: Vec<T>,

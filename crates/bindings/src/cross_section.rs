@@ -1,4 +1,4 @@
-//! Cross-sections of airways: cast their rays once, then turn them into figures with one blur or another.
+//! Python bindings of the cross-sections of airways: cast the rays once, then measure with one or several blurs.
 #![allow(
     clippy::needless_pass_by_value,
     reason = "pyo3 hands arguments over by value"
@@ -20,7 +20,7 @@ use crate::arrays;
 use crate::errors::IntoPy;
 use crate::watch::PyWatch;
 
-/// Rays of many planes and the edges they met.
+/// Rays cast in many planes, and the edges found on them.
 #[pyclass(frozen, module = "carina._core")]
 struct SectionCasts {
     grid: Grid,
@@ -28,7 +28,7 @@ struct SectionCasts {
     casts: Vec<Cast>,
 }
 
-/// Cast the rays of planes across airways; 64 rays each.
+/// Cast 64 rays in each of the planes across airways.
 #[pyfunction]
 #[pyo3(signature = (values_zyx, lps_from_ijk, centres_lps, normals_lps, radius_mm, *, min_contrast, brightest_wall, wall_rise, noise, cancel=None, progress=None))]
 fn cast_sections(
@@ -81,7 +81,7 @@ fn cast_sections(
 
 fn plane(centre: Point, normal: Point, radius_mm: f64) -> PyResult<Plane> {
     let normal_found = unit(normal).filter(|_| centre.iter().all(|v| v.is_finite()));
-    // 60 mm: wider than any airway; the rays' length follows from it.
+    // The limit of 60 mm is wider than any airway; it bounds the length of the rays.
     match normal_found {
         Some(normal) if (0.0..=60.0).contains(&radius_mm) => Ok(Plane {
             centre,
@@ -111,13 +111,15 @@ impl SectionCasts {
         self.casts.len()
     }
 
-    /// The scan's blur within and across slices, mm; None where too few rays met thick tissue.
+    /// Return the scan's blur within and across slices in mm; None if too few rays met thick tissue.
     fn blur(&self, py: Python<'_>) -> Option<(f64, f64)> {
         py.detach(|| Blur::of_casts(&self.grid, &self.casts))
             .map(|b| (b.in_plane_mm, b.across_mm))
     }
 
-    /// Figures of all planes: a dict of arrays. Without a blur the edges are the half-maximum ones.
+    /// Measure all planes; return a dict of arrays.
+    ///
+    /// Without a blur, edges are at half maximum.
     fn measure<'py>(
         &self,
         py: Python<'py>,
@@ -171,7 +173,7 @@ impl SectionCasts {
     }
 }
 
-/// The two unit vectors that span the plane across a direction: the rays' 0 and 90 degrees.
+/// Return the two unit vectors that span the plane across a direction: the directions of the rays at 0 and 90 degrees.
 #[pyfunction]
 fn section_axes(normal_lps: [f64; 3]) -> PyResult<([f64; 3], [f64; 3])> {
     Ok(plane_axes(plane([0.0; 3], normal_lps, 0.0)?.normal))

@@ -1,15 +1,15 @@
-//! Rust errors become the classes of `carina.errors`, with their stable code.
+//! Mapping of Rust errors to the classes of `carina.errors`, with their stable codes.
 #![allow(dead_code, reason = "used as the parts' bindings land")]
 
 use pyo3::prelude::*;
 
-/// Maps one crate's error enum.
+/// Mapping of one crate's error enum to Python exceptions.
 pub(crate) trait IntoPy {
-    /// As a Python exception.
+    /// Convert the error to a Python exception.
     fn into_py(self) -> PyErr;
 }
 
-/// An exception of class `carina.errors.<class>` with `code`.
+/// Create an exception of class `carina.errors.<class>` with `code`.
 pub(crate) fn carina_error(class: &str, code: &str, message: &str) -> PyErr {
     Python::attach(|py| {
         let build = || -> PyResult<PyErr> {

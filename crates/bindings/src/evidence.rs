@@ -1,4 +1,4 @@
-//! Binding of `carina-airpath`'s enclosures: what evidence of airways a volume shows.
+//! Python binding of the evidence of airways in a volume (`carina-airpath`'s `Core`).
 #![allow(
     clippy::needless_pass_by_value,
     reason = "pyo3 hands arguments over by value"
@@ -18,7 +18,7 @@ use crate::errors::IntoPy;
 use crate::points::{points, voxels};
 use crate::watch::PyWatch;
 
-/// A volume without its finest noise, and how enclosed its voxels are.
+/// Volume without its finest noise, and measures of how much brighter voxels enclose each voxel.
 #[pyclass(frozen, module = "carina._core")]
 pub(crate) struct Enclosures {
     core: Core,
@@ -44,7 +44,7 @@ impl Enclosures {
         format!("Enclosures(shape_ijk={:?})", self.core.grid().shape_ijk())
     }
 
-    /// (n,) how far the values rise on all but a fifth of the rays from each voxel.
+    /// Return (n,) the rise of the values on all but a fifth of the rays from each voxel.
     fn at<'py>(
         &self,
         py: Python<'py>,
@@ -60,7 +60,9 @@ impl Enclosures {
         Ok(found.into_pyarray(py))
     }
 
-    /// (n,) trilinear values without the finest noise at (n, 3) points, edge-clamped.
+    /// Return (n,) trilinear values without the finest noise at (n, 3) points.
+    ///
+    /// Outside the volume the nearest edge value is used.
     fn values_at<'py>(
         &self,
         py: Python<'py>,
@@ -76,7 +78,9 @@ impl Enclosures {
         Ok(found.into_pyarray(py))
     }
 
-    /// For each (n, 3) voxel the way with most wall to anywhere `away_mm` from it: (m, 3) voxels, or None.
+    /// Find, for each of (n, 3) voxels, the path with the most wall round it to any voxel `away_mm` away.
+    ///
+    /// Each path is (m, 3) voxels, or None.
     #[pyo3(signature = (starts_ijk, *, away_mm, enclosed, dark, bright, closed))]
     fn runs<'py>(
         &self,
@@ -108,7 +112,8 @@ impl Enclosures {
             .collect())
     }
 
-    /// (n, 3) voxels of the way with most wall from a lumen that a path reaches to a voxel outside; None if there is none.
+    /// Find the path with the most wall round it from a lumen that a path reaches to a voxel outside: (n, 3) voxels, or
+    /// None.
     #[pyo3(signature = (tracker, start_ijk, toward_ijk, *, enclosed, dark, bright, closed, cancel=None))]
     fn way<'py>(
         &self,

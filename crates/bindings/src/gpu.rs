@@ -1,4 +1,4 @@
-//! Bindings of `carina-gpu`.
+//! Python bindings of `carina-gpu`.
 #![allow(
     clippy::needless_pass_by_value,
     reason = "Python hands its arguments over by value"
@@ -30,7 +30,7 @@ impl IntoPy for GpuError {
     }
 }
 
-/// Runs work on the device; a panic in a driver's wrapper is an error like any other, since the CPU can take over.
+/// Run work on the device; return a panic in a driver's wrapper as an error, so that the CPU can take over.
 fn guarded<T>(work: impl FnOnce() -> Result<T, GpuError>) -> Result<T, GpuError> {
     catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
         let said = |panic: &dyn Any| {
@@ -46,7 +46,9 @@ fn guarded<T>(work: impl FnOnce() -> Result<T, GpuError>) -> Result<T, GpuError>
     })
 }
 
-/// Name, interface, driver and kind of each adapter, the likely fastest first; None in a build without GPU support.
+/// Return name, interface, driver and kind of each adapter, the likely fastest first.
+///
+/// The result is None in a build without GPU support.
 #[pyfunction]
 #[allow(
     clippy::unnecessary_wraps,
@@ -64,7 +66,7 @@ fn gpu_adapters(py: Python<'_>) -> Option<Vec<(String, String, String, &'static 
     )
 }
 
-/// An opened graphics device.
+/// Opened graphics device.
 #[pyclass(frozen, module = "carina._core")]
 struct Gpu {
     inner: Arc<carina_gpu::Gpu>,
@@ -82,7 +84,7 @@ impl Gpu {
         })
     }
 
-    /// Copies a volume to the device, and its radius map where there is one.
+    /// Copy a volume to the device, and its radius map if there is one.
     #[pyo3(signature = (hu_zyx, radius_zyx=None))]
     fn upload<'py>(
         &self,
@@ -104,7 +106,7 @@ impl Gpu {
         bare.with_map(py, radius_zyx)
     }
 
-    /// Gives the device up, for tests of the way back to the CPU.
+    /// Make the device lost, for tests of the fallback to the CPU.
     fn lose(&self) {
         self.inner.lose();
     }
@@ -115,19 +117,21 @@ impl Gpu {
     }
 }
 
-/// A volume on a graphics device, with the radius map that leaps need or without.
+/// Volume on a graphics device, with or without the radius map that leaps need.
 #[pyclass(frozen, module = "carina._core")]
 pub(crate) struct GpuScene {
     gpu: Arc<carina_gpu::Gpu>,
     volume: Arc<GpuVolume>,
     map: Option<Arc<GpuMap>>,
-    /// The array that was copied: kept, so that no other array can have its place in memory.
+    /// Array that was copied to the device.
+    ///
+    /// The reference prevents another array from getting the same address in memory.
     values: Py<PyArray3<i16>>,
 }
 
 #[pymethods]
 impl GpuScene {
-    /// The same volume with another radius map, or without one; the volume is not copied again.
+    /// Return the same volume with another radius map, or without one; the volume is not copied again.
     #[pyo3(signature = (radius_zyx=None))]
     fn with_map<'py>(
         &self,
@@ -158,8 +162,9 @@ impl GpuScene {
 }
 
 impl GpuScene {
-    /// Casts rows of a picture of `hu_zyx`, which must be the very array that was copied to the device. What is lit after
-    /// casting is lit on the CPU; `method` and `simd` are for that.
+    /// Cast rows of a picture of `hu_zyx`, which must be the same array that was copied to the device.
+    ///
+    /// Walls that are shaded after the cast are shaded on the CPU, with `method` and `simd`.
     pub(crate) fn cast(
         &self,
         py: Python<'_>,

@@ -1,4 +1,4 @@
-//! The same names in a build without GPU support: there are no adapters, and no device can be opened.
+//! Replacement of the GPU bindings in a build without GPU support: there are no adapters, and no device can be opened.
 #![allow(
     clippy::needless_pass_by_value,
     clippy::unused_self,

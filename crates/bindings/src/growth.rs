@@ -1,4 +1,4 @@
-//! Bindings of the growth beyond the flood (`carina-airpath::extension`).
+//! Python bindings of the growth beyond the flood (`carina-airpath::extension`).
 #![allow(
     clippy::needless_pass_by_value,
     reason = "pyo3 hands arguments over by value"
@@ -22,7 +22,9 @@ use crate::arrays;
 use crate::errors::IntoPy;
 use crate::watch::PyWatch;
 
-/// Follow the airways beyond the flood's end; `lumen_zyx` (1 inside) is changed in place, what is added gets 2.
+/// Follow the airways beyond the end of the flood.
+///
+/// `lumen_zyx` (1 inside) is changed in place: added voxels get the value 2.
 #[pyfunction]
 #[pyo3(signature = (values_zyx, lps_from_ijk, lumen_zyx, *, air, lung, brightest, least_rise, gap_mm, min_length_mm, raised=1.0, most_reached=1.0, least_probability=0.0, divided=None, cancel=None, progress=None))]
 fn extend_lumen<'py>(
@@ -76,7 +78,9 @@ fn extend_lumen<'py>(
     Ok(report)
 }
 
-/// Follow the thinnest airways from a lumen; `lumen_zyx` (1 inside) is changed in place, what is added gets 2.
+/// Follow the thinnest airways from a lumen.
+///
+/// `lumen_zyx` (1 inside) is changed in place: added voxels get the value 2.
 #[pyfunction]
 #[pyo3(signature = (values_zyx, lps_from_ijk, lumen_zyx, *, air, lung, brightest, least_wall, least_dip, kept_dip, blur_mm, min_length_mm, min_side_mm, most_reached, cancel=None, progress=None))]
 fn extend_thin_lumen<'py>(
@@ -173,7 +177,7 @@ fn followed_list<'py>(
     Ok(list)
 }
 
-/// A share of each value and blurs of the volume (weight, sigma in mm) along the chosen axes.
+/// Return a weighted sum of a volume and its Gaussian blurs (weight, sigma in mm) along the chosen axes.
 #[pyfunction]
 #[pyo3(signature = (values_zyx, lps_from_ijk, *, own, blurs, axes_ijk))]
 fn mix_with_blurs<'py>(
@@ -198,7 +202,10 @@ fn mix_with_blurs<'py>(
         .into_pyarray(py))
 }
 
-/// Make air of airways' lumen that the sharp volume has cut off at its floor, in a softened one; how many voxels.
+/// Restore clipped lumen in a softened volume, in place; return the number of changed voxels.
+///
+/// A voxel is set to the value of air if it belongs to an airway's lumen that the sharp volume has clipped at its
+/// lowest value.
 #[pyfunction]
 #[pyo3(signature = (sharp_zyx, lps_from_ijk, soft_zyx, *, floor, air, certain, rise, seam_mm))]
 fn keep_cut_off_air_of<'py>(
@@ -243,7 +250,9 @@ fn keep_cut_off_air_of<'py>(
     Ok(py.detach(|| keep_cut_off_air(view, soft, &cut)))
 }
 
-/// Pieces of air that do not touch the lumen: for each the places of its voxels in the flat volume, in order.
+/// Return the pieces of air that do not touch the lumen.
+///
+/// Each piece is the sorted list of its voxels' indices in the flattened volume.
 #[pyfunction]
 #[pyo3(signature = (values_zyx, lumen_zyx, *, darkest, box_ijk, least_neighbours, voxels, most_air))]
 fn find_pieces_of_air<'py>(

@@ -1,4 +1,4 @@
-//! Bindings of `carina-isoregion`.
+//! Python bindings of `carina-isoregion`.
 #![allow(
     clippy::needless_pass_by_value,
     reason = "Python hands its arguments over by value"
@@ -30,7 +30,7 @@ impl IntoPy for IsoRegionError {
     }
 }
 
-/// A class as Python sees it: first HU, last HU, voxels, fully transparent.
+/// Class as a Python tuple: first HU, last HU, number of voxels, fully transparent.
 type PyClass = (i32, i32, u64, bool);
 
 fn shape_of<T: numpy::Element>(array: &PyReadonlyArray3<'_, T>) -> [usize; 3] {
@@ -38,7 +38,7 @@ fn shape_of<T: numpy::Element>(array: &PyReadonlyArray3<'_, T>) -> [usize; 3] {
     [shape[0], shape[1], shape[2]]
 }
 
-/// The class labels of every int16 value that can occur.
+/// Return the class labels of every int16 value that can occur.
 fn classes_of(
     hu: &[i16],
     transfer: &Transfer,
@@ -61,7 +61,7 @@ fn label_arrays(
     Ok((volume_array(py, out.labels, shape_zyx)?, classes))
 }
 
-/// Labels of the classes of a transfer function, and the classes.
+/// Return the labels of the classes of a transfer function, and the classes.
 #[pyfunction]
 #[pyo3(signature = (hu_zyx, points, *, reference_mm=1.0, bin_hu=1))]
 fn label_classes<'py>(
@@ -77,7 +77,7 @@ fn label_classes<'py>(
     label_arrays(py, out, shape_of(&hu_zyx))
 }
 
-/// Labels of the paper's 16-HU bins, and the bins.
+/// Return the labels of the paper's 16-HU bins, and the bins.
 #[pyfunction]
 fn label_values<'py>(
     py: Python<'py>,
@@ -88,8 +88,9 @@ fn label_values<'py>(
     label_arrays(py, out, shape_of(&hu_zyx))
 }
 
-/// The transparent runs of a transfer function over all int16 values: (first, last) of each. A map of the transparent
-/// classes depends on the volume and on these alone.
+/// Return the transparent runs (first, last) of a transfer function over all int16 values.
+///
+/// A map of the transparent classes depends only on the volume and on these runs.
 #[pyfunction]
 #[pyo3(signature = (points, *, reference_mm=1.0, bin_hu=1))]
 fn transparent_runs(
@@ -102,8 +103,9 @@ fn transparent_runs(
     carina_isoregion::transparent_runs(lo, &transfer.range(lo, hi)).map_err(IntoPy::into_py)
 }
 
-/// A radius map written straight into an array of numpy's, whose large arrays lie in large pages: in small ones, a
-/// third of the time goes into page faults.
+/// Write a radius map directly into a `NumPy` array.
+///
+/// `NumPy` places large arrays in large memory pages; with small pages, page faults take a third of the time.
 fn map_array<'py>(
     py: Python<'py>,
     shape_zyx: [usize; 3],
@@ -114,10 +116,10 @@ fn map_array<'py>(
 ) -> PyResult<Bound<'py, PyArray3<u8>>> {
     let simd = instruction_set(simd)?;
     let watch = PyWatch::new(cancel, None);
-    // SAFETY: not initialised, but bytes hold anything, and nobody else sees the array before it is written.
-    // Benchmark: benchmarks/isoregion.py.
+    // SAFETY: the array is not initialised, but every byte is a valid u8, and no other code has a reference to the
+    // array before all of it is written. Benchmark: benchmarks/isoregion.py.
     let array = unsafe { PyArray3::<u8>::new(py, shape_zyx, false) };
-    // SAFETY: the array is new: C-contiguous, and this is the only reference to its values.
+    // SAFETY: the array is new, so it is C-contiguous and this is the only reference to its values.
     let out = unsafe { array.as_slice_mut() }?;
     pool::detached(py, || {
         let cancelled = || !watch.goes_on(0.0);
@@ -139,7 +141,7 @@ fn map_array<'py>(
     Ok(array)
 }
 
-/// The radius map of a label volume.
+/// Compute the radius map of a label volume.
 #[pyfunction]
 #[pyo3(signature = (labels_zyx, *, cancel=None, simd=None, num_slabs=None))]
 fn build_radius_map<'py>(
@@ -156,7 +158,7 @@ fn build_radius_map<'py>(
     })
 }
 
-/// The map of cells of runs of values; 0 where a value is in none.
+/// Compute the cell map of runs of values; 0 for a voxel whose value is in no run.
 #[pyfunction]
 #[pyo3(signature = (hu_zyx, runs, *, cancel=None, simd=None, num_slabs=None))]
 fn build_cell_map<'py>(
@@ -174,33 +176,36 @@ fn build_cell_map<'py>(
     })
 }
 
-/// The smallest and the largest value.
+/// Return the smallest and the largest value of a volume.
 #[pyfunction]
 fn value_range(py: Python<'_>, hu_zyx: PyReadonlyArray3<'_, i16>) -> PyResult<(i16, i16)> {
     let hu = values("hu_zyx", &hu_zyx)?;
-    // An array without voxels has no range; a volume is never empty.
+    // Only an array without voxels has no range, and a volume is never empty.
     Ok(py.detach(|| range_of(hu)).unwrap_or((0, 0)))
 }
 
-/// Voxels whose bytes name a cached map, or check it.
+/// Voxels of a volume or a mask, whose digest names or verifies a cached map.
 #[derive(FromPyObject)]
 enum Voxels<'py> {
     Values(PyReadonlyArray3<'py, i16>),
     Labels(PyReadonlyArray3<'py, u8>),
 }
 
-/// Bytes hashed in one go; the digest is that of the digests of such pieces, so that threads can share the work.
+/// Number of bytes hashed as one piece.
+///
+/// The digest is the hash of the pieces' digests, so that threads can share the work.
 const PIECE_BYTES: usize = 4 << 20;
 
-/// BLAKE3 of the bytes of an array, in hexadecimal; not of its shape.
+/// Return the BLAKE3 digest, in hexadecimal, of the bytes of an array; the shape is not included.
 #[pyfunction]
 fn content_digest(py: Python<'_>, voxels: Voxels<'_>) -> PyResult<String> {
     let bytes = match &voxels {
         Voxels::Labels(labels) => values("voxels", labels)?,
         Voxels::Values(hu) => {
             let hu = values("voxels", hu)?;
-            // SAFETY: the bytes of initialised int16 values; u8 needs no alignment. Benchmark: hashing from a copy takes
-            // twice the time.
+            // SAFETY: the slice covers exactly the memory of `hu`, which is borrowed for as long as the slice lives;
+            // its int16 values are initialised, every byte is a valid u8, and u8 needs no alignment. Benchmark: hashing
+            // a copy instead takes twice the time.
             unsafe { std::slice::from_raw_parts(hu.as_ptr().cast::<u8>(), size_of_val(hu)) }
         }
     };

@@ -1,6 +1,7 @@
-//! `carina._core`: the compiled module behind the Python package. Thin: it checks arrays, leaves the GIL, maps errors.
+//! Compiled module `carina._core` behind the Python package.
 //!
-//! Contracts (shapes, units, errors) are written in the Python facade, types in `_core.pyi`, algorithms in the crates.
+//! The functions check arrays, release the GIL and map errors. Contracts (shapes, units, errors) are documented in the
+//! Python facade, types in `_core.pyi`, algorithms in the crates.
 
 use pyo3::prelude::*;
 
@@ -29,7 +30,7 @@ mod tree_edits;
 mod views;
 mod watch;
 
-/// What was built and what it uses: `profile`, `simd`, `threads`, `target`, `gpu`, `version`.
+/// Return the build settings and capabilities: `profile`, `simd`, `threads`, `target`, `gpu`, `version`.
 #[pyfunction]
 fn build_info(py: Python<'_>) -> PyResult<Bound<'_, pyo3::types::PyDict>> {
     let info = pyo3::types::PyDict::new(py);

@@ -1,4 +1,4 @@
-//! Bindings of the lenses of `carina-grid`.
+//! Python bindings of the lenses of `carina-grid`.
 #![allow(
     clippy::needless_pass_by_value,
     reason = "Python hands its arguments over by value"
@@ -18,7 +18,7 @@ use pyo3::{exceptions::PyValueError, prelude::*};
 
 use crate::{arrays::volume_array, errors::IntoPy};
 
-/// A lens in front of a picture of a size.
+/// Lens model for a picture of a given size.
 #[pyclass(frozen, module = "carina._core")]
 struct Optics {
     inner: carina_grid::Optics,
@@ -26,7 +26,7 @@ struct Optics {
 
 fn distortion(model: &str, coefficients: &[f64]) -> PyResult<Distortion> {
     match (model, coefficients) {
-        // OpenCV's order.
+        // The coefficients have OpenCV's order.
         ("brown", &[k1, k2, p1, p2, k3, k4, k5, k6]) => Ok(Distortion::Brown {
             k: [k1, k2, k3, k4, k5, k6],
             p: [p1, p2],
@@ -97,7 +97,9 @@ impl Optics {
         Ok(Self { inner })
     }
 
-    /// Unit directions in camera space, (n, 3), of points of the picture, (n, 2); NaN where the lens has none.
+    /// Return unit directions (n, 3) in camera space for points (n, 2) of the picture.
+    ///
+    /// The result is NaN where the lens has no direction.
     fn directions(
         &self,
         py: Python<'_>,
@@ -111,7 +113,9 @@ impl Optics {
         triples(py, &found)
     }
 
-    /// Points of the picture, (n, 2), of directions in camera space, (n, 3); NaN where the lens does not see them.
+    /// Return points (n, 2) of the picture for directions (n, 3) in camera space.
+    ///
+    /// The result is NaN for directions that the lens does not see.
     fn pixels(
         &self,
         py: Python<'_>,
@@ -122,7 +126,7 @@ impl Optics {
         triples(py, &found)
     }
 
-    /// The rays of all pixels inside an outline.
+    /// Compute the rays of all pixels inside an outline.
     #[pyo3(signature = (*, shape, edge_px, vignette))]
     fn rays(&self, py: Python<'_>, shape: &str, edge_px: f64, vignette: f64) -> PyResult<LensRays> {
         let shape = match shape {
@@ -180,7 +184,7 @@ impl Optics {
     }
 }
 
-/// The rays of all pixels of a picture behind a lens, and how bright each pixel is.
+/// Rays of all pixels of a picture behind a lens, and the relative brightness of each pixel.
 #[pyclass(frozen, module = "carina._core")]
 pub(crate) struct LensRays {
     pub(crate) inner: Arc<carina_grid::LensRays>,
@@ -197,7 +201,7 @@ impl LensRays {
     }
 }
 
-/// The camera of a picture: behind a lens where there is one, whose size the picture must have, else a pinhole.
+/// Build the camera of a picture: with a lens if one is given (the picture must have the lens's size), else a pinhole.
 pub(crate) fn camera(
     pose: Affine,
     fov_rad: f64,
@@ -220,7 +224,7 @@ pub(crate) fn camera(
     Camera::with_lens(pose, Arc::clone(rays)).map_err(IntoPy::into_py)
 }
 
-/// Blurs a whole picture, (h, w, 3), by its depth, (h, w) in mm with NaN for none, then darkens it by its lens.
+/// Blur a whole picture (h, w, 3) by its depth map (h, w) in mm (NaN: no wall), then darken it as its lens does.
 #[pyfunction]
 #[pyo3(signature = (rgb, depth_mm, *, near_mm, far_mm, lens=None))]
 fn defocus<'py>(

@@ -1,4 +1,4 @@
-//! Binding of the lumen's outline in a plane.
+//! Python binding of the outline of the lumen in a plane.
 #![allow(
     clippy::needless_pass_by_value,
     reason = "pyo3 hands arguments over by value"
@@ -18,7 +18,9 @@ use pyo3::types::PyBytes;
 use crate::arrays;
 use crate::errors::IntoPy;
 
-/// The surface of one lumen, to be cut by planes. The arrays must not change while it is used.
+/// Surface of one lumen that planes can cut.
+///
+/// The arrays must not change while the object exists.
 #[pyclass(frozen, module = "carina._core")]
 pub(crate) struct LumenSurface {
     grid: Grid,
@@ -60,7 +62,9 @@ impl LumenSurface {
         })
     }
 
-    /// Lines in a picture, (n, 2) column and row each; None where there are more than can be shown.
+    /// Cut the surface with a plane.
+    ///
+    /// Return lines of the picture, each (n, 2) column and row; None if there are too many to show.
     #[pyo3(signature = (lps_from_pixel, *, width, height))]
     fn cut<'py>(
         &self,
@@ -80,7 +84,7 @@ impl LumenSurface {
         }))
     }
 
-    /// The same as the wire has it: bytes, cut off at the picture's edges.
+    /// Cut the surface with a plane; return the lines, clipped to the picture, as the bytes of the wire format.
     #[pyo3(signature = (lps_from_pixel, *, width, height))]
     fn encoded<'py>(
         &self,

@@ -1,4 +1,4 @@
-//! Bindings of the tracker over any pair of a cost and a graph (paper 6.1, 6.2).
+//! Python bindings of the tracker over any pair of a cost and a graph (paper 6.1, 6.2).
 #![allow(
     clippy::needless_pass_by_value,
     reason = "pyo3 hands arguments over by value"
@@ -25,7 +25,7 @@ use crate::watch::PyWatch;
 
 type PointsAndNodes<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<u32>>);
 
-/// A graph with a cost, and the least-cost tree that grows from one root.
+/// Graph with a cost, and the tree of least-cost paths from one root.
 #[pyclass(frozen, module = "carina._core")]
 struct GraphTracker {
     grid: Grid,
@@ -119,7 +119,7 @@ impl GraphTracker {
         })
     }
 
-    /// Seconds that graph and cost took to build.
+    /// Time in s to build the graph and the cost.
     #[getter]
     const fn build_s(&self) -> f64 {
         self.build_s
@@ -151,12 +151,15 @@ impl GraphTracker {
         self.read(py, |inner| inner.tracker().root())
     }
 
-    /// Undirected edges, counted one by one.
+    /// Count the undirected edges one by one.
     fn num_edges(&self, py: Python<'_>) -> u64 {
         self.read(py, Inner::num_edges)
     }
 
-    /// The node for a point, the centre (LPS) of the voxel taken for it, and the mm from there to the node; or None.
+    /// Find the node for a point.
+    ///
+    /// Return the node, the centre (LPS) of the voxel chosen for the point, and the distance in mm from that centre to
+    /// the node; None if there is no node.
     fn place(
         &self,
         py: Python<'_>,
@@ -169,7 +172,7 @@ impl GraphTracker {
         Some((place.node, centre, place.to_node_mm))
     }
 
-    /// Settle what is needed for a node; True if a path exists.
+    /// Settle nodes until the given node is settled; return True if a path exists.
     #[pyo3(signature = (node, *, cancel=None, progress=None))]
     fn solve_to(
         &self,
@@ -184,13 +187,13 @@ impl GraphTracker {
             .map_err(|e| watch.error(e))
     }
 
-    /// Least cost of a settled node, or None.
+    /// Return the least cost of a settled node; None for a node that is not settled.
     fn cost(&self, py: Python<'_>, node: u32) -> PyResult<Option<f64>> {
         self.check(py, node)?;
         Ok(self.read(py, |inner| inner.tracker().cost(node)))
     }
 
-    /// Voxel centres (n, 3) LPS from the root to a settled node, and the nodes.
+    /// Return the voxel centres (n, 3) LPS from the root to a settled node, and their nodes.
     fn path<'py>(&self, py: Python<'py>, node: u32) -> PyResult<Option<PointsAndNodes<'py>>> {
         self.check(py, node)?;
         let found = self.read(py, |inner| {
@@ -219,12 +222,15 @@ impl GraphTracker {
 
 impl GraphTracker {
     fn lock(&self) -> std::sync::MutexGuard<'_, Inner> {
-        // A stop leaves the tracker whole (it stops between nodes); a panic inside is a bug reported elsewhere.
+        // A stopped search leaves the tracker consistent, because it stops between nodes. A panic is reported elsewhere
+        // as a bug, so a poisoned lock is usable.
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Reads the tracker. The interpreter is left before waiting for the lock: whoever holds the lock may wait for the
-    /// interpreter, to ask `cancel()`.
+    /// Read the tracker.
+    ///
+    /// The GIL is released before the lock is taken, because the thread that holds the lock may wait for the GIL to
+    /// call `cancel()`.
     fn read<T: Send>(&self, py: Python<'_>, read: impl FnOnce(&Inner) -> T + Send) -> T {
         py.detach(|| read(&self.lock()))
     }

@@ -1,4 +1,4 @@
-//! Bindings of `carina-phantom`.
+//! Python bindings of `carina-phantom`.
 
 use carina_phantom::{Branch, Chest, ChestOptions, Lobe, PhantomError, TubeKind};
 use numpy::{IntoPyArray, PyArray1, PyArrayMethods};
@@ -17,7 +17,7 @@ impl IntoPy for PhantomError {
     }
 }
 
-/// An array of a volume, moved, not copied.
+/// Move the values of a volume into a `NumPy` array without a copy.
 fn volume<'py, T: numpy::Element>(
     py: Python<'py>,
     values: Vec<T>,
@@ -43,7 +43,9 @@ fn branch<'py>(py: Python<'py>, branch: &Branch) -> PyResult<Bound<'py, PyDict>>
     Ok(dict)
 }
 
-/// Makes a chest; `proceed(fraction)` returns False to stop. See `carina.phantom`.
+/// Generate a phantom chest; `proceed(fraction)` returns False to stop.
+///
+/// See `carina.phantom`.
 #[pyfunction]
 #[allow(
     clippy::fn_params_excessive_bools,
@@ -182,7 +184,7 @@ fn generate_chest<'py>(
     Ok(out)
 }
 
-/// Signed distances to the lumen of a chest's airways at any points; see `carina.phantom`.
+/// Return the signed distances from points to the lumen of a chest's airways; see `carina.phantom`.
 #[pyfunction]
 #[allow(
     clippy::needless_pass_by_value,

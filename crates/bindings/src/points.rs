@@ -1,4 +1,4 @@
-//! Points and voxels of an airway as Python hands them over.
+//! Conversion of points and voxels of an airway from Python arrays.
 
 use carina_leastcost::TrackError;
 use numpy::PyReadonlyArray2;

@@ -1,4 +1,4 @@
-//! The threads that render pictures: all threads of the machine, or one fewer while a thread is reserved.
+//! Thread pool that renders pictures: all threads of the machine, or one fewer while a thread is reserved.
 
 use std::sync::{Arc, LazyLock, Mutex, MutexGuard, PoisonError};
 
@@ -23,11 +23,13 @@ static RESERVATIONS: Mutex<Reservations> = Mutex::new(Reservations {
     pool: None,
 });
 
-/// The clock of the pool that has all of the machine's threads. Its threads never end.
+/// Clock of the pool with all threads of the machine.
+///
+/// The pool's threads never end.
 static ALL: LazyLock<PoolClock> = LazyLock::new(|| {
     let clock = PoolClock::new(rayon::current_num_threads());
     let asked = clock.clone();
-    // Without waiting: a thread that is building a map answers when it is done.
+    // `spawn_broadcast` does not wait: a thread that is busy with a map registers when the map is finished.
     rayon::spawn_broadcast(move |_| asked.add_this_thread());
     clock
 });
@@ -36,7 +38,7 @@ fn reservations() -> MutexGuard<'static, Reservations> {
     RESERVATIONS.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A reservation of one thread, from construction until `release` or until Python deletes the object.
+/// Reservation of one thread, from construction until `release` or until Python deletes the object.
 #[pyclass(frozen, module = "carina._core")]
 struct ReservedThread(Mutex<Option<Reservation>>);
 
@@ -52,7 +54,7 @@ impl ReservedThread {
     }
 }
 
-/// Reserves a thread until the value is dropped.
+/// Reservation of one thread until the value is dropped.
 struct Reservation(());
 
 impl Reservation {
@@ -88,7 +90,7 @@ impl Drop for Reservation {
     }
 }
 
-/// Renders a picture without the interpreter's lock, on the threads that are not reserved.
+/// Render a picture on the threads that are not reserved, while the GIL is released.
 pub(crate) fn detached<T: Send>(py: Python<'_>, work: impl FnOnce() -> T + Send) -> T {
     py.detach(|| {
         let pool = reservations().pool.clone();
@@ -99,15 +101,16 @@ pub(crate) fn detached<T: Send>(py: Python<'_>, work: impl FnOnce() -> T + Send)
     })
 }
 
-/// Seconds that the threads which make pictures now have been on a core, on the average; `None` where the system does not
-/// tell, and until each of them has been asked once.
+/// Return the mean processor time in s of the threads that render pictures.
+///
+/// Return `None` on systems that do not report the time, and until each thread has registered its clock.
 #[pyfunction]
 fn picture_clock_s() -> Option<f64> {
     let smaller = reservations().pool.clone();
     smaller.map_or_else(|| ALL.read_s(), |smaller| smaller.clock.read_s())
 }
 
-/// Number of threads that render a picture.
+/// Return the number of threads that render a picture.
 #[pyfunction]
 fn picture_threads(py: Python<'_>) -> usize {
     detached(py, rayon::current_num_threads)

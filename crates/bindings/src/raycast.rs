@@ -1,4 +1,4 @@
-//! Bindings of `carina-raycast`.
+//! Python bindings of `carina-raycast`.
 #![allow(
     clippy::needless_pass_by_value,
     reason = "Python hands its arguments over by value"
@@ -42,7 +42,7 @@ impl IntoPy for RaycastError {
     }
 }
 
-/// Transfer points `[hu, r, g, b, alpha]` from an (n, 5) array.
+/// Build a transfer function from an (n, 5) array of points `[hu, r, g, b, alpha]`.
 pub(crate) fn transfer(
     points: &PyReadonlyArray2<'_, f64>,
     reference_mm: f64,
@@ -63,16 +63,20 @@ pub(crate) fn transfer(
     Transfer::new(rows, reference_mm, bin_hu).map_err(IntoPy::into_py)
 }
 
-/// What one ray step adds, by value: a transfer function for one step length over the values of a volume.
+/// Colour and opacity of one ray step for each value of a volume.
+///
+/// The table holds a transfer function, evaluated for one step length.
 #[pyclass(frozen, module = "carina._core")]
 struct TransferTable {
     inner: carina_raycast::TransferTable,
-    /// The step table for the classes last asked for: to make it takes as long as a small picture.
+    /// Step table for the classes of the last call.
+    ///
+    /// Building a table takes as long as casting a small picture.
     segments: Mutex<Option<(Vec<i32>, Arc<SegmentTable>)>>,
 }
 
 impl TransferTable {
-    /// The step table of classes given by one value of each.
+    /// Return the step table for classes that are given by one value of each class.
     fn segments(&self, class_values: &[i32]) -> Arc<SegmentTable> {
         let mut kept = self.segments.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((values, table)) = kept.as_ref()
@@ -82,8 +86,8 @@ impl TransferTable {
         }
         let mut entries: Vec<[f32; 4]> =
             class_values.iter().map(|&v| self.inner.entry(v)).collect();
-        // Every label has a class, so no label can lead astray: to look for the highest would take longer than the
-        // picture.
+        // Fill the table for every possible label, so that each label has an entry. Searching for the highest label
+        // would take longer than casting the picture.
         entries.resize(usize::from(u8::MAX), [0.0; 4]);
         let table = Arc::new(SegmentTable::new(&entries));
         *kept = Some((class_values.to_vec(), Arc::clone(&table)));
@@ -112,7 +116,7 @@ impl TransferTable {
         })
     }
 
-    /// Premultiplied colour and opacity of one step at a value.
+    /// Return the premultiplied colour and opacity of one ray step at a value.
     fn entry(&self, value: i32) -> [f32; 4] {
         self.inner.entry(value)
     }
@@ -122,7 +126,9 @@ impl TransferTable {
     }
 }
 
-/// Gives up a picture under way; for one picture, since it stays set.
+/// Token that cancels the cast of a picture.
+///
+/// Use a new token for each picture: a cancelled token stays cancelled.
 #[pyclass(frozen, module = "carina._core")]
 #[derive(Default)]
 struct CancelToken {
@@ -136,7 +142,7 @@ impl CancelToken {
         Self::default()
     }
 
-    /// The picture is no longer wanted.
+    /// Cancel the cast that uses this token.
     fn cancel(&self) {
         self.set.store(true, Ordering::Relaxed);
     }
@@ -151,9 +157,9 @@ impl CancelToken {
     }
 }
 
-/// Bricks of one volume, kept from picture to picture: slopes of walls, and values with their gradients.
+/// Cache of bricks of one volume that several pictures share: wall normals, and samples with their gradients.
 ///
-/// For one array of values, which must not change: the owner takes another object for another array.
+/// A cache belongs to one array of values. The values must not change; use a new cache for each array.
 #[pyclass(frozen, module = "carina._core")]
 #[derive(Default)]
 struct Bricks {
@@ -161,7 +167,7 @@ struct Bricks {
     samples: Mutex<Option<Arc<SampleBricks>>>,
 }
 
-/// What is kept, or anew where it does not fit any more.
+/// Return the cached bricks if they fit; else store and return new ones.
 fn kept<T>(kept: &Mutex<Option<Arc<T>>>, fits: impl Fn(&T) -> bool, new: impl Fn() -> T) -> Arc<T> {
     let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
     if let Some(bricks) = kept.as_ref().filter(|bricks| fits(bricks)) {
@@ -171,8 +177,10 @@ fn kept<T>(kept: &Mutex<Option<Arc<T>>>, fits: impl Fn(&T) -> bool, new: impl Fn
 }
 
 impl Bricks {
-    /// A frame that reads what earlier ones have filled; from the beginning where the transfer function has changed that
-    /// slopes depend on, or where no more can be kept.
+    /// Return a frame that reads and fills the cached bricks.
+    ///
+    /// The cache starts empty again if the bricks do not fit the frame (another shape, or another transfer function for
+    /// wall normals) or if the cache is full.
     fn given_to<'a>(&self, frame: Frame<'a>) -> Result<Frame<'a>, RaycastError> {
         if frame.lights_walls() {
             let fits = |bricks: &NormalBricks| bricks.fit(&frame) && !bricks.is_full();
@@ -196,7 +204,7 @@ impl Bricks {
         Self::default()
     }
 
-    /// Bricks kept.
+    /// Return the number of cached bricks.
     fn __len__(&self) -> usize {
         let slopes = self.slopes.lock().unwrap_or_else(PoisonError::into_inner);
         let samples = self.samples.lock().unwrap_or_else(PoisonError::into_inner);
@@ -209,7 +217,10 @@ impl Bricks {
     }
 }
 
-/// The instruction set of a name; without one, of `CARINA_SIMD`, which is for tests; else the fastest of this machine.
+/// Return the instruction set of a name.
+///
+/// Without a name, the environment variable `CARINA_SIMD` (for tests) selects the set; without the variable, the
+/// fastest set of this machine is used.
 pub(crate) fn instruction_set(name: Option<&str>) -> PyResult<InstructionSet> {
     static CHOSEN: OnceLock<Option<String>> = OnceLock::new();
     let chosen = || {
@@ -235,10 +246,12 @@ pub(crate) fn instruction_set(name: Option<&str>) -> PyResult<InstructionSet> {
     })
 }
 
-/// Statistics as Python sees them: rays, samples, look-ups, leaps, skipped samples, shaded samples, reads.
+/// Statistics of a cast as a Python tuple: rays, samples, look-ups, leaps, skipped samples, shaded samples, reads.
 type PyStats = (u64, u64, u64, u64, u64, u64, u64);
 
-/// The leaping map as Python hands it over: radius, and for leaps over all classes labels and one value of each class.
+/// Leaping map as passed from Python.
+///
+/// The variants are the radius map alone, or labels, radius map and one value of each class for leaps over all classes.
 #[derive(FromPyObject)]
 enum LeapMap<'py> {
     Classes(
@@ -249,7 +262,7 @@ enum LeapMap<'py> {
     Transparent(PyReadonlyArray3<'py, u8>),
 }
 
-/// Light, gloss and texture as Python holds them: an object with these attributes.
+/// Python object with the attributes of [`Appearance`]: light, gloss and texture.
 #[derive(FromPyObject)]
 struct PyAppearance {
     guides_mm: Vec<[f32; 3]>,
@@ -298,7 +311,7 @@ impl PyAppearance {
     }
 }
 
-/// Places of walls on their airways as Python holds them: an object with these attributes.
+/// Python object with the attributes of [`Decoration`]: positions of wall points along their airways.
 #[derive(FromPyObject)]
 struct PyDecoration<'py> {
     cells: PyReadonlyArray4<'py, f32>,
@@ -316,7 +329,7 @@ impl PyDecoration<'_> {
                 "decoration: {e}; expected C-contiguous cells"
             ))
         })?;
-        // Refused by the length of the numbers where a cell has not as many as it should.
+        // An empty shape makes `Decoration::new` reject cells with a wrong number of channels.
         let shape = if num_channels == DECORATION_CHANNELS {
             [nz, ny, nx]
         } else {
@@ -334,7 +347,7 @@ const fn interpolation(nearest: bool) -> Interpolation {
     }
 }
 
-/// Casts rows of a picture: (rows, width, 3) uint8 and statistics.
+/// Cast rows of a picture; return (rows, width, 3) uint8 colours and statistics.
 #[pyfunction]
 #[pyo3(signature = (
     hu_zyx, lps_from_ijk, table, lps_from_camera, *, fov_rad, width, height, rows=None, light=None, nearest=false,
@@ -419,7 +432,7 @@ fn cast<'py>(
     };
     let stop = stop.as_ref().map(|token| &token.get().set);
     let done = match (&gpu, stop) {
-        // A picture on the device takes milliseconds and is not given up half-way.
+        // A cast on the GPU takes milliseconds, so it is cancelled only before it starts.
         (Some(_), Some(stop)) if stop.load(Ordering::Relaxed) => None,
         (Some(scene), _) => {
             let scene = scene.get();
@@ -465,8 +478,9 @@ type PySurface<'py> = (
     Bound<'py, PyArray3<f32>>,
 );
 
-/// First walls of rows of a picture, or of one pixel (column, row) of it: depth in mm (rows, width), positions and normals
-/// (rows, width, 3) in LPS; NaN where a ray meets none.
+/// Find the first wall on each ray of some rows of a picture, or of one pixel (column, row).
+///
+/// Return depths in mm (rows, width), positions and normals (rows, width, 3) in LPS; NaN for a ray that meets no wall.
 #[pyfunction]
 #[pyo3(signature = (
     hu_zyx, lps_from_ijk, table, lps_from_camera, *, fov_rad, width, height, rows=None, pixel=None, nearest=false,
@@ -533,7 +547,7 @@ fn cast_surface<'py>(
 
 type GreyAndInside<'py> = (Bound<'py, PyArray2<u8>>, Bound<'py, PyArray2<u8>>);
 
-/// Rows of a picture: the first and the one after the last, all unless told.
+/// Return the range of rows (first, one after the last) of a picture; all rows if `rows` is `None`.
 pub(crate) fn rows_of(
     rows: Option<(usize, usize)>,
     height: usize,
@@ -550,7 +564,7 @@ pub(crate) fn rows_of(
     .into_py())
 }
 
-/// Samples rows of a plane: grey levels and where the volume is, both (rows, width) uint8.
+/// Sample rows of a plane; return grey levels and a mask of the pixels inside the volume, both (rows, width) uint8.
 #[pyfunction]
 #[pyo3(signature = (hu_zyx, lps_from_ijk, lps_from_pixel, *, width, height, window_hu, rows=None))]
 fn cut_plane<'py>(
@@ -578,7 +592,7 @@ fn cut_plane<'py>(
     Ok((array(image.grey)?, array(image.inside)?))
 }
 
-/// Rows of three planes in occlusion order: (rows, width, 3) uint8.
+/// Render rows of the tri-plane view in occlusion order; return (rows, width, 3) uint8.
 #[pyfunction]
 #[pyo3(signature = (
     hu_zyx, lps_from_ijk, centre_lps, lps_from_camera, *, fov_rad, width, height, window_hu, clear_below=None,
@@ -622,7 +636,7 @@ type ThreeProjections<'py> = (
     Bound<'py, PyArray2<i16>>,
 );
 
-/// Maximum intensity projections along i `[k, j]`, j `[k, i]` and k `[j, i]`.
+/// Return the maximum intensity projections along i `[k, j]`, j `[k, i]` and k `[j, i]`.
 #[pyfunction]
 fn project_maximum<'py>(
     py: Python<'py>,
@@ -643,7 +657,7 @@ fn project_maximum<'py>(
     ))
 }
 
-/// Raises the values of a copy of a volume round a lumen, in place.
+/// Raise the values round a lumen, in place, in a copy of a volume.
 #[pyfunction]
 fn raise_wall(
     py: Python<'_>,
@@ -671,7 +685,7 @@ fn raise_wall(
     .map_err(IntoPy::into_py)
 }
 
-/// A smooth field 0..1024 from a mask.
+/// Return a smooth field with values 0 to 1024 of a mask.
 #[pyfunction]
 fn smooth_mask<'py>(
     py: Python<'py>,
@@ -687,7 +701,7 @@ fn smooth_mask<'py>(
     volume_array(py, field, shape)
 }
 
-/// Name of the instruction set that casters use unless told otherwise.
+/// Return the name of the instruction set that the casters use by default.
 #[pyfunction]
 pub(crate) fn best_instruction_set() -> PyResult<&'static str> {
     Ok(instruction_set(None)?.name())

@@ -1,4 +1,4 @@
-//! Bindings of the scope's mechanics: the wall's distance, and the drive.
+//! Python bindings of the scope's mechanics: distance to the wall, and the drive.
 #![allow(
     clippy::needless_pass_by_value,
     reason = "PyO3 hands arrays over by value"
@@ -34,7 +34,7 @@ pub(crate) fn points(array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<[f64; 3]
         .collect())
 }
 
-/// Signed distance to the lumen's wall.
+/// Signed distance to the wall of a lumen.
 #[pyclass(name = "WallField", frozen, module = "carina._core")]
 struct PyWallField(Arc<WallField>);
 
@@ -164,7 +164,7 @@ fn state_dict<'py>(py: Python<'py>, state: &ScopeState) -> PyResult<Bound<'py, P
     Ok(out)
 }
 
-/// A scope in a lumen.
+/// Simulated scope in a lumen.
 #[pyclass(name = "ScopeDrive", frozen, module = "carina._core")]
 struct PyScopeDrive(Mutex<ScopeDrive>);
 

@@ -1,11 +1,15 @@
-//! How long the threads of a pool have been on a core, read from outside of them: a picture's own cost, whatever else the
-//! machine does meanwhile. Where the system does not tell, nothing is said.
+//! Processor time of the threads of a pool, read from other threads.
+//!
+//! This time is the cost of a picture without the load of other programs. On systems that do not report the time, there
+//! is no value.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// The clocks of a pool's threads. A copy is of the same pool.
+/// Clocks of the threads of a pool.
 ///
-/// For pools whose threads live as long as their clock is read.
+/// A clone refers to the same pool.
+///
+/// The pool's threads must live for as long as their clocks are read.
 #[derive(Clone)]
 pub(crate) struct PoolClock {
     num_threads: usize,
@@ -13,7 +17,8 @@ pub(crate) struct PoolClock {
 }
 
 impl PoolClock {
-    /// Of a pool of so many threads; each is to call [`PoolClock::add_this_thread`].
+    /// Create the clock of a pool with the given number of threads; each thread must call
+    /// [`PoolClock::add_this_thread`].
     pub(crate) fn new(num_threads: usize) -> Self {
         Self {
             num_threads,
@@ -26,7 +31,7 @@ impl PoolClock {
         clocks.extend(system::of_this_thread());
     }
 
-    /// The mean of all threads; `None` unless all of them can be read.
+    /// Return the mean time of all threads in s; `None` unless all clocks can be read.
     pub(crate) fn read_s(&self) -> Option<f64> {
         let clocks = self.clocks.lock().unwrap_or_else(PoisonError::into_inner);
         if clocks.len() != self.num_threads {
@@ -43,7 +48,8 @@ mod system {
 
     pub(super) fn of_this_thread() -> Option<Clock> {
         let mut clock = 0;
-        // SAFETY: the thread asks for its own clock; the call writes to the number that it is given.
+        // SAFETY: `pthread_self` always returns the valid, running calling thread, and the call writes only to `clock`,
+        // a local variable that outlives the call.
         let failed = unsafe { libc::pthread_getcpuclockid(libc::pthread_self(), &raw mut clock) };
         (failed == 0).then_some(clock)
     }
@@ -53,7 +59,8 @@ mod system {
             tv_sec: 0,
             tv_nsec: 0,
         };
-        // SAFETY: the call writes to the struct that it is given; of a thread that has ended it fails.
+        // SAFETY: the call writes only to `time`, a local variable that outlives the call; for the clock of a thread
+        // that has ended, the call fails with an error code.
         let failed = unsafe { libc::clock_gettime(clock, &raw mut time) };
         (failed == 0).then_some(time.tv_sec as f64 + 1e-9 * time.tv_nsec as f64)
     }
@@ -61,7 +68,7 @@ mod system {
 
 #[cfg(not(target_os = "linux"))]
 mod system {
-    /// There is none.
+    /// Empty type: this system reports no thread clocks.
     #[derive(Clone, Copy)]
     pub(super) enum Clock {}
 

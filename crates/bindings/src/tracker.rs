@@ -1,4 +1,4 @@
-//! Bindings of the tracker over a volume of weights, and clocks for paths in a settled tree.
+//! Python bindings of the tracker over a volume of weights, and timing of path queries in a settled tree.
 #![allow(
     clippy::needless_pass_by_value,
     reason = "pyo3 hands arguments over by value"
@@ -24,7 +24,7 @@ use crate::arrays;
 use crate::errors::IntoPy;
 use crate::watch::PyWatch;
 
-/// The two costs through one interface.
+/// Tracker with either of the two costs.
 enum AnyTracker {
     Mean(Tracker<MeanCost>),
     Enter(Tracker<EnterCost>),
@@ -39,15 +39,15 @@ macro_rules! either {
     };
 }
 
-/// Nanoseconds, and voxels.
+/// Times of path queries in ns, and the numbers of voxels of the paths.
 type TimesAndLengths<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<i64>>);
 
-/// Voxels, cost, and how many voxels were settled.
+/// Voxels of a path, its cost, and the number of settled voxels.
 type AimedTuple<'py> = (Bound<'py, PyArray2<i64>>, f64, usize);
 
 type Region = [(usize, usize); 3];
 
-/// Least-cost tree in a volume of weights.
+/// Tree of least-cost paths in a volume of weights.
 #[pyclass(frozen, module = "carina._core")]
 pub(crate) struct FieldTracker {
     grid: Grid,
@@ -98,7 +98,7 @@ impl FieldTracker {
         py.detach(|| either!(&*self.lock(), t => t.num_settled()))
     }
 
-    /// Voxels that a path may use.
+    /// Number of voxels that a path may use.
     #[getter]
     fn num_open(&self, py: Python<'_>) -> usize {
         py.detach(|| either!(&*self.lock(), t => t.quanta().num_open))
@@ -110,13 +110,13 @@ impl FieldTracker {
         py.detach(|| either!(&*self.lock(), t => t.quanta().unit))
     }
 
-    /// Bytes held for the voxels, and for the queue.
+    /// Memory in bytes of the voxels and of the queue.
     #[getter]
     fn num_bytes(&self, py: Python<'_>) -> (usize, usize) {
         py.detach(|| either!(&*self.lock(), t => t.num_bytes()))
     }
 
-    /// Settle what is needed for a voxel; True if a path exists.
+    /// Settle voxels until the given voxel is settled; return True if a path exists.
     #[pyo3(signature = (target_ijk, *, cancel=None, progress=None))]
     fn solve_to(
         &self,
@@ -133,7 +133,7 @@ impl FieldTracker {
         .map_err(|e| watch.error(e))
     }
 
-    /// Settle everything that a path can reach.
+    /// Settle all voxels that a path can reach.
     #[pyo3(signature = (*, cancel=None, progress=None))]
     fn solve_all(
         &self,
@@ -149,7 +149,7 @@ impl FieldTracker {
         .map_err(|e| watch.error(e))
     }
 
-    /// Least cost of a settled voxel, or None.
+    /// Return the least cost of a settled voxel; None for a voxel that is not settled.
     fn cost(&self, py: Python<'_>, target_ijk: [usize; 3]) -> PyResult<Option<f64>> {
         self.with_field(py, |field| {
             let target = node(field, target_ijk)?;
@@ -158,7 +158,7 @@ impl FieldTracker {
         .map_err(TrackError::into_py)
     }
 
-    /// Voxels (n, 3) i, j, k from the root to a settled voxel, or None.
+    /// Return the voxels (n, 3) i, j, k from the root to a settled voxel; None for a voxel that is not settled.
     fn path<'py>(
         &self,
         py: Python<'py>,
@@ -174,7 +174,8 @@ impl FieldTracker {
         Ok(path.map(|voxels| voxels.into_pyarray(py)))
     }
 
-    /// Nanoseconds that each path took, in this module, and how many voxels it has; each is asked for once.
+    /// Return the time in ns of one path query for each target, measured in this module, and the number of voxels of
+    /// each path.
     fn time_paths<'py>(
         &self,
         py: Python<'py>,
@@ -202,11 +203,12 @@ impl FieldTracker {
 
 impl FieldTracker {
     fn lock(&self) -> MutexGuard<'_, AnyTracker> {
-        // A stop leaves the tracker whole (it stops between blocks); a panic inside is a bug reported elsewhere.
+        // A stopped search leaves the tracker consistent, because it stops between blocks. A panic is reported
+        // elsewhere as a bug, so a poisoned lock is usable.
         self.tracker.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Does something with the field, without the interpreter.
+    /// Call a function with the field while the GIL is released.
     fn with_field<T: Send>(
         &self,
         py: Python<'_>,
@@ -234,7 +236,7 @@ impl FieldTracker {
     }
 }
 
-/// The voxels of a mask that must be on the field's grid.
+/// Return the values of a mask whose shape must equal that of the field's grid.
 fn mask_values<'a>(
     mask_zyx: Option<&'a PyReadonlyArray3<'_, u8>>,
     field_zyx: &PyReadonlyArray3<'_, f32>,
@@ -253,7 +255,7 @@ fn mask_values<'a>(
     arrays::values("mask_zyx", mask).map(Some)
 }
 
-/// True for the cost by the voxel entered.
+/// Return true for the cost that depends only on the voxel entered.
 fn is_by_voxel(cost: &str) -> PyResult<bool> {
     match cost {
         "mean" => Ok(false),
@@ -267,14 +269,15 @@ fn is_by_voxel(cost: &str) -> PyResult<bool> {
     }
 }
 
-/// Voxels (n, 3) i, j, k of a path.
+/// Return the voxels (n, 3) i, j, k of a path.
 fn voxels_of(field: &VoxelField<'_>, nodes: &[u32]) -> Array2<i64> {
     let voxels = nodes.iter().flat_map(|n| field.voxel(*n).map(|v| v as i64));
     Array2::from_shape_vec((nodes.len(), 3), voxels.collect()).expect("3 a node")
 }
 
-/// Voxels (n, 3) i, j, k of the least-cost path to one target, its cost, and how many voxels were settled; None if there
-/// is no path.
+/// Find the least-cost path to one target; return its voxels (n, 3) i, j, k, its cost and the number of settled voxels.
+///
+/// Return None if no path exists.
 #[pyfunction]
 #[pyo3(signature = (field_zyx, lps_from_ijk, root_ijk, target_ijk, *, cost, region_ijk=None, mask_zyx=None, cancel=None, progress=None))]
 #[allow(
@@ -349,7 +352,7 @@ fn clocked(nodes: &[u32], path_to: impl Fn(u32) -> Option<Vec<u32>>) -> (Vec<f64
         .unzip()
 }
 
-/// Nanoseconds that each path of a lumen's tracker took, in this module, and how many voxels it has.
+/// Return the time in ns of one path query for each node of a lumen's tracker, and the number of voxels of each path.
 #[pyfunction]
 fn time_lumen_paths(
     py: Python<'_>,

@@ -1,4 +1,4 @@
-//! Bindings for the edits of an airway tree: a lumen's graph that follows an edit, and what the edits ask of it.
+//! Python bindings for the edits of an airway tree: update the lumen's graph after an edit, and query it.
 #![allow(
     clippy::needless_pass_by_value,
     reason = "pyo3 hands arguments over by value"
@@ -25,7 +25,7 @@ use crate::points::{points, refused, voxels};
 use crate::watch::PyWatch;
 
 type Voxels<'py> = Bound<'py, PyArray2<u16>>;
-/// First voxel and shape, i, j, k.
+/// First voxel and shape of a box, both in the order i, j, k.
 type Corners = ([usize; 3], [usize; 3]);
 
 fn nodes(tracker: &LumenTracker, array: &PyReadonlyArray1<'_, u32>) -> PyResult<Vec<u32>> {
@@ -44,7 +44,7 @@ fn small(graph: &LumenGraph, node: u32) -> [u16; 3] {
     graph.voxel(node).map(|v| v as u16)
 }
 
-/// The tracker of a lumen with voxels added and taken away, and the box (first, shape) of what changed in it.
+/// Build the tracker of a lumen after voxels were added and removed; also return the box (first, shape) of the changes.
 #[pyfunction]
 #[pyo3(signature = (tracker, values_zyx, added_ijk, removed_ijk, *, cancel=None))]
 fn edit_lumen(
@@ -75,7 +75,7 @@ fn edit_lumen(
     Ok((tracker.with(Arc::new(edited.graph), solved), corners))
 }
 
-/// The tracker of a whole lumen from scratch, with the wall levels of another tracker and the root in a voxel.
+/// Build the tracker of a whole lumen from scratch, with the wall levels of another tracker and the root at a voxel.
 #[pyfunction]
 #[pyo3(signature = (tracker, values_zyx, lumen_zyx, root_ijk, *, cancel=None))]
 fn fresh_lumen(
@@ -115,7 +115,7 @@ fn root_node(graph: &LumenGraph, root_ijk: [isize; 3]) -> Result<u32, TrackError
         .ok_or_else(|| TrackError::NoResult("the root is not in the airway lumen".to_owned()))
 }
 
-/// The tracker of the same lumen with another root.
+/// Build the tracker of the same lumen with another root.
 #[pyfunction]
 #[pyo3(signature = (tracker, root_ijk, *, cancel=None))]
 fn reroot_lumen(
@@ -134,14 +134,16 @@ fn reroot_lumen(
     Ok(tracker.with(Arc::clone(&tracker.graph), solved))
 }
 
-/// (nz, ny, nx) 1 inside the lumen.
+/// Return a (nz, ny, nx) array that is 1 inside the lumen.
 #[pyfunction]
 fn lumen_array<'py>(py: Python<'py>, tracker: &LumenTracker) -> PyResult<Bound<'py, PyArray3<u8>>> {
     let bytes = py.detach(|| lumen_edit::as_bytes(&tracker.graph, &tracker.grid));
     bytes.into_pyarray(py).reshape(tracker.grid.shape_zyx())
 }
 
-/// (nz, ny, nx) of a box: 0 no lumen, 1 lumen that no path reaches, 2 lumen.
+/// Return the states of the voxels of a box, (nz, ny, nx).
+///
+/// The states are 0 no lumen, 1 lumen that no path reaches, 2 lumen that a path reaches.
 #[pyfunction]
 fn lumen_states<'py>(
     py: Python<'py>,
@@ -166,7 +168,7 @@ fn lumen_states<'py>(
     states.into_pyarray(py).reshape([nz, ny, nx])
 }
 
-/// (n,) the node whose voxel holds each point (n, 3) LPS; -1 outside the lumen.
+/// Return the node (n,) whose voxel contains each point (n, 3) LPS; -1 outside the lumen.
 #[pyfunction]
 fn nodes_at<'py>(
     py: Python<'py>,
@@ -187,7 +189,7 @@ fn nodes_at<'py>(
     Ok(found.into_pyarray(py))
 }
 
-/// (n, 3) voxels of nodes.
+/// Return the voxels (n, 3) of nodes.
 #[pyfunction]
 fn voxels_of<'py>(
     py: Python<'py>,
@@ -201,7 +203,7 @@ fn voxels_of<'py>(
     Ok(voxel_array(py, &found))
 }
 
-/// (n,) whether a path reaches each node.
+/// Return (n,) whether a path reaches each node.
 #[pyfunction]
 fn reached<'py>(
     py: Python<'py>,
@@ -219,7 +221,7 @@ fn reached<'py>(
     Ok(found.into_pyarray(py))
 }
 
-/// (n,) whether the straight line between two (n, 3) LPS points stays in lumen voxels.
+/// Return (n,) whether the straight line between each pair of (n, 3) LPS points stays in lumen voxels.
 #[pyfunction]
 fn sees<'py>(
     py: Python<'py>,
@@ -241,7 +243,7 @@ fn sees<'py>(
     Ok(found.into_pyarray(py))
 }
 
-/// (n, 3) points, each moved to the nearest place inside the lumen where it lies outside.
+/// Return (n, 3) points; each point outside the lumen is moved to the nearest position inside.
 #[pyfunction]
 fn pulled_inside<'py>(
     py: Python<'py>,
@@ -262,7 +264,7 @@ fn pulled_inside<'py>(
     Ok(points_array(py, &found))
 }
 
-/// (n, 3) voxels that a path reaches in one tracker and not in another.
+/// Return the voxels (n, 3) that a path reaches in one tracker but not in the other.
 #[pyfunction]
 fn newly_reached<'py>(
     py: Python<'py>,
@@ -270,7 +272,7 @@ fn newly_reached<'py>(
     other: &LumenTracker,
 ) -> Voxels<'py> {
     let found = py.detach(|| {
-        // Copied out one after the other: two locks held at once could wait for each other.
+        // The two trackers are copied one after the other: holding both locks at once could deadlock.
         let is_reached = |t: &LumenTracker| -> Vec<bool> {
             let solved = t.lock();
             (0..t.graph.num_nodes() as u32)
@@ -283,7 +285,9 @@ fn newly_reached<'py>(
     voxel_array(py, &found)
 }
 
-/// (n, 3) voxels in the tubes of a cut piece rather than of what is kept: nodes on centrelines.
+/// Return the voxels (n, 3) in the tubes of the branches that were cut off, but not of the remaining branches.
+///
+/// Branches are given by the nodes of their centrelines.
 #[pyfunction]
 fn cut_voxels<'py>(
     py: Python<'py>,
@@ -301,7 +305,8 @@ fn cut_voxels<'py>(
     Ok(voxel_array(py, &found))
 }
 
-/// (n,) nodes: tips of branches among candidate voxels that a tree does not hold yet, longest path first.
+/// Return the nodes (n,) at tips of branches among candidate voxels that a tree does not contain yet, longest path
+/// first.
 #[pyfunction]
 #[pyo3(signature = (tracker, tree_nodes, candidates_ijk, *, cancel=None))]
 fn more_tips<'py>(
@@ -333,7 +338,7 @@ fn more_tips<'py>(
     Ok(tips.into_pyarray(py))
 }
 
-/// (n, 3) voxels of a box on the cheapest way from the nearest goal to a start; None if there is none.
+/// Return the voxels (n, 3) of a box on the least-cost path from the nearest goal to a start; None if no path exists.
 #[pyfunction]
 #[pyo3(signature = (weights_zyx, goals_zyx, spacing_mm, start_ijk, *, cancel=None))]
 fn cheapest_way<'py>(

@@ -1,4 +1,4 @@
-//! Bindings of the radiograph and of pictures made of lines.
+//! Python bindings of the radiograph and of pictures whose rows are lines through the volume.
 #![allow(
     clippy::needless_pass_by_value,
     reason = "Python hands its arguments over by value"
@@ -21,7 +21,7 @@ use crate::{
     raycast::{instruction_set, rows_of},
 };
 
-/// Water-equivalent length in mm of each ray of some rows, (rows, width) float32.
+/// Return the water-equivalent length in mm of each ray of some rows, (rows, width) float32.
 #[pyfunction]
 #[pyo3(signature = (
     hu_zyx, lps_from_ijk, lps_from_pixel, *, width, height, rows=None, source_lps=None, air=-1000.0, bone=100.0, bone_gain=1.0,
@@ -64,8 +64,11 @@ fn radiograph<'py>(
 
 type GreyAndInside<'py> = (Bound<'py, PyArray2<u8>>, Bound<'py, PyArray2<u8>>);
 
-/// Samples a picture of lines: grey levels and where the volume is, both (rows, width) uint8. A row of `lines` is start,
-/// step and direction through the picture.
+/// Sample a picture whose rows are lines.
+///
+/// Return grey levels and a mask of the pixels inside the volume, both (rows, width) uint8.
+///
+/// A row of `lines` contains the start, the step and the direction through the picture.
 #[pyfunction(name = "sample_lines")]
 #[pyo3(signature = (hu_zyx, lps_from_ijk, lines, *, width, window_hu, slab=None))]
 fn lines_of<'py>(

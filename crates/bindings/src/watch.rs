@@ -1,4 +1,4 @@
-//! Long calls look up now and then: at Ctrl-C, at the caller's `cancel()`, and to report how far they are.
+//! Periodic checks during long calls: for Ctrl-C and the caller's `cancel()`, with a report of the progress.
 
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -7,7 +7,7 @@ use pyo3::prelude::*;
 
 use crate::errors::IntoPy;
 
-/// Looks at Ctrl-C and at the caller's `cancel()`, and reports to `progress(share)`, at most every 50 ms.
+/// Check for Ctrl-C and the caller's `cancel()`, and a call of `progress(share)`, at most every 50 ms.
 pub(crate) struct PyWatch {
     cancel: Option<Py<PyAny>>,
     progress: Option<Py<PyAny>>,
@@ -16,7 +16,7 @@ pub(crate) struct PyWatch {
 
 struct WatchState {
     looked: Instant,
-    /// What a callback or Ctrl-C raised; handed on as it is.
+    /// Exception raised by a callback or by Ctrl-C; re-raised unchanged.
     raised: Option<PyErr>,
     stopped: bool,
 }
@@ -48,10 +48,12 @@ impl PyWatch {
         })
     }
 
-    /// False once the call should end: from any thread, without the GIL.
+    /// Return false if the call should end.
+    ///
+    /// Any thread may call this method without the GIL.
     pub(crate) fn goes_on(&self, share: f64) -> bool {
         {
-            // Another thread is looking already, or did just now.
+            // Another thread is running the check.
             let Ok(mut state) = self.state.try_lock() else {
                 return true;
             };
@@ -63,7 +65,7 @@ impl PyWatch {
             }
             state.looked = Instant::now();
         }
-        // The lock is not held here: a callback may wait for a thread that reports as well.
+        // The lock is released before the callbacks run: a callback may wait for another thread that calls this method.
         let found = self.look(share);
         let goes_on = matches!(found, Ok(true));
         if !goes_on {
@@ -74,7 +76,7 @@ impl PyWatch {
         goes_on
     }
 
-    /// The error to raise in Python: what a callback raised, else this one.
+    /// Return the error to raise in Python: the exception of a callback if there is one, else `otherwise`.
     pub(crate) fn error(&self, otherwise: impl IntoPy) -> PyErr {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         state.raised.take().unwrap_or_else(|| otherwise.into_py())

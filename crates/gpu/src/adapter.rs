@@ -1,24 +1,26 @@
-//! Which graphics adapters this machine has.
+//! Graphics adapters of this machine.
 
 use std::{sync::OnceLock, time::Duration};
 
-/// What an adapter is.
+/// Kind of an adapter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum AdapterKind {
-    /// A card with memory of its own.
+    /// Card with its own memory.
     Discrete,
-    /// A part of the processor.
+    /// Part of the processor.
     Integrated,
-    /// Handed on by a virtual machine.
+    /// Adapter provided by a virtual machine.
     Virtual,
-    /// A program that plays a graphics card (lavapipe, WARP). Never faster than our own casters on the same cores.
+    /// Program that emulates a graphics card (lavapipe, WARP).
+    ///
+    /// Such a program is never faster than the casters of `carina-raycast` on the same cores.
     Software,
-    /// The driver does not say.
+    /// Unknown, because the driver does not report the kind.
     Unknown,
 }
 
 impl AdapterKind {
-    /// In words.
+    /// Return the kind as text.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -30,8 +32,10 @@ impl AdapterKind {
         }
     }
 
-    /// Longer than any picture takes on a device that is worth using; then the device counts as lost. One in software
-    /// works on the processor's cores, which other programs may have for minutes: it is slow and not dead.
+    /// Return the time after which a device without an answer counts as lost; any useful device casts a picture faster.
+    ///
+    /// A software device runs on the processor's cores, which other programs may occupy for minutes, so its limit is
+    /// longer.
     pub(crate) const fn patience(self) -> Duration {
         match self {
             Self::Software => Duration::from_secs(600),
@@ -42,16 +46,16 @@ impl AdapterKind {
     }
 }
 
-/// An adapter, in words that a person can look up.
+/// Description of an adapter for users.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AdapterFacts {
-    /// As the driver names it.
+    /// Name as reported by the driver.
     pub name: String,
-    /// Vulkan, Metal or Dx12.
+    /// Graphics interface: Vulkan, Metal or Dx12.
     pub api: String,
-    /// Driver and its version, as far as the driver says.
+    /// Driver and its version, as far as the driver reports them.
     pub driver: String,
-    /// What it is.
+    /// Kind of the adapter.
     pub kind: AdapterKind,
 }
 
@@ -76,7 +80,7 @@ impl AdapterFacts {
         }
     }
 
-    /// Lower is tried first.
+    /// Return the rank; adapters with a lower rank are tried first.
     const fn rank(&self) -> u8 {
         match self.kind {
             AdapterKind::Discrete => 0,
@@ -88,21 +92,23 @@ impl AdapterFacts {
     }
 }
 
-/// The instance behind all devices: one per process, made on first use, which is when drivers are loaded.
+/// Return the instance behind all devices.
+///
+/// There is one per process, created on first use, which loads the drivers.
 fn instance() -> &'static wgpu::Instance {
     static INSTANCE: OnceLock<wgpu::Instance> = OnceLock::new();
     INSTANCE.get_or_init(|| {
         let mut wanted = wgpu::InstanceDescriptor::new_without_display_handle();
         wanted.backends = wgpu::Backends::PRIMARY;
-        // Our one shader is tested; the drivers' validation layers cost time and print.
+        // The only shader is tested; the drivers' validation layers cost time and print messages.
         wanted.flags = wgpu::InstanceFlags::empty();
-        // A volume that would push the desktop out of graphics memory is refused, not squeezed in.
+        // A volume that would displace the desktop from graphics memory is rejected.
         wanted.memory_budget_thresholds.for_resource_creation = Some(90);
         wgpu::Instance::new(wanted)
     })
 }
 
-/// All adapters, the likely fastest first; the order holds for the process.
+/// Return all adapters, the likely fastest first; the order is the same during the whole process.
 pub(crate) fn found() -> &'static [(AdapterFacts, wgpu::Adapter)] {
     static FOUND: OnceLock<Vec<(AdapterFacts, wgpu::Adapter)>> = OnceLock::new();
     FOUND.get_or_init(|| {
@@ -116,9 +122,9 @@ pub(crate) fn found() -> &'static [(AdapterFacts, wgpu::Adapter)] {
     })
 }
 
-/// The adapters of this machine, the likely fastest first: discrete, integrated, virtual, software.
+/// Return the adapters of this machine, the likely fastest first: discrete, integrated, virtual, software.
 ///
-/// Loads the graphics drivers on the first call, which takes tens of milliseconds.
+/// The first call loads the graphics drivers, which takes tens of milliseconds.
 #[must_use]
 pub fn adapters() -> Vec<AdapterFacts> {
     found().iter().map(|(facts, _)| facts.clone()).collect()

@@ -1,43 +1,44 @@
-// The airway view on a GPU: the scalar casters of crates/raycast (brute.rs, leap.rs, sampling.rs, frame.rs, light.rs,
-// composite.rs), operation by operation. WGSL does not promise the bits of a division, a square root or a fused
-// multiply-add, so the picture is held to the CPU's within a grey level and not bit for bit.
+// Airway view on a GPU: the scalar casters of crates/raycast (brute.rs, leap.rs, sampling.rs, frame.rs, light.rs,
+// composite.rs), operation by operation. WGSL does not guarantee the bits of a division, a square root or a fused
+// multiply-add, so the picture must equal that of the CPU within one grey level, not bit for bit.
 
 override SHADED: bool = true;
 override NEAREST: bool = false;
 override LEAP: bool = true;
-// Instead of a picture, what each ray gathered: for what is lit afterwards, and for depths.
+// Write the results of each ray instead of a picture, for shading on the CPU and for depths.
 override WALLS: bool = false;
 
-// When a ray asks the map: leap.rs says why. Samples after the first look-up that found nothing, and at most; samples before
-// the first look-up of rays that start in no region; the shortest leap that sets the patience back.
+// Schedule of the look-ups in the map; leap.rs gives the reasons. The constants are the number of samples after the first
+// look-up that found nothing, the largest such number, the number of samples before the first look-up of rays that start in
+// no region, and the shortest leap that resets the patience.
 const LEAST_PATIENCE: u32 = 2u;
 const MOST_PATIENCE: u32 = 128u;
 const BLIND_SAMPLES: u32 = 8u;
 override PAYING_LEAP: u32 = 1u;
-// Steps per voxel along an axis on which a ray stands still, and the most steps that a leap can have.
+// Steps per voxel along an axis on which a ray does not advance, and the largest number of steps of a leap.
 const FAR: f32 = 1e30;
 const MAX_STEPS: f32 = 1e9;
 const NO_HIT: f32 = -1.0;
 
-// Laid out as `Uniforms` in uniforms.rs.
+// Same layout as `Uniforms` in uniforms.rs.
 struct Frame {
-    // Voxels per ray step, by unit directions in camera space: rows of a 3x3 matrix.
+    // Rows of the 3x3 matrix from unit directions in camera space to voxels per ray step.
     step_i: vec4<f32>,
     step_j: vec4<f32>,
     step_k: vec4<f32>,
     origin: vec4<f32>,
-    // Faces of the volume's box as seen from the origin, subtracted in f64.
+    // Distances from the origin to the faces of the volume's box, in voxels, subtracted in f64.
     to_low_face: vec4<f32>,
     to_high_face: vec4<f32>,
-    // 1 where the origin lies between the two faces of an axis.
+    // 1 if the origin is between the two faces of an axis.
     between_faces: vec4<u32>,
-    // Last voxel of each axis.
+    // Index of the last voxel on each axis.
     last: vec4<i32>,
-    // |gradient in LPS per mm|^2 = g^T metric g: xx, yy, zz, then 2xy, 2xz, 2yz.
+    // Metric of gradients per voxel, |gradient in LPS per mm|^2 = g^T metric g: xx, yy, zz, then 2xy, 2xz, 2yz.
     metric_square: vec4<f32>,
     metric_mixed: vec4<f32>,
     background: vec4<f32>,
-    // ambient, diffuse, specular, 1 / reach in mm.
+    // Ambient, diffuse, specular, 1 / reach in mm.
     light: vec4<f32>,
     width: u32,
     num_rows: u32,
@@ -46,7 +47,7 @@ struct Frame {
     table_low_hu: i32,
     step_mm: f32,
     guard_vox: f32,
-    // Rays stop when less than this shines through.
+    // Transparency below which a ray stops.
     stop: f32,
 }
 
@@ -55,11 +56,11 @@ struct Frame {
 @group(0) @binding(2) var radius: texture_3d<u32>;
 // Premultiplied colour and opacity of one ray step by integer HU.
 @group(0) @binding(3) var<storage, read> table: array<vec4<f32>>;
-// Unit directions in camera space, three numbers per pixel; 0 0 0 where a lens has no ray.
+// Unit directions in camera space, three numbers per pixel; 0 0 0 for a pixel without a ray.
 @group(0) @binding(4) var<storage, read> directions: array<f32>;
-// One word per pixel: RGBA, alpha 255. With WALLS five: the bits of colour, transparency and first wall in steps.
+// One word per pixel: RGBA, alpha 255. With WALLS five words: the bits of colour, transparency and first wall in steps.
 @group(0) @binding(5) var<storage, read_write> out: array<u32>;
-// Samples, look-ups, leaps, skipped samples and shaded samples of each workgroup.
+// Numbers of samples, look-ups, leaps, skipped samples and shaded samples of each workgroup.
 @group(0) @binding(6) var<storage, read_write> counts: array<u32>;
 
 var<workgroup> num_samples: atomic<u32>;
@@ -76,7 +77,7 @@ struct Ray {
 }
 
 struct Cell {
-    // Lower corner, and the place in the cell, 0..1.
+    // Lower corner of the cell, and the position in the cell, 0 to 1.
     ijk: vec3<i32>,
     t: vec3<f32>,
 }
@@ -99,7 +100,7 @@ fn voxel(i: i32, j: i32, k: i32) -> i32 {
     return textureLoad(volume, vec3<i32>(i, j, k), 0).x;
 }
 
-// A row of two voxels along x, interpolated.
+// Interpolate a row of two voxels along x.
 fn row(t: f32, i: i32, i_next: i32, j: i32, k: i32) -> f32 {
     return lerp_ints(t, voxel(i, j, k), voxel(i_next, j, k));
 }
@@ -118,7 +119,7 @@ fn nearest(p: vec3<f32>) -> vec3<i32> {
     return vec3<i32>(held(p) + 0.5);
 }
 
-// The lower corner of the cell that holds p, also of the one beyond the last voxel, which no map of cells knows.
+// Return the lower corner of the cell that contains p; beyond the last voxel, of the cell outside, whose radius is 0.
 fn corner_of(p: vec3<f32>) -> vec3<i32> {
     return vec3<i32>(held(p));
 }
@@ -133,7 +134,7 @@ fn value_in(cell: Cell) -> f32 {
     return lerp(cell.t.z, lerp(cell.t.y, r00, r10), lerp(cell.t.y, r01, r11));
 }
 
-// Differences between two voxels at both corners of one row: along x, along y, along z.
+// Interpolate differences between two voxels at both corners of one row: along x, along y, along z.
 fn slope_x(t: f32, i: vec4<i32>, j: i32, k: i32) -> f32 {
     let low = voxel(i.y, j, k);
     let high = voxel(i.z, j, k);
@@ -150,7 +151,7 @@ fn slope_z(t: f32, i: vec2<i32>, j: i32, before: i32, after: i32) -> f32 {
     return lerp_ints(t, low, voxel(i.y, j, after) - voxel(i.y, j, before));
 }
 
-// Central differences per voxel at the eight corners, interpolated like values; a missing neighbour is the edge voxel itself.
+// Interpolate central differences per voxel at the eight corners; the edge voxel itself replaces a missing neighbour.
 fn gradient_in(cell: Cell) -> vec3<f32> {
     let t = cell.t;
     let a = cell.ijk;
@@ -181,18 +182,18 @@ fn entry(hu: i32) -> vec4<f32> {
     return table[clamp(hu - frame.table_low_hu, 0, frame.table_last)];
 }
 
-// Cosine between the surface normal and the ray, without sign.
+// Return the absolute cosine between the surface normal and the ray.
 fn facing(delta: vec3<f32>, g: vec3<f32>) -> f32 {
     let along = fma(g.z, delta.z, fma(g.y, delta.y, g.x * delta.x));
     let m = frame.metric_square;
     let n = frame.metric_mixed;
     let square = fma(g.x, m.x, fma(g.y, n.x, g.z * n.y)) * g.x + fma(g.y, m.y, g.z * n.z) * g.y + m.z * g.z * g.z;
     let length = sqrt(max(square, 0.0)) * frame.step_mm;
-    // Flat tissue has no direction; 1e-6 HU/mm only keeps 0/0 away.
+    // Flat tissue has no direction; 1e-6 HU/mm only prevents 0/0.
     return min(abs(along) / (length + 1e-6), 1.0);
 }
 
-// Shares of the sample's own colour and of white at a distance.
+// Return the fractions of the sample's own colour and of white at a distance.
 fn shares(cosine: f32, distance_mm: f32) -> vec2<f32> {
     var highlight = cosine;
     for (var n = 0u; n < frame.shininess_log2; n++) {
@@ -213,7 +214,7 @@ fn add(gathered: ptr<function, Gathered>, k: u32, rgb: vec3<f32>, alpha: f32) {
     }
 }
 
-// Reads sample k and adds it; false if it has no opacity.
+// Read sample k and add it to the ray; return false if the sample has no opacity.
 fn add_sample(ray: Ray, k: u32, p: vec3<f32>, gathered: ptr<function, Gathered>) -> bool {
     if NEAREST {
         let v = nearest(p);
@@ -236,7 +237,7 @@ fn add_sample(ray: Ray, k: u32, p: vec3<f32>, gathered: ptr<function, Gathered>)
 }
 
 fn place(ray: Ray, k: u32) -> vec3<f32> {
-    // As a product: no error adds up along the ray.
+    // The position is a product, so no error accumulates along the ray.
     return fma(vec3<f32>(f32(k) + 0.5), ray.delta, frame.origin.xyz);
 }
 
@@ -247,14 +248,14 @@ fn ray_of(pixel: u32) -> Ray {
     var end = MAX_STEPS;
     var meets = any(dir != vec3<f32>(0.0));
     for (var a = 0; a < 3; a++) {
-        // Slower than this a ray does not move by a guard's width within MAX_STEPS: it stands still on the axis.
+        // A slower ray moves by less than the leap's margin within MAX_STEPS, so it counts as not advancing on the axis.
         if abs(delta[a]) < 1e-12 {
             meets = meets && frame.between_faces[a] == 1u;
             continue;
         }
         let u = frame.to_low_face[a] / delta[a];
         let v = frame.to_high_face[a] / delta[a];
-        // Sample k is at k + 1/2 steps; what lies behind the camera starts at 0.
+        // Sample k is at k + 1/2 steps; the part behind the camera starts at 0.
         first = max(first, ceil(min(u, v) - 0.5));
         end = min(end, floor(max(u, v) + 0.5));
     }
@@ -264,7 +265,7 @@ fn ray_of(pixel: u32) -> Ray {
     return Ray(delta, u32(first), u32(end));
 }
 
-// The largest number of steps from p that stay within `reach` of v on every axis.
+// Return the largest number of steps from p that stay within `reach` of v on every axis.
 fn steps_within(ray: Ray, p: vec3<f32>, v: vec3<f32>, reach: f32) -> u32 {
     var steps = MAX_STEPS;
     for (var a = 0; a < 3; a++) {
@@ -278,7 +279,7 @@ fn steps_within(ray: Ray, p: vec3<f32>, v: vec3<f32>, reach: f32) -> u32 {
     return u32(max(steps, 0.0));
 }
 
-// True where the camera stands in a region of the map; the same for all rays.
+// Return true if the camera is in a region of the map; the result is the same for all rays.
 fn starts_in_region() -> bool {
     let inside = all(frame.between_faces.xyz == vec3<u32>(1u));
     return inside && textureLoad(radius, corner_of(frame.origin.xyz), 0).x > 0u;
@@ -315,7 +316,7 @@ fn cast_airway(
                     lookups += 1u;
                     let r = textureLoad(radius, v, 0).x;
                     if r > 0u {
-                        // All corners of this sample and of the next n lie in the cube.
+                        // All corners of this sample and of the next n samples are in the cube.
                         let reach = f32(r) + (-0.5 - frame.guard_vox);
                         let n = steps_within(ray, p, vec3<f32>(v) + 0.5, reach);
                         let passed = min(n + 1u, ray.end - k);

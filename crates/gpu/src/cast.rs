@@ -1,4 +1,4 @@
-//! From a view to a picture: bands of rows, each one dispatch, read back as they are done.
+//! Casting of a picture on the device: one dispatch for each band of rows, read back when the band is finished.
 
 use std::ops::Range;
 
@@ -14,22 +14,24 @@ use crate::{
     uniforms::Uniforms,
 };
 
-/// Pixels on a side of a workgroup.
+/// Number of pixels on a side of a workgroup.
 const GROUP: usize = 8;
-/// Pixels of a band at most: bounds the buffers of a picture to 16 MB, of walls to 80 MB.
+/// Largest number of pixels of a band: it limits the buffers of a picture to 16 MB, of walls to 80 MB.
 const BAND_PIXELS: usize = 1 << 21;
-/// Samples of a band at most. Desktop systems reset a device that does not answer for about two seconds; the slowest
-/// one that is worth using takes some 10^9 samples a second.
+/// Largest number of samples of a band.
+///
+/// Desktop systems reset a device that does not answer for about two seconds; the slowest useful device takes some 10^9
+/// samples a second.
 const BAND_SAMPLES: f64 = 5e8;
-/// f32 counts steps exactly to 2^24, and a ray's ends are found in f32 here.
+/// Largest number of steps of a ray: f32 counts steps exactly to 2^24, and the ends of a ray are computed in f32 here.
 const MOST_STEPS: f64 = 4_194_304.0;
 const WORDS_OF_A_WALL: usize = 5;
-/// Pixels that a thread of the CPU takes at least of what comes back: 41 MB of walls in a picture of 1920 x 1080.
+/// Smallest number of read-back pixels per CPU thread: a picture of 1920 x 1080 has 41 MB of walls.
 const SHARE: usize = 1 << 13;
-/// Numbers that a workgroup counts.
+/// Number of counters of a workgroup.
 const COUNTS: usize = 5;
 
-/// What is cast: a frame, and where its voxels are on the device.
+/// Frame to be cast, and its voxels on the device.
 #[derive(Clone, Copy)]
 struct Job<'a> {
     frame: &'a Frame<'a>,
@@ -40,10 +42,15 @@ struct Job<'a> {
 }
 
 impl Gpu {
-    /// Casts `rows` of a picture as 8-bit RGB, `[row, column, channel]`.
+    /// Cast `rows` of a picture as 8-bit RGB, `[row, column, channel]`.
     ///
-    /// `volume` holds the values of the frame's volume, `map` the radii of its transparent classes; without a map every
-    /// sample is taken. The picture is the CPU's within one grey level on all but a few pixels (crate documentation).
+    /// `volume` contains the values of the frame's volume, `map` the radii of its transparent classes; without a map
+    /// every sample is taken. The picture equals that of the CPU within one grey level on all but a few pixels (see the
+    /// crate documentation).
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the device cannot cast the frame or is lost.
     pub fn cast(
         &self,
         frame: &Frame<'_>,
@@ -55,14 +62,19 @@ impl Gpu {
         let stats = self.bands(frame, volume, map, rows, false, |words| {
             let pixels = words.as_chunks::<4>().0.par_iter().with_min_len(SHARE);
             rgb.par_extend(pixels.clone().map(|&[r, g, b, _]| [r, g, b]));
-            // The buffer was cleared: what the kernel did not write has no alpha.
+            // The buffer was cleared, so pixels that the kernel did not write have no alpha.
             pixels.filter(|pixel| pixel[3] != 255).count()
         })?;
         Ok((rgb.into_flattened(), stats))
     }
 
-    /// What the rays of `rows` gather without any light, first walls included, `[row, column]`;
-    /// [`carina_raycast::light_gathered`] makes a picture of it where the frame has an appearance.
+    /// Cast the rays of `rows` without any light, including first walls, `[row, column]`.
+    ///
+    /// [`carina_raycast::light_gathered`] shades the result if the frame has an appearance.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the device cannot cast the frame or is lost.
     pub fn cast_walls(
         &self,
         frame: &Frame<'_>,
@@ -82,7 +94,7 @@ impl Gpu {
                     hit,
                 }
             }));
-            // A first wall lies beyond 0 steps, and none is -1.
+            // The distance of a first wall is above 0 steps; -1 means no wall.
             walls[before..]
                 .par_iter()
                 .with_min_len(SHARE)
@@ -92,8 +104,13 @@ impl Gpu {
         Ok((walls, stats))
     }
 
-    /// The walls that [`carina_raycast::light_gathered`] needs for `rows`; the counts are of `rows` alone, so that those of
-    /// strips add up.
+    /// Cast the walls that [`carina_raycast::light_gathered`] needs for `rows`.
+    ///
+    /// The statistics are of `rows` alone, so that the statistics of strips can be added.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the device cannot cast the frame or is lost.
     pub fn cast_walls_to_light(
         &self,
         frame: &Frame<'_>,
@@ -116,7 +133,9 @@ impl Gpu {
         Ok(([before, walls, after].concat(), stats))
     }
 
-    /// Casts the rows band by band. `take` is handed what the kernel wrote and says how many pixels it did not write.
+    /// Cast the rows band by band.
+    ///
+    /// `take` receives the output of the kernel and returns the number of pixels that the kernel did not write.
     fn bands(
         &self,
         frame: &Frame<'_>,
@@ -160,7 +179,8 @@ impl Gpu {
                 });
             }
         }
-        // Of a map of transparent classes no label is read, so the reads are those of brute force and the look-ups.
+        // Leaps with a map of transparent classes read no label, so the reads are those of brute force plus the
+        // look-ups.
         Ok(stats.with_loads(frame, Method::Brute))
     }
 
@@ -188,7 +208,7 @@ impl Gpu {
         let mut encoder = self
             .device
             .create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        // A pixel that the kernel does not write must not show the last picture.
+        // The buffer is cleared, because a pixel that the kernel does not write must not show the previous picture.
         encoder.clear_buffer(&slot.out, 0, Some(out_bytes));
         {
             let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
@@ -212,7 +232,7 @@ impl Gpu {
             name: self.facts.name.clone(),
             reason,
         };
-        // The thread that hears of the end first calls back, and that may be another picture's.
+        // The first thread that learns of the completion runs all callbacks; it may be the thread of another picture.
         told.recv_timeout(self.facts.kind.patience())
             .map_err(|_| lost("the picture did not come back".to_owned()))?
             .map_err(|e| lost(e.to_string()))?;
@@ -225,7 +245,8 @@ impl Gpu {
         };
         slot.staging.unmap();
         self.check_alive()?;
-        // Only now: a slot whose picture failed may still be mapped or in use, and is dropped.
+        // The slot is returned only after success: the slot of a failed picture may still be mapped or in use, and is
+        // dropped.
         lock(&self.slots).push(slot);
         Ok(num_missing)
     }
@@ -250,7 +271,7 @@ impl Gpu {
     }
 }
 
-/// Adds what each workgroup counted.
+/// Add the counters of all workgroups.
 fn add_counts(stats: &mut CastStats, counts: &[u8], shaded: bool) {
     for group in counts.as_chunks::<{ 4 * COUNTS }>().0 {
         let [samples, lookups, leaps, skipped, lit] =

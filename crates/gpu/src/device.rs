@@ -1,4 +1,4 @@
-//! An opened graphics device: its queue, its pipelines, and whether it still answers.
+//! Opened graphics device: its queue, its pipelines, and whether it still works.
 
 use std::{
     collections::HashMap,
@@ -16,7 +16,7 @@ use crate::{
 
 static NEXT: AtomicU64 = AtomicU64::new(1);
 
-/// Which kernel: the overrides of `airway.wgsl`.
+/// Variant of the kernel: the overrides of `airway.wgsl`.
 #[allow(
     clippy::struct_excessive_bools,
     reason = "each is one override of the shader, and all combine"
@@ -29,34 +29,42 @@ pub(crate) struct Variant {
     pub(crate) walls: bool,
 }
 
-/// A graphics device with the airway view's kernels. Pictures may be cast from several threads at once.
+/// Graphics device with the kernels of the airway view.
+///
+/// Several threads may cast pictures at once.
 #[derive(Debug)]
 pub struct Gpu {
     pub(crate) facts: AdapterFacts,
     pub(crate) device: wgpu::Device,
     pub(crate) queue: wgpu::Queue,
-    /// Tells resources of one device from another's.
+    /// Unique number, which distinguishes the resources of different devices.
     pub(crate) id: u64,
     pub(crate) layout: wgpu::BindGroupLayout,
     pub(crate) no_map: GpuMap,
-    /// Buffers of pictures that are not under way.
+    /// Buffers that no picture uses at present.
     pub(crate) slots: Mutex<Vec<Slot>>,
     pub(crate) directions: Mutex<Vec<Arc<Directions>>>,
     pub(crate) tables: Mutex<Vec<Arc<TableOnDevice>>>,
     pipeline_layout: wgpu::PipelineLayout,
     shader: wgpu::ShaderModule,
     pipelines: Mutex<HashMap<Variant, wgpu::ComputePipeline>>,
-    /// The driver's last words.
+    /// First error that the driver reported.
     trouble: Arc<Mutex<Option<String>>>,
 }
 
-/// A lock that a panic elsewhere does not close: what it guards are caches, whole at every moment.
+/// Lock a mutex even after a panic in another thread.
+///
+/// The protected data are caches, which are consistent at every moment.
 pub(crate) fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Gpu {
-    /// Opens the adapter at this place of [`crate::adapters`].
+    /// Open the adapter at this index of [`crate::adapters`].
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if there is no such adapter or the driver does not start.
     pub fn open(index: usize) -> Result<Self, GpuError> {
         let all = found();
         let Some((facts, adapter)) = all.get(index) else {
@@ -82,7 +90,7 @@ impl Gpu {
         }))
         .map_err(|e| refuse(e.to_string()))?;
         let trouble = Arc::new(Mutex::new(None));
-        // The default handler panics; ours remembers, and the next picture is refused.
+        // The default handler panics; this one stores the error, and the next picture fails.
         let heard = Arc::clone(&trouble);
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
             lock(&heard).get_or_insert_with(|| error.to_string());
@@ -135,21 +143,22 @@ impl Gpu {
         Ok(gpu)
     }
 
-    /// The adapter.
+    /// Return the adapter.
     #[must_use]
     pub const fn adapter(&self) -> &AdapterFacts {
         &self.facts
     }
 
-    /// Gives the device up, as a driver does that resets: every later picture is refused. For tests of the way back to
-    /// the CPU.
+    /// Mark the device as lost, as after a driver reset: every later picture fails.
+    ///
+    /// For tests of the fallback to the CPU.
     pub fn lose(&self) {
         self.device.destroy();
         let _ = self.device.poll(wgpu::PollType::Poll);
         lock(&self.trouble).get_or_insert_with(|| "given up".to_owned());
     }
 
-    /// Refuses once the driver has reported anything: nothing that comes after it can be trusted.
+    /// Return an error if the driver has reported any problem, because no later result can be trusted.
     pub(crate) fn check_alive(&self) -> Result<(), GpuError> {
         match &*lock(&self.trouble) {
             None => Ok(()),
@@ -160,7 +169,7 @@ impl Gpu {
         }
     }
 
-    /// Runs `work` and returns what the driver had to say against it.
+    /// Run `work` and also return the error that the driver reported for it.
     pub(crate) fn watched<T>(&self, work: impl FnOnce() -> T) -> (T, Option<String>) {
         let memory = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
         let validation = self.device.push_error_scope(wgpu::ErrorFilter::Validation);
@@ -172,7 +181,7 @@ impl Gpu {
         )
     }
 
-    /// Waits for a submission; a device that does not answer counts as lost.
+    /// Wait for a submission; a device that does not answer in time counts as lost.
     pub(crate) fn wait(&self, index: wgpu::SubmissionIndex) {
         let done = self.device.poll(wgpu::PollType::Wait {
             submission_index: Some(index),
@@ -183,7 +192,7 @@ impl Gpu {
         }
     }
 
-    /// The kernel of a variant, compiled on first use.
+    /// Return the kernel of a variant, which is compiled on first use.
     pub(crate) fn pipeline(&self, variant: Variant) -> wgpu::ComputePipeline {
         let mut pipelines = lock(&self.pipelines);
         let switches = [

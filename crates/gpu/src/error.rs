@@ -1,54 +1,59 @@
 use carina_raycast::RaycastError;
 
-/// Why there is no picture from the GPU. None of these is the viewer's fault: the CPU can render every one.
+/// Errors of casts on the GPU.
+///
+/// None of them is caused by the viewer, and the CPU can render every picture instead.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum GpuError {
-    /// No such adapter.
+    /// There is no such adapter.
     #[error("there is no graphics adapter {index}; this machine has {count}")]
     NoAdapter {
-        /// What was asked for.
+        /// Requested index.
         index: usize,
-        /// How many there are.
+        /// Number of adapters.
         count: usize,
     },
-    /// The driver would not start, or the device is gone.
+    /// The driver did not start, or the device is lost.
     #[error("the graphics device {name} cannot be used: {reason}")]
     Device {
-        /// The adapter.
+        /// Name of the adapter.
         name: String,
-        /// In the driver's words.
+        /// Message of the driver.
         reason: String,
     },
-    /// More than the device holds.
+    /// The data do not fit on the device.
     #[error("{what} does not fit in the memory of the graphics device: {reason}")]
     DoesNotFit {
-        /// The volume, the radius map, the picture.
+        /// The volume, the radius map or the picture.
         what: &'static str,
-        /// What was asked for and what there is.
+        /// Required and available size.
         reason: String,
     },
-    /// Something that only the CPU's casters do.
+    /// The frame needs a feature that only the CPU's casters have.
     #[error("the graphics device cannot render this view: {reason}")]
     Unsupported {
-        /// Which thing.
+        /// Explanation: the feature that the device lacks, or the limit that the frame exceeds.
         reason: String,
     },
-    /// Some pixels came back unwritten. The picture is refused: a wrong one is worse than none.
+    /// Some pixels were not written.
+    ///
+    /// The picture is rejected, because a wrong picture is worse than none.
     #[error("the graphics device {name} left {num_missing} pixels of an image empty")]
     Incomplete {
-        /// The adapter.
+        /// Name of the adapter.
         name: String,
-        /// Pixels without a colour.
+        /// Number of pixels without a colour.
         num_missing: usize,
     },
-    /// The view itself.
+    /// The view is not valid.
     #[error(transparent)]
     Raycast(#[from] RaycastError),
 }
 
 impl GpuError {
-    /// Stable code, shared with Python. `render.gpu-limit` is about this volume or view; after `render.gpu` the device is
-    /// not to be used again.
+    /// Return the stable error code, shared with Python.
+    ///
+    /// `render.gpu-limit` refers to this volume or view only; after `render.gpu` the device must not be used again.
     #[must_use]
     pub const fn code(&self) -> &'static str {
         match self {

@@ -1,11 +1,11 @@
-//! The airway view on a GPU, by compute shaders: the maths of `carina-raycast`, within one grey level.
+//! Airway view on a GPU by compute shaders: the computations of `carina-raycast`, equal within one grey level.
 //!
-//! The volume, the radius map, the transfer table and the rays' directions stay on the device; a picture costs one small
-//! upload, one dispatch and one read-back. Voxels are read as the integers that they are and interpolated in f32 in the
-//! shader (`airway.wgsl`): a texture unit's own interpolation has 8-bit weights, a wall of its own making.
+//! The volume, the radius map, the transfer table and the rays' directions stay on the device; a picture needs one
+//! small upload, one dispatch and one read-back. Voxels are read as integers and interpolated in f32 in the shader
+//! (`airway.wgsl`), because a texture unit interpolates with 8-bit weights, which would create false walls.
 //!
-//! Without the feature `wgpu` this crate is empty, and neither wgpu nor a driver is touched. With it, drivers are loaded
-//! when [`adapters`] or [`Gpu::open`] is called, not before.
+//! Without the feature `wgpu` this crate is empty and uses neither wgpu nor a driver. With the feature, drivers are
+//! loaded when [`adapters`] or [`Gpu::open`] is called, not before.
 #![cfg(feature = "wgpu")]
 
 mod adapter;

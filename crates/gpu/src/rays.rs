@@ -1,4 +1,4 @@
-//! What stays on the device between pictures because it changes seldom: directions of rays and transfer tables.
+//! Data that stay on the device between pictures, because they change rarely: directions of rays and transfer tables.
 
 use std::{ops::Range, sync::Arc};
 
@@ -11,10 +11,11 @@ use crate::{
     resources::{Directions, DirectionsKey, TableOnDevice},
 };
 
-/// Kept of each: while a camera moves, the frame budget goes back and forth between a few sizes and steps.
+/// Number of cached items of each kind: while a camera moves, the frame budget alternates between a few sizes and
+/// steps.
 const KEPT: usize = 6;
 
-/// Finds the item of a key among the kept ones or makes it; the ones least lately used go first.
+/// Return the cached item of a key, or create it; the least recently used items are removed first.
 fn kept<T, K: PartialEq + ?Sized>(
     all: &mut Vec<Arc<T>>,
     key: &K,
@@ -28,7 +29,10 @@ fn kept<T, K: PartialEq + ?Sized>(
     item
 }
 
-/// Directions of `rows`; a pinhole's computed in f64 and rounded once, a lens's as it has them, 0 where it has none.
+/// Return the directions of `rows`: those of a pinhole are computed in f64 and rounded once, those of a lens are
+/// copied.
+///
+/// The result is 0 for a pixel without a ray.
 fn directions(camera: &Camera, rows: &Range<usize>) -> Vec<f32> {
     let (width, z) = (camera.width(), camera.focal_px());
     let (half_width, half_height) = (width as f64 / 2.0, camera.height() as f64 / 2.0);
@@ -88,7 +92,7 @@ impl Gpu {
         )
     }
 
-    /// A buffer that shaders read, with these bytes in it.
+    /// Create a buffer with these bytes that shaders can read.
     fn filled(&self, label: &str, bytes: &[u8]) -> wgpu::Buffer {
         let buffer = self.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some(label),

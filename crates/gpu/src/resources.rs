@@ -1,10 +1,10 @@
-//! What lies on the device: volumes and maps, buffers of pictures, directions of rays, transfer tables.
+//! Resources on the device: volumes and maps, buffers of pictures, directions of rays, transfer tables.
 
 use std::{ops::Range, sync::Arc};
 
 use carina_grid::LensRays;
 
-/// An int16 volume on the device.
+/// Volume of int16 values on the device.
 #[derive(Debug)]
 pub struct GpuVolume {
     pub(crate) view: wgpu::TextureView,
@@ -12,7 +12,7 @@ pub struct GpuVolume {
     pub(crate) owner: u64,
 }
 
-/// A radius map on the device.
+/// Radius map on the device.
 #[derive(Debug)]
 pub struct GpuMap {
     pub(crate) view: wgpu::TextureView,
@@ -20,7 +20,7 @@ pub struct GpuMap {
     pub(crate) owner: u64,
 }
 
-/// Buffers of one band: kept and used again.
+/// Buffers of one band, which are reused.
 #[derive(Debug)]
 pub(crate) struct Slot {
     pub(crate) out_bytes: u64,
@@ -28,21 +28,21 @@ pub(crate) struct Slot {
     pub(crate) uniforms: wgpu::Buffer,
     pub(crate) out: wgpu::Buffer,
     pub(crate) counts: wgpu::Buffer,
-    /// Pixels and counts, as the CPU reads them.
+    /// Pixels and counters for the read-back by the CPU.
     pub(crate) staging: wgpu::Buffer,
 }
 
-/// The unit directions of some rows of pixels in camera space, for one lens and one size of picture.
+/// Unit directions of some rows of pixels in camera space, for one lens and one size of picture.
 #[derive(Debug)]
 pub(crate) struct Directions {
     pub(crate) buffer: wgpu::Buffer,
     pub(crate) key: DirectionsKey,
 }
 
-/// Whatever the directions depend on; the pose is not among it.
+/// Key of cached directions: everything on which they depend; the pose is not part of it.
 #[derive(Debug, Clone)]
 pub(crate) struct DirectionsKey {
-    /// Kept alive, so that its address stays its own.
+    /// Rays of the lens; the reference prevents other rays from getting the same address.
     pub(crate) lens: Option<Arc<LensRays>>,
     pub(crate) focal_px_bits: u64,
     pub(crate) width: usize,
@@ -63,7 +63,7 @@ impl PartialEq for DirectionsKey {
     }
 }
 
-/// A transfer table on the device.
+/// Transfer table on the device.
 #[derive(Debug)]
 pub(crate) struct TableOnDevice {
     pub(crate) buffer: wgpu::Buffer,

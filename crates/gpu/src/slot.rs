@@ -1,9 +1,9 @@
-//! Buffers of a picture under way.
+//! Buffers of the pictures in progress.
 
 use crate::{Gpu, device::lock, resources::Slot, uniforms::Uniforms};
 
 impl Gpu {
-    /// Buffers of at least these sizes, from the ones that are free.
+    /// Return buffers of at least these sizes, reused if possible.
     pub(crate) fn slot(&self, out_bytes: u64, count_bytes: u64) -> Slot {
         {
             let mut free = lock(&self.slots);
@@ -11,7 +11,7 @@ impl Gpu {
             if let Some(n) = free.iter().position(fits) {
                 return free.swap_remove(n);
             }
-            // Too small for what is asked now: a larger one takes its place.
+            // A free slot is too small, so a larger one replaces it.
             free.pop();
         }
         let buffer = |label: &str, size: u64, usage: wgpu::BufferUsages| {

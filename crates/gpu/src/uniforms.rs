@@ -1,9 +1,9 @@
-//! What all rays of a picture share, as the shader reads it.
+//! Parameters that all rays of a picture share, in the shader's layout.
 
 use bytemuck::{Pod, Zeroable};
 use carina_raycast::FrameNumbers;
 
-/// `Frame` of `airway.wgsl`, field by field.
+/// Struct `Frame` of `airway.wgsl`, field by field.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
 pub(crate) struct Uniforms {
@@ -30,9 +30,9 @@ pub(crate) struct Uniforms {
 }
 
 impl Uniforms {
-    /// For `num_rows` rows of a picture.
+    /// Return the parameters for `num_rows` rows of a picture.
     pub(crate) fn new(numbers: &FrameNumbers<'_>, num_rows: usize) -> Self {
-        // Products in f64, rounded once: a direction then takes three products to become a step.
+        // Products are computed in f64 and rounded once; the shader then needs three products per direction.
         let step = |row: usize| -> [f32; 4] {
             let m = numbers.ijk_from_camera.rows()[row];
             [m[0], m[1], m[2], 0.0].map(|v| (v * numbers.step_mm) as f32)
@@ -58,7 +58,7 @@ impl Uniforms {
             metric_square: [xx, yy, zz, 0.0],
             metric_mixed: [xy, xz, yz, 0.0],
             background: [r, g, b, 1.0],
-            // An endless reach is 1/inf = 0: no light is lost. WGSL has no infinities to rely on.
+            // For an infinite reach, 1/inf = 0: no light is lost. WGSL has no reliable infinities.
             light: light.map_or([0.0; 4], |light| {
                 [
                     light.ambient,

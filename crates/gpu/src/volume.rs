@@ -2,11 +2,15 @@
 
 use crate::{Gpu, GpuError, GpuMap, GpuVolume};
 
-/// Bytes handed to the driver at a time: it keeps a copy of each until it is on the device.
+/// Number of bytes passed to the driver at a time; the driver keeps a copy of each part until it is on the device.
 const UPLOAD_BYTES: usize = 32 << 20;
 
 impl Gpu {
-    /// Uploads a volume, `[z, y, x]`.
+    /// Upload a volume, `[z, y, x]`.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the volume does not fit or the device is lost.
     pub fn upload_volume(
         &self,
         hu_zyx: &[i16],
@@ -21,7 +25,11 @@ impl Gpu {
         })
     }
 
-    /// Uploads the map of the transparent classes' cells, `[z, y, x]`.
+    /// Upload the map of the transparent classes' cells, `[z, y, x]`.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the map has the wrong size or does not fit, or if the device is lost.
     pub fn upload_map(&self, radius_zyx: &[u8], shape_zyx: [usize; 3]) -> Result<GpuMap, GpuError> {
         let format = wgpu::TextureFormat::R8Uint;
         Ok(GpuMap {
@@ -31,8 +39,10 @@ impl Gpu {
         })
     }
 
-    /// A 3D texture: one fetch per voxel, near in memory along all three axes, and not bound by the largest buffer that
-    /// a shader may bind (128 MB on some devices).
+    /// Upload data to a 3D texture.
+    ///
+    /// A texture needs one fetch per voxel, has locality along all three axes, and is independent of the largest buffer
+    /// that a shader may bind (128 MB on some devices).
     fn upload(
         &self,
         what: &'static str,
@@ -91,7 +101,7 @@ impl Gpu {
                     },
                     extent(nx, ny, part.len() / slice),
                 );
-                // Let the copy go before the next one is made.
+                // Wait until the driver has released this copy before the next one is made.
                 let index = self.queue.submit([]);
                 self.wait(index);
             }

@@ -1,5 +1,7 @@
-//! The contract of the GPU caster: the CPU's picture within one grey level on 99.9 % of pixels, whatever the view; and
-//! trouble is an error, never a wrong picture.
+//! Contract tests of the GPU caster.
+//!
+//! Its picture equals that of the CPU within one grey level on 99.9 % of pixels, for any view. A failure gives an
+//! error, never a wrong picture.
 #![cfg(feature = "wgpu")]
 
 #[path = "../../raycast/tests/all/scene.rs"]
@@ -44,7 +46,9 @@ const LOOK: Appearance = Appearance {
     spurs: 0.0,
 };
 
-/// Every adapter of this machine. `make test-gpu` sets `CARINA_GPU_REQUIRED`, so that no adapter is a failure there.
+/// Return every adapter of this machine.
+///
+/// `make test-gpu` sets `CARINA_GPU_REQUIRED`, with which it is a failure to have no adapter.
 fn gpus() -> &'static [Gpu] {
     static GPUS: OnceLock<Vec<Gpu>> = OnceLock::new();
     GPUS.get_or_init(|| {
@@ -106,7 +110,7 @@ fn cast(gpu: &Gpu, scene: &Scene, shaded: bool, nearest: bool, leaps: bool) -> P
     }
 }
 
-/// The largest difference of each pixel's channels.
+/// Return the largest difference of each pixel's channels.
 fn differences(pair: &Pair) -> Vec<u8> {
     assert_eq!(pair.cpu.0.len(), pair.gpu.0.len());
     let pixels = pair.cpu.0.chunks(3).zip(pair.gpu.0.chunks(3));
@@ -133,7 +137,7 @@ fn pictures_of_random_scenes_are_the_cpus_within_a_grey_level() {
         let (mut num_off, mut worst, mut num_pixels, mut num_lit) = (0, 0, 0, 0);
         for n in 0..300 {
             let scene = any_scene().new_tree(&mut runner).unwrap().current();
-            // All kernels in turn: shaded, nearest, plain; leaping and not.
+            // All kernels alternate: shaded, nearest, plain; with and without leaps.
             let pair = cast(gpu, &scene, n % 3 == 0, n % 3 == 1, n % 2 == 0);
             let found = differences(&pair);
             num_off += found.iter().filter(|&&d| d > 1).count();
@@ -142,7 +146,8 @@ fn pictures_of_random_scenes_are_the_cpus_within_a_grey_level() {
             num_lit += pair.gpu.0.chunks(3).filter(|p| p[0] > 40).count();
             let (cpu, gpu) = (pair.cpu.1, pair.gpu.1);
             assert_eq!(cpu.num_rays, gpu.num_rays);
-            // A ray's ends are found in f32 on the device: a sample on a face of the box may be in or out.
+            // The ends of a ray are computed in f32 on the device, so a sample on a face of the box may be inside or
+            // outside.
             for (a, b) in [
                 (cpu.num_samples, gpu.num_samples),
                 (
@@ -163,8 +168,8 @@ fn pictures_of_random_scenes_are_the_cpus_within_a_grey_level() {
             "dark pictures would agree with anything"
         );
         assert!(num_off * 1000 <= num_pixels);
-        // Where a table steps from clear to opaque within 1 HU, rounding may move a wall by one sample on a ray: its
-        // colour stays the wall's. A pixel farther off is another thing's colour.
+        // Where a table changes from clear to opaque within 1 HU, rounding may move a wall by one sample on a ray, and
+        // the pixel keeps the wall's colour. A larger difference is the colour of another structure.
         assert!(worst <= 40, "a pixel is off by {worst}");
     }
 }
@@ -213,7 +218,7 @@ fn a_lens_with_a_round_image_gives_the_cpus_picture() {
             assert!(pair.gpu.0.iter().any(|&v| v > 100));
             pictures.push(pair.gpu.0);
         }
-        // Directions are kept on the device: another lens must not get the last one's.
+        // Directions are cached on the device: a new lens must not get those of the previous one.
         assert!(pictures[0] != pictures[1]);
     }
 }
@@ -242,7 +247,7 @@ fn first_walls_are_the_cpus() {
                         wall.hit * step_mm
                     };
                     num_walls += usize::from(hit.is_some());
-                    // A hundredth of a step: another entry of the table moves the crossing by less.
+                    // A hundredth of a step: a neighbouring entry of the table moves the crossing by less.
                     num_far += usize::from((depth - found).abs() > 0.01 * step_mm);
                     assert!((0.0..=1.0).contains(&wall.transparency));
                 }
@@ -273,7 +278,7 @@ fn rays_stop_at_the_frames_limit() {
     }
 }
 
-/// A scene whose walls are lit after casting.
+/// Call `look` with a frame whose walls are shaded after casting.
 fn lit_frame_of<T>(scene: &Scene, look: impl FnOnce(&Frame<'_>) -> T) -> T {
     let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
     let table = scene.table(false);
@@ -393,7 +398,7 @@ fn a_picture_that_would_lack_its_light_is_refused() {
 fn a_picture_of_several_bands_is_the_cpus() {
     for gpu in gpus() {
         let mut scene = inside();
-        // More than two million pixels: two dispatches.
+        // More than two million pixels need two dispatches.
         scene.resize(2048, 1100);
         let pair = cast(gpu, &scene, true, false, true);
         let found = differences(&pair);

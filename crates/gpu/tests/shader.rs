@@ -1,5 +1,6 @@
-//! The shader holds together. No adapter and no `wgpu` is needed to see that it does not: a device would refuse it, and
-//! pictures would silently be cast by the processor.
+//! Test that the shader is valid, without an adapter and without `wgpu`.
+//!
+//! A device would reject an invalid shader, and the processor would then cast all pictures without any notice.
 
 use naga::{
     front::wgsl::parse_str,

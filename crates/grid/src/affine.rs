@@ -1,15 +1,15 @@
 use crate::GridError;
 
-/// An affine map between two 3D spaces: the upper three rows of a 4x4 matrix, column vectors, f64.
+/// Affine map between two 3D spaces: the upper three rows of a 4x4 matrix, column vectors, f64.
 ///
-/// Name a value `a_from_b`; chains then match by neighbours: `a_from_c = a_from_b.after(&b_from_c)`.
+/// Name a value `a_from_b`, so that the names in a product match: `a_from_c = a_from_b.after(&b_from_c)`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Affine {
     rows: [[f64; 4]; 3],
 }
 
 impl Affine {
-    /// The identity.
+    /// Identity map.
     pub const IDENTITY: Self = Self {
         rows: [
             [1.0, 0.0, 0.0, 0.0],
@@ -18,13 +18,13 @@ impl Affine {
         ],
     };
 
-    /// From three rows of a 4x4 matrix; the fourth is 0 0 0 1.
+    /// Create a map from three rows of a 4x4 matrix; the fourth is 0 0 0 1.
     #[must_use]
     pub const fn from_rows(rows: [[f64; 4]; 3]) -> Self {
         Self { rows }
     }
 
-    /// From the images of the three axes and of the origin.
+    /// Create a map from the images of the three axes and of the origin.
     #[must_use]
     pub fn from_columns(x: [f64; 3], y: [f64; 3], z: [f64; 3], origin: [f64; 3]) -> Self {
         Self {
@@ -32,7 +32,11 @@ impl Affine {
         }
     }
 
-    /// From a row-major 4x4 matrix, refused if it is not affine, not finite, or flat.
+    /// Create a map from a row-major 4x4 matrix.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the matrix is not affine, not finite, or singular.
     pub fn from_matrix(what: &'static str, matrix: &[[f64; 4]; 4]) -> Result<Self, GridError> {
         let refuse = |reason: &str| {
             Err(GridError::Transform {
@@ -53,19 +57,19 @@ impl Affine {
         Ok(affine)
     }
 
-    /// The upper three rows.
+    /// Return the upper three rows.
     #[must_use]
     pub const fn rows(&self) -> &[[f64; 4]; 3] {
         &self.rows
     }
 
-    /// The image of axis 0, 1 or 2 (a direction with length), or of the origin (3).
+    /// Return the image of axis 0, 1 or 2 (a direction with length), or of the origin (3).
     #[must_use]
     pub fn column(&self, index: usize) -> [f64; 3] {
         std::array::from_fn(|r| self.rows[r][index])
     }
 
-    /// Maps a point.
+    /// Map a point.
     #[must_use]
     pub fn point(&self, p: [f64; 3]) -> [f64; 3] {
         std::array::from_fn(|r| {
@@ -74,7 +78,7 @@ impl Affine {
         })
     }
 
-    /// Maps a direction or an offset: the translation is left out.
+    /// Map a direction or an offset, without the translation.
     #[must_use]
     pub fn vector(&self, v: [f64; 3]) -> [f64; 3] {
         std::array::from_fn(|r| {
@@ -83,7 +87,7 @@ impl Affine {
         })
     }
 
-    /// `self` after `first`: `a_from_c = a_from_b.after(&b_from_c)`.
+    /// Return the composition of `self` after `first`: `a_from_c = a_from_b.after(&b_from_c)`.
     #[must_use]
     pub fn after(&self, first: &Self) -> Self {
         Self::from_columns(
@@ -94,19 +98,19 @@ impl Affine {
         )
     }
 
-    /// Determinant of the linear part.
+    /// Return the determinant of the linear part.
     #[must_use]
     pub fn determinant(&self) -> f64 {
         crate::dot(self.column(0), crate::cross(self.column(1), self.column(2)))
     }
 
-    /// The inverse, or `None` for a map that flattens space.
+    /// Return the inverse; `None` for a singular map.
     #[must_use]
     pub fn inverse(&self) -> Option<Self> {
         let (x, y, z) = (self.column(0), self.column(1), self.column(2));
         let volume = crate::length(x) * crate::length(y) * crate::length(z);
         let det = self.determinant();
-        // Relative to the box of the axes, so that a grid of 0.01 mm voxels is not taken for a flat one.
+        // Relative to the volume of the box of the axes, so that a grid of 0.01 mm voxels does not count as singular.
         if !det.is_finite() || det.abs() <= 1e-9 * volume || volume == 0.0 {
             return None;
         }
@@ -120,7 +124,7 @@ impl Affine {
         ))
     }
 
-    /// True if the axes have length 1 and stand at right angles, right-handed, within `tolerance`.
+    /// Return true if the axes have length 1 and are perpendicular and right-handed, within `tolerance`.
     #[must_use]
     pub fn is_rigid(&self, tolerance: f64) -> bool {
         let axes = [self.column(0), self.column(1), self.column(2)];
@@ -170,7 +174,7 @@ mod tests {
             let a = oblique(angles, spacing, origin);
             let back = a.inverse().unwrap().point(a.point(p));
             for axis in 0..3 {
-                // 1e-9: some 2000 mm through two maps in f64, divided by the smallest spacing.
+                // Tolerance 1e-9: some 2000 mm through two maps in f64, divided by the smallest spacing.
                 prop_assert!((back[axis] - p[axis]).abs() < 1e-9);
             }
         }

@@ -2,9 +2,10 @@ use std::sync::Arc;
 
 use crate::{Affine, Grid, GridError, LensRays, MAX_FOV_RAD, MIN_FOV_RAD};
 
-/// A camera: pose, lens and viewport. Without a lens of its own it is a pinhole.
+/// Camera with pose, lens and viewport; a pinhole camera if it has no lens.
 ///
-/// Camera axes: +x right, +y down, +z forward. Pixel (0, 0) is the corner of the top-left pixel; its centre is (0.5, 0.5).
+/// Camera axes: +x right, +y down, +z forward. Pixel (0, 0) is the corner of the top-left pixel; its centre is (0.5,
+/// 0.5).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Camera {
     lps_from_camera: Affine,
@@ -14,17 +15,23 @@ pub struct Camera {
     lens_rays: Option<Arc<LensRays>>,
 }
 
-/// A ray through the centre of one pixel, in patient space.
+/// Ray through the centre of one pixel, in patient space.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PixelRay {
     /// Camera centre, LPS mm.
     pub origin_lps: [f64; 3],
-    /// Unit direction.
+    /// Direction from the camera, a unit vector, LPS.
     pub dir_lps: [f64; 3],
 }
 
 impl Camera {
-    /// A pinhole camera at a rigid pose. `fov_rad` is the full angle across the shorter side of the viewport.
+    /// Create a pinhole camera at a rigid pose.
+    ///
+    /// `fov_rad` is the full angle across the shorter side of the viewport.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the pose is not rigid, or if field of view or viewport are out of range.
     pub fn new(
         lps_from_camera: Affine,
         fov_rad: f64,
@@ -56,7 +63,11 @@ impl Camera {
         })
     }
 
-    /// A camera at a rigid pose whose rays have been built for a lens and a viewport.
+    /// Create a camera at a rigid pose with rays that were built for a lens and a viewport.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the pose is not rigid.
     pub fn with_lens(lps_from_camera: Affine, rays: Arc<LensRays>) -> Result<Self, GridError> {
         check_pose(&lps_from_camera)?;
         let [across, down] = rays.optics().focal_px();
@@ -69,8 +80,9 @@ impl Camera {
         })
     }
 
-    /// The same camera with rays in these directions of camera space in place of those of its pixels: a picture of one
-    /// row. A direction of length 0 is no ray.
+    /// Return the same camera with one row of rays in the given directions of camera space.
+    ///
+    /// A direction of length 0 is no ray.
     #[must_use]
     pub fn listing(&self, directions: &[[f32; 3]]) -> Self {
         Self {
@@ -81,8 +93,11 @@ impl Camera {
         }
     }
 
-    /// The direction of a pixel's ray in camera space, its centre moved by parts of a pixel; all 0 where a pixel has no
-    /// ray. Within a pixel, a lens is as straight as between the neighbours on either side.
+    /// Return the direction of a pixel's ray in camera space, displaced from its centre by fractions of a pixel.
+    ///
+    /// The result is all 0 for a pixel without a ray.
+    ///
+    /// Within a pixel, the direction is interpolated between the neighbours on either side.
     #[must_use]
     pub fn direction_beside(&self, column: usize, row: usize, [dx, dy]: [f64; 2]) -> [f64; 3] {
         let Some(rays) = self.lens_rays() else {
@@ -95,7 +110,8 @@ impl Camera {
         if here == [0.0; 3] {
             return [0.0; 3];
         }
-        // A neighbour that the picture or the outline lacks is where it was on the other side, mirrored.
+        // A neighbour outside the picture or the outline is replaced by the mirror image of the neighbour on the other
+        // side.
         let at = |column: Option<usize>, row: Option<usize>| {
             let (column, row) = (
                 column.filter(|&c| c < self.width)?,
@@ -127,49 +143,51 @@ impl Camera {
         d.map(|v| v / len)
     }
 
-    /// The rays of the pixels where there is a lens; none for the pinhole formula.
+    /// Return the rays of the pixels if the camera has a lens; `None` for a pinhole camera.
     #[must_use]
     pub fn lens_rays(&self) -> Option<&LensRays> {
         self.lens_rays.as_deref()
     }
 
-    /// The same, to be kept: as long as it is, no other rays have its address.
+    /// Return the shared rays.
+    ///
+    /// While the caller keeps this reference, no other rays can have the same address.
     #[must_use]
     pub const fn shared_lens_rays(&self) -> Option<&Arc<LensRays>> {
         self.lens_rays.as_ref()
     }
 
-    /// The pose.
+    /// Return the pose.
     #[must_use]
     pub const fn lps_from_camera(&self) -> &Affine {
         &self.lps_from_camera
     }
 
-    /// Camera centre, LPS mm.
+    /// Return the camera centre, LPS mm.
     #[must_use]
     pub fn origin_lps(&self) -> [f64; 3] {
         self.lps_from_camera.column(3)
     }
 
-    /// Focal length in pixels; with a lens, in the middle of the picture.
+    /// Return the focal length in pixels; with a lens, in the middle of the picture.
     #[must_use]
     pub const fn focal_px(&self) -> f64 {
         self.focal_px
     }
 
-    /// Viewport width.
+    /// Return the width of the viewport, pixels.
     #[must_use]
     pub const fn width(&self) -> usize {
         self.width
     }
 
-    /// Viewport height.
+    /// Return the height of the viewport, pixels.
     #[must_use]
     pub const fn height(&self) -> usize {
         self.height
     }
 
-    /// The ray through the centre of pixel (column, row). Where a lens has none there, its direction is 0.
+    /// Return the ray through the centre of pixel (column, row); its direction is 0 if the lens has no ray there.
     #[must_use]
     pub fn ray(&self, column: usize, row: usize) -> PixelRay {
         if let Some(rays) = self.lens_rays() {
@@ -190,7 +208,7 @@ impl Camera {
         }
     }
 
-    /// The camera's centre and the step of a ray in voxel coordinates: `p(t) = origin + t_mm * direction`.
+    /// Return the camera's centre and the step of a ray in voxel coordinates: `p(t) = origin + t_mm * direction`.
     #[must_use]
     pub fn ray_ijk(&self, grid: &Grid, column: usize, row: usize) -> ([f64; 3], [f64; 3]) {
         let ray = self.ray(column, row);
@@ -209,7 +227,7 @@ fn check_pose(lps_from_camera: &Affine) -> Result<(), GridError> {
             reason: format!("its position is not finite: {position:?}"),
         });
     }
-    // 1e-6: a pose that was multiplied up over a long flight and came through JSON still passes.
+    // 1e-6 also accepts a pose that was multiplied many times during a long flight and converted to and from JSON.
     if lps_from_camera.is_rigid(1e-6) {
         return Ok(());
     }
@@ -238,7 +256,7 @@ mod tests {
                 plain.ray(column, row).dir_lps,
                 lens.ray(column, row).dir_lps,
             );
-            // Directions are kept in f32.
+            // Directions are stored in f32.
             assert!((0..3).all(|n| (a[n] - b[n]).abs() < 6e-8));
         }
     }
@@ -258,7 +276,7 @@ mod tests {
         for (column, row) in [(30, 20), (12, 17), (44, 30), (30, 0)] {
             let same = plain.direction_beside(column, row, [0.0; 2]);
             assert!(off(same, plain.ray(column, row).dir_lps) < 1e-15);
-            // Half a pixel to the right is half a pixel to the left of the next one.
+            // Half a pixel to the right is half a pixel to the left of the next pixel.
             let (here, next) = (
                 plain.direction_beside(column, row, [0.5, 0.25]),
                 plain.direction_beside(column + 1, row, [-0.5, 0.25]),
@@ -267,7 +285,7 @@ mod tests {
             let truth = optics
                 .direction([column as f64 + 0.75, row as f64 + 0.8])
                 .unwrap();
-            // A pixel is 0.05 rad wide here, and the rim has a neighbour on one side only.
+            // A pixel is 0.05 rad wide here, and a pixel at the rim has a neighbour on one side only.
             assert!(off(lens.direction_beside(column, row, [0.25, 0.3]), truth) < 1e-3);
         }
         assert_eq!(lens.direction_beside(2, 2, [0.2, 0.2]), [0.0; 3]);
@@ -286,7 +304,7 @@ mod tests {
     #[test]
     fn the_field_of_view_spans_the_shorter_side() {
         let cam = Camera::new(Affine::IDENTITY, 90f64.to_radians(), 300, 200).unwrap();
-        // The centre of the outermost row lies half a pixel inside the 45 degree edge.
+        // The centre of the outermost row is half a pixel inside the 45 degree edge.
         let d = cam.ray(150, 0).dir_lps;
         assert!((d[1] / d[2] + (100.0 - 0.5) / 100.0).abs() < 1e-12);
         assert!(d[1] < 0.0, "row 0 is the top, and +y is down");

@@ -1,7 +1,9 @@
-/// The part of the line `origin + t * direction` that lies in the box `lo..=hi`, as `(t_in, t_out)`.
+/// Return the part of the line `origin + t * direction` inside the box `lo..=hi`, as `(t_in, t_out)`.
 ///
-/// Works from inside and outside; `t` may be negative. `None` if the line misses the box. A direction component of 0 is
-/// decided by the origin alone, so no 0/0 arises on a face.
+/// The result is `None` if the line misses the box.
+///
+/// The origin may be inside or outside; `t` may be negative. If a component of the direction is 0, only the origin
+/// decides, so no 0/0 occurs on a face.
 #[must_use]
 pub fn clip_line_to_box(
     origin: [f64; 3],
@@ -56,7 +58,7 @@ mod tests {
             let (lo, hi) = ([-0.5, -0.5, -0.5], [7.5, 4.5, 9.5]);
             let inside = |t: f64| (0..3).all(|a| {
                 let p = origin[a] + t * direction[a];
-                // 1e-9: rounding of coordinates below 100.
+                // Tolerance 1e-9: rounding of coordinates below 100.
                 p >= lo[a] - 1e-9 && p <= hi[a] + 1e-9
             });
             match clip_line_to_box(origin, direction, lo, hi) {

@@ -1,25 +1,29 @@
-//! How lenses bend: the radial functions of both models, their inverse, and where they fold back.
+//! Distortion of lenses: the radial functions of both models, their inverse, and the angles at which they fold back.
 
 use core::f64::consts::PI;
 
-/// Nearer than this to the plane of the pupil (89.99 degrees), a perspective model has no place on a picture.
+/// Largest angle from the axis for which a perspective model has a point on the picture (89.99 degrees).
 const MAX_PERSPECTIVE_ANGLE_RAD: f64 = 89.99 * PI / 180.0;
-/// Steps in which a model is searched for the angle where it folds back: 0.01 degrees.
+/// Step of the search for the angle at which a model folds back: 0.01 degrees.
 const FOLD_STEP_RAD: f64 = 0.01 * PI / 180.0;
-/// How the image of a lens departs from the ideal one. Lengths are in focal lengths, angles in radians.
+/// Deviation of the image of a lens from the ideal image.
+///
+/// Lengths are in focal lengths, angles in radians.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Distortion {
-    /// On the plane at distance 1 (`OpenCV`'s default model): `x' = x R(r) + 2 p1 x y + p2 (r^2 + 2 x^2)`, y alike, with
+    /// Distortion on the plane at distance 1 (`OpenCV`'s default model).
+    ///
+    /// `x' = x R(r) + 2 p1 x y + p2 (r^2 + 2 x^2)`, y alike, with
     /// `R = (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6)`.
     Brown {
-        /// k1 to k6.
+        /// Coefficients k1 to k6.
         k: [f64; 6],
-        /// p1, p2.
+        /// Coefficients p1 and p2.
         p: [f64; 2],
     },
-    /// By the angle from the axis (`cv2.fisheye`): `r' = a (1 + k1 a^2 + k2 a^4 + k3 a^6 + k4 a^8)`.
+    /// Distortion by the angle from the axis (`cv2.fisheye`): `r' = a (1 + k1 a^2 + k2 a^4 + k3 a^6 + k4 a^8)`.
     Fisheye {
-        /// k1 to k4.
+        /// Coefficients k1 to k4.
         k: [f64; 4],
     },
 }
@@ -38,7 +42,7 @@ impl Distortion {
         }
     }
 
-    /// What the radial function takes: the tangent of the angle, or the angle.
+    /// Return the argument of the radial function: the tangent of the angle, or the angle.
     pub(crate) fn argument(&self, angle_rad: f64) -> f64 {
         match self {
             Self::Brown { .. } => libm::tan(angle_rad),
@@ -53,7 +57,7 @@ impl Distortion {
         }
     }
 
-    /// Distance from the middle, and its derivative; NaN where the model has a pole.
+    /// Return the distance from the middle and its derivative; NaN at a pole of the model.
     pub(crate) fn radial(&self, u: f64) -> (f64, f64) {
         let s = u * u;
         match self {
@@ -63,7 +67,7 @@ impl Distortion {
                 if below <= 0.0 {
                     return (f64::NAN, f64::NAN);
                 }
-                // d/ds of the numerator and the denominator.
+                // Derivatives d/ds of the numerator and the denominator.
                 let above_s = k[0] + s * (2.0 * k[1] + s * 3.0 * k[2]);
                 let below_s = k[3] + s * (2.0 * k[4] + s * 3.0 * k[5]);
                 let ratio = above / below;
@@ -79,7 +83,7 @@ impl Distortion {
         }
     }
 
-    /// The largest argument up to which the radial function grows, and its angle.
+    /// Return the largest argument up to which the radial function grows, and its angle.
     pub(crate) fn fold(&self) -> (f64, f64) {
         let grows = |angle: f64| {
             let (r, slope) = self.radial(self.argument(angle));
@@ -103,7 +107,7 @@ impl Distortion {
         (self.argument(angle), angle)
     }
 
-    /// The argument whose radial function is `r`, by Newton's method kept inside a bracket that only shrinks.
+    /// Return the argument whose radial function is `r`, by Newton's method inside a bracket that only shrinks.
     pub(crate) fn inverse(&self, r: f64, limit: f64) -> Option<f64> {
         if *self == Self::NONE || *self == Self::EQUIDISTANT {
             return (r <= limit).then_some(r);

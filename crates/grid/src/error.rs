@@ -1,48 +1,48 @@
-/// What can be wrong with a grid or a camera.
+/// Errors of grids and cameras.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum GridError {
-    /// An axis without voxels, or more voxels than an index can count.
+    /// An axis has no voxels, or there are more voxels than an index can count.
     #[error(
         "a volume must have at least one voxel along each axis and at most 2^31 in all; found shape (z, y, x) = {shape_zyx:?}"
     )]
     Shape {
-        /// The refused shape.
+        /// Rejected shape.
         shape_zyx: [usize; 3],
     },
-    /// The matrix cannot be inverted, holds NaN, or its last row is not 0 0 0 1.
+    /// The matrix cannot be inverted, contains NaN, or its last row is not 0 0 0 1.
     #[error("{what} is not a usable transform: {reason}")]
     Transform {
-        /// Which matrix.
+        /// Name of the matrix.
         what: &'static str,
-        /// Why.
+        /// Reason of the error.
         reason: String,
     },
-    /// Data and shape disagree.
+    /// The number of values does not match the shape.
     #[error(
         "the volume's data contains {found} voxels, but its shape {shape_zyx:?} requires {expected}"
     )]
     Length {
-        /// The shape asked for.
+        /// Requested shape.
         shape_zyx: [usize; 3],
-        /// Voxels by shape.
+        /// Number of voxels of the shape.
         expected: usize,
-        /// Voxels found.
+        /// Number of values found.
         found: usize,
     },
-    /// Field of view or viewport out of range.
+    /// The field of view or the viewport is out of range.
     #[error("{what}: expected {expected}, found {found}")]
     Camera {
-        /// Which setting.
+        /// Name of the setting.
         what: &'static str,
         /// Allowed values.
         expected: String,
-        /// The refused value.
+        /// Rejected value.
         found: String,
     },
 }
 
 impl GridError {
-    /// Stable code, shared with Python and the wire.
+    /// Return the stable error code, shared with Python and the wire.
     #[must_use]
     pub const fn code(&self) -> &'static str {
         match self {

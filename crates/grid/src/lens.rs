@@ -1,4 +1,4 @@
-//! Lens models: from pixels to directions and back, in f64 with `libm`, so that all platforms agree on every bit.
+//! Lens models: conversion between pixels and directions, in f64 with `libm`, so that all platforms give the same bits.
 //!
 //! Sources: Brown-Conrady with the rational radial term as in `OpenCV`'s `calib3d` ("Camera Calibration and 3D
 //! Reconstruction", detailed description); the angular polynomial of Kannala and Brandt 2006 as in `cv2.fisheye`.
@@ -7,48 +7,51 @@ use core::f64::consts::PI;
 
 use crate::{Distortion, GridError};
 
-/// The narrowest field of view, 1 degree: a tele lens for looking at a landmark from outside.
+/// Smallest field of view, 1 degree: a tele lens for a view of a landmark from outside.
 pub const MIN_FOV_RAD: f64 = core::f64::consts::PI / 180.0;
-/// The widest pinhole field of view, 170 degrees: at 180 the image plane is infinite.
+/// Largest field of view of a pinhole camera, 170 degrees: at 180 the image plane is infinite.
 pub const MAX_FOV_RAD: f64 = 170.0 * core::f64::consts::PI / 180.0;
 
-/// A calibration may be scaled to a viewport whose sides differ from its own by this part, for rounding to whole pixels.
+/// Largest relative difference between the scales of both sides of a viewport and of a calibration.
+///
+/// The tolerance allows for rounding to whole pixels.
 const ASPECT_TOLERANCE: f64 = 0.01;
 
-/// What `OpenCV` finds out about a camera with a chessboard.
+/// Result of a camera calibration, for example by `OpenCV` with a chessboard.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Calibration {
-    /// The model that was fitted.
+    /// Fitted model.
     pub distortion: Distortion,
-    /// fx, fy.
+    /// Focal lengths fx, fy, pixels.
     pub focal_px: [f64; 2],
-    /// Principal point in corner coordinates: `OpenCV`'s plus 1/2, since its pixel (0, 0) is the *centre* of the first.
+    /// Principal point in corner coordinates: `OpenCV`'s plus 1/2, because its pixel (0, 0) is the *centre* of the
+    /// first pixel.
     pub centre_px: [f64; 2],
-    /// Size of the pictures it was found from, width and height.
+    /// Width and height of the calibration's pictures, pixels.
     pub size_px: [usize; 2],
 }
 
-/// A lens, apart from the size of the picture.
+/// Lens model, independent of the size of the picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Lens {
-    /// Straight lines stay straight.
+    /// Pinhole: straight lines stay straight.
     Pinhole,
-    /// The distance from the middle grows with the angle from the axis, to 170 degrees and beyond.
+    /// Equidistant: the distance from the middle is proportional to the angle from the axis, to 170 degrees and beyond.
     Equidistant,
-    /// A model whose focal length follows from the field of view.
+    /// Distortion model whose focal length follows from the field of view.
     Distorted(Distortion),
-    /// A calibration, which has its own field of view.
+    /// Calibration, which has its own field of view.
     Calibrated(Calibration),
 }
 
-/// A lens in front of a picture of a size: directions of pixels and pixels of directions.
+/// Lens in front of a picture of a given size: converts pixels to directions and directions to pixels.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Optics {
     distortion: Distortion,
     focal_px: [f64; 2],
     centre_px: [f64; 2],
     size_px: [usize; 2],
-    /// The largest argument of the radial function, and its angle.
+    /// Largest argument of the radial function, and its angle.
     limit: f64,
     limit_rad: f64,
     fov_rad: f64,
@@ -63,8 +66,13 @@ fn refuse<T>(what: &'static str, expected: String, found: String) -> Result<T, G
 }
 
 impl Optics {
-    /// Sets a lens in front of a picture. `fov_rad` is the full angle across the shorter side, and none for a
-    /// calibration, which has its own.
+    /// Combine a lens with the size of a picture.
+    ///
+    /// `fov_rad` is the full angle across the shorter side; it must be `None` for a calibration, which has its own.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if a value is out of range or the model folds back inside the image circle.
     pub fn new(
         lens: &Lens,
         fov_rad: Option<f64>,
@@ -116,7 +124,7 @@ impl Optics {
         Ok(optics)
     }
 
-    /// In place of a lens where rays are listed one by one: it knows their number alone.
+    /// Create a placeholder for a list of single rays, which has only the number of rays.
     pub(crate) const fn of_list(num_rays: usize) -> Self {
         Self {
             distortion: Distortion::NONE,
@@ -129,7 +137,7 @@ impl Optics {
         }
     }
 
-    /// Focal length so that the field of view spans the shorter side.
+    /// Set the focal length so that the field of view covers the shorter side.
     fn fit_field(&mut self, fov_rad: f64) -> Result<(), GridError> {
         let found = format!("{:.2} degrees", fov_rad.to_degrees());
         if !(MIN_FOV_RAD - 1e-12..=MAX_FOV_RAD + 1e-12).contains(&fov_rad) {
@@ -165,7 +173,7 @@ impl Optics {
             );
         }
         let scale = [0, 1].map(|a| to[a] as f64 / from[a] as f64);
-        // Rounding to whole pixels changes small pictures by more.
+        // In small pictures, rounding to whole pixels changes the ratio by more.
         let rounding = 1.0 / to[0].min(to[1]) as f64;
         if (scale[0] / scale[1] - 1.0).abs() > ASPECT_TOLERANCE + rounding {
             let fit = to[0] as f64 * from[1] as f64 / from[0] as f64;
@@ -204,14 +212,16 @@ impl Optics {
             [[w / 2.0, 0.0], [w / 2.0, h]]
         };
         if let [Some(a), Some(b)] = ends.map(|end| self.direction(end)) {
-            // Half angles on either side of the axis, which need not lie in the middle.
+            // Half angles on either side of the axis, which need not be in the middle.
             let angle = |d: [f64; 3]| libm::atan2((d[0] * d[0] + d[1] * d[1]).sqrt(), d[2]);
             self.fov_rad = angle(a) + angle(b);
         }
         Ok(())
     }
 
-    /// Refuses a model that has no direction somewhere in the image circle: outside it, the image is cut at the fold.
+    /// Check that the model has a direction everywhere in the image circle.
+    ///
+    /// Outside the circle, the image ends at the fold.
     fn check_circle(&self) -> Result<(), GridError> {
         let [w, h] = self.size_px.map(|side| side as f64);
         let radius = w.min(h) / 2.0 * (1.0 - 1e-9);
@@ -239,7 +249,9 @@ impl Optics {
         )
     }
 
-    /// Where a point of the plane at distance 1 falls, and the derivatives; only for [`Distortion::Brown`].
+    /// Return the distorted position of a point of the plane at distance 1, and the derivatives.
+    ///
+    /// The function is only for [`Distortion::Brown`].
     fn bend(&self, x: f64, y: f64) -> ([f64; 2], [[f64; 2]; 2]) {
         let Distortion::Brown { p: [p1, p2], .. } = self.distortion else {
             unreachable!("asked for perspective models only")
@@ -272,8 +284,9 @@ impl Optics {
         )
     }
 
-    /// The unit direction, in camera space, that falls on a point of the picture (corner coordinates); none beyond the
-    /// fold of a model, nor behind an angular one.
+    /// Return the unit direction, in camera space, of a point of the picture (corner coordinates).
+    ///
+    /// The result is `None` beyond the fold of a model, and behind an angular model.
     #[must_use]
     pub fn direction(&self, pixel: [f64; 2]) -> Option<[f64; 3]> {
         let [x, y] = [0, 1].map(|a| (pixel[a] - self.centre_px[a]) / self.focal_px[a]);
@@ -298,16 +311,16 @@ impl Optics {
         }
     }
 
-    /// Newton's method in two dimensions, for models with a tangential part.
+    /// Invert the distortion by Newton's method in two dimensions, for models with a tangential part.
     fn straighten(&self, bent: [f64; 2], r: f64) -> Option<[f64; 2]> {
-        // The tangential part is small: start where the radial part alone leads, or at its end.
+        // The tangential part is small: start at the solution of the radial part alone, or at the end of its range.
         let u = self.distortion.inverse(r, self.limit).unwrap_or(self.limit);
         let scale = if r > 0.0 { u / r } else { 1.0 };
         let [mut x, mut y] = bent.map(|v| v * scale);
         for _ in 0..100 {
             let (at, j) = self.bend(x, y);
             let det = j[0][0] * j[1][1] - j[0][1] * j[1][0];
-            // Turned inside out: beyond the fold.
+            // The mapping is turned inside out: the point is beyond the fold.
             if !(det > 0.0 && det.is_finite()) {
                 return None;
             }
@@ -324,8 +337,11 @@ impl Optics {
         None
     }
 
-    /// Where a direction (camera space, any length above 0) falls on the picture, in corner coordinates; none where the
-    /// lens does not see it. The point may lie outside the picture.
+    /// Return the point of the picture, in corner coordinates, of a direction (camera space, any length above 0).
+    ///
+    /// The result is `None` if the lens does not see the direction.
+    ///
+    /// The point may be outside the picture.
     #[must_use]
     pub fn pixel(&self, direction: [f64; 3]) -> Option<[f64; 2]> {
         let [x, y, z] = direction;
@@ -336,7 +352,7 @@ impl Optics {
         let at = match self.distortion {
             Distortion::Fisheye { .. } => {
                 let angle = libm::atan2(across, z);
-                // Straight behind the camera there is no side to fall on.
+                // The direction straight behind the camera has no defined side.
                 if angle > self.limit || (across == 0.0 && z <= 0.0) {
                     return None;
                 }
@@ -357,8 +373,10 @@ impl Optics {
         Some([0, 1].map(|a| self.centre_px[a] + self.focal_px[a] * at[a]))
     }
 
-    /// How bright the image of an even field is in a direction, as a part of the middle's: the pupil seen from the side,
-    /// and the light of a solid angle spread over its area in the picture. For a pinhole this is the cos^4 law.
+    /// Return the brightness of the image of a uniform field in a direction, relative to the middle.
+    ///
+    /// The brightness combines the apparent size of the pupil seen from the side and the area in the picture of a solid
+    /// angle. For a pinhole it is the cos^4 law.
     #[must_use]
     pub fn natural_light(&self, direction: [f64; 3]) -> f64 {
         let [x, y, z] = direction;
@@ -378,7 +396,7 @@ impl Optics {
         (z * sine / (r * per_rad)).clamp(0.0, 1.0)
     }
 
-    /// True if the picture's quarters are mirror images.
+    /// Return true if the quarters of the picture are mirror images.
     #[must_use]
     pub fn is_symmetric(&self) -> bool {
         let [w, h] = self.size_px.map(|side| side as f64);
@@ -389,37 +407,37 @@ impl Optics {
         straight && self.centre_px == [w / 2.0, h / 2.0] && self.focal_px[0] == self.focal_px[1]
     }
 
-    /// Full angle across the shorter side.
+    /// Return the full angle across the shorter side.
     #[must_use]
     pub const fn fov_rad(&self) -> f64 {
         self.fov_rad
     }
 
-    /// Directions farther from the axis have no place in the picture.
+    /// Return the largest angle from the axis of a direction in the picture.
     #[must_use]
     pub const fn limit_rad(&self) -> f64 {
         self.limit_rad
     }
 
-    /// Focal lengths across and down, pixels.
+    /// Return the focal lengths across and down, pixels.
     #[must_use]
     pub const fn focal_px(&self) -> [f64; 2] {
         self.focal_px
     }
 
-    /// Where the axis falls, in corner coordinates.
+    /// Return the position of the axis, in corner coordinates.
     #[must_use]
     pub const fn centre_px(&self) -> [f64; 2] {
         self.centre_px
     }
 
-    /// The distortion.
+    /// Return the distortion.
     #[must_use]
     pub const fn distortion(&self) -> Distortion {
         self.distortion
     }
 
-    /// Width and height.
+    /// Return width and height.
     #[must_use]
     pub const fn size_px(&self) -> [usize; 2] {
         self.size_px

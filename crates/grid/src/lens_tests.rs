@@ -1,4 +1,4 @@
-//! Lenses: there and back, known values, and what is refused.
+//! Tests of lenses: conversions in both directions, known values, and rejected values.
 
 use proptest::prelude::*;
 
@@ -24,10 +24,10 @@ fn an_equidistant_lens_puts_equal_angles_at_equal_distances() {
     for degrees in [0.0, 10.0, 45.0, 85.0, 100.0f64] {
         let a = degrees.to_radians();
         let [x, y] = optics.pixel([a.sin(), 0.0, a.cos()]).unwrap();
-        // 340 pixels over 170 degrees.
+        // 340 pixels over 170 degrees are 2 pixels per degree.
         assert!((x - 170.0 - 2.0 * degrees).abs() < 1e-9 && (y - 170.0).abs() < 1e-12);
     }
-    // Behind the camera there is a place too, in a picture that is large enough.
+    // In a picture that is large enough, directions behind the camera have points too.
     assert!(optics.pixel([0.1, 0.0, -1.0]).is_some());
     assert!(optics.pixel([0.0, 0.0, -1.0]).is_none());
 }
@@ -49,7 +49,7 @@ fn the_field_of_view_spans_the_shorter_side_with_every_lens() {
 
 #[test]
 fn a_model_that_folds_inside_the_picture_is_refused_and_one_that_folds_outside_is_cut() {
-    // r (1 - 0.3 r^2) turns back at r^2 = 1 / 0.9, which is 46.51 degrees.
+    // r (1 - 0.3 r^2) folds back at r^2 = 1 / 0.9, which is 46.51 degrees.
     let lens = brown(-0.3, 0.0, 0.0, 0.0);
     let words = Optics::new(&lens, Some(120f64.to_radians()), 64, 64)
         .unwrap_err()
@@ -65,7 +65,7 @@ fn a_model_that_folds_inside_the_picture_is_refused_and_one_that_folds_outside_i
         "the corner lies beyond the fold"
     );
     assert!((optics.limit_rad().to_degrees() - 46.51).abs() < 0.01);
-    // The same from a calibration, which asks for no field of view.
+    // The same model from a calibration, which needs no field of view.
     let folded = Lens::Calibrated(Calibration {
         distortion: Distortion::Brown {
             k: [-0.3, 0.0, 0.0, 0.0, 0.0, 0.0],
@@ -142,7 +142,7 @@ fn the_natural_light_of_a_pinhole_falls_with_the_fourth_power_of_the_cosine() {
         let light = optics.natural_light([angle.sin(), 0.0, angle.cos()]);
         assert!((light - angle.cos().powi(4)).abs() < 1e-12);
     }
-    // An equidistant lens spends its pixels evenly over the angle and loses less.
+    // An equidistant lens distributes its pixels evenly over the angle and loses less light.
     let fish = Optics::new(&Lens::Equidistant, Some(2.0), 64, 64).unwrap();
     assert!(fish.natural_light([0.8, 0.0, 0.6]) > optics.natural_light([0.8, 0.0, 0.6]));
 }
@@ -176,16 +176,16 @@ proptest! {
         if let Some(d) = optics.direction(pixel) {
             prop_assert!((crate::length(d) - 1.0).abs() < 1e-12);
             let back = optics.pixel(d);
-            // The very edge of the fold may fall to either side of it.
+            // A point at the very edge of the fold may be on either side.
             if let Some(back) = back {
-                // 1e-6 px: near a fold a pixel's direction is badly conditioned, elsewhere this is 1e-10.
+                // Tolerance 1e-6 px: near a fold a pixel's direction is badly conditioned, elsewhere the error is 1e-10.
                 prop_assert!((back[0] - pixel[0]).abs() + (back[1] - pixel[1]).abs() < 1e-6, "{pixel:?} {back:?}");
             } else {
                 let angle = libm::atan2((d[0] * d[0] + d[1] * d[1]).sqrt(), d[2]);
                 prop_assert!(angle > optics.limit_rad() - 1e-9);
             }
         } else {
-            // Only outside the image circle.
+            // A pixel without a ray must be outside the image circle.
             let side = width.min(height) as f64;
             let away = ((pixel[0] - width as f64 / 2.0).powi(2) + (pixel[1] - height as f64 / 2.0).powi(2)).sqrt();
             prop_assert!(away > side / 2.0 * (1.0 - 1e-6));

@@ -1,10 +1,11 @@
-//! Voxel grids and the spaces they live in: voxel indices, patient millimetres (LPS), the camera.
+//! Voxel grids and their coordinate spaces: voxel indices, patient millimetres (LPS), the camera.
 //!
 //! Conventions (docs/conventions.md): voxel (0, 0, 0) is the *centre* of the first voxel, so a grid of `n` voxels spans
 //! `-0.5 ..= n - 0.5` on each index axis. Arrays are `[z, y, x]`, x fastest; points and shapes here are `(i, j, k)`.
 //! The camera looks along +z, with +x right and +y down.
 //!
-//! [`InstructionSet`] is here because every crate with kernels for several of them stands on this one.
+//! [`InstructionSet`] is in this crate because every crate with kernels for several instruction sets depends on this
+//! one.
 
 mod affine;
 mod camera;

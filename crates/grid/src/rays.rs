@@ -1,45 +1,47 @@
-//! The rays of a picture behind a lens: built once for a lens, a size and an image field, and shared by its pictures.
+//! Rays of a picture behind a lens: built once for a lens, a size and an image field, and shared by its pictures.
 
 use rayon::prelude::*;
 
 use crate::{GridError, Optics};
 
-/// Gains are parts of this.
+/// Gain of full brightness; gains are fractions of this number.
 pub const FULL_GAIN: u16 = 1 << 15;
-/// Colours are display values; light falls off before that. The exponent of sRGB, near enough for a vignette.
+/// Exponent between light and display values: the lens attenuates the light before the display curve.
+///
+/// The exponent of sRGB is close enough for a vignette.
 const DISPLAY_GAMMA: f64 = 2.2;
 
-/// The outline of the picture on the monitor.
+/// Outline of the picture on the monitor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FieldShape {
-    /// The whole viewport.
+    /// Whole viewport.
     Full,
-    /// A circle over the shorter side.
+    /// Circle over the shorter side.
     Round,
-    /// A regular octagon over the shorter side.
+    /// Regular octagon over the shorter side.
     Octagon,
 }
 
-/// Which part of the viewport shows a picture, and how it darkens towards the edge.
+/// Part of the viewport that shows a picture, and its darkening towards the edge.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ImageField {
-    /// The outline; pixels outside have no ray and are black.
+    /// Outline; pixels outside have no ray and are black.
     pub shape: FieldShape,
     /// Width of the soft edge inside the outline, pixels.
     pub edge_px: f64,
-    /// 0 for an even picture, 1 for the lens's natural fall-off of light, values between for a part of it.
+    /// Strength of the vignette: 0 for uniform brightness, 1 for the lens's natural fall-off of light.
     pub vignette: f64,
 }
 
 impl ImageField {
-    /// The whole viewport, evenly bright.
+    /// Whole viewport with uniform brightness.
     pub const FULL: Self = Self {
         shape: FieldShape::Full,
         edge_px: 0.0,
         vignette: 0.0,
     };
 
-    /// How far a point at (x, y) from the middle lies inside the outline, pixels.
+    /// Return the distance in pixels of a point at (x, y) from the middle to the outline, positive inside.
     fn depth_px(&self, x: f64, y: f64, half: f64) -> f64 {
         match self.shape {
             FieldShape::Full => f64::INFINITY,
@@ -54,13 +56,13 @@ impl ImageField {
     }
 }
 
-/// What is left of the light in a direction, by the cosine of its angle from the axis.
+/// Relative brightness in a direction, by the cosine of its angle from the axis.
 struct Light {
-    /// At `LIGHT_STEPS + 1` cosines from 0 to 1; empty for an even picture.
+    /// Values at `LIGHT_STEPS + 1` cosines from 0 to 1; empty for uniform brightness.
     table: Vec<f64>,
 }
 
-/// Steps of the table: to the next one, a gain changes by less than a grey level.
+/// Number of steps of the table: between neighbours, a gain changes by less than a grey level.
 const LIGHT_STEPS: usize = 1024;
 
 impl Light {
@@ -93,18 +95,22 @@ impl Light {
     }
 }
 
-/// A ray direction and a gain for each pixel.
+/// Ray direction and gain for each pixel.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LensRays {
     optics: Optics,
-    /// x, y and z of unit directions in camera space; all 0 where a pixel has no ray.
+    /// x, y and z of unit directions in camera space; all 0 for a pixel without a ray.
     dirs: [Vec<f32>; 3],
-    /// Brightness of each pixel; none where all are full.
+    /// Brightness of each pixel; `None` if all have full brightness.
     gains: Option<Vec<u16>>,
 }
 
 impl LensRays {
-    /// Finds the ray of every pixel, on all cores; no pixel depends on another.
+    /// Compute the ray of every pixel, on all cores; pixels are independent.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if a value of the image field is out of range.
     pub fn build(optics: Optics, field: &ImageField) -> Result<Self, GridError> {
         for (what, value, most) in [
             ("soft edge", field.edge_px, 100.0),
@@ -143,7 +149,7 @@ impl LensRays {
         };
         let mut pixels = vec![([0.0f32; 3], 0u16); width * height];
         if optics.is_symmetric() {
-            // A quarter is computed, and mirrored.
+            // Only a quarter is computed; the rest is mirrored.
             let (columns, rows) = (width.div_ceil(2), height.div_ceil(2));
             pixels
                 .par_chunks_mut(width)
@@ -153,7 +159,7 @@ impl LensRays {
                     for column in 0..columns {
                         let ([x, y, z], gain) = pixel(column, row);
                         out[column] = ([x, y, z], gain);
-                        // The middle column of an odd width is its own mirror: there x is 0.
+                        // The middle column of an odd width is its own mirror image, with x = 0.
                         out[width - 1 - column] = ([0.0 - x, y, z], gain);
                     }
                 });
@@ -177,7 +183,7 @@ impl LensRays {
                     }
                 });
         }
-        // A tangential part may fold inside the circle although the circle itself is whole.
+        // A tangential part may fold inside the circle although the circle itself has directions.
         let inside = |n: usize| {
             let (x, y) = (
                 (n % width) as f64 + 0.5 - half[0],
@@ -196,7 +202,7 @@ impl LensRays {
         })
     }
 
-    /// Rays in directions of camera space as a picture of one row, so that what casts pictures casts these too.
+    /// Create rays in the given directions of camera space as a picture of one row, so that the same code casts them.
     pub(crate) fn listed(directions: &[[f32; 3]]) -> Self {
         Self {
             optics: Optics::of_list(directions.len()),
@@ -205,25 +211,25 @@ impl LensRays {
         }
     }
 
-    /// The lens in front of the picture.
+    /// Return the lens of the picture.
     #[must_use]
     pub const fn optics(&self) -> &Optics {
         &self.optics
     }
 
-    /// Viewport width.
+    /// Return the width of the viewport, pixels.
     #[must_use]
     pub const fn width(&self) -> usize {
         self.optics.size_px()[0]
     }
 
-    /// Viewport height.
+    /// Return the height of the viewport, pixels.
     #[must_use]
     pub const fn height(&self) -> usize {
         self.optics.size_px()[1]
     }
 
-    /// The unit direction of a pixel in camera space; all 0 where it has no ray.
+    /// Return the unit direction of a pixel in camera space; all 0 for a pixel without a ray.
     #[inline]
     #[must_use]
     pub fn direction(&self, column: usize, row: usize) -> [f32; 3] {
@@ -231,14 +237,16 @@ impl LensRays {
         [self.dirs[0][n], self.dirs[1][n], self.dirs[2][n]]
     }
 
-    /// The directions of a row's pixels, each axis by itself.
+    /// Return the directions of a row's pixels, one array for each axis.
     #[must_use]
     pub fn directions_of(&self, row: usize) -> [&[f32]; 3] {
         let columns = row * self.width()..(row + 1) * self.width();
         [0, 1, 2].map(|a| &self.dirs[a][columns.clone()])
     }
 
-    /// Darkens rows of a picture (RGB, from `first_row` on) by their gains. Per pixel, so strips agree with the whole.
+    /// Darken rows of a picture (RGB, from `first_row` on) by their gains.
+    ///
+    /// Pixels are independent, so strips agree with the whole picture.
     pub fn shade_rows(&self, first_row: usize, rgb: &mut [u8]) {
         let Some(gains) = &self.gains else {
             return;
@@ -297,12 +305,12 @@ mod tests {
             assert_eq!(rgb[0], if corner { 200 } else { 0 });
             assert_eq!(rgb[(20 * 60 + 30) * 3], 200);
         }
-        // An octagon keeps more of the corners than a circle.
+        // An octagon contains more of the corners than a circle.
         let area = |shape| {
             let rays = rays(shape, 0.0, 0.0);
             (0..2400).filter(|n| has_ray(&rays, n % 60, n / 60)).count() as f64
         };
-        // Pixel centres inside a curve count its area to a part of its length.
+        // The count of pixel centres inside a curve approximates its area to within a fraction of its length.
         assert!((area(FieldShape::Round) - core::f64::consts::PI * 400.0).abs() < 15.0);
         assert!(
             (area(FieldShape::Octagon) - 8.0 * (core::f64::consts::PI / 8.0).tan() * 400.0).abs()

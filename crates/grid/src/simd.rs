@@ -1,11 +1,13 @@
-//! Which instructions the kernels are compiled for. All give the same bits.
+//! Instruction sets for which the kernels are compiled.
+//!
+//! All give the same bits.
 
-/// An instruction set that the kernels exist for.
+/// Instruction set of the kernels.
 ///
-/// Fused multiply-add is one rounding by definition, in hardware or in software, so the choice changes the speed only.
+/// Fused multiply-add is one rounding by definition, in hardware or in software, so the choice changes only the speed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum InstructionSet {
-    /// Whatever the build's target always has.
+    /// Instructions that the build's target always has.
     Portable,
     /// AVX2 and FMA (`x86_64` since about 2013).
     Avx2,
@@ -16,7 +18,7 @@ pub enum InstructionSet {
 }
 
 impl InstructionSet {
-    /// The sets that this machine has, slowest first.
+    /// Return the sets that this machine has, slowest first.
     #[must_use]
     pub fn available() -> Vec<Self> {
         [Self::Portable, Self::Avx2, Self::Avx512, Self::Neon]
@@ -25,7 +27,7 @@ impl InstructionSet {
             .collect()
     }
 
-    /// True if this machine has it.
+    /// Return true if this machine has the set.
     #[must_use]
     pub fn is_available(self) -> bool {
         #[cfg(target_arch = "x86_64")]
@@ -58,13 +60,15 @@ impl InstructionSet {
         }
     }
 
-    /// The fastest one of this machine.
+    /// Return the fastest set of this machine.
     #[must_use]
     pub fn best() -> Self {
         Self::available().pop().unwrap_or(Self::Portable)
     }
 
-    /// By name (`portable`, `avx2`, `avx512`, `neon`), or `None` if unknown or if this machine lacks it.
+    /// Return the set with a name (`portable`, `avx2`, `avx512`, `neon`).
+    ///
+    /// The result is `None` if the name is unknown or this machine lacks the set.
     #[must_use]
     pub fn named(name: &str) -> Option<Self> {
         Self::available()
@@ -72,7 +76,7 @@ impl InstructionSet {
             .find(|simd| simd.name() == name)
     }
 
-    /// Its name.
+    /// Return the name of the set.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {

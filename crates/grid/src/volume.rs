@@ -1,26 +1,28 @@
 use crate::{Affine, GridError};
 
-/// A point in patient space: LPS, millimetres.
+/// Point in patient space: LPS, millimetres.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Lps(pub [f64; 3]);
 
-/// A point in voxel coordinates: (0, 0, 0) is the centre of the first voxel.
+/// Point in voxel coordinates: (0, 0, 0) is the centre of the first voxel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ijk(pub [f64; 3]);
 
-/// `(i, j, k)` from array order. With [`zyx_from_ijk`] the only place where the order is swapped.
+/// Convert array order to `(i, j, k)`.
+///
+/// Only this function and [`zyx_from_ijk`] swap the order.
 #[must_use]
 pub const fn ijk_from_zyx<T: Copy>(zyx: [T; 3]) -> [T; 3] {
     [zyx[2], zyx[1], zyx[0]]
 }
 
-/// Array order from `(i, j, k)`.
+/// Convert `(i, j, k)` to array order.
 #[must_use]
 pub const fn zyx_from_ijk<T: Copy>(ijk: [T; 3]) -> [T; 3] {
     [ijk[2], ijk[1], ijk[0]]
 }
 
-/// Shape and place of a voxel grid.
+/// Shape of a voxel grid and its transform to patient space.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Grid {
     shape_ijk: [usize; 3],
@@ -30,7 +32,11 @@ pub struct Grid {
 }
 
 impl Grid {
-    /// A grid of `shape_zyx` voxels placed by `lps_from_ijk`.
+    /// Create a grid of `shape_zyx` voxels with the transform `lps_from_ijk`.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if an axis has no voxels, if there are too many voxels, or if the transform cannot be inverted.
     pub fn new(shape_zyx: [usize; 3], lps_from_ijk: Affine) -> Result<Self, GridError> {
         let count = shape_zyx.iter().try_fold(1usize, |n, &s| n.checked_mul(s));
         if !matches!(count, Some(1..=0x7fff_ffff)) {
@@ -48,61 +54,61 @@ impl Grid {
         })
     }
 
-    /// Voxels along i, j, k.
+    /// Return the number of voxels along i, j, k.
     #[must_use]
     pub const fn shape_ijk(&self) -> [usize; 3] {
         self.shape_ijk
     }
 
-    /// Shape of the array.
+    /// Return the shape of the array.
     #[must_use]
     pub const fn shape_zyx(&self) -> [usize; 3] {
         zyx_from_ijk(self.shape_ijk)
     }
 
-    /// Voxels in all.
+    /// Return the number of voxels.
     #[must_use]
     pub const fn num_voxels(&self) -> usize {
         self.shape_ijk[0] * self.shape_ijk[1] * self.shape_ijk[2]
     }
 
-    /// Distance of neighbouring voxel centres along i, j, k.
+    /// Return the distance between neighbouring voxel centres along i, j, k.
     #[must_use]
     pub const fn spacing_mm(&self) -> [f64; 3] {
         self.spacing_mm
     }
 
-    /// The smallest of the three spacings.
+    /// Return the smallest of the three spacings.
     #[must_use]
     pub fn min_spacing_mm(&self) -> f64 {
         self.spacing_mm.into_iter().fold(f64::INFINITY, f64::min)
     }
 
-    /// The map to patient space.
+    /// Return the transform to patient space.
     #[must_use]
     pub const fn lps_from_ijk(&self) -> &Affine {
         &self.lps_from_ijk
     }
 
-    /// The map to voxel coordinates.
+    /// Return the transform to voxel coordinates.
     #[must_use]
     pub const fn ijk_from_lps(&self) -> &Affine {
         &self.ijk_from_lps
     }
 
-    /// A voxel coordinate in patient space.
+    /// Convert a voxel coordinate to patient space.
     #[must_use]
     pub fn to_lps(&self, p: Ijk) -> Lps {
         Lps(self.lps_from_ijk.point(p.0))
     }
 
-    /// A patient point in voxel coordinates.
+    /// Convert a patient point to voxel coordinates.
     #[must_use]
     pub fn to_ijk(&self, p: Lps) -> Ijk {
         Ijk(self.ijk_from_lps.point(p.0))
     }
 
-    /// The voxel whose cell holds `p`, or `None` outside the grid.
+    /// Return the voxel whose cell contains `p`; `None` outside the grid.
     #[must_use]
     pub fn voxel_at(&self, p: Ijk) -> Option<[usize; 3]> {
         let mut voxel = [0; 3];
@@ -116,13 +122,13 @@ impl Grid {
         Some(voxel)
     }
 
-    /// Position in the array of voxel `(i, j, k)`.
+    /// Return the array index of voxel `(i, j, k)`.
     #[must_use]
     pub const fn index(&self, ijk: [usize; 3]) -> usize {
         (ijk[2] * self.shape_ijk[1] + ijk[1]) * self.shape_ijk[0] + ijk[0]
     }
 
-    /// Voxel at an array position.
+    /// Return the voxel at an array index.
     #[must_use]
     pub const fn voxel(&self, index: usize) -> [usize; 3] {
         let (nx, ny) = (self.shape_ijk[0], self.shape_ijk[1]);
@@ -130,7 +136,7 @@ impl Grid {
     }
 }
 
-/// Voxel values on a grid, borrowed.
+/// Borrowed voxel values on a grid.
 #[derive(Debug, Clone, Copy)]
 pub struct VolumeView<'a, T> {
     data: &'a [T],
@@ -138,7 +144,11 @@ pub struct VolumeView<'a, T> {
 }
 
 impl<'a, T: Copy> VolumeView<'a, T> {
-    /// Values in `[z, y, x]` order, x fastest.
+    /// Create a view of values in `[z, y, x]` order, x fastest.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the number of values does not match the grid.
     pub fn new(data: &'a [T], grid: &'a Grid) -> Result<Self, GridError> {
         if data.len() != grid.num_voxels() {
             return Err(GridError::Length {
@@ -150,25 +160,25 @@ impl<'a, T: Copy> VolumeView<'a, T> {
         Ok(Self { data, grid })
     }
 
-    /// All values, x fastest.
+    /// Return all values, x fastest.
     #[must_use]
     pub const fn data(&self) -> &'a [T] {
         self.data
     }
 
-    /// Where the values are.
+    /// Return the grid of the values.
     #[must_use]
     pub const fn grid(&self) -> &'a Grid {
         self.grid
     }
 
-    /// The value of a voxel.
+    /// Return the value of a voxel.
     #[must_use]
     pub fn at(&self, ijk: [usize; 3]) -> T {
         self.data[self.grid.index(ijk)]
     }
 
-    /// The value of the voxel at signed coordinates, clamped to the edge.
+    /// Return the value of the voxel at signed coordinates, clamped to the edge.
     #[must_use]
     pub fn at_clamped(&self, ijk: [isize; 3]) -> T {
         let shape = self.grid.shape_ijk();

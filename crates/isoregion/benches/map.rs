@@ -1,8 +1,9 @@
-//! The radius map on every instruction set and in slabs, interleaved in one process: milliseconds and ratios.
+//! Benchmark of the radius map on every instruction set and in slabs, interleaved in one process: milliseconds and
+//! ratios.
 //!
 //! `cargo bench -p carina-isoregion --bench map` builds the map of a noisy chest of 512 x 512 x 400 voxels; with a file
-//! of raw int16 values of that shape as argument, of that. Labels are the transparent run below -700 HU and 16-HU bins
-//! above it, as in the comparison with other libraries (`benchmarks/isoregion.py`).
+//! of raw int16 values of that shape as argument, the map of that file. Labels are the transparent run below -700 HU
+//! and 16-HU bins above it, as in the comparison with other libraries (`benchmarks/isoregion.py`).
 
 use std::time::Instant;
 
@@ -12,7 +13,7 @@ use carina_isoregion::{MapBuilder, value_bin};
 const SHAPE: [usize; 3] = [400, 512, 512];
 const REPEATS: usize = 7;
 
-/// Air, a body, two lungs with vessels, and noise.
+/// Return a volume of air, a body, two lungs with vessels, and noise.
 fn chest() -> Vec<i16> {
     let [nz, ny, nx] = SHAPE;
     let mut state = 1u64;
@@ -41,7 +42,7 @@ fn chest() -> Vec<i16> {
     out
 }
 
-/// CPU time of this thread, where the system tells.
+/// Return the processor time of this thread if the system reports it.
 fn cpu_ms() -> Option<f64> {
     let text = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
     Some(text.split(' ').next()?.parse::<f64>().ok()? / 1e6)
@@ -81,7 +82,8 @@ fn main() {
                     } else {
                         builder.radius_map(&labels, SHAPE, &mut out).expect("a map");
                     }
-                    // One slab is built by this thread; its own time does not count what else the machine does.
+                    // One slab is built by this thread alone, and its processor time excludes other load on the
+                    // machine.
                     let ms = match (num_slabs, began.1.zip(cpu_ms())) {
                         (1, Some((before, after))) => after - before,
                         _ => began.0.elapsed().as_secs_f64() * 1e3,

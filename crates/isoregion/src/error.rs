@@ -1,28 +1,28 @@
-/// What can be wrong with the input of a map.
+/// Errors of the input of a map.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum IsoRegionError {
-    /// Labels and shape disagree.
+    /// The number of labels does not match the shape.
     #[error(
         "the label volume contains {found} voxels, but its shape (z, y, x) = {shape_zyx:?} requires {expected}"
     )]
     Length {
-        /// The shape asked for.
+        /// Requested shape.
         shape_zyx: [usize; 3],
-        /// Voxels by shape.
+        /// Number of voxels of the shape.
         expected: usize,
-        /// Voxels found.
+        /// Number of voxels found.
         found: usize,
     },
-    /// A table of colours that covers no value.
+    /// A table of colours covers no value.
     #[error("the colour table is empty; it must cover every value of the volume")]
     EmptyTable,
-    /// The caller asked to stop.
+    /// The caller stopped the computation.
     #[error("stopped while building the IsoRegion map")]
     Cancelled,
 }
 
 impl IsoRegionError {
-    /// Stable code, shared with Python and the wire.
+    /// Return the stable error code, shared with Python and the wire.
     #[must_use]
     pub const fn code(&self) -> &'static str {
         match self {
@@ -33,7 +33,7 @@ impl IsoRegionError {
     }
 }
 
-/// Refuses labels that do not fill the shape.
+/// Check that the number of labels matches the shape.
 pub(crate) fn check_length(found: usize, shape_zyx: [usize; 3]) -> Result<(), IsoRegionError> {
     let expected = shape_zyx.iter().product();
     if found == expected {

@@ -1,44 +1,45 @@
-//! Label volumes: what an `IsoRegion` map compares.
+//! Label volumes, whose labels an `IsoRegion` map compares.
 
 use crate::{IsoRegionError, threads::num_threads};
 
 /// Width of a bin of the paper's value labelling: 256 bins cover the 4096 HU of a 12-bit CT.
 pub const VALUE_BIN_HU: i32 = 16;
 
-/// Colour (not premultiplied) and opacity per reference length, 0..1.
+/// Colour (not premultiplied) and opacity per reference length, 0 to 1.
 pub type Rgba = [f64; 4];
 
-/// A labelled class: a maximal run of HU with one colour, or one bin.
+/// Labelled class: a maximal run of HU with one colour, or one bin.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Class {
     /// First HU of the run.
     pub lo_hu: i32,
     /// Last HU of the run.
     pub hi_hu: i32,
-    /// Voxels of the volume in it.
+    /// Number of voxels of the volume in the class.
     pub num_voxels: u64,
-    /// True if the whole run is fully transparent.
+    /// Whether the whole run is fully transparent.
     pub transparent: bool,
 }
 
-/// A label volume and what its labels mean.
+/// Label volume with the classes of its labels.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ClassLabels {
-    /// `[z, y, x]`, one label per voxel; 0 is never leaped.
+    /// Labels `[z, y, x]`, one per voxel; label 0 is never leaped.
     pub labels: Vec<u8>,
-    /// `classes[label - 1]`, most frequent first.
+    /// Classes: `classes[label - 1]`, most frequent first.
     pub classes: Vec<Class>,
 }
 
-/// The bin of a value in the paper's value labelling.
+/// Return the bin of a value in the paper's value labelling.
 #[must_use]
 pub const fn value_bin(hu: i32) -> i32 {
     hu.div_euclid(VALUE_BIN_HU)
 }
 
-/// The paper's labelling: equal quantised values. The 255 most frequent bins get labels 1 to 255, the others 0.
+/// Label voxels as in the paper, by equal quantised values: the 255 most frequent bins get labels 1 to 255, the others
+/// 0.
 ///
-/// `transparent(lo, hi)` says whether a bin has no opacity anywhere; it is only recorded.
+/// `transparent(lo, hi)` returns whether a bin has no opacity anywhere; the function only records the result.
 pub fn value_labels(hu: &[i16], transparent: impl Fn(i32, i32) -> bool) -> ClassLabels {
     let first = value_bin(i32::from(i16::MIN));
     let runs = (first..=value_bin(i32::from(i16::MAX))).map(|bin| {
@@ -51,12 +52,18 @@ pub fn value_labels(hu: &[i16], transparent: impl Fn(i32, i32) -> bool) -> Class
     )
 }
 
-/// The class labelling: maximal runs of HU whose table entries are one colour; all entries of opacity 0 are one colour.
+/// Label voxels by classes: maximal runs of HU whose table entries have one colour.
+///
+/// All entries of opacity 0 count as one colour.
 ///
 /// `table[n]` is the entry of `lo_hu + n`. Values below and above the table count as its first and last entry. A class
-/// is one *contiguous* run: interpolating between two transparent runs passes through whatever lies between them. With
-/// `transparent_only`, opaque runs get label 0, so that the radius map is already the one of the shaded caster, which
-/// may leap over nothing else.
+/// is one *contiguous* run, because interpolation between two transparent runs passes through the values between them.
+/// With `transparent_only`, opaque runs get label 0, so that the radius map is that of the shaded caster, which may
+/// leap over nothing else.
+///
+/// # Errors
+///
+/// Returns an error if the table is empty.
 pub fn class_labels(
     hu: &[i16],
     lo_hu: i32,
@@ -68,7 +75,13 @@ pub fn class_labels(
     Ok(label_runs(hu, kept.collect()))
 }
 
-/// The transparent runs of a table, first and last value of each, in order: what a transparent map depends on.
+/// Return the transparent runs of a table, first and last value of each, in order.
+///
+/// A transparent map depends only on these.
+///
+/// # Errors
+///
+/// Returns an error if the table is empty.
 pub fn transparent_runs(lo_hu: i32, table: &[Rgba]) -> Result<Vec<(i16, i16)>, IsoRegionError> {
     let runs = runs_of_one_colour(lo_hu, table)?;
     let value = |v: i32| v.clamp(i16::MIN.into(), i16::MAX.into()) as i16;
@@ -76,15 +89,16 @@ pub fn transparent_runs(lo_hu: i32, table: &[Rgba]) -> Result<Vec<(i16, i16)>, I
     Ok(clear.map(|(lo, hi, _)| (value(lo), value(hi))).collect())
 }
 
-/// Labels of transparent runs that are given.
+/// Label the voxels by given transparent runs.
 pub(crate) fn run_labels(hu: &[i16], runs: &[(i16, i16)]) -> ClassLabels {
     let runs = runs.iter().map(|&(lo, hi)| (lo.into(), hi.into(), true));
     label_runs(hu, runs.collect())
 }
 
-/// Maximal runs `(lo, hi, transparent)`; the first and last are extended over all int16 values.
+/// Return the maximal runs `(lo, hi, transparent)`; the first and last are extended over all int16 values.
 fn runs_of_one_colour(lo_hu: i32, table: &[Rgba]) -> Result<Vec<(i32, i32, bool)>, IsoRegionError> {
-    // Compared before premultiplication and by bits: then every later table made from it is uniform over the run too.
+    // The comparison comes before premultiplication and is by bits, so every later table made from this one is constant
+    // over the run too.
     let key = |rgba: &Rgba| (rgba[3] != 0.0).then(|| rgba.map(f64::to_bits));
     let mut runs: Vec<(i32, i32, bool)> = Vec::new();
     let mut previous = None;
@@ -111,7 +125,9 @@ const fn position(hu: i16) -> usize {
     (hu as i32 - i16::MIN as i32) as usize
 }
 
-/// Part of the values for each thread, as `work` does it. Threads of their own, as for maps.
+/// Apply `work` to a part of the values in each of several threads.
+///
+/// The threads are separate from the pool, as for maps.
 fn in_threads<T: Send>(hu: &[i16], work: impl Fn(&[i16]) -> T + Sync) -> Vec<T> {
     let part = hu.len().div_ceil(num_threads()).max(1 << 16);
     std::thread::scope(|scope| {
@@ -119,17 +135,17 @@ fn in_threads<T: Send>(hu: &[i16], work: impl Fn(&[i16]) -> T + Sync) -> Vec<T> 
             .chunks(part)
             .map(|chunk| scope.spawn(|| work(chunk)))
             .collect();
-        // A panic of a part is a panic of the whole.
+        // A panic in a part becomes a panic of the whole.
         let results = threads.into_iter().map(|t| t.join().expect("counting"));
         results.collect()
     })
 }
 
-/// The smallest and the largest value, or `None` of no voxels.
+/// Return the smallest and the largest value; `None` for no voxels.
 #[must_use]
 pub fn value_range(hu: &[i16]) -> Option<(i16, i16)> {
     let parts = in_threads(hu, |chunk| {
-        // Blocks short enough for the compiler to keep in registers.
+        // Blocks are short enough for the compiler to keep them in registers.
         let (mut lo, mut hi) = ([i16::MAX; 64], [i16::MIN; 64]);
         let (blocks, rest) = chunk.as_chunks::<64>();
         for block in blocks {
@@ -146,7 +162,8 @@ pub fn value_range(hu: &[i16]) -> Option<(i16, i16)> {
 }
 
 fn histogram(hu: &[i16]) -> Vec<u64> {
-    // Equal values come in rows; counting neighbours in tables of their own, no addition waits for the one before.
+    // Equal values occur in rows. Neighbours are counted in separate tables, so that no addition waits for the previous
+    // one.
     const LANES: usize = 4;
     let parts = in_threads(hu, |chunk| {
         let mut counts = vec![[0u32; LANES]; NUM_VALUES];
@@ -170,7 +187,7 @@ fn histogram(hu: &[i16]) -> Vec<u64> {
     sum
 }
 
-/// Labels disjoint runs by frequency; values in no run get label 0.
+/// Label disjoint runs by frequency; values in no run get label 0.
 fn label_runs(hu: &[i16], runs: Vec<(i32, i32, bool)>) -> ClassLabels {
     let counts = histogram(hu);
     let clamp = |v: i32| position(v.clamp(i16::MIN.into(), i16::MAX.into()) as i16);
@@ -184,7 +201,7 @@ fn label_runs(hu: &[i16], runs: Vec<(i32, i32, bool)>) -> ClassLabels {
         })
         .filter(|class| class.num_voxels > 0)
         .collect();
-    // Stable, so that equal counts keep the order of HU and the labels do not depend on the sort.
+    // The sort is stable, so equal counts keep the order of HU and the labels do not depend on the sort algorithm.
     classes.sort_by_key(|class| std::cmp::Reverse(class.num_voxels));
     classes.truncate(usize::from(u8::MAX));
     let mut label_of = vec![0u8; NUM_VALUES];
@@ -247,7 +264,7 @@ mod tests {
 
     #[test]
     fn the_255_most_frequent_bins_get_labels_and_the_rest_are_never_leaped() {
-        // 300 bins; bin n holds n + 1 voxels, so bins 0 to 44 are the rarest.
+        // 300 bins; bin n has n + 1 voxels, so bins 0 to 44 are the rarest.
         let hu: Vec<i16> = (0..300i16)
             .flat_map(|n| std::iter::repeat_n(n * 16 + 5, n as usize + 1))
             .collect();

@@ -1,8 +1,9 @@
 //! `IsoRegion` maps (paper 4.1, 4.2) and the `IsoRegion` step table (paper 4.3).
 //!
-//! The radius of a voxel is the largest `d` such that the `(2d+1)^3` cube round it lies in the volume and holds one
-//! label. [`paper_radius_map`] is the paper's construction, slow and readable; [`radius_map`] is the one to use and
-//! equals it. [`cell_map`] has the same for the cells between voxels: leaps over what is clear take it.
+//! The radius of a voxel is the largest `d` such that the `(2d+1)^3` cube round it is in the volume and has one label.
+//! [`paper_radius_map`] is the paper's construction, slow and readable; [`radius_map`] gives the same map and is for
+//! general use. [`cell_map`] is the corresponding map for the cells between voxels, which leaps over transparent
+//! classes use.
 
 #![allow(
     clippy::inline_always,

@@ -1,4 +1,4 @@
-//! The fast construction of the radius map.
+//! Fast construction of the radius map.
 
 use carina_grid::InstructionSet;
 
@@ -12,20 +12,23 @@ use crate::{
     uniform::{Source, Unit},
 };
 
-/// Slabs thinner than this are not split: their borders would cost more than a second thread gains.
+/// Smallest number of slices of a slab that is split again: splitting a thinner slab costs more than a second thread
+/// gains.
 const MIN_SLAB_SLICES: usize = 8;
 
-/// More runs than this are labelled first: the kernel takes each run by itself.
+/// Largest number of runs that the kernel processes, each separately; with more runs the volume is labelled first.
 const MAX_RUNS: usize = 4;
 
-/// How a map is built. The map does not depend on it.
+/// Settings of the construction of a map; the map does not depend on them.
 #[derive(Clone, Copy)]
 pub struct MapBuilder<'a> {
-    /// Instructions of the kernels.
+    /// Instruction set of the kernels.
     pub simd: InstructionSet,
-    /// The volume is cut into so many slabs of slices, or the power of two above; one for each thread.
+    /// Number of slabs of slices, rounded up to a power of two; one thread for each slab.
     pub num_slabs: usize,
-    /// Asked once a slice, from any thread; where it says yes, the build ends with [`IsoRegionError::Cancelled`].
+    /// Function that any thread calls once per slice.
+    ///
+    /// If it returns true, the construction ends with [`IsoRegionError::Cancelled`].
     pub cancelled: Option<&'a (dyn Fn() -> bool + Sync)>,
 }
 
@@ -39,19 +42,28 @@ impl Default for MapBuilder<'_> {
     }
 }
 
-/// Radius of every voxel: the same map as [`crate::paper_radius_map`], built as [`MapBuilder`] does unless told.
+/// Compute the radius of every voxel with the default [`MapBuilder`]: the same map as [`crate::paper_radius_map`].
+///
+/// # Errors
+///
+/// Returns an error if the number of labels does not match the shape.
 pub fn radius_map(labels: &[u8], shape_zyx: [usize; 3]) -> Result<Vec<u8>, IsoRegionError> {
     let mut out = vec![0; labels.len()];
     MapBuilder::default().radius_map(labels, shape_zyx, &mut out)?;
     Ok(out)
 }
 
-/// Radius of every *cell*, which is written at its lower corner: the largest `d` such that the `(2d)^3` voxels round it lie in
-/// the volume, none of them at its lower faces, and hold one label.
+/// Compute the radius of every *cell*, stored at its lower corner.
 ///
-/// A sample between voxels takes the eight corners of its cell: where the radius is not 0 they are alike, and so are those of
-/// all samples within `d - 1/2` voxels of the cell's middle along each axis. The map of voxels (paper 4.2) knows this only of
-/// cells that have an equal voxel all round them. Equals [`crate::reference_cell_map`].
+/// The radius is the largest `d` such that the `(2d)^3` voxels round the cell are in the volume, none of them at its
+/// lower faces, and have one label. A sample between voxels uses the eight corners of its cell: if the radius is not 0,
+/// these are equal, and so are those of all samples within `d - 1/2` voxels of the cell's centre along each axis. The
+/// map of voxels (paper 4.2) shows this only for cells with a voxel whose neighbours are all equal. The result equals
+/// that of [`crate::reference_cell_map`].
+///
+/// # Errors
+///
+/// Returns an error if the number of labels does not match the shape.
 pub fn cell_map(labels: &[u8], shape_zyx: [usize; 3]) -> Result<Vec<u8>, IsoRegionError> {
     let mut out = vec![0; labels.len()];
     MapBuilder::default().cell_map(labels, shape_zyx, &mut out)?;
@@ -59,11 +71,15 @@ pub fn cell_map(labels: &[u8], shape_zyx: [usize; 3]) -> Result<Vec<u8>, IsoRegi
 }
 
 impl MapBuilder<'_> {
-    /// Writes the radius of every voxel to `out`, whatever it holds.
+    /// Write the radius of every voxel to `out`, whose previous contents do not matter.
     ///
-    /// A voxel is *heterogeneous* if it has label 0 or one of its 26 neighbours is missing or has another label. The
-    /// radius of a voxel is its chessboard distance to the nearest heterogeneous one: inside the largest uniform cube
-    /// no voxel but those of the outermost shell can be heterogeneous, and one of that shell is, or the cube would grow.
+    /// A voxel is *heterogeneous* if it has label 0 or if one of its 26 neighbours is missing or has another label. The
+    /// radius of a voxel is its chessboard distance to the nearest heterogeneous voxel: inside the largest uniform cube
+    /// only voxels of the outermost shell can be heterogeneous, and one of that shell is, or the cube would be larger.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if a length does not match the shape or the construction is cancelled.
     pub fn radius_map(
         &self,
         labels: &[u8],
@@ -73,7 +89,11 @@ impl MapBuilder<'_> {
         self.build(Source::Labels(labels, Unit::Voxel), shape_zyx, out)
     }
 
-    /// Writes the radius of every *cell* to `out`: see [`cell_map`].
+    /// Write the radius of every *cell* to `out`: see [`cell_map`].
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if a length does not match the shape or the construction is cancelled.
     pub fn cell_map(
         &self,
         labels: &[u8],
@@ -83,8 +103,14 @@ impl MapBuilder<'_> {
         self.build(Source::Labels(labels, Unit::Cell), shape_zyx, out)
     }
 
-    /// Writes the cell map of the classes that `runs` (first and last value of each, disjoint) describe to `out`, from the
-    /// values themselves: with few runs no label volume comes to be. Values in no run have radius 0.
+    /// Write to `out` the cell map of the classes of `runs` (first and last value of each, disjoint), from the values
+    /// themselves.
+    ///
+    /// With few runs no label volume is created. Values in no run have radius 0.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if a length does not match the shape or the construction is cancelled.
     pub fn run_cell_map(
         &self,
         hu: &[i16],
@@ -124,7 +150,8 @@ impl MapBuilder<'_> {
         self.cancelled.is_some_and(|cancelled| cancelled())
     }
 
-    /// Exact distances within slices `first_z ..`: of one slab, or of two halves that then tell each other.
+    /// Compute exact distances within slices `first_z ..`: of one slab, or of two halves whose borders are then
+    /// exchanged.
     fn slab(
         &self,
         source: Source<'_>,
@@ -143,8 +170,7 @@ impl MapBuilder<'_> {
         let half = num_slices / 2;
         let (low, high) = out.split_at_mut(half * plane);
         let num_slabs = num_slabs.div_ceil(2);
-        // Threads of its own, not the pool's: pictures are cast there, and one that comes while a map is built must not
-        // wait for it.
+        // The threads are separate from the pool, which casts pictures: a picture must not wait for a map.
         join(
             || self.slab(source, shape_zyx, first_z, num_slabs, low),
             || self.slab(source, shape_zyx, first_z + half, num_slabs, high),
@@ -152,8 +178,8 @@ impl MapBuilder<'_> {
         if self.stopped() {
             return;
         }
-        // Both borders as they are before either half changes: a half's own distances at its border are exact, and a
-        // shortest path never comes back.
+        // Copies of both borders before either half changes: a half's own distances at its border are exact, and a
+        // shortest path never returns to a half that it has left.
         let (below, above) = (low[(half - 1) * plane..].to_vec(), high[..plane].to_vec());
         join(
             || self.push(&above, low, [ny, nx], false),
@@ -187,7 +213,7 @@ impl MapBuilder<'_> {
     }
 }
 
-/// Runs both at once.
+/// Run both functions at once.
 fn join(one: impl FnOnce() + Send, other: impl FnOnce()) {
     std::thread::scope(|scope| {
         scope.spawn(one);
@@ -201,7 +227,7 @@ mod tests {
     use crate::{paper_radius_map, reference_cell_map};
     use proptest::prelude::*;
 
-    /// Blocks of labels with odd voxels strewn in: large regions, thin ones, label 0, and faces.
+    /// Return blocks of labels with scattered odd voxels: large regions, thin ones, label 0, and faces.
     fn random_labels(
         [nz, ny, nx]: [usize; 3],
         num_labels: usize,
@@ -238,7 +264,7 @@ mod tests {
         labels
     }
 
-    /// Every instruction set of the machine, whole and in slabs.
+    /// Return builders for every instruction set of the machine, with one and with several slabs.
     fn builders() -> Vec<MapBuilder<'static>> {
         InstructionSet::available()
             .into_iter()
@@ -257,7 +283,7 @@ mod tests {
         build: impl Fn(MapBuilder<'_>, &mut [u8]) -> Result<(), IsoRegionError>,
     ) {
         for builder in builders() {
-            // What `out` held before does not matter.
+            // The previous contents of `out` do not matter.
             let mut out = vec![77; expected.len()];
             build(builder, &mut out).unwrap();
             assert!(
@@ -272,7 +298,7 @@ mod tests {
     proptest! {
         #[test]
         fn the_fast_map_equals_the_papers(
-            // Rows shorter than any register, longer than every one, and not a whole number of them.
+            // Rows shorter than any register, longer than every register, and not a whole number of registers.
             shape in (1usize..40, 1usize..20, prop_oneof![1usize..24, 30usize..36, 60usize..70, 90usize..140]),
             seed in any::<u64>(),
             num_labels in prop_oneof![1usize..5, 5usize..256],
@@ -325,7 +351,7 @@ mod tests {
 
     #[test]
     fn long_empty_rows_count_to_255_and_no_further() {
-        // 3 x 3 faces are always near, so the paper's iteration is quick on a long thin box.
+        // In a long thin box the faces are always near, so the paper's iteration is fast.
         let shape = [7, 9, 700];
         for at in [0, 64, 300, 699] {
             let mut labels = vec![1u8; 7 * 9 * 700];
@@ -362,7 +388,7 @@ mod tests {
 
     #[test]
     fn radii_stop_at_255_and_never_wrap() {
-        // A thin stack would never get there, so the cube is 515 voxels wide: its middle would have radius 257.
+        // A thin stack would never reach that radius, so the cube is 515 voxels wide: its centre would have radius 257.
         let n = 515;
         let labels = vec![1; n * n * n];
         for num_slabs in [1, 2] {

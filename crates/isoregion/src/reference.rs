@@ -1,13 +1,19 @@
-//! The paper's construction, and the definition of the map of cells, kept readable: they define truth for the fast ones.
+//! Readable reference for the fast constructions: the paper's construction, and the definition of the map of cells.
 
 use crate::{IsoRegionError, error::check_length};
 
-/// The largest radius that is recorded. Larger cubes exist; recording them smaller costs speed, never correctness.
+/// Largest recorded radius.
+///
+/// Larger cubes exist; recording them with a smaller radius costs speed, never correctness.
 pub const MAX_RADIUS_VOX: u8 = 255;
 
-/// Radius of every voxel by the paper's iteration (4.2).
+/// Compute the radius of every voxel by the paper's iteration (4.2).
 ///
-/// Departure: radii stop at 255, so that one byte holds them; label 0 has radius 0 (it stands for "not one colour").
+/// Departure: radii stop at 255, so that one byte holds them; label 0 has radius 0 (it means "not one colour").
+///
+/// # Errors
+///
+/// Returns an error if the number of labels does not match the shape.
 pub fn paper_radius_map(labels: &[u8], shape_zyx: [usize; 3]) -> Result<Vec<u8>, IsoRegionError> {
     check_length(labels.len(), shape_zyx)?;
     let [nz, ny, nx] = shape_zyx.map(|n| n as isize);
@@ -25,7 +31,7 @@ pub fn paper_radius_map(labels: &[u8], shape_zyx: [usize; 3]) -> Result<Vec<u8>,
         })
     };
     let mut radius = vec![0u8; labels.len()];
-    // First iteration: the 26 neighbours hold the label of the centre.
+    // First iteration: the 26 neighbours have the label of the centre.
     for v in voxels() {
         let centre = labels[at(v).expect("inside")];
         let uniform =
@@ -34,7 +40,7 @@ pub fn paper_radius_map(labels: &[u8], shape_zyx: [usize; 3]) -> Result<Vec<u8>,
             radius[at(v).expect("inside")] = 1;
         }
     }
-    // Then: the eight diagonal neighbours are all centres of regions found in the iteration before.
+    // Later iterations: the eight diagonal neighbours are all centres of regions found in the previous iteration.
     for d in 2..=MAX_RADIUS_VOX {
         let before = radius.clone();
         let mut found = false;
@@ -54,9 +60,14 @@ pub fn paper_radius_map(labels: &[u8], shape_zyx: [usize; 3]) -> Result<Vec<u8>,
     Ok(radius)
 }
 
-/// Radius of every cell, by its definition: see [`crate::cell_map`].
+/// Compute the radius of every cell by its definition: see [`crate::cell_map`].
 ///
-/// Departure from the paper, whose radii are those of voxels. As there, radii stop at 255, and label 0 has radius 0.
+/// Departure from the paper, whose radii are those of voxels. As in the paper's map here, radii stop at 255, and label
+/// 0 has radius 0.
+///
+/// # Errors
+///
+/// Returns an error if the number of labels does not match the shape.
 pub fn reference_cell_map(labels: &[u8], shape_zyx: [usize; 3]) -> Result<Vec<u8>, IsoRegionError> {
     check_length(labels.len(), shape_zyx)?;
     let [nz, ny, nx] = shape_zyx;
@@ -65,7 +76,7 @@ pub fn reference_cell_map(labels: &[u8], shape_zyx: [usize; 3]) -> Result<Vec<u8
         for y in 0..ny {
             for x in 0..nx {
                 let label = labels[(z * ny + y) * nx + x];
-                // No cube reaches the first voxels of an axis, nor beyond the last.
+                // No cube includes the first voxels of an axis, nor extends beyond the last.
                 let room = z
                     .min(y)
                     .min(x)
@@ -90,7 +101,7 @@ pub fn reference_cell_map(labels: &[u8], shape_zyx: [usize; 3]) -> Result<Vec<u8
 mod tests {
     use super::*;
 
-    /// The definition, word by word.
+    /// Compute the radii directly from the definition.
     fn by_definition(labels: &[u8], shape_zyx: [usize; 3]) -> Vec<u8> {
         let [nz, ny, nx] = shape_zyx.map(|n| n as isize);
         let label = |z: isize, y: isize, x: isize| {

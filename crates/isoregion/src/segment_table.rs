@@ -1,24 +1,27 @@
 //! The paper's `IsoRegion` step table: colour and transparency of a segment of equal samples (4.3).
 
-/// Segments longer than this are taken in several leaps. The table of 255 classes then fits the second cache.
+/// Largest number of samples of a segment; longer ones need several leaps.
+///
+/// With this limit the table of 255 classes fits the second cache.
 pub const MAX_SEGMENT_SAMPLES: usize = 64;
 
-/// `(C (1 - beta^n), beta^n)` by class and number of samples.
+/// Table of `(C (1 - beta^n), beta^n)` by class and number of samples.
 ///
-/// Paper 4.3. Departure: indexed by the number of samples, not by the radius `d`, so that a region of radius 0 still
-/// adds its one sample, and so that rays that cross a region at a slant or with another step add what they really pass.
+/// Paper 4.3. Departure: the index is the number of samples, not the radius `d`, so that a region of radius 0 still
+/// adds its one sample, and so that rays that cross a region at an angle or with another step length add their actual
+/// number of samples.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SegmentTable {
     entries: Vec<[f32; 4]>,
 }
 
 impl SegmentTable {
-    /// Of no classes.
+    /// Table of no classes.
     pub const EMPTY: Self = Self {
         entries: Vec::new(),
     };
 
-    /// From the premultiplied colour and opacity of *one* sample of each class (`label - 1`).
+    /// Create the table from the premultiplied colour and opacity of *one* sample of each class (`label - 1`).
     #[must_use]
     pub fn new(classes: &[[f32; 4]]) -> Self {
         let mut entries = Vec::with_capacity(classes.len() * (MAX_SEGMENT_SAMPLES + 1));
@@ -40,21 +43,21 @@ impl SegmentTable {
         Self { entries }
     }
 
-    /// All entries: [`MAX_SEGMENT_SAMPLES`]` + 1` for each class, by number of samples.
+    /// Return all entries: [`MAX_SEGMENT_SAMPLES`]` + 1` for each class, by number of samples.
     #[inline]
     #[must_use]
     pub fn entries(&self) -> &[[f32; 4]] {
         &self.entries
     }
 
-    /// `[r, g, b, transparency]` of `num_samples` samples of the class with `label` (1 or more).
+    /// Return `[r, g, b, transparency]` of `num_samples` samples of the class with `label` (1 or more).
     #[inline]
     #[must_use]
     pub fn segment(&self, label: u8, num_samples: usize) -> [f32; 4] {
         self.entries[(usize::from(label) - 1) * (MAX_SEGMENT_SAMPLES + 1) + num_samples]
     }
 
-    /// The fewest samples, at most `num_samples`, after which `transparency` falls below `limit`.
+    /// Return the smallest number of samples, at most `num_samples`, after which `transparency` falls below `limit`.
     #[must_use]
     pub fn samples_until(
         &self,
@@ -87,7 +90,7 @@ mod tests {
             for count in 0..=MAX_SEGMENT_SAMPLES {
                 let segment = table.segment(n as u8 + 1, count);
                 for c in 0..3 {
-                    // 1e-6: entries are f32.
+                    // Tolerance 1e-6: the entries of the table are f32.
                     assert!((f64::from(segment[c]) - colour[c]).abs() < 1e-6);
                 }
                 assert!((f64::from(segment[3]) - through).abs() < 1e-6);

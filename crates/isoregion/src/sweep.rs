@@ -1,18 +1,20 @@
 //! Chessboard distances within a slab of slices, and across the border of two slabs.
 //!
 //! The distance of a voxel to the nearest 0 is the length of a path of steps to any of the 26 neighbours. The steps of
-//! such a path can be put in order: first those along x, then those that a forward sweep makes (`FORWARD` below), then
-//! those of a backward sweep; none leaves the box of its two ends. So distances along rows, which need nothing but the
-//! row, and two sweeps are exact. The sweeps read the rows before (after) a row, not the row itself: no chain along x.
+//! such a path can be reordered: first those along x, then those of a forward sweep (`FORWARD` below), then those of a
+//! backward sweep; no step leaves the box of its two ends. So distances along rows, which need only the row itself,
+//! followed by two sweeps are exact. The sweeps read the rows before (after) a row, not the row itself, so there is no
+//! dependency chain along x.
 
 use crate::{
     bytes::{Bytes, Kernel},
     uniform::{Source, Uniform},
 };
 
-/// Distances in slices `first_z ..` of a volume, as many as `out` holds, as if there were no 0 beyond them.
+/// Kernel that computes the distances in slices `first_z ..` of a volume, as many as `out` holds.
 ///
-/// `stopped` is asked before each slice; the distances of a stopped sweep are of no use.
+/// The kernel assumes that there is no 0 beyond these slices. `stopped` is called before each slice; the distances of a
+/// stopped sweep are not valid.
 pub(crate) struct Sweep<'a> {
     pub(crate) source: Source<'a>,
     pub(crate) shape_zyx: [usize; 3],
@@ -95,8 +97,10 @@ impl Kernel for Sweep<'_> {
     }
 }
 
-/// Carries distances from `edge`, the slice beside a finished slab, into it: forward from its first slice on, or
-/// backward from its last. Both slabs' own distances are exact, so steps to other slices are all that is missing.
+/// Kernel that propagates distances from `edge`, the slice beside a finished slab, into the slab.
+///
+/// The kernel propagates forward from the slab's first slice on, or backward from its last. The distances within both
+/// slabs are exact, so only steps to other slices are missing.
 pub(crate) struct Push<'a> {
     pub(crate) edge: &'a [u8],
     pub(crate) slab: &'a mut [u8],
@@ -132,7 +136,7 @@ impl Kernel for Push<'_> {
             for y in 1..ny - 1 {
                 changed |= relax(b, &mut slice[y * nx..][..nx], beside(last, y, nx));
             }
-            // Slices further on depend on this one alone.
+            // Slices further on depend only on this one, so the propagation can end here.
             if !changed {
                 return;
             }
@@ -140,7 +144,7 @@ impl Kernel for Push<'_> {
     }
 }
 
-/// Rows `y - 1`, `y` and `y + 1` of a slice.
+/// Return rows `y - 1`, `y` and `y + 1` of a slice.
 #[inline(always)]
 fn beside(slice: &[u8], y: usize, nx: usize) -> [&[u8]; 3] {
     [
@@ -150,7 +154,7 @@ fn beside(slice: &[u8], y: usize, nx: usize) -> [&[u8]; 3] {
     ]
 }
 
-/// One row more.
+/// Addition of one row to an array of rows.
 trait With<'a> {
     fn with(self, row: &'a [u8]) -> [&'a [u8]; 4];
 }
@@ -162,9 +166,11 @@ impl<'a> With<'a> for [&'a [u8]; 3] {
     }
 }
 
-// No closures from here on: a closure is a function of its own and has not the instructions of its kernel.
+// No closures from here on: a closure is a separate function without the instructions of its kernel.
 
-/// Distance along the row to the nearest bit that is not set, 0 there. The last voxel's bit is not set.
+/// Compute the distance along the row to the nearest bit that is not set, 0 at such a bit.
+///
+/// The last voxel's bit must not be set.
 #[inline(always)]
 fn distances_along_row<B: Bytes>(b: B, bits: &[u64], row: &mut [u8]) {
     let nx = row.len();
@@ -175,13 +181,15 @@ fn distances_along_row<B: Bytes>(b: B, bits: &[u64], row: &mut [u8]) {
         x += B::N;
     }
     if x < nx {
-        // A whole register again, some of it for the second time.
+        // The last register is a whole one, so some of its voxels are computed a second time.
         let x = nx - B::N;
         distances_in_block(b, bits, row, x, ones_before(bits, x));
     }
 }
 
-/// The same for voxels `x ..= x + N - 1`, `before` set bits lying right before them; returns how many do at the end.
+/// Compute the distances for voxels `x ..= x + N - 1` with `before` set bits directly before them.
+///
+/// Return the number of set bits directly before their end.
 #[inline(always)]
 fn distances_in_block<B: Bytes>(b: B, bits: &[u64], row: &mut [u8], x: usize, before: u8) -> u8 {
     let whole = if B::N == 64 { !0 } else { (1 << B::N) - 1 };
@@ -196,7 +204,8 @@ fn distances_in_block<B: Bytes>(b: B, bits: &[u64], row: &mut [u8], x: usize, be
         }
     }
     debug_assert!(x + B::N <= row.len());
-    // SAFETY: the caller's loops end at the row's end. Benchmark: benches/map.rs.
+    // SAFETY: the callers' loops end at the end of the row, so `N` bytes from `x` are in the row. Benchmark:
+    // benches/map.rs.
     unsafe { b.store(row.as_mut_ptr().add(x), out) };
     if set == whole {
         before.saturating_add(B::N as u8)
@@ -205,7 +214,7 @@ fn distances_in_block<B: Bytes>(b: B, bits: &[u64], row: &mut [u8], x: usize, be
     }
 }
 
-/// 64 bits from position `at` on; 0 beyond the end.
+/// Return 64 bits from position `at` on; bits beyond the end are 0.
 #[inline(always)]
 fn bits_from(bits: &[u64], at: usize) -> u64 {
     let (word, shift) = (at / 64, at % 64);
@@ -220,7 +229,7 @@ fn bits_from(bits: &[u64], at: usize) -> u64 {
     }
 }
 
-/// How many bits are set from `at` on, up to 255.
+/// Return the number of consecutive set bits from `at` on, up to 255.
 #[inline(always)]
 fn ones_from(bits: &[u64], at: usize) -> u8 {
     let mut count = 0;
@@ -234,20 +243,21 @@ fn ones_from(bits: &[u64], at: usize) -> u8 {
     count.min(255) as u8
 }
 
-/// How many bits are set right before `at`, up to 255.
+/// Return the number of consecutive set bits directly before `at`, up to 255.
 #[inline(always)]
 fn ones_before(bits: &[u64], at: usize) -> u8 {
     let set = |n: &usize| bits[n / 64] >> (n % 64) & 1 == 1;
     (0..at).rev().take(255).take_while(set).count() as u8
 }
 
-/// The least of the rows, voxels `x ..= x + N - 1`.
+/// Return the least values of the rows, for voxels `x ..= x + N - 1`.
 ///
 /// # Safety
-/// Every row must hold them.
+///
+/// Every row must contain these voxels.
 #[inline(always)]
 unsafe fn least<B: Bytes, const R: usize>(b: B, rows: [&[u8]; R], x: usize) -> B::V {
-    // SAFETY: as promised by the caller. Benchmark: benches/map.rs.
+    // SAFETY: the caller guarantees that every row contains `N` voxels from `x`. Benchmark: benches/map.rs.
     unsafe {
         let mut out = b.load(rows[0].as_ptr().add(x));
         let mut n = 1;
@@ -259,9 +269,9 @@ unsafe fn least<B: Bytes, const R: usize>(b: B, rows: [&[u8]; R], x: usize) -> B
     }
 }
 
-/// `row = min(row, 1 + min over the rows' voxels at x - 1, x and x + 1)`; true if anything changed.
+/// Set `row = min(row, 1 + min over the rows' voxels at x - 1, x and x + 1)`; return true if a value changed.
 ///
-/// The first and the last voxel of the row are 0: what lies beside them does not matter.
+/// The first and the last voxel of the row are 0, so the voxels beside them do not matter.
 #[inline(always)]
 fn relax<B: Bytes, const R: usize>(b: B, row: &mut [u8], rows: [&[u8]; R]) -> bool {
     let nx = row.len();
@@ -288,7 +298,7 @@ fn relax<B: Bytes, const R: usize>(b: B, row: &mut [u8], rows: [&[u8]; R]) -> bo
                     }
                     here = least(b, rows, x);
                 }
-                // Without a whole register after it, the last voxel's neighbour is left to the rest below.
+                // If no whole register follows, the neighbour of the last voxel is processed with the remainder below.
                 ready = x + 2 * B::N <= nx;
                 let after = if ready {
                     least(b, rows, x + B::N)
@@ -297,7 +307,7 @@ fn relax<B: Bytes, const R: usize>(b: B, row: &mut [u8], rows: [&[u8]; R]) -> bo
                 };
                 let beside = b.min(b.previous(before, here), b.next(here, after));
                 let new = b.min(old, b.add(b.min(here, beside), one));
-                // Many registers stay as they are; what is not written need not go back to memory.
+                // Many registers do not change; skipping their stores saves memory traffic.
                 if !b.same(new, old) {
                     changed = true;
                     b.store(start.add(x), new);

@@ -1,6 +1,6 @@
-//! How many threads work on a volume.
+//! Number of threads that process a volume.
 
-/// Threads that a map is built in unless told: as many as the pool has, but not its own (see `join`).
+/// Return the default number of threads of a map: as many as the pool has, but separate from the pool (see `join`).
 pub(crate) fn num_threads() -> usize {
     rayon::current_num_threads()
 }

@@ -1,45 +1,49 @@
-//! Which voxels lie in the middle of 3x3x3 equal ones, or which cells have eight equal corners: one bit each, slice after
-//! slice.
+//! Uniform voxels and cells, one bit each, slice after slice.
+//!
+//! A uniform voxel is at the centre of 3x3x3 equal ones; a uniform cell has eight equal corners.
 
 use crate::bytes::Bytes;
 
-/// What a bit, and later a radius, belongs to.
+/// Unit to which a bit, and later a radius, belongs.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Unit {
-    /// A voxel, and the 26 round it.
+    /// A voxel with the 26 voxels round it.
     Voxel,
     /// The cell between a voxel and the seven after it.
     Cell,
 }
 
-/// What makes two voxels equal.
+/// Criterion for equal voxels.
 #[derive(Clone, Copy)]
 pub(crate) enum Source<'a> {
-    /// One label, other than 0.
+    /// Equal labels other than 0.
     Labels(&'a [u8], Unit),
-    /// Values in one run: its first value, and how far the last one is from it. Runs are disjoint; values in none of
-    /// them are unequal to all. Of cells.
+    /// Values in one run, given by its first value and the distance to its last value; only for cells.
+    ///
+    /// Runs are disjoint; values in no run are unequal to all.
     Runs(&'a [i16], &'a [(i16, u16)]),
 }
 
-/// The last three slices of one kind of equality.
+/// Last three slices of bits for one criterion.
 struct Ring {
-    /// The 3x3 voxels of the slice round it are equal; of a cell the 2x2.
+    /// Bits of voxels whose 3x3 neighbourhood in the slice is equal; for a cell the 2x2 voxels.
     flat: [Vec<u64>; 3],
-    /// It equals the voxel in the slice after; empty where `flat` says it already.
+    /// Bits of voxels that equal the voxel in the next slice; empty if `flat` implies the equality.
     alike: [Vec<u64>; 3],
 }
 
-/// Slides over the slices; rows are whole words of 64 bits.
+/// Sliding window over the slices; rows are whole words of 64 bits.
 pub(crate) struct Uniform<'a> {
     source: Source<'a>,
     shape_zyx: [usize; 3],
     words: usize,
     rings: Vec<Ring>,
-    /// Of the slice under way: its three voxels (a cell's two) along x are equal; it equals the voxel in the row after.
+    /// Bits of the current slice: three voxels (for a cell two) along x are equal.
+    ///
+    /// In the next field, a bit is set if the voxel equals the voxel in the next row.
     across: Vec<u64>,
     down: Vec<u64>,
-    /// Stands for label 0.
+    /// Row of zeros, to compare with label 0.
     zeros: Vec<u8>,
 }
 
@@ -71,7 +75,9 @@ impl<'a> Uniform<'a> {
         self.words
     }
 
-    /// Reads slice `z`. Slices come one after the other.
+    /// Read slice `z`.
+    ///
+    /// Slices must be read in order.
     #[inline(always)]
     pub(crate) fn read<B: Bytes>(&mut self, b: B, z: usize) {
         let [nz, ny, nx] = self.shape_zyx;
@@ -89,7 +95,7 @@ impl<'a> Uniform<'a> {
                         both_sides(across);
                     }
                     without_first(across);
-                    // `down` holds the voxels of label 0 for a moment.
+                    // `down` temporarily contains the voxels of label 0.
                     let down = &mut self.down[y * words..][..words];
                     equal(b, row, &self.zeros, nx, down);
                     for (across, down) in across.iter_mut().zip(&*down) {
@@ -131,7 +137,7 @@ impl<'a> Uniform<'a> {
         }
     }
 
-    /// Row `y` of slice `z`; slices `z - 1 ..= z + 1` are the last that were read. False if no bit is set.
+    /// Compute row `y` of slice `z` from slices `z - 1 ..= z + 1`, which were read last; return false if no bit is set.
     #[inline(always)]
     pub(crate) fn row(&self, z: usize, y: usize, out: &mut [u64]) -> bool {
         let at = y * self.words..(y + 1) * self.words;
@@ -139,7 +145,7 @@ impl<'a> Uniform<'a> {
         out.fill(0);
         let mut any = 0;
         for ring in &self.rings {
-            // A cell has nothing to do with the slice before.
+            // A cell does not depend on the previous slice.
             let first = match self.source {
                 Source::Labels(_, Unit::Voxel) => before,
                 _ => here,
@@ -162,8 +168,10 @@ impl<'a> Uniform<'a> {
     }
 }
 
-/// `flat[y] = across[y - 1 ..= y + 1]`, of cells `across[y ..= y + 1]`, and with `down` rows equal to the next; no bits in the
-/// first and last row.
+/// Set `flat[y] = across[y - 1 ..= y + 1]` (for cells `across[y ..= y + 1]`), and with `down` only for rows equal to
+/// the next.
+///
+/// The first and the last row have no bits.
 #[inline(always)]
 fn flatten(unit: Unit, flat: &mut [u64], across: &[u64], down: Option<&[u64]>, words: usize) {
     let before = if unit == Unit::Voxel { words } else { 0 };
@@ -178,13 +186,13 @@ fn flatten(unit: Unit, flat: &mut [u64], across: &[u64], down: Option<&[u64]>, w
     }
 }
 
-/// Nothing at a row's first voxel: what lies before it is missing.
+/// Clear the bit of a row's first voxel, which has no previous voxel.
 #[inline(always)]
 fn without_first(row: &mut [u64]) {
     row[0] &= !1;
 }
 
-/// From "in the run" to "in it, with the one after it".
+/// Convert the bits "in the run" to "in the run together with the next voxel".
 #[inline(always)]
 fn after_in_set(row: &mut [u64]) {
     for n in 0..row.len() {
@@ -197,7 +205,7 @@ fn after_in_set(row: &mut [u64]) {
     }
 }
 
-/// From "equals the voxel after" to "equals both beside it".
+/// Convert the bits "equals the next voxel" to "equals both neighbours".
 #[inline(always)]
 fn both_sides(row: &mut [u64]) {
     let mut carry = 0;
@@ -208,11 +216,15 @@ fn both_sides(row: &mut [u64]) {
     }
 }
 
-/// A comparison of voxels `at ..` of two rows, or of a row with a run. Not a closure: a closure is a function of its own
-/// and has not the instructions of its kernel.
+/// Comparison of voxels `at ..` of two rows, or of a row with a run.
+///
+/// The comparison is no closure, because a closure is a separate function without the instructions of its kernel.
 trait Compare {
+    /// Compare 64 voxels from `at`, one bit each.
+    ///
     /// # Safety
-    /// 64 voxels from `at` must lie in the rows.
+    ///
+    /// 64 voxels from `at` must be in the rows.
     unsafe fn word<B: Bytes>(&self, b: B, at: usize) -> u64;
     fn one(&self, at: usize) -> bool;
 }
@@ -222,7 +234,7 @@ struct Equal<'a>(&'a [u8], &'a [u8]);
 impl Compare for Equal<'_> {
     #[inline(always)]
     unsafe fn word<B: Bytes>(&self, b: B, at: usize) -> u64 {
-        // SAFETY: as promised by the caller. Benchmark: benches/map.rs.
+        // SAFETY: the caller guarantees that 64 voxels from `at` are in both rows. Benchmark: benches/map.rs.
         unsafe { b.equal64(self.0.as_ptr().add(at), self.1.as_ptr().add(at)) }
     }
     #[inline(always)]
@@ -237,7 +249,7 @@ impl Compare for Within<'_> {
     #[inline(always)]
     unsafe fn word<B: Bytes>(&self, b: B, at: usize) -> u64 {
         let (lo, width) = self.1;
-        // SAFETY: as promised by the caller. Benchmark: benches/map.rs.
+        // SAFETY: the caller guarantees that 64 voxels from `at` are in the row. Benchmark: benches/map.rs.
         unsafe { b.within64(self.0.as_ptr().add(at), lo, width) }
     }
     #[inline(always)]
@@ -247,36 +259,39 @@ impl Compare for Within<'_> {
     }
 }
 
-/// Bit n is set where `a[n] == c[n]`, for n below `count`; the other bits are 0.
+/// Set bit n where `a[n] == c[n]`, for n below `count`; the other bits are 0.
 #[inline(always)]
 fn equal<B: Bytes>(b: B, a: &[u8], c: &[u8], count: usize, out: &mut [u64]) {
     assert!(a.len() >= count && c.len() >= count);
-    // SAFETY: both hold `count` voxels.
+    // SAFETY: both rows contain `count` voxels.
     unsafe { fill_words(b, &Equal(a, c), count, out) };
 }
 
-/// Bit n is set where `values[n]` lies in the run; the bits beyond the row are 0.
+/// Set bit n where `values[n]` is in the run; the bits beyond the row are 0.
 #[inline(always)]
 fn within<B: Bytes>(b: B, values: &[i16], run: (i16, u16), out: &mut [u64]) {
-    // SAFETY: these are all of them.
+    // SAFETY: `values.len()` is the number of voxels in the row.
     unsafe { fill_words(b, &Within(values, run), values.len(), out) };
 }
 
-/// Words from 64 voxels each, the last one from the last 64 of the row; voxel by voxel where there are no 64.
+/// Fill words from 64 voxels each, the last word from the last 64 of the row.
+///
+/// Rows shorter than 64 are processed voxel by voxel.
 ///
 /// # Safety
-/// The rows that are compared must hold `count` voxels.
+///
+/// The rows that are compared must contain `count` voxels.
 #[inline(always)]
 unsafe fn fill_words<B: Bytes>(b: B, compare: &impl Compare, count: usize, out: &mut [u64]) {
     let (whole, rest) = (count / 64, count % 64);
     for (n, out) in out[..whole].iter_mut().enumerate() {
-        // SAFETY: 64 (n + 1) <= count. Benchmark: benches/map.rs.
+        // SAFETY: 64 (n + 1) <= count, so the 64 voxels are in the rows. Benchmark: benches/map.rs.
         *out = unsafe { compare.word(b, 64 * n) };
     }
     if whole < out.len() {
         out[whole..].fill(0);
         if rest > 0 && whole > 0 {
-            // SAFETY: the last 64 of at least 64 voxels.
+            // SAFETY: the row has at least 64 voxels, so its last 64 are in the rows.
             out[whole] = unsafe { compare.word(b, count - 64) } >> (64 - rest);
         } else {
             for n in 0..rest {

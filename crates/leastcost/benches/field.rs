@@ -1,4 +1,4 @@
-//! ns per voxel of a whole tree in a noisy field with a cheap tree of tubes in it, both costs, one thread.
+//! Benchmark: ns per voxel of a whole tree in a noisy field with a cheap tree of tubes in it, both costs, one thread.
 //!
 //! `cargo bench -p carina-airpath --bench field [FILE.f32 NX NY NZ I J K]`: a raw field and the root's voxel.
 
@@ -9,7 +9,8 @@ use carina_leastcost::Unwatched;
 use carina_leastcost::field::{EnterCost, MeanCost, StepCost, VoxelField};
 use carina_leastcost::field_tracker::FieldTracker;
 
-/// Seconds that this thread has had a core, where the system says so (Linux): machines are shared.
+/// Return the processor time of this thread in s if the system reports it (Linux), because the machine may have other
+/// load.
 fn cpu_s(since: Instant) -> f64 {
     std::fs::read_to_string("/proc/thread-self/schedstat")
         .ok()

@@ -1,4 +1,6 @@
-//! The graph of paper 6: every voxel of a box is a node, linked to its 26 neighbours. Nothing is stored for it.
+//! Graph of paper 6: every voxel of a box is a node with edges to its 26 neighbours.
+//!
+//! The graph stores no edges.
 
 use carina_grid::{Grid, length};
 
@@ -6,19 +8,19 @@ use crate::TrackError;
 use crate::distance::VoxelBox;
 use crate::graph::{Graph, NO_NODE};
 
-/// A graph whose nodes are voxels of a box.
+/// Graph whose nodes are voxels of a box.
 pub trait VoxelGraph: Graph {
-    /// The box that holds all nodes.
+    /// Return the box that contains all nodes.
     fn voxel_box(&self) -> VoxelBox;
 
-    /// The node of a voxel of the volume.
+    /// Return the node of a voxel of the volume.
     fn node_of_voxel(&self, ijk: [isize; 3]) -> Option<u32>;
 
-    /// The voxel of a node.
+    /// Return the voxel of a node.
     fn voxel_of_node(&self, node: u32) -> [usize; 3];
 }
 
-/// A node's 26 neighbours in array order, as offsets: number `25 - s` is the opposite of number `s`.
+/// Return the offsets of the 26 neighbours in array order: number `25 - s` is the opposite of number `s`.
 pub(crate) fn neighbour_offsets() -> [[isize; 3]; 26] {
     std::array::from_fn(|s| {
         let cell = if s < 13 { s } else { s + 1 } as isize;
@@ -26,18 +28,22 @@ pub(crate) fn neighbour_offsets() -> [[isize; 3]; 26] {
     })
 }
 
-/// All voxels of a box of the volume; node numbers are places in the box.
+/// Graph of all voxels of a box of the volume; node numbers are indices in the box.
 #[derive(Debug, Clone)]
 pub struct BoxGraph {
     voxel_box: VoxelBox,
     offsets: [[isize; 3]; 26],
     lengths_mm: [f64; 26],
-    /// Place of a neighbour in the box relative to the node's.
+    /// Difference between the index of a neighbour and that of the node, in the box.
     strides: [isize; 26],
 }
 
 impl BoxGraph {
-    /// The graph of a box, which must lie in the grid.
+    /// Create the graph of a box.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the box is not in the grid.
     pub fn new(grid: &Grid, voxel_box: VoxelBox) -> Result<Self, TrackError> {
         let shape = grid.shape_ijk();
         let [nx, ny, _] = voxel_box.shape_ijk;

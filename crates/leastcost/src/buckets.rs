@@ -1,43 +1,44 @@
-//! A monotone queue of whole-number costs: Dial's circle of buckets (1969), each a chain of small blocks in one pool.
+//! Monotone priority queue of integer costs: Dial's circular buckets (1969), each a chain of small blocks in one pool.
 //!
-//! A bucket spans a power of two of costs that no edge is cheaper than, so all that is in the front bucket is final and
-//! may be settled in any order (Dinitz 1978); with span 1 the order is that of the costs themselves. Blocks keep the
-//! entries of one bucket together in memory, and the pool holds little more than what is open.
+//! The span of a bucket is a power of two that is at most the cost of any edge, so all costs in the front bucket are
+//! final and its nodes may be settled in any order (Dinitz 1978). With span 1 the order is that of the costs
+//! themselves. Blocks keep the entries of one bucket together in memory, and the pool needs little more memory than the
+//! open entries.
 
-/// No block.
+/// Marker for no block.
 const END: u32 = u32::MAX;
 
-/// Open nodes by cost.
+/// Open nodes, sorted by cost.
 #[derive(Debug)]
 pub(crate) struct Buckets {
-    /// Newest block of each bucket, and how many of its entries are taken.
+    /// Newest block of each bucket, and the number of its used entries.
     tails: Vec<(u32, u32)>,
-    /// One bit per bucket that holds something: empty stretches are passed 64 buckets at a time.
+    /// One bit per non-empty bucket, so that 64 empty buckets are skipped at a time.
     filled: Vec<u64>,
     pool: Vec<u32>,
-    /// The block before each in its bucket, or the next free one.
+    /// Previous block in the same bucket for each block, or the next free block.
     before: Vec<u32>,
     free: u32,
     block_log2: u32,
     span_log2: u32,
     num_blocks_open: usize,
-    /// Number of the front bucket, counted from cost 0 and not in the circle.
+    /// Number of the front bucket, counted from cost 0 (not modulo the circle).
     front: u64,
 }
 
-/// Entries that were taken from the front bucket; to be given back when they are done with.
+/// Block of entries taken from the front bucket; the caller returns the block after use.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Block {
     number: u32,
     first: usize,
-    /// Entries in it.
+    /// Number of entries in the block.
     pub(crate) len: usize,
 }
 
 impl Buckets {
-    /// A queue whose open costs span at most `reach`; one bucket holds 2^`span_log2` of them.
+    /// Create a queue whose open costs differ by at most `reach`; one bucket holds 2^`span_log2` costs.
     pub(crate) fn new(reach: u64, span_log2: u32) -> Self {
-        // Two more than the reach: the front bucket, and the one that a sum may begin in.
+        // Two buckets more than the reach: the front bucket, and the one in which a sum may begin.
         let num_buckets = ((reach >> span_log2) as usize + 2)
             .next_power_of_two()
             .max(64);
@@ -47,7 +48,7 @@ impl Buckets {
             pool: Vec::new(),
             before: Vec::new(),
             free: END,
-            // Few buckets are long, many are short.
+            // With few buckets each is long, with many each is short.
             block_log2: if num_buckets > 1024 { 6 } else { 9 },
             span_log2,
             num_blocks_open: 0,
@@ -55,17 +56,17 @@ impl Buckets {
         }
     }
 
-    /// Least cost of the front bucket.
+    /// Return the least cost of the front bucket.
     pub(crate) const fn front_cost(&self) -> u64 {
         self.front << self.span_log2
     }
 
-    /// Number of the bucket that a cost belongs to.
+    /// Return the number of the bucket for a cost.
     pub(crate) const fn bucket_of(&self, cost: u64) -> u64 {
         cost >> self.span_log2
     }
 
-    /// Bytes held.
+    /// Return the allocated memory in bytes.
     pub(crate) fn num_bytes(&self) -> usize {
         8 * (self.tails.capacity() + self.filled.capacity())
             + 4 * (self.pool.capacity() + self.before.capacity())
@@ -92,7 +93,7 @@ impl Buckets {
             block = self.before.len() as u32;
             let size = 1 << self.block_log2;
             if self.pool.len() + size > self.pool.capacity() {
-                // By a quarter: the pool is as large as the most that was ever open, and a little more.
+                // Grow by a quarter: the pool is then only slightly larger than the largest number of open entries.
                 self.pool
                     .reserve_exact((self.pool.len() / 4).max(16 * size));
             }
@@ -105,7 +106,7 @@ impl Buckets {
         block
     }
 
-    /// Moves the front to the first bucket that holds something; false if none does.
+    /// Move the front to the first non-empty bucket; return false if all are empty.
     pub(crate) fn advance(&mut self) -> bool {
         if self.num_blocks_open == 0 {
             return false;
@@ -124,7 +125,9 @@ impl Buckets {
         }
     }
 
-    /// Takes a block out of the front bucket; what is pushed there meanwhile is found by the next call.
+    /// Take a block out of the front bucket.
+    ///
+    /// Entries that are pushed to that bucket meanwhile are returned by a later call.
     pub(crate) fn take(&mut self) -> Option<Block> {
         let bucket = self.front as usize & (self.tails.len() - 1);
         let (number, len) = self.tails[bucket];
@@ -143,7 +146,7 @@ impl Buckets {
         })
     }
 
-    /// Takes the newest entry out of the front bucket.
+    /// Take the newest entry out of the front bucket.
     #[inline]
     pub(crate) fn pop(&mut self) -> Option<u32> {
         let bucket = self.front as usize & (self.tails.len() - 1);

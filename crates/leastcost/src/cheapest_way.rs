@@ -1,4 +1,4 @@
-//! The cheapest way through the voxels of a small box, from one voxel to any of some others.
+//! Least-cost path through the voxels of a small box, from one voxel to the nearest of several goals.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -8,19 +8,25 @@ use carina_grid::length;
 use crate::graph::NO_NODE;
 use crate::{TrackError, Watch};
 
-/// A way through a box of voxels.
+/// Path through a box of voxels.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Way {
-    /// Voxels of the box, from a goal to the start; neighbours share a face, an edge or a corner.
+    /// Voxels of the box, from a goal to the start; successive voxels share a face, an edge or a corner.
     pub voxels: Vec<[usize; 3]>,
-    /// Sum of length in mm times weight over its steps.
+    /// Sum over the steps of length in mm times weight.
     pub cost: f64,
 }
 
-/// The cheapest way from `start` to the nearest voxel where `is_goal` holds; `None` if there is none.
+/// Find the least-cost path from `start` to the nearest voxel for which `is_goal` is true.
 ///
-/// A step costs its length in mm times the mean weight of its two voxels; a voxel of weight 0 is closed. All arrays run x fastest. Of
-/// equally cheap ways the one that comes first in array order is taken.
+/// Return `None` if there is none.
+///
+/// A step costs its length in mm times the mean weight of its two voxels; no path passes a voxel of weight 0. All
+/// arrays run x fastest. Of equally cheap paths the first in array order is returned.
+///
+/// # Errors
+///
+/// Returns an error if `watch` stops the computation.
 pub fn cheapest_way(
     shape_ijk: [usize; 3],
     spacing_mm: [f64; 3],
@@ -90,7 +96,7 @@ pub fn cheapest_way(
     Ok(None)
 }
 
-/// Finite costs in order.
+/// Finite cost with a total order.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Ordered(f64);
 

@@ -1,11 +1,11 @@
-//! Dijkstra's algorithm with a binary heap: slow, readable, and the truth that the tracker is tested against.
+//! Dijkstra's algorithm with a binary heap: slow and readable; tests compare the tracker with it.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
 use crate::graph::{Cost, Graph, Quantum};
 
-/// Least cost in quanta from `root` to every node; `None` where there is no path.
+/// Return the least cost in quanta from `root` to every node; `None` for a node that no path reaches.
 #[must_use]
 pub fn least_costs(
     graph: &impl Graph,
@@ -20,7 +20,7 @@ pub fn least_costs(
     })
 }
 
-/// The same with the edges of a node in quanta: `for_each_edge(node, visit)` calls `visit(neighbour, quanta)`.
+/// Return the least costs for edges in quanta: `for_each_edge(node, visit)` calls `visit(neighbour, quanta)`.
 #[must_use]
 pub fn least_costs_by(
     num_nodes: usize,

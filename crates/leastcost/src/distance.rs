@@ -1,28 +1,28 @@
-//! Distance to the wall in mm: exact Euclidean on an anisotropic grid, then sub-voxel.
+//! Distance to the wall in mm: exact Euclidean on an anisotropic grid, then refined to sub-voxel accuracy.
 //!
-//! Felzenszwalb and Huttenlocher, "Distance transforms of sampled functions" (2012): one lower envelope of parabolas per
-//! line and axis. Each axis carries its own spacing. Which outside voxel is nearest is kept too, because the wall lies
-//! *between* voxels: near that voxel the crossings of the threshold are looked up, and the nearest one is the wall.
+//! Felzenszwalb and Huttenlocher, "Distance transforms of sampled functions" (2012): one lower envelope of parabolas
+//! per line and axis. Each axis has its own spacing. The transform also returns the nearest outside voxel, because the
+//! wall is *between* voxels: the wall is the nearest crossing of the threshold close to that voxel.
 
 use rayon::prelude::*;
 
-/// A box of voxels inside the volume, x fastest.
+/// Box of voxels inside the volume, x fastest.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct VoxelBox {
     /// First voxel of the box in the volume.
     pub first_ijk: [usize; 3],
-    /// Voxels along i, j, k.
+    /// Number of voxels along i, j, k.
     pub shape_ijk: [usize; 3],
 }
 
 impl VoxelBox {
-    /// Voxels in all.
+    /// Return the number of voxels.
     #[must_use]
     pub const fn num_voxels(&self) -> usize {
         self.shape_ijk[0] * self.shape_ijk[1] * self.shape_ijk[2]
     }
 
-    /// Place of a voxel of the volume in the box, or `None` outside.
+    /// Return the index in the box of a voxel of the volume; `None` outside the box.
     #[must_use]
     pub fn index_of(&self, ijk: [isize; 3]) -> Option<usize> {
         let mut local = [0usize; 3];
@@ -36,7 +36,7 @@ impl VoxelBox {
         Some((local[2] * self.shape_ijk[1] + local[1]) * self.shape_ijk[0] + local[0])
     }
 
-    /// Voxel of the volume at a place in the box.
+    /// Return the voxel of the volume at an index in the box.
     #[must_use]
     pub const fn voxel(&self, index: usize) -> [usize; 3] {
         let [nx, ny, _] = self.shape_ijk;
@@ -48,10 +48,12 @@ impl VoxelBox {
     }
 }
 
-/// Place of no voxel.
+/// Index that stands for no voxel.
 pub const NOWHERE: u32 = u32::MAX;
 
-/// For every voxel of a box the place (in the box) of the nearest voxel where `outside` holds; [`NOWHERE`] if none does.
+/// Return, for every voxel of a box, the index in the box of the nearest voxel for which `outside` is true.
+///
+/// The result is [`NOWHERE`] if there is none.
 ///
 /// Distances are between voxel centres with `spacing_mm` along i, j, k.
 pub fn nearest_outside(
@@ -60,8 +62,8 @@ pub fn nearest_outside(
     outside: impl Fn(usize) -> bool + Sync,
 ) -> Vec<u32> {
     let [nx, ny, nz] = shape_ijk;
-    // Squared distance in f32 would lose the sub-voxel part of long distances; f64 only per line, f32 in between is exact
-    // enough because the winner is compared again by its own coordinates.
+    // A squared distance in f32 loses the sub-voxel part of long distances. f64 is used only within a line; f32 between
+    // the axes is exact enough, because the winner is compared again by its own coordinates.
     let mut nearest = vec![NOWHERE; nx * ny * nz];
     let mut squared = vec![f32::INFINITY; nx * ny * nz];
 
@@ -117,9 +119,9 @@ pub fn nearest_outside(
     nearest
 }
 
-/// Work space for the lower envelope of one line.
+/// Buffers for the lower envelope of one line.
 struct Envelope {
-    /// Positions whose parabola is part of the envelope, and where each begins to be lowest.
+    /// Positions whose parabola is part of the envelope, and the start of the interval in which each is lowest.
     roots: Vec<(usize, f64)>,
     source: Vec<(u32, f32)>,
 }
@@ -153,7 +155,7 @@ impl Envelope {
             let mut begins = f64::NEG_INFINITY;
             while let Some(&(p, p_begins)) = self.roots.last() {
                 let x_p = p as f64 * spacing_mm;
-                // Where the two parabolas cross.
+                // Intersection of the two parabolas.
                 begins = ((height(q) + x_q * x_q) - (height(p) + x_p * x_p)) / (2.0 * (x_q - x_p));
                 if begins > p_begins {
                     break;
@@ -202,7 +204,7 @@ mod tests {
                 let best = (0..bits.len()).filter(|&b| bits[b]).map(|b| distance(at, b)).reduce(f64::min);
                 match best {
                     None => prop_assert_eq!(found[at], NOWHERE),
-                    // 1e-4 mm: squared distances pass between the axes as f32.
+                    // Tolerance 1e-4 mm: squared distances are passed between the axes as f32.
                     Some(best) => prop_assert!((distance(at, found[at] as usize) - best).abs() < 1e-4),
                 }
             }

@@ -1,44 +1,44 @@
-/// What can go wrong on the way from a volume to a path.
+/// Errors of the search for paths in a volume.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum TrackError {
-    /// The caller asked to stop.
+    /// The caller stopped the search.
     #[error("stopped on request")]
     Cancelled,
-    /// Anatomy that the question needs is not in the volume.
+    /// The volume does not contain the anatomy that is required.
     #[error("{0}")]
     NoResult(String),
     /// An argument is out of range.
     #[error("{what}: expected {expected}, found {found}")]
     Argument {
-        /// Which argument.
+        /// Name of the argument.
         what: &'static str,
         /// Allowed values.
         expected: String,
-        /// The refused value.
+        /// Rejected value.
         found: String,
     },
-    /// Edge costs span more than the integer queue can count.
+    /// The range of the edge costs is too wide for the integer queue.
     #[error(
         "the range of the path costs is too wide: the most expensive edge costs {ratio:.3e} times as much as the \
          cheapest; narrow the range of the costs"
     )]
     CostRange {
-        /// Dearest over cheapest edge.
+        /// Ratio of the largest to the smallest edge cost.
         ratio: f64,
     },
-    /// A path costs more than the tracker can count.
+    /// A path costs more than the tracker can represent.
     #[error(
         "a path costs more than {most:.3e}, the highest cost that the path search can represent to within 0.5 %; \
          search a smaller region, or narrow the range of the weights"
     )]
     CostOverflow {
-        /// Greatest cost that can be counted.
+        /// Largest cost that can be represented.
         most: f64,
     },
 }
 
 impl TrackError {
-    /// Stable code, shared with Python and the wire.
+    /// Return the stable error code, shared with Python and the wire.
     #[must_use]
     pub const fn code(&self) -> &'static str {
         match self {
@@ -51,13 +51,17 @@ impl TrackError {
     }
 }
 
-/// Whoever started long work: told how far it is, and asked whether to go on.
+/// Observer of a long computation: receives the progress and can stop the computation.
 pub trait Watch: Sync {
-    /// Called between chunks of work with the share done (0..1) of the present stage.
+    /// Report the completed share (0 to 1) of the present stage, between chunks of work.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the computation must stop.
     fn go_on(&self, share: f64) -> Result<(), TrackError>;
 }
 
-/// Nobody watches: never stops.
+/// Observer that never stops the computation.
 #[derive(Debug, Clone, Copy)]
 pub struct Unwatched;
 

@@ -1,4 +1,4 @@
-//! A volume of weights as a graph that is nowhere stored: 26 neighbours, edges as the step cost has them.
+//! Volume of weights as an implicit graph: 26 neighbours per voxel, edge costs computed from the weights.
 //!
 //! [`crate::field_tracker`] finds least-cost trees in it; [`least_costs`] is the readable reference.
 #![allow(
@@ -13,39 +13,41 @@ use carina_grid::{Grid, length};
 use crate::TrackError;
 use crate::dijkstra::least_costs_by;
 
-/// The cell of no step: 13 of the 27.
+/// Cell of the voxel itself: 13 of the 27.
 pub(crate) const HERE: usize = 13;
 
-/// Quanta of the cheapest step that is not free: half a quantum of rounding is 0.4 % of it, and a sum of such steps is
-/// right within 0.4 % as well. The rest up to 0.5 % is far more than the rounding of f32 needs.
+/// Quanta of the cheapest step that is not free.
+///
+/// Rounding by half a quantum is 0.4 % of it, so a sum of such steps is accurate within 0.4 % as well. The rest up to
+/// 0.5 % is far more than the rounding of f32 needs.
 const CHEAPEST_STEP_QUANTA: f32 = 128.0;
-/// Quanta of the dearest step at most: what an f32 counts exactly, with a bit to spare.
+/// Largest number of quanta of a step: f32 represents this range exactly, with one bit to spare.
 pub(crate) const MAX_STEP_QUANTA: f32 = 4_194_304.0;
 
-/// The offset (di, dj, dk) of a cell, 0..27 in array order.
+/// Return the offset (di, dj, dk) of a cell, 0 to 26 in array order.
 pub(crate) const fn offset(cell: usize) -> [isize; 3] {
     let c = cell as isize;
     [c % 3 - 1, c / 3 % 3 - 1, c / 9 - 1]
 }
 
-/// A weight for each voxel of a grid, and which voxels may be walked on.
+/// Weight for each voxel of a grid, with the set of open voxels.
 ///
-/// A voxel is open if it is in the region and its weight is finite; the others are walls.
+/// A voxel is open if it is in the region and its weight is finite; all others are walls.
 #[derive(Debug, Clone)]
 pub struct VoxelField<'a> {
     values: &'a [f32],
     mask: Option<&'a [u8]>,
-    /// Of the whole volume.
+    /// Number of voxels of the whole volume along each axis.
     volume_ijk: [usize; 3],
     first_ijk: [usize; 3],
-    /// Of the box that is walked in.
+    /// Number of voxels of the search box along each axis.
     shape_ijk: [usize; 3],
     lengths_mm: [f32; 27],
-    /// A step along i, j and k.
+    /// Vectors of a step along i, j and k.
     axes_mm: [[f64; 3]; 3],
 }
 
-/// Least and greatest weight above 0 in a field, and what else its steps depend on.
+/// Smallest and largest weight above 0 in a field, and the properties on which its steps depend.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Weights {
     least: f32,
@@ -55,12 +57,12 @@ struct Weights {
     num_open: usize,
 }
 
-/// Weights looked at together.
+/// Number of weights that are examined at once.
 const LANES: usize = 16;
-/// Weights of a piece: it stays in the nearest cache while it is looked at again for what is rare.
+/// Number of weights of a piece, which stays in the nearest cache during the second pass for rare cases.
 const PIECE: usize = 4096;
 
-/// What a row of weights holds.
+/// Summary of a row of weights.
 #[derive(Debug, Clone, Copy)]
 struct Row {
     least: f32,
@@ -71,10 +73,10 @@ struct Row {
     num_open: usize,
 }
 
-/// True if a finite weight is a whole number.
+/// Return true if a finite weight is an integer.
 #[inline(always)]
 fn is_whole(weight: f32) -> bool {
-    // Above 2^23 every f32 is whole; there the sum rounds, but the range refuses it before it matters.
+    // Above 2^23 every f32 is an integer; there the sum rounds, but the check of the range rejects such weights.
     (weight + ROUNDING) - ROUNDING - weight == 0.0
 }
 
@@ -83,10 +85,10 @@ impl Row {
         Self::of_positive(weights, ask_whole).unwrap_or_else(|| Self::of_any(weights))
     }
 
-    /// A row of finite weights above 0, as nearly all are; `None` if it is another.
+    /// Summarise a row of finite weights above 0, the most frequent case; return `None` for any other row.
     ///
-    /// Sixteen at a time with two comparisons each, so that a volume is looked at as fast as it is read. Whether the
-    /// weights are whole is told only if asked: one fraction anywhere settles it for the volume.
+    /// Sixteen weights are compared at once, so that the function is as fast as reading the volume. Whether all weights
+    /// are integers is determined only if `ask_whole` is set, because a single fraction decides for the volume.
     fn of_positive(weights: &[f32], ask_whole: bool) -> Option<Self> {
         let first = *weights.first()?;
         let (mut low, mut high, mut wall) = ([first; LANES], [first; LANES], [0u32; LANES]);
@@ -127,7 +129,7 @@ impl Row {
         })
     }
 
-    /// Any row, walls and zeros in it.
+    /// Summarise any row, including walls and zeros.
     fn of_any(weights: &[f32]) -> Self {
         let (mut low, mut high) = ([f32::INFINITY; LANES], [0.0f32; LANES]);
         let (mut below, mut zero) = ([0u32; LANES], [0u32; LANES]);
@@ -149,7 +151,7 @@ impl Row {
         let (chunks, rest) = weights.as_chunks::<LANES>();
         chunks.iter().for_each(&mut see);
         if !rest.is_empty() {
-            // Walls tell nothing.
+            // Padding with walls has no effect on the result.
             let mut last = [f32::INFINITY; LANES];
             last[..rest.len()].copy_from_slice(rest);
             see(&last);
@@ -166,10 +168,14 @@ impl Row {
 }
 
 impl<'a> VoxelField<'a> {
-    /// The field of `values` (x fastest) on a grid.
+    /// Create the field of `values` (x fastest) on a grid.
     ///
-    /// `region` is a box of voxels (i, j, k), the whole volume unless told; `mask` is on the whole volume and not 0
-    /// where the region is open.
+    /// `region` is a box of voxels (i, j, k); `None` selects the whole volume. `mask` covers the whole volume and is
+    /// not 0 where voxels may be open.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if an array has the wrong size or the region is not in the volume.
     pub fn new(
         grid: &Grid,
         values: &'a [f32],
@@ -222,19 +228,19 @@ impl<'a> VoxelField<'a> {
         })
     }
 
-    /// Voxels of the box on each axis.
+    /// Return the number of voxels of the box on each axis.
     #[must_use]
     pub const fn shape_ijk(&self) -> [usize; 3] {
         self.shape_ijk
     }
 
-    /// Voxels of the box; nodes are `0..num_nodes`, x fastest.
+    /// Return the number of voxels of the box; nodes are `0..num_nodes`, x fastest.
     #[must_use]
     pub fn num_nodes(&self) -> usize {
         self.shape_ijk.iter().product()
     }
 
-    /// The node of a voxel of the volume; `None` outside the box.
+    /// Return the node of a voxel of the volume; `None` outside the box.
     #[must_use]
     pub fn node_at_voxel(&self, ijk: [usize; 3]) -> Option<u32> {
         let at: [usize; 3] = std::array::from_fn(|a| ijk[a].wrapping_sub(self.first_ijk[a]));
@@ -243,7 +249,7 @@ impl<'a> VoxelField<'a> {
             .then(|| ((at[2] * self.shape_ijk[1] + at[1]) * self.shape_ijk[0] + at[0]) as u32)
     }
 
-    /// The voxel of a node.
+    /// Return the voxel of a node.
     #[must_use]
     pub fn voxel(&self, node: u32) -> [usize; 3] {
         let n = node as usize;
@@ -252,20 +258,20 @@ impl<'a> VoxelField<'a> {
         std::array::from_fn(|a| at[a] + self.first_ijk[a])
     }
 
-    /// True where a path may go.
+    /// Return true if a path may pass the node.
     #[must_use]
     pub fn is_open(&self, node: u32) -> bool {
         let at = self.place(node);
         self.values[at].is_finite() && self.mask.is_none_or(|mask| mask[at] != 0)
     }
 
-    /// Weight of a node.
+    /// Return the weight of a node.
     #[must_use]
     pub fn value(&self, node: u32) -> f32 {
         self.values[self.place(node)]
     }
 
-    /// Where a node's voxel is in the volume's arrays.
+    /// Return the index of a node's voxel in the volume's arrays.
     fn place(&self, node: u32) -> usize {
         let [i, j, k] = self.voxel(node);
         self.row(j, k) + i
@@ -275,19 +281,19 @@ impl<'a> VoxelField<'a> {
         (k * self.volume_ijk[1] + j) * self.volume_ijk[0]
     }
 
-    /// Length of a way of so many voxels on each axis, as the crow flies.
+    /// Return the straight-line length of an offset in voxels, mm.
     pub(crate) fn length_mm(&self, ijk: [f64; 3]) -> f64 {
         length(std::array::from_fn(|x| {
             (0..3).map(|axis| ijk[axis] * self.axes_mm[axis][x]).sum()
         }))
     }
 
-    /// The volume's weights.
+    /// Return the volume's weights.
     pub(crate) const fn values(&self) -> &[f32] {
         self.values
     }
 
-    /// Place in the volume's arrays of the box's first voxel, and their rows and slices.
+    /// Return the index in the volume's arrays of the box's first voxel, and the strides of rows and slices.
     pub(crate) fn layout(&self) -> (usize, usize, usize) {
         let [i, j, k] = self.first_ijk;
         (
@@ -297,18 +303,18 @@ impl<'a> VoxelField<'a> {
         )
     }
 
-    /// The volume's mask.
+    /// Return the volume's mask.
     pub(crate) const fn mask(&self) -> Option<&[u8]> {
         self.mask
     }
 
-    /// True if the mask leaves a place in the volume's arrays in.
+    /// Return true if the mask includes an index of the volume's arrays.
     #[inline(always)]
     pub(crate) fn is_in_mask(&self, at: usize) -> bool {
         self.mask.is_none_or(|mask| mask[at] != 0)
     }
 
-    /// Rows of the box in the order of their nodes: weights, and the mask where there is one.
+    /// Return the rows of the box in the order of their nodes: weights, and the mask if there is one.
     pub(crate) fn rows(&self) -> impl Iterator<Item = (&'a [f32], Option<&'a [u8]>)> + '_ {
         let [i, first_j, first_k] = self.first_ijk;
         let [nx, ny, nz] = self.shape_ijk;
@@ -349,7 +355,7 @@ impl<'a> VoxelField<'a> {
             all.num_open += seen.num_open;
         };
         if self.mask.is_none() && self.shape_ijk[..2] == self.volume_ijk[..2] {
-            // Whole slices lie side by side: in longer pieces than rows.
+            // Whole slices are contiguous, so they are processed in longer pieces than rows.
             let first = self.layout().0;
             let weights = &self.values[first..first + self.num_nodes()];
             weights.chunks(PIECE).for_each(|piece| see(piece, None));
@@ -366,7 +372,7 @@ impl<'a> VoxelField<'a> {
         Ok(all)
     }
 
-    /// Calls `visit(neighbour, quanta)` for every edge out of a node.
+    /// Call `visit(neighbour, quanta)` for every edge out of a node.
     pub fn for_each_step<C: StepCost>(
         &self,
         quanta: &Quanta<C>,
@@ -385,27 +391,29 @@ impl<'a> VoxelField<'a> {
     }
 }
 
-/// What a step costs, from the weights of its two ends.
+/// Cost of a step, computed from the weights of its two ends.
 pub trait StepCost: Copy + Sync + Send + 'static {
-    /// True if a step costs what the voxel costs that it leads into: then the first path to touch a voxel is the least.
+    /// Whether the cost of a step depends only on the voxel that it enters.
+    ///
+    /// Then the first path to reach a voxel has the least cost.
     const BY_VOXEL: bool;
 
-    /// The weight that is multiplied with [`StepCost::factor`].
+    /// Return the weight that is multiplied with [`StepCost::factor`].
     fn weight(from: f32, into: f32) -> f32;
 
-    /// Factor of a step of so many mm.
+    /// Return the factor of a step with the given length in mm.
     fn factor(length_mm: f32) -> f64;
 }
 
-/// A step costs the weight of the voxel that it leads into, whatever its length: the problem of `dijkstra3d`.
+/// Cost of a step that equals the weight of the voxel entered, for any length of the step: the problem of `dijkstra3d`.
 ///
-/// The root itself costs nothing. Weights are 0 or more.
+/// The root itself costs nothing. Weights must be 0 or more.
 #[derive(Debug, Clone, Copy)]
 pub struct EnterCost;
 
-/// A step costs its length in mm times the mean of the weights at its two ends.
+/// Cost of a step that equals its length in mm times the mean of the weights at its two ends.
 ///
-/// Weights are above 0.
+/// Weights must be above 0.
 #[derive(Debug, Clone, Copy)]
 pub struct MeanCost;
 
@@ -435,33 +443,39 @@ impl StepCost for MeanCost {
     }
 }
 
-/// The integer unit of one run, and every step in it.
+/// Integer unit of the costs of one search, and conversion of every step to it.
 #[derive(Debug, Clone, Copy)]
 pub struct Quanta<C> {
     /// Cost of one quantum.
     pub unit: f64,
-    /// Quanta per weight for each of the 27 cells; lanes 3 of a row of 4 stay unused.
+    /// Quanta per weight for each of the 27 cells; lane 3 of each row of 4 is unused.
     pub(crate) scale: [[f32; 4]; 9],
     pub(crate) cheapest: f32,
     pub(crate) dearest: f32,
-    /// The least weight above 0.
+    /// Smallest weight above 0.
     pub(crate) least: f32,
-    /// Voxels that may be walked on.
+    /// Number of open voxels.
     pub num_open: usize,
     cost: std::marker::PhantomData<C>,
 }
 
-/// Adding it rounds an f32 below 2^22 to a whole number, ties to even, and leaves that number in the low bits.
+/// Constant whose addition rounds an f32 below 2^22 to an integer, ties to even, and leaves that integer in the low
+/// bits.
 const ROUNDING: f32 = 8_388_608.0;
 
-/// The nearest whole number of an f32 from 0 to 2^22.
+/// Return the nearest integer of an f32 from 0 to 2^22.
 #[inline(always)]
 pub(crate) fn rounded(x: f32) -> i32 {
     (x + ROUNDING).to_bits() as i32 - ROUNDING.to_bits() as i32
 }
 
 impl<C: StepCost> Quanta<C> {
-    /// The unit for a field: 1 where the costs are whole numbers already, else such that the cheapest step is 128.
+    /// Choose the unit for a field: 1 if the costs are integers already, else so that the cheapest step is 128 quanta.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if no voxel is open, if a weight is not allowed for this cost, or if the range of the costs is
+    /// too wide.
     pub fn choose(field: &VoxelField<'_>) -> Result<Self, TrackError> {
         let weights = field.weights()?;
         if weights.num_open == 0 {
@@ -481,7 +495,7 @@ impl<C: StepCost> Quanta<C> {
         let (shortest, longest) = factors.fold((f64::INFINITY, 0.0f64), |(low, high), f| {
             (low.min(f), high.max(f))
         });
-        // All weights 0: any unit will do.
+        // If all weights are 0, any unit is correct.
         let least = if weights.least.is_finite() {
             weights.least
         } else {
@@ -510,7 +524,7 @@ impl<C: StepCost> Quanta<C> {
                 (C::factor(field.lengths_mm[cell]) / unit) as f32
             })
         });
-        // As f32 has it, so that no step between open voxels is ever cut.
+        // The same computation in f32, so that no step between open voxels is clipped.
         let longest = scale.as_flattened().iter().copied().fold(0.0, f32::max);
         let most = most.max(f64::from(rounded(
             C::weight(weights.greatest, weights.greatest) * longest,
@@ -530,7 +544,7 @@ impl<C: StepCost> Quanta<C> {
         })
     }
 
-    /// Quanta of a step between two weights; `cell` is its direction.
+    /// Return the quanta of a step between two weights; `cell` is its direction.
     #[inline(always)]
     #[must_use]
     pub(crate) fn of_step(&self, from: f32, into: f32, cell: usize) -> u32 {
@@ -540,13 +554,15 @@ impl<C: StepCost> Quanta<C> {
     #[inline(always)]
     pub(crate) fn of_lane(&self, from: f32, into: f32, scale: f32) -> i32 {
         let x = C::weight(from, into) * scale;
-        // In this order a weight that is no number becomes the dearest.
+        // With this order of the comparison, a NaN weight becomes the most expensive one.
         let x = if x < self.dearest { x } else { self.dearest };
         rounded(if x > self.cheapest { x } else { self.cheapest })
     }
 }
 
-/// Least cost in quanta from `root` to every node of the box, by Dijkstra's algorithm with a heap: the reference.
+/// Return the least cost in quanta from `root` to every node of the box.
+///
+/// The function is the reference for the trackers: Dijkstra's algorithm with a heap.
 #[must_use]
 pub fn least_costs<C: StepCost>(
     field: &VoxelField<'_>,

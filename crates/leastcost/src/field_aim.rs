@@ -1,10 +1,9 @@
-//! The least-cost path to one target in a volume of weights, aimed at it (A*: Hart, Nilsson, Raphael, IEEE Trans. SSC 4
-//! (1968) 100).
+//! Least-cost path to one target in a volume of weights by A* (Hart, Nilsson, Raphael, IEEE Trans. SSC 4 (1968) 100).
 //!
-//! Voxels are settled in the order of their least cost plus a bound of what is still to pay. The bound is a whole number
-//! of quanta and consistent (no step lowers it by more than the step costs), so that the path costs what Dijkstra's does,
-//! to the quantum; where several cost that, it may be another. One target only: nothing is kept for the next, for which
-//! [`crate::field_tracker`] is there.
+//! Voxels are settled in the order of their least cost plus a lower bound of the remaining cost. The bound is an
+//! integer number of quanta and consistent (no step lowers it by more than the step costs), so the cost of the path
+//! equals that of Dijkstra's algorithm, to the quantum; of several paths with that cost, another may be returned. The
+//! search stores nothing for a second target; use [`crate::field_tracker`] for several targets.
 
 use crate::buckets::Buckets;
 use crate::field::{HERE, Quanta, StepCost, VoxelField, offset};
@@ -12,32 +11,39 @@ use crate::field_layout::Layout;
 use crate::field_tracker::open_root;
 use crate::{TrackError, Watch};
 
-/// Nodes settled between two looks at the watch.
+/// Number of nodes settled between two checks of the watch.
 const NODES_PER_LOOK: usize = 1 << 14;
 
-/// What is kept of a voxel in one number: the cell of the step that led here plus 1, in 5 bits; ...
+/// Number of low bits of a voxel's state that contain the cell of the step that led to the voxel, plus 1.
 const CELL_BITS: u32 = 5;
-/// ... then whether it is settled; ...
+/// Bit of a voxel's state that marks a settled voxel, above the bits of the cell.
 const SETTLED: u64 = 1 << CELL_BITS;
-/// ... and above them the least cost so far. 0 where no path has come, so that fresh memory will do.
+/// Position in a voxel's state of the least cost so far, above the other bits.
+///
+/// The state is 0 for a voxel that no path has reached, so zeroed memory needs no initialisation.
 const COST_SHIFT: u32 = CELL_BITS + 1;
 
-/// A least-cost path, and what it took to find.
+/// Least-cost path, and the effort of the search.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AimedPath {
-    /// From the root to the target.
+    /// Nodes from the root to the target.
     pub nodes: Vec<u32>,
-    /// In quanta of the field.
+    /// Cost in quanta of the field.
     pub cost_quanta: u64,
-    /// Right within 0.5 %; exact where the unit is 1.
+    /// Cost, accurate within 0.5 %; exact if the unit is 1.
     pub cost: f64,
-    /// Nodes whose edges were looked at.
+    /// Number of nodes whose edges were examined.
     pub num_settled: usize,
 }
 
-/// The least-cost path from a voxel of the volume to a node; `None` if there is none.
+/// Find the least-cost path from a voxel of the volume to a node; return `None` if there is none.
 ///
-/// Eight bytes a voxel of the region are asked of the system, which gives them page by page where a path comes.
+/// The search allocates eight bytes for each voxel of the region; the system provides only the memory pages that paths
+/// reach.
+///
+/// # Errors
+///
+/// Returns an error if the root or the target is not valid, if the weights are not, or if `watch` stops the search.
 pub fn least_path<C: StepCost>(
     field: &VoxelField<'_>,
     root_ijk: [usize; 3],
@@ -61,13 +67,13 @@ pub fn least_path<C: StepCost>(
     let from_root = aim.bound(layout.ijk(root));
     let mut reached = vec![0u64; field.num_nodes()];
     reached[root as usize] = HERE as u64 + 1;
-    // A step may be the dearest, and lead away from the target by as much. One bucket a quantum: steps straight to the
-    // target lead to where they began.
+    // A step may be the most expensive one and lead away from the target by the same amount. One quantum per bucket,
+    // because steps straight towards the target do not change the sum.
     let mut queue = Buckets::new(2 * quanta.dearest as u64, 0);
     queue.push(0, root);
     let mut num_settled = 0;
     while queue.advance() {
-        // The newest first: of many paths that cost the same, one is followed to its end.
+        // The newest entry comes first: of many paths with equal cost, one is followed to its end.
         while let Some(node) = queue.pop() {
             let state = reached[node as usize];
             if state & SETTLED != 0 {
@@ -132,11 +138,13 @@ fn path_to(layout: &Layout, reached: &[u64], target: u32) -> Vec<u32> {
     }
 }
 
-/// Least that any path still costs.
+/// Lower bound of the remaining cost of any path.
 struct Aim<'a> {
     field: &'a VoxelField<'a>,
     target: [usize; 3],
-    /// By voxel: quanta of the cheapest step. By both ends: quanta per mm of the cheapest step for its length.
+    /// For costs by the entered voxel: quanta of the cheapest step.
+    ///
+    /// For costs by both ends: smallest quanta per mm of any step.
     quanta_per: f64,
     by_voxel: bool,
 }
@@ -150,7 +158,7 @@ impl<'a> Aim<'a> {
                 let quanta = quanta.of_step(quanta.least, quanta.least, cell);
                 f64::from(quanta) / field.length_mm(offset(cell).map(|step| step as f64))
             });
-            // A little less, so that the rounding of a length of 2^31 quanta never makes a bound too large.
+            // Slightly smaller, so that the rounding of a length of 2^31 quanta never makes a bound too large.
             steps.fold(f64::INFINITY, f64::min) * (1.0 - 1e-6)
         };
         Self {
@@ -161,8 +169,10 @@ impl<'a> Aim<'a> {
         }
     }
 
-    /// By voxel as many steps as the axis with the most; by both ends the straight line. Rounded down it stays
-    /// consistent, since steps cost whole quanta.
+    /// Return the lower bound of the remaining cost.
+    ///
+    /// For costs by the entered voxel, the number of steps is the largest offset along an axis; for costs by both ends,
+    /// the straight line counts. Rounded down, the bound stays consistent, because steps cost whole quanta.
     #[inline]
     fn bound(&self, ijk: [usize; 3]) -> u64 {
         if self.by_voxel {

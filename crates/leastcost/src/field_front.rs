@@ -1,4 +1,4 @@
-//! How [`crate::field_tracker`] settles a block of its queue: the voxels round each entry.
+//! Settling of a block of the queue of [`crate::field_tracker`]: examines the neighbours of each entry.
 #![allow(
     clippy::inline_always,
     reason = "small functions of the inner loop: called for each of 26 neighbours of each voxel"
@@ -9,14 +9,15 @@ use crate::field::{HERE, StepCost};
 use crate::field_layout::prefetch;
 use crate::field_state::{FieldTracker, MOST_QUANTA, Touch};
 
-/// Entries of the queue between asking for the memory round one and settling it.
+/// Number of queue entries between the prefetch for an entry and its settling.
 const AHEAD: usize = 6;
 
-/// Marks the step to a node that was first touched from the front bucket.
+/// Mark on the step to a node that was first reached from the front bucket.
 const TOUCHED: u8 = 1 << 7;
 
 impl<C: StepCost> FieldTracker<C> {
-    /// Settles a block of nodes of one cost where a step costs by voxel: whoever is touched first is touched by the least.
+    /// Settle a block of nodes of one cost, for costs by the entered voxel: the first step to a node has the least
+    /// cost.
     pub(crate) fn touch(&mut self, values: &[f32], block: Block, cost: u64) -> usize {
         let Self {
             quanta,
@@ -28,8 +29,8 @@ impl<C: StepCost> FieldTracker<C> {
             closing,
             ..
         } = self;
-        // Where a step is free a node may be settled in the bucket that it was first touched from, and touch who touched it:
-        // it is closed at once, and keeps the first step found.
+        // With free steps a node may be settled in the bucket from which it was first reached, and could then reach its
+        // own predecessor. Therefore it is closed at once, and keeps the first step found.
         let free = quanta.cheapest == 0.0;
         touched.clear();
         for at in 0..block.len {
@@ -62,7 +63,8 @@ impl<C: StepCost> FieldTracker<C> {
             if free {
                 *step = touch.cell + 1;
             } else if *step & TOUCHED != 0 {
-                // Touched from the front bucket before, at the same cost: the first cell is kept, whatever the order.
+                // The node was reached before from the front bucket at the same cost: the step with the first cell is
+                // kept, so that the order does not matter.
                 *step = (*step).min((touch.cell + 1) | TOUCHED);
                 continue;
             } else {
@@ -77,7 +79,7 @@ impl<C: StepCost> FieldTracker<C> {
         block.len
     }
 
-    /// Closes what was touched from the front bucket, which is done with.
+    /// Close the nodes that were reached from the front bucket, when that bucket is empty.
     pub(crate) fn close_touched(&mut self) {
         for node in self.closing.drain(..) {
             self.step_here[node as usize] &= !TOUCHED;
@@ -86,7 +88,7 @@ impl<C: StepCost> FieldTracker<C> {
         }
     }
 
-    /// Settles a block of the front bucket where a step costs by both ends; the number settled.
+    /// Settle a block of the front bucket, for costs by both ends; return the number of settled nodes.
     pub(crate) fn relax(&mut self, values: &[f32], block: Block) -> usize {
         let Self {
             quanta,
@@ -99,8 +101,9 @@ impl<C: StepCost> FieldTracker<C> {
         } = self;
         let mut num_settled = 0;
         for at in 0..block.len {
-            // A node is queued once for each bucket that its cost sank to, five times and more where steps differ much in
-            // length: all but the first, cheapest entry are stale, and nothing but a bit is read for them.
+            // A node is in the queue once for each bucket that its cost has passed, five times and more if steps differ
+            // much in length. All entries but the first, cheapest one are stale, and for a stale entry only one bit is
+            // read.
             let far = queue.entry(block, (at + 2 * AHEAD).min(block.len - 1));
             prefetch(open, layout.bit_left_of(layout.ijk(far)) / 8);
             let near = queue.entry(block, (at + AHEAD).min(block.len - 1));
@@ -137,7 +140,7 @@ impl<C: StepCost> FieldTracker<C> {
                 let v = value_at
                     .wrapping_add_signed(layout.value_step[middle])
                     .wrapping_sub(1);
-                // Three are read as four; at the very ends of the arrays one by one.
+                // Three values are read as four; at the ends of the arrays one by one.
                 let old = left
                     .get(n..n.wrapping_add(4))
                     .and_then(|x| x.first_chunk::<4>());
@@ -152,7 +155,8 @@ impl<C: StepCost> FieldTracker<C> {
                             here - quanta.of_lane(from, into[lane], quanta.scale[row][lane]);
                     }
                     for lane in 0..3 {
-                        // The sign: both are from 0 to 2^31 - 1. A candidate that costs the same may be the first cell.
+                        // Test of the sign: both numbers are from 0 to 2^31 - 1. A candidate with equal cost may have
+                        // the first cell.
                         any |= !(candidates[lane] - old[lane]);
                     }
                     if any >= 0 {
@@ -170,7 +174,8 @@ impl<C: StepCost> FieldTracker<C> {
                     let (old, candidate) = (left[neighbour], candidates[lane]);
                     let cell = (3 * row + lane) as u8 + 1;
                     if candidate <= old {
-                        // Of steps that lead to the same cost the first cell is kept, whatever the order they are found in.
+                        // Of steps with the same cost the first cell is kept, so that the order of the search does not
+                        // matter.
                         if candidate == old && cell < step_here[neighbour] {
                             step_here[neighbour] = cell;
                         }
@@ -179,7 +184,7 @@ impl<C: StepCost> FieldTracker<C> {
                     left[neighbour] = candidate;
                     step_here[neighbour] = cell;
                     let cost = (MOST_QUANTA - candidate) as u64;
-                    // Still in the bucket it is queued in already: found there.
+                    // If the node's bucket stays the same, the existing queue entry suffices.
                     if old == 0
                         || queue.bucket_of((MOST_QUANTA - old) as u64) != queue.bucket_of(cost)
                     {

@@ -1,4 +1,6 @@
-//! Sixteen voxels beside each other along i, as the sweeps of [`crate::field_sweep`] need them: costs in quanta, weights.
+//! Sixteen voxels in a row along i, with operations on their costs (in quanta) and weights.
+//!
+//! The sweeps of [`crate::field_sweep`] use them.
 #![allow(
     clippy::inline_always,
     reason = "small functions of the inner loop, compiled once for each instruction set"
@@ -7,55 +9,62 @@
 #[cfg(target_arch = "x86_64")]
 pub(crate) use x86::Avx512;
 
-/// Voxels in a register.
+/// Number of voxels in a register.
 pub(crate) const LANES: usize = 16;
-/// Numbers that a row of a tile holds: its lanes, one neighbour at both ends, and room to read whole registers there.
+/// Length of a row of a tile: its lanes, one neighbour at both ends, and padding for reads of whole registers there.
 pub(crate) const ROW: usize = 24;
-/// Where a row's first own lane is.
+/// Index of a row's first own lane.
 pub(crate) const OWN: usize = 4;
 
-/// Cost of a voxel that no path has come to. A step into or out of a wall costs more than this, and a sum of both still
-/// fits in 32 bits.
+/// Cost of a voxel that no path has reached.
+///
+/// A step into or out of a wall costs more, and a sum of both still fits in 32 bits.
 pub(crate) const UNREACHED: u32 = i32::MAX as u32;
 
-/// An instruction set. A value of the type is the proof that the machine has it.
+/// Instruction set.
+///
+/// A value of the implementing type proves that the machine has the set.
 pub(crate) trait Lanes: Copy {
     /// Costs in quanta, at most 2^31 each.
     type Costs: Copy;
-    /// Weights; a wall's is infinite.
+    /// Weights; the weight of a wall is infinite.
     type Weights: Copy;
 
     fn costs(self, row: &[u32; ROW], at: usize) -> Self::Costs;
     fn weights(self, row: &[f32; ROW], at: usize) -> Self::Weights;
     fn store(self, costs: Self::Costs, row: &mut [u32; ROW], at: usize);
-    /// Costs, from what is left of [`UNREACHED`] after them.
+    /// Load costs from the differences [`UNREACHED`] minus cost.
     fn costs_of_left(self, left: &[i32; LANES]) -> Self::Costs;
-    /// What is left of [`UNREACHED`] after costs.
+    /// Store the differences [`UNREACHED`] minus cost.
     fn store_left(self, costs: Self::Costs, left: &mut [i32; LANES]);
-    /// Copies weights; one that is no number becomes infinite.
+    /// Copy weights; replace NaN by infinity.
     fn copy_weights(self, from: &[f32; LANES], row: &mut [f32; ROW], at: usize);
-    /// Numbers below 256.
+    /// Store numbers below 256 as bytes.
     fn store_bytes(self, numbers: Self::Costs, bytes: &mut [u8; LANES]);
-    /// `a` where the bit is set, else `b`.
+    /// Return `a` where the bit is set, else `b`.
     fn select(self, bits: u16, a: Self::Costs, b: Self::Costs) -> Self::Costs;
     fn sum(self, a: Self::Weights, b: Self::Weights) -> Self::Weights;
-    /// Weights by a scale in quanta, nearest, ties to even; 2^31 for what is infinite.
+    /// Return weights times a scale in quanta, rounded to nearest, ties to even; 2^31 for infinite weights.
     fn quanta(self, weights: Self::Weights, scale: f32) -> Self::Costs;
     fn plus(self, a: Self::Costs, b: Self::Costs) -> Self::Costs;
     fn least(self, a: Self::Costs, b: Self::Costs) -> Self::Costs;
-    /// The same in all lanes.
+    /// Return the same cost in all lanes.
     fn all(self, cost: u32) -> Self::Costs;
-    /// Bit n is set where `a` is less than `b`.
+    /// Return the lanes in which `a` is less than `b`, as bits.
     fn less(self, a: Self::Costs, b: Self::Costs) -> u16;
-    /// Bit n is set where both are equal.
+    /// Return the lanes in which both are equal, as bits.
     fn equal(self, a: Self::Costs, b: Self::Costs) -> u16;
-    /// Each lane gets what is `N` lanes before it; the first ones are unreached. `N` is 1, 2, 4 or 8.
+    /// Shift lanes up: each lane gets the value `N` lanes before it; the first lanes become unreached.
+    ///
+    /// `N` is 1, 2, 4 or 8.
     fn up<const N: usize>(self, a: Self::Costs) -> Self::Costs;
-    /// Each lane gets what is `N` lanes behind it; the last ones are unreached. `N` is 1, 2, 4 or 8.
+    /// Shift lanes down: each lane gets the value `N` lanes behind it; the last lanes become unreached.
+    ///
+    /// `N` is 1, 2, 4 or 8.
     fn down<const N: usize>(self, a: Self::Costs) -> Self::Costs;
 }
 
-/// Plain loops, which a compiler turns into the registers that it may use.
+/// Instruction set of plain loops, which the compiler translates to the registers of the target.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Portable;
 
@@ -161,7 +170,7 @@ impl Lanes for Portable {
     }
 }
 
-/// A weight, or infinity in place of what is no number.
+/// Return a weight, or infinity for NaN.
 #[inline(always)]
 pub(crate) fn open_weight(weight: f32) -> f32 {
     if weight < f32::INFINITY {
@@ -171,7 +180,7 @@ pub(crate) fn open_weight(weight: f32) -> f32 {
     }
 }
 
-/// A weight by a scale in quanta; 2^31 if it is infinite.
+/// Return a weight times a scale in quanta; 2^31 if the weight is infinite.
 #[inline(always)]
 pub(crate) fn quanta(weight: f32, scale: f32) -> u32 {
     let quanta = weight * scale;
@@ -194,14 +203,15 @@ mod x86 {
 
     use super::{LANES, Lanes, ROW, UNREACHED};
 
-    /// The machine has AVX-512 F.
+    /// Instruction set AVX-512 F. A value proves that the machine has it.
     #[derive(Debug, Clone, Copy)]
     pub(crate) struct Avx512(());
 
     impl Avx512 {
-        /// The proof.
+        /// Create a value, which proves that the machine has the instructions.
         ///
         /// # Safety
+        ///
         /// The machine must have AVX-512 F.
         #[inline(always)]
         pub(crate) unsafe fn new() -> Self {
@@ -209,12 +219,12 @@ mod x86 {
         }
     }
 
-    /// Each operation is one or a few instructions.
+    /// Define operations of one or a few instructions each.
     macro_rules! operations {
         ($(fn $name:ident$(<const $n:ident: usize>)?($($arg:ident: $type:ty),*) $(-> $out:ty)? { $body:expr })*) => {$(
             #[inline(always)]
             fn $name$(<const $n: usize>)?(self, $($arg: $type),*) $(-> $out)? {
-                // SAFETY: `self` exists only where the machine has the instructions; loads and stores are of whole
+                // SAFETY: a value `self` exists only on a machine with the instructions; loads and stores are of whole
                 // registers inside a row. Benchmark: benches/field.rs.
                 unsafe { $body }
             }
@@ -238,8 +248,8 @@ mod x86 {
                 assert!(at + LANES <= ROW);
                 _mm512_storeu_si512(row.as_mut_ptr().add(at).cast(), costs);
             }}
-            // What does not fit in an i32, infinity and what is no number become 2^31; the others are rounded to
-            // the nearest, ties to even.
+            // Values that do not fit in an i32, infinity and NaN become 2^31; the others are rounded to the nearest,
+            // ties to even.
             fn quanta(weights: __m512, scale: f32) -> __m512i {
                 _mm512_cvtps_epi32(_mm512_mul_ps(weights, _mm512_set1_ps(scale)))
             }
@@ -253,7 +263,7 @@ mod x86 {
                     _mm512_sub_epi32(_mm512_set1_epi32(UNREACHED as i32), costs),
                 )
             }
-            // Of two of which one is no number the second is taken.
+            // If one of the two operands is NaN, the instruction returns the second one.
             fn copy_weights(from: &[f32; LANES], row: &mut [f32; ROW], at: usize) {{
                 assert!(at + LANES <= ROW);
                 let weights = _mm512_min_ps(_mm512_loadu_ps(from.as_ptr()), _mm512_set1_ps(f32::INFINITY));

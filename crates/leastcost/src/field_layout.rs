@@ -1,4 +1,4 @@
-//! Where a voxel's neighbours are in the arrays of [`crate::field_tracker`], and the arrays themselves.
+//! Memory layout of the arrays of [`crate::field_tracker`]: offsets of a voxel's neighbours, and bit arrays with a rim.
 #![allow(
     clippy::inline_always,
     reason = "small functions of the inner loop: called for each of 26 neighbours of each voxel"
@@ -6,33 +6,35 @@
 
 use crate::field::{VoxelField, offset};
 
-/// Places of the neighbours in the arrays.
+/// Offsets of the neighbours in the arrays.
 #[derive(Debug, Clone)]
 pub(crate) struct Layout {
     pub(crate) shape: [usize; 3],
     by_row: Divisor,
     by_slice: Divisor,
-    /// Place of the box's first voxel in the volume's arrays, their rows and slices.
+    /// Index of the box's first voxel in the volume's arrays; the next fields are the strides of rows and slices.
     first: usize,
     volume_row: usize,
     volume_slice: usize,
     pub(crate) num_values: usize,
-    /// For each cell: nodes from here.
+    /// Offset of the node number for each cell.
     pub(crate) node_step: [isize; 27],
-    /// For each cell: values from here.
+    /// Offset in the values for each cell.
     pub(crate) value_step: [isize; 27],
-    /// Bits of a row of the box with its rim, and rows of a slice with its rim.
+    /// Number of bits of a row of the box including its rim.
+    ///
+    /// The next field is the number of rows of a slice including its rim.
     bits_of_row: usize,
     rows_of_slice: usize,
 }
 
-/// Division of 32-bit numbers by one that is known: a multiplication (Lemire, Kaser, Kurz 2019).
+/// Division of 32-bit numbers by a fixed number, as a multiplication (Lemire, Kaser, Kurz 2019).
 #[derive(Debug, Clone, Copy)]
 struct Divisor(u64);
 
 impl Divisor {
     const fn new(by: usize) -> Self {
-        // For 1 the reciprocal wraps to 0, which marks it.
+        // For a divisor of 1 the reciprocal wraps to 0, which marks this case.
         Self((u64::MAX / by as u64).wrapping_add(1))
     }
 
@@ -83,19 +85,21 @@ impl Layout {
         self.first + i + j * self.volume_row + k * self.volume_slice
     }
 
-    /// Bit of a voxel's left neighbour.
+    /// Return the index of the bit of a voxel's left neighbour.
     #[inline(always)]
     pub(crate) const fn bit_left_of(&self, [i, j, k]: [usize; 3]) -> usize {
         ((k + 1) * self.rows_of_slice + j + 1) * self.bits_of_row + i
     }
 
     pub(crate) const fn num_bit_bytes(&self) -> usize {
-        // The last row is read 16 bits at a time.
+        // Padding, because the last row is read 16 bits at a time.
         self.bits_of_row / 8 * self.rows_of_slice * (self.shape[2] + 2) + 2
     }
 }
 impl Layout {
-    /// Which of the 27 cells round a voxel are open: bit by cell. `byte` holds the bit of the first neighbour.
+    /// Return which of the 27 cells round a voxel are open, one bit per cell.
+    ///
+    /// `byte` contains the bit of the first neighbour.
     #[inline(always)]
     pub(crate) fn around(&self, open: &[u8], byte: usize, shift: usize) -> u32 {
         let (row_bytes, slice_bytes) = self.row_and_slice_bytes();
@@ -114,7 +118,7 @@ impl Layout {
         (row_bytes, row_bytes * self.rows_of_slice)
     }
 
-    /// Byte and bit of the first of the 27 cells round a voxel.
+    /// Return byte and bit of the first of the 27 cells round a voxel.
     #[inline(always)]
     pub(crate) const fn first_bit_around(&self, ijk: [usize; 3]) -> (usize, usize) {
         let (row_bytes, slice_bytes) = self.row_and_slice_bytes();
@@ -122,14 +126,14 @@ impl Layout {
         (bit / 8 - slice_bytes - row_bytes, bit % 8)
     }
 
-    /// The voxel's own bit.
+    /// Return the voxel's own bit.
     #[inline(always)]
     pub(crate) const fn is_open(&self, open: &[u8], ijk: [usize; 3]) -> bool {
         let bit = self.bit_left_of(ijk) + 1;
         open[bit / 8] >> (bit % 8) & 1 != 0
     }
 
-    /// Closes a cell, given the first bit round its centre.
+    /// Close a cell, given the first bit round its centre.
     #[inline(always)]
     pub(crate) const fn close(&self, open: &mut [u8], byte: usize, shift: usize, cell: usize) {
         let (row_bytes, slice_bytes) = self.row_and_slice_bytes();
@@ -138,7 +142,9 @@ impl Layout {
             !(1 << (bit % 8));
     }
 
-    /// A row of bits is short: three rows of a slice are in one or two lines of the cache.
+    /// Prefetch the bits round a voxel.
+    ///
+    /// Rows of bits are short, so three rows of a slice are in one or two cache lines.
     #[inline(always)]
     pub(crate) fn prefetch_bits(&self, open: &[u8], ijk: [usize; 3]) {
         let (row_bytes, slice_bytes) = self.row_and_slice_bytes();
@@ -148,7 +154,7 @@ impl Layout {
         }
     }
 }
-/// The bit of each voxel that may be walked on; `all` if every voxel may.
+/// Return the bit of each open voxel; `all` if every voxel is open.
 pub(crate) fn open_bits(field: &VoxelField<'_>, layout: &Layout, all: bool) -> Vec<u8> {
     let mut bits = vec![0u8; layout.num_bit_bytes()];
     let [nx, ny, _] = layout.shape;
@@ -159,7 +165,7 @@ pub(crate) fn open_bits(field: &VoxelField<'_>, layout: &Layout, all: bool) -> V
         if all || (mask.is_none() && is_all_open(row)) {
             bytes[..=nx / 8].fill(u8::MAX);
             bytes[0] &= !1;
-            // Bits 0 to nx of the row are set by now, and those behind them in the last byte.
+            // Bits 0 to nx of the row are set here, and the bits behind them in the last byte.
             bytes[nx / 8] &= ((2u16 << (nx % 8)) - 1) as u8;
             continue;
         }
@@ -192,7 +198,7 @@ fn is_all_open(row: &[f32]) -> bool {
     open.iter().all(|lane| *lane != 0) && rest.iter().all(|weight| *weight < f32::INFINITY)
 }
 
-/// Zeros that the system gives page by page where they are first written, in large pages where it has them.
+/// Allocate zeroed memory whose pages the system provides at the first write, as large pages if it supports them.
 pub(crate) fn fresh<T: Copy + Default>(len: usize) -> Vec<T> {
     let zeros = vec![T::default(); len];
     #[cfg(target_os = "linux")]
@@ -201,21 +207,25 @@ pub(crate) fn fresh<T: Copy + Default>(len: usize) -> Vec<T> {
         let first = zeros.as_ptr() as usize;
         let inside = first.next_multiple_of(PAGE);
         let len = (size_of_val(zeros.as_slice()) - (inside - first)) / PAGE * PAGE;
-        // SAFETY: whole pages inside the vector's own memory; the advice changes how they are backed, never what they hold.
-        // A system that refuses is as well off as before. (`cargo bench --bench field`: a neighbourhood lies on 9 small pages.)
+        // SAFETY: the range consists of whole pages inside the vector's own memory; the advice changes only the page
+        // size, never the contents. If the system rejects the advice, nothing changes. (`cargo bench --bench field`: a
+        // neighbourhood covers 9 small pages.)
         unsafe { libc::madvise(inside as *mut libc::c_void, len, libc::MADV_HUGEPAGE) };
     }
     zeros
 }
 
-/// Asks for a place in memory that will be read soon: the wave front is spread over the volume, and without it most of the
-/// time goes into waiting (`cargo bench --bench field`).
+/// Prefetch an element.
+///
+/// The wave front is spread over the volume, and without prefetches most of the time is spent waiting for memory
+/// (`cargo bench --bench field`).
 #[inline(always)]
 pub(crate) fn prefetch<T>(slice: &[T], at: usize) {
     #[cfg(target_arch = "x86_64")]
     {
         use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
-        // SAFETY: every x86_64 has SSE, and a prefetch changes nothing and faults at no address, inside the slice or not.
+        // SAFETY: every x86_64 processor has SSE, and a prefetch changes nothing and faults at no address, whether
+        // inside the slice or not.
         unsafe { _mm_prefetch::<_MM_HINT_T0>(slice.as_ptr().wrapping_add(at).cast()) };
     }
     #[cfg(not(target_arch = "x86_64"))]

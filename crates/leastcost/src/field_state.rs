@@ -1,4 +1,4 @@
-//! What a tracker in a whole volume keeps: [`FieldTracker`], which grows by queue and by tiles.
+//! State of a tracker in a whole volume: [`FieldTracker`], which grows by a queue and by tiles.
 
 use carina_grid::InstructionSet;
 
@@ -7,10 +7,10 @@ use crate::field::{Quanta, StepCost};
 use crate::field_layout::Layout;
 use crate::field_sweep::Sweep;
 
-/// Greatest cost in quanta that is kept beside a voxel: 31 bits.
+/// Largest cost in quanta that a voxel's entry can represent: 31 bits.
 pub(crate) const MOST_QUANTA: i32 = i32::MAX;
 
-/// A voxel that was touched first from its neighbour.
+/// Voxel that was first reached from its neighbour.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Touch {
     pub(crate) node: u32,
@@ -18,29 +18,32 @@ pub(crate) struct Touch {
     pub(crate) cell: u8,
 }
 
-/// A least-cost tree in a [`crate::field::VoxelField`] that grows as far as it is asked to.
+/// Tree of least-cost paths in a [`crate::field::VoxelField`] that grows on demand.
 #[derive(Debug)]
 pub struct FieldTracker<C: StepCost> {
     pub(crate) quanta: Quanta<C>,
     pub(crate) layout: Layout,
     pub(crate) root: u32,
-    /// Cell of the step that led here, plus 1; 0 where no path has come.
+    /// Cell of the step that led to each voxel, plus 1; 0 for a voxel that no path has reached.
     pub(crate) step_here: Vec<u8>,
-    /// One bit for each voxel and for a rim round the box, 1 where a path may still come: for the first time where the cost is
-    /// by voxel, a cheaper one where it is by both ends.
+    /// One bit for each voxel and for a rim round the box.
+    ///
+    /// The value is 1 if a path may still change the voxel: the first path for costs by the entered voxel, a cheaper
+    /// one for costs by both ends.
     pub(crate) open: Vec<u8>,
-    /// By both ends: what is left of `MOST_QUANTA` after the least cost so far; 0 where no path has come, so that fresh
-    /// memory will do.
+    /// For costs by both ends: `MOST_QUANTA` minus the least cost so far.
+    ///
+    /// The value is 0 for a voxel that no path has reached, so zeroed memory needs no initialisation.
     pub(crate) left: Vec<i32>,
     pub(crate) queue: Buckets,
-    /// Scratch of the front (`touch`).
+    /// Buffer of `touch`.
     pub(crate) touched: Vec<Touch>,
-    /// Nodes first touched from the front bucket: closed when it is done with.
+    /// Nodes first reached from the front bucket; they are closed when that bucket is empty.
     pub(crate) closing: Vec<u32>,
     pub(crate) num_settled: usize,
-    /// Nothing is open any more.
+    /// Whether no node is open any more.
     pub(crate) done: bool,
-    /// Once everything was asked for: what is open is in its tiles, no longer in the queue.
+    /// State of the sweeps, after a request for all voxels: open voxels are then in its tiles, not in the queue.
     pub(crate) sweep: Option<Sweep>,
     pub(crate) simd: InstructionSet,
 }

@@ -1,15 +1,17 @@
-//! Every voxel's least cost at once: the volume in tiles that fit the nearest cache, each swept until nothing gets cheaper.
+//! Least costs of all voxels at once.
 //!
-//! A queue of voxels reaches for a voxel's 26 neighbours all over the front, which is larger than a cache, and does so once
-//! for each voxel: it waits for memory. Here the queue holds tiles, the one with the cheapest news first. A tile is copied
-//! into a small buffer with the voxels round it ([`crate::field_tile`]); its rows are relaxed sixteen voxels at a time, up and
-//! down, until none gets cheaper; what got cheaper is written back, and the tiles round it are told. A tile is swept about
-//! twice, which costs less than one wait for each of its voxels.
+//! The volume is divided into tiles that fit the nearest cache, and each is swept until no cost decreases.
 //!
-//! In whatever order, the costs at the end are Dijkstra's: no step lowers any of them, and only the least costs are so
-//! (Bellman 1958). No step is free here, so each voxel's predecessor costs less than the voxel. Sweeps in alternating
-//! directions: Zhao, Math. Comp. 74 (2005) 603; a queue of tiles: Jeong and Whitaker, SIAM Journal on Scientific
-//! Computing 30 (2008) 2512, and Chacon and Vladimirsky, the same 34 (2012) A1433.
+//! A queue of voxels accesses the 26 neighbours of voxels all over the front, which is larger than a cache, once for
+//! each voxel, and so waits for memory. Here the queue contains tiles, the one with the lowest changed cost first. A
+//! tile is copied into a small buffer with the voxels round it ([`crate::field_tile`]); its rows are relaxed sixteen
+//! voxels at a time, up and down, until no cost decreases; changed costs are written back and marked in the
+//! neighbouring tiles. A tile is swept about twice, which costs less than one memory access for each of its voxels.
+//!
+//! For any order, the final costs are those of Dijkstra's algorithm: no step lowers any of them, and only the least
+//! costs have this property (Bellman 1958). No step is free here, so each voxel's predecessor costs less than the
+//! voxel. Sweeps in alternating directions: Zhao, Math. Comp. 74 (2005) 603; a queue of tiles: Jeong and Whitaker, SIAM
+//! Journal on Scientific Computing 30 (2008) 2512, and Chacon and Vladimirsky, the same 34 (2012) A1433.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -21,20 +23,20 @@ use crate::field::{Quanta, StepCost, VoxelField};
 use crate::field_lanes::{LANES, OWN, UNREACHED};
 use crate::field_tile::{ACROSS, Buffer, Settle, Steps, SweepBuffer, TILE, prefetch_tile, run};
 
-/// What is known of a tile.
+/// State of a tile.
 #[derive(Debug, Clone, Copy)]
 struct Tile {
-    /// Its own rows in which something got cheaper since it was swept; bit 8 k + j.
+    /// Rows of the tile in which a cost has decreased since its last sweep; bit 8 k + j.
     rows: u64,
-    /// The least cost among that.
+    /// Least of these decreased costs.
     least: u32,
-    /// Voxels of it that were reached when it was last swept.
+    /// Number of voxels of the tile that were reached at its last sweep.
     num_reached: u16,
-    /// Swept since steps were last written.
+    /// Whether the tile was swept after steps were last written.
     stale: bool,
 }
 
-/// The tiles that are still to be swept.
+/// Tiles that are still to be swept.
 #[derive(Debug)]
 pub(crate) struct Sweep {
     tiles_ijk: [usize; 3],
@@ -43,9 +45,9 @@ pub(crate) struct Sweep {
     simd: InstructionSet,
     scale: [f32; 27],
     pub(crate) num_reached: usize,
-    /// A cost beyond this may have neighbours that cannot be counted.
+    /// Largest cost whose neighbours' costs can still be represented.
     most: u32,
-    /// Such a cost was written.
+    /// Whether a cost above `most` was written.
     beyond: bool,
 }
 
@@ -77,7 +79,7 @@ impl Sweep {
         }
     }
 
-    /// Tells the tile of a voxel that the voxel got cheaper.
+    /// Mark in its tile that the cost of a voxel has decreased.
     #[inline]
     pub(crate) fn tell(&mut self, [i, j, k]: [usize; 3], cost: u32) {
         let number =
@@ -90,7 +92,9 @@ impl Sweep {
         }
     }
 
-    /// The least cost that is news to a tile: what costs no more is final. `None` if nothing is news.
+    /// Return the least decreased cost that no sweep has processed; all costs up to it are final.
+    ///
+    /// `None` if there is none.
     pub(crate) fn front_cost(&mut self) -> Option<u32> {
         while let Some(Reverse((least, number))) = self.queue.peek().copied() {
             if self.tiles[number as usize].least == least {
@@ -101,7 +105,7 @@ impl Sweep {
         None
     }
 
-    /// Sweeps the tile with the cheapest news; `left` holds what is left of `UNREACHED` after each voxel's cost.
+    /// Sweep the tile with the lowest decreased cost; `left` contains `UNREACHED` minus each voxel's cost.
     pub(crate) fn settle_next<C: StepCost>(
         &mut self,
         field: &VoxelField<'_>,
@@ -115,7 +119,7 @@ impl Sweep {
         let rows = std::mem::take(&mut self.tiles[number].rows);
         self.tiles[number].least = u32::MAX;
         self.tiles[number].stale = true;
-        // What is copied next is on its way while this is computed; if other news come before it, little is lost.
+        // Prefetch the tile that is next in the queue. If another tile becomes the next one, little is lost.
         if let Some(Reverse((_, next))) = self.queue.peek() {
             prefetch_tile(field, left, self.first_of(*next as usize));
         }
@@ -149,7 +153,7 @@ impl Sweep {
         ]
     }
 
-    /// Writes what got cheaper round a tile, and tells the tiles there.
+    /// Write the decreased costs round a tile, and mark them in their tiles.
     fn tell_round(
         &mut self,
         buffer: &Buffer,
@@ -174,20 +178,20 @@ impl Sweep {
         }
     }
 
-    /// The greatest cost whose neighbours' costs can be counted.
+    /// Return the largest cost whose neighbours' costs can be represented.
     pub(crate) const fn most(&self) -> u32 {
         self.most
     }
 
-    /// What costs no more than this is final.
+    /// Return the cost up to which all costs are final.
     pub(crate) fn known_to(&self) -> u32 {
-        // The first entry is the least or stale, and then less than the least.
+        // The first entry is the least one or stale; a stale entry is lower than the least one.
         self.queue
             .peek()
             .map_or(self.most, |Reverse((least, _))| *least)
     }
 
-    /// Counts what was reached before the first sweep.
+    /// Count the voxels that were reached before the first sweep.
     pub(crate) fn count(&mut self, left: &[i32], [nx, ny, _]: [usize; 3]) {
         for (number, row) in left.chunks(nx).enumerate() {
             let (j, k) = (number % ny, number / ny);
@@ -200,7 +204,7 @@ impl Sweep {
         }
     }
 
-    /// True if a path may cost more than can be counted: a voxel's cost, no longer news to anyone, is beyond `most`.
+    /// Return true if a path may cost more than can be represented: the final cost of a voxel is above `most`.
     pub(crate) fn is_beyond(&self, left: &[i32]) -> bool {
         self.beyond
             && left
@@ -208,8 +212,9 @@ impl Sweep {
                 .any(|left| *left > 0 && UNREACHED - *left as u32 > self.most)
     }
 
-    /// Writes for each voxel of the tiles swept since the last call the step that led to it: the first cell whose cost and
-    /// step add up to the voxel's.
+    /// Write the step that led to each voxel, for the tiles swept since the last call.
+    ///
+    /// The step is the first cell for which the neighbour's cost and the step add up to the voxel's cost.
     pub(crate) fn write_steps<C: StepCost>(
         &mut self,
         field: &VoxelField<'_>,
@@ -247,18 +252,18 @@ impl Sweep {
                 for j in 0..TILE[1].min(ny - first[1]) {
                     let at = ((first[2] + k) * ny + first[1] + j) * nx + first[0];
                     let steps = &mut step_here[at..at + len];
-                    // 0 where nothing is known: the root, walls, and what was stopped at. What was known there stays.
+                    // A cell is 0 for the root, for walls and for voxels that are not final; their previous steps stay.
                     for (step, cell) in steps.iter_mut().zip(&cells[8 * k + j]) {
                         *step = if *cell == 0 { *step } else { *cell };
                     }
                 }
             }
-            // What is not final yet is looked at again.
+            // A tile that is not final yet is processed again by the next call.
             self.tiles[number].stale = known_to < self.most;
         }
     }
 
-    /// Bytes held.
+    /// Return the allocated memory in bytes.
     pub(crate) fn num_bytes(&self) -> usize {
         size_of::<Tile>() * self.tiles.capacity() + 8 * self.queue.capacity()
     }

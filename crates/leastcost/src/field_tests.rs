@@ -1,5 +1,7 @@
-//! Contracts of the tracker over a volume of weights: equal to Dijkstra with a heap, resumed equals fresh, right within
-//! half a percent, walls and regions respected.
+//! Contract tests of the tracker over a volume of weights.
+//!
+//! The results equal those of Dijkstra's algorithm with a heap, resumed searches equal fresh ones, costs are accurate
+//! within half a percent, and no path goes through walls or outside regions.
 
 use std::ops::Range;
 
@@ -11,7 +13,7 @@ use crate::field_aim::least_path;
 use crate::field_tracker::FieldTracker;
 use crate::{TrackError, Unwatched, Watch};
 
-/// An oblique grid with another spacing on every axis.
+/// Return an oblique grid with a different spacing on every axis.
 fn grid(shape_ijk: [usize; 3], spacing: [f64; 3]) -> Grid {
     let (c, s) = (0.35f64.cos(), 0.35f64.sin());
     let matrix = [
@@ -67,7 +69,7 @@ fn whole_weight() -> BoxedStrategy<f32> {
 }
 
 fn scene(weight: BoxedStrategy<f32>) -> impl Strategy<Value = Scene> {
-    // Long and thin ones too: every row of some has no inside.
+    // Includes long and thin boxes: in some, every row has only border voxels.
     (1usize..12, 1usize..9, 1usize..7).prop_flat_map(move |(nx, ny, nz)| {
         let n = nx * ny * nz;
         let range = |n: usize| {
@@ -112,7 +114,9 @@ fn scene(weight: BoxedStrategy<f32>) -> impl Strategy<Value = Scene> {
     })
 }
 
-/// A scene of some tiles of the sweep on every axis: noise, or few weights (many ways cost the same), with walls or without.
+/// Return a strategy for scenes of several sweep tiles on every axis.
+///
+/// The weights are noise, or a few values (many paths cost the same), with or without walls.
 fn wide_scene() -> impl Strategy<Value = Scene> {
     let shape = (14usize..54, 5usize..28, 3usize..26);
     (
@@ -135,10 +139,10 @@ fn wide_scene() -> impl Strategy<Value = Scene> {
                 .map(|_| match kind {
                     0 => 1.0 + 40.0 * noise(),
                     1 => 1.0 + (2.0 * noise()).floor(),
-                    // A maze: a third is wall, some of it no number.
+                    // A maze: a third of the voxels are wall, half of them with the weight NaN.
                     2 if noise() < 0.35 => [f32::INFINITY, f32::NAN][usize::from(noise() < 0.5)],
                     2 => 1.0 + noise(),
-                    // Cheap threads through dear tissue.
+                    // A fifth of the voxels are cheap and form thin paths through expensive tissue.
                     _ if noise() < 0.2 => 1.0,
                     _ => 60.0 + noise(),
                 })
@@ -158,7 +162,7 @@ fn wide_scene() -> impl Strategy<Value = Scene> {
                 region: masked.then(|| {
                     let shape = [nx, ny, nz];
                     let root = [at % nx, at / nx % ny, at / (nx * ny)];
-                    // All but a voxel of each axis that the root is not in.
+                    // The box lacks one voxel on each axis, but contains the root.
                     std::array::from_fn(|a| usize::from(root[a] > 0)..shape[a])
                 }),
                 root: [at % nx, at / nx % ny, at / (nx * ny)],
@@ -166,7 +170,7 @@ fn wide_scene() -> impl Strategy<Value = Scene> {
         })
 }
 
-/// Every node's cost by the heap is the tracker's, and its path's.
+/// Check that every node's cost by the heap equals that of the tracker and of its path.
 fn equals_the_heap<C: StepCost>(
     field: &VoxelField<'_>,
     root: [usize; 3],
@@ -198,7 +202,7 @@ fn equals_the_heap<C: StepCost>(
     Ok(())
 }
 
-/// Costs and predecessors do not depend on the instructions.
+/// Check that costs and predecessors do not depend on the instruction set.
 fn same_for_every_set<C: StepCost>(
     field: &VoxelField<'_>,
     root: [usize; 3],
@@ -252,7 +256,9 @@ fn resumes<C: StepCost>(
     Ok(())
 }
 
-/// An aimed path costs what the heap's does and is made of steps that cost that; none where the heap has none.
+/// Check that an A* path costs as much as the heap's and consists of steps with that cost.
+///
+/// There must be no path if the heap finds none.
 fn aimed_equals_the_heap<C: StepCost>(
     field: &VoxelField<'_>,
     root: [usize; 3],
@@ -292,7 +298,7 @@ fn aimed_equals_the_heap<C: StepCost>(
     Ok(())
 }
 
-/// What a path would cost without rounding.
+/// Return the cost of a path without rounding.
 fn exact<C: StepCost>(field: &VoxelField<'_>, spacing: [f64; 3], path: &[u32]) -> f64 {
     path.windows(2)
         .map(|step| {
@@ -380,7 +386,7 @@ proptest! {
 }
 
 proptest! {
-    // Large scenes, each walked node by node.
+    // Fewer cases, because the scenes are large and are examined node by node.
     #![proptest_config(ProptestConfig::with_cases(24))]
 
     #[test]
@@ -424,7 +430,7 @@ fn cube(n: usize, value: f32) -> Scene {
     }
 }
 
-/// Says stop at every look but the last few.
+/// Observer that stops the search at every check except the last few.
 struct StopTimes(std::sync::atomic::AtomicUsize);
 
 impl Watch for StopTimes {
@@ -497,7 +503,7 @@ fn an_aimed_search_stops_on_request_and_refuses_in_words() {
         let error = least_path::<EnterCost>(field, [64, 0, 0], 0, &Unwatched).unwrap_err();
         assert_eq!(error.code(), "usage.track");
     });
-    // A target behind a wall: all that is before it is settled.
+    // A target behind a wall: all voxels before the wall are settled.
     scene.values[64 * 64 * 62..64 * 64 * 63].fill(f32::INFINITY);
     scene.with(|field| {
         let last = field.num_nodes() as u32 - 1;
@@ -519,7 +525,7 @@ fn memory_is_what_the_head_of_the_file_says() {
         mean.solve_all(field, &Unwatched).unwrap();
         enter.solve_all(field, &Unwatched).unwrap();
         assert!(mean.num_bytes().0 as f64 <= 5.2 * voxels);
-        // A bit, and a rim of one voxel rounded up to bytes.
+        // One bit per voxel, and a rim of one voxel rounded up to bytes.
         assert!(enter.num_bytes().0 as f64 <= 1.2 * voxels);
         assert!((mean.num_bytes().1 as f64) < voxels);
         assert!((enter.num_bytes().1 as f64) < voxels);
@@ -563,7 +569,7 @@ fn what_cannot_be_tracked_is_refused_in_words() {
 
 #[test]
 fn a_path_that_costs_more_than_can_be_counted_is_refused() {
-    // A corridor of the dearest voxels, after one that makes the unit small: 128 quanta by 15,000 a voxel.
+    // A corridor of the most expensive voxels, after one that makes the unit small: 128 quanta times 15,000 per voxel.
     let n = 2_000;
     let mut values = vec![15_000.0f32; n];
     values[0] = 1.0;
@@ -572,9 +578,9 @@ fn a_path_that_costs_more_than_can_be_counted_is_refused() {
     let mut tracker = FieldTracker::<MeanCost>::new(&field, [0, 0, 0]).unwrap();
     let error = tracker.solve_all(&field, &Unwatched).unwrap_err();
     assert_eq!(error.code(), "track.cost-overflow");
-    // What was settled before stays right.
+    // Costs that were settled before the error stay correct.
     assert!(tracker.cost(&field, 100).unwrap() > 1.4e6);
-    // By the voxel entered nothing is kept beside the voxels that could overflow.
+    // For costs by the entered voxel no costs are stored per voxel, so none can overflow.
     let mut enter = FieldTracker::<EnterCost>::new(&field, [0, 0, 0]).unwrap();
     enter.solve_all(&field, &Unwatched).unwrap();
     assert_eq!(

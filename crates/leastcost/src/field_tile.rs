@@ -14,33 +14,33 @@ use crate::field_lanes::Avx512;
 use crate::field_lanes::{LANES, Lanes, OWN, Portable, ROW, UNREACHED, open_weight, quanta};
 use crate::field_layout::prefetch;
 
-/// Voxels of a tile on each axis.
+/// Number of voxels of a tile on each axis.
 pub(crate) const TILE: [usize; 3] = [LANES, 8, 8];
-/// Rows of a tile's buffer on j and k: its own and one round them.
+/// Number of rows of a tile's buffer on j and k: the tile's own rows and one row on each side.
 pub(crate) const ACROSS: usize = 10;
 
-/// A tile and the voxels round it.
+/// Tile with the voxels round it.
 #[repr(align(64))]
 pub(crate) struct Buffer {
     pub(crate) weights: [[f32; ROW]; ACROSS * ACROSS],
     pub(crate) costs: [[u32; ROW]; ACROSS * ACROSS],
-    /// Lanes of each row that are cheaper than what is written: bit 0 is the left neighbour, bit 17 the right one.
+    /// Lanes of each row whose cost is lower than the stored one: bit 0 is the left neighbour, bit 17 the right one.
     pub(crate) news: [u32; ACROSS * ACROSS],
 }
 
-/// The row of the buffer for row `j`, `k` of the tile, -1 to 8 each.
+/// Return the index in the buffer of row `j`, `k` of the tile, -1 to 8 each.
 const fn row_of(j: usize, k: usize) -> usize {
     (k + 1) * ACROSS + j + 1
 }
 
-/// Rows beside each other, and themselves.
+/// Return the rows and their neighbouring rows.
 const fn dilated(rows: u64) -> u64 {
     const FIRST: u64 = 0x0101_0101_0101_0101;
     let along_j = rows | (rows & !(FIRST << 7)) << 1 | (rows & !FIRST) >> 1;
     along_j | along_j << 8 | along_j >> 8
 }
 
-/// Where a tile is computed.
+/// Buffer in which a tile is computed.
 pub(crate) struct SweepBuffer(pub(crate) Box<Buffer>);
 
 impl SweepBuffer {
@@ -53,7 +53,7 @@ impl SweepBuffer {
     }
 }
 
-/// Copies a tile and what is round it; what is outside the box is wall.
+/// Copy a tile and the voxels round it; voxels outside the box are walls.
 #[inline(always)]
 fn load<L: Lanes>(
     l: L,
@@ -83,7 +83,7 @@ fn load<L: Lanes>(
         let node = (k * ny + j) * nx + low;
         let (from_values, from_left) = (&values[value_at..value_at + len], &left[node..node + len]);
         if len == LANES + 2 {
-            // Two registers, of which the second begins two lanes farther.
+            // Two registers, the second of which begins two lanes farther.
             for at in [0, 2] {
                 let part = from_values[at..].first_chunk().expect("a register");
                 l.copy_weights(part, weights, OWN - 1 + at);
@@ -108,7 +108,7 @@ fn load<L: Lanes>(
     }
 }
 
-/// Asks for the memory that [`load`] will copy; what is round the tile is in part of the same lines.
+/// Prefetch the memory that [`load`] will copy; the voxels round the tile are partly in the same cache lines.
 pub(crate) fn prefetch_tile(field: &VoxelField<'_>, left: &[i32], first: [usize; 3]) {
     let [nx, ny, nz] = field.shape_ijk();
     let (first_value, volume_row, volume_slice) = field.layout();
@@ -125,7 +125,9 @@ pub(crate) fn prefetch_tile(field: &VoxelField<'_>, left: &[i32], first: [usize;
 /// Code that is compiled once for each instruction set.
 pub(crate) trait Kernel {
     type Out;
-    /// Must be inlined, or it loses the set.
+    /// Run the code.
+    ///
+    /// The method must be inlined, or it is compiled without the instruction set.
     fn run<L: Lanes>(self, l: L) -> Self::Out;
 }
 
@@ -134,7 +136,7 @@ pub(crate) fn run<K: Kernel>(simd: InstructionSet, kernel: K) -> K::Out {
     {
         #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx2,bmi1,bmi2,lzcnt,popcnt")]
         fn avx512<K: Kernel>(kernel: K) -> K::Out {
-            // SAFETY: this function runs only where the machine has the instructions.
+            // SAFETY: this function runs only on a machine with the instructions of its target features.
             kernel.run(unsafe { Avx512::new() })
         }
         #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
@@ -142,9 +144,10 @@ pub(crate) fn run<K: Kernel>(simd: InstructionSet, kernel: K) -> K::Out {
             kernel.run(Portable)
         }
         match simd {
-            // SAFETY: a set is only handed out where the machine has it. Benchmark: benches/field.rs.
+            // SAFETY: an `InstructionSet` value exists only on a machine that has the instructions of that set.
+            // Benchmark: benches/field.rs.
             InstructionSet::Avx512 => return unsafe { avx512(kernel) },
-            // SAFETY: as above.
+            // SAFETY: an `InstructionSet` value exists only on a machine that has the instructions of that set.
             InstructionSet::Avx2 => return unsafe { avx2(kernel) },
             _ => {}
         }
@@ -154,7 +157,7 @@ pub(crate) fn run<K: Kernel>(simd: InstructionSet, kernel: K) -> K::Out {
     kernel.run(Portable)
 }
 
-/// Copies a tile, sweeps it until nothing gets cheaper, relaxes the voxels round it and writes its own back.
+/// Kernel that copies a tile, sweeps it until no cost decreases, relaxes the voxels round it and writes the tile back.
 pub(crate) struct Settle<'a, C> {
     pub(crate) buffer: &'a mut Buffer,
     pub(crate) field: &'a VoxelField<'a>,
@@ -167,7 +170,7 @@ pub(crate) struct Settle<'a, C> {
 }
 
 impl<C: StepCost> Kernel for Settle<'_, C> {
-    /// Voxels of the tile that are reached, and whether a cost was written that is beyond `most`.
+    /// Number of reached voxels of the tile, and whether a cost above `most` was written.
     type Out = (u32, bool);
 
     #[inline(always)]
@@ -189,7 +192,7 @@ impl<C: StepCost> Kernel for Settle<'_, C> {
     }
 }
 
-/// Relaxes the rows round those that changed until nothing gets cheaper; all rows that changed.
+/// Relax the rows round the changed ones until no cost decreases; return all changed rows.
 #[inline(always)]
 fn sweep<L: Lanes, C: StepCost>(l: L, buffer: &mut Buffer, scale: &[f32; 27], rows: u64) -> u64 {
     let mut dirty = dilated(rows);
@@ -197,7 +200,7 @@ fn sweep<L: Lanes, C: StepCost>(l: L, buffer: &mut Buffer, scale: &[f32; 27], ro
     let mut changed = rows;
     let mut turn = 0;
     while dirty != 0 {
-        // Up and down along k and j in turn.
+        // The direction alternates along k and j.
         let flip_k = if turn & 1 == 0 { 0 } else { 7 };
         let flip_j = if (turn + 1) & 2 == 0 { 0 } else { 7 };
         turn += 1;
@@ -225,13 +228,13 @@ fn sweep<L: Lanes, C: StepCost>(l: L, buffer: &mut Buffer, scale: &[f32; 27], ro
     changed
 }
 
-/// The row in block 0..9 of those round a row.
+/// Return the row in block 0..9 of the rows round a row.
 #[inline(always)]
 const fn beside(row: usize, block: usize) -> usize {
     row + block / 3 * ACROSS + block % 3 - ACROSS - 1
 }
 
-/// The least cost of the voxels of a register by way of their three neighbours each in another row.
+/// Return the least costs of the voxels of a register through their three neighbours each in another row.
 #[inline(always)]
 fn through<L: Lanes, C: StepCost>(
     l: L,
@@ -257,7 +260,7 @@ fn through<L: Lanes, C: StepCost>(
     best
 }
 
-/// Relaxes a row from all round it and along itself; true if something got cheaper.
+/// Relax a row from all rows round it and along itself; return true if a cost has decreased.
 #[inline(always)]
 fn relax_row<L: Lanes, C: StepCost>(
     l: L,
@@ -294,7 +297,7 @@ fn relax_row<L: Lanes, C: StepCost>(
     if !told && l.less(best, old) == 0 {
         return false;
     }
-    // Along the row: 1, 2, 4 and 8 steps at once, both ways.
+    // Along the row: 1, 2, 4 and 8 steps at once, in both directions.
     let most = l.all(UNREACHED);
     let up1 = l.least(before, most);
     let up2 = l.least(l.plus(up1, l.up::<1>(up1)), most);
@@ -321,12 +324,12 @@ fn relax_row<L: Lanes, C: StepCost>(
     news != 0
 }
 
-/// Relaxes the voxels round a tile from the rows that changed.
+/// Relax the voxels round a tile from the rows that changed.
 #[inline(always)]
 fn relax_round<L: Lanes, C: StepCost>(l: L, buffer: &mut Buffer, scale: &[f32; 27], changed: u64) {
     for row in 0..ACROSS * ACROSS {
         let (j, k) = (row % ACROSS, row / ACROSS);
-        // The own rows round this one that changed.
+        // Numbers (0 to 8) of the rows of the 3 x 3 neighbourhood that changed and belong to the tile.
         let mut near = [0usize; 9];
         let mut num_near = 0;
         for block in 0..9 {
@@ -342,7 +345,7 @@ fn relax_round<L: Lanes, C: StepCost>(l: L, buffer: &mut Buffer, scale: &[f32; 2
             continue;
         }
         if (1..9).contains(&j) && (1..9).contains(&k) {
-            // One voxel at both ends of an own row.
+            // Relax the one voxel before and the one voxel after the tile's own part of the row.
             for (lane, cell) in [(OWN - 1, 2), (OWN + LANES, 0)] {
                 let at = lane + cell - 1;
                 let here = buffer.weights[row][lane];
@@ -388,7 +391,7 @@ fn relax_round<L: Lanes, C: StepCost>(l: L, buffer: &mut Buffer, scale: &[f32; 2
     }
 }
 
-/// Writes the tile's own costs back, and leaves the news of those round it.
+/// Write the tile's own costs back, and keep in `news` only the decreased costs of the voxels round it.
 #[inline(always)]
 fn write<L: Lanes>(
     l: L,
@@ -424,7 +427,9 @@ fn write<L: Lanes>(
     (num_reached, beyond != 0)
 }
 
-/// Finds for each voxel that costs no more than `known_to` the first cell that led to it, plus 1; 0 for the others.
+/// Kernel that finds, for each voxel with a cost up to `known_to`, the first cell that led to it, plus 1.
+///
+/// The cell is 0 for the others.
 pub(crate) struct Steps<'a, C> {
     pub(crate) buffer: &'a mut Buffer,
     pub(crate) field: &'a VoxelField<'a>,
@@ -459,7 +464,8 @@ impl<C: StepCost> Kernel for Steps<'_, C> {
             let known = l.less(own, l.all(known_to + 1));
             let step = l.quanta(here, scale[0]);
             let mut steps = l.all(0);
-            // A step that leads here from a neighbour has the opposite cell of the neighbour's: the first cell comes last.
+            // A step from a neighbour to this voxel has the opposite cell of the neighbour's, so the first cell comes
+            // last.
             for block in 0..9 {
                 let other = beside(row, block);
                 let (weights, costs) = (&buffer.weights[other], &buffer.costs[other]);

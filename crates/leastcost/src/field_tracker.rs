@@ -1,12 +1,12 @@
-//! The resumable tree of least-cost paths over a whole volume, with no graph in memory (paper 6, Algorithm 1).
+//! Resumable tree of least-cost paths over a whole volume, without a graph in memory (paper 6, Algorithm 1).
 //!
-//! Kept per voxel: one byte, the step that leads to it from its predecessor, and one bit, whether a path may still come to
-//! it. Where a step costs what the voxel costs that it leads into, that is all: the first touch is the least. Where it
-//! costs by both ends, the 4 bytes of the least cost so far are kept, too. Targets are reached by the queue in
-//! [`crate::buckets`], a voxel at a time ([`crate::field_front`]): one near the root costs what lies between, and nothing is
-//! written where no path has come. All voxels at once are swept in tiles ([`crate::field_sweep`]), which takes 4 bytes a voxel
-//! with either cost while it lasts. Of several steps that lead to the same cost the first cell is kept, so that both ways
-//! give the same tree.
+//! The tracker stores one byte per voxel, the step from its predecessor, and one bit, whether a path may still change
+//! the voxel. For costs by the entered voxel that is all, because the first step to a voxel has the least cost. For
+//! costs by both ends the tracker also stores the 4 bytes of the least cost so far. Single targets are reached with the
+//! queue in [`crate::buckets`], voxel by voxel ([`crate::field_front`]): a target near the root costs only the voxels
+//! between, and no memory is written where no path has come. All voxels at once are swept in tiles
+//! ([`crate::field_sweep`]), which needs 4 bytes per voxel with either cost during the sweep. Of several steps with the
+//! same cost the first cell is kept, so that both methods give the same tree.
 
 use carina_grid::InstructionSet;
 
@@ -19,13 +19,17 @@ use crate::field_sweep::Sweep;
 use crate::field_tile::SweepBuffer;
 use crate::{TrackError, Watch};
 
-/// Nodes settled between two looks at the watch, about.
+/// Approximate number of nodes settled between two checks of the watch.
 const NODES_PER_LOOK: usize = 1 << 16;
 
 impl<C: StepCost> FieldTracker<C> {
-    /// A tracker with one root and nothing settled.
+    /// Create a tracker with one root and no settled node.
     ///
     /// `root_ijk` is a voxel of the volume.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the root is not open or the weights are not valid.
     pub fn new(field: &VoxelField<'_>, root_ijk: [usize; 3]) -> Result<Self, TrackError> {
         let root = open_root(field, root_ijk)?;
         let quanta = Quanta::<C>::choose(field)?;
@@ -37,7 +41,8 @@ impl<C: StepCost> FieldTracker<C> {
         } else {
             fresh::<i32>(num_nodes)
         };
-        // By voxel the order of the costs is needed; by both ends only that no step stays within the front bucket.
+        // Costs by the entered voxel need the exact order of the costs; costs by both ends only require that no step
+        // stays within the front bucket.
         let span_log2 = if C::BY_VOXEL {
             0
         } else {
@@ -69,9 +74,13 @@ impl<C: StepCost> FieldTracker<C> {
         Ok(tracker)
     }
 
-    /// Settles what is needed to know the least cost of a node; true if a path exists.
+    /// Settle nodes until the least cost of the target is known; return true if a path exists.
     ///
-    /// `field` must be the one the tracker was made with.
+    /// `field` must be the field with which the tracker was created.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if an argument is not valid, if a cost is too large, or if `watch` stops the search.
     pub fn solve_to(
         &mut self,
         field: &VoxelField<'_>,
@@ -79,7 +88,7 @@ impl<C: StepCost> FieldTracker<C> {
         watch: &impl Watch,
     ) -> Result<bool, TrackError> {
         self.check(field, Some(target))?;
-        // By voxel the queue is where it was, and goes on with what is known by now.
+        // For costs by the entered voxel the queue is still valid, and the search continues from it.
         if self.sweep.is_some() && !C::BY_VOXEL {
             self.sweep_on(field, Some(target), watch)?;
         } else {
@@ -88,7 +97,11 @@ impl<C: StepCost> FieldTracker<C> {
         Ok(self.is_known(target))
     }
 
-    /// Settles every node that a path can reach.
+    /// Settle every node that a path can reach.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if an argument is not valid, if a cost is too large, or if `watch` stops the search.
     pub fn solve_all(
         &mut self,
         field: &VoxelField<'_>,
@@ -102,7 +115,7 @@ impl<C: StepCost> FieldTracker<C> {
             return self.go_on(field, None, watch);
         }
         match self.sweep_on(field, None, watch) {
-            // By voxel the queue has no greatest cost, and is as it was.
+            // For costs by the entered voxel the queue has no limit of the cost, and is still valid.
             Err(TrackError::CostOverflow { .. }) if C::BY_VOXEL => {
                 self.sweep = None;
                 self.left = Vec::new();
@@ -112,13 +125,14 @@ impl<C: StepCost> FieldTracker<C> {
         }
     }
 
-    /// True if sweeping tiles gives the same tree, and sooner.
+    /// Return true if sweeping tiles gives the same tree and is faster.
     fn may_sweep(&self) -> bool {
-        // By voxel the sweep begins at the root again, and free steps would leave open which of two voxels led to the other.
+        // For costs by the entered voxel the sweep starts again at the root, and free steps would not determine which
+        // of two voxels is the predecessor of the other.
         !C::BY_VOXEL || (self.quanta.cheapest > 0.0 && 2 * self.num_settled < self.quanta.num_open)
     }
 
-    /// Hands what is open over to tiles.
+    /// Move the open nodes to tiles.
     fn begin_sweep(&mut self, field: &VoxelField<'_>) {
         let most = (MOST_QUANTA as u32).saturating_sub(2 * self.quanta.dearest as u32);
         let mut sweep = Sweep::new(field.shape_ijk(), &self.quanta, most, self.simd);
@@ -153,7 +167,7 @@ impl<C: StepCost> FieldTracker<C> {
         self.closing = Vec::new();
     }
 
-    /// Sweeps tiles until a target, or everything, is known.
+    /// Sweep tiles until the cost of a target, or of all nodes, is known.
     fn sweep_on(
         &mut self,
         field: &VoxelField<'_>,
@@ -174,7 +188,7 @@ impl<C: StepCost> FieldTracker<C> {
         if C::BY_VOXEL && matches!(outcome, Err(TrackError::CostOverflow { .. })) {
             return outcome;
         }
-        // However it ended, what is known has its steps.
+        // Steps are written for all known costs, also after an error.
         sweep.write_steps::<C>(field, &mut buffer, &self.left, &mut self.step_here);
         if C::BY_VOXEL && self.done {
             self.left = Vec::new();
@@ -240,7 +254,7 @@ impl<C: StepCost> FieldTracker<C> {
         Ok(())
     }
 
-    /// True once the least cost of a node is known.
+    /// Return true if the least cost of a node is known.
     fn is_known(&self, node: u32) -> bool {
         if self.step_here[node as usize] == 0 {
             return false;
@@ -249,10 +263,10 @@ impl<C: StepCost> FieldTracker<C> {
             return true;
         }
         if let Some(sweep) = &self.sweep {
-            // Their least costs are the only ones, so what the tiles found cheap enough is final.
+            // Least costs are unique, so costs that the sweep has passed are final.
             return self.left[node as usize] >= MOST_QUANTA - sweep.known_to() as i32;
         }
-        // What is open still may become cheaper, but not below the front bucket.
+        // An open node may become cheaper, but not below the front bucket.
         let cost = (MOST_QUANTA - self.left[node as usize]) as u64;
         self.queue.bucket_of(cost) <= self.queue.bucket_of(self.queue.front_cost())
     }
@@ -275,7 +289,7 @@ impl<C: StepCost> FieldTracker<C> {
                     most: MOST_QUANTA as f64 * self.quanta.unit,
                 });
             }
-            // A target that the front bucket holds is known now: by both ends all in it is final.
+            // For costs by both ends all costs in the front bucket are final, so a target in it is known.
             if !C::BY_VOXEL && target.is_some_and(|t| self.is_known(t)) {
                 break;
             }
@@ -296,25 +310,25 @@ impl<C: StepCost> FieldTracker<C> {
         Ok(())
     }
 
-    /// The fixed root.
+    /// Return the fixed root.
     #[must_use]
     pub const fn root(&self) -> u32 {
         self.root
     }
 
-    /// The run's integer unit.
+    /// Return the integer unit of this search.
     #[must_use]
     pub const fn quanta(&self) -> &Quanta<C> {
         &self.quanta
     }
 
-    /// Nodes whose edges were looked at.
+    /// Return the number of nodes whose edges were examined.
     #[must_use]
     pub const fn num_settled(&self) -> usize {
         self.num_settled
     }
 
-    /// Bytes held, the queue's apart.
+    /// Return the allocated memory in bytes: of the voxels, and of the queue.
     #[must_use]
     pub fn num_bytes(&self) -> (usize, usize) {
         let kept = self.step_here.capacity() + self.open.capacity() + 4 * self.left.capacity();
@@ -326,12 +340,12 @@ impl<C: StepCost> FieldTracker<C> {
         (kept, queue)
     }
 
-    /// The cell of the step that led to a node; `None` where no path has come.
+    /// Return the cell of the step that led to a node; `None` if no path has reached it.
     fn cell_to(&self, node: u32) -> Option<usize> {
         usize::from(self.step_here[node as usize]).checked_sub(1)
     }
 
-    /// The node before a settled one on its path, or `None` at the root and where nothing is known.
+    /// Return the predecessor of a settled node on its path; `None` at the root and for a node whose path is not known.
     #[must_use]
     pub fn predecessor(&self, node: u32) -> Option<u32> {
         let cell = self.cell_to(node)?;
@@ -341,13 +355,13 @@ impl<C: StepCost> FieldTracker<C> {
         Some((node as isize - self.layout.node_step[cell]) as u32)
     }
 
-    /// Nodes from the root to `target`, or `None` where its least cost is not known.
+    /// Return the nodes from the root to `target`; `None` if its least cost is not known.
     #[must_use]
     pub fn path_to(&self, target: u32) -> Option<Vec<u32>> {
         if target as usize >= self.step_here.len() || !self.is_known(target) {
             return None;
         }
-        // What is before a known node is known.
+        // All nodes before a known node are known.
         let mut path = vec![target];
         let mut node = target;
         loop {
@@ -361,7 +375,7 @@ impl<C: StepCost> FieldTracker<C> {
         }
     }
 
-    /// Least cost of a node in quanta, summed along its path; `None` where it is not known.
+    /// Return the least cost of a node in quanta, summed along its path; `None` if it is not known.
     #[must_use]
     pub fn cost_quanta(&self, field: &VoxelField<'_>, target: u32) -> Option<u64> {
         let path = self.path_to(target)?;
@@ -376,7 +390,7 @@ impl<C: StepCost> FieldTracker<C> {
         )
     }
 
-    /// Least cost of a node; `None` where it is not known. Right within 0.5 %; exact where the unit is 1.
+    /// Return the least cost of a node, accurate within 0.5 %, exact if the unit is 1; `None` if it is not known.
     #[must_use]
     pub fn cost(&self, field: &VoxelField<'_>, target: u32) -> Option<f64> {
         self.cost_quanta(field, target)
@@ -384,7 +398,7 @@ impl<C: StepCost> FieldTracker<C> {
     }
 }
 
-/// The node of a root, which must be open.
+/// Return the node of a root, which must be open.
 pub(crate) fn open_root(field: &VoxelField<'_>, root_ijk: [usize; 3]) -> Result<u32, TrackError> {
     let root = field
         .node_at_voxel(root_ijk)

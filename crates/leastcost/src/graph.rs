@@ -1,55 +1,59 @@
-//! What the tracker walks on: nodes, edges with a length in mm, and a weight per mm (paper 6, 6.1, 6.2).
+//! Interface of the tracker: nodes, edges with a length in mm, and a weight per mm (paper 6, 6.1, 6.2).
 //!
-//! The tracker knows only these two traits, so that the pruned `IsoRegion` graph (6.1) and the printed cost (6.2) join
-//! the voxel graph of the lumen without a change to it.
+//! The tracker uses only these two traits, so it works without change for the pruned `IsoRegion` graph (6.1), for the
+//! printed cost (6.2) and for the voxel graph of the lumen.
 
 use crate::TrackError;
 
-/// No node.
+/// Node number that stands for no node.
 pub const NO_NODE: u32 = u32::MAX;
 
 /// Undirected graph whose edges have a length.
 pub trait Graph {
-    /// Nodes are `0..num_nodes`.
+    /// Return the number of nodes, which are `0..num_nodes`.
     fn num_nodes(&self) -> usize;
 
-    /// Calls `visit(neighbour, length_mm)` for every edge of `node`, always in the same order.
+    /// Call `visit(neighbour, length_mm)` for every edge of `node`, always in the same order.
     fn for_each_edge(&self, node: u32, visit: impl FnMut(u32, f64));
 
-    /// Shortest and longest edge that the graph may hold, mm.
+    /// Return lower and upper bounds of the edge lengths, mm.
     fn edge_length_range_mm(&self) -> (f64, f64);
 }
 
 /// Weight per mm of an edge; the cost of an edge is its length times its weight.
 pub trait Cost {
-    /// Weight of the edge between two neighbours; symmetric, inside [`Cost::weight_range`].
+    /// Return the weight of the edge between two neighbours; it is symmetric and inside [`Cost::weight_range`].
     fn weight(&self, u: u32, v: u32) -> f64;
 
-    /// Least and greatest weight, both above 0.
+    /// Return the smallest and the largest weight, both above 0.
     fn weight_range(&self) -> (f64, f64);
 }
 
-/// The integer unit of path costs in one run.
+/// Integer unit of the path costs of one search.
 ///
-/// An edge's rounding error is at most half a quantum. The cheapest possible edge is 100 quanta, so the cost of an edge,
-/// and with it the cost of a path, is right within 0.5 %.
+/// The rounding error of an edge is at most half a quantum. The cheapest possible edge is 100 quanta, so the cost of an
+/// edge, and with it the cost of a path, is accurate within 0.5 %.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Quantum {
     /// Cost of one quantum (weight times mm).
     pub cost: f64,
-    /// Quanta of the dearest possible edge, which is the reach of the bucket queue.
+    /// Quanta of the most expensive possible edge, which is the reach of the bucket queue.
     pub dearest_edge: u32,
-    /// Quanta of a cost of 1: an edge is counted by a multiplication, which takes a fraction of a division.
+    /// Quanta of a cost of 1, so that an edge needs a multiplication instead of a slower division.
     per_cost: f64,
 }
 
-/// Quanta of the cheapest edge: half a quantum of rounding is then 0.5 % of it.
+/// Quanta of the cheapest edge: half a quantum of rounding is 0.5 % of it.
 const CHEAPEST_EDGE_QUANTA: f64 = 100.0;
-/// Buckets of the queue at most (4 bytes each): 2^24.
+/// Largest number of buckets of the queue (4 bytes each): 2^24.
 const MAX_EDGE_QUANTA: f64 = 16_777_216.0;
 
 impl Quantum {
-    /// The quantum for a graph and a cost.
+    /// Choose the quantum for a graph and a cost.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the range of the costs is too wide.
     pub fn choose(graph: &impl Graph, cost: &impl Cost) -> Result<Self, TrackError> {
         let (shortest, longest) = graph.edge_length_range_mm();
         let (least, greatest) = cost.weight_range();
@@ -67,10 +71,11 @@ impl Quantum {
         })
     }
 
-    /// An edge's cost in quanta, at least 1.
+    /// Return an edge's cost in quanta, at least 1.
     #[must_use]
     pub fn edge(&self, cost: &impl Cost, u: u32, v: u32, length_mm: f64) -> u32 {
-        // Above 0 this rounds to the nearest; `round` is a call where the target has no instruction for it.
+        // Adding 0.5 rounds positive numbers to the nearest; `round` is a function call if the target has no
+        // instruction for it.
         let quanta = length_mm * cost.weight(u, v) * self.per_cost + 0.5;
         (quanta as u32).clamp(1, self.dearest_edge)
     }

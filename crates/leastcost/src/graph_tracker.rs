@@ -1,4 +1,4 @@
-//! One tracker over the pairs of a cost (`lumen`, `paper`, `walls`) and a graph (`voxel`, `isoregion`).
+//! Tracker over any pair of a cost (`lumen`, `paper`, `walls`) and a graph (`voxel`, `isoregion`).
 
 use carina_grid::{Grid, Ijk, VolumeView, length};
 use carina_isoregion::value_labels;
@@ -12,16 +12,16 @@ use crate::paper_cost::{PaperCost, Reading};
 use crate::tracker::Tracker;
 use crate::{TrackError, Watch};
 
-/// What the voxels of an `IsoRegion` have in common.
+/// Criterion for equal labels of the voxels of an `IsoRegion`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Labels {
     /// Equal bins of 16 values (the paper's equal values).
     Bins,
-    /// The whole lumen is one class; voxels outside it have no label and none of them is cut away.
+    /// The whole lumen is one class; voxels outside it have no label, and none of them is pruned.
     Lumen,
 }
 
-/// Where paths are searched, and at what cost.
+/// Voxels that paths may use, and their cost.
 #[derive(Debug, Clone, Copy)]
 pub enum Terrain {
     /// Cost `paper` or `walls` on all voxels of a box.
@@ -30,14 +30,14 @@ pub enum Terrain {
     Lumen(Option<WallLevels>),
 }
 
-/// A place that was asked for, in the graph.
+/// Position of a point in the graph.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Place {
-    /// The node that stands for it.
+    /// Node that represents the point.
     pub node: u32,
-    /// The voxel of the whole graph that holds it, or the lumen voxel nearest to it.
+    /// Voxel of the unpruned graph that contains the point, or the lumen voxel nearest to it.
     pub voxel: [usize; 3],
-    /// From that voxel to the node's, mm: above 0 where the voxel was cut away.
+    /// Distance from that voxel to the node's voxel, mm; above 0 if the voxel was pruned.
     pub to_node_mm: f64,
 }
 
@@ -49,7 +49,7 @@ enum Walk {
     LumenPruned(IsoRegionGraph<LumenGraph>, (f64, f64)),
 }
 
-/// The same for every walk: its graph, and its cost by reference.
+/// Apply the same expression to every kind of walk, with its graph and a reference to its cost.
 macro_rules! with_walk {
     ($walk:expr, |$graph:ident, $cost:ident| $body:expr) => {
         match $walk {
@@ -70,7 +70,9 @@ macro_rules! with_walk {
     };
 }
 
-/// The least-cost tree from one root in one of the four terrains; it stops at a target and goes on for the next.
+/// Tree of least-cost paths from one root for one of the combinations of graph and cost.
+///
+/// The search stops at a target and can be resumed.
 #[derive(Debug)]
 pub struct GraphTracker {
     grid: Grid,
@@ -79,10 +81,15 @@ pub struct GraphTracker {
 }
 
 impl GraphTracker {
-    /// Builds graph and cost, with nothing settled.
+    /// Build graph and cost, with no settled node.
     ///
-    /// `pruned` asks for the `IsoRegion` graph (paper 6.1). `lumen`, on the volume's grid, is needed for the cost `lumen` and
-    /// for labels of it. The root is the voxel nearest to `root_ijk`, in the lumen within `reach_mm`.
+    /// `pruned` selects the `IsoRegion` graph (paper 6.1). `lumen`, on the volume's grid, is required for the cost
+    /// `lumen` and for labels of the lumen. The root is the voxel nearest to `root_ijk`, for the lumen within
+    /// `reach_mm`.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if an argument is not valid or `watch` stops the search.
     pub fn build(
         values: VolumeView<'_, i16>,
         terrain: Terrain,
@@ -151,26 +158,32 @@ impl GraphTracker {
         })
     }
 
-    /// The node for a point (voxel coordinates); `None` outside the box, or farther than `reach_mm` from the lumen.
+    /// Return the node for a point (voxel coordinates).
+    ///
+    /// The result is `None` outside the box, or farther than `reach_mm` from the lumen.
     #[must_use]
     pub fn place(&self, ijk: [f64; 3], reach_mm: f64) -> Option<Place> {
         place(&self.walk, &self.grid, ijk, reach_mm)
     }
 
-    /// Settles what is needed to know the least cost of a node; true if a path exists.
+    /// Settle nodes until the least cost of the target is known; return true if a path exists.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if `watch` stops the search.
     pub fn solve_to(&mut self, target: u32, watch: &impl Watch) -> Result<bool, TrackError> {
         let Self { walk, tracker, .. } = self;
         with_walk!(&*walk, |graph, cost| tracker
             .solve_to(graph, cost, target, watch))
     }
 
-    /// The tree so far.
+    /// Return the tree computed so far.
     #[must_use]
     pub const fn tracker(&self) -> &Tracker {
         &self.tracker
     }
 
-    /// The voxel of a node.
+    /// Return the voxel of a node.
     #[must_use]
     pub fn voxel(&self, node: u32) -> [usize; 3] {
         match &self.walk {
@@ -181,19 +194,19 @@ impl GraphTracker {
         }
     }
 
-    /// Nodes of the graph.
+    /// Return the number of nodes of the graph.
     #[must_use]
     pub fn num_nodes(&self) -> usize {
         with_walk!(&self.walk, |graph, _cost| graph.num_nodes())
     }
 
-    /// Undirected edges of the graph, links included: counted one by one.
+    /// Count the undirected edges of the graph, including links, one by one.
     #[must_use]
     pub fn num_edges(&self) -> u64 {
         with_walk!(&self.walk, |graph, _cost| count_edges(graph))
     }
 
-    /// Centres of `IsoRegion`s; 0 on a voxel graph.
+    /// Return the number of centres of `IsoRegion`s; 0 on a voxel graph.
     #[must_use]
     pub const fn num_centres(&self) -> usize {
         match &self.walk {
@@ -204,7 +217,7 @@ impl GraphTracker {
     }
 }
 
-/// Radii of the box's voxels under the labels; with `lumen_only` voxels outside the lumen have none.
+/// Return the radii of the box's voxels for the labels; with `lumen_only` voxels outside the lumen have radius 0.
 fn box_radii(
     values: VolumeView<'_, i16>,
     lumen: &[u8],
@@ -279,7 +292,9 @@ mod tests {
     use super::*;
     use crate::Unwatched;
 
-    /// A tube of air along k, three voxels to each side wide, in tissue; every third slice one grey value brighter.
+    /// Return a tube of air along k with a half-width of three voxels, in tissue.
+    ///
+    /// Every third slice is one grey value brighter.
     fn tube() -> (Grid, Vec<i16>, Vec<u8>) {
         let axes =
             Affine::from_columns([0.8, 0.0, 0.0], [0.0, 0.9, 0.0], [0.0, 0.0, 1.5], [0.0; 3]);
@@ -336,7 +351,7 @@ mod tests {
                 } else {
                     assert!(tracker.num_centres() > 0);
                     assert!(tracker.num_nodes() < full.num_nodes());
-                    // 16-HU bins and the class of the lumen see one region here.
+                    // 16-HU bins and the class of the lumen have the same region here.
                     assert!(tracker.num_edges() < full.num_edges());
                 }
                 if matches!(terrain, Terrain::Lumen(_)) {

@@ -1,15 +1,17 @@
-//! The graph pruned by `IsoRegions` (paper 6.1, Figure 12).
+//! Graph pruned by `IsoRegions` (paper 6.1, Figure 12).
 //!
-//! A voxel with an `IsoRegion` (radius of 1 or more) is cut away if a neighbour's region is larger: what is left of a region
-//! is its centre, or several where they are equal, and its voxels at the border to other labels (radius 0). This rule
-//! gives the printed Figure 12(b) exactly; taking the largest region first and cutting what it holds does not. Each centre
-//! is linked to every kept voxel on the boundary of its cube; kept voxels that are neighbours keep their edge.
+//! A voxel with an `IsoRegion` (radius of 1 or more) is pruned if a neighbour's region is larger. The remaining voxels
+//! of a region are its centre, or several centres of equal radius, and its voxels at the border to other labels (radius
+//! 0). This rule gives the printed Figure 12(b) exactly; a rule that takes the largest region first and prunes the
+//! voxels inside it does not. Each centre is linked to every remaining voxel on the boundary of its cube; remaining
+//! voxels that are neighbours keep their edge.
 //!
-//! The rule keeps things connected. Radii are chessboard distances to the nearest voxel of radius 0, so they differ by
-//! at most 1 between neighbours, and from a voxel that is cut away one climbs, by 1 a step, to a centre. Whatever voxel h
-//! of radius 0 is nearest to it then lies on the boundary of that centre's cube, so it is linked to it. So a voxel's
-//! centres and nearest h hang together, as do those of two neighbours whose radii differ. For neighbours of equal
-//! radius that share neither centre nor h there is no such proof; random volumes are tested instead.
+//! The rule preserves connectivity. Radii are chessboard distances to the nearest voxel of radius 0, so they differ by
+//! at most 1 between neighbours, and from a pruned voxel the radii increase, by 1 a step, up to a centre. The voxel h
+//! of radius 0 nearest to the pruned voxel is on the boundary of that centre's cube, so it is linked to the centre. So
+//! a voxel's centres and its nearest h are connected, as are those of two neighbours with different radii. For
+//! neighbours of equal radius that share neither centre nor h there is no such proof; tests with random volumes cover
+//! this case instead.
 
 use carina_grid::{Grid, length};
 use carina_isoregion::MapBuilder;
@@ -22,10 +24,16 @@ use crate::lumen::{LumenCost, LumenGraph};
 use crate::paper_cost::PaperCost;
 use crate::{TrackError, Watch};
 
-/// Links at most: 4 bytes each. More come from regions whose centres are a whole slab of equal radius.
+/// Largest number of links, 4 bytes each.
+///
+/// More occur with regions whose centres are a whole slab of equal radius.
 pub const MAX_LINKS: u64 = 1 << 26;
 
-/// `IsoRegion` radii of the voxels of a box; beyond the box there is nothing.
+/// Compute the `IsoRegion` radii of the voxels of a box, without the voxels beyond the box.
+///
+/// # Errors
+///
+/// Returns an error if the number of labels is wrong or `watch` stops the computation.
 pub fn radii(
     labels: &[u8],
     voxel_box: VoxelBox,
@@ -50,7 +58,7 @@ pub fn radii(
     Ok(radius)
 }
 
-/// True if a voxel is cut away: it has a region and a neighbour has a larger one (paper 6.1).
+/// Return true if a voxel is pruned: it has a region and a neighbour has a larger one (paper 6.1).
 #[must_use]
 pub fn is_cut_away(radius: &[u8], shape_ijk: [usize; 3], ijk: [usize; 3]) -> bool {
     let [nx, ny, _] = shape_ijk;
@@ -67,17 +75,18 @@ pub fn is_cut_away(radius: &[u8], shape_ijk: [usize; 3], ijk: [usize; 3]) -> boo
         })
 }
 
-/// A graph without the voxels inside `IsoRegions`.
+/// Graph without the voxels inside `IsoRegions`.
 #[derive(Debug)]
 pub struct IsoRegionGraph<B> {
     base: B,
     grid: Grid,
-    /// Node of the whole graph, for each node.
+    /// Node of the unpruned graph, for each node.
     kept: Vec<u32>,
-    /// Node, for each node of the whole graph; [`NO_NODE`] where it was cut away.
+    /// Node for each node of the unpruned graph; [`NO_NODE`] for a pruned node.
     node_of: Vec<u32>,
     radius: Vec<u8>,
-    /// The centres whose cube has a node on its boundary: `centres[first_centre[n]..first_centre[n + 1]]`.
+    /// For each node n, the centres with n on the boundary of their cube are
+    /// `centres[first_centre[n]..first_centre[n + 1]]`.
     first_centre: Vec<u32>,
     centres: Vec<u32>,
     num_centres: usize,
@@ -85,9 +94,15 @@ pub struct IsoRegionGraph<B> {
 }
 
 impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
-    /// Prunes `base` by the radii of its box's voxels ([`radii`]).
+    /// Prune `base` by the radii of its box's voxels ([`radii`]).
     ///
-    /// Every label must mean one thing all over: a straight line between two voxels of one cube is taken as an edge.
+    /// A label must have the same meaning everywhere, because a straight line between two voxels of one cube becomes an
+    /// edge.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the radius map has the wrong size, if there are too many links, or if `watch` stops the
+    /// computation.
     pub fn build(
         base: B,
         grid: &Grid,
@@ -138,7 +153,9 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
         Ok(graph)
     }
 
-    /// Notes at each kept boundary voxel which centres it belongs to. The way back needs no table: it is the cube.
+    /// Record at each boundary voxel the centres whose cube it bounds.
+    ///
+    /// The opposite direction needs no table, because it follows from the cube.
     fn link(&mut self, watch: &impl Watch) -> Result<(), TrackError> {
         let num_nodes = self.kept.len();
         let mut first = vec![0u32; num_nodes + 1];
@@ -192,13 +209,15 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
         Ok(())
     }
 
-    /// True if `node` is a centre that has `other` on its own cube's boundary: the link is then found from there.
+    /// Return true if `node` is a centre with `other` on the boundary of its own cube: the link is then found from
+    /// `node`.
     fn finds(&self, node: u32, other: u32) -> bool {
         let radius = isize::from(self.radius[node as usize]);
         radius > 1 && chessboard(self.voxel(node), self.voxel(other)) == radius
     }
 
-    /// The kept voxels on the boundary of a centre's cube, for cubes beyond the 26 neighbours.
+    /// Call `visit` for the remaining voxels on the boundary of a centre's cube, for cubes larger than the 26
+    /// neighbours.
     fn for_each_boundary_node(&self, centre: u32, mut visit: impl FnMut(u32, f64)) {
         let r = isize::from(self.radius[centre as usize]);
         let at = self.voxel(centre).map(|v| v as isize);
@@ -218,38 +237,38 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
         length(self.grid.lps_from_ijk().vector(offset.map(|v| v as f64)))
     }
 
-    /// The graph that was pruned.
+    /// Return the unpruned graph.
     pub const fn base(&self) -> &B {
         &self.base
     }
 
-    /// The node of the whole graph.
+    /// Return the node in the unpruned graph.
     #[must_use]
     pub fn whole(&self, node: u32) -> u32 {
         self.kept[node as usize]
     }
 
-    /// The voxel of a node.
+    /// Return the voxel of a node.
     #[must_use]
     pub fn voxel(&self, node: u32) -> [usize; 3] {
         self.base.voxel_of_node(self.whole(node))
     }
 
-    /// The radius of a node's region: 0 at borders.
+    /// Return the radius of a node's region: 0 at borders.
     #[must_use]
     pub fn radius(&self, node: u32) -> u8 {
         self.radius[node as usize]
     }
 
-    /// Nodes that are the middle of a region.
+    /// Return the number of nodes that are the centre of a region.
     #[must_use]
     pub const fn num_centres(&self) -> usize {
         self.num_centres
     }
 
-    /// The node of a voxel, or of the centre that it is nearest to by climbing the radii; `None` outside the graph.
+    /// Return the node of a voxel, or the centre that represents a pruned voxel; `None` outside the graph.
     ///
-    /// A voxel that was cut away lies inside the cube of the centre that stands for it.
+    /// A pruned voxel is inside the cube of the centre that represents it.
     #[must_use]
     pub fn node_for_voxel(&self, ijk: [isize; 3]) -> Option<u32> {
         let whole = self.base.node_of_voxel(ijk)?;
@@ -257,7 +276,7 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
         if node != NO_NODE {
             return Some(node);
         }
-        // The nearest centre whose cube holds the voxel; ties go to the first in array order.
+        // The nearest centre whose cube contains the voxel; of equally near ones the first in array order.
         let mut best: Option<(f64, u32)> = None;
         for r in 1..=255isize {
             if best.is_some_and(|(mm, _)| mm <= r as f64 * self.grid.min_spacing_mm()) {
@@ -281,12 +300,12 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
     }
 }
 
-/// Chessboard distance of two voxels.
+/// Return the chessboard distance of two voxels.
 fn chessboard(a: [usize; 3], b: [usize; 3]) -> isize {
     (0..3).map(|n| a[n].abs_diff(b[n])).max().unwrap_or(0) as isize
 }
 
-/// Offsets at chessboard distance `r`, in array order.
+/// Call `visit` for the offsets at chessboard distance `r`, in array order.
 fn for_each_on_cube(r: isize, mut visit: impl FnMut([isize; 3])) {
     for dk in -r..=r {
         for dj in -r..=r {
@@ -332,16 +351,16 @@ impl<B: VoxelGraph + Sync> Graph for IsoRegionGraph<B> {
     }
 }
 
-/// A cost of the whole graph that also weighs the links of the pruned one.
+/// Cost of the unpruned graph that also defines weights for the links of the pruned graph.
 pub trait LinkCost<B>: Cost {
-    /// Weight per mm of a link, between nodes of the whole graph.
+    /// Return the weight per mm of a link between two nodes of the unpruned graph.
     fn link_weight(&self, base: &B, u: u32, v: u32) -> f64;
 
-    /// Weights such that, times the graph's shortest and longest edge, they bound the cost of every edge and link.
+    /// Return weights that, times the graph's shortest and longest edge, bound the cost of every edge and link.
     fn link_weight_range(&self, graph: &IsoRegionGraph<B>) -> (f64, f64);
 }
 
-/// The printed formula knows two ends and a distance: it holds for a link as for an edge.
+/// The printed formula depends only on two ends and a distance, so it applies to a link as to an edge.
 impl LinkCost<BoxGraph> for &PaperCost {
     fn link_weight(&self, _base: &BoxGraph, u: u32, v: u32) -> f64 {
         self.weight(u, v)
@@ -352,11 +371,12 @@ impl LinkCost<BoxGraph> for &PaperCost {
     }
 }
 
-/// A link costs what the straight way of voxels costs that it stands for: its two ends, the middle and the wall, say
-/// little about what lies between.
+/// A link costs as much as the straight line of voxels that it replaces.
+///
+/// Its two ends alone (the middle and the wall) would say little about the voxels between.
 impl LinkCost<LumenGraph> for LumenCost<'_> {
     fn link_weight(&self, base: &LumenGraph, u: u32, v: u32) -> f64 {
-        // From the first of the two, so that both directions round alike.
+        // From the smaller node number, so that both directions round in the same way.
         let [from, to] = [u.min(v), u.max(v)].map(|n| base.voxel(n).map(|x| x as isize));
         let steps = (0..3).map(|a| (to[a] - from[a]).abs()).max().unwrap_or(0);
         let mut before = u.min(v);
@@ -367,7 +387,7 @@ impl LinkCost<LumenGraph> for LumenCost<'_> {
                 from[a] + (share * (to[a] - from[a]) as f64).round() as isize
             });
             let Some(node) = base.node_at_voxel(next) else {
-                // Cubes of one label hold nothing but lumen.
+                // Cubes of one label contain only lumen.
                 return f64::INFINITY;
             };
             let offset = std::array::from_fn(|a| next[a] - at[a]);
@@ -390,7 +410,7 @@ impl LinkCost<LumenGraph> for LumenCost<'_> {
     }
 }
 
-/// A cost of the whole graph on the pruned one.
+/// Cost of the unpruned graph, applied to the pruned graph.
 #[derive(Debug)]
 pub struct PrunedCost<'a, B, C> {
     graph: &'a IsoRegionGraph<B>,
@@ -399,18 +419,18 @@ pub struct PrunedCost<'a, B, C> {
 }
 
 impl<'a, B: VoxelGraph + Sync, C: LinkCost<B>> PrunedCost<'a, B, C> {
-    /// The cost on the nodes that were kept.
+    /// Create the cost for the remaining nodes.
     pub fn new(graph: &'a IsoRegionGraph<B>, cost: C) -> Self {
         let range = cost.link_weight_range(graph);
         Self::with_range(graph, cost, range)
     }
 
-    /// The same with a range that is known already: finding it may take a look at every link.
+    /// Create the cost with a known range of weights; computing the range may need a look at every link.
     pub const fn with_range(graph: &'a IsoRegionGraph<B>, cost: C, range: (f64, f64)) -> Self {
         Self { graph, cost, range }
     }
 
-    /// Its weight range.
+    /// Return the range of the weights.
     pub const fn range(&self) -> (f64, f64) {
         self.range
     }
@@ -448,7 +468,7 @@ impl VoxelGraph for LumenGraph {
     }
 }
 
-/// Undirected edges of a graph.
+/// Count the undirected edges of a graph.
 pub fn count_edges(graph: &(impl Graph + Sync)) -> u64 {
     let ends: u64 = (0..graph.num_nodes() as u32)
         .into_par_iter()

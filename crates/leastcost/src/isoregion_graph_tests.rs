@@ -1,4 +1,4 @@
-//! The pruned graph: the numbers of Figure 12, connectivity, costs.
+//! Tests of the pruned graph: the numbers of Figure 12, connectivity, costs.
 
 use carina_grid::{Affine, Grid, VolumeView};
 use carina_isoregion::value_labels;
@@ -14,7 +14,7 @@ use crate::lumen::{LumenCost, LumenGraph};
 use crate::paper_cost::{PaperCost, Reading, greatest_gradient};
 use crate::tracker::Tracker;
 
-/// Paper, Figure 12(a): the `IsoRegion` map.
+/// `IsoRegion` map of the paper's Figure 12(a).
 const FIGURE_12A: [&str; 7] = [
     "0000000000",
     "0111110000",
@@ -24,7 +24,7 @@ const FIGURE_12A: [&str; 7] = [
     "0000011110",
     "0000000000",
 ];
-/// Paper, Figure 12(b): what is left after pruning.
+/// Remaining voxels after pruning in the paper's Figure 12(b).
 const FIGURE_12B: [&str; 7] = [
     "0000000000",
     "0     0000",
@@ -100,12 +100,12 @@ fn linking_figure_12_connects_it() {
             assert!(links.iter().any(|(other, _)| graph.radius(*other) == 0));
         }
     }
-    // The voxel that was cut away at row 1, column 1 stands under the centre at row 2, column 2.
+    // The pruned voxel at row 1, column 1 is represented by the centre at row 2, column 2.
     let stands_for = graph.node_for_voxel([1, 1, 0]).unwrap();
     assert_eq!(graph.voxel(stands_for), [2, 2, 0]);
 }
 
-/// Components that the given nodes fall into.
+/// Return the number of connected components that contain the given nodes.
 fn components(graph: &impl Graph, nodes: impl Iterator<Item = u32>) -> usize {
     let label = component_of(graph);
     let mut found: Vec<u32> = nodes.map(|n| label[n as usize]).collect();
@@ -114,7 +114,7 @@ fn components(graph: &impl Graph, nodes: impl Iterator<Item = u32>) -> usize {
     found.len()
 }
 
-/// The first node of each node's component.
+/// Return the first node of each node's component.
 fn component_of(graph: &impl Graph) -> Vec<u32> {
     let mut label = vec![u32::MAX; graph.num_nodes()];
     for start in 0..graph.num_nodes() as u32 {
@@ -129,7 +129,7 @@ fn component_of(graph: &impl Graph) -> Vec<u32> {
     label
 }
 
-/// Labels of large regions with islands strewn in.
+/// Return a strategy for labels of large regions with scattered islands.
 fn labels() -> impl Strategy<Value = ([usize; 3], Vec<u8>)> {
     let island = (any::<[u8; 3]>(), 1usize..5, 0u8..4);
     (
@@ -168,7 +168,7 @@ proptest! {
         let grid = grid(shape);
         let graph = pruned(&grid, &labels);
         prop_assert_eq!(components(&graph, 0..graph.num_nodes() as u32), 1);
-        // Every voxel has a node that stands for it.
+        // Every voxel has a node that represents it.
         for n in 0..grid.num_voxels() {
             let voxel = grid.voxel(n).map(|v| v as isize);
             let node = graph.node_for_voxel(voxel).unwrap();
@@ -219,13 +219,13 @@ proptest! {
             .collect();
         pairs.sort_unstable();
         pairs.dedup();
-        // One component of the pruned graph for each of the whole one.
+        // The pruned graph has one component for each component of the unpruned graph.
         let mut whole_labels = whole_labels;
         whole_labels.sort_unstable();
         whole_labels.dedup();
         prop_assert_eq!(pairs.len(), whole_labels.len());
 
-        // No way over links is cheaper than the way of voxels that it stands for.
+        // No path over links is cheaper than the path of voxels that it replaces.
         let cost = PrunedCost::new(&graph, LumenCost(graph.base()));
         let mut pruned_tracker = Tracker::new(&graph, &cost, 0).unwrap();
         pruned_tracker.solve_all(&graph, &cost, &Unwatched).unwrap();
@@ -235,7 +235,7 @@ proptest! {
         for node in 0..graph.num_nodes() as u32 {
             if let Some(found) = pruned_tracker.cost(node) {
                 let least = tracker.cost(graph.whole(node)).unwrap();
-                // 0.5 % for either's quantum.
+                // Tolerance: 0.5 % for the quantum of each of the two graphs.
                 prop_assert!(found >= 0.99 * least, "{found} {least}");
             }
         }

@@ -1,12 +1,14 @@
-//! Least-cost paths through voxels (paper 6): graphs, edge costs, and trackers that can be resumed for every new target.
+//! Least-cost paths through voxels (paper 6): graphs, edge costs, and trackers that can be resumed for every new
+//! target.
 //!
-//! `lumen` turns an airway's lumen into a graph with the cost that keeps to its middle, `lumen_edit` lets that graph follow an
-//! edit, and `tracker` grows the tree of least-cost paths from one root. `box_graph`, `paper_cost` and `isoregion_graph` are
-//! the graph and the cost as the paper prints them, for the same tracker; `graph_tracker` joins every cost with every
-//! graph. `field_tracker` does the same as `tracker` in a whole volume of weights, without a graph in memory; `field_aim`
-//! finds one path there, `field_sweep` every voxel's. `cheapest_way` is the small one: a box of weights, no tree.
+//! `lumen` turns an airway's lumen into a graph with a cost that favours its middle, `lumen_edit` updates that graph
+//! after an edit, and `tracker` grows the tree of least-cost paths from one root. `box_graph`, `paper_cost` and
+//! `isoregion_graph` are the graph and the cost as printed in the paper, for the same tracker; `graph_tracker` combines
+//! every cost with every graph. `field_tracker` does the same as `tracker` in a whole volume of weights, without a
+//! graph in memory; `field_aim` finds one path there, `field_sweep` the costs of every voxel. `cheapest_way` is for a
+//! small box of weights, without a tree.
 //!
-//! Nothing here knows what a trachea is: `carina-airpath` stands on this crate.
+//! This crate contains no anatomy; `carina-airpath` is based on it.
 
 pub mod box_graph;
 mod buckets;

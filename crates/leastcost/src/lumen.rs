@@ -1,9 +1,9 @@
-//! The voxel graph of the airway lumen and the cost `lumen` (docs/algorithms.md).
+//! Voxel graph of the airway lumen and the cost `lumen` (docs/algorithms.md).
 //!
-//! Nodes are lumen voxels only. Two of the 26 neighbours are linked by the straight line between their centres; a step
-//! along an axis always exists, a diagonal one only if the HU interpolated at 1/4, 1/2 and 3/4 of it is still inside: two
-//! lumen voxels can touch at a corner across a wall. The weight per mm falls with the cube of the distance to the
-//! wall, so a path keeps to the middle of the tube it is in, whatever the tube's width.
+//! Nodes are lumen voxels only. An edge links two of the 26 neighbours by the straight line between their centres. A
+//! step along an axis always exists; a diagonal step exists only if the HU interpolated at 1/4, 1/2 and 3/4 of it is
+//! still inside, because two lumen voxels can touch at a corner across a wall. The weight per mm falls with the cube of
+//! the distance to the wall, so a path stays in the middle of the tube, for any width of the tube.
 
 use carina_grid::{Affine, Grid, VolumeView, dot, length};
 use rayon::prelude::*;
@@ -14,34 +14,37 @@ use crate::graph::{Cost, Graph};
 use crate::voxel_set::VoxelSet;
 use crate::wall_sites::{NO_SITE, nearest_outside_lumen};
 
-/// Where the wall begins, in the volume's own numbers (HU on a calibrated CT).
+/// Levels that define the beginning of the wall, in the volume's own numbers (HU on a calibrated CT).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WallLevels {
-    /// Values up to here are air for certain (air of the trachea and its noise).
+    /// Largest value that is certainly air (air of the trachea and its noise).
     pub core: f32,
-    /// Half-way between air and soft tissue.
+    /// Value half-way between air and soft tissue.
     pub wall: f32,
-    /// A diagonal step may rise this far above the brighter of its two ends: noise between lumen voxels.
+    /// Largest rise along a diagonal step above the brighter of its two ends: noise between lumen voxels.
     pub rise: f32,
 }
 
 impl WallLevels {
-    /// The value at the true edge of a lumen of `air` whose wall shows a `peak`; `None` where there is no air.
+    /// Return the value at the true edge of a lumen with the value `air` whose wall has the maximum `peak`.
+    ///
+    /// The result is `None` if the lumen contains no air.
     #[must_use]
     pub fn edge_level(self, air: f64, peak: f64) -> Option<f64> {
         let tissue = 2.0 * (f64::from(self.wall) - air);
         (tissue > 0.0).then(|| air + tissue * edge_of_shown((peak - air) / tissue))
     }
 
-    /// Where the lumen ends on the way out through three voxels (lumen, not lumen, the next), in voxels from the first.
+    /// Return the end of the lumen along three voxels (lumen, not lumen, the next), in voxels from the first.
     ///
-    /// That is half-way up from the lumen to the wall's tissue. A wall thinner than the blur shows less than its tissue, and at
-    /// its true edge a little less than half of it; half of what it shows would lie well inside the lumen
-    /// (docs/decisions/0117). The lumen's last voxel may lie short of it: the flood stops lower.
+    /// The end is half-way up from the lumen to the wall's tissue. A wall thinner than the blur has a maximum below
+    /// that of its tissue, and at its true edge a value slightly below half of the tissue's; half of its maximum would
+    /// be well inside the lumen (docs/decisions/0117). The lumen's last voxel may be before the end, because the flood
+    /// stops at a lower value.
     fn crossing(self, [low, next, beyond]: [i16; 3]) -> f64 {
         let [low, next, beyond] = [low, next, beyond].map(f64::from);
         let Some(level) = self.edge_level(low, next.max(beyond)) else {
-            // No air: lumen that a person painted.
+            // The voxel has no air: a person painted this part of the lumen.
             return 0.5;
         };
         if low < level && level <= next {
@@ -49,16 +52,19 @@ impl WallLevels {
         } else if next < level && level <= beyond {
             1.0 + (level - next) / (beyond - next)
         } else {
-            // No wall to be seen: the lumen was ended here for another reason (a closed breach).
+            // No wall is visible: the lumen was ended here for another reason (a closed breach).
             0.5
         }
     }
 }
 
-/// How far up from the lumen to the wall's tissue the values are at the lumen's true edge, by how far up they come at all.
+/// Return the value at the lumen's true edge from the maximum value of the wall.
 ///
-/// A flat wall of thickness w under a Gaussian blur sigma shows 2 Phi(w / 2 sigma) - 1 of its tissue, and Phi(w / sigma) - 1/2
-/// at its edge; Phi is the normal distribution. Both follow from w / sigma, hence one from the other, at tenths here.
+/// Both are fractions of the rise from the lumen to the wall's tissue.
+///
+/// A flat wall of thickness w under a Gaussian blur sigma has a maximum of 2 Phi(w / 2 sigma) - 1 of its tissue, and
+/// Phi(w / sigma) - 1/2 at its edge; Phi is the normal distribution. Both depend only on w / sigma, so one follows from
+/// the other; here it is tabulated at tenths.
 fn edge_of_shown(share: f64) -> f64 {
     const EDGE: [f64; 11] = [
         0.0, 0.0992, 0.1938, 0.2795, 0.3529, 0.4113, 0.4538, 0.4809, 0.4948, 0.4995, 0.5,
@@ -68,15 +74,15 @@ fn edge_of_shown(share: f64) -> f64 {
     EDGE[before] + (at - before as f64) * (EDGE[before + 1] - EDGE[before])
 }
 
-/// Lumen voxels, which of their 26 neighbours they are linked to, and how far the wall is.
+/// Lumen voxels, their links to the 26 neighbours, and their distances to the wall.
 #[derive(Debug)]
 pub struct LumenGraph {
     pub(crate) lumen: VoxelSet,
-    /// In array order.
+    /// Voxels in array order.
     pub(crate) voxels: Vec<[u16; 3]>,
     pub(crate) edges: Vec<u32>,
     pub(crate) wall_mm: Vec<f32>,
-    /// The nearest voxel outside, from which the wall was looked up.
+    /// Nearest voxel outside for each node, from which the wall was found.
     pub(crate) sites: Vec<[u16; 3]>,
     steps: [Step; 26],
     lps_from_ijk: Affine,
@@ -88,7 +94,7 @@ struct Step {
     length_mm: f64,
 }
 
-/// The 26 steps in array order: step `25 - s` is the opposite of step `s`.
+/// Return the 26 steps in array order: step `25 - s` is the opposite of step `s`.
 fn steps(grid: &Grid) -> [Step; 26] {
     std::array::from_fn(|s| {
         let cell = if s < 13 { s } else { s + 1 } as isize;
@@ -101,10 +107,14 @@ fn steps(grid: &Grid) -> [Step; 26] {
 }
 
 impl LumenGraph {
-    /// The graph of the voxels where `lumen` is not 0.
+    /// Build the graph of the voxels where `lumen` is not 0.
     ///
-    /// `levels` is `None` for a lumen that did not come from these values (an imported mask): then all 26 neighbours are
-    /// linked and the wall is taken half-way between voxels.
+    /// `levels` is `None` for a lumen that was not found in these values (an imported mask): then all 26 neighbours are
+    /// linked and the wall is half-way between voxels.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if an argument is not valid.
     pub fn build(
         values: VolumeView<'_, i16>,
         lumen: &[u8],
@@ -146,7 +156,7 @@ impl LumenGraph {
         Ok(graph)
     }
 
-    /// The graph of voxels in array order, before edges and distances to the wall are known.
+    /// Create the graph of voxels in array order, before edges and distances to the wall are known.
     pub(crate) fn unlinked(grid: &Grid, voxels: Vec<[u16; 3]>) -> Self {
         let shape = grid.shape_ijk();
         let lumen = VoxelSet::new(
@@ -165,14 +175,14 @@ impl LumenGraph {
         }
     }
 
-    /// Edge mask of a node: bit s for step s.
+    /// Return the edge mask of a node: bit s for step s.
     pub(crate) fn links(
         &self,
         values: VolumeView<'_, i16>,
         levels: Option<WallLevels>,
         node: u32,
     ) -> u32 {
-        // Both ends of an edge compute the same test: the samples at 1/4, 1/2, 3/4 are the same three points.
+        // Both ends of an edge give the same result: the samples at 1/4, 1/2, 3/4 are the same three points.
         let from = self.voxels[node as usize].map(|v| v as isize);
         let mut mask = 0u32;
         for (s, step) in self.steps.iter().enumerate() {
@@ -185,7 +195,7 @@ impl LumenGraph {
         mask
     }
 
-    /// Distance of a node to the wall near its nearest voxel outside, mm.
+    /// Return the distance of a node to the wall near its nearest voxel outside, mm.
     pub(crate) fn wall_from_site(
         &self,
         values: VolumeView<'_, i16>,
@@ -203,7 +213,8 @@ impl LumenGraph {
         self.nearest_crossing_mm(values, levels, spacing, from, wall) as f32
     }
 
-    /// Least distance from a lumen voxel to a threshold crossing on a grid edge near the outside voxel `wall`.
+    /// Return the smallest distance from a lumen voxel to a threshold crossing on a grid edge near the outside voxel
+    /// `wall`.
     fn nearest_crossing_mm(
         &self,
         values: VolumeView<'_, i16>,
@@ -245,43 +256,45 @@ impl LumenGraph {
         if best.is_finite() {
             return best;
         }
-        // The nearest outside voxel always has a lumen voxel beside it; kept for lumens of odd shape.
+        // The nearest outside voxel always has a lumen voxel beside it; this line is a fallback for lumens of unusual
+        // shape.
         length(std::array::from_fn(|a| {
             (wall[a] - from[a]) as f64 * spacing[a]
         }))
     }
 
-    /// Length of an offset between voxels, mm.
+    /// Return the length of an offset between voxels, mm.
     #[must_use]
     pub fn step_mm(&self, offset_ijk: [isize; 3]) -> f64 {
         length(self.lps_from_ijk.vector(offset_ijk.map(|v| v as f64)))
     }
 
-    /// The box that holds the lumen.
+    /// Return the box that contains the lumen.
     #[must_use]
     pub const fn voxel_box(&self) -> VoxelBox {
         self.lumen.voxel_box()
     }
 
-    /// The node of a voxel of the volume.
+    /// Return the node of a voxel of the volume.
     #[must_use]
     pub fn node_at_voxel(&self, ijk: [isize; 3]) -> Option<u32> {
         self.lumen.place(ijk)
     }
 
-    /// The voxel of a node.
+    /// Return the voxel of a node.
     #[must_use]
     pub fn voxel(&self, node: u32) -> [usize; 3] {
         self.voxels[node as usize].map(usize::from)
     }
 
-    /// Distance of a node's centre to the wall, mm.
+    /// Return the distance of a node's centre to the wall, mm.
     #[must_use]
     pub fn wall_mm(&self, node: u32) -> f64 {
         f64::from(self.wall_mm[node as usize])
     }
 
-    /// True if the straight line between two voxel-coordinate points stays in lumen voxels (sampled every half voxel).
+    /// Return true if the straight line between two points (voxel coordinates) stays in lumen voxels (sampled every
+    /// half voxel).
     #[must_use]
     pub fn sees(&self, from_ijk: [f64; 3], to_ijk: [f64; 3]) -> bool {
         let longest = (0..3)
@@ -296,15 +309,18 @@ impl LumenGraph {
         })
     }
 
-    /// True if the voxel that holds this point (voxel coordinates) is lumen.
+    /// Return true if the voxel that contains this point (voxel coordinates) is lumen.
     #[must_use]
     pub fn holds(&self, ijk: [f64; 3]) -> bool {
         self.lumen.holds(ijk.map(|v| (v + 0.5).floor() as isize))
     }
 
-    /// The point itself inside the lumen; else the nearest place on the way to the centre of the nearest lumen voxel.
+    /// Return the point itself if it is inside the lumen.
     ///
-    /// A straight line between two points inside can pass the corner of a voxel outside; this is for such points.
+    /// Otherwise return the nearest position on the line to the centre of the nearest lumen voxel.
+    ///
+    /// A straight line between two points inside the lumen can pass the corner of a voxel outside; this function
+    /// corrects such points.
     #[must_use]
     pub fn pulled_inside(&self, grid: &Grid, ijk: [f64; 3]) -> [f64; 3] {
         let reach_mm = length(grid.spacing_mm());
@@ -324,7 +340,9 @@ impl LumenGraph {
             .unwrap_or(centre)
     }
 
-    /// The lumen voxel nearest to a point within `reach_mm`, and its distance; ties go to the first in array order.
+    /// Return the lumen voxel nearest to a point within `reach_mm`, and its distance.
+    ///
+    /// Of equally near voxels, the first in array order is returned.
     #[must_use]
     pub fn nearest_node(&self, grid: &Grid, ijk: [f64; 3], reach_mm: f64) -> Option<(u32, f64)> {
         let spacing = grid.spacing_mm();
@@ -343,12 +361,13 @@ impl LumenGraph {
         let mut best: Option<(u32, f64)> = None;
         for k in low[2]..=high[2] {
             for j in low[1]..=high[1] {
-                // From the point to the row's line: where that is farther than what is found, the row holds nothing.
+                // Distance from the point to the line of the row: a row farther away than the best voxel so far
+                // contains no nearer voxel.
                 let off = [0.0, j as f64 - ijk[1], k as f64 - ijk[2]];
                 let off = grid.lps_from_ijk().vector(off);
                 let beside = dot(off, off) - dot(off, along).powi(2) / dot(along, along);
                 let most = best.map_or(reach_mm, |(_, distance)| distance);
-                // A little more: a row at exactly that distance is looked at, whatever is lost in rounding.
+                // The margin ensures that a row at exactly that distance is searched in spite of rounding.
                 if beside > most * most * (1.0 + 1e-9) + 1e-9 {
                     continue;
                 }
@@ -368,7 +387,7 @@ impl LumenGraph {
     }
 }
 
-/// The smallest box round the voxels with one voxel of margin, clipped to the volume.
+/// Return the smallest box round the voxels with one voxel of margin, clipped to the volume.
 fn box_around(voxels: &[[u16; 3]], shape: [usize; 3]) -> VoxelBox {
     let (mut low, mut high) = ([usize::MAX; 3], [0usize; 3]);
     for voxel in voxels {
@@ -400,7 +419,7 @@ fn line_is_inside(
     })
 }
 
-/// Trilinear value at a point, edge-clamped.
+/// Return the trilinear value at a point; outside the volume the nearest edge value is used.
 #[must_use]
 pub fn interpolated(values: VolumeView<'_, i16>, ijk: [f64; 3]) -> f32 {
     let base = ijk.map(|v| v.floor() as isize);
@@ -433,9 +452,9 @@ impl Graph for LumenGraph {
     fn for_each_edge(&self, node: u32, mut visit: impl FnMut(u32, f64)) {
         let from = self.voxels[node as usize].map(|v| v as isize);
         let mask = self.edges[node as usize];
-        // Nine rows of three: in a row, one count of members gives the places of all.
+        // Nine rows of three voxels: in a row, one count of members gives the indices of all three.
         for row in 0..9usize {
-            // The middle row has no middle: two steps.
+            // The middle row does not contain the voxel itself, so it has two steps.
             let first_step = if row < 5 { 3 * row } else { 3 * row - 1 };
             let is_middle = row == 4;
             if mask >> first_step & if is_middle { 0b11 } else { 0b111 } == 0 {
@@ -471,11 +490,11 @@ impl Graph for LumenGraph {
     }
 }
 
-/// The cost `lumen`: weight per mm = (10 mm / distance to the wall)^3, the distance kept within 0.4 to 10 mm.
+/// Cost `lumen`: weight per mm = (10 mm / distance to the wall)^3, with the distance clamped to 0.4 to 10 mm.
 ///
-/// A power of the distance has no scale: a path keeps to the middle alike in a trachea and in a small bronchus. Cubed,
-/// because with the square a path to one main bronchus leaves the middle of the trachea 3 cm above the carina. 10 mm is
-/// wider than any trachea's radius, 0.4 mm is about half a voxel.
+/// A power of the distance has no scale, so a path stays in the middle of a trachea and of a small bronchus alike. The
+/// exponent is 3, because with 2 a path to one main bronchus leaves the middle of the trachea 3 cm above the carina. 10
+/// mm is larger than any trachea's radius; 0.4 mm is about half a voxel.
 #[derive(Debug, Clone, Copy)]
 pub struct LumenCost<'a>(pub &'a LumenGraph);
 

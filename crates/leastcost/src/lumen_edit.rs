@@ -1,11 +1,13 @@
-//! A lumen that a person edits: the graph and the least-cost tree follow, and only what depends on the edit is computed.
+//! Update of the graph and of the least-cost tree after a person has edited the lumen.
 //!
-//! What is exact here is exact by construction. An edge depends on its two voxels, a distance to the wall on the nearest
-//! voxel outside and on the voxels within two of that one; so where those are as they were, the old number is the new one.
-//! For the tree of least costs: a node whose old path touches nothing that changed keeps that path as a candidate, all
-//! others are found again from their neighbours, and what became cheaper is passed on (Ramalingam and Reps 1996).
-//! Among equally cheap paths the one through the first voxel in array order is taken, so that the tree does not depend on
-//! how it was reached.
+//! Only the parts that depend on the edit are computed again.
+//!
+//! The results are exact by construction. An edge depends on its two voxels; a distance to the wall depends on the
+//! nearest voxel outside and on the voxels within two of that one. If these voxels are unchanged, the old number is
+//! also the new one. For the tree of least costs: a node whose old path includes no change keeps that path as a
+//! candidate; all other nodes are computed again from their neighbours, and decreased costs are propagated (Ramalingam
+//! and Reps 1996). Among equally cheap paths the one through the first voxel in array order is taken, so that the tree
+//! does not depend on the sequence of edits.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -20,22 +22,27 @@ use crate::tracker::{Tracker, UNREACHED};
 use crate::voxel_set::VoxelSet;
 use crate::{TrackError, Watch};
 
-/// A graph after an edit, and how it came out of the one before.
+/// Graph after an edit, and its relation to the previous graph.
 #[derive(Debug)]
 pub struct Edited {
-    /// The new graph; equal to one built from the new lumen.
+    /// New graph; equal to one built from the new lumen.
     pub graph: LumenGraph,
-    /// The new node of each old one; `NO_NODE` where its voxel was taken away.
+    /// New node of each old node; `NO_NODE` if its voxel was removed.
     pub new_of_old: Vec<u32>,
-    /// New nodes that were not there before, or whose edges or distance to the wall changed.
+    /// New nodes that did not exist before, or whose edges or distance to the wall changed.
     pub dirty: Vec<u32>,
-    /// Box round the nodes whose distance to the wall changed and round the voxels that were added or taken away.
+    /// Box round the nodes whose distance to the wall changed and round the voxels that were added or removed.
     pub changed_box: Option<VoxelBox>,
 }
 
-/// The graph of a lumen from which `removed` were taken away and to which `added` were added.
+/// Build the graph of a lumen after `removed` voxels were removed and `added` voxels were added.
 ///
-/// Voxels that are there already, or are not there, do no harm. `values` and `levels` must be those of the graph.
+/// Added voxels that already exist and removed voxels that do not exist have no effect. `values` and `levels` must be
+/// those of the graph.
+///
+/// # Errors
+///
+/// Returns an error if the edited lumen is empty.
 pub fn edited(
     graph: &LumenGraph,
     values: VolumeView<'_, i16>,
@@ -128,7 +135,7 @@ fn signed(voxel: [u16; 3]) -> [isize; 3] {
     voxel.map(|v| v as isize)
 }
 
-/// Old voxels that stay and new ones, in array order, and where the old ones went.
+/// Return the remaining and the new voxels in array order, and the new index of each old voxel.
 fn merged(graph: &LumenGraph, added: &[[u16; 3]], gone: &[bool]) -> (Vec<[u16; 3]>, Vec<u32>) {
     let key = |v: [u16; 3]| [v[2], v[1], v[0]];
     let mut voxels = Vec::with_capacity(gone.len() + added.len());
@@ -148,13 +155,13 @@ fn merged(graph: &LumenGraph, added: &[[u16; 3]], gone: &[bool]) -> (Vec<[u16; 3
     (voxels, new_of_old)
 }
 
-/// The voxels within `reach` steps of the given ones.
+/// Return the voxels within `reach` steps of the given ones.
 fn dilated(voxels: &[[isize; 3]], reach: isize) -> VoxelSet {
     let around = box_of(voxels.iter().copied()).unwrap_or(VoxelBox {
         first_ijk: [0; 3],
         shape_ijk: [0; 3],
     });
-    // Below 0 lies no voxel that anybody asks for.
+    // Coordinates below 0 are outside the volume and are not needed.
     let first_ijk = around.first_ijk.map(|f| f.saturating_sub(reach as usize));
     let shape_ijk = std::array::from_fn(|a| {
         (around.first_ijk[a] + around.shape_ijk[a] + reach as usize) - first_ijk[a]
@@ -193,7 +200,8 @@ fn box_of(voxels: impl Iterator<Item = [isize; 3]>) -> Option<VoxelBox> {
     })
 }
 
-/// The cost `lumen` with each node's part looked up: the same numbers as [`LumenCost`], without a power for every edge.
+/// Cost `lumen` with a precomputed part for each node: the same numbers as [`LumenCost`], without a power for every
+/// edge.
 struct NodeCost(Vec<f64>, (f64, f64));
 
 impl NodeCost {
@@ -217,26 +225,34 @@ impl Cost for NodeCost {
     }
 }
 
-/// Least costs from a root to all nodes, with the first of equally cheap paths: the whole of it from scratch.
+/// Compute from scratch the least costs from a root to all nodes, with the first of equally cheap paths.
+///
+/// # Errors
+///
+/// Returns an error if the costs have too wide a range or `watch` stops the search.
 pub fn solved(graph: &LumenGraph, root: u32, watch: &impl Watch) -> Result<Tracker, TrackError> {
     Tracker::solved_in_order(graph, &NodeCost::new(graph), root, watch)
 }
 
-/// The same least costs, with the first of equally cheap paths.
+/// Return a tracker with the same least costs and the first of equally cheap paths.
 fn with_first_of_equals(graph: &LumenGraph, tracker: &Tracker) -> Tracker {
     let cost = NodeCost::new(graph);
     let nodes: Vec<u32> = (0..graph.num_nodes() as u32).collect();
     let (root, quantum, costs) = (tracker.root(), tracker.quantum(), tracker.costs());
     let before = first_predecessors(graph, &cost, quantum, root, &costs, &nodes);
     let mut order = tracker.settled().to_vec();
-    // Nearly in order already, which this sort is quick at.
+    // The list is nearly sorted already, which makes this sort fast.
     order.sort_by_key(|n| (costs[*n as usize], *n));
     Tracker::from_costs(root, quantum, costs, before, order, true)
 }
 
-/// Least costs after an edit, from those before it; the root must have stayed.
+/// Compute the least costs after an edit from those before it.
 ///
-/// `tracker` is that of `old_graph`. Equal to [`solved`] on the edited graph.
+/// `tracker` must be that of `old_graph`. The result equals [`solved`] on the edited graph.
+///
+/// # Errors
+///
+/// Returns an error if the root was removed or `watch` stops the search.
 pub fn followed(
     old_graph: &LumenGraph,
     tracker: &Tracker,
@@ -251,12 +267,13 @@ pub fn followed(
         ));
     }
     let num_nodes = graph.num_nodes();
-    // A tracker that was stopped half-way is no ground to stand on.
+    // A tracker that was stopped early cannot be updated.
     if !tracker.is_done() || 2 * edited.dirty.len() > num_nodes {
         return solved(graph, root, watch);
     }
     let (lost, is_dirty_root) = lost_nodes(tracker, edited, root);
-    // Any least-cost tree tells so: before it is made the one of the first of equals.
+    // This test gives the same result for any least-cost tree, so it comes before the conversion to the first of equal
+    // paths.
     if 2 * lost.iter().filter(|lost| **lost).count() > num_nodes {
         return solved(graph, root, watch);
     }
@@ -323,7 +340,7 @@ pub fn followed(
             }
         });
     }
-    // The way to a node is chosen again where its own cost, an edge or a neighbour's cost is another one.
+    // The predecessor of a node is chosen again if its cost, an edge or the cost of a neighbour has changed.
     let mut choose = changed.clone();
     for node in (0..num_nodes as u32).filter(|n| changed[*n as usize]) {
         graph.for_each_edge(node, |v, _| choose[v as usize] = true);
@@ -345,13 +362,13 @@ pub fn followed(
     ))
 }
 
-/// Nodes whose path touches what changed, which lose their cost; and whether an edge of the root changed.
+/// Return the nodes whose path includes a change and which lose their cost, and whether an edge of the root changed.
 fn lost_nodes(tracker: &Tracker, edited: &Edited, root: u32) -> (Vec<bool>, bool) {
     let mut lost = vec![false; edited.graph.num_nodes()];
     for &node in &edited.dirty {
         lost[node as usize] = true;
     }
-    // The root keeps its cost of nothing; what was reached from it over an edge that changed does not.
+    // The root keeps its cost of 0; nodes that were reached from it over a changed edge do not keep theirs.
     let is_dirty_root = lost[root as usize];
     lost[root as usize] = false;
     // A node comes after its predecessor.
@@ -370,7 +387,7 @@ fn lost_nodes(tracker: &Tracker, edited: &Edited, root: u32) -> (Vec<bool>, bool
     (lost, is_dirty_root)
 }
 
-/// All nodes with a cost in the order of cost and then of nodes: those that kept it keep their order.
+/// Return all nodes with a cost in the order of cost and then of nodes; nodes with unchanged cost keep their order.
 fn merged_order(tracker: &Tracker, edited: &Edited, costs: &[u64], changed: &[bool]) -> Vec<u32> {
     let key = |n: u32| (costs[n as usize], n);
     let mut moved: Vec<u32> = (0..costs.len() as u32)
@@ -394,7 +411,7 @@ fn merged_order(tracker: &Tracker, edited: &Edited, costs: &[u64], changed: &[bo
     order
 }
 
-/// For each of `nodes` the first neighbour, in array order, through which its least cost is reached.
+/// Return, for each of `nodes`, the first neighbour in array order through which its least cost is reached.
 fn first_predecessors(
     graph: &LumenGraph,
     cost: &NodeCost,
@@ -424,7 +441,9 @@ fn first_predecessors(
         .collect()
 }
 
-/// Voxels that a path reaches in one graph and not in another; told by the graphs and whether each node is reached.
+/// Return the voxels that a path reaches in one graph but not in the other.
+///
+/// Each graph is given with a flag for each reached node.
 #[must_use]
 pub fn newly_reached(new: (&LumenGraph, &[bool]), old: (&LumenGraph, &[bool])) -> Vec<[u16; 3]> {
     let was = |voxel| {
@@ -438,10 +457,10 @@ pub fn newly_reached(new: (&LumenGraph, &[bool]), old: (&LumenGraph, &[bool])) -
         .collect()
 }
 
-/// The voxels of a lumen as one byte each, x fastest.
+/// Return the voxels of a lumen as one byte each, x fastest.
 #[must_use]
 pub fn as_bytes(graph: &LumenGraph, grid: &Grid) -> Vec<u8> {
-    // Zeroed by the system: pages without lumen are never touched, and take no memory.
+    // The system provides zeroed memory: pages without lumen are never written and take no memory.
     let mut bytes = vec![0u8; grid.num_voxels()];
     for voxel in &graph.voxels {
         bytes[grid.index(voxel.map(usize::from))] = 1;

@@ -1,4 +1,5 @@
-//! A lumen edited step by step gives, bit for bit, the graph and the tree of least costs of the same lumen from scratch.
+//! Tests that a lumen edited step by step gives, bit for bit, the graph and the tree of least costs of the same lumen
+//! from scratch.
 
 use carina_grid::{Affine, Grid, VolumeView};
 use proptest::prelude::*;
@@ -22,7 +23,7 @@ fn grid() -> Grid {
     .unwrap()
 }
 
-/// A ball of voxels, and whether it is painted or erased.
+/// Return a strategy for edits: balls of voxels that are painted or erased.
 fn strokes() -> impl Strategy<Value = Vec<([i32; 3], i32, bool)>> {
     let at = (0..14i32, 0..12i32, 0..16i32).prop_map(|(i, j, k)| [i, j, k]);
     prop::collection::vec((at, 0..9i32, any::<bool>()), 1..6)
@@ -61,7 +62,7 @@ proptest! {
         let grid = grid();
         let view = VolumeView::new(&noise, &grid).unwrap();
         let levels = with_levels.then_some(WallLevels { core: -900.0, wall: -400.0, rise: 100.0 });
-        // A tube down the middle, so that what is far from a stroke keeps what it had.
+        // A tube down the middle, so that parts far from an edit stay unchanged.
         let tube = |at: usize| {
             let v = grid.voxel(at);
             u8::from((5..9).contains(&v[0]) && (4..8).contains(&v[1]))
@@ -70,7 +71,7 @@ proptest! {
         let root = [6, 6, 15];
         let mut graph = LumenGraph::build(view, &lumen, levels).unwrap();
         let root_node = graph.node_at_voxel(root).unwrap();
-        // As it comes from the automatic search: ties broken by the queue.
+        // As after the automatic search: the queue decides between equal costs.
         let cost = LumenCost(&graph);
         let mut tracker = Tracker::new(&graph, &cost, root_node).unwrap();
         tracker.solve_all(&graph, &cost, &Unwatched).unwrap();
@@ -94,7 +95,7 @@ proptest! {
             prop_assert_eq!(&as_bytes(&step.graph, &grid), &lumen);
             let fresh = solved(&whole, whole.node_at_voxel(root).unwrap(), &Unwatched).unwrap();
             same(&next, &fresh, whole.num_nodes())?;
-            // Nothing outside the box that is told has another distance to the wall.
+            // No voxel outside the returned box has another distance to the wall.
             for node in 0..graph.num_nodes() as u32 {
                 let voxel = graph.voxel(node).map(|v| v as isize);
                 let is_told = step.changed_box.is_some_and(|b| b.index_of(voxel).is_some());
@@ -149,7 +150,7 @@ proptest! {
         match found {
             None => prop_assert!(least[goal].is_infinite()),
             Some(way) => {
-                // 1e-9: sums in another order.
+                // Tolerance 1e-9: the two sums add their terms in different orders.
                 prop_assert!((way.cost - least[goal]).abs() < 1e-9);
                 prop_assert_eq!(way.voxels[0], voxel(goal));
                 prop_assert_eq!(way.voxels[way.voxels.len() - 1], voxel(start));

@@ -1,13 +1,13 @@
-//! The costs `paper` and `walls` (paper 6.2), from the gradient and the sign of the Laplacian.
+//! Costs `paper` and `walls` (paper 6.2), from the gradient and the sign of the Laplacian.
 //!
-//! `cost(u, v) = |p(u) - p(v)| (w_g f_g(u, v) + w_z f_z(u, v))`, in mm. The printed formula makes *high* gradients cheap:
-//! a path follows the edges of things, the airway's wall among them. 6.3 says the opposite: "the wall of the airway has such a
-//! high cost" that no path goes through it. [`Reading::Printed`] is the letter,
-//! [`Reading::Walls`] the sense: the same two functions with the sign turned round. Whoever uses either counts the points that
-//! leave the lumen.
+//! `cost(u, v) = |p(u) - p(v)| (w_g f_g(u, v) + w_z f_z(u, v))`, in mm. The printed formula makes *high* gradients
+//! cheap, so a path follows edges, including the airway's wall. Section 6.3 says the opposite: "the wall of the airway
+//! has such a high cost" that no path goes through it. [`Reading::Printed`] is the printed formula, [`Reading::Walls`]
+//! the intended meaning: the same two functions with the opposite sign. Users of either cost should count the points
+//! that leave the lumen.
 //!
-//! [`gradient`] and [`laplacian`] are the formulas as they read; [`PaperCost::build`] fills a table of them, row by row, and
-//! equals them.
+//! [`gradient`] and [`laplacian`] are the formulas as printed; [`PaperCost::build`] fills a table with equal numbers,
+//! row by row.
 
 use carina_grid::{VolumeView, length};
 use rayon::prelude::*;
@@ -24,11 +24,14 @@ pub const ZERO_CROSSING_WEIGHT: f64 = 0.3;
 
 /// Least weight per mm.
 ///
-/// Paper 6.2. Departure: the printed weight can be 0, and then the integer costs have no least edge to be right within
-/// 0.5 % of. Only edges along which the mean gradient is above 99.4 % of the volume's greatest are below it.
+/// Paper 6.2. Departure: the printed weight can be 0, and then the integer costs have no smallest edge that would
+/// define an accuracy of 0.5 %. Only edges along which the mean gradient is above 99.4 % of the volume's largest are
+/// below this limit.
 pub const LEAST_WEIGHT: f64 = 1.0 / 256.0;
 
-/// G(u), the length of the gradient in units per mm, by central differences; values beyond the edge repeat it.
+/// Return G(u), the length of the gradient in units per mm, by central differences.
+///
+/// Values beyond the edge repeat the edge.
 #[must_use]
 pub fn gradient(values: VolumeView<'_, i16>, ijk: [usize; 3]) -> f64 {
     let spacing = values.grid().spacing_mm();
@@ -43,7 +46,9 @@ pub fn gradient(values: VolumeView<'_, i16>, ijk: [usize; 3]) -> f64 {
     }))
 }
 
-/// 26 times the printed discrete Laplacian: 27 V less the sum over the 27 voxels; beyond the edge values repeat it.
+/// Return 26 times the printed discrete Laplacian: 27 V minus the sum over the 27 voxels.
+///
+/// Values beyond the edge repeat the edge.
 #[must_use]
 pub fn laplacian(values: VolumeView<'_, i16>, ijk: [usize; 3]) -> i32 {
     let at = ijk.map(|v| v as isize);
@@ -56,10 +61,10 @@ pub fn laplacian(values: VolumeView<'_, i16>, ijk: [usize; 3]) -> i32 {
     27 * i32::from(values.at(ijk)) - sum
 }
 
-/// Weight per mm from G / max(G) and the Laplacian at both ends.
+/// Return the weight per mm from G / max(G) and the Laplacian at both ends.
 ///
-/// Paper 6.2. Departure: `f_g` is 1 - (G(u) + G(v)) / (2 max(G)), since the printed form without the 2 reaches -1 and
-/// Dijkstra needs weights of at least 0.
+/// Paper 6.2. Departure: `f_g` is 1 - (G(u) + G(v)) / (2 max(G)), because the printed form without the 2 reaches -1 and
+/// Dijkstra's algorithm needs weights of at least 0.
 #[must_use]
 pub fn weight(gradient_share: [f64; 2], laplacian: [i32; 2]) -> f64 {
     let f_g = 1.0 - 0.5 * (gradient_share[0] + gradient_share[1]);
@@ -71,10 +76,10 @@ pub fn weight(gradient_share: [f64; 2], laplacian: [i32; 2]) -> f64 {
     (GRADIENT_WEIGHT * f_g + ZERO_CROSSING_WEIGHT * f_z).max(LEAST_WEIGHT)
 }
 
-/// Weight per mm with the sign turned round: high gradients and zero crossings are dear (paper 6.3).
+/// Return the weight per mm with the opposite sign: high gradients and zero crossings are expensive (paper 6.3).
 ///
-/// Departures: `f_g` is (G(u) + G(v)) / (2 max(G)); where a Laplacian is 0 there is no crossing, as nothing changes its sign in
-/// air without noise; no weight is below [`LEAST_WEIGHT`].
+/// Departures: `f_g` is (G(u) + G(v)) / (2 max(G)); a Laplacian of 0 is no crossing, because nothing changes its sign
+/// in air without noise; no weight is below [`LEAST_WEIGHT`].
 #[must_use]
 pub fn wall_weight(gradient_share: [f64; 2], laplacian: [i32; 2]) -> f64 {
     let f_g = 0.5 * (gradient_share[0] + gradient_share[1]);
@@ -86,23 +91,28 @@ pub fn wall_weight(gradient_share: [f64; 2], laplacian: [i32; 2]) -> f64 {
     (GRADIENT_WEIGHT * f_g + ZERO_CROSSING_WEIGHT * f_z).max(LEAST_WEIGHT)
 }
 
-/// Which way the paper's cost is read.
+/// Interpretation of the paper's cost.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Reading {
     /// As printed in 6.2: walls are cheap.
     Printed,
-    /// As 6.3 needs it: walls are dear.
+    /// As 6.3 requires: walls are expensive.
     Walls,
 }
 
-/// What stands for max(G) where walls are dear: this share of the volume's voxels has no higher gradient.
+/// Share of the volume's voxels without a higher gradient than the value used instead of max(G) for [`Reading::Walls`].
 ///
-/// Departure: metal or contrast sets the greatest gradient of a volume, and beside it walls would cost next to nothing.
+/// Departure: metal or contrast medium determines the largest gradient of a volume, and relative to it walls would cost
+/// nearly nothing.
 pub const CLIPPED_SHARE: f64 = 0.999;
 const NUM_BINS: usize = 1 << 14;
 
 impl Reading {
-    /// What gradients are divided by.
+    /// Return the divisor of the gradients.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if `watch` stops the computation.
     pub fn scale(self, values: VolumeView<'_, i16>, watch: &impl Watch) -> Result<f64, TrackError> {
         let greatest = greatest_gradient(values, watch)?;
         match self {
@@ -119,7 +129,8 @@ impl Reading {
     }
 }
 
-/// The gradient that [`CLIPPED_SHARE`] of the voxels do not pass, to a bin of 1 / 16384 of the greatest.
+/// Return the gradient that [`CLIPPED_SHARE`] of the voxels do not exceed, with an accuracy of 1 / 16384 of the largest
+/// gradient.
 fn clipped_gradient(
     values: VolumeView<'_, i16>,
     greatest: f64,
@@ -170,7 +181,11 @@ fn clipped_gradient(
     Ok(greatest * (bin + 1) as f64 / NUM_BINS as f64)
 }
 
-/// max(G) over the whole volume.
+/// Return max(G) over the whole volume.
+///
+/// # Errors
+///
+/// Returns an error if `watch` stops the computation.
 pub fn greatest_gradient(
     values: VolumeView<'_, i16>,
     watch: &impl Watch,
@@ -198,19 +213,24 @@ pub fn greatest_gradient(
     Ok(greatest.into_iter().fold(0.0, f64::max).sqrt())
 }
 
-/// The cost of the edges of a [`BoxGraph`], 5 bytes for each of its voxels.
+/// Cost of the edges of a [`BoxGraph`], 5 bytes for each of its voxels.
 #[derive(Debug)]
 pub struct PaperCost {
     reading: Reading,
-    /// G / max(G), 0 to 1. f32 keeps `f_g` right within 1e-7.
+    /// G / max(G), 0 to 1. f32 gives `f_g` an accuracy of 1e-7.
     gradient_share: Vec<f32>,
-    /// Sign of the Laplacian: the zero crossing needs no more of it.
+    /// Sign of the Laplacian, which is all that the zero crossing needs.
     laplacian_sign: Vec<i8>,
 }
 
 impl PaperCost {
-    /// The table for the voxels of a graph, on the values of the whole volume; `greatest_gradient` is [`Reading::scale`] of the
-    /// volume.
+    /// Build the table for the voxels of a graph from the values of the whole volume.
+    ///
+    /// `greatest_gradient` is [`Reading::scale`] of the volume.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if `watch` stops the computation.
     pub fn build(
         values: VolumeView<'_, i16>,
         graph: &BoxGraph,
@@ -222,7 +242,7 @@ impl PaperCost {
         let [nx, ny, nz] = voxel_box.shape_ijk;
         let mut gradient_share = vec![0.0f32; voxel_box.num_voxels()];
         let mut laplacian_sign = vec![0i8; voxel_box.num_voxels()];
-        // A volume of one value has no gradient anywhere: f_g is 1.
+        // A volume of one value has no gradient anywhere, so f_g is 1.
         let scale = if greatest_gradient > 0.0 {
             1.0 / greatest_gradient
         } else {
@@ -284,7 +304,7 @@ impl Cost for &PaperCost {
     }
 }
 
-/// Gradient and Laplacian of one row of a box at a time; the volume's values are read across the box's sides.
+/// Gradient and Laplacian of one row of a box at a time; neighbours outside the box are read from the volume.
 struct Rows<'a> {
     values: VolumeView<'a, i16>,
     first_i: usize,
@@ -306,7 +326,7 @@ impl<'a> Rows<'a> {
         }
     }
 
-    /// The row of the volume at `(j, k)` moved by an offset and clamped to the edge.
+    /// Return the row of the volume at `(j, k)` moved by an offset and clamped to the edge.
     fn row(&self, j: usize, k: usize, [dj, dk]: [isize; 2]) -> &'a [i16] {
         let [nx, ny, nz] = self.values.grid().shape_ijk();
         let j = (j as isize + dj).clamp(0, ny as isize - 1) as usize;

@@ -1,5 +1,6 @@
-//! The printed cost, and the one with walls dear, on random volumes: the table equals the formulas, weights keep their range, the tracker finds the
-//! costs of the plain search.
+//! Tests of the printed cost and of the cost with expensive walls, on random volumes.
+//!
+//! The table equals the formulas, weights stay in their range, and the tracker finds the costs of the plain search.
 
 use carina_grid::{Affine, Grid, VolumeView};
 use proptest::prelude::*;
@@ -14,7 +15,7 @@ use crate::paper_cost::{
 };
 use crate::tracker::Tracker;
 
-/// Three spacings and a turn: swapped axes cannot pass.
+/// Return a grid with three different spacings and a rotation, so that swapped axes cannot pass.
 fn grid(shape_zyx: [usize; 3]) -> Grid {
     let (s, c) = 0.3f64.sin_cos();
     let axes = [
@@ -43,7 +44,9 @@ struct Case {
     part: VoxelBox,
 }
 
-/// A volume and a box in it. Few values, so that gradients and Laplacians of 0 occur, and the extremes of int16.
+/// Return a strategy for a volume and a box in it.
+///
+/// There are few values, so that gradients and Laplacians of 0 occur, and the extremes of int16.
 fn case() -> impl Strategy<Value = Case> {
     (1usize..6, 1usize..7, 1usize..9)
         .prop_flat_map(|(nz, ny, nx)| {
@@ -88,7 +91,7 @@ proptest! {
             .map(|n| gradient(view, grid.voxel(n)))
             .fold(0.0, f64::max);
         let found = greatest_gradient(view, &Unwatched).unwrap();
-        // The sum of three squares is added in another order.
+        // The table adds the three squares in another order.
         prop_assert!((found - greatest).abs() <= 1e-12 * greatest);
         let graph = BoxGraph::new(&grid, case.part).unwrap();
         for reading in [Reading::Printed, Reading::Walls] {
@@ -106,7 +109,7 @@ proptest! {
                 worst = worst.max((table - printed).abs());
                 range &= (LEAST_WEIGHT..=1.0).contains(&table) && table == cost.weight(other, node);
             });
-            // f32 in the table.
+            // The table is in f32.
             prop_assert!(worst < 1e-6, "{worst}");
             prop_assert!(range);
         }
@@ -153,15 +156,15 @@ fn a_step_edge_gives_the_printed_numbers() {
         .map(|n| if grid.voxel(n)[0] < 4 { -1000 } else { 0 })
         .collect();
     let view = VolumeView::new(&values, &grid).unwrap();
-    // Central differences see the step from both sides of it, and nothing a voxel farther.
+    // Central differences include the step from both sides of it, but not one voxel farther.
     for (i, expected) in [(2, 0.0), (3, 1000.0 / 1.4), (4, 1000.0 / 1.4), (5, 0.0)] {
         assert!((gradient(view, [i, 2, 2]) - expected).abs() < 1e-9);
     }
-    // Nine of the 27 voxels lie across: (27 * -1000 + 18 * 1000) / 26 before the step, the negative behind it.
+    // Nine of the 27 voxels are across the step: (27 * -1000 + 18 * 1000) / 26 before the step, the negative behind it.
     for (i, expected) in [(2, 0), (3, -9000), (4, 9000), (5, 0)] {
         assert_eq!(laplacian(view, [i, 2, 2]), expected);
     }
-    // At the volume's face the edge is repeated: no gradient comes from outside.
+    // At the volume's face the edge is repeated, so there is no gradient across it.
     assert_eq!(gradient(view, [0, 0, 0]), 0.0);
     assert_eq!(laplacian(view, [0, 0, 0]), 0);
 
@@ -170,9 +173,9 @@ fn a_step_edge_gives_the_printed_numbers() {
     assert!((greatest - 1000.0 / 1.4).abs() < 1e-9);
     let cost = PaperCost::build(view, &graph, Reading::Printed, greatest, &Unwatched).unwrap();
     let node = |i| graph.node_of_voxel([i, 2, 2]).unwrap();
-    // Across the step: greatest gradient at both ends and a zero crossing, so the printed weight is 0.
+    // Across the step: largest gradient at both ends and a zero crossing, so the printed weight is 0.
     assert!((cost.weight(node(3), node(4)) - LEAST_WEIGHT).abs() < 1e-9);
-    // Into it: half the gradient, and a Laplacian of 0 counts as a zero crossing.
+    // Into the step: half the gradient, and a Laplacian of 0 counts as a zero crossing.
     assert!((cost.weight(node(2), node(3)) - 0.35).abs() < 1e-6);
     // In uniform air: no gradient; 0 times 0 is a zero crossing as printed.
     assert!((cost.weight(node(1), node(2)) - 0.7).abs() < 1e-9);
@@ -190,7 +193,7 @@ fn where_walls_are_dear_a_step_costs_all_there_is_and_even_values_next_to_nothin
     let view = VolumeView::new(&values, &grid).unwrap();
     let graph = BoxGraph::new(&grid, whole(&grid)).unwrap();
     let scale = Reading::Walls.scale(view, &Unwatched).unwrap();
-    // No metal here: the step itself is the greatest gradient.
+    // There is no metal here, so the step itself is the largest gradient.
     assert!((scale - 1000.0 / 1.4).abs() < 0.1);
     let cost = PaperCost::build(view, &graph, Reading::Walls, scale, &Unwatched).unwrap();
     let node = |i| graph.node_of_voxel([i, 2, 2]).unwrap();

@@ -1,12 +1,12 @@
-//! The resumable tree of least-cost paths (paper 6.3, Algorithm 1) with an integer bucket queue.
+//! Resumable tree of least-cost paths (paper 6.3, Algorithm 1) with an integer bucket queue.
 //!
-//! The root is fixed. [`Tracker::solve_to`] settles nodes in the order of their cost until the target is settled and keeps
-//! everything: the next target goes on from there, and costs nothing where it is settled already. The back-pointers
-//! B(u) of the paper are `predecessor`.
+//! The root is fixed. [`Tracker::solve_to`] settles nodes in the order of their cost until the target is settled and
+//! keeps all results: the search for the next target continues from there, and costs nothing if it is settled already.
+//! The back-pointers B(u) of the paper are `predecessor`.
 //!
-//! The queue is Dial's (1969): edge costs are whole quanta of at most C, so all open costs lie in a window of C + 1
-//! values, one bucket each, reused in a circle. Settling is exact, as with a heap; [`crate::dijkstra`] is the readable
-//! reference.
+//! The queue is Dial's (1969): edge costs are integers of at most C quanta, so all open costs are in a window of C + 1
+//! values, with one bucket each, used in a circle. Settling is exact, as with a heap; [`crate::dijkstra`] is the
+//! readable reference.
 
 use crate::graph::{Cost, Graph, NO_NODE, Quantum};
 use crate::{TrackError, Watch};
@@ -14,10 +14,10 @@ use crate::{TrackError, Watch};
 /// Cost of a node that no path has reached.
 pub const UNREACHED: u64 = u64::MAX;
 
-/// Settled nodes between two looks at the watch.
+/// Number of nodes settled between two checks of the watch.
 const NODES_PER_LOOK: usize = 1 << 16;
 
-/// A least-cost tree that grows as far as it is asked to.
+/// Tree of least-cost paths that grows on demand.
 #[derive(Debug)]
 pub struct Tracker {
     root: u32,
@@ -32,7 +32,11 @@ pub struct Tracker {
 }
 
 impl Tracker {
-    /// A tracker with one root and nothing settled.
+    /// Create a tracker with one root and no settled node.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the root is no node or the range of the costs is too wide.
     pub fn new(graph: &impl Graph, cost: &impl Cost, root: u32) -> Result<Self, TrackError> {
         let num_nodes = graph.num_nodes();
         if root as usize >= num_nodes {
@@ -58,8 +62,9 @@ impl Tracker {
         Ok(tracker)
     }
 
-    /// A tracker that has settled all that has a cost, in the order of cost and then of nodes; `predecessor` is `NO_NODE` at
-    /// the root and where nothing is settled.
+    /// Create a tracker in which all nodes with a cost are settled, in the order of cost and then of nodes.
+    ///
+    /// `predecessor` is `NO_NODE` at the root and for nodes that are not settled.
     pub(crate) fn from_costs(
         root: u32,
         quantum: Quantum,
@@ -81,7 +86,7 @@ impl Tracker {
         }
     }
 
-    /// Settles everything, with the first of equally cheap paths: the tree and its order depend on the graph alone.
+    /// Settle all nodes with the first of equally cheap paths, so that the tree and its order depend only on the graph.
     pub(crate) fn solved_in_order(
         graph: &impl Graph,
         cost: &impl Cost,
@@ -91,7 +96,7 @@ impl Tracker {
         let mut tracker = Self::new(graph, cost, root)?;
         tracker.first_of_equals = true;
         tracker.solve_all(graph, cost, watch)?;
-        // In the order of cost they are; among equals in that of nodes.
+        // The order of cost is already correct; sort nodes of equal cost by number.
         let costs = &tracker.cost;
         for equals in tracker
             .order
@@ -102,26 +107,31 @@ impl Tracker {
         Ok(tracker)
     }
 
-    /// True if the first of equally cheap paths was taken everywhere, so that the tree depends on the graph alone.
+    /// Return true if the first of equally cheap paths was taken everywhere, so that the tree depends only on the
+    /// graph.
     pub(crate) const fn first_of_equals(&self) -> bool {
         self.first_of_equals
     }
 
-    /// True if nothing is left to be settled.
+    /// Return true if no node is left to be settled.
     pub(crate) const fn is_done(&self) -> bool {
         self.queue.num_open == 0
     }
 
-    /// Least cost of every node in quanta; [`UNREACHED`] where none is known.
+    /// Return the least cost of every node in quanta; [`UNREACHED`] if none is known.
     pub(crate) fn costs(&self) -> Vec<u64> {
         (0..self.cost.len() as u32)
             .map(|node| self.cost_quanta(node).unwrap_or(UNREACHED))
             .collect()
     }
 
-    /// Settles what is needed to know the least cost of `target`; true if a path exists.
+    /// Settle nodes until the least cost of `target` is known; return true if a path exists.
     ///
-    /// `graph` and `cost` must be those the tracker was made with.
+    /// `graph` and `cost` must be those with which the tracker was created.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the target is no node or `watch` stops the search.
     pub fn solve_to(
         &mut self,
         graph: &impl Graph,
@@ -133,7 +143,11 @@ impl Tracker {
         Ok(self.settled[target as usize])
     }
 
-    /// Settles every node that a path can reach.
+    /// Settle every node that a path can reach.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if `watch` stops the search.
     pub fn solve_all(
         &mut self,
         graph: &impl Graph,
@@ -156,7 +170,7 @@ impl Tracker {
                 return Ok(());
             };
             let u = node as usize;
-            // A node is queued once per improvement; all but the last, cheapest entry are stale.
+            // A node is queued once per improvement; all entries but the last, cheapest one are stale.
             if self.settled[u] || self.cost[u] != node_cost {
                 continue;
             }
@@ -173,11 +187,12 @@ impl Tracker {
                     predecessors[v as usize] = node;
                     queue.push(through, v);
                 } else if first_of_equals && through == least && node < predecessors[v as usize] {
-                    // All that lead to a node by its least cost are settled before it: each has a lesser cost.
+                    // All nodes through which a node's least cost is reached are settled before it, because each has a
+                    // lower cost.
                     predecessors[v as usize] = node;
                 }
             });
-            // After the node is done, so that a stop never loses its edges.
+            // The check comes after the node is finished, so that a stop never loses its edges.
             if self.order.len().is_multiple_of(NODES_PER_LOOK) {
                 watch.go_on(self.order.len() as f64 / num_nodes as f64)?;
             }
@@ -185,45 +200,45 @@ impl Tracker {
         Ok(())
     }
 
-    /// The fixed root.
+    /// Return the fixed root.
     #[must_use]
     pub const fn root(&self) -> u32 {
         self.root
     }
 
-    /// The run's integer unit.
+    /// Return the integer unit of this search.
     #[must_use]
     pub const fn quantum(&self) -> Quantum {
         self.quantum
     }
 
-    /// Nodes settled so far, in the order of their cost: a node comes after its predecessor.
+    /// Return the nodes settled so far, in the order of their cost: a node comes after its predecessor.
     #[must_use]
     pub fn settled(&self) -> &[u32] {
         &self.order
     }
 
-    /// Least cost of a settled node in quanta.
+    /// Return the least cost of a settled node in quanta.
     #[must_use]
     pub fn cost_quanta(&self, node: u32) -> Option<u64> {
         self.settled[node as usize].then(|| self.cost[node as usize])
     }
 
-    /// Least cost of a settled node, weight times mm.
+    /// Return the least cost of a settled node, weight times mm.
     #[must_use]
     pub fn cost(&self, node: u32) -> Option<f64> {
         self.cost_quanta(node)
             .map(|quanta| quanta as f64 * self.quantum.cost)
     }
 
-    /// The node before a settled one on its path, or `None` at the root and where nothing is settled.
+    /// Return the predecessor of a settled node on its path; `None` at the root and for nodes that are not settled.
     #[must_use]
     pub fn predecessor(&self, node: u32) -> Option<u32> {
         let before = self.predecessor[node as usize];
         (self.settled[node as usize] && before != NO_NODE).then_some(before)
     }
 
-    /// Nodes from the root to `target`, or `None` where it is not settled.
+    /// Return the nodes from the root to `target`; `None` if it is not settled.
     #[must_use]
     pub fn path_to(&self, target: u32) -> Option<Vec<u32>> {
         if !self.settled[target as usize] {
@@ -240,11 +255,13 @@ impl Tracker {
     }
 }
 
-/// Dial's circle of buckets, as linked lists in one pool. Last in, first out within a bucket, so the order is fixed.
+/// Dial's circular buckets, as linked lists in one pool.
+///
+/// Within a bucket the last entry comes out first, so the order is fixed.
 #[derive(Debug)]
 struct BucketQueue {
     heads: Vec<u32>,
-    /// One bit per bucket that holds something: empty stretches are passed 64 buckets at a time.
+    /// One bit per non-empty bucket, so that 64 empty buckets are skipped at a time.
     filled: Vec<u64>,
     entries: Vec<(u32, u32)>,
     free: u32,
@@ -257,7 +274,7 @@ const END: u32 = u32::MAX;
 
 impl BucketQueue {
     fn new(dearest_edge: u32) -> Self {
-        // A power of two above C, so that the place in the circle is a mask.
+        // A power of two above C, so that a mask gives the index in the circle.
         let num_buckets = (dearest_edge as usize + 1).next_power_of_two().max(64);
         Self {
             heads: vec![END; num_buckets],

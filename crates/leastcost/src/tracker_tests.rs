@@ -1,5 +1,7 @@
-//! Contracts of the tracker on random graphs: equal to Dijkstra with a heap, resumed equals fresh, a path's
-//! cost is the sum of its edges.
+//! Contract tests of the tracker on random graphs.
+//!
+//! The results equal those of Dijkstra's algorithm with a heap, resumed searches equal fresh ones, and a path's cost is
+//! the sum of its edges.
 
 use proptest::prelude::*;
 
@@ -60,7 +62,7 @@ fn random_graph() -> impl Strategy<Value = RandomGraph> {
     })
 }
 
-/// Cheapest edge between two neighbours, quanta.
+/// Return the cheapest edge between two neighbours, quanta.
 fn edge_quanta(graph: &RandomGraph, quantum: Quantum, u: u32, v: u32) -> u64 {
     graph.edges[u as usize]
         .iter()
@@ -95,7 +97,7 @@ proptest! {
             let before = resumed.settled().len();
             let known = resumed.cost_quanta(target).is_some();
             let reached = resumed.solve_to(&graph, &graph, target, &Unwatched).unwrap();
-            // A settled target costs nothing more.
+            // A settled target costs no further work.
             prop_assert!(!known || resumed.settled().len() == before);
             prop_assert_eq!(reached, fresh.cost_quanta(target).is_some());
             prop_assert_eq!(resumed.path_to(target), fresh.path_to(target));
@@ -130,7 +132,7 @@ proptest! {
     }
 }
 
-/// Says stop once, at the first look.
+/// Observer that stops the search once, at the first check.
 struct StopOnce(std::sync::atomic::AtomicBool);
 
 impl Watch for StopOnce {
@@ -144,7 +146,7 @@ impl Watch for StopOnce {
 
 #[test]
 fn a_stopped_tracker_goes_on_where_it_stopped() {
-    // A chain longer than the number of nodes between two looks.
+    // A chain longer than the number of nodes between two checks.
     let n = 200_000u32;
     let edges = (0..n)
         .map(|u| {

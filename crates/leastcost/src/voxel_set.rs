@@ -1,7 +1,8 @@
-//! A set of voxels of a box, numbered in array order: one bit per voxel and one count per 64.
+//! Set of voxels of a box, numbered in array order: one bit per voxel and one count per 64 voxels.
 //!
-//! A table with a node number per voxel of the box takes 4 bytes for each, and nearly all of them are not lumen; this takes
-//! 1.5 bits. A number is found by counting the bits before a voxel (rank, as in succinct bit vectors, Jacobson 1989).
+//! A table with a node number per voxel of the box takes 4 bytes for each voxel, and nearly all of them are not lumen;
+//! this set takes 1.5 bits. The number of a voxel is the count of the bits before it (rank, as in succinct bit vectors,
+//! Jacobson 1989).
 
 use crate::distance::VoxelBox;
 
@@ -10,12 +11,12 @@ use crate::distance::VoxelBox;
 pub(crate) struct VoxelSet {
     voxel_box: VoxelBox,
     words: Vec<u64>,
-    /// Members before each word.
+    /// Number of members before each word.
     before: Vec<u32>,
 }
 
 impl VoxelSet {
-    /// The set of `members`; those outside the box are left out.
+    /// Create the set of `members`, without those outside the box.
     pub(crate) fn new(voxel_box: VoxelBox, members: impl IntoIterator<Item = [isize; 3]>) -> Self {
         let mut words = vec![0u64; voxel_box.num_voxels().div_ceil(64)];
         for voxel in members {
@@ -39,12 +40,12 @@ impl VoxelSet {
         }
     }
 
-    /// The box.
+    /// Return the box.
     pub(crate) const fn voxel_box(&self) -> VoxelBox {
         self.voxel_box
     }
 
-    /// Place of a voxel among the members in array order, or `None` if it is no member.
+    /// Return the index of a voxel among the members in array order; `None` if it is no member.
     pub(crate) fn place(&self, ijk: [isize; 3]) -> Option<u32> {
         let at = self.voxel_box.index_of(ijk)?;
         let (word, bit) = (self.words[at / 64], at % 64);
@@ -52,8 +53,9 @@ impl VoxelSet {
             .then(|| self.before[at / 64] + (word & ((1 << bit) - 1)).count_ones())
     }
 
-    /// The members in a part of a row along i that lies in the box, and their places, in order; empty stretches are passed
-    /// 64 voxels at a time.
+    /// Return the members in a part of a row along i inside the box, with their indices, in order.
+    ///
+    /// Empty parts are skipped 64 voxels at a time.
     pub(crate) fn in_row(
         &self,
         i: std::ops::RangeInclusive<isize>,
@@ -80,8 +82,9 @@ impl VoxelSet {
         })
     }
 
-    /// Which of three voxels in a row along i, round a voxel whose i lies in the box, are members, and the place of the first
-    /// of them; `None` outside the box.
+    /// Return which of three voxels in a row along i are members, and the index of the first; `None` outside the box.
+    ///
+    /// The middle voxel's i must be in the box.
     #[inline]
     pub(crate) fn three(&self, ijk: [isize; 3]) -> Option<(u32, [bool; 3])> {
         let VoxelBox {
@@ -107,7 +110,7 @@ impl VoxelSet {
         ))
     }
 
-    /// True for a member.
+    /// Return true for a member.
     pub(crate) fn holds(&self, ijk: [isize; 3]) -> bool {
         self.voxel_box
             .index_of(ijk)
@@ -126,7 +129,7 @@ mod tests {
             let voxel_box = VoxelBox { first_ijk: [3, 1, 2], shape_ijk: [7, 5, 6] };
             let voxel = |at: usize| voxel_box.voxel(at).map(|v| v as isize);
             let members: Vec<[isize; 3]> = (0..bits.len()).filter(|at| bits[*at]).map(voxel).collect();
-            // The order in which they are told does not matter.
+            // The order of the members does not matter.
             let set = VoxelSet::new(voxel_box, members.iter().rev().copied());
             for (n, member) in members.iter().enumerate() {
                 prop_assert_eq!(set.place(*member), Some(n as u32));

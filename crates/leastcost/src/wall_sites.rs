@@ -1,13 +1,13 @@
-//! For every lumen voxel the nearest voxel outside, without looking at the rest of the volume.
+//! Nearest voxel outside for every lumen voxel, without a search of the rest of the volume.
 //!
-//! The separable transform of [`crate::distance`] on runs of lumen voxels: along a line, nothing beyond the first voxel
-//! outside a run can be nearest to a voxel of the run, so a run and its two ends are all that counts. What is found for a
-//! voxel depends on the lumen alone and not on a box round it, so a lumen that was edited gives, bit for bit, what the
-//! same lumen gives when it is new.
+//! The method is the separable transform of [`crate::distance`] on runs of lumen voxels: along a line, no voxel beyond
+//! the first voxel outside a run can be nearest to a voxel of the run, so only a run and its two ends matter. The
+//! result for a voxel depends only on the lumen and not on a box round it, so an edited lumen gives, bit for bit, the
+//! same result as an equal new lumen.
 
 use crate::voxel_set::VoxelSet;
 
-/// No voxel outside is known (the lumen fills the volume).
+/// Marker for no voxel outside (the lumen fills the volume).
 pub(crate) const NO_SITE: [u16; 3] = [u16::MAX; 3];
 
 #[derive(Debug, Clone, Copy)]
@@ -21,10 +21,10 @@ const NOTHING: Near = Near {
     squared_mm2: f64::INFINITY,
 };
 
-/// The nearest voxel outside for each of `voxels`, which are the members of `lumen` in array order.
+/// Return the nearest voxel outside for each of `voxels`, which are the members of `lumen` in array order.
 ///
-/// Distances are between voxel centres with `spacing_mm` along i, j, k. Beyond the volume (`shape_ijk`) nothing is known:
-/// its faces are no wall. [`NO_SITE`] where there is no voxel outside.
+/// Distances are between voxel centres with `spacing_mm` along i, j, k. The region beyond the volume (`shape_ijk`) is
+/// unknown, so the volume's faces are no wall. The result is [`NO_SITE`] if there is no voxel outside.
 pub(crate) fn nearest_outside_lumen(
     lumen: &VoxelSet,
     voxels: &[[u16; 3]],
@@ -40,7 +40,7 @@ pub(crate) fn nearest_outside_lumen(
             if lumen.holds(at) {
                 continue;
             }
-            // The first voxel of a run. Its own voxel lies between the ends.
+            // The first voxel of a run of lumen. The site outside the lumen before it is added first.
             line.begin(outside(*voxel, axis, -1, shape_ijk));
             let mut next = Some(first as u32);
             at[axis] += 1;
@@ -66,11 +66,11 @@ fn outside(voxel: [u16; 3], axis: usize, step: i32, shape_ijk: [usize; 3]) -> Op
     })
 }
 
-/// A run and its two ends: the lower envelope of one parabola per place.
+/// A run with its two ends: the lower envelope of one parabola per position.
 #[derive(Debug, Default)]
 struct Line {
     nodes: Vec<u32>,
-    /// One more than nodes at either end.
+    /// Heights of all positions: one more than nodes at either end.
     heights: Vec<Near>,
     lowest: Vec<(usize, f64)>,
 }
@@ -100,7 +100,7 @@ impl Line {
             }
             let mut begins = f64::NEG_INFINITY;
             while let Some(&(p, p_begins)) = self.lowest.last() {
-                // Where the two parabolas cross.
+                // Intersection of the two parabolas.
                 let (x, y) = (place(p), place(q));
                 begins = ((height.squared_mm2 + y * y) - (self.heights[p].squared_mm2 + x * x))
                     / (2.0 * (y - x));
@@ -167,7 +167,7 @@ mod tests {
                     .reduce(f64::min);
                 match best {
                     None => prop_assert_eq!(site, NO_SITE),
-                    // 1e-9 mm: the crossings of the parabolas are rounded.
+                    // Tolerance 1e-9 mm: the crossings of the parabolas are rounded.
                     Some(best) => prop_assert!((distance(*voxel, site) - best).abs() < 1e-9),
                 }
             }

@@ -1,4 +1,4 @@
-//! A tube that keeps an airway open: through the larynx, or through the front of the neck.
+//! Tube that keeps an airway open: through the larynx, or through the front of the neck.
 
 use carina_grid::{cross, dot, length};
 
@@ -7,7 +7,7 @@ use crate::neck::Neck;
 use crate::random::Random;
 use crate::shapes::{Piece, SIGMA_MM, along, cover, direction, hermite, mix, sub};
 
-/// Which way a tube goes into the trachea.
+/// Route of a tube into the trachea.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TubeKind {
     /// Through the mouth and the larynx.
@@ -16,37 +16,37 @@ pub enum TubeKind {
     Tracheostomy,
 }
 
-/// A tube in the trachea, as its truth says it.
+/// Ground truth of a tube in the trachea.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TubeTruth {
-    /// How it goes in.
+    /// Route of the tube.
     pub kind: TubeKind,
     /// Middle of its open end, LPS mm.
     pub tip_lps: [f64; 3],
-    /// Along the trachea's centreline from there to the carina.
+    /// Distance from the tip to the carina along the trachea's centreline, mm.
     pub above_carina_mm: f64,
-    /// Radius of its outer and of its inner surface.
+    /// Radius of its outer surface, mm.
     pub outer_mm: f64,
-    /// Inner radius.
+    /// Radius of its inner surface, mm.
     pub inner_mm: f64,
 }
 
-/// Everything that a voxel needs of it.
+/// Data of a tube that the computation of a voxel needs.
 #[derive(Debug, Clone)]
 pub(crate) struct AirwayTube {
     pub(crate) truth: TubeTruth,
     pub(crate) pieces: Vec<Piece>,
     wall_hu: f64,
-    /// Heights between which fluid stands on the cuff round the tube.
+    /// Heights between which fluid is on the cuff round the tube.
     fluid_z: [f64; 2],
 }
 
-/// From the tip to the cuff, and the cuff's length.
+/// Distance from the tip to the cuff, and the cuff's length.
 const CUFF_MM: [f64; 2] = [16.0, 24.0];
-/// Height of the fluid on it.
+/// Range of the height of the fluid on the cuff, mm.
 const FLUID_MM: [f64; 2] = [5.0, 12.0];
 const LINE_HU: f64 = 1500.0;
-/// Half the width of the line in the wall that X-rays show.
+/// Half of the width of the radio-opaque line in the wall, mm.
 const HALF_LINE_MM: f64 = 0.6;
 const FLUID_HU: f64 = 12.0;
 
@@ -63,21 +63,21 @@ impl AirwayTube {
         let outer_mm = random.range(4.6, 5.6);
         let inner_mm = outer_mm - random.range(1.1, 1.5);
         let wanted = match kind {
-            // The cuff and what stands on it lie below the cricoid.
+            // The cuff and the fluid on it are below the cricoid.
             TubeKind::Endotracheal => {
                 let most = trachea[0][2] - CUFF_MM[0] - CUFF_MM[1] - FLUID_MM[1] - 4.0;
                 random.range(22.0, 58.0f64.min(most))
             }
             TubeKind::Tracheostomy => random.range(30.0, 55.0),
         };
-        // From the carina up.
+        // Start at the carina and go up.
         let mut above_carina_mm = 0.0;
         let mut tip = trachea.len() - 1;
         while tip > 1 && above_carina_mm < wanted {
             above_carina_mm += length(sub(trachea[tip], trachea[tip - 1]));
             tip -= 1;
         }
-        // It lies against the front or the back rather than in the middle.
+        // The tube touches the front or the back wall instead of being in the middle.
         let lean = random.range(-1.6, 2.2);
         let moved = |p: [f64; 3]| [p[0], p[1] + lean, p[2]];
         let mut points: Vec<[f64; 3]> = Vec::new();
@@ -112,7 +112,7 @@ impl AirwayTube {
         } else {
             points.extend(trachea[..=tip].iter().rev().map(|&p| moved(p)));
             if let Some(neck) = neck {
-                // The lean goes over into the larynx's way within a few points.
+                // The displacement changes to the path through the larynx within a few points.
                 let way = neck.way_up();
                 points.truncate(points.len().saturating_sub(6));
                 points.extend_from_slice(&way[2..]);
@@ -155,12 +155,12 @@ impl AirwayTube {
         }
     }
 
-    /// Whether fluid stands round the tube at a height.
+    /// Return whether there is fluid round the tube at a height.
     fn has_fluid(&self, z: f64) -> bool {
         (self.fluid_z[0]..self.fluid_z[1]).contains(&z)
     }
 
-    /// Lays the tube over a voxel's value: air in it, its wall, fluid round it on the cuff.
+    /// Apply the tube to a voxel's value: air in the tube, its wall, fluid round it on the cuff.
     pub(crate) fn lay_over(
         &self,
         hu: f64,
@@ -191,7 +191,8 @@ impl AirwayTube {
         hu * outside + own
     }
 
-    /// Distance from the tube's axis to a point, and the HU of its wall there; the axis ends flat at the tip.
+    /// Return the distance from the tube's axis to a point, and the HU of its wall there; the axis ends flat at the
+    /// tip.
     fn at(&self, p: [f64; 3], near: &[u32]) -> Option<(f64, f64)> {
         let mut best: Option<(f64, u32)> = None;
         for &n in near {
@@ -205,11 +206,11 @@ impl AirwayTube {
         let axis = direction(sub(piece.end, piece.start));
         let before = n == 0 && dot(sub(p, piece.start), axis) < 0.0;
         let behind = n as usize + 1 == self.pieces.len() && dot(sub(p, piece.end), axis) > 0.0;
-        // Open at both ends.
+        // The tube is open at both ends.
         if before || behind {
             return None;
         }
-        // The line runs along the tube's front.
+        // The line is along the tube's front.
         let front = direction(cross([1.0, 0.0, 0.0], axis));
         let from = sub(p, piece.start);
         let off = along(from, -dot(from, axis), axis);

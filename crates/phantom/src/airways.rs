@@ -5,29 +5,31 @@ use crate::random::Random;
 use crate::shapes::{along, direction, hermite, mix, normals, sub, tilted};
 use crate::skeleton::{Basal, RightUpper, named_branches};
 
-/// One airway: its centreline and radii, exact.
+/// Airway with exact centreline and radii.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Branch {
-    /// Place in [`AirwayTree::branches`]; the trachea is 0.
+    /// Index in [`AirwayTree::branches`]; the trachea is 0.
     pub id: usize,
-    /// Where it leaves from.
+    /// Id of the branch that this one leaves.
     pub parent: Option<usize>,
-    /// What leaves from its end.
+    /// Ids of the branches that leave its end.
     pub children: Vec<usize>,
-    /// Trachea 0.
+    /// Generation; the trachea is 0.
     pub generation: usize,
     /// Name down to the segments; subsegments have none.
     pub name: Option<&'static str>,
-    /// Centreline, LPS mm, root to tip. The first point is the parent's last, bit for bit.
+    /// Centreline, LPS mm, root to tip.
+    ///
+    /// The first point is the parent's last, bit for bit.
     pub points: Vec<[f64; 3]>,
     /// Radius of the lumen at each point: of the circle with the lumen's area.
     pub radius_mm: Vec<f64>,
-    /// Thickness of the wall.
+    /// Thickness of the wall, mm.
     pub wall_mm: f64,
 }
 
 impl Branch {
-    /// The last point.
+    /// Return the last point.
     pub(crate) fn tip(&self) -> [f64; 3] {
         self.points[self.points.len() - 1]
     }
@@ -41,7 +43,7 @@ impl Branch {
         self.radius_mm[self.radius_mm.len() - 1]
     }
 
-    /// Length of the centreline.
+    /// Return the length of the centreline.
     #[must_use]
     pub fn length_mm(&self) -> f64 {
         self.points
@@ -50,7 +52,7 @@ impl Branch {
             .sum()
     }
 
-    /// Centre and radius of a ball around the whole branch, wall included.
+    /// Return centre and radius of a ball around the whole branch, including its wall.
     fn ball(&self) -> ([f64; 3], f64) {
         let middle = self.points[self.points.len() / 2];
         let reach = self
@@ -63,28 +65,31 @@ impl Branch {
     }
 }
 
-/// The airways of a phantom; parents come before their children.
+/// Airways of a phantom; parents come before their children.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AirwayTree {
     /// All branches, by id.
     pub branches: Vec<Branch>,
 }
 
-/// Thickness of a wall by the radius of its lumen: 1.8 mm at the trachea, 0.9 at a segment, 0.6 at generation 6
-/// (docs/algorithms.md, sizes of airways).
+/// Return the thickness of a wall from the radius of its lumen.
+///
+/// The thickness is 1.8 mm at the trachea, 0.9 at a segment, 0.6 at generation 6 (docs/algorithms.md, sizes of
+/// airways).
 fn wall_mm(radius: f64) -> f64 {
     0.4 + 0.15 * radius
 }
 
-/// Tubes of strangers keep at least this much tissue between their walls.
+/// Smallest distance between the walls of unrelated branches, mm.
 const GAP_MM: f64 = 0.8;
-/// Subsegments stay this far inside the pleura, beside their own radius and wall.
+/// Smallest distance of subsegments from the pleura, in addition to their own radius and wall.
 const PLEURA_MM: f64 = 2.5;
 
 impl AirwayTree {
-    /// Grows a tree whose trachea starts at height `top_z`.
+    /// Grow a tree whose trachea starts at height `top_z`.
     ///
-    /// Branches of a generation below `generations` divide, so the tree reaches it wherever the lung leaves room.
+    /// Branches of a generation below `generations` divide, so the tree reaches that generation where the lung has
+    /// enough space.
     pub(crate) fn grow(seed: u64, generations: usize, top_z: f64) -> Self {
         let mut random = Random::new(seed, 1);
         let mut tree = Self {
@@ -111,12 +116,12 @@ impl AirwayTree {
                 .iter()
                 .find(|b| b.name == Some(named.parent))
                 .map_or(0, |b| b.id);
-            // A segment of the table ends at its first division, which in a whole lung lies further out: the lung is then
-            // filled to some 2 cm of the pleura, as on a real CT.
+            // A segment of the table ends at its first division, which in a whole lung is further out: the lung is then
+            // filled to some 2 cm from the pleura, as on a real CT.
             let reach = if named.is_segment() { 1.45 } else { 1.0 };
             let length_mm = named.length_mm * reach * size * random.range(0.94, 1.06);
             let radius = 0.5 * named.diameter_mm * size * random.range(0.95, 1.05);
-            // 6 degrees: larger turns of two neighbours at once could bring named branches together.
+            // 6 degrees: larger rotations of two neighbours could bring named branches into contact.
             let dir = random.near(direction(named.dir), 0.105);
             let branch = tree.shoot(parent, dir, length_mm, radius, Some(named.name));
             tree.push(branch);
@@ -132,7 +137,7 @@ impl AirwayTree {
         self.branches.push(branch);
     }
 
-    /// The trachea: from the neck, where it lies forward, down and back to the carina at the origin.
+    /// Add the trachea: from the neck, where it is anterior, down and back to the carina at the origin.
     fn add_trachea(&mut self, top_z: f64, radius: f64) {
         let top = [1.5, -0.2 * top_z, top_z];
         let num = ((top_z / 1.5).ceil() as usize).max(4);
@@ -163,7 +168,9 @@ impl AirwayTree {
         });
     }
 
-    /// A child of `parent` that bends from the parent's direction into its own. Not yet part of the tree.
+    /// Return a child of `parent` that bends from the parent's direction into its own.
+    ///
+    /// The child is not yet part of the tree.
     fn shoot(
         &self,
         parent: usize,
@@ -196,10 +203,10 @@ impl AirwayTree {
         }
     }
 
-    /// Divides all ends below `generations` in two, breadth first.
+    /// Divide all ends below `generations` in two, breadth first.
     fn subdivide(&mut self, generations: usize, random: &mut Random) {
         let mut next = 0;
-        // The plane of a division is at a right angle to the one before; named ends start with any.
+        // The plane of a division is perpendicular to that of the previous one; named ends start with a random plane.
         let mut planes: Vec<Option<[f64; 3]>> = vec![None; self.branches.len()];
         while next < self.branches.len() {
             let id = next;
@@ -218,8 +225,10 @@ impl AirwayTree {
         }
     }
 
-    /// Two children for an end, with the most room of some random tries, and the normal of their plane; `None` where the lung
-    /// has no room for any.
+    /// Return two children for an end, the pair with the largest clearance of some random tries, and the normal of
+    /// their plane.
+    ///
+    /// The result is `None` if the lung has no space for any.
     fn best_division(
         &self,
         id: usize,
@@ -229,7 +238,7 @@ impl AirwayTree {
         let parent = &self.branches[id];
         let dir = parent.tip_direction();
         let (across, up) = normals(dir);
-        // The children's plane holds this direction; it is the normal of the plane before.
+        // The children's plane contains this direction, the normal of the previous plane.
         let base = plane.map_or_else(
             || random.range(0.0, core::f64::consts::PI),
             |n| libm::atan2(carina_grid::dot(n, up), carina_grid::dot(n, across)),
@@ -242,7 +251,7 @@ impl AirwayTree {
                 // Horsfield: 28 to 39 degrees (docs/algorithms.md, sizes of airways).
                 let tilt = random.range(0.44, 0.70);
                 let radius = parent.tip_radius() * random.range(0.78, 0.90);
-                // Weibel's lengths of generations 4 to 8 are 2.8 to 3.3 diameters; ours, longer, fill the lung.
+                // Weibel's lengths of generations 4 to 8 are 2.8 to 3.3 diameters; these are longer, to fill the lung.
                 let length_mm =
                     2.0 * radius * random.range(3.6, 5.2) * if attempt < 16 { 1.0 } else { 0.75 };
                 let to = tilted(dir, across, up, turn + side, tilt);
@@ -261,10 +270,12 @@ impl AirwayTree {
         best.map(|(_, pair, normal)| (pair, normal))
     }
 
-    /// How much tissue a new branch leaves to the pleura and to all strangers, in mm; below 0 it does not fit.
+    /// Return the clearance of a new branch from the pleura and from all unrelated branches, in mm.
+    ///
+    /// Below 0 the branch does not fit.
     fn room(&self, branch: &Branch) -> f64 {
         let mut room = f64::INFINITY;
-        // The start lies on the parent, which may still be in the hilum.
+        // The start is on the parent, which may still be in the hilum.
         let from = branch.points.len() / 3;
         for (&p, &r) in branch.points.iter().zip(&branch.radius_mm).skip(from) {
             room = room.min(-lung_distance(p) - r - branch.wall_mm - PLEURA_MM);
@@ -291,13 +302,13 @@ impl AirwayTree {
         room
     }
 
-    /// True where a fillet joins two branches: parent and child, or children of one parent.
+    /// Return true if a fillet joins two branches: parent and child, or children of one parent.
     pub(crate) fn joined(&self, a: usize, b: usize) -> bool {
         let (pa, pb) = (self.branches[a].parent, self.branches[b].parent);
         pa == Some(b) || pb == Some(a) || (pa.is_some() && pa == pb)
     }
 
-    /// The place at a share (0..1) of a branch's points, with the direction there.
+    /// Return the position at a fraction (0 to 1) of a branch's points, with the direction there.
     pub(crate) fn place(&self, id: usize, share: f64) -> ([f64; 3], [f64; 3]) {
         let points = &self.branches[id].points;
         let at = share * (points.len() - 1) as f64;
@@ -307,13 +318,13 @@ impl AirwayTree {
         (p, direction(sub(points[i + 1], points[i])))
     }
 
-    /// The branch with a name.
+    /// Return the branch with a name.
     #[must_use]
     pub fn named(&self, name: &str) -> Option<&Branch> {
         self.branches.iter().find(|b| b.name == Some(name))
     }
 
-    /// Nearest branch to a point, with its distance from the centreline.
+    /// Return the nearest branch to a point, with its distance from the centreline.
     pub(crate) fn nearest(&self, p: [f64; 3]) -> (usize, f64) {
         let mut best = (0, f64::INFINITY);
         for branch in &self.branches {

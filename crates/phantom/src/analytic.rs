@@ -1,10 +1,12 @@
-//! Small volumes whose truth is a formula, on any grid: for tests and benches of the other crates.
+//! Small volumes with analytic ground truth, on any grid, for tests and benchmarks of the other crates.
 
 use carina_grid::{Grid, dot, length};
 
 use crate::shapes::{Piece, cover, direction, mix, sub};
 
-/// HU of each voxel from a signed distance at its centre: `inside` below 0, `outside` above, a soft edge of about a voxel.
+/// Compute the HU of each voxel from a signed distance at its centre.
+///
+/// The HU is `inside` below 0 and `outside` above, with a soft edge of about a voxel.
 fn filled(
     grid: &Grid,
     inside_hu: i16,
@@ -21,8 +23,9 @@ fn filled(
         .collect()
 }
 
-/// A straight tube of air in soft tissue, without end: HU -1000 within `radius_mm` of the line through `a_lps` and `b_lps`,
-/// 40 outside.
+/// Return an infinite straight tube of air in soft tissue.
+///
+/// The HU is -1000 within `radius_mm` of the line through `a_lps` and `b_lps`, and 40 outside.
 #[must_use]
 pub fn tube(grid: &Grid, a_lps: [f64; 3], b_lps: [f64; 3], radius_mm: f64) -> Vec<i16> {
     let axis = direction(sub(b_lps, a_lps));
@@ -33,7 +36,8 @@ pub fn tube(grid: &Grid, a_lps: [f64; 3], b_lps: [f64; 3], radius_mm: f64) -> Ve
     })
 }
 
-/// A stem that divides in two, of air in soft tissue: three tubes of one radius with round ends that meet in `fork_lps`.
+/// Return a stem of air in soft tissue that divides in two: three tubes of one radius with round ends that meet in
+/// `fork_lps`.
 #[must_use]
 pub fn y_junction(
     grid: &Grid,
@@ -55,11 +59,14 @@ pub fn y_junction(
     })
 }
 
-/// Concentric shells without soft edges: `values_hu[n]` between the radii `radii_mm[n - 1]` and `radii_mm[n]` (ascending), the
-/// last value outside all of them.
+/// Return concentric shells without soft edges.
+///
+/// The value is `values_hu[n]` between the radii `radii_mm[n - 1]` and `radii_mm[n]` (ascending), and the last value
+/// outside all of them.
 ///
 /// # Panics
-/// If there is not one value more than radii.
+///
+/// Panics if there is not exactly one value more than radii.
 #[must_use]
 pub fn shells(grid: &Grid, centre_lps: [f64; 3], radii_mm: &[f64], values_hu: &[i16]) -> Vec<i16> {
     assert_eq!(
@@ -82,7 +89,7 @@ mod tests {
     use carina_grid::Affine;
 
     fn grid() -> Grid {
-        // Anisotropic and turned by 90 degrees in plane, so that swapped axes cannot pass.
+        // Anisotropic and rotated by 90 degrees in plane, so that swapped axes cannot pass.
         let m = Affine::from_columns(
             [0.0, 0.7, 0.0],
             [-0.9, 0.0, 0.0],
@@ -104,7 +111,7 @@ mod tests {
             .count();
         let area = dark as f64 * 0.7 * 0.9;
         let found = (area / core::f64::consts::PI).sqrt();
-        // 3 %: 80 voxels of which some 30 lie on the edge.
+        // Tolerance 3 %: 80 voxels, of which some 30 are on the edge.
         assert!((found - radius).abs() < 0.03 * radius, "{found}");
     }
 

@@ -1,10 +1,11 @@
 //! Fixed anatomy around the lungs, LPS mm with the carina at the origin: great vessels, spine, ribs, sternum.
 //!
-//! Plain shapes in plausible places. They give the picture its landmarks and an airway finder its traps; they are not truth.
+//! The structures are plain shapes at plausible positions. They serve as landmarks in the picture and as difficulties
+//! for an airway search; they are not ground truth.
 
 use crate::shapes::{Piece, add, mix};
 
-/// What a solid piece is made of.
+/// Tissue of a solid.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Tissue {
     /// Vessels, oesophagus, muscle: one HU throughout.
@@ -13,20 +14,20 @@ pub(crate) enum Tissue {
     Bone,
 }
 
-/// A tube of some tissue.
+/// Tube of one tissue.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Solid {
     pub(crate) piece: Piece,
     pub(crate) tissue: Tissue,
 }
 
-/// Centre of the vertebral bodies at a height (the thoracic kyphosis).
+/// Return the y coordinate of the centre of the vertebral bodies at a height (the thoracic kyphosis).
 pub(crate) fn spine_y(z: f64) -> f64 {
     let u = z + 60.0;
     53.0 - 0.00085 * u * u
 }
 
-/// Height of one vertebra with its disc.
+/// Height of one vertebra with its disc, mm.
 pub(crate) const VERTEBRA_MM: f64 = 24.0;
 
 fn chain(out: &mut Vec<Solid>, tissue: Tissue, points: &[([f64; 3], f64)]) {
@@ -43,7 +44,7 @@ fn chain(out: &mut Vec<Solid>, tissue: Tissue, points: &[([f64; 3], f64)]) {
     }
 }
 
-/// Heart, great vessels and oesophagus of the mediastinum, and the bones but for the vertebral bodies.
+/// Return heart, great vessels and oesophagus of the mediastinum, and the bones except the vertebral bodies.
 pub(crate) fn solids(rib_cage: impl Fn(f64, f64) -> [f64; 2]) -> Vec<Solid> {
     let mut out = Vec::new();
     great_vessels(&mut out);
@@ -161,7 +162,7 @@ fn great_vessels(out: &mut Vec<Solid>) {
         blood,
         &[([-22.0, -14.0, -92.0], 11.0), ([-24.0, -2.0, -200.0], 11.0)],
     );
-    // Oesophagus, collapsed: air in it would be a second trachea.
+    // Oesophagus, collapsed, because air in it would look like a second trachea.
     chain(
         out,
         Tissue::Soft(34.0),
@@ -175,7 +176,7 @@ fn great_vessels(out: &mut Vec<Solid>) {
     );
 }
 
-/// Processes and ribs' heads behind the vertebral bodies.
+/// Add the processes and the ribs' heads behind the vertebral bodies.
 fn posterior_spine(out: &mut Vec<Solid>) {
     let mut level = -216.0;
     while level < 130.0 {
@@ -211,8 +212,9 @@ fn posterior_spine(out: &mut Vec<Solid>) {
     }
 }
 
-/// Eleven ribs of one side, with the cartilage of the first seven. `rib_cage(azimuth, z)` is the pleura in a direction
-/// (0 = posterior, pi = anterior) as `[x >= 0, y]`.
+/// Add eleven ribs of one side, with the cartilage of the first seven.
+///
+/// `rib_cage(azimuth, z)` is the pleura in a direction (0 = posterior, pi = anterior) as `[x >= 0, y]`.
 fn ribs(out: &mut Vec<Solid>, side: f64, rib_cage: &impl Fn(f64, f64) -> [f64; 2]) {
     for i in 0..11 {
         let n = f64::from(i);

@@ -3,7 +3,7 @@ use crate::neck::Neck;
 use crate::random::value_noise;
 use crate::shapes::{Piece, cover, ellipsoid, mix, smooth_max, smooth_min};
 
-/// Everything but airways and the lungs' own vessels.
+/// Body without the airways and the lungs' own vessels.
 #[derive(Debug)]
 pub(crate) struct Body {
     seed: u64,
@@ -11,48 +11,51 @@ pub(crate) struct Body {
     pub(crate) neck: Option<Neck>,
 }
 
-/// Room of the pleura at its widest: half width, half depth, and the heights of its widest level and of its apex, mm.
+/// Half width of the pleural cavity at its widest level, mm.
+///
+/// The next constants are its half depth, its middle y, and the heights of its widest level and of its apex.
 const CAVITY_X: f64 = 128.0;
 const CAVITY_Y: f64 = 90.0;
 const CAVITY_MID_Y: f64 = -4.0;
 const CAVITY_WIDE_Z: f64 = -70.0;
 const CAVITY_TOP_Z: f64 = 84.0;
 
-/// |q| to the power of 5/2: between an ellipse and a box, as a chest is.
+/// Return |q| to the power of 5/2, which gives a shape between an ellipse and a box, as a chest has.
 fn power(q: f64) -> f64 {
     q * q * q.sqrt()
 }
 
-/// The inverse of [`power`].
+/// Return the inverse of [`power`].
 fn root(s: f64) -> f64 {
     libm::pow(s, 0.4)
 }
 
-/// [`root`] to 1 in 2,000: the exponent's share of it, and a step of Halley's for the rest.
+/// Return [`root`] with an accuracy of 1 in 2,000: a guess from the exponent, and one step of Halley's method.
 fn root_about(s: f64) -> f64 {
-    // The bits of a float are about its logarithm; 3/5 of those of 1 are what is to be added for 2/5 of a power.
+    // The bits of a float are approximately proportional to its logarithm; for a power of 2/5, 3/5 of the bits of 1
+    // must be added.
     let guess = f64::from_bits((s.to_bits() / 5) * 2 + (1.0f64.to_bits() / 5) * 3);
     let (fifth, target) = (guess * guess * guess * guess * guess, s * s);
     guess * (2.0 * fifth + 3.0 * target) / (3.0 * fifth + 2.0 * target)
 }
 
-/// How much the cavity is drawn in at a height: 1 at its widest level, 0 at the apex.
+/// Return the scale of the cavity at a height: 1 at its widest level, 0 at the apex.
 fn cavity_shrink(z: f64) -> f64 {
     let u = ((z - CAVITY_WIDE_Z) / (CAVITY_TOP_Z - CAVITY_WIDE_Z)).max(0.0);
     root((1.0 - power(u)).max(0.0))
 }
 
-/// The pleura in a direction (0 = posterior, pi = anterior): `[x >= 0, y]`.
+/// Return the pleura in a direction (0 = posterior, pi = anterior): `[x >= 0, y]`.
 fn rib_cage(azimuth: f64, z: f64) -> [f64; 2] {
     let (s, c) = (libm::sin(azimuth), libm::cos(azimuth));
-    // Above the apex the first rib still needs a ring to lie on.
+    // Above the apex the first rib still needs a ring, so the scale has a lower limit.
     let shrink = cavity_shrink(z).max(0.30);
     let (x, y) = (s.abs() / (CAVITY_X * shrink), c.abs() / (CAVITY_Y * shrink));
     let r = 1.0 / root(power(x) + power(y));
     [s.abs() * r, CAVITY_MID_Y + c * r]
 }
 
-/// Surfaces at one point, mm.
+/// Signed distances to the surfaces of the body at one point, mm.
 pub(crate) struct Surfaces {
     pub(crate) skin: f64,
     cavity: f64,
@@ -63,10 +66,10 @@ pub(crate) struct Surfaces {
 }
 
 impl Surfaces {
-    /// Distance to the nearest surface at which the tissue changes.
+    /// Return the distance to the nearest surface at which the tissue changes.
     pub(crate) fn nearest(&self) -> f64 {
-        // The muscle of the chest wall lies 18 mm and 22 mm outside the cavity, fat begins 2 mm and muscle 12 mm under the
-        // skin: all those are surfaces as well.
+        // The muscle of the chest wall has surfaces 18 mm and 22 mm outside the cavity; fat begins 2 mm and muscle 12
+        // mm under the skin.
         [
             self.skin,
             self.skin + 2.0,
@@ -112,9 +115,9 @@ impl Body {
         body
     }
 
-    /// The same body with its neck.
+    /// Add a neck to the body.
     pub(crate) fn with_neck(mut self, neck: Neck) -> Self {
-        // The chest's arches end where the neck's begin.
+        // The vertebral arches of the chest end where those of the neck begin.
         self.solids.retain(|s| {
             s.tissue != Tissue::Bone || s.piece.start[1] < 30.0 || s.piece.start[2] < 92.0
         });
@@ -123,14 +126,14 @@ impl Body {
         self
     }
 
-    /// Middle of the vertebral bodies at a height.
+    /// Return the y coordinate of the middle of the vertebral bodies at a height.
     fn spine_y(&self, z: f64) -> f64 {
         self.neck
             .as_ref()
             .map_or_else(|| spine_y(z), |neck| neck.spine_y(z, spine_y(z)))
     }
 
-    /// Surfaces at one point; those that are far off about.
+    /// Return the surfaces at one point; distances to surfaces that are far away are approximate.
     pub(crate) fn surfaces(&self, p: [f64; 3]) -> Surfaces {
         let mut s = surfaces_by(Superellipsoid::seen_distance, p);
         if let Some(neck) = &self.neck
@@ -146,7 +149,8 @@ impl Body {
         s
     }
 
-    /// HU of the lung's tissue without its airways and vessels: denser behind (lying on the back), finely textured.
+    /// Return the HU of the lung's tissue without airways and vessels: denser at the back (supine patient), finely
+    /// textured.
     pub(crate) fn parenchyma_hu(&self, p: [f64; 3]) -> f64 {
         let gravity = 0.32 * (p[1] - CAVITY_MID_Y);
         let coarse = value_noise(self.seed ^ 0x11, p.map(|v| v / 9.0));
@@ -154,7 +158,7 @@ impl Body {
         -862.0 + gravity + 14.0 * coarse + 24.0 * fine
     }
 
-    /// HU of the body at a point, without `solids`, airways and the lungs' vessels.
+    /// Return the HU of the body at a point, without `solids`, airways and the lungs' vessels.
     pub(crate) fn hu(&self, p: [f64; 3], s: &Surfaces, sigma_mm: f64) -> f64 {
         let mut hu = mix(-1000.0, 5.0, cover(s.skin, sigma_mm));
         if s.skin > 4.0 {
@@ -163,7 +167,7 @@ impl Body {
         let mottle = value_noise(self.seed ^ 0x13, p.map(|v| v / 7.0));
         let fat = -102.0 + 9.0 * mottle;
         hu = mix(hu, fat, cover(s.skin + 2.0, sigma_mm));
-        // Chest wall and shoulders: muscle round the cavity and the neck, kept under the fat.
+        // Chest wall and shoulders: muscle round the cavity and the neck, limited to below the fat.
         let neck = ellipsoid(p, [0.0, 6.0, 118.0], [122.0, 70.0, 66.0]);
         let back = ellipsoid(p, [0.0, 84.0, p[2]], [62.0, 26.0, 1e6]);
         let mut wall = (s.cavity - 18.0).min(neck).min(back);
@@ -174,7 +178,7 @@ impl Body {
         }
         let muscle = smooth_max(wall, s.skin + fat_mm, 4.0);
         let strands = value_noise(self.seed ^ 0x14, [p[0] / 14.0, p[1] / 5.0, p[2] / 14.0]);
-        // Fat runs between the muscles.
+        // Fat is between the muscles.
         let seams = ((strands.abs() - 0.05) * 14.0).clamp(0.0, 1.0);
         let muscle_hu = mix(-70.0, 52.0 + 6.0 * mottle, mix(1.0, seams, 0.75));
         hu = mix(hu, muscle_hu, cover(muscle, sigma_mm));
@@ -204,7 +208,7 @@ fn with_spine(hu: f64, p: [f64; 3], spine: f64, spine_y: f64, neck: f64, sigma_m
     if spine > 30.0 {
         return hu;
     }
-    // Vertebral body between discs, and the canal behind.
+    // Vertebral bodies with discs between them, and the canal behind.
     let level = (p[2] / VERTEBRA_MM).fract();
     let level = if level < 0.0 { level + 1.0 } else { level };
     let disc = (0.5 - (level - 0.5).abs()) * VERTEBRA_MM - 2.5;
@@ -217,7 +221,7 @@ fn with_spine(hu: f64, p: [f64; 3], spine: f64, spine_y: f64, neck: f64, sigma_m
     mix(hu, 22.0, cover(canal, sigma_mm))
 }
 
-/// Signed distance to the lungs, negative inside. Good to a few per cent near the surface.
+/// Return the signed distance to the lungs, negative inside; accurate to a few per cent near the surface.
 pub(crate) fn lung_distance(p: [f64; 3]) -> f64 {
     surfaces(p).lung
 }
@@ -249,7 +253,7 @@ fn surfaces_by(distance: impl Fn(&Superellipsoid) -> f64, p: [f64; 3]) -> Surfac
     }
 }
 
-/// A solid's HU laid over what is there.
+/// Return the HU after a solid has been applied.
 pub(crate) fn with_solid(hu: f64, solid: &Solid, p: [f64; 3], sigma_mm: f64) -> f64 {
     let (d, _) = solid.piece.distance(p);
     let share = cover(d, sigma_mm);
@@ -260,7 +264,7 @@ pub(crate) fn with_solid(hu: f64, solid: &Solid, p: [f64; 3], sigma_mm: f64) -> 
         Tissue::Soft(own) => own,
         Tissue::Bone => mix(560.0, 190.0, cover(d + 1.5, sigma_mm)),
     };
-    // Of overlapping bones the denser wins: else each joint would show a ring.
+    // Of overlapping bones the denser one counts; otherwise each joint would show a ring.
     if solid.tissue == Tissue::Bone && hu > own && hu > 150.0 {
         return hu;
     }
@@ -268,12 +272,12 @@ pub(crate) fn with_solid(hu: f64, solid: &Solid, p: [f64; 3], sigma_mm: f64) -> 
 }
 
 fn skin(p: [f64; 3]) -> Superellipsoid {
-    // Shoulders narrow towards the neck; the arms are up.
+    // Shoulders narrow towards the neck; the arms are raised.
     let [a, b, y] = chest_skin(p[2]);
     Superellipsoid::at([(p[0], a), (p[1] - y, b)])
 }
 
-/// Half width, half depth and middle (y) of the chest's skin at a height.
+/// Return half width, half depth and middle (y) of the chest's skin at a height.
 pub(crate) fn chest_skin(z: f64) -> [f64; 3] {
     let up = ((z - 30.0) / 90.0).clamp(0.0, 1.2);
     [168.0 - 26.0 * up * up, 121.0 - 34.0 * up * up, -2.0]
@@ -288,7 +292,7 @@ fn cavity(p: [f64; 3]) -> Superellipsoid {
     ])
 }
 
-/// A superellipsoid at a point, given as (coordinate, half axis) pairs.
+/// Superellipsoid evaluated at a point, which is given as (coordinate, half axis) pairs.
 struct Superellipsoid {
     sum: f64,
     slope: f64,
@@ -312,13 +316,15 @@ impl Superellipsoid {
         }
     }
 
-    /// Distance, first order near the surface.
+    /// Return the signed distance of the point from the surface, accurate to first order near the surface.
     fn distance(&self) -> f64 {
         self.distance_by(root)
     }
 
-    /// The same to the last bit within [`SEEN_MM`] of the surface, and good to 0.5 % beyond, where no tissue changes: the
-    /// exact root is a third of what most voxels cost.
+    /// Return the same distance, exact within [`SEEN_MM`] of the surface, and accurate to 0.5 % farther away, where no
+    /// tissue changes.
+    ///
+    /// The exact root takes a third of the time of most voxels.
     fn seen_distance(&self) -> f64 {
         let about = self.distance_by(root_about);
         if about.abs() > SEEN_MM {
@@ -330,16 +336,18 @@ impl Superellipsoid {
 
     fn distance_by(&self, root: impl Fn(f64) -> f64) -> f64 {
         let g = root(self.sum).max(0.05);
-        // d(g)/d(x) = (q / g)^1.5 / half. Far inside it tends to 0, and the distance is then only a lower bound.
+        // d(g)/d(x) = (q / g)^1.5 / half. Far inside it approaches 0, and the distance is then only a lower bound.
         let slope = self.slope / (g * g.sqrt());
         (g - 1.0) / slope.max(0.5 / self.widest)
     }
 }
 
-/// Tissue changes up to 22 mm from these surfaces, and rounded edges and blur reach 6 mm farther.
+/// Distance in mm within which exact values are needed.
+///
+/// Tissue changes up to 22 mm from these surfaces, and rounded edges and blur extend 6 mm farther.
 const SEEN_MM: f64 = 30.0;
 
-/// Negative above the diaphragm: two domes, the right one higher.
+/// Return the signed distance to the diaphragm, negative above it: two domes, the right one higher.
 fn diaphragm(p: [f64; 3]) -> f64 {
     let dome = |x: f64, y: f64, top: f64| {
         let (u, v) = ((p[0] - x) / 74.0, (p[1] - y) / 86.0);
@@ -347,7 +355,7 @@ fn diaphragm(p: [f64; 3]) -> f64 {
         let slope = 132.0 * ((u / 74.0) * (u / 74.0) + (v / 86.0) * (v / 86.0)).sqrt();
         (surface - p[2]) / (1.0 + slope * slope).sqrt()
     };
-    // Solid below either dome, so the higher surface counts.
+    // The region below either dome is solid, so the higher surface counts.
     smooth_max(dome(-62.0, -12.0, -119.0), dome(62.0, -8.0, -131.0), 14.0)
 }
 
@@ -358,14 +366,16 @@ fn heart(p: [f64; 3]) -> f64 {
     smooth_min(smooth_min(ventricles, right_atrium, 10.0), left_atrium, 6.0)
 }
 
-/// The mediastinum as a sheet of varying thickness: broad round the trachea and the great vessels, thin in front.
+/// Return the signed distance to the mediastinum, a sheet of varying thickness.
+///
+/// The sheet is broad round the trachea and the great vessels, and thin in front.
 fn mediastinum(p: [f64; 3]) -> f64 {
-    // Higher up the great vessels lie further forward, and all is wider at the inlet.
+    // Higher up the great vessels are further forward, and the inlet is wider.
     let up = (p[2] / 90.0).clamp(0.0, 1.0);
     let v = (p[1] - mix(2.0, -12.0, up)) / mix(36.0, 34.0, up);
     let v4 = v * v * v * v;
     let half = 3.5 + mix(18.0, 30.0, up * up) / (1.0 + v4);
-    // 0.85: the sheet's sides slope by up to 30 degrees.
+    // Factor 0.85: the sides of the sheet have a slope of up to 30 degrees.
     0.85 * ((p[0] - 1.0).abs() - half)
 }
 

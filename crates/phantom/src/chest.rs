@@ -12,39 +12,43 @@ use crate::shapes::{along, normals, sub, tilted};
 use crate::vessels::vessels;
 use crate::voxels::Scene;
 
-/// The chest's box, LPS mm with the carina at the origin; the top is where the truth's first point lies.
+/// Lower corner of the chest's box, LPS mm with the carina at the origin.
+///
+/// The top of the box is at the first point of the ground truth.
 const LO_LPS: [f64; 3] = [-172.0, -126.0, -200.0];
 const HI_LPS: [f64; 3] = [172.0, 122.0, TOP_Z];
 const TOP_Z: f64 = 110.0;
 
-/// What chest to make.
+/// Options of a phantom chest.
 #[derive(Debug, Clone, PartialEq)]
 #[allow(
     clippy::struct_excessive_bools,
     reason = "independent switches, each named where it is set"
 )]
 pub struct ChestOptions {
-    /// The same seed gives the same chest.
+    /// Seed of the random choices; the same seed gives the same chest.
     pub seed: u64,
-    /// Distance of voxel centres along x, y, z.
+    /// Distance between voxel centres along x, y, z.
     pub spacing_mm: [f64; 3],
-    /// Airways divide below this generation (trachea 0), 3 to 9.
+    /// Generation below which airways divide (trachea 0), 3 to 9.
     pub generations: usize,
-    /// Narrow one central bronchus.
+    /// Whether one central bronchus is narrowed.
     pub stenosis: bool,
-    /// Put a nodule near a peripheral airway.
+    /// Whether there is a nodule near a peripheral airway.
     pub nodule: bool,
-    /// Standard deviation of the noise, 0 to 200.
+    /// Standard deviation of the noise, 0 to 200 HU.
     pub noise_hu: f64,
-    /// Go on above the chest: larynx, throat and the neck round them. The trachea then ends at the cricoid.
+    /// Whether the volume continues above the chest: larynx, throat and the surrounding neck.
+    ///
+    /// The trachea then ends at the cricoid.
     pub neck: bool,
-    /// Put a tube into the trachea; a tracheostomy needs the neck.
+    /// Tube in the trachea; a tracheostomy requires the neck.
     pub tube: Option<TubeKind>,
-    /// Take a lobe away: its bronchus ends in a stump.
+    /// Lobe that was resected: its bronchus ends in a stump.
     pub resected: Option<Lobe>,
-    /// Part of the chest to voxelize, `[lo, hi]` in LPS mm; the truth is always whole.
+    /// Part of the chest to voxelize, `[lo, hi]` in LPS mm; the ground truth is always that of the whole chest.
     pub box_lps: Option<[[f64; 3]; 2]>,
-    /// Also hand over the signed distance to the lumen.
+    /// Whether to return the signed distance to the lumen, too.
     pub with_distance: bool,
 }
 
@@ -66,49 +70,54 @@ impl Default for ChestOptions {
     }
 }
 
-/// A narrowing of one airway.
+/// Narrowing of one airway.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stenosis {
-    /// The narrowed airway.
+    /// Id of the narrowed airway.
     pub branch_id: usize,
-    /// Its narrowest place, LPS mm, a point of the centreline.
+    /// Narrowest position, LPS mm, a point of the centreline.
     pub centre_lps: [f64; 3],
-    /// Length of the narrowed stretch.
+    /// Length of the narrowed part, mm.
     pub length_mm: f64,
-    /// Radius at the narrowest place.
+    /// Radius at the narrowest position, mm.
     pub min_radius_mm: f64,
-    /// What the radius there would be.
+    /// Radius at that position without the narrowing, mm.
     pub reference_radius_mm: f64,
 }
 
-/// A chest CT with its truth.
+/// Chest CT with its ground truth.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Chest {
-    /// Where the voxels are.
+    /// Grid of the voxels.
     pub grid: Grid,
-    /// HU, x fastest.
+    /// Values of the voxels in HU, x fastest.
     pub hu: Vec<i16>,
-    /// 1 where a voxel's centre is inside an airway's lumen.
+    /// Lumen: 1 for a voxel whose centre is inside an airway's lumen.
     pub lumen: Vec<u8>,
-    /// 1 where a voxel's centre is in the air above the cricoid (larynx, throat); `None` without a neck.
+    /// Air above the cricoid (larynx, throat): 1 for a voxel whose centre is inside; `None` without a neck.
     pub upper_airway: Option<Vec<u8>>,
-    /// Signed distance to the lumen's surface in mm, negative inside, exact to the fillets at the carinas; 5 or more where
-    /// no airway is near. Only when asked for.
+    /// Signed distance to the lumen's surface in mm, negative inside, exact including the fillets at the carinas.
+    ///
+    /// The value is 5 or more where no airway is near. The field is `None` unless requested.
     pub lumen_distance_mm: Option<Vec<f32>>,
-    /// The airways, exact.
+    /// Exact airways.
     pub tree: AirwayTree,
-    /// The nodule, if any.
+    /// Nodule, if any.
     pub nodule: Option<Nodule>,
-    /// The stenosis, if any.
+    /// Stenosis, if any.
     pub stenosis: Option<Stenosis>,
     /// Middle of the airway at the lower border of the cricoid, LPS mm; `None` without a neck.
     pub cricoid_lps: Option<[f64; 3]>,
-    /// The tube in the trachea, if any.
+    /// Tube in the trachea, if any.
     pub tube: Option<TubeTruth>,
 }
 
 impl ChestOptions {
-    /// The grid of these options.
+    /// Return the grid of these options.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if an option is out of range.
     pub fn grid(&self) -> Result<Grid, PhantomError> {
         let refuse = |what, expected, found| {
             Err(PhantomError::Option {
@@ -142,7 +151,7 @@ impl ChestOptions {
         let origin = [
             0.5 * (lo[0] + hi[0] - (num[0] - 1) as f64 * self.spacing_mm[0]),
             0.5 * (lo[1] + hi[1] - (num[1] - 1) as f64 * self.spacing_mm[1]),
-            // The top slice lies on the box's top, so that the trachea begins in it at any spacing.
+            // The top slice is at the top of the box, so that the trachea begins in it for any spacing.
             hi[2] - (num[2] - 1) as f64 * self.spacing_mm[2],
         ];
         let [sx, sy, sz] = self.spacing_mm;
@@ -172,10 +181,14 @@ impl ChestOptions {
 }
 
 impl Chest {
-    /// Makes a chest on the grid of its options.
+    /// Generate a chest on the grid of its options.
     ///
-    /// `proceed` is told the share done (0..1) from time to time; its `false` stops the work with
-    /// [`PhantomError::Cancelled`].
+    /// `proceed` is called from time to time with the completed share (0 to 1); if it returns `false`, the function
+    /// ends with [`PhantomError::Cancelled`].
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if an option is out of range or `proceed` returns `false`.
     pub fn generate(
         options: &ChestOptions,
         proceed: &mut dyn FnMut(f64) -> bool,
@@ -184,9 +197,15 @@ impl Chest {
         Self::generate_on(&grid, options, proceed)
     }
 
-    /// Signed distances in mm to the lumen of the chest of these options, at any points (LPS mm): negative inside.
+    /// Return the signed distances in mm to the lumen of the chest of these options, at any points (LPS mm): negative
+    /// inside.
     ///
-    /// Near the surface it is the distance; deep inside it is at least that far in, and 5 where no airway is near.
+    /// Near the surface the value is the exact distance; deep inside it is a lower bound of the depth, and 5 where no
+    /// airway is near.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if an option is out of range.
     pub fn lumen_distances_at(
         options: &ChestOptions,
         points: &[[f64; 3]],
@@ -199,7 +218,11 @@ impl Chest {
         Ok(Scene::new(&tree, &body, &[], None).distances_at(&grid, points))
     }
 
-    /// Makes a chest on any grid, also an oblique one.
+    /// Generate a chest on any grid, which may be oblique.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if an option is out of range or `proceed` returns `false`.
     pub fn generate_on(
         grid: &Grid,
         options: &ChestOptions,
@@ -244,7 +267,7 @@ impl Chest {
     }
 }
 
-/// Narrows the left main or the intermediate bronchus to less than half its diameter.
+/// Narrow the left main or the intermediate bronchus to less than half its diameter.
 fn narrow(tree: &mut AirwayTree, random: &mut Random) -> Stenosis {
     let name = if random.unit() < 0.5 { "LMB" } else { "BI" };
     let id = tree.named(name).map_or(0, |b| b.id);
@@ -256,7 +279,7 @@ fn narrow(tree: &mut AirwayTree, random: &mut Random) -> Stenosis {
     }
     let whole = cumulative[cumulative.len() - 1];
     let length_mm = 14.0f64.min(0.7 * whole);
-    // The narrowest place is a point of the centreline, so that its radius stands in the truth as it is.
+    // The narrowest position is a point of the centreline, so that the ground truth contains its exact radius.
     let middle = cumulative
         .iter()
         .position(|&s| s >= 0.55 * whole)
@@ -264,7 +287,7 @@ fn narrow(tree: &mut AirwayTree, random: &mut Random) -> Stenosis {
     let reference_radius_mm = branch.radius_mm[middle];
     for (n, r) in branch.radius_mm.iter_mut().enumerate() {
         let u = ((cumulative[n] - cumulative[middle]) / (0.5 * length_mm)).clamp(-1.0, 1.0);
-        // A raised cosine: 1 in the middle, level with the healthy wall at both ends.
+        // A raised cosine: 1 in the middle, continuous with the healthy wall at both ends.
         let depth = 0.5 * (1.0 + libm::cos(core::f64::consts::PI * u));
         *r *= 1.0 - (1.0 - left) * depth;
     }
@@ -277,7 +300,7 @@ fn narrow(tree: &mut AirwayTree, random: &mut Random) -> Stenosis {
     }
 }
 
-/// Puts a nodule 5 to 12 mm beyond the end of a peripheral airway, inside the lung and clear of all airways.
+/// Place a nodule 5 to 12 mm beyond the end of a peripheral airway, inside the lung and clear of all airways.
 fn place_nodule(tree: &AirwayTree, random: &mut Random) -> Nodule {
     let ends: Vec<usize> = tree
         .branches
@@ -315,7 +338,8 @@ fn place_nodule(tree: &AirwayTree, random: &mut Random) -> Nodule {
             best = Some((room, found));
         }
     }
-    // 400 tries without room do not happen (tested over many seeds); the least bad one is still placed and reported.
+    // 400 failed tries do not occur (tested over many seeds); if they did, the best position would be used and
+    // reported.
     best.map_or_else(
         || Nodule {
             centre_lps: tree.branches[0].points[0],
@@ -384,8 +408,8 @@ mod tests {
             };
             let here = a[straight.grid.index(v)];
             if there < 2.0 && here < 2.0 {
-                // The nearest voxel's centre lies up to 1.5 mm away, half the diagonal; a distance changes by no more, but
-                // for the slope of the stenosis, under 1.4.
+                // The nearest voxel's centre is up to 1.5 mm away, half the diagonal; a distance changes by at most
+                // that, except at the slope of the stenosis, where the factor is under 1.4.
                 assert!((here - there).abs() < 2.1, "{here} {there} at {p:?}");
                 compared += 1;
             }
@@ -405,7 +429,7 @@ mod tests {
             .collect();
         let found = Chest::lumen_distances_at(&options(), &points).unwrap();
         for (a, b) in found.iter().zip(made.lumen_distance_mm.unwrap()) {
-            // Where no airway is near, one of them may still know of one.
+            // Where one grid reports no near airway, the other may still report one.
             assert!(
                 (*a as f32 - b).abs() < 1e-6 || (*a > 3.0 && b > 3.0),
                 "{a} {b}"

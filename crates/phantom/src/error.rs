@@ -1,28 +1,28 @@
 use carina_grid::GridError;
 
-/// What can be wrong with the options of a phantom.
+/// Errors of the options of a phantom.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum PhantomError {
     /// An option is out of range.
     #[error("{what}: expected {expected}, found {found}")]
     Option {
-        /// Which option.
+        /// Name of the option.
         what: &'static str,
         /// Allowed values.
         expected: &'static str,
-        /// The refused value.
+        /// Rejected value.
         found: String,
     },
-    /// The grid that the options ask for cannot exist.
+    /// The grid of the options is not valid.
     #[error(transparent)]
     Grid(#[from] GridError),
-    /// The caller asked to stop.
+    /// The caller stopped the computation.
     #[error("stopped while generating the phantom")]
     Cancelled,
 }
 
 impl PhantomError {
-    /// Stable code, shared with Python and the wire.
+    /// Return the stable error code, shared with Python and the wire.
     #[must_use]
     pub const fn code(&self) -> &'static str {
         match self {

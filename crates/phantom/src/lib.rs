@@ -1,12 +1,12 @@
-//! Volumes with exact truth: small analytic ones for tests and benches, and a chest CT.
+//! Volumes with exact ground truth: small analytic ones for tests and benchmarks, and a chest CT.
 //!
-//! The chest is built in three steps. [`airways`](AirwayTree) grows the tree: named branches down to the segments from a
-//! table, subsegments by rule. The tree, its vessels and the body are then signed distances, and a voxel's value follows
-//! from those at its own place and at points within it (partial volume). The truth is the tree itself, never something
-//! measured in the picture.
+//! The chest is built in three steps. [`airways`](AirwayTree) grows the tree: named branches down to the segments from
+//! a table, subsegments by rule. Then the tree, its vessels and the body are converted to signed distances. Finally a
+//! voxel's value is computed from the distances at its own centre and at points within it (partial volume). The ground
+//! truth is the tree itself, never a measurement in the picture.
 //!
-//! All random choices come from the seed and the place, never from the order of work: one seed, one case, on any number
-//! of threads.
+//! All random choices depend on the seed and the position, never on the order of work: one seed gives the same chest on
+//! any number of threads.
 
 mod airway_tube;
 mod airways;

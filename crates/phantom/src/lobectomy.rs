@@ -1,35 +1,36 @@
-//! A chest after a lobectomy: of a lobe's airways the stump of its bronchus is left, and its neighbours have moved into
-//! the room.
+//! Chest after a lobectomy.
+//!
+//! Of a lobe's airways only the stump of its bronchus is left, and neighbouring airways have moved into the free space.
 
 use carina_grid::length;
 
 use crate::airways::AirwayTree;
 use crate::shapes::{along, sub};
 
-/// A lobe that a surgeon can take away.
+/// Lobe that can be resected.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[allow(
     clippy::upper_case_acronyms,
     reason = "the names that clinicians write"
 )]
 pub enum Lobe {
-    /// Right upper.
+    /// Right upper lobe.
     RUL,
-    /// Middle.
+    /// Middle lobe.
     RML,
-    /// Right lower.
+    /// Right lower lobe.
     RLL,
-    /// Left upper, lingula included.
+    /// Left upper lobe, including the lingula.
     LUL,
-    /// Left lower.
+    /// Left lower lobe.
     LLL,
 }
 
 impl Lobe {
-    /// All of them, the right lung first.
+    /// All lobes, the right lung first.
     pub const ALL: [Self; 5] = [Self::RUL, Self::RML, Self::RLL, Self::LUL, Self::LLL];
 
-    /// The name of its bronchus.
+    /// Return the name of the lobe's bronchus.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -42,16 +43,22 @@ impl Lobe {
     }
 }
 
-/// What a surgeon leaves of a lobe's bronchus beyond the wall of the airway that it comes from.
+/// Length of the stump of a lobe's bronchus beyond the wall of the airway that it leaves, mm.
 const STUMP_MM: f64 = 6.0;
-/// The share of the way to the lobe's hilum that airways beside it move, and how far that reaches.
+/// Displacement of neighbouring airways, as a fraction of their distance to the lobe's hilum.
+///
+/// The next constant is the decay length of the displacement.
 const SHIFT: f64 = 0.15;
 const SHIFT_REACH_MM: f64 = 80.0;
-/// Nothing moves this near to the midline, all of it does at twice the distance: trachea and main bronchi hold.
+/// Distance from the midline up to which nothing moves; at twice this distance the full displacement applies.
+///
+/// Trachea and main bronchi thus stay in place.
 const MIDLINE_MM: f64 = 12.0;
 
 impl AirwayTree {
-    /// Takes a lobe away. Nothing is named after it any more; ids are given anew, in the same order.
+    /// Resect a lobe.
+    ///
+    /// No remaining branch has a name of the lobe; branches get new ids in the same order.
     pub(crate) fn resect(&mut self, lobe: Lobe) {
         let Some(lost) = self.named(lobe.name()) else {
             return;
@@ -97,7 +104,7 @@ impl AirwayTree {
     }
 }
 
-/// Where a place of the same lung lies afterwards.
+/// Return the new position of a point of the same lung.
 fn shifted(p: [f64; 3], hilum: [f64; 3]) -> [f64; 3] {
     let side = hilum[0].signum();
     let beside = ((p[0] * side - MIDLINE_MM) / MIDLINE_MM).clamp(0.0, 1.0);
@@ -138,7 +145,7 @@ mod tests {
                     assert_eq!(after.branches[child].points[0], branch.tip());
                 }
             }
-            // The other lung and the trachea stay where they are.
+            // The other lung and the trachea stay in place.
             let other = if lobe.name().starts_with('R') {
                 "LB6"
             } else {

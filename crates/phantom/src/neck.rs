@@ -1,9 +1,10 @@
-//! The neck above the chest: larynx, throat and what lies round them, in a frame that starts at the lower border of the
-//! cricoid, where the trachea begins.
+//! Neck above the chest: larynx, throat and surrounding tissue.
 //!
-//! Heights and widths are those of adults: the cords 18 to 25 mm above the cricoid's lower border, a rima of 18 to 24 mm
-//! from front to back, trachea 104 to 126 mm from the carina to the cricoid. The sinuses beside the larynx end blindly at
-//! the height of the cords; the throat behind and above it is wider than deep.
+//! Its frame starts at the lower border of the cricoid, where the trachea begins.
+//!
+//! Heights and widths are those of adults: the cords 18 to 25 mm above the cricoid's lower border, a rima of 18 to 24
+//! mm from front to back, trachea 104 to 126 mm from the carina to the cricoid. The sinuses beside the larynx end
+//! blindly at the height of the cords; the throat behind and above it is wider than deep.
 
 use crate::anatomy::{Solid, Tissue};
 use crate::random::{Random, value_noise};
@@ -11,28 +12,30 @@ use crate::shapes::{Piece, cover, ellipsoid, mix, smooth_max, smooth_min};
 
 /// Top of a chest's box with its neck, mm above the carina.
 pub(crate) const NECK_TOP_Z: f64 = 195.0;
-/// Spine, muscles and skin turn from the chest's into the neck's between these heights.
+/// Height at which spine, muscles and skin begin to change from the chest's shape to the neck's.
+///
+/// The next constant is the height at which the change is complete.
 const INLET_Z: f64 = 85.0;
 const NECK_Z: f64 = 130.0;
 
-/// One person's neck.
+/// Neck of one person.
 #[derive(Debug, Clone)]
 pub(crate) struct Neck {
     seed: u64,
-    /// Middle of the airway at the lower border of the cricoid, LPS mm: where the truth's trachea begins.
+    /// Middle of the airway at the lower border of the cricoid, LPS mm: the beginning of the ground truth's trachea.
     pub(crate) cricoid_lps: [f64; 3],
-    /// Radius of the trachea there.
+    /// Radius of the trachea at the cricoid, mm.
     radius: f64,
-    /// Height of the vocal cords above it.
+    /// Height of the vocal cords above the cricoid's lower border, mm.
     cords: f64,
-    /// Half the width of the rima between the cords, and half its depth.
+    /// Half of the width of the rima between the cords; the next field is half of its depth; both mm.
     gap: f64,
     rima: f64,
-    /// How much wider the rima is behind than in front.
+    /// Fraction by which the rima is wider at the back, and narrower in front, than in the middle.
     wedge: f64,
-    /// Half width and half depth of the throat.
+    /// Half width and half depth of the throat, mm.
     throat: [f64; 2],
-    /// Share of the cartilage that is calcified, 0..1.
+    /// Share of the cartilage that is calcified, 0 to 1.
     calcified: f64,
 }
 
@@ -41,7 +44,7 @@ fn smoothstep(lo: f64, hi: f64, at: f64) -> f64 {
     t * t * (3.0 - 2.0 * t)
 }
 
-/// Values of a table `(height, [..])` at a height, eased from row to row.
+/// Interpolate the values of a table `(height, [..])` at a height, smoothly from row to row.
 fn row<const N: usize>(table: &[(f64, [f64; N])], h: f64) -> [f64; N] {
     let last = table.len() - 1;
     let next = table.iter().position(|(at, _)| *at > h).unwrap_or(last);
@@ -53,19 +56,19 @@ fn row<const N: usize>(table: &[(f64, [f64; N])], h: f64) -> [f64; N] {
     std::array::from_fn(|a| mix(from.1[a], to.1[a], t))
 }
 
-/// Distance to an ellipse in the plane, first order near its edge.
+/// Return the distance to an ellipse in the plane, to first order near its edge.
 fn ellipse(x: f64, y: f64, a: f64, b: f64) -> f64 {
     let (u, v) = (x / a, y / b);
     let (k0, k1) = (u.hypot(v), (u / a).hypot(v / b));
     if k1 < 1e-9 {
         return -a.min(b);
     }
-    // Far beside the point of a narrow one the first order is much too small.
+    // Beside the tip of a narrow ellipse the first-order value is much too small.
     (k0 * (k0 - 1.0) / k1).max(x.abs() - a).max(y.abs() - b)
 }
 
 impl Neck {
-    /// Where the trachea of a seed begins, mm above the carina.
+    /// Return the height of the beginning of the trachea for a seed, mm above the carina.
     pub(crate) fn trachea_top_z(seed: u64) -> f64 {
         Random::new(seed, 7).range(104.0, 126.0)
     }
@@ -78,7 +81,7 @@ impl Neck {
             cricoid_lps,
             radius,
             cords: random.range(18.0, 25.0),
-            // A breath that is held shuts the cords of some, quiet breathing leaves them apart.
+            // Some people close the cords when they hold their breath; quiet breathing leaves the cords open.
             gap: if random.unit() < 0.25 {
                 0.15
             } else {
@@ -91,23 +94,25 @@ impl Neck {
         }
     }
 
-    /// Height above the cricoid's lower border.
+    /// Return the height above the cricoid's lower border.
     fn height(&self, p: [f64; 3]) -> f64 {
         p[2] - self.cricoid_lps[2]
     }
 
-    /// Middle of the larynx from front to back: it goes on in the trachea's direction.
+    /// Return the y coordinate of the middle of the larynx, which continues in the trachea's direction.
     fn larynx_y(&self, h: f64) -> f64 {
         self.cricoid_lps[1] - 0.1 * h
     }
 
-    /// Middle of the vertebral bodies at a height, given the chest's.
+    /// Return the y coordinate of the middle of the vertebral bodies at a height, given the chest's.
     pub(crate) fn spine_y(&self, z: f64, chest_y: f64) -> f64 {
         let own = self.cricoid_lps[1] + 31.0 - 0.05 * (z - self.cricoid_lps[2]);
         mix(chest_y, own, smoothstep(INLET_Z, NECK_Z, z))
     }
 
-    /// What a distance to the skin is multiplied by at a height: shoulders and collar slope, which [`Self::skin`] knows nothing of.
+    /// Return the factor for a distance to the skin at a height, which accounts for the slope of shoulders and collar.
+    ///
+    /// [`Self::skin`] does not include the slope.
     pub(crate) fn slope(z: f64) -> f64 {
         mix(
             1.0,
@@ -116,18 +121,18 @@ impl Neck {
         )
     }
 
-    /// How far a height lies in the neck: 0 in the chest, 1 above its inlet.
+    /// Return the share of the neck's shape at a height: 0 in the chest, 1 above the inlet.
     pub(crate) fn share(z: f64) -> f64 {
         smoothstep(INLET_Z, NECK_Z, z)
     }
 
-    /// Half width, half depth and middle (y) of the skin: shoulders below, the neck above.
+    /// Return half width, half depth and middle (y) of the skin: shoulders below, the neck above.
     pub(crate) fn skin(&self, z: f64, chest: [f64; 3]) -> [f64; 3] {
         // The shoulders of raised arms reach up to the larynx.
         let share = smoothstep(105.0, 150.0, z);
         let width = mix(chest[0], 60.0, share);
         let back = mix(chest[2] + chest[1], self.cricoid_lps[1] + 88.0, share);
-        // In front the chest ends at the collar bones.
+        // In front the chest ends at the clavicles.
         let front = smoothstep(62.0, 112.0, z);
         let front = mix(chest[2] - chest[1], self.cricoid_lps[1] - 30.0, front);
         [width, 0.5 * (back - front), 0.5 * (back + front)]
@@ -137,7 +142,7 @@ impl Neck {
         self.spine_y(z, 0.0) - 10.5 - 4.5
     }
 
-    /// Signed distance to the air of larynx and throat, from just under the cricoid's lower border upwards.
+    /// Return the signed distance to the air of larynx and throat, from just under the cricoid's lower border upwards.
     pub(crate) fn upper_airway(&self, p: [f64; 3]) -> f64 {
         let h = self.height(p);
         let x = p[0] - self.cricoid_lps[0];
@@ -145,7 +150,8 @@ impl Neck {
             return f64::INFINITY;
         }
         let (r, g, gap, b) = (self.radius, self.cords, self.gap, self.rima);
-        // Half width, half depth, how much wider behind: trachea, cricoid, cone, cords, ventricle, false cords, vestibule.
+        // Half width, half depth, and fraction by which the back is wider and the front is narrower, for: trachea,
+        // cricoid, cone, cords, ventricle, false cords, vestibule.
         let larynx = row(
             &[
                 (-6.0, [r, r, 0.0]),
@@ -187,7 +193,8 @@ impl Neck {
         d
     }
 
-    /// Hypopharynx and oropharynx: from the spine's front to the epiglottis, then to the tongue.
+    /// Return the signed distance to hypopharynx and oropharynx: from the spine's front to the epiglottis, higher up to
+    /// the tongue.
     fn throat(&self, p: [f64; 3], h: f64, x: f64) -> f64 {
         let g = self.cords;
         let [half_width, half_depth] = self.throat;
@@ -205,7 +212,7 @@ impl Neck {
         smooth_max(d, g + 20.0 - h, 3.0)
     }
 
-    /// Signed distance to the epiglottis: a leaf from the front of the vestibule up into the throat.
+    /// Return the signed distance to the epiglottis: a leaf from the front of the vestibule up into the throat.
     fn epiglottis(&self, h: f64, x: f64, y: f64) -> f64 {
         let up = h - (self.cords + 12.0);
         let at = self.larynx_y(h) - self.rima + 1.0 + 0.3 * up + x * x / 45.0;
@@ -215,7 +222,7 @@ impl Neck {
             .max(up - 30.0)
     }
 
-    /// Lays cricoid, thyroid cartilage and the muscle round them over what is there; `to_air` is the distance to the airway.
+    /// Apply cricoid, thyroid cartilage and the surrounding muscle to a value; `to_air` is the distance to the airway.
     pub(crate) fn with_cartilage(&self, hu: f64, p: [f64; 3], to_air: f64, sigma_mm: f64) -> f64 {
         let h = self.height(p);
         let x = p[0] - self.cricoid_lps[0];
@@ -237,7 +244,7 @@ impl Neck {
         let ring = (ellipse(x, y, self.radius + 4.2, self.radius + 4.6).abs() - 1.7)
             .max(-h)
             .max(h - mix(6.0, 20.0, back));
-        // Not where the airway itself is.
+        // Exclude the airway itself.
         let ring = ring.max(1.2 - to_air);
         hu = mix(hu, own, cover(ring, sigma_mm));
         // Thyroid cartilage: two plates that meet in front.
@@ -251,7 +258,8 @@ impl Neck {
         mix(hu, own, cover(plate, sigma_mm))
     }
 
-    /// What goes on from the chest into the neck: vessels, gullet, hyoid and the arches of the vertebrae.
+    /// Return the structures that continue from the chest into the neck: vessels, oesophagus, hyoid and the arches of
+    /// the vertebrae.
     pub(crate) fn solids(&self, chest_spine_y: impl Fn(f64) -> f64) -> Vec<Solid> {
         let mut out = Vec::new();
         let [cx, cy, cz] = self.cricoid_lps;
@@ -285,7 +293,7 @@ impl Neck {
                     (at(34.0, cy + 19.0, 215.0), 5.5),
                 ],
             );
-            // The thyroid gland beside the trachea's upper rings.
+            // Thyroid gland beside the trachea's upper rings.
             chain(
                 Tissue::Soft(112.0),
                 &[
@@ -339,7 +347,8 @@ impl Neck {
         out
     }
 
-    /// The points of a way through the larynx, from the trachea's beginning to above the box: what a tube follows.
+    /// Return the points of a path through the larynx, from the beginning of the trachea to above the box, which a tube
+    /// follows.
     pub(crate) fn way_up(&self) -> Vec<[f64; 3]> {
         let [cx, _, cz] = self.cricoid_lps;
         let top = NECK_TOP_Z + 30.0 - cz;
@@ -347,7 +356,7 @@ impl Neck {
             .map(|n| {
                 let h = 2.0 * n as f64;
                 let z = cz + h;
-                // A tube lies in the back of the rima and then bends back into the throat.
+                // A tube is in the back of the rima and then bends back into the throat.
                 let larynx = self.larynx_y(h) + 0.25 * self.rima;
                 let throat = self.throat_back_y(z) - self.throat[1];
                 let share = smoothstep(self.cords + 8.0, self.cords + 45.0, h);
@@ -356,7 +365,7 @@ impl Neck {
             .collect()
     }
 
-    /// Front of the skin at a height, y.
+    /// Return the y coordinate of the front of the skin at a height.
     pub(crate) fn front_y(&self, z: f64, chest: [f64; 3]) -> f64 {
         let [_, depth, middle] = self.skin(z, chest);
         middle - depth

@@ -1,14 +1,14 @@
-//! A nodule in the lung.
+//! Nodule in the lung.
 
-/// A round lesion.
+/// Round lesion.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Nodule {
     /// Centre, LPS mm.
     pub centre_lps: [f64; 3],
-    /// Radius.
+    /// Radius, mm.
     pub radius_mm: f64,
-    /// The airway nearest to it.
+    /// Id of the nearest airway.
     pub branch_id: usize,
-    /// Distance of its centre from that airway's centreline.
+    /// Distance of its centre from that airway's centreline, mm.
     pub distance_mm: f64,
 }

@@ -2,18 +2,19 @@ use rayon::prelude::*;
 
 use crate::random::mixed;
 
-/// Weights of the in-plane kernel on a 3 x 3 neighbourhood: a little smoothing, as a soft-tissue reconstruction has.
+/// Weight of the centre in the in-plane 3 x 3 kernel, which smooths slightly, as a soft-tissue reconstruction does.
 const CENTRE: f32 = 0.62;
 const SIDE: f32 = 0.30;
 const CORNER: f32 = 0.145;
 
-/// Adds noise of standard deviation `sigma_hu` to one slice: white noise that depends on seed and voxel, correlated in plane.
+/// Add noise of standard deviation `sigma_hu` to one slice: white noise that depends on seed and voxel, correlated in
+/// plane.
 pub(crate) fn add_noise(slice: &mut [f32], width: usize, z: usize, seed: u64, sigma_hu: f64) {
     if sigma_hu <= 0.0 {
         return;
     }
     let height = slice.len() / width;
-    // One voxel more on each side, so that the edge is like the middle.
+    // One more voxel on each side, so that the noise at the edge has the same statistics.
     let stride = width + 2;
     let key = mixed(seed ^ mixed(z as u64));
     let white: Vec<f32> = (0..stride * (height + 2))
@@ -31,14 +32,14 @@ pub(crate) fn add_noise(slice: &mut [f32], width: usize, z: usize, seed: u64, si
     }
 }
 
-/// A nearly normal number with variance 1: the sum of four uniform ones (Irwin-Hall), from 16 bits each.
+/// Return an approximately normal number with variance 1: the sum of four uniform ones (Irwin-Hall), from 16 bits each.
 fn white(bits: u64) -> f32 {
     let sum: u64 = (0..4).map(|n| (bits >> (16 * n)) & 0xffff).sum();
-    // Mean 2 * 65535, variance 4 * 65536^2 / 12.
+    // The sum has mean 2 * 65535 and variance 4 * 65536^2 / 12.
     (sum as f32 - 131_070.0) * (1.0 / 37_837.2)
 }
 
-/// Adds noise to all slices and rounds to whole HU within what a scanner writes.
+/// Add noise to all slices and round to integer HU within the range of a scanner.
 pub(crate) fn finish(
     values: &mut [f32],
     out: &mut [i16],
@@ -72,7 +73,7 @@ mod tests {
         let n = slice.len() as f32;
         let mean = slice.iter().sum::<f32>() / n;
         let variance = slice.iter().map(|v| (v - mean) * (v - mean)).sum::<f32>() / n;
-        // 3 %: 30 000 samples, some 8 000 of them independent.
+        // Tolerance 3 %: 30 000 samples, some 8 000 of them independent.
         assert!((variance.sqrt() - 20.0).abs() < 0.6, "{}", variance.sqrt());
         assert!(mean.abs() < 1.0, "{mean}");
         let neighbours: f32 = slice

@@ -1,8 +1,8 @@
-//! Signed distances in mm (negative inside) and how they join.
+//! Signed distances in mm (negative inside) and their combinations.
 
 use carina_grid::{cross, dot, length, unit};
 
-/// Blur of the scanner beside the voxel's own box: FWHM 0.8 mm.
+/// Blur of the scanner in addition to the voxel's own box: FWHM 0.8 mm.
 pub(crate) const SIGMA_MM: f64 = 0.35;
 
 pub(crate) fn add(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
@@ -13,7 +13,7 @@ pub(crate) fn sub(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     std::array::from_fn(|i| a[i] - b[i])
 }
 
-/// `a + f * b`.
+/// Return `a + f * b`.
 pub(crate) fn along(a: [f64; 3], f: f64, b: [f64; 3]) -> [f64; 3] {
     std::array::from_fn(|i| a[i] + f * b[i])
 }
@@ -22,12 +22,12 @@ pub(crate) fn mix(a: f64, b: f64, t: f64) -> f64 {
     a + t * (b - a)
 }
 
-/// Unit vector; the tree never hands over a vector without length.
+/// Return the unit vector; the tree never passes a vector of length 0.
 pub(crate) fn direction(v: [f64; 3]) -> [f64; 3] {
     unit(v).unwrap_or([0.0, 0.0, 1.0])
 }
 
-/// Two unit vectors at right angles to `dir` and each other.
+/// Return two unit vectors perpendicular to `dir` and to each other.
 pub(crate) fn normals(dir: [f64; 3]) -> ([f64; 3], [f64; 3]) {
     let helper = if dir[2].abs() < 0.8 {
         [0.0, 0.0, 1.0]
@@ -38,7 +38,7 @@ pub(crate) fn normals(dir: [f64; 3]) -> ([f64; 3], [f64; 3]) {
     (across, cross(dir, across))
 }
 
-/// `dir` tilted by `tilt`, towards the direction `turn` round it.
+/// Return `dir` tilted by `tilt`, towards the direction `turn` round it.
 pub(crate) fn tilted(
     dir: [f64; 3],
     across: [f64; 3],
@@ -52,26 +52,27 @@ pub(crate) fn tilted(
     direction(std::array::from_fn(|i| ct * dir[i] + st * side[i]))
 }
 
-/// Union with a fillet of about `k` mm (quadratic).
+/// Return the union with a fillet of about `k` mm (quadratic).
 pub(crate) fn smooth_min(a: f64, b: f64, k: f64) -> f64 {
     let h = (k - (a - b).abs()).max(0.0);
     a.min(b) - h * h / (4.0 * k)
 }
 
-/// Intersection with a rounded edge of about `k` mm.
+/// Return the intersection with a rounded edge of about `k` mm.
 pub(crate) fn smooth_max(a: f64, b: f64, k: f64) -> f64 {
     -smooth_min(-a, -b, k)
 }
 
-/// The share of a point-spread function of width `sigma_mm` that lies inside a flat surface at distance `d`.
+/// Return the fraction of a point-spread function of width `sigma_mm` that is inside a flat surface at distance `d`.
 ///
-/// A cubic step with the slope of the Gaussian's integral at the surface; it ends at 1.88 sigma, which keeps lists short.
+/// The function is a cubic step with the slope of the Gaussian's integral at the surface; it ends at 1.88 sigma, which
+/// keeps lists short.
 pub(crate) fn cover(d: f64, sigma_mm: f64) -> f64 {
     let t = (0.5 - d / (3.76 * sigma_mm)).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
 }
 
-/// A piece of a tube: a straight axis with a radius that changes linearly along it.
+/// Piece of a tube: a straight axis with a radius that changes linearly along it.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Piece {
     pub(crate) start: [f64; 3],
@@ -81,7 +82,7 @@ pub(crate) struct Piece {
 }
 
 impl Piece {
-    /// Distance from the axis, and how far along it (0..1) the nearest point is.
+    /// Return the distance from the axis, and the position (0 to 1) of the nearest point along it.
     pub(crate) fn axis_distance(&self, p: [f64; 3]) -> (f64, f64) {
         let axis = sub(self.end, self.start);
         let from = sub(p, self.start);
@@ -89,18 +90,18 @@ impl Piece {
         (length(along(from, -t, axis)), t)
     }
 
-    /// Signed distance, and how far along the axis (0..1) the nearest point is.
+    /// Return the signed distance, and the position (0 to 1) of the nearest point along the axis.
     pub(crate) fn distance(&self, p: [f64; 3]) -> (f64, f64) {
         let (away, t) = self.axis_distance(p);
         (away - mix(self.start_radius, self.end_radius, t), t)
     }
 
-    /// Box in LPS that holds every point within `margin` of the surface.
+    /// Return the box in LPS that contains every point within `margin` of the surface.
     pub(crate) fn bounds(&self, margin: f64) -> ([f64; 3], [f64; 3]) {
         self.axis_bounds(self.start_radius.max(self.end_radius) + margin)
     }
 
-    /// Box in LPS that holds every point within `r` of the axis.
+    /// Return the box in LPS that contains every point within `r` of the axis.
     pub(crate) fn axis_bounds(&self, r: f64) -> ([f64; 3], [f64; 3]) {
         (
             std::array::from_fn(|a| self.start[a].min(self.end[a]) - r),
@@ -109,7 +110,7 @@ impl Piece {
     }
 }
 
-/// Distance to an ellipsoid with axes along LPS, first order near the surface.
+/// Return the distance to an ellipsoid with axes along LPS, to first order near the surface.
 pub(crate) fn ellipsoid(p: [f64; 3], centre: [f64; 3], radii: [f64; 3]) -> f64 {
     let inverse = radii.map(|r| 1.0 / r);
     let q: [f64; 3] = std::array::from_fn(|a| (p[a] - centre[a]) * inverse[a]);
@@ -121,7 +122,9 @@ pub(crate) fn ellipsoid(p: [f64; 3], centre: [f64; 3], radii: [f64; 3]) -> f64 {
     k0 * (k0 - 1.0) / k1
 }
 
-/// A point on the cubic from `a` (leaving along `ta`) to `b` (arriving along `tb`); the tangents have lengths in mm.
+/// Return a point on the cubic from `a` (leaving along `ta`) to `b` (arriving along `tb`).
+///
+/// The tangents have lengths in mm.
 pub(crate) fn hermite(a: [f64; 3], ta: [f64; 3], b: [f64; 3], tb: [f64; 3], t: f64) -> [f64; 3] {
     let (t2, t3) = (t * t, t * t * t);
     let (h0, h1) = (2.0 * t3 - 3.0 * t2 + 1.0, t3 - 2.0 * t2 + t);

@@ -1,10 +1,11 @@
-//! The named branches: where they go and how big they are.
+//! Named branches: their directions and sizes.
 //!
-//! Lengths and diameters: PMC9929973, table 1 (docs/algorithms.md, sizes of airways). Directions are ours, LPS: -x is the
-//! patient's right, +y posterior, +z superior. A main bronchus of the table is measured from the carina's ridge, which
-//! lies some 9 mm below the point where our centrelines part, so ours are longer by that.
+//! Lengths and diameters: PMC9929973, table 1 (docs/algorithms.md, sizes of airways). Directions are from this project,
+//! LPS: -x is the patient's right, +y posterior, +z superior. The table measures a main bronchus from the carina's
+//! ridge, which is some 9 mm below the point where the centrelines here separate, so the main bronchi here are longer
+//! by that distance.
 
-/// A named branch: `(name, parent, direction, length_mm, diameter_mm)`.
+/// Named branch: `(name, parent, direction, length_mm, diameter_mm)`.
 pub(crate) struct Named {
     pub(crate) name: &'static str,
     pub(crate) parent: &'static str,
@@ -14,7 +15,8 @@ pub(crate) struct Named {
 }
 
 impl Named {
-    /// A segment, not a stem of two: RB1, LB1+2 (which is one segment of the left), LB10.
+    /// Return true for a segment, false for a common stem of two: RB1, LB1+2 (which is one segment of the left lung),
+    /// LB10.
     pub(crate) fn is_segment(&self) -> bool {
         let segment = self.name.starts_with("RB") || self.name.starts_with("LB");
         segment && (self.name == "LB1+2" || !self.name.contains('+'))
@@ -37,7 +39,8 @@ const fn named(
     }
 }
 
-/// How the right upper lobe divides (Huang 2019: 59, 18 and 9 % of 238; the rest is counted to the first).
+/// Variant of the division of the right upper lobe (Huang 2019: 59, 18 and 9 % of 238; the rest counts as the first
+/// variant).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum RightUpper {
     Trifurcation,
@@ -45,14 +48,14 @@ pub(crate) enum RightUpper {
     PosteriorWithAnterior,
 }
 
-/// How the basal trunks divide.
+/// Variant of the division of the basal trunks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Basal {
     Separate,
     LateralWithPosterior,
 }
 
-/// Every named branch below the trachea, parents before children.
+/// Return every named branch below the trachea, parents before children.
 pub(crate) fn named_branches(
     right_upper: RightUpper,
     right_basal: Basal,

@@ -1,6 +1,7 @@
 //! Vessels of the lungs: arteries beside the bronchi, smaller ones beyond them, veins between.
 //!
-//! They make a lung look like one and give an airway finder dark tubes beside bright ones. They are not truth.
+//! Vessels give a lung a realistic appearance, with bright tubes beside the dark airways, which an airway search must
+//! distinguish. They are not ground truth.
 
 use carina_grid::{dot, length};
 
@@ -9,7 +10,7 @@ use crate::body::lung_distance;
 use crate::random::Random;
 use crate::shapes::{Piece, along, direction, hermite, mix, normals, sub, tilted};
 
-/// A vessel that ends here may divide further.
+/// End of a vessel that may divide further.
 struct End {
     at: [f64; 3],
     dir: [f64; 3],
@@ -17,10 +18,10 @@ struct End {
     depth: usize,
 }
 
-/// Vessels thinner than this are part of the lung's texture.
+/// Radius below which vessels are part of the lung's texture, mm.
 const THINNEST_MM: f64 = 0.5;
 
-/// All vessels of the lungs.
+/// Return all vessels of the lungs.
 pub(crate) fn vessels(seed: u64, tree: &AirwayTree) -> Vec<Piece> {
     let mut pieces = Vec::new();
     let mut ends = arteries(tree, &mut pieces);
@@ -29,9 +30,9 @@ pub(crate) fn vessels(seed: u64, tree: &AirwayTree) -> Vec<Piece> {
     pieces
 }
 
-/// One artery along each bronchus from the lobes on, wall to wall with it.
+/// Add one artery along each bronchus from the lobes on, with touching walls.
 fn arteries(tree: &AirwayTree, pieces: &mut Vec<Piece>) -> Vec<End> {
-    // Where the artery lies as seen from the bronchus, at the end of each branch: carried along without twisting.
+    // Direction from the bronchus to the artery at the end of each branch, carried along without twisting.
     let mut offsets: Vec<[f64; 3]> = vec![[0.0; 3]; tree.branches.len()];
     let mut ends = Vec::new();
     for branch in &tree.branches {
@@ -41,8 +42,8 @@ fn arteries(tree: &AirwayTree, pieces: &mut Vec<Piece>) -> Vec<End> {
         let parent = branch.parent.unwrap_or(0);
         let before = offsets[parent];
         let dir = branch.tip_direction();
-        // On the right the artery enters in front of and lateral to the bronchi, on the left above them; going out it
-        // keeps its side.
+        // On the right the artery enters in front of and lateral to the bronchi, on the left above them; further out it
+        // stays on that side.
         let wanted = if length(before) > 0.0 {
             before
         } else if branch.points[0][0] < 0.0 {
@@ -66,7 +67,7 @@ fn arteries(tree: &AirwayTree, pieces: &mut Vec<Piece>) -> Vec<End> {
             let t = i as f64 / num as f64;
             let ease = t * t * (3.0 - 2.0 * t);
             let (p, _) = tree.place(branch.id, t);
-            // Carina's children start on the bronchus itself; so do the first arteries.
+            // The children of the carina start on the bronchus itself, and so do the first arteries.
             std::array::from_fn(|a| p[a] + mix(before[a], after[a], ease))
         };
         for i in 0..num {
@@ -90,7 +91,7 @@ fn arteries(tree: &AirwayTree, pieces: &mut Vec<Piece>) -> Vec<End> {
     ends
 }
 
-/// Veins from the left atrium to between the segments.
+/// Add veins from the left atrium to the positions between the segments.
 fn veins(tree: &AirwayTree, random: &mut Random, pieces: &mut Vec<Piece>) -> Vec<End> {
     let mut ends = Vec::new();
     for branch in &tree.branches {
@@ -135,7 +136,7 @@ fn veins(tree: &AirwayTree, random: &mut Random, pieces: &mut Vec<Piece>) -> Vec
                 start_radius: radius(s),
                 end_radius: radius(e),
             });
-            // Twigs on the way.
+            // Small side branches along the vein.
             if i % 4 == 3 && s > 0.45 {
                 let dir = direction(sub(place(e), place(s)));
                 ends.push(End {
@@ -156,7 +157,7 @@ fn veins(tree: &AirwayTree, random: &mut Random, pieces: &mut Vec<Piece>) -> Vec
     ends
 }
 
-/// Divides ends until they are too thin or reach the pleura.
+/// Divide ends until they are too thin or reach the pleura.
 fn divide(mut ends: Vec<End>, random: &mut Random, pieces: &mut Vec<Piece>) {
     while let Some(end) = ends.pop() {
         if end.radius < THINNEST_MM || end.depth > 7 {

@@ -1,4 +1,6 @@
-//! From shapes to voxels: bricks know which pieces come near, and only voxels with a surface in them are looked at closely.
+//! Conversion of shapes to voxels.
+//!
+//! Each brick has a list of the pieces near it, and only voxels near a surface are sampled in detail.
 
 use carina_grid::{Affine, Grid, dot, length};
 use rayon::prelude::*;
@@ -9,22 +11,22 @@ use crate::body::{Body, with_solid};
 use crate::nodule::Nodule;
 use crate::shapes::{Piece, SIGMA_MM, along, cover, direction, mix, smooth_max, smooth_min, sub};
 
-/// Beyond this many mm from a surface the blur is over ([`cover`] ends at 1.88 sigma).
+/// Distance from a surface at which the blur ends, mm ([`cover`] ends at 1.88 sigma).
 const BLUR_MM: f64 = 1.88 * SIGMA_MM;
-/// Samples within a voxel are at most this far apart, for slices up to 3 mm.
+/// Largest distance between samples within a voxel, for slices up to 3 mm.
 const SAMPLE_MM: f64 = 0.6;
-/// A brick is about this long on each side, whatever the spacing: lists stay short on coarse grids.
+/// Approximate edge length of a brick for any spacing, so that lists stay short on coarse grids.
 const BRICK_MM: f64 = 7.0;
 const AIR_HU: f64 = -1000.0;
 const WALL_HU: f64 = 38.0;
 const VESSEL_HU: f64 = 46.0;
 const NODULE_HU: f64 = 34.0;
 
-/// Shape of the trachea's section: a circle cut off behind at 0.6 radii, the membranous wall.
+/// Position, in radii, of the chord that cuts off the back of the trachea's circular section: the membranous wall.
 const CUT: f64 = 0.6;
-/// Radius of the circle whose area the cut circle of radius 1 has.
+/// Radius of the circle with the same area as the cut circle of radius 1.
 const CUT_EQUIVALENT: f64 = 0.926;
-/// How far the cut circle's centroid lies before the circle's centre.
+/// Distance, in radii, of the cut circle's centroid in front of the circle's centre.
 const CUT_CENTROID: f64 = 0.1267;
 
 struct AirwayPiece {
@@ -36,14 +38,14 @@ struct AirwayPiece {
     behind: Option<[f64; 3]>,
 }
 
-/// The lumen near a point.
+/// Lumen near a point.
 #[derive(Debug, Clone, Copy)]
 struct Lumen {
     distance: f64,
     branch: u32,
 }
 
-/// Everything that a voxel's value is made from.
+/// Data from which the values of voxels are computed.
 pub(crate) struct Scene<'a> {
     tree: &'a AirwayTree,
     body: &'a Body,
@@ -51,11 +53,12 @@ pub(crate) struct Scene<'a> {
     nodule: Option<Nodule>,
     tube: Option<&'a AirwayTube>,
     airways: Vec<AirwayPiece>,
-    /// Per branch: how much of its lumen's darkness the blur leaves in its middle, against a flat surface.
+    /// For each branch, the share of its lumen's darkness that the blur leaves in the middle, relative to a flat
+    /// surface.
     depth: Vec<f64>,
 }
 
-/// Pieces near each brick of one kind, as positions in the scene's list.
+/// Pieces of one kind near each brick, as indices in the scene's list.
 struct Lists {
     start: Vec<u32>,
     items: Vec<u32>,
@@ -97,12 +100,12 @@ impl Lists {
     }
 }
 
-/// How a grid is cut into bricks.
+/// Division of a grid into bricks.
 struct Bricks<'a> {
     grid: &'a Grid,
-    /// Voxels of a brick along i, j, k.
+    /// Number of voxels of a brick along i, j, k.
     size: [usize; 3],
-    /// Bricks along i, j, k.
+    /// Number of bricks along i, j, k.
     num: [usize; 3],
 }
 
@@ -119,13 +122,13 @@ impl<'a> Bricks<'a> {
         }
     }
 
-    /// The brick of a voxel.
+    /// Return the brick of a voxel.
     fn at(&self, ijk: [usize; 3]) -> usize {
         let [x, y, z]: [usize; 3] = std::array::from_fn(|a| ijk[a] / self.size[a]);
         (z * self.num[1] + y) * self.num[0] + x
     }
 
-    /// First and last brick, per axis, of a box given in LPS; `None` where it misses the grid.
+    /// Return the first and last brick, per axis, of a box given in LPS; `None` if it misses the grid.
     fn of(&self, lo: [f64; 3], hi: [f64; 3]) -> Option<([usize; 3], [usize; 3])> {
         let (grid, num_bricks) = (self.grid, self.num);
         let m = grid.ijk_from_lps();
@@ -140,14 +143,14 @@ impl<'a> Bricks<'a> {
             if to < 0.0 || from > end {
                 return None;
             }
-            // A voxel's surroundings are looked at from its centre, so a brick ends at the last centre it holds.
+            // Samples are relative to a voxel's centre, so a brick ends at the last centre that it contains.
             first[axis] = from.max(0.0) as usize / self.size[axis];
             last[axis] = (to.min(end) as usize / self.size[axis]).min(num_bricks[axis] - 1);
         }
         Some((first, last))
     }
 
-    /// What a brick holds apart from pieces.
+    /// Return the kind of a brick apart from pieces.
     fn kind(&self, body: &Body, brick: usize) -> Kind {
         let at = [
             brick % self.num[0],
@@ -162,7 +165,7 @@ impl<'a> Bricks<'a> {
         let reach =
             length(std::array::from_fn(|a| spacing[a] * half[a])) + 0.5 * length(spacing) + BLUR_MM;
         let s = body.surfaces(centre);
-        // The distances are good to some tens of per cent at this range; the factor is the guard.
+        // The distances are accurate to some tens of per cent at this range; the factor is the safety margin.
         if s.skin > 1.7 * reach {
             Kind::Air
         } else if s.lung < 0.0 && s.nearest() > 1.7 * reach {
@@ -195,7 +198,7 @@ impl<'a> Scene<'a> {
                     let axis = direction(sub(piece.end, piece.start));
                     behind = Some(direction(along([0.0, 1.0, 0.0], -axis[1], axis)));
                     if n == 1 && body.neck.is_none() {
-                        // The windpipe goes on upwards beyond the truth's first point, and out of the volume.
+                        // The trachea continues upwards beyond the ground truth's first point, out of the volume.
                         piece.start = along(piece.start, -40.0, axis);
                     }
                 }
@@ -212,8 +215,8 @@ impl<'a> Scene<'a> {
             .iter()
             .map(|b| {
                 let r = b.tip_radius() / SIGMA_MM;
-                // A Gaussian blur leaves 1 - exp(-r^2 / 2) in the middle of a cylinder; a flat surface at that distance
-                // would leave almost all.
+                // A Gaussian blur leaves 1 - exp(-r^2 / 2) in the middle of a cylinder; near a flat surface at that
+                // distance it would leave almost everything.
                 ((1.0 - libm::exp(-0.5 * r * r)) / cover(-b.tip_radius(), SIGMA_MM)).min(1.0)
             })
             .collect();
@@ -228,13 +231,14 @@ impl<'a> Scene<'a> {
         }
     }
 
-    /// The same scene with a tube in its trachea.
+    /// Return the same scene with a tube in its trachea.
     pub(crate) const fn with_tube(mut self, tube: Option<&'a AirwayTube>) -> Self {
         self.tube = tube;
         self
     }
 
-    /// Signed distance to the air of trachea, bronchi and the upper airway, which counts to the trachea's.
+    /// Return the signed distance to the air of trachea, bronchi and the upper airway, which counts as part of the
+    /// trachea.
     fn lumen(&self, p: [f64; 3], near: &[u32]) -> Option<Lumen> {
         let below = self.tree_lumen(p, near);
         let Some(neck) = &self.body.neck else {
@@ -262,7 +266,7 @@ impl<'a> Scene<'a> {
         }))
     }
 
-    /// Signed distance to the lumen from the pieces in `near`, with the branch it belongs to.
+    /// Return the signed distance to the lumen from the pieces in `near`, with the branch of that lumen.
     fn tree_lumen(&self, p: [f64; 3], near: &[u32]) -> Option<Lumen> {
         let far = Lumen {
             distance: f64::INFINITY,
@@ -284,7 +288,7 @@ impl<'a> Scene<'a> {
                 radii[1] = radius;
             }
         };
-        // Pieces of one branch follow each other.
+        // The pieces of one branch are consecutive.
         for &n in near {
             let airway = &self.airways[n as usize];
             if airway.branch != own.branch {
@@ -295,8 +299,9 @@ impl<'a> Scene<'a> {
                 };
                 to_axis = f64::INFINITY;
             }
-            // The radius that counts is that of the nearest point of the centreline, so that a section across it has just
-            // the truth's radius; the union of the pieces' balls would be wider where the radius changes fast.
+            // The radius is that of the nearest point of the centreline, so that a section across the branch has
+            // exactly the radius of the ground truth; the union of the pieces' balls would be wider where the radius
+            // changes quickly.
             let (away, t) = airway.piece.axis_distance(p);
             if away < to_axis {
                 to_axis = away;
@@ -312,14 +317,14 @@ impl<'a> Scene<'a> {
                 .tree
                 .joined(best.branch as usize, second.branch as usize)
         {
-            // A fillet of half the smaller radius: a carina is an arch, not a knife.
+            // A fillet of half the smaller radius, because a carina is rounded.
             let k = 0.5 * radii[0].min(radii[1]);
             best.distance = smooth_min(best.distance, second.distance, k);
         }
         Some(best)
     }
 
-    /// Shares of a point's neighbourhood inside the airway's outer surface and inside its lumen.
+    /// Return the shares of a point's neighbourhood inside the airway's outer surface and inside its lumen.
     fn airway_shares(&self, p: [f64; 3], near: &[u32]) -> (f64, f64) {
         let Some(lumen) = self.lumen(p, near) else {
             return (0.0, 0.0);
@@ -332,7 +337,7 @@ impl<'a> Scene<'a> {
         )
     }
 
-    /// A distance to all airways as one to the tree's, which ends at the cricoid.
+    /// Convert a distance to all airways to a distance to the tree, which ends at the cricoid.
     fn below_the_cricoid(&self, p: [f64; 3], distance: f64) -> f64 {
         self.body.neck.as_ref().map_or(distance, |neck| {
             distance
@@ -347,8 +352,9 @@ impl<'a> Scene<'a> {
             .fold(f64::INFINITY, f64::min)
     }
 
-    /// Signed distances to the lumen at any points in a grid's box (negative inside; 5 where no airway is near, and
-    /// beyond the box): the function that voxels are made from, without voxels.
+    /// Return the signed distances to the lumen at any points in a grid's box, negative inside.
+    ///
+    /// The value is 5 where no airway is near, and beyond the box. The voxels are computed from the same function.
     pub(crate) fn distances_at(&self, grid: &Grid, points: &[[f64; 3]]) -> Vec<f64> {
         let bricks = Bricks::new(grid);
         let margin = BLUR_MM + voxel_diagonal(grid);
@@ -368,7 +374,7 @@ impl<'a> Scene<'a> {
             .collect()
     }
 
-    /// Values of all voxels, from the top of memory to its end, `layer` slices at a time.
+    /// Compute the values of all voxels in the order of memory, `layer` slices at a time.
     pub(crate) fn voxelize(
         &self,
         grid: &Grid,
@@ -429,7 +435,7 @@ impl<'a> Scene<'a> {
                 .distance
                 .as_mut()
                 .map_or(&mut nothing[..], |d| &mut d[range.clone()]);
-            // Rows are the smallest pieces of work that lie together in memory.
+            // Rows are the smallest jobs with contiguous memory.
             let lumen = &mut out.lumen[range.clone()];
 
             let row = |n: usize, values: &mut [f32], lumen: &mut [u8], distance: &mut [f32]| {
@@ -498,7 +504,7 @@ impl<'a> Scene<'a> {
         let grid = bricks.grid;
         let spacing = grid.spacing_mm();
         let half_diagonal = 0.5 * voxel_diagonal(grid);
-        // Surfaces of the body are not sampled within a voxel; the box of the voxel widens their blur instead.
+        // Surfaces of the body are not sampled within a voxel; their blur is widened by the voxel's box instead.
         let body_sigma = (SIGMA_MM * SIGMA_MM + dot(spacing, spacing) / 36.0).sqrt();
         let offsets = sample_offsets(grid.lps_from_ijk(), spacing);
         let each = 1.0 / offsets.len() as f64;
@@ -517,7 +523,7 @@ impl<'a> Scene<'a> {
             for &n in lists.solids.of(brick) {
                 hu = with_solid(hu, &self.body.solids[n as usize], p, body_sigma);
             }
-            // Only pieces this near can matter to a place in the voxel.
+            // Only pieces within this distance can affect a position in the voxel.
             vessels.clear();
             vessels.extend(
                 lists
@@ -540,7 +546,7 @@ impl<'a> Scene<'a> {
                             })
                             .sum::<f64>()
                     };
-                    // Where two tissues of nearly one HU meet there is no seam to draw.
+                    // Between two tissues of nearly the same HU no edge is drawn.
                     hu = mix(hu, VESSEL_HU.max(hu.min(60.0)), share);
                 }
             }
@@ -549,7 +555,7 @@ impl<'a> Scene<'a> {
                 hu = mix(hu, NODULE_HU, cover(d, body_sigma));
             }
             let all = lists.airways.of(brick);
-            // Far from all lumina the distance is only known to be large.
+            // Far from all lumina only a lower bound of the distance is known.
             let mut to_lumen = 5.0;
             if let Some(near) = self.lumen(p, all) {
                 to_lumen = near.distance;
@@ -579,7 +585,7 @@ impl<'a> Scene<'a> {
             }
             *value = hu as f32;
             let below = self.below_the_cricoid(p, to_lumen);
-            // 2: in the upper airway.
+            // The value 2 marks the upper airway.
             lumen[x] = if to_lumen >= 0.0 {
                 0
             } else {
@@ -592,11 +598,11 @@ impl<'a> Scene<'a> {
     }
 }
 
-/// What [`Scene::voxelize`] makes.
+/// Result of [`Scene::voxelize`].
 pub(crate) struct Voxels {
     pub(crate) hu: Vec<i16>,
     pub(crate) lumen: Vec<u8>,
-    /// 1 in the air above the cricoid; empty without a neck.
+    /// Air above the cricoid: 1 inside; empty without a neck.
     pub(crate) upper: Vec<u8>,
     pub(crate) distance: Option<Vec<f32>>,
 }
@@ -616,15 +622,18 @@ enum Kind {
 }
 
 impl AirwayPiece {
-    /// How far from its axis a piece can matter to the lumen or to a wall of `wall` mm: its branch's widest radius (which
-    /// piece is nearest must be known wherever any of the branch is near) and the widest fillet.
+    /// Return the distance from its axis within which a piece can affect the lumen or a wall of `wall` mm.
+    ///
+    /// The distance includes the branch's largest radius (the nearest piece must be known near any part of the branch)
+    /// and the largest fillet.
     fn reach(&self, wall: f64) -> f64 {
-        // A cut circle is wider than the circle of its area.
+        // A cut circle is wider than the circle of equal area.
         let more = if self.behind.is_some() { 2.0 } else { 0.0 };
         1.5 * self.widest + wall + more
     }
 
-    /// Signed distance to the lumen, and its radius there, for a point `away` from the axis at `t` along it.
+    /// Return the signed distance to the lumen, and the lumen's radius, for a point `away` from the axis at `t` along
+    /// it.
     fn distance(&self, p: [f64; 3], away: f64, t: f64) -> (f64, f64) {
         let radius = mix(self.piece.start_radius, self.piece.end_radius, t);
         let Some(behind) = self.behind else {
@@ -649,8 +658,9 @@ fn voxel_diagonal(grid: &Grid) -> f64 {
     length(grid.spacing_mm())
 }
 
-/// Places within a voxel, as LPS offsets from its centre: evenly over its box, [`SAMPLE_MM`] apart or five
-/// per axis.
+/// Return positions within a voxel, as LPS offsets from its centre, evenly over its box.
+///
+/// The positions are at most [`SAMPLE_MM`] apart, or five per axis.
 fn sample_offsets(lps_from_ijk: &Affine, spacing: [f64; 3]) -> Vec<[f64; 3]> {
     let num = spacing.map(|s| ((s / SAMPLE_MM).ceil() as usize).clamp(1, 5));
     let place = |n: usize, i: usize| (i as f64 + 0.5) / n as f64 - 0.5;

@@ -1,11 +1,11 @@
-//! Packets against the scalar casters, interleaved in one process, on one thread: medians and ratios.
+//! Benchmark of packets against the scalar casters, interleaved in one process, on one thread: medians and ratios.
 //!
-//! `cargo bench -p carina-raycast --bench packets` casts a forked tube. With folders as arguments it casts what each
-//! holds: `NAME.i16` (HU, `[z, y, x]`), `NAME.u8` (map of cells) and `NAME.txt` (shape, `lps_from_ijk`, table, transfer
-//! function, light, poses), given as `FOLDER/NAME`. `--quick` casts shaded leaps only, without the scalar caster;
-//! `--shaded`, `--flat`, `--leap`, `--brute` narrow the choice; `--repeats=N`; `--size=N`.
+//! `cargo bench -p carina-raycast --bench packets` casts a forked tube. With folders as arguments it casts the contents
+//! of each folder: `NAME.i16` (HU, `[z, y, x]`), `NAME.u8` (map of cells) and `NAME.txt` (shape, `lps_from_ijk`, table,
+//! transfer function, light, poses), given as `FOLDER/NAME`. `--quick` casts shaded leaps only, without the scalar
+//! caster; `--shaded`, `--flat`, `--leap`, `--brute` narrow the choice; `--repeats=N`; `--size=N`.
 //!
-//! Times are those of the thread on its processor, so that a busy machine disturbs them less.
+//! Times are processor times of the thread, which other load on the machine affects less.
 
 use std::{env, fs, sync::Arc};
 
@@ -78,7 +78,7 @@ fn read_case(path: &str) -> Case {
     }
 }
 
-/// Air in a tube of 18 voxels that forks, in tissue with an edge two voxels wide and noise.
+/// Return a case with air in a tube of 18 voxels that forks, in tissue with an edge two voxels wide and noise.
 fn forked_tube() -> Case {
     let n = 192;
     let grid = Grid::new([n; 3], Affine::IDENTITY).expect("a grid");
@@ -141,18 +141,18 @@ unsafe extern "C" {
     fn clock_gettime(clock: i32, time: *mut Timespec) -> i32;
 }
 
-/// Time that this thread has had a processor, ms.
+/// Return the processor time of this thread, ms.
 #[cfg(target_os = "linux")]
 fn thread_ms() -> f64 {
     const CLOCK_THREAD_CPUTIME_ID: i32 = 3;
     let mut time = Timespec { s: 0, ns: 0 };
-    // SAFETY: the function writes one timespec, whose layout on 64-bit Linux is this one.
+    // SAFETY: the function writes one timespec, and `Timespec` has the layout of that struct on 64-bit Linux.
     let failed = unsafe { clock_gettime(CLOCK_THREAD_CPUTIME_ID, &raw mut time) };
     assert_eq!(failed, 0, "the thread's clock");
     time.s as f64 * 1e3 + time.ns as f64 * 1e-6
 }
 
-/// Wall time elsewhere.
+/// Return the wall time, on systems other than Linux.
 #[cfg(not(target_os = "linux"))]
 fn thread_ms() -> f64 {
     static START: std::sync::OnceLock<std::time::Instant> = std::sync::OnceLock::new();
@@ -202,7 +202,7 @@ impl Choice {
 
 fn bench(case: &Case, choice: &Choice) {
     let volume = VolumeView::new(&case.hu, &case.grid).expect("a volume");
-    // Portable is left out where there is better: it calls a function for each fused multiply-add.
+    // The portable kernel is left out if a better one exists, because it calls a function for each fused multiply-add.
     let mut casters: Vec<(bool, InstructionSet)> = InstructionSet::available()
         .into_iter()
         .skip(1)
@@ -233,7 +233,7 @@ fn bench(case: &Case, choice: &Choice) {
             if choice.brute {
                 methods.push(("brute", Method::Brute));
             }
-            // All methods and sets in turn: neighbours on the machine disturb them alike.
+            // All methods and sets alternate, so that other load on the machine affects them equally.
             let mut times = vec![vec![Vec::new(); casters.len()]; methods.len()];
             let mut stats = vec![CastStats::default(); methods.len()];
             let mut truth = None;

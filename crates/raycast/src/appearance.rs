@@ -1,59 +1,71 @@
-//! How a wall looks through a scope: lit after casting, once for each pixel, at its first wall (docs/decisions/0105).
+//! Appearance of the airway wall in the scope's picture (docs/decisions/0105).
 //!
-//! The casters gather flat colours; [`Appearance`] says what light, gloss and texture are laid on them.
+//! Walls are shaded after casting, once per pixel at the first wall. The casters gather flat colours; [`Appearance`]
+//! describes the light, gloss and texture that the shading adds.
 
 use crate::RaycastError;
 
 /// Light, gloss and texture of the wall of an airway.
 ///
-/// All is worked out in linear light and shown with a gamma of 2, so that a square root stands for the display's curve.
+/// Shading is computed in linear light and displayed with a gamma of 2, so that a square root replaces the display's
+/// curve.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Appearance {
-    /// Where the ends of the two light guides are, camera mm; equal for one guide. Each gives half the light.
+    /// Positions of the ends of the two light guides in camera space, mm; equal for one guide.
+    ///
+    /// Each guide gives half the light.
     pub guides_mm: [[f32; 3]; 2],
-    /// Light of the guides; `None` for automatic, which holds the bright parts of a picture below white.
+    /// Brightness of the guides; `None` selects an automatic exposure that keeps the bright parts of a picture below
+    /// white.
     pub exposure: Option<f32>,
-    /// Light that comes from the walls round about, as part of what a guide gives head on.
+    /// Ambient light that the surrounding walls reflect, as a fraction of the light that a guide gives at normal
+    /// incidence.
     pub ambient: f32,
-    /// How far light creeps round the edge of a shadow beneath the surface, 0..1.
+    /// How far scattered light extends past the edge of a shadow (wrap lighting), 0 to 1.
     pub wrap: f32,
-    /// Highlights of the film of mucus.
+    /// Strength of the highlights on the film of mucus.
     pub gloss: f32,
-    /// The highlight's exponent is `2^shininess_log2`.
+    /// Exponent of the highlight as a power of two: `2^shininess_log2`.
     pub shininess_log2: u32,
-    /// How far the mucosa pales over dense tissue, 0..1.
+    /// How much paler the mucosa is over dense tissue, 0 to 1.
     pub paleness: f32,
-    /// Values beneath the surface at which it begins to pale and at which it is palest, HU.
+    /// HU values beneath the surface at which the paling begins and at which it is strongest.
     pub pale_hu: [f32; 2],
-    /// Fine texture: mottling, and the micro relief that breaks highlights up, 0 for none.
+    /// Strength of the fine texture (mottling, and the fine relief that breaks up highlights); 0 for none.
     pub texture: f32,
-    /// Vessels in the mucosa, 0 for none. No CT shows them, and many of them are a sign of disease.
+    /// Strength of the vessels drawn in the mucosa; 0 for none.
+    ///
+    /// CT does not show these vessels, and many of them are a sign of disease.
     pub vessels: f32,
-    /// Pixels where a near wall ends before a far one take two rays. No decoration: both show the CT.
+    /// Whether pixels at the edge of a near wall in front of a far wall get two rays.
+    ///
+    /// Silhouettes are no decoration: both rays show the CT.
     pub silhouettes: bool,
-    /// Highlights on droplets in the film of mucus, which a scope sees at a distance, too; 0 for none.
+    /// Strength of highlights on droplets in the film of mucus, which are visible also at a distance; 0 for none.
     pub specks: f32,
-    /// Glossy pools and bubbles of secretions on the wall that lies lowest in a supine patient; 0 for none.
+    /// Strength of glossy pools and bubbles of secretions on the lowest wall of a supine patient; 0 for none.
     pub secretions: f32,
-    /// Mist on the lens, 0 for none, 1 for a picture that hardly shows the lumen.
+    /// Strength of mist on the lens: 0 for none, 1 for a picture that hardly shows the lumen.
     pub fog: f32,
-    /// Cartilage rings and plates, 0 for none; drawn where a frame has a [`crate::Decoration`], as are the next three.
+    /// Strength of cartilage rings and plates; 0 for none.
+    ///
+    /// Like the next three fields, it needs a frame with a [`crate::Decoration`].
     pub rings: f32,
-    /// The flat, folded membranous wall at the back of trachea and main bronchi, 0 for none.
+    /// Strength of the flat, folded membranous wall at the back of trachea and main bronchi; 0 for none.
     pub membrane: f32,
-    /// Colour by region: a paler trachea, redder bronchi; 0 for one colour.
+    /// Strength of the colour differences by region (a paler trachea, redder bronchi); 0 for one colour.
     pub hue: f32,
-    /// Pale ridges of forks, 0 for none.
+    /// Strength of the pale ridges at bifurcations; 0 for none.
     pub spurs: f32,
 }
 
 impl Appearance {
-    /// True if a part is on that is fixed to anatomy.
+    /// Return true if a feature that depends on anatomy is enabled.
     pub(crate) fn knows_anatomy(&self) -> bool {
         self.rings > 0.0 || self.membrane > 0.0 || self.hue > 0.0 || self.spurs > 0.0
     }
 
-    /// The same with nothing on it that is not the patient's.
+    /// Return a copy without decoration: every feature that does not come from the patient's CT is off.
     pub(crate) const fn undecorated(self) -> Self {
         Self {
             texture: 0.0,
@@ -69,7 +81,11 @@ impl Appearance {
         }
     }
 
-    /// Refuses values that are not finite or would overflow.
+    /// Check the values.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if a value is not finite or would overflow.
     pub fn check(&self) -> Result<(), RaycastError> {
         let refuse = |what: &'static str, expected: &str, found: f32| {
             Err(RaycastError::Setting {

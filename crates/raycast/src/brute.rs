@@ -1,4 +1,6 @@
-//! The reference caster: every sample of every ray. It stays readable and defines truth for the leaping one.
+//! Reference caster that reads every sample of every ray.
+//!
+//! The code stays readable and defines the correct result for the leaping caster.
 
 use crate::{
     composite::Gathered,
@@ -6,7 +8,8 @@ use crate::{
     method::CastStats,
 };
 
-/// Paper 4.3, "ordinary ray casters": evenly spaced samples, front to back, until the ray is opaque.
+/// Cast a ray as the "ordinary ray casters" of paper 4.3 do: evenly spaced samples, front to back, until the ray is
+/// opaque.
 #[inline(always)]
 pub(crate) fn cast<const SHADED: bool, const NEAREST: bool, const HITS: bool>(
     frame: &Frame<'_>,

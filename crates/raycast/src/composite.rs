@@ -1,17 +1,18 @@
 //! Front-to-back compositing of one ray.
 
-/// `hit` of a ray that meets no wall.
+/// Value of `hit` for a ray that meets no wall.
 pub(crate) const NO_HIT: f32 = -1.0;
 
-/// What a ray has gathered.
+/// Colour, transparency and first wall that a ray has accumulated.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Gathered {
     /// Premultiplied colour.
     pub rgb: [f32; 3],
-    /// What still shines through.
+    /// Transparency that is left.
     pub transparency: f32,
-    /// Where the transparency falls below 1/2, in steps from the camera; [`NO_HIT`] where it does not. Only kept by
-    /// those who ask for it.
+    /// Distance from the camera, in steps, where the transparency falls below 1/2; [`NO_HIT`] if it never does.
+    ///
+    /// Casters compute it only if `HITS` is set.
     pub hit: f32,
 }
 
@@ -22,7 +23,7 @@ impl Gathered {
         hit: NO_HIT,
     };
 
-    /// Adds sample `k` of premultiplied colour behind what is there.
+    /// Add sample `k` with a premultiplied colour behind the accumulated samples.
     #[inline(always)]
     pub(crate) fn add<const HITS: bool>(&mut self, k: u32, rgb: [f32; 3], alpha: f32) {
         for c in 0..3 {
@@ -35,7 +36,7 @@ impl Gathered {
         }
     }
 
-    /// Notes the first wall if the transparency falls below 1/2 within sample `k`, which reaches from `k` to `k + 1`
+    /// Store the first wall if the transparency falls below 1/2 within sample `k`, which extends from `k` to `k + 1`
     /// steps.
     #[inline(always)]
     pub(crate) fn cross(&mut self, k: u32, before: f32, after: f32) {
@@ -44,7 +45,7 @@ impl Gathered {
         }
     }
 
-    /// Adds a segment given by its colour and its transparency.
+    /// Add a segment with a given colour and transparency.
     #[inline(always)]
     pub(crate) fn add_segment(&mut self, segment: [f32; 4]) {
         for c in 0..3 {
@@ -53,7 +54,7 @@ impl Gathered {
         self.transparency *= segment[3];
     }
 
-    /// Eight bits per channel over a background.
+    /// Return the colour over a background with 8 bits per channel.
     #[inline(always)]
     pub(crate) fn to_rgb8(self, background: [f32; 3]) -> [u8; 3] {
         std::array::from_fn(|c| {

@@ -1,18 +1,20 @@
-//! What a wall's place on its airway is: phase of the rings, front and back, and which parts of decoration belong there.
+//! Position of wall points along and around their airway, and the decoration that applies there.
 //!
-//! A coarse grid along the patient's axes, made from the airway tree by whoever knows anatomy. The lighting reads it at
-//! the wall of each pixel, between its cells; casting never sees it, so it moves no surface (docs/decisions/0105).
+//! The caller computes a coarse grid along the patient's axes from the airway tree. The shading interpolates the grid
+//! at the wall of each pixel. The casters do not read the grid, so it moves no surface (docs/decisions/0105).
 
 use crate::RaycastError;
 
-/// Numbers in a cell: phase of the rings, place across the airway to the left and to the back in radii; then, 0..1, rings,
-/// proximal colour, ridge of a fork, membranous wall and evenness of the rings.
+/// Number of values in a cell.
+///
+/// The values are: phase of the rings; position across the airway, to the left and to the back, in radii; then, from 0
+/// to 1, rings, proximal colour, ridge of a bifurcation, membranous wall and evenness of the rings.
 pub const CHANNELS: usize = 8;
 
-/// Anatomy of walls on a coarse grid; zeros where there is none.
+/// Anatomy of walls on a coarse grid; zeros where there is no wall.
 #[derive(Debug, Clone, Copy)]
 pub struct Decoration<'a> {
-    /// Two for each cell, x fastest.
+    /// Two items per cell, x fastest.
     pub(crate) cells: &'a [[f32; 4]],
     pub(crate) shape_ijk: [i32; 3],
     pub(crate) origin_lps: [f32; 3],
@@ -20,7 +22,13 @@ pub struct Decoration<'a> {
 }
 
 impl<'a> Decoration<'a> {
-    /// Cells of [`CHANNELS`] finite numbers, `[z, y, x, channel]`, the first one's middle at `origin_lps`.
+    /// Create a decoration from cells of [`CHANNELS`] finite numbers, `[z, y, x, channel]`.
+    ///
+    /// The centre of the first cell is at `origin_lps`.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the number of values does not match the shape, or if a value is not valid.
     pub fn new(
         numbers: &'a [f32],
         shape_zyx: [usize; 3],

@@ -1,6 +1,6 @@
-//! Depth of field of a lens of fixed focus: pictures blurred by the distance of what they show.
+//! Depth of field of a fixed-focus lens: blurs a picture by the depth of its pixels.
 //!
-//! A whole picture is needed, with depth: blur reaches over the edges of strips.
+//! The function needs the whole picture and its depth map, because blur crosses the borders of strips.
 
 use core::f32::consts::PI;
 
@@ -9,20 +9,24 @@ use rayon::prelude::*;
 
 use crate::RaycastError;
 
-/// Circles up to this part of the shorter side pass for points: about one sensor pixel of a video bronchoscope (400 x 400).
+/// Largest diameter of a circle of confusion that counts as a point, as a fraction of the picture's shorter side.
+///
+/// The limit is about one sensor pixel of a video bronchoscope (400 x 400).
 const SHARP_PART: f32 = 1.0 / 400.0;
-/// Circles have at most this part of the shorter side as radius: nearer walls than that blind a scope anyway.
+/// Largest radius of a circle of confusion, as a fraction of the shorter side.
+///
+/// A wall that would need a larger circle is too near for a scope to see anything.
 const WIDEST_PART: f32 = 1.0 / 32.0;
 
-/// In place of a radius: no part of the picture.
+/// Value used as radius for a pixel without a ray, which is no part of the picture.
 const NO_RAY: f32 = -1.0;
 
-/// The range that is shown sharp, mm from the tip.
+/// Range of distances that is in focus, mm from the tip.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Focus {
-    /// Nearest sharp distance.
+    /// Nearest sharp distance, mm.
     pub near_mm: f32,
-    /// Farthest sharp distance.
+    /// Farthest sharp distance, mm.
     pub far_mm: f32,
 }
 
@@ -38,10 +42,10 @@ impl Focus {
         })
     }
 
-    /// Radius of the circle of confusion at a depth, pixels; without a depth, of something very far.
+    /// Return the radius of the circle of confusion at a depth in pixels; a depth of NaN counts as infinitely far.
     ///
-    /// A thin lens of a fixed focus has circles in proportion to `|1/d - 1/d_focus|`; the ends of the range are where they
-    /// just pass for points, which gives the focus and, together, the aperture.
+    /// The circles of a thin fixed-focus lens are proportional to `|1/d - 1/d_focus|`. At both ends of the range the
+    /// circle has the largest sharp size, which determines focus and aperture.
     fn radius_px(self, depth_mm: f32, side: f32) -> f32 {
         let (near, far) = (1.0 / self.near_mm, 1.0 / self.far_mm);
         let (focus, range) = (f32::midpoint(near, far), (near - far) / 2.0);
@@ -51,9 +55,15 @@ impl Focus {
     }
 }
 
-/// Blurs a picture (RGB) by the depth of its pixels (mm, NaN for none). Pixels without a ray neither give nor take.
+/// Blur a picture (RGB) by the depth of its pixels (mm, NaN for none).
 ///
-/// Each pixel gathers from those whose circle reaches it. What lies behind a sharper edge does not run over it.
+/// Pixels without a ray are neither read nor changed.
+///
+/// Each pixel gathers the pixels whose circle reaches it. Pixels behind a sharper edge do not spread over that edge.
+///
+/// # Errors
+///
+/// Returns an error if the range of `focus` or the number of depths is not valid.
 pub fn defocus(
     rgb: &[u8],
     depth_mm: &[f32],
@@ -114,7 +124,7 @@ pub fn defocus(
                         }
                         let (dx, dy) = (x.abs_diff(column) as f32, y.abs_diff(row) as f32);
                         let covered = (radius + 0.5 - (dx * dx + dy * dy).sqrt()).clamp(0.0, 1.0);
-                        // A circle within its own pixel lights no other.
+                        // A circle within its own pixel lights no other pixel.
                         let spread = radius.max(0.5);
                         let weight = covered / (PI * spread * spread);
                         total += weight;
@@ -140,7 +150,7 @@ mod tests {
         far_mm: 50.0,
     };
 
-    /// A white edge on black, 400 pixels square.
+    /// Return a picture of a white edge on black, 400 pixels square.
     fn edge(depth_mm: f32) -> Vec<u8> {
         let rgb: Vec<u8> = (0..400 * 400)
             .flat_map(|n| [if n % 400 < 200 { 255 } else { 0 }; 3])
@@ -148,7 +158,7 @@ mod tests {
         defocus(&rgb, &vec![depth_mm; 400 * 400], 400, FOCUS, None).unwrap()
     }
 
-    /// Over how many pixels the edge runs from light to dark.
+    /// Return the number of pixels over which the edge changes from light to dark.
     fn width_of_edge(picture: &[u8]) -> usize {
         (0..400)
             .filter(|column| (10..245).contains(&picture[(200 * 400 + column) * 3]))
@@ -170,7 +180,7 @@ mod tests {
         let even = vec![77; 60 * 60 * 3];
         let depths: Vec<f32> = (0..3600).map(|n| 0.3 + (n % 60) as f32).collect();
         assert_eq!(defocus(&even, &depths, 60, FOCUS, None).unwrap(), even);
-        // A dark wall in focus before something white and very far, with a focus that leaves the far out.
+        // A dark wall in focus before a white, very distant background that is out of focus.
         let focus = Focus {
             near_mm: 3.0,
             far_mm: 4.0,

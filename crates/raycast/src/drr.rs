@@ -1,9 +1,10 @@
 //! Digitally reconstructed radiographs: the line integral of attenuation from an X-ray source to each detector pixel.
 //!
-//! Joseph, "An improved algorithm for reprojecting rays through pixel images", IEEE Trans. Med. Imaging 1(3), 1982: a ray
-//! steps from voxel plane to voxel plane along the axis it runs along most, reads each plane between four voxels, and
-//! weighs it with the length of its slab that lies in the volume. Rays are cast 16 at a time; lanes do the same sums in
-//! the same order on every instruction set, so the picture does not depend on it.
+//! The method is that of Joseph, "An improved algorithm for reprojecting rays through pixel images", IEEE Trans. Med.
+//! Imaging 1(3), 1982: a ray steps from voxel plane to voxel plane along its dominant axis, interpolates each plane
+//! between four voxels, and weights the result with the length of its slab inside the volume. Rays are cast 16 at a
+//! time. All lanes add in the same order on every instruction set, so the picture does not depend on the instruction
+//! set.
 
 use std::ops::Range;
 
@@ -17,27 +18,31 @@ const LANES: usize = 16;
 /// Attenuation relative to water, in thousandths, of a voxel value: `max(v - air, 0) + bone_gain max(v - bone, 0)`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Attenuation {
-    /// The value that attenuates nothing: -1000 HU.
+    /// Voxel value without attenuation: -1000 HU.
     pub air: f32,
-    /// From this value on, bone takes more than the HU scale says.
+    /// Voxel value above which bone attenuates more than the HU scale indicates.
     pub bone: f32,
-    /// How much more, for each HU above `bone`.
+    /// Additional attenuation for each HU above `bone`.
     pub bone_gain: f32,
 }
 
-/// Where the detector's pixels are, and the source.
+/// Geometry of the detector's pixels and of the source.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Projector {
-    /// Pixel corners (column, row, 0) of the detector to patient space; its third column is the direction of parallel
-    /// rays.
+    /// Transform from pixel corners (column, row, 0) of the detector to patient space.
+    ///
+    /// Its third column is the direction of parallel rays.
     pub lps_from_pixel: Affine,
-    /// The focal spot; `None` for parallel rays. Nothing behind it is seen; rays go on behind the detector.
+    /// Focal spot; `None` for parallel rays.
+    ///
+    /// Tissue behind the source does not count; rays continue behind the detector.
     pub source_lps: Option<[f64; 3]>,
 }
 
-/// The rays of one packet that run along one axis, by the coordinate `u` of that axis: `p_b(u) = b0 + u * b1`.
+/// Rays of one packet with the same dominant axis, as functions of the coordinate `u` of that axis:
+/// `p_b(u) = b0 + u * b1`.
 struct Packet {
-    /// Part of the axis in the volume, by lane; empty (`from > to`) for lanes of another packet.
+    /// Part of the axis inside the volume, by lane; empty (`from > to`) for lanes of another packet.
     from: [f32; LANES],
     to: [f32; LANES],
     b0: [f32; LANES],
@@ -55,10 +60,15 @@ const NOTHING: Packet = Packet {
     c1: [0.0; LANES],
 };
 
-/// Water-equivalent length in mm for each pixel of some rows, `[row, column]`: `integral of attenuation / 1000 dl`.
+/// Return the water-equivalent length in mm of each pixel of some rows, `[row, column]`:
+/// `integral of attenuation / 1000 dl`.
 ///
-/// The tests hold it to 1e-4 of the length in a box of water, to 0.2 % of finely sampled integrals through tissue, and to
-/// less than a millimetre through voxelised ellipsoids on a 1 mm grid.
+/// The tests require an error of at most 1e-4 of the length in a box of water, 0.2 % of finely sampled integrals
+/// through tissue, and less than a millimetre through voxelised ellipsoids on a 1 mm grid.
+///
+/// # Errors
+///
+/// Returns an error if the size of the picture or a number is not valid.
 pub fn cast_radiograph(
     volume: VolumeView<'_, i16>,
     projector: &Projector,
@@ -122,7 +132,7 @@ impl<'a> Caster<'a> {
         }
     }
 
-    /// The pixels from `column` on; at most 16.
+    /// Cast up to 16 pixels from `column` on.
     fn cast(&self, row: usize, column: usize, out: &mut [f32], simd: InstructionSet) {
         let mut packets = [NOTHING; 3];
         let mut used = [false; 3];
@@ -136,7 +146,7 @@ impl<'a> Caster<'a> {
         let mut sums = [0f32; LANES];
         for axis in 0..3 {
             if used[axis] {
-                // A lane belongs to one packet and gets nothing from the others.
+                // A lane belongs to one packet; the other packets add nothing to it.
                 self.add(axis, &packets[axis], &mut sums, simd);
             }
         }
@@ -145,8 +155,11 @@ impl<'a> Caster<'a> {
         }
     }
 
-    /// The ray of a pixel, put into the packet of the axis that it runs along most; that axis, and the mm between two
-    /// planes. In f64, since the source is far away.
+    /// Add the ray of a pixel to the packet of its dominant axis.
+    ///
+    /// Return that axis and the distance in mm along the ray between two planes.
+    ///
+    /// The computation uses f64, because the source is far away.
     fn set_up(
         &self,
         row: usize,
@@ -190,10 +203,10 @@ impl<'a> Caster<'a> {
     fn add(&self, axis: usize, packet: &Packet, sums: &mut [f32; LANES], simd: InstructionSet) {
         match simd {
             #[cfg(target_arch = "x86_64")]
-            // SAFETY: an instruction set exists only where the machine has it.
+            // SAFETY: an `InstructionSet` value exists only on a machine that has the instructions of that set.
             InstructionSet::Avx512 => unsafe { self.add_avx512(axis, packet, sums) },
             #[cfg(target_arch = "x86_64")]
-            // SAFETY: as above.
+            // SAFETY: an `InstructionSet` value exists only on a machine that has the instructions of that set.
             InstructionSet::Avx2 => unsafe { self.add_avx2(axis, packet, sums) },
             _ => self.add_lanes(axis, packet, sums),
         }
@@ -221,7 +234,7 @@ impl<'a> Caster<'a> {
         });
         let least = packet.from.iter().copied().fold(f32::INFINITY, f32::min);
         let most = packet.to.iter().copied().fold(0.0, f32::max);
-        // The casts saturate at 0; slab k spans k - 1/2 to k + 1/2.
+        // The casts saturate at 0; slab k extends from k - 1/2 to k + 1/2.
         let (first, last) = ((least + 0.5) as usize, (most + 0.5) as usize);
         let Attenuation {
             air,
@@ -236,8 +249,9 @@ impl<'a> Caster<'a> {
                 let (ic, tc) = cells[1].place(u.mul_add(packet.c1[lane], packet.c0[lane]));
                 let at = base + ib * sb + ic * sc;
                 debug_assert!(at + sb + sc < self.data.len());
-                // SAFETY: plane, ib and ic are voxels (`place` clamps, also a NaN), and one step further is a voxel too,
-                // or stride 0 on an axis of one voxel. Benchmark: checked loads cost a third of the kernel.
+                // SAFETY: plane, ib and ic are voxel indices (`place` clamps, also a NaN); one step further is a voxel
+                // too, or the same voxel on an axis of one voxel, whose stride is 0. Benchmark: checked loads cost a
+                // third of the kernel.
                 let [v00, v10, v01, v11] = [at, at + sb, at + sc, at + sb + sc]
                     .map(|n| f32::from(unsafe { *self.data.get_unchecked(n) }));
                 let low = tb.mul_add(v10 - v00, v00);
@@ -260,7 +274,7 @@ impl<'a> Caster<'a> {
     }
 }
 
-/// The voxels of one axis.
+/// Range of voxels of one axis.
 #[derive(Clone, Copy)]
 struct Cells {
     last: f32,
@@ -268,7 +282,7 @@ struct Cells {
 }
 
 impl Cells {
-    /// The lower voxel of the pair that holds a coordinate, and the place between both; clamped to the volume.
+    /// Return the lower voxel of the pair around a coordinate and the fraction between both; clamped to the volume.
     #[inline(always)]
     fn place(self, p: f32) -> (usize, f32) {
         let p = at_least_0(p);
@@ -279,19 +293,20 @@ impl Cells {
         } else {
             self.last_cell
         };
-        // SAFETY: 0 ..= n - 2, or 0. Benchmark: the checked cast cannot be vectorised.
+        // SAFETY: `whole` is from 0 to n - 2, or 0, so it fits an i32. Benchmark: the checked cast cannot be
+        // vectorised.
         let index = unsafe { whole.to_int_unchecked::<i32>() };
         (index as usize, p - whole)
     }
 }
 
-/// As one instruction; NaN becomes 0.
+/// Return `max(x, 0)` with one instruction; NaN becomes 0.
 #[inline(always)]
 fn at_least_0(x: f32) -> f32 {
     if x > 0.0 { x } else { 0.0 }
 }
 
-/// The other two axes, the one with the nearer voxels first.
+/// Return the other two axes, the one with the smaller stride first.
 const fn others(axis: usize) -> (usize, usize) {
     match axis {
         0 => (1, 2),

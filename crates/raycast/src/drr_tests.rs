@@ -1,4 +1,4 @@
-//! Radiographs against exact line integrals.
+//! Tests that compare radiographs with exact line integrals.
 
 use carina_grid::{Affine, Grid, VolumeView, clip_line_to_box, dot};
 
@@ -11,7 +11,7 @@ const WATER: Attenuation = Attenuation {
     bone_gain: 1.0,
 };
 
-/// A detector that looks along `dir`, with pixels of `pitch` mm round `centre`.
+/// Return the transform of a detector that looks along `dir`, with pixels of `pitch` mm round `centre`.
 fn detector(centre: [f64; 3], dir: [f64; 3], pitch: f64, size: usize) -> Affine {
     let dir = carina_grid::unit(dir).unwrap();
     let side = if dir[0].abs() < 0.9 {
@@ -31,7 +31,7 @@ fn detector(centre: [f64; 3], dir: [f64; 3], pitch: f64, size: usize) -> Affine 
     )
 }
 
-/// An oblique grid of anisotropic voxels, with its box.
+/// Return an oblique grid of anisotropic voxels.
 fn oblique(shape_zyx: [usize; 3]) -> Grid {
     let (s, c) = (libm::sin(0.4), libm::cos(0.4));
     let place = Affine::from_columns(
@@ -43,7 +43,7 @@ fn oblique(shape_zyx: [usize; 3]) -> Grid {
     Grid::new(shape_zyx, place).unwrap()
 }
 
-/// Part of the way from `origin` along unit `dir` that lies in the box of a grid.
+/// Return the length inside the box of a grid of the ray from `origin` along the unit vector `dir`.
 fn length_in_box(grid: &Grid, origin: [f64; 3], dir: [f64; 3]) -> f64 {
     let to = grid.ijk_from_lps();
     let hi = grid.shape_ijk().map(|n| n as f64 - 0.5);
@@ -81,7 +81,7 @@ fn a_box_of_water_gives_the_length_of_each_ray_in_it() {
                 let pixel = place.point([(n % 50) as f64 + 0.5, (n / 50) as f64 + 0.5, 0.0]);
                 let expected = source_lps.map_or_else(
                     || {
-                        // Parallel rays begin at infinity: from far before the box.
+                        // Parallel rays start at infinity: start far outside the box.
                         let from = std::array::from_fn(|a| pixel[a] - 2000.0 * dir[a]);
                         length_in_box(&grid, from, dir)
                     },
@@ -91,8 +91,8 @@ fn a_box_of_water_gives_the_length_of_each_ray_in_it() {
                         length_in_box(&grid, s, way)
                     },
                 );
-                // 1e-4 of a length of up to 80 mm, and 1e-3 mm: coordinates in f32 are good to 1e-5 voxels, sums of
-                // some 50 slabs to 1e-5.
+                // Tolerance: 1e-4 of a length of up to 80 mm, and 1e-3 mm. Coordinates in f32 are accurate to 1e-5
+                // voxels, sums of some 50 slabs to 1e-5.
                 assert!(
                     (f64::from(mm) - expected).abs() <= 1e-4 * expected + 1e-3,
                     "{dir:?} {source_lps:?} pixel {n}: {mm} for {expected}"
@@ -106,7 +106,8 @@ fn a_box_of_water_gives_the_length_of_each_ray_in_it() {
 
 #[test]
 fn ellipsoids_of_water_and_bone_give_their_chords() {
-    // Water (0 HU) in air, with a kernel of 700 HU: chords by the quadratic, bone twice as dear above 100 HU.
+    // Water (0 HU) in air, with a kernel of 700 HU. The chords follow from the quadratic equation; above 100 HU bone
+    // attenuates twice as much per HU.
     let n = 96usize;
     let grid = Grid::new(
         [n, n, n],
@@ -115,7 +116,7 @@ fn ellipsoids_of_water_and_bone_give_their_chords() {
     .unwrap();
     let centre = [47.3, 46.1, 48.9];
     let radii = [[36.0, 22.0, 30.0], [9.0, 11.0, 8.0]];
-    // Partial volume by 4^3 points in each voxel: the mean of attenuation is what a scanner reports.
+    // Partial volume by 4^3 points in each voxel: a scanner reports the mean of the attenuation.
     let data: Vec<i16> = (0..n * n * n)
         .map(|index| {
             let p = grid.voxel(index);
@@ -160,10 +161,10 @@ fn ellipsoids_of_water_and_bone_give_their_chords() {
             let pixel = place.point([(k % 64) as f64 + 0.5, (k / 64) as f64 + 0.5, 0.0]);
             let way = carina_grid::unit(std::array::from_fn(|a| pixel[a] - source[a])).unwrap();
             let (water, bone) = (chord(radii[0], source, way), chord(radii[1], source, way));
-            // Water 1; bone 1.7 by the HU scale, and (700 - 100) / 1000 more.
+            // Water is 1; bone is 1.7 on the HU scale, plus (700 - 100) / 1000.
             let expected = water + bone * (0.7 + 0.6);
             let near_bone = chord(radii[1].map(|r| r + 1.5), source, way) > 0.0;
-            // Away from the rims, where a chord bends by more than a millimetre over a voxel.
+            // The rims are excluded, where the chord changes by more than a millimetre over a voxel.
             if water > 20.0 && (!near_bone || bone > 14.0) {
                 let off = f64::from(mm) - expected;
                 worst = worst.max(off.abs());
@@ -172,8 +173,8 @@ fn ellipsoids_of_water_and_bone_give_their_chords() {
             }
         }
         assert!(num > 300, "{num}");
-        // A ray along the diagonal reads a plane every 1.7 mm; surfaces in a 1 mm grid are good to a fraction of that
-        // at either end. On the mean nothing is lost.
+        // A diagonal ray reads a plane every 1.7 mm, and the surfaces in a 1 mm grid are accurate to a fraction of 1.7
+        // mm at either end. The mean has no bias.
         assert!(worst < 1.0, "{dir:?}: {worst} mm");
         assert!(
             (sum / f64::from(num)).abs() < 0.1,
@@ -240,8 +241,8 @@ fn tissue_gives_what_fine_sampling_along_the_ray_gives() {
                     step * ((v + 1000.0).max(0.0) + (v - 100.0).max(0.0)) / 1000.0
                 })
                 .sum();
-            // A plane is read where the ray crosses it and stands for its slab: on tissue that changes by 150 HU per
-            // voxel the sum is good to 0.2 % and, in the two slabs that the volume cuts, to 0.1 mm.
+            // A plane is read where the ray crosses it and represents its slab. In tissue that changes by 150 HU per
+            // voxel the sum is accurate to 0.2 %, and in the two slabs that the volume cuts to 0.1 mm.
             assert!(
                 (f64::from(mm) - expected).abs() < 2e-3 * expected + 0.1,
                 "{dir:?} pixel {n}: {mm} for {expected}"
@@ -261,7 +262,7 @@ fn every_instruction_set_gives_the_same_bits() {
     let dir = carina_grid::unit([0.5, 0.6, 0.55]).unwrap();
     let far: [f64; 3] = std::array::from_fn(|a| middle[a] + 20.0 * dir[a]);
     let source: [f64; 3] = std::array::from_fn(|a| middle[a] - 30.0 * dir[a]);
-    // So near that packets hold rays along different axes.
+    // The source is so near that packets contain rays with different dominant axes.
     let projector = Projector {
         lps_from_pixel: detector(far, dir, 3.0, 37),
         source_lps: Some(source),

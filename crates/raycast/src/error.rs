@@ -1,35 +1,35 @@
 use carina_grid::GridError;
 use carina_isoregion::IsoRegionError;
 
-/// What can be wrong with a view.
+/// Errors of views and their settings.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum RaycastError {
-    /// A transfer function that cannot be used.
+    /// A transfer function is not valid.
     #[error("the transfer function is not usable: {reason}")]
     Transfer {
-        /// Why.
+        /// Reason why the transfer function is not valid.
         reason: String,
     },
-    /// A setting out of range.
+    /// A setting is out of range.
     #[error("{what}: expected {expected}, found {found}")]
     Setting {
-        /// Which setting.
+        /// Name of the setting.
         what: &'static str,
         /// Allowed values.
         expected: String,
-        /// The refused value.
+        /// Rejected value.
         found: String,
     },
-    /// Grid or camera.
+    /// A grid or a camera is not valid.
     #[error(transparent)]
     Grid(#[from] GridError),
-    /// Labels or their map.
+    /// Labels or their map are not valid.
     #[error(transparent)]
     IsoRegion(#[from] IsoRegionError),
 }
 
 impl RaycastError {
-    /// Stable code, shared with Python and the wire.
+    /// Return the stable error code, shared with Python and the wire.
     #[must_use]
     pub const fn code(&self) -> &'static str {
         match self {

@@ -1,14 +1,15 @@
-//! The light of a picture: given, or found from its walls.
+//! Exposure of a picture: given, or computed from the walls in the picture.
 
 use crate::{Frame, Method, lighting::Lighting, packet::brightness, surface};
 
-/// Rays on each side of the picture that the exposure is found from.
+/// Number of rays along each side of the grid of rays that measures the exposure.
 const METERED: usize = 12;
-/// Linear light that the bright parts of an exposed picture have on average, before the tone curve.
+/// Mean linear light of the bright parts of an exposed picture, before the tone curve.
 const EXPOSED_TO: f64 = 1.1;
 
 impl Lighting {
-    /// The lighting of a frame whose options have an appearance, exposed.
+    /// Return the lighting of a frame whose options have an appearance, with its exposure; `None` without an
+    /// appearance.
     pub(crate) fn exposed(frame: &Frame<'_>, method: Method<'_>) -> Option<Self> {
         let mut light = Self::of(frame)?;
         if light.look.exposure.is_none() {
@@ -17,11 +18,11 @@ impl Lighting {
         Some(light)
     }
 
-    /// Exposure from rays spread over the whole picture, so that every strip finds the same.
+    /// Compute the exposure from rays that are spread over the whole picture, so that every strip gets the same value.
     ///
-    /// As the automatic exposure of a video bronchoscope weights bright parts, so that a near wall hardly burns out, the
-    /// fourth root of the mean fourth power is brought to a fixed level: it is the near rim's brightness, however much of
-    /// the picture the lumen ahead takes up, and that goes dark.
+    /// The automatic exposure of a video bronchoscope favours bright parts, so that a near wall is hardly overexposed.
+    /// Here the fourth root of the mean fourth power of the brightness is set to a fixed level. The mean depends mostly
+    /// on the near walls, not on how much of the picture the dark lumen ahead covers.
     fn find_exposure(&self, frame: &Frame<'_>, method: Method<'_>) -> f32 {
         let (width, height) = (frame.camera().width(), frame.camera().height());
         let place = |n: usize, size: usize| (2 * n + 1) * size / (2 * METERED);
@@ -32,7 +33,7 @@ impl Lighting {
                 (wall.hit >= 0.0).then_some((column, row, wall))
             })
             .collect();
-        // Where no wall is met, it is dark.
+        // A ray that meets no wall counts as dark.
         let sum: f64 = brightness(frame, self, &walls)
             .into_iter()
             .map(|v| f64::from(v).powi(4))

@@ -1,4 +1,4 @@
-//! What all rays of a picture share, set up once in f64.
+//! Data that all rays of a picture share, computed once in f64.
 
 use std::sync::Arc;
 
@@ -9,38 +9,38 @@ use crate::{
     composite::Gathered, sampling::Lanes,
 };
 
-/// Rays stop when less than this shines through: no channel can change by more than half a grey level any more.
+/// Transparency below which a ray stops: the rest of the ray can change no channel by more than half a grey level.
 pub const STOP_TRANSPARENCY: f32 = 1.0 / 512.0;
 
-/// How a sample is read.
+/// Interpolation of a sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Interpolation {
-    /// Between eight voxels.
+    /// Trilinear interpolation between eight voxels.
     Trilinear,
-    /// The nearest voxel, as in the paper; never shaded.
+    /// Value of the nearest voxel, as in the paper; never shaded.
     Nearest,
 }
 
 /// Settings of a picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FrameOptions {
-    /// How samples are read.
+    /// Interpolation of the samples.
     pub interpolation: Interpolation,
-    /// The light at the tip, or `None` for the transfer function's colours as they are.
+    /// Light at the tip; `None` for the unshaded colours of the transfer function.
     pub light: Option<Light>,
-    /// Light, gloss and texture laid on the first wall after casting, in place of `light`.
+    /// Light, gloss and texture that are applied to the first wall after casting, in place of `light`.
     pub appearance: Option<Appearance>,
-    /// Colour behind everything, 0..1.
+    /// Background colour, 0 to 1.
     pub background: [f32; 3],
 }
 
-/// A picture to be cast: volume, transfer function, camera and settings.
+/// Picture to be cast: volume, transfer function, camera and settings.
 #[derive(Debug, Clone)]
 pub struct Frame<'a> {
     pub(crate) field: Field<'a>,
     pub(crate) table: &'a TransferTable,
     pub(crate) options: FrameOptions,
-    /// What the lighting knows of the walls' places on their airways.
+    /// Position of the walls along their airways, for the shading.
     pub(crate) decoration: Option<Decoration<'a>>,
     pub(crate) grid: &'a Grid,
     camera: Camera,
@@ -48,17 +48,18 @@ pub struct Frame<'a> {
     pub(crate) origin_ijk: [f64; 3],
     origin: Lanes,
     pub(crate) step_mm: f32,
-    /// Gradients are per voxel; `|gradient in LPS per mm|^2 = g^T metric g`: xx, yy, zz, 2xy, 2xz, 2yz.
+    /// Metric of gradients, which are per voxel: `|gradient in LPS per mm|^2 = g^T metric g`; xx, yy, zz, 2xy, 2xz,
+    /// 2yz.
     pub(crate) metric: [f32; 6],
-    /// Guard of a leap against f32 rounding of positions, voxels.
+    /// Margin by which a leap ends early, to allow for f32 rounding of positions; voxels.
     pub(crate) guard_vox: f32,
-    /// Rays stop when less than this shines through.
+    /// Transparency below which a ray stops.
     pub(crate) stop: f32,
-    /// Leaps also where brute force is quicker.
+    /// Whether rays leap also where brute force is faster.
     pub(crate) always_leap: bool,
-    /// Slopes of walls that earlier pictures have worked out.
+    /// Cached wall normals of earlier pictures.
     pub(crate) bricks: Option<Arc<NormalBricks>>,
-    /// Values and gradients that earlier pictures have read.
+    /// Cached values and gradients of earlier pictures.
     pub(crate) samples: Option<Arc<SampleBricks>>,
 }
 
@@ -72,10 +73,10 @@ pub(crate) struct Ray {
 }
 
 impl Ray {
-    /// Position of sample `k`, as a product: no error adds up along the ray.
+    /// Return the position of sample `k`, computed as a product so that no error accumulates along the ray.
     #[inline(always)]
     pub(crate) fn at(&self, k: u32) -> Lanes {
-        // Fewer than 2^31 steps: the signed conversion is the quick one.
+        // A ray has fewer than 2^31 steps, and the signed conversion is faster.
         let t = k as i32 as f32 + 0.5;
         std::array::from_fn(|a| t.mul_add(self.delta[a], self.origin[a]))
     }
@@ -86,7 +87,11 @@ fn lanes(p: [f64; 3]) -> Lanes {
 }
 
 impl<'a> Frame<'a> {
-    /// Sets a picture up.
+    /// Set up a picture.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the light or the appearance is not valid or needs another interpolation, or if both are set.
     pub fn new(
         volume: VolumeView<'a, i16>,
         table: &'a TransferTable,
@@ -139,7 +144,7 @@ impl<'a> Frame<'a> {
                 2.0 * m(1, 2),
             ]
             .map(|v| v as f32),
-            // Coordinates up to 4096 are good to 2.5e-4 in f32; longer axes get a guard in proportion.
+            // f32 coordinates up to 4096 are accurate to 2.5e-4; longer axes get a proportionally larger margin.
             guard_vox: (1e-3 * (longest / 4096.0).max(1.0)) as f32,
             stop: STOP_TRANSPARENCY,
             always_leap: false,
@@ -148,9 +153,14 @@ impl<'a> Frame<'a> {
         })
     }
 
-    /// The same with another stop limit than [`STOP_TRANSPARENCY`]: to compare with renderers that have another.
+    /// Set a stop limit other than [`STOP_TRANSPARENCY`], for comparisons with renderers that use another limit.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if `transparency` is not from 1/65536 to 1/4.
     pub fn stopping_at(mut self, transparency: f32) -> Result<Self, RaycastError> {
-        // Above 1/2 the first wall would be lost; below, a ray through fog has no end.
+        // With a limit above 1/2 a ray would stop before its first wall; with a very small limit a ray through fog
+        // would not end.
         if !(1.0 / 65_536.0..=0.25).contains(&transparency) {
             return Err(RaycastError::Setting {
                 what: "transparency at which rays stop",
@@ -162,17 +172,21 @@ impl<'a> Frame<'a> {
         Ok(self)
     }
 
-    /// The same with walls whose place on their airway is known, for the parts of an appearance that are fixed to anatomy.
+    /// Set the decoration: the position of walls along their airways, for the parts of an appearance that depend on
+    /// anatomy.
     #[must_use]
     pub const fn decorated_by(mut self, decoration: Decoration<'a>) -> Self {
         self.decoration = Some(decoration);
         self
     }
 
-    /// The same with bricks of values and gradients that earlier pictures of this volume have filled: light at every sample
-    /// is read from them.
+    /// Set cached bricks of values and gradients of this volume; the light at every sample is computed from them.
     ///
-    /// `samples` must have been filled from the same values, which is the caller's word.
+    /// The caller must ensure that `samples` was filled from the same values.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the bricks are not for a volume of this shape.
     pub fn with_samples(mut self, samples: Arc<SampleBricks>) -> Result<Self, RaycastError> {
         if !samples.fit(self.shape_ijk()) {
             return Err(RaycastError::Setting {
@@ -185,39 +199,40 @@ impl<'a> Frame<'a> {
         Ok(self)
     }
 
-    /// The same with leaps also where a trial says that brute force is quicker: to measure what they do there.
+    /// Let rays leap also where a trial finds brute force faster, so that benchmarks can measure the leaps there.
     #[must_use]
     pub const fn leaping_always(mut self) -> Self {
         self.always_leap = true;
         self
     }
 
-    /// True if first walls are lit after casting.
+    /// Return true if first walls are shaded after casting.
     #[must_use]
     pub const fn lights_walls(&self) -> bool {
         self.options.appearance.is_some()
     }
 
-    /// Voxels of the volume along each axis.
+    /// Return the number of voxels of the volume along each axis.
     #[must_use]
     pub fn shape_ijk(&self) -> [usize; 3] {
         self.grid.shape_ijk()
     }
 
-    /// True if samples are lit while rays are cast.
+    /// Return true if samples are shaded while rays are cast.
     #[must_use]
     pub const fn lights_samples(&self) -> bool {
         self.options.light.is_some()
     }
 
-    /// The camera.
+    /// Return the camera.
     #[must_use]
     pub const fn camera(&self) -> &Camera {
         &self.camera
     }
 
-    /// The same with rays in these directions of camera space, as a picture of one row: what casts and lights pictures does
-    /// so with single rays, by the same operations.
+    /// Return the same frame with one row of rays in the given directions of camera space.
+    ///
+    /// Casting and shading can thus process single rays with the same operations as whole pictures.
     pub(crate) fn listing(&self, directions: &[[f32; 3]]) -> Self {
         Self {
             camera: self.camera.listing(directions),
@@ -225,20 +240,22 @@ impl<'a> Frame<'a> {
         }
     }
 
-    /// The camera's centre, voxels.
+    /// Return the camera's centre in voxels.
     #[inline(always)]
     pub(crate) fn origin3(&self) -> [f32; 3] {
         [self.origin[0], self.origin[1], self.origin[2]]
     }
 
-    /// The camera's centre if it lies in the volume, voxels.
+    /// Return the camera's centre in voxels if it is inside the volume.
     pub(crate) fn inside(&self) -> Option<Lanes> {
         let n = self.grid.shape_ijk();
         let inside = (0..3).all(|a| (-0.5..=n[a] as f64 - 0.5).contains(&self.origin_ijk[a]));
         inside.then_some(self.origin)
     }
 
-    /// No ray has more steps than this: the way to the farthest corner of the box and back over it.
+    /// Return an upper bound of the number of steps of any ray.
+    ///
+    /// The bound is the distance to the farthest corner of the box plus the box's diagonal.
     pub(crate) fn most_steps(&self) -> f64 {
         let lps_from_ijk = self.grid.lps_from_ijk();
         let camera = self.camera.origin_lps();
@@ -259,7 +276,7 @@ impl<'a> Frame<'a> {
         farthest / self.table.step_mm() + 2.0
     }
 
-    /// One step of a pixel's ray in camera space, mm.
+    /// Return one step of a pixel's ray in camera space, mm.
     #[inline(always)]
     fn step(&self, column: usize, row: usize) -> [f64; 3] {
         let step_mm = self.table.step_mm();
@@ -273,11 +290,11 @@ impl<'a> Frame<'a> {
         [x * scale, y * scale, z * scale]
     }
 
-    /// The ray of a pixel, clipped to the box of the voxels.
+    /// Return the ray of a pixel, clipped to the box of the voxels.
     #[inline(always)]
     pub(crate) fn ray(&self, column: usize, row: usize) -> Ray {
         let delta = self.ijk_from_camera.vector(self.step(column, row));
-        // No light falls on this pixel: its lens or its mask has no ray for it.
+        // This pixel has no light: its lens or its mask has no ray for it.
         if self.camera.lens_rays().is_some() && delta == [0.0; 3] {
             return Ray {
                 origin: self.origin,
@@ -291,7 +308,7 @@ impl<'a> Frame<'a> {
             clip_line_to_box(self.origin_ijk, delta, [-0.5; 3], n.map(|n| n as f64 - 0.5)).map_or(
                 (0, 0),
                 |(t_in, t_out)| {
-                    // Sample k is at t = k + 1/2 steps. The casts saturate: what lies behind the camera starts at 0.
+                    // Sample k is at t = k + 1/2 steps. The casts saturate: the part behind the camera starts at 0.
                     ((t_in - 0.5).ceil() as u32, (t_out + 0.5).floor() as u32)
                 },
             );
@@ -303,7 +320,7 @@ impl<'a> Frame<'a> {
         }
     }
 
-    /// Reads sample `k` and adds it; false if it has no opacity.
+    /// Read sample `k` and add it to the ray; return false if the sample has no opacity.
     #[inline(always)]
     pub(crate) fn add_sample<const SHADED: bool, const NEAREST: bool, const HITS: bool>(
         &self,
@@ -321,7 +338,7 @@ impl<'a> Frame<'a> {
         }
         let cell = self.field.cell(p);
         let [r, g, b, alpha] = self.table.at(self.field.value_in(&cell));
-        // Adding nothing changes no bit. Opacities are 0 or more.
+        // Skipping a sample without opacity changes no bit. Opacities are never negative.
         if alpha <= 0.0 {
             return false;
         }
@@ -338,12 +355,13 @@ impl<'a> Frame<'a> {
         true
     }
 
-    /// Cosine between the surface normal and the ray, without sign: a thin wall that a sample meets on its far slope is
-    /// lit like its near one.
+    /// Return the absolute cosine between the surface normal and the ray.
+    ///
+    /// Without the sign, a thin wall whose far slope is sampled has the same light as its near slope.
     #[inline(always)]
     fn facing(&self, ray: &Ray, g: [f32; 3]) -> f32 {
-        // Both in LPS per mm: g_lps = ijk_from_lps^T g, so g_lps . dir_lps = g . (ijk_from_lps dir_lps) = g . delta /
-        // step.
+        // Both are in LPS per mm: g_lps = ijk_from_lps^T g, so g_lps . dir_lps = g . (ijk_from_lps dir_lps) = g . delta
+        // / step.
         let along = g[2].mul_add(
             ray.delta[2],
             g[1].mul_add(ray.delta[1], g[0] * ray.delta[0]),
@@ -353,7 +371,7 @@ impl<'a> Frame<'a> {
             + g[1].mul_add(yy, g[2] * yz) * g[1]
             + zz * g[2] * g[2];
         let length = square.max(0.0).sqrt() * self.step_mm;
-        // Flat tissue has no direction; 1e-6 HU/mm only keeps 0/0 away.
+        // Flat tissue has no direction; 1e-6 HU/mm only prevents 0/0.
         (along.abs() / (length + 1e-6)).min(1.0)
     }
 }

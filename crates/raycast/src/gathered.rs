@@ -1,4 +1,4 @@
-//! Pictures of what another caster has gathered: a graphics card's rays, lit here.
+//! Shading of pictures whose rays another caster has gathered, such as a graphics card.
 
 use std::ops::Range;
 
@@ -9,9 +9,14 @@ use crate::{
     rows::check,
 };
 
-/// Lights rows whose rays another caster has gathered, `[row, column]`, as [`cast_rows`] lights its own: `gathered` holds
-/// those of [`rows_to_gather`], and `stats` are that caster's. `method` measures the exposure and casts what is cast anew at
-/// silhouettes.
+/// Shade rows whose rays another caster has gathered, as [`cast_rows`] shades its own rows.
+///
+/// `gathered` holds the rays of the rows [`rows_to_gather`], `[row, column]`, and `stats` are the statistics of the
+/// other caster. `method` measures the exposure and casts the additional rays at silhouettes.
+///
+/// # Errors
+///
+/// Returns an error if a setting is not valid, or if `gathered` has the wrong length.
 pub fn light_gathered(
     frame: &Frame<'_>,
     method: Method<'_>,

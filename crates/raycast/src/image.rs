@@ -1,4 +1,4 @@
-//! From rays to rows of a picture: the choice of caster, rows shared among threads, what was done.
+//! Casting of rows of a picture: choice of the caster, distribution of rows to threads, statistics.
 
 use std::{
     ops::Range,
@@ -17,9 +17,13 @@ use crate::{
     worth::if_it_pays,
 };
 
-/// Casts `rows` of the picture as 8-bit RGB, `[row, column, channel]`.
+/// Cast `rows` of the picture as 8-bit RGB, `[row, column, channel]`.
 ///
-/// Rows are independent, so strips cast anywhere assemble to the whole picture bit for bit.
+/// Rows are independent, so strips that are cast anywhere assemble to the whole picture bit for bit.
+///
+/// # Errors
+///
+/// Returns an error if the rows, the instruction set or the maps of `method` are not valid for the frame.
 pub fn cast_rows(
     frame: &Frame<'_>,
     method: Method<'_>,
@@ -29,9 +33,13 @@ pub fn cast_rows(
     cast(frame, method, &rows, simd, None)
 }
 
-/// As [`cast_rows`], but given up once another thread sets `stop`; then `None`.
+/// Cast `rows` as [`cast_rows`] does, but stop when another thread sets `stop`; then return `None`.
 ///
-/// Looked at before each band of a few rows, so it takes no longer than the dearest band.
+/// The flag is checked before each band of a few rows, so the delay is at most the time of the slowest band.
+///
+/// # Errors
+///
+/// Returns an error if the rows, the instruction set or the maps of `method` are not valid for the frame.
 pub fn cast_rows_until(
     frame: &Frame<'_>,
     method: Method<'_>,
@@ -69,7 +77,11 @@ fn cast(
     }))
 }
 
-/// The same picture by the scalar casters, which define truth, whatever the instruction set has.
+/// Cast the same picture with the scalar casters, which define the correct result, for any instruction set.
+///
+/// # Errors
+///
+/// Returns an error if the rows, the instruction set or the maps of `method` are not valid for the frame.
 pub fn cast_rows_scalar(
     frame: &Frame<'_>,
     method: Method<'_>,
@@ -102,8 +114,9 @@ fn cast_row(
             cast_row_body(frame, method, start, row, out)
         }
         #[cfg(target_arch = "x86_64")]
-        // SAFETY: these sets are only handed out where the machine has AVX2, FMA, BMI1, BMI2, LZCNT and POPCNT.
-        // Benchmark: the portable build calls a function for every fused multiply-add and is several times slower.
+        // SAFETY: an `InstructionSet` value of these sets exists only on a machine with AVX2, FMA, BMI1, BMI2, LZCNT
+        // and POPCNT. Benchmark: the portable build calls a function for every fused multiply-add and is several times
+        // slower.
         InstructionSet::Avx2 | InstructionSet::Avx512 => unsafe {
             cast_row_avx2(frame, method, start, row, out)
         },

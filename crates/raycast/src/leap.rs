@@ -1,16 +1,18 @@
-//! The leaping caster (paper 4.3): the brute-force samples, less those that a map shows to be known.
+//! Leaping caster (paper 4.3): it skips those brute-force samples whose result a map provides.
 //!
-//! # When a ray asks the map
-//! A look-up that finds no region has cost a read for nothing. In the open lumen nearly every look-up pays; in dense or
-//! noisy tissue none does, and leaping must not cost more than brute force there. So every ray has *patience*: after a
-//! look-up that did not pay it takes that many samples before it asks again, and each time twice as many, up to
-//! [`MOST_PATIENCE`]. A leap that pays sets the patience back. Directly after a sample that added something no ray asks:
-//! the next one nearly always does too. Where the camera stands in no region, or outside the volume (whose outermost
-//! voxels have radius 0), all rays start with [`BLIND_SAMPLES`] samples and more patience.
+//! # When a ray looks up the map
 //!
-//! The rule looks at nothing but the ray itself and the camera's voxel, so it is the same in packets, and for each
-//! split of the picture. In the worst case, a ray that leaves a region behind and never finds another, it costs about
-//! one read more than brute force; over a long ray without regions less than 1 percent (docs/decisions/0104).
+//! A look-up that finds no region costs a read and saves nothing. In the open lumen nearly every look-up saves samples;
+//! in dense or noisy tissue none does, and leaping must not cost more than brute force there. Each ray therefore has a
+//! waiting length, called *patience*. After a look-up that saved nothing, the ray takes this number of samples before
+//! the next look-up, and then doubles it, up to [`MOST_PATIENCE`]. A leap that saves enough resets the patience.
+//! Directly after a sample with opacity a ray makes no look-up, because the next sample nearly always has opacity too.
+//! If the camera is in no region, or outside the volume (whose outermost voxels have radius 0), all rays start with
+//! [`BLIND_SAMPLES`] samples and a longer patience.
+//!
+//! The rule depends only on the ray itself and on the camera's voxel, so the result is the same in packets and for each
+//! division of the picture. In the worst case (a ray that leaves a region and finds no other) the rule costs about one
+//! read more than brute force; over a long ray without regions less than 1 percent (docs/decisions/0104).
 
 use carina_isoregion::{MAX_SEGMENT_SAMPLES, SegmentTable};
 
@@ -21,46 +23,53 @@ use crate::{
     sampling::Lanes,
 };
 
-/// Steps per voxel along an axis on which a ray stands still: far and, unlike infinity, safe to multiply by 0.
+/// Steps per voxel along an axis on which a ray does not advance: very large, but, unlike infinity, safe to multiply by
+/// 0.
 pub(crate) const FAR: f32 = 1e30;
-/// More steps than any ray has within a cube of 511 voxels.
+/// Upper bound of the steps of any ray within a cube of 511 voxels.
 pub(crate) const MAX_STEPS: f32 = 1e9;
 
-/// How far a leap from a cell of radius 0 would reach from the cell's middle: what is known of a cell ends half a voxel before
-/// its radius.
+/// Reach of a leap from the centre of a cell of radius 0, in voxels.
+///
+/// The known region of a cell ends half a voxel before the cell's radius.
 pub(crate) const CELL_REACH: f32 = -0.5;
 
-/// Samples after the first look-up that did not pay: at half a voxel a step two samples share a voxel.
+/// Number of samples after the first look-up that saved nothing.
+///
+/// With steps of half a voxel, two samples share a voxel.
 pub(crate) const LEAST_PATIENCE: u32 = 2;
-/// At most this many samples between look-ups: the price of one is then below 1 percent of the samples' reads.
+/// Largest number of samples between look-ups.
+///
+/// A look-up then costs less than 1 percent of the samples' reads.
 pub(crate) const MOST_PATIENCE: u32 = 128;
-/// Samples before the first look-up of rays that start in no region.
+/// Number of samples before the first look-up of rays that start in no region.
 const BLIND_SAMPLES: u32 = 8;
 
-/// Leaps that pay: by the reads that they save and those of a look-up.
+/// Leap lengths that save time, from the reads of the skipped samples and the reads of a look-up.
 #[derive(Clone, Copy)]
 pub(crate) struct Price {
-    /// Shorter leaps cost more than their samples.
+    /// Shortest leap that costs less than its samples.
     pub worth: u32,
-    /// Leaps this long also pay for the next few look-ups that fail.
+    /// Shortest leap that also compensates for the next few look-ups without result.
     pub pays: u32,
 }
 
 impl Price {
-    /// For samples and look-ups of so many reads.
+    /// Compute the lengths for samples and look-ups with the given numbers of reads.
     pub(crate) const fn of(sample_loads: u32, lookup_loads: u32) -> Self {
         Self {
             worth: lookup_loads.div_ceil(sample_loads),
-            // With patience 2, 4, 8, ... about three failing look-ups exceed 3 percent of the reads between them.
+            // With patience 2, 4, 8, ... about three look-ups without result exceed 3 percent of the reads between
+            // them.
             pays: (lookup_loads + 3).div_ceil(sample_loads),
         }
     }
 }
 
-/// How the rays of a picture start to ask.
+/// Initial waiting length of the rays of a picture before their first look-up.
 #[derive(Clone, Copy)]
 pub(crate) struct Start {
-    /// Samples before the first look-up.
+    /// Number of samples before the first look-up.
     pub wait: u32,
     pub patience: u32,
 }
@@ -86,7 +95,7 @@ impl Start {
     }
 }
 
-/// When one ray asks next.
+/// Schedule of the look-ups of one ray.
 struct Asking {
     at: u32,
     patience: u32,
@@ -101,14 +110,14 @@ impl Asking {
         }
     }
 
-    /// After a look-up for sample `k` that found nothing.
+    /// Update the schedule after a look-up for sample `k` that found nothing.
     #[inline(always)]
     fn failed(&mut self, k: u32) {
         self.at = k + self.patience;
         self.patience = (2 * self.patience).min(MOST_PATIENCE);
     }
 
-    /// After a leap from sample `k` over `n` samples.
+    /// Update the schedule after a leap from sample `k` over `n` samples.
     #[inline(always)]
     fn leaped(&mut self, k: u32, n: u32, price: Price) {
         if n < price.worth {
@@ -119,19 +128,19 @@ impl Asking {
         }
     }
 
-    /// After sample `k`, which added something.
+    /// Update the schedule after sample `k`, which had opacity.
     #[inline(always)]
     fn lit(&mut self, k: u32) {
         self.at = self.at.max(k + 2);
     }
 }
 
-/// A ray's reach in steps: how far it may go before it leaves a cube.
+/// Conversion of distances to ray steps: how many steps a ray may take before it leaves a cube.
 #[derive(Clone, Copy)]
 struct Pace {
     /// Steps per voxel on each axis, with the sign of the direction.
     signed: Lanes,
-    /// The same without sign.
+    /// Absolute value of `signed`.
     plain: Lanes,
 }
 
@@ -143,7 +152,7 @@ impl Pace {
             plain: [FAR; 4],
         };
         for a in 0..3 {
-            // An axis along which the ray stands still never ends a leap.
+            // An axis along which the ray does not advance never ends a leap.
             if ray.delta[a].abs() > 1e-12 {
                 pace.signed[a] = 1.0 / ray.delta[a];
                 pace.plain[a] = pace.signed[a].abs();
@@ -152,25 +161,26 @@ impl Pace {
         pace
     }
 
-    /// The largest n with `|p + n delta - v| <= reach` on every axis; `v` is a voxel, or a cell's middle.
+    /// Return the largest n with `|p + n delta - v| <= reach` on every axis; `v` is a voxel's or a cell's centre.
     #[inline(always)]
     fn steps(&self, p: Lanes, v: Lanes, reach: f32) -> u32 {
         let on: Lanes =
             std::array::from_fn(|a| reach.mul_add(self.plain[a], (v[a] - p[a]) * self.signed[a]));
-        // Only the face ahead counts: p is at most half a voxel from v, so the faces behind hold.
+        // Only the face ahead limits the leap: p is at most half a voxel from v, so the faces behind are not reached.
         let least = |a: f32, b: f32| if a < b { a } else { b };
         let steps = least(least(on[0], on[1]), least(on[2], MAX_STEPS));
         let steps = if steps > 0.0 { steps } else { 0.0 };
-        // SAFETY: between 0 and MAX_STEPS. The cast takes the floor. Benchmark: as in `sampling`.
+        // SAFETY: the value is between 0 and MAX_STEPS, so it fits an i32. The cast rounds down. Benchmark: as for
+        // `whole` in `sampling`.
         let steps: i32 = unsafe { steps.to_int_unchecked() };
         steps as u32
     }
 }
 
-/// Leaps over transparent classes only. Skipped samples would have added nothing, so the picture is brute force's, bit
-/// for bit.
+/// Cast a ray with leaps over transparent classes only.
 ///
-/// `radius` is the map of the transparent classes' cells, 0 elsewhere.
+/// The skipped samples would have added nothing, so the picture equals that of brute force bit for bit. `radius` is the
+/// map of the transparent classes' cells, 0 elsewhere.
 #[inline(always)]
 pub(crate) fn cast_transparent<const SHADED: bool, const NEAREST: bool, const HITS: bool>(
     frame: &Frame<'_>,
@@ -190,11 +200,11 @@ pub(crate) fn cast_transparent<const SHADED: bool, const NEAREST: bool, const HI
         if k >= asking.at {
             let (index, v) = frame.field.cell_of(p);
             counts[0] += 1;
-            // SAFETY: `cast_rows` has checked that the map has the volume's voxels; `cell_of` clamps to them.
-            // Benchmark: this is the look-up that decides the speed of a leap.
+            // SAFETY: `cast_rows` has checked that the map has as many voxels as the volume, and `cell_of` clamps the
+            // index to them. Benchmark: this look-up decides the speed of a leap.
             let r = unsafe { *radius.get_unchecked(index) };
             if r > 0 {
-                // All corners of this sample and of the next n lie in the cube.
+                // All corners of this sample and of the next n samples are in the cube.
                 let n = pace
                     .steps(p, v, f32::from(r) + (CELL_REACH - frame.guard_vox))
                     .saturating_add(1)
@@ -225,8 +235,10 @@ pub(crate) fn cast_transparent<const SHADED: bool, const NEAREST: bool, const HI
     gathered
 }
 
-/// Leaps over every class by the step table. Within one grey level of brute force: a segment's colour is rounded once,
-/// its samples' colours one by one. A leap that crosses the stop limit ends at the sample where brute force stops.
+/// Cast a ray with leaps over every class by the step table.
+///
+/// The result is within one grey level of brute force: a segment's colour is rounded once, the colours of its samples
+/// one by one. A leap that crosses the stop limit ends at the sample where brute force stops.
 #[inline(always)]
 pub(crate) fn cast_classes<const NEAREST: bool, const HITS: bool>(
     frame: &Frame<'_>,
@@ -238,7 +250,7 @@ pub(crate) fn cast_classes<const NEAREST: bool, const HITS: bool>(
     let mut gathered = Gathered::NOTHING;
     let pace = Pace::of(ray);
     let price = const { Price::of(CastStats::sample_loads(NEAREST), 2) };
-    // A nearest-voxel sample needs its own voxel in the cube, not eight corners: half a voxel more on each side.
+    // A nearest-voxel sample needs only its own voxel in the cube, not eight corners: half a voxel more on each side.
     let margin = class_margin(frame, NEAREST);
     let mut k = ray.first;
     let mut asking = Asking::of(start, ray);
@@ -247,7 +259,7 @@ pub(crate) fn cast_classes<const NEAREST: bool, const HITS: bool>(
         if k >= asking.at {
             let (index, v) = frame.field.nearest(p);
             stats.num_lookups += 1;
-            // The label is read only where it counts; where it is 0, the radius is.
+            // The label is read only for a radius above 0; a voxel with label 0 has radius 0.
             let r = map.radius[index];
             let label = if r > 0 { map.labels[index] } else { 0 };
             if label != 0 {
@@ -287,7 +299,7 @@ pub(crate) fn cast_classes<const NEAREST: bool, const HITS: bool>(
     gathered
 }
 
-/// What a leap over a class may reach beyond the radius.
+/// Return the distance in voxels by which a leap over a class may exceed the radius.
 pub(crate) fn class_margin(frame: &Frame<'_>, nearest: bool) -> f32 {
     if nearest {
         0.5 - frame.guard_vox
@@ -296,7 +308,7 @@ pub(crate) fn class_margin(frame: &Frame<'_>, nearest: bool) -> f32 {
     }
 }
 
-/// Notes the first wall if it lies within a segment: its samples one by one, as the step table has them.
+/// Store the first wall if it is within a segment: step through the segment's samples with the step table.
 #[inline(always)]
 fn cross_segment(gathered: &mut Gathered, segments: &SegmentTable, label: u8, k: u32, n: usize) {
     let through = |samples| gathered.transparency * segments.segment(label, samples)[3];

@@ -1,12 +1,12 @@
-//! Ray casters and planes: the paper's four views (3.1) and its acceleration (4.3).
+//! Ray casters and planes: the paper's four views (3.1) and their acceleration (4.3).
 //!
-//! [`brute`] is the reference: every sample of every ray. [`leap`] skips samples with an `IsoRegion` map and moves
-//! none, so the picture is the same. Both share one sampling rule: `t_k = (k + 1/2) * step`, as a product, from the
-//! camera's centre.
+//! [`brute`] is the reference: it reads every sample of every ray. [`leap`] skips samples with an `IsoRegion` map and
+//! moves no sample, so the picture is the same. Both use one sampling rule, measured from the camera's centre:
+//! `t_k = (k + 1/2) * step`, computed as a product.
 //!
-//! Kernels use IEEE f32 add, multiply, divide, square root and explicit fused multiply-add in a fixed order, so the
-//! picture depends neither on threads nor on strips nor on the instruction set. The module `packet` casts
-//! 8 to 32 rays at once, with the same bits; the scalar casters define truth.
+//! Kernels use IEEE f32 addition, multiplication, division, square root and explicit fused multiply-add in a fixed
+//! order, so the picture depends neither on threads nor on strips nor on the instruction set. The module `packet` casts
+//! 8 to 32 rays at once, with the same bits; the scalar casters define the correct result.
 
 #![allow(
     clippy::inline_always,

@@ -1,24 +1,30 @@
-//! The light at the scope's tip.
+//! Light at the scope's tip.
 
 use crate::RaycastError;
 
-/// A light in the camera's centre, as on a bronchoscope: its direction is that of the ray.
+/// Light at the camera's centre, as on a bronchoscope: its direction equals that of the ray.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Light {
-    /// Part of the colour seen whatever the surface's direction.
+    /// Fraction of the colour that does not depend on the surface's direction.
     pub ambient: f32,
-    /// Part that goes with the cosine between surface normal and light.
+    /// Fraction proportional to the cosine between surface normal and light.
     pub diffuse: f32,
-    /// White highlight of a wet surface seen head on.
+    /// Strength of the white highlight of a wet surface at normal incidence.
     pub specular: f32,
-    /// The highlight's exponent is `2^shininess_log2`; powers are squarings, so no `pow` runs per sample.
+    /// Exponent of the highlight as a power of two: `2^shininess_log2`.
+    ///
+    /// Powers are computed by squaring, so no sample needs `pow`.
     pub shininess_log2: u32,
-    /// Distance at which half the light is left; infinite for none lost.
+    /// Distance in mm at which half the light is left; infinite for no loss.
     pub reach_mm: f32,
 }
 
 impl Light {
-    /// Refuses values that are negative, not finite, or would overflow.
+    /// Check the values.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if a value is negative or not finite, or would overflow.
     pub fn check(&self) -> Result<(), RaycastError> {
         let refuse = |what: &'static str, expected: &str, found: f32| {
             Err(RaycastError::Setting {
@@ -45,15 +51,15 @@ impl Light {
         Ok(())
     }
 
-    /// Shares of the sample's own colour and of white, for the cosine `facing` (0..1) at `distance_mm`.
+    /// Return the fractions of the sample's own colour and of white, for the cosine `facing` (0 to 1) at `distance_mm`.
     #[inline(always)]
     pub(crate) fn shares(&self, facing: f32, distance_mm: f32) -> (f32, f32) {
         let mut highlight = facing;
         for _ in 0..self.shininess_log2 {
             highlight *= highlight;
         }
-        // reach^2 / (reach^2 + d^2): the inverse square far away, level near by, as a scope's automatic exposure makes
-        // it.
+        // reach^2 / (reach^2 + d^2): inverse square at a distance, constant nearby, as with a scope's automatic
+        // exposure.
         let part = distance_mm / self.reach_mm;
         let left = 1.0 / part.mul_add(part, 1.0);
         let own = facing.mul_add(self.diffuse, self.ambient);
@@ -86,7 +92,7 @@ mod tests {
 
     #[test]
     fn the_highlight_is_a_power_of_the_cosine() {
-        // 0.5^8 is exact.
+        // f32 represents 0.5^8 exactly.
         assert_eq!(LIGHT.shares(0.5, 0.0).1, 0.5 / 256.0);
         assert!(
             Light {

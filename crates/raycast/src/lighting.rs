@@ -1,10 +1,10 @@
-//! What the lighting of first walls needs of a frame.
+//! Data of a frame that the shading of first walls needs.
 
 use std::sync::Arc;
 
 use crate::{Appearance, Frame, NormalBricks, normals::Normals};
 
-/// What the lighting of a frame needs, set up once in f64.
+/// Data for the shading of a frame, computed once in f64.
 #[derive(Debug, Clone)]
 pub(crate) struct Lighting {
     pub look: Appearance,
@@ -16,17 +16,17 @@ pub(crate) struct Lighting {
     pub lps_from_ijk: [[f32; 3]; 3],
     pub ijk_from_lps: [[f32; 3]; 3],
     pub camera_from_lps: [[f32; 3]; 3],
-    /// Light guides from the camera's centre, LPS mm.
+    /// Positions of the light guides relative to the camera's centre, LPS mm.
     pub guides: [[f32; 3]; 2],
-    /// Width of a pixel seen from 1 mm, in the middle of the picture.
+    /// Width of a pixel at a distance of 1 mm, in the middle of the picture.
     pub pixel_mm: f32,
     pub background: [f32; 3],
-    /// Light of the guides, found or given.
+    /// Brightness of the guides, measured or given.
     pub exposure: f32,
 }
 
 impl Lighting {
-    /// The lighting of a frame whose options have an appearance; its exposure is to be found.
+    /// Return the lighting of a frame whose options have an appearance; the exposure is not yet set.
     pub(crate) fn of(frame: &Frame<'_>) -> Option<Self> {
         let look = frame.options.appearance?;
         let camera = frame.camera();

@@ -5,45 +5,50 @@ use rayon::prelude::*;
 
 use crate::{Field, PlaneImage, RaycastError, Window, plane::check_size};
 
-/// One row of a picture: pixel `c` has its centre at `start + (c + 1/2) step`.
+/// Line of one picture row: pixel `c` has its centre at `start + (c + 1/2) step`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PixelLine {
-    /// Left corner of the row's first pixel, half-way down, LPS mm.
+    /// Left edge of the row's first pixel, at half its height, LPS mm.
     pub start_lps: [f64; 3],
-    /// From a pixel to the next, LPS mm.
+    /// Vector from a pixel to the next, LPS mm.
     pub step_lps: [f64; 3],
-    /// Unit vector through the picture, along which a slab is gathered.
+    /// Unit vector perpendicular to the picture, along which a slab is sampled.
     pub through_lps: [f64; 3],
 }
 
-/// What a slab shows of the values across it.
+/// Projection of the values across a slab.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SlabKind {
-    /// The largest: vessels, nodules.
+    /// Largest value: shows vessels and nodules.
     Maximum,
-    /// The smallest: airways.
+    /// Smallest value: shows airways.
     Minimum,
-    /// The mean: a thicker slice with less noise.
+    /// Mean value: a thicker slice with less noise.
     Mean,
 }
 
-/// A slab round a picture's plane.
+/// Slab round a picture's plane.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Slab {
-    /// From front to back.
+    /// Thickness from front to back, mm.
     pub thickness_mm: f64,
-    /// What it shows.
+    /// Projection across the slab.
     pub kind: SlabKind,
 }
 
-/// A thicker slab is a projection, and would take seconds.
+/// Largest thickness: a thicker slab is a projection and would take seconds.
 const MAX_SLAB_MM: f64 = 100.0;
-/// The most places a slab is read at, however fine the voxels are.
+/// Largest number of samples across a slab, for voxels of any size.
 const MAX_SLAB_SAMPLES: f64 = 256.0;
 
-/// Samples a picture line by line; 0 outside the volume.
+/// Sample a picture line by line; pixels outside the volume are 0.
 ///
-/// A slab is read at distances of at most the smallest voxel spacing, but at 256 places at most; what of it lies outside the volume does not count.
+/// Samples across a slab are at most the smallest voxel spacing apart, but there are at most 256; samples outside the
+/// volume do not count.
+///
+/// # Errors
+///
+/// Returns an error if the size of the picture or the slab is not valid.
 pub fn sample_lines(
     volume: VolumeView<'_, i16>,
     lines: &[PixelLine],
@@ -100,7 +105,7 @@ pub fn sample_lines(
     Ok(image)
 }
 
-/// Where a slab is read, from its middle.
+/// Return the offsets from the middle of a slab at which it is sampled.
 fn offsets_of(slab: Option<Slab>, spacing_mm: f64) -> Result<Vec<f32>, RaycastError> {
     let Some(Slab { thickness_mm, .. }) = slab else {
         return Ok(vec![0.0]);
@@ -126,7 +131,7 @@ mod tests {
     use carina_grid::{Affine, Grid};
 
     fn grid() -> Grid {
-        // Anisotropic and with swapped axes.
+        // The grid is anisotropic and has swapped axes.
         let place = Affine::from_columns(
             [0.0, 0.5, 0.0],
             [0.0, 0.0, -2.0],
@@ -136,7 +141,7 @@ mod tests {
         Grid::new([4, 5, 6], place).unwrap()
     }
 
-    /// Values that say where they are: 100 k + 10 j + i.
+    /// Return values that encode their position: 100 k + 10 j + i.
     fn data() -> Vec<i16> {
         (0..120)
             .map(|n| (n / 30 * 100 + n / 6 % 5 * 10 + n % 6) as i16)
@@ -180,13 +185,14 @@ mod tests {
                 .unwrap()
                 .grey[13]
         };
-        // Voxel (1, 2) of each slice is 21 + 100 k. Slices are 3 mm apart and the smallest spacing is 0.5 mm: 6 mm are read
-        // at 12 places, the outermost 0.25 mm from the slab's faces, where k = 0.083 and 1.917.
+        // Voxel (1, 2) of each slice is 21 + 100 k. Slices are 3 mm apart and the smallest spacing is 0.5 mm: 6 mm are
+        // sampled at 12 positions, the outermost 0.25 mm from the slab's faces, where k = 0.083 and 1.917.
         assert_eq!(look(1.0, 6.0, SlabKind::Maximum), 213);
         assert_eq!(look(1.0, 6.0, SlabKind::Minimum), 29);
         assert_eq!(look(1.0, 6.0, SlabKind::Mean), 121);
         assert_eq!(look(1.0, 0.0, SlabKind::Mean), 121);
-        // Half of it outside: k -1 .. -0.5 does not count, and -0.5 .. 0 is clamped to the first slice.
+        // Half of the slab is outside: k from -1 to -0.5 does not count, and k from -0.5 to 0 is clamped to the first
+        // slice.
         assert_eq!(look(0.0, 6.0, SlabKind::Minimum), 21);
         assert!(look(0.0, 6.0, SlabKind::Mean) > 21);
     }

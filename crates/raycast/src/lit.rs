@@ -1,6 +1,7 @@
-//! Pictures whose first walls are lit after casting: a few rows are cast, and lit while what they gathered is in the cache.
-//! Depths alone are kept of all rows, with a row more on each side of a strip: a pixel on a silhouette is known by its
-//! neighbours.
+//! Pictures whose first walls are shaded after casting.
+//!
+//! A few rows are cast, then shaded while their rays are in the cache. Only the depths are stored for all rows, with
+//! one more row on each side of a strip, because the neighbours of a pixel show whether it is on a silhouette.
 
 use std::{
     ops::Range,
@@ -18,7 +19,7 @@ use crate::{
     surface::cast_walls_row,
 };
 
-/// The rows that a picture of `rows` is lit from: the row before and the row after, too, where silhouettes are smoothed.
+/// Return the rows needed to shade `rows`: with one row before and one after if silhouettes are smoothed.
 #[must_use]
 pub fn rows_to_gather(frame: &Frame<'_>, rows: &Range<usize>) -> Range<usize> {
     let smooth = frame
@@ -32,16 +33,17 @@ pub fn rows_to_gather(frame: &Frame<'_>, rows: &Range<usize>) -> Range<usize> {
     }
 }
 
-/// What rows are lit by.
+/// Source of the first walls of rows.
 pub(crate) enum Walls<'a> {
-    /// What another caster has gathered of all of them.
+    /// Rays of all rows, gathered by another caster.
     Gathered(&'a [Gathered]),
-    /// Casts the rows from this one on.
+    /// Function that casts rows, starting with the given row.
     Cast(&'a (dyn Fn(usize, &mut [Gathered]) -> CastStats + Sync)),
 }
 
-/// Casts rows, by packets or without them by the scalar casters, and lights them. The rays of the rows beside a strip are
-/// not counted: they are another strip's.
+/// Cast rows, in packets or with the scalar casters, and shade them.
+///
+/// The statistics exclude the rays of the rows beside the strip, because these rows belong to other strips.
 pub(crate) fn cast_lit(
     frame: &Frame<'_>,
     method: Method<'_>,
@@ -81,9 +83,10 @@ pub(crate) fn cast_lit(
     )
 }
 
-/// Lights rows, a few at a time; where the look asks for it, silhouettes are cast and lit anew. `beside` holds depths of
-/// the row before and of the row after, empty at the picture's edge. Once `stop` is set, what is left stays black.
-/// `num_shaded` is that of the lighting alone.
+/// Shade rows, a few at a time; cast and shade silhouettes again if the appearance smooths them.
+///
+/// `beside` holds the depths of the row before and of the row after, empty at the picture's edge. After `stop` is set,
+/// the remaining rows stay black. `num_shaded` counts only this shading.
 pub(crate) fn light_walls(
     frame: &Frame<'_>,
     method: Method<'_>,
@@ -100,7 +103,7 @@ pub(crate) fn light_walls(
         .par_chunks_mut(3 * width * BAND_ROWS)
         .zip(depths.par_chunks_mut(width * BAND_ROWS))
         .enumerate()
-        // As in `share`: rows differ in cost.
+        // Rows differ in cost, so each job is one item (see `share`).
         .with_max_len(1)
         .map_init(Vec::new, |buffer, (n, (rgb, depths))| {
             if stop.is_some_and(|stop| stop.load(Ordering::Relaxed)) {

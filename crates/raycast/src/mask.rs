@@ -1,14 +1,14 @@
-//! A smooth field from a lumen mask, for the external view of the tree.
+//! Smooth field from a lumen mask, for the external view of the tree.
 
 use rayon::prelude::*;
 
-/// The value of `smoothed_mask` deep inside the mask.
+/// Value of `smoothed_mask` deep inside the mask.
 pub(crate) const FULL: i16 = 1024;
 
-/// Blurs a mask (0 is outside) with the weights 1 2 1 along each axis into `0 ..= 1024`.
+/// Blur a mask (0 is outside) with the weights 1 2 1 along each axis to values in `0 ..= 1024`.
 ///
-/// The half-way surface of the result is the mask's, with the stairs of the voxels rounded; a branch one voxel thick
-/// keeps 256, so a surface drawn below that loses no branch.
+/// The surface at half of the largest value is that of the mask, with rounded voxel steps. A branch one voxel thick
+/// keeps the value 256, so a surface drawn at a lower value loses no branch.
 #[must_use]
 pub fn smoothed_mask(mask: &[u8], [nz, ny, nx]: [usize; 3]) -> Vec<i16> {
     let plane = ny * nx;
@@ -19,7 +19,7 @@ pub fn smoothed_mask(mask: &[u8], [nz, ny, nx]: [usize; 3]) -> Vec<i16> {
     if out.is_empty() {
         return out;
     }
-    // Within a slice along x and y, then across slices; each with its edge voxel repeated.
+    // Blur within a slice along x and y, then across slices; the edge voxel is repeated.
     out.par_chunks_mut(plane).for_each(|slice| {
         for row in slice.chunks_mut(nx) {
             blur(row, 1, nx);

@@ -1,16 +1,17 @@
-//! Which caster a picture takes, and what it took.
+//! Choice of the caster of a picture, and statistics of a cast.
 
 use carina_isoregion::SegmentTable;
 
 use crate::{Frame, Interpolation, composite::Gathered};
 
-/// Which caster.
+/// Caster of a picture.
 #[derive(Debug, Clone, Copy)]
 pub enum Method<'a> {
-    /// Every sample.
+    /// Brute force: every sample.
     Brute,
-    /// Leaps over transparent classes; the map of the cells between voxels of these classes alone
-    /// ([`carina_isoregion::cell_map`]).
+    /// Leaps over transparent classes.
+    ///
+    /// The variant holds the map of cells between voxels of these classes alone ([`carina_isoregion::cell_map`]).
     LeapTransparent(&'a [u8]),
     /// Leaps over all classes by the step table; only without shading.
     LeapClasses(ClassMap<'a>),
@@ -19,49 +20,52 @@ pub enum Method<'a> {
 /// Labels, radii and step table for leaps over every class; only without shading.
 #[derive(Debug, Clone, Copy)]
 pub struct ClassMap<'a> {
-    /// `[z, y, x]`; 0 is never leaped.
+    /// Labels `[z, y, x]`; label 0 is never leaped.
     pub labels: &'a [u8],
-    /// `[z, y, x]`, from the labels.
+    /// Radius map `[z, y, x]` of the labels.
     pub radius: &'a [u8],
-    /// For one ray step of this picture.
+    /// Step table for one ray step of this picture.
     pub segments: &'a SegmentTable,
 }
 
-/// What a picture took.
+/// Statistics of a cast.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct CastStats {
-    /// Rays cast.
+    /// Number of rays cast.
     pub num_rays: u64,
-    /// Samples read from the volume.
+    /// Number of samples read from the volume.
     pub num_samples: u64,
-    /// Look-ups in the radius map.
+    /// Number of look-ups in the radius map.
     pub num_lookups: u64,
-    /// Leaps taken.
+    /// Number of leaps.
     pub num_leaps: u64,
-    /// Samples that leaps stood for.
+    /// Number of samples that leaps skipped.
     pub num_skipped: u64,
-    /// Samples that were lit, for which a gradient was read.
+    /// Number of shaded samples, for which a gradient was read.
     pub num_shaded: u64,
-    /// Reads of the volume and of the maps: see [`CastStats::sample_loads`].
+    /// Number of reads of the volume and of the maps: see [`CastStats::sample_loads`].
     pub num_loads: u64,
 }
 
 impl CastStats {
-    /// Reads of a sample: the four rows of its cell, two voxels each; or the nearest voxel.
+    /// Return the reads of a sample: four rows of two voxels of its cell, or one read for the nearest voxel.
     pub(crate) const fn sample_loads(nearest: bool) -> u32 {
         if nearest { 1 } else { 4 }
     }
 
-    /// Further reads of a lit sample: its gradient takes the eight rows beside its cell. (The cell's own are then read two
-    /// voxels longer.)
+    /// Additional reads of a shaded sample: its gradient needs the eight rows beside its cell.
+    ///
+    /// The cell's own rows are then read with two more voxels.
     const GRADIENT_LOADS: u64 = 8;
 
-    /// Reads of a lit first wall: slopes at the eight corners of its cell, and one sample beneath it.
+    /// Reads of a shaded first wall: gradients at the eight corners of its cell, and one sample beneath the wall.
     const LIGHTING_LOADS: u64 = 8 + 4;
 
-    /// Counts the reads, which follow from the other counts: of samples and their gradients, one radius for each look-up,
-    /// and one label for each leap over a class. Reads of the transfer and step tables are left out: they are small and
-    /// stay in the nearest cache, and a leap saves them as well.
+    /// Compute the number of reads from the other counts.
+    ///
+    /// Counted are the reads of samples and their gradients, one radius for each look-up, and one label for each leap
+    /// over a class. Reads of the transfer and step tables are left out: the tables are small and stay in the nearest
+    /// cache, and a leap saves these reads as well.
     #[must_use]
     pub fn with_loads(self, frame: &Frame<'_>, method: Method<'_>) -> Self {
         let nearest = frame.options.interpolation == Interpolation::Nearest;
@@ -77,7 +81,7 @@ impl CastStats {
         }
     }
 
-    /// Counts the lighting of first walls.
+    /// Add the shading of first walls to the counts.
     pub(crate) fn lit(self, walls: &[Gathered]) -> Self {
         let num_lit = walls.iter().filter(|wall| wall.hit >= 0.0).count() as u64;
         Self {

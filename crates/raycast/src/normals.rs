@@ -1,4 +1,4 @@
-//! The normals of walls.
+//! Normals of walls.
 
 use std::sync::Arc;
 
@@ -9,25 +9,27 @@ use crate::{
     sampling::Lanes,
 };
 
-/// The samples that a wall's normal is taken from lie about this far from it: noise of a CT has this grain, cartilage
-/// rings are several times as wide.
+/// Distance in mm from a wall of the samples for its normal.
+///
+/// The noise of a CT has about this grain size; cartilage rings are several times as wide.
 const NORMAL_REACH_MM: f64 = 0.9;
-/// And at least this many voxels: within one, a value is linear and has no noise that could be smoothed away.
+/// Smallest distance of these samples in voxels: within one voxel, values are linear and contain no noise to smooth.
 const NORMAL_REACH_VOX: f64 = 0.8;
-/// Contrast of air and tissue is twice this.
+/// Half of the contrast between air and tissue, HU.
 const HALF_CONTRAST_HU: f32 = 500.0;
 
-/// How normals of walls are found: by a gradient over [`NORMAL_REACH_MM`], which keeps noise from looking like gravel.
+/// Parameters of the normals of walls.
 ///
-/// Values are held near the wall's own: what lies far behind it or before it (vessels, bone, noise of the air) has no say
-/// in how the wall is inclined.
+/// The normal is a gradient over [`NORMAL_REACH_MM`], so that noise does not appear as a rough surface. Values are
+/// clamped to a range round the wall's own value: distant structures behind or before the wall (vessels, bone, noise of
+/// the air) do not influence its inclination.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Normals {
-    /// Voxels.
+    /// Distance of the samples along each axis, voxels.
     pub reach: [f32; 3],
-    /// Values are held between these.
+    /// Lower and upper limit of the values.
     pub held: [f32; 2],
-    /// `inward = rows . rise`, in LPS: the transposed inverse of the voxel axes, divided by the reach.
+    /// Matrix of `inward = rows . rise`, in LPS: the transposed inverse of the voxel axes, divided by the reach.
     pub rows: [[f32; 3]; 3],
 }
 
@@ -47,7 +49,7 @@ impl Normals {
         }
     }
 
-    /// The unit normal at a hit, on the camera's side.
+    /// Return the unit normal at a hit, on the camera's side.
     pub(crate) fn at(&self, frame: &Frame<'_>, ray: &Ray, hit: f32) -> [f32; 3] {
         let p: Lanes = std::array::from_fn(|a| hit.mul_add(ray.delta[a], ray.origin[a]));
         let [low, high] = self.held;
@@ -61,7 +63,7 @@ impl Normals {
             rise[a] = AXIS_WEIGHT * (held(after) - held(before));
         }
         for corner in 0..4 {
-            // A corner and the one across.
+            // Compute the difference between a corner of the cube and the opposite corner.
             let side = [1.0, [1.0f32, -1.0][corner & 1], [1.0f32, -1.0][corner >> 1]];
             let (mut before, mut after) = (p, p);
             for a in 0..3 {
@@ -80,7 +82,7 @@ impl Normals {
             .vector([0, 1, 2].map(|a| f64::from(ray.delta[a])))
             .map(|v| v as f32 / frame.step_mm);
         let length = dot(inward, inward).sqrt();
-        // A rise of 1e-3 HU over the box is rounding.
+        // A rise of at most 1e-3 HU over the box is a rounding error.
         if length <= 1e-3 {
             return along.map(|v| -v);
         }
@@ -93,8 +95,10 @@ pub(crate) fn dot(u: [f32; 3], v: [f32; 3]) -> f32 {
     u[2].mul_add(v[2], u[1].mul_add(v[1], u[0] * v[0]))
 }
 
-/// Values that tell how a wall is inclined: the transfer function's ramp and about half the contrast of an airway to each
-/// side of its middle, as far as the volume has so much.
+/// Return the range of values that define the inclination of a wall.
+///
+/// The range is the transfer function's ramp and about half the contrast of an airway to each side of the ramp's
+/// middle, limited to the values of the volume.
 fn held_between(table: &TransferTable) -> [f32; 2] {
     let most = table.entries.iter().map(|e| e[3]).fold(0.0, f32::max);
     let opaque = table.entries.iter().position(|e| e[3] >= 0.9 * most);
@@ -108,20 +112,22 @@ fn held_between(table: &TransferTable) -> [f32; 2] {
 }
 
 impl NormalBricks {
-    /// No brick yet, for the volume and the transfer function of a frame.
+    /// Create an empty cache of bricks for the volume and the transfer function of a frame.
     #[must_use]
     pub fn of(frame: &Frame<'_>) -> Self {
         Self::with_room(frame, MOST_BRICKS)
     }
 
-    /// The same with room for so many bricks.
+    /// Create an empty cache with capacity for `most` bricks.
     #[must_use]
     pub fn with_room(frame: &Frame<'_>, most: usize) -> Self {
         let normals = Normals::of(frame);
         Self::new(frame.grid.shape_ijk(), normals.reach, normals.held, most)
     }
 
-    /// Whether a frame's slopes are these. That it shows the same values is the caller's word.
+    /// Return whether the bricks fit a frame.
+    ///
+    /// The caller must ensure that the frame shows the same values.
     #[must_use]
     pub fn fit(&self, frame: &Frame<'_>) -> bool {
         let normals = Normals::of(frame);
@@ -130,9 +136,13 @@ impl NormalBricks {
 }
 
 impl Frame<'_> {
-    /// The same with bricks of slopes that earlier pictures of this volume have filled.
+    /// Set cached bricks of wall normals of this volume.
     ///
-    /// `bricks` must have been filled from the same values, which is the caller's word.
+    /// The caller must ensure that `bricks` was filled from the same values.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the bricks are not for a volume of this shape and this transfer function.
     pub fn with_normals(mut self, bricks: Arc<NormalBricks>) -> Result<Self, RaycastError> {
         if !bricks.fit(&self) {
             return Err(RaycastError::Setting {

@@ -1,48 +1,48 @@
-//! What a caster on other hardware needs in order to cast the same rays.
+//! Parameters that a caster on other hardware needs to cast the same rays.
 
 use carina_grid::Affine;
 
 use crate::{CastStats, Frame, FrameOptions, leap::Price};
 
-/// The shortest leap over a transparent class that sets a ray's patience back.
+/// Return the length of the shortest leap over a transparent class that resets a ray's patience.
 #[must_use]
 pub const fn paying_leap(nearest: bool) -> u32 {
     Price::of(CastStats::sample_loads(nearest), 1).pays
 }
 
-/// The numbers behind a [`Frame`], as the casters of this crate use them.
+/// Parameters of a [`Frame`] as the casters of this crate use them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FrameNumbers<'a> {
-    /// Voxels per mm, from directions in camera space.
+    /// Transform from directions in camera space (mm) to voxels.
     pub ijk_from_camera: Affine,
     /// Camera centre, voxels.
     pub origin_ijk: [f64; 3],
-    /// Voxels of each axis.
+    /// Number of voxels along each axis.
     pub shape_ijk: [usize; 3],
-    /// Length of a ray step.
+    /// Length of a ray step, mm.
     pub step_mm: f64,
-    /// `|gradient in LPS per mm|^2 = g^T metric g` for gradients per voxel: xx, yy, zz, 2xy, 2xz, 2yz.
+    /// Metric of gradients per voxel: `|gradient in LPS per mm|^2 = g^T metric g`; xx, yy, zz, 2xy, 2xz, 2yz.
     pub metric: [f32; 6],
-    /// What a leap keeps away from the end of its cube, voxels.
+    /// Margin between the end of a leap and the end of its cube, voxels.
     pub guard_vox: f32,
-    /// No ray has more steps.
+    /// Upper bound of the steps of any ray.
     pub most_steps: f64,
-    /// Rays stop when less than this shines through.
+    /// Transparency below which a ray stops.
     pub stop: f32,
     /// HU of the transfer table's first entry.
     pub low_hu: i32,
-    /// Premultiplied colour and opacity of one ray step, by integer HU; values beyond clamp.
+    /// Premultiplied colour and opacity of one ray step, by integer HU; values outside the table are clamped.
     pub entries: &'a [[f32; 4]],
     /// Sampling, light, background.
     pub options: FrameOptions,
-    /// Viewport.
+    /// Width of the viewport, pixels.
     pub width: usize,
-    /// Viewport.
+    /// Height of the viewport, pixels.
     pub height: usize,
 }
 
 impl Frame<'_> {
-    /// The numbers behind this frame.
+    /// Return the parameters of this frame.
     #[must_use]
     pub fn numbers(&self) -> FrameNumbers<'_> {
         FrameNumbers {

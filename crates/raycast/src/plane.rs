@@ -1,4 +1,4 @@
-//! Planes through a volume: one sample per pixel (paper 3.1, cut-plane view; and the slices).
+//! Planes through a volume with one sample per pixel (cut-plane view of paper 3.1, and slices).
 
 use std::ops::Range;
 
@@ -15,11 +15,17 @@ use crate::{
 pub struct PlaneImage {
     /// Grey levels.
     pub grey: Vec<u8>,
-    /// 1 where the pixel's centre lies in the volume.
+    /// Mask: 1 where the pixel's centre is in the volume.
     pub inside: Vec<u8>,
 }
 
-/// Samples a plane. `lps_from_pixel` maps pixel corners (column, row, 0) to patient space; pixel centres are at + 1/2.
+/// Sample a plane.
+///
+/// `lps_from_pixel` maps pixel corners (column, row, 0) to patient space; pixel centres are at + 1/2.
+///
+/// # Errors
+///
+/// Returns an error if the size of the picture is not valid.
 pub fn sample_plane(
     volume: VolumeView<'_, i16>,
     lps_from_pixel: &Affine,
@@ -31,7 +37,11 @@ pub fn sample_plane(
     sample_plane_by(volume, lps_from_pixel, width, 0..height, window, simd)
 }
 
-/// The same for rows of the picture, with one instruction set. The bits are the same.
+/// Sample rows of a plane with a given instruction set; the bits do not depend on the set.
+///
+/// # Errors
+///
+/// Returns an error if the size of the picture is not valid.
 pub fn sample_plane_by(
     volume: VolumeView<'_, i16>,
     lps_from_pixel: &Affine,
@@ -56,7 +66,7 @@ pub fn sample_plane_by(
     ))
 }
 
-/// The same by tiles, or pixel by pixel where there are none.
+/// Sample rows in tiles, or pixel by pixel if the instruction set has no tiles.
 fn sample_rows(
     field: &Field<'_>,
     ijk_from_pixel: &Affine,
@@ -75,7 +85,7 @@ fn sample_rows(
         let row = (rows.start + row) as f64 + 0.5;
         ijk_from_pixel.point([0.0, row, 0.0]).map(|v| v as f32)
     };
-    // A row takes half a microsecond: a small picture is done before another thread has woken up.
+    // A row takes half a microsecond, so a small picture is finished before another thread wakes up.
     let band_rows = (BAND_PIXELS / width).max(1);
     let sample_band = |(band, (grey, inside)): (usize, (&mut [u8], &mut [u8]))| {
         let mut first = band * band_rows;
@@ -114,7 +124,7 @@ fn sample_rows(
 
 const BAND_PIXELS: usize = 1 << 16;
 
-/// Pixel by pixel: what rows of packets must equal.
+/// Sample a row pixel by pixel: the reference for packets.
 fn sample_row(
     field: &Field<'_>,
     start: [f32; 3],
@@ -194,7 +204,8 @@ mod tests {
             let window = Window::new(1500.0, 300.0).unwrap();
             for (width, height) in [(1, 1), (7, 5), (37, 21), (64, 64), (129, 3)] {
                 for turn in 0..6 {
-                    // Through the middle, at any angle; the last ones along an axis, with pixels on the box's very faces.
+                    // Planes through the middle at any angle; the last ones along an axis, with pixels exactly on the
+                    // faces of the box.
                     let step = if turn < 4 { random(0.4) } else { 0.5 };
                     let mut axis = || {
                         if turn < 4 {
@@ -289,7 +300,7 @@ mod tests {
 
     #[test]
     fn a_plane_reads_the_voxels_it_passes_through_and_is_black_outside() {
-        // Values say where they are: 100 k + 10 j + i, on an anisotropic grid with swapped axes.
+        // Values encode their position: 100 k + 10 j + i, on an anisotropic grid with swapped axes.
         let place = Affine::from_columns(
             [0.0, 0.5, 0.0],
             [0.0, 0.0, -2.0],

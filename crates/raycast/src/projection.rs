@@ -8,27 +8,27 @@ use crate::InstructionSet;
 /// Largest value along each grid axis.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Projections {
-    /// Along i: `[k, j]`.
+    /// Projection along i: `[k, j]`.
     pub along_i: Vec<i16>,
-    /// Along j: `[k, i]`.
+    /// Projection along j: `[k, i]`.
     pub along_j: Vec<i16>,
-    /// Along k: `[j, i]`.
+    /// Projection along k: `[j, i]`.
     pub along_k: Vec<i16>,
 }
 
-/// All three projections; each voxel is read once.
+/// Compute all three projections; each voxel is read once.
 #[must_use]
 pub fn maximum_projections(volume: VolumeView<'_, i16>) -> Projections {
     maximum_projections_by(volume, InstructionSet::best())
 }
 
-/// The same with one instruction set. The values are the same.
+/// Compute all three projections with a given instruction set; the values do not depend on the set.
 #[must_use]
 pub fn maximum_projections_by(volume: VolumeView<'_, i16>, simd: InstructionSet) -> Projections {
     let [ni, nj, nk] = volume.grid().shape_ijk();
     let mut along_i = vec![i16::MIN; nk * nj];
     let mut along_j = vec![i16::MIN; nk * ni];
-    // A slab for each thread, not more: each has an image of its own along k.
+    // Use at most one slab per thread, because each slab has its own image along k.
     let slices = nk.div_ceil(rayon::current_num_threads());
     let along_k = volume
         .data()
@@ -58,7 +58,7 @@ pub fn maximum_projections_by(volume: VolumeView<'_, i16>, simd: InstructionSet)
     }
 }
 
-/// Slices and their part of the three images.
+/// Slab of slices and its part of the three images.
 struct Slab<'a> {
     data: &'a [i16],
     shape_ji: [usize; 2],
@@ -67,22 +67,32 @@ struct Slab<'a> {
     along_k: &'a mut [i16],
 }
 
-/// Registers of int16 values. A value of the type is the proof that the machine has them.
+/// Registers of int16 values.
+///
+/// A value of the implementing type proves that the machine has these registers.
 trait Values: Copy {
-    /// Values in a register.
+    /// Number of values in a register.
     const N: usize;
-    /// Two rows are taken at a time, and memory is asked for ahead. Else the machine sees by itself that slices are read
-    /// line by line, which it does not when asked: on Zen 4 with AVX2 it reads 18 GB/s then, and 10 when asked.
+    /// Whether two rows are processed together with explicit prefetches.
+    ///
+    /// Otherwise the processor's own prefetcher follows the rows; explicit prefetches can disturb it: on Zen 4 with
+    /// AVX2 it reads 18 GB/s without them and 10 GB/s with them.
     const ASKS: bool;
     type V: Copy;
     fn least(self) -> Self::V;
     fn max(self, a: Self::V, b: Self::V) -> Self::V;
+    /// Load `N` values.
+    ///
     /// # Safety
+    ///
     /// `N` values from `at` must be readable.
     unsafe fn load(self, at: *const i16) -> Self::V;
-    /// Has the line of memory at `at` brought near; any address will do.
+    /// Prefetch the cache line at `at`; any address is allowed.
     fn fetch(self, at: *const i16);
+    /// Store `N` values.
+    ///
     /// # Safety
+    ///
     /// `N` values from `at` must be writable.
     unsafe fn store(self, at: *mut i16, v: Self::V);
 }
@@ -109,14 +119,14 @@ impl Values for One {
     }
     #[inline(always)]
     unsafe fn load(self, at: *const i16) -> i16 {
-        // SAFETY: as promised by the caller. Benchmark: `carina bench isoregion`.
+        // SAFETY: the caller guarantees that `N` = 1 value is readable at `at`. Benchmark: `carina bench isoregion`.
         unsafe { *at }
     }
     #[inline(always)]
     fn fetch(self, _: *const i16) {}
     #[inline(always)]
     unsafe fn store(self, at: *mut i16, v: i16) {
-        // SAFETY: as promised by the caller.
+        // SAFETY: the caller guarantees that `N` = 1 value is writable at `at`.
         unsafe { *at = v }
     }
 }
@@ -134,30 +144,33 @@ macro_rules! registers {
             type V = std::arch::x86_64::$v;
             #[inline(always)]
             fn least(self) -> Self::V {
-                // SAFETY: `self` exists only where the machine has the instructions. Benchmark: `carina bench
-                // isoregion`, the projections.
+                // SAFETY: a value `self` exists only on a machine with these instructions. Benchmark:
+                // `carina bench isoregion`, the projections.
                 unsafe { std::arch::x86_64::$set1(i16::MIN) }
             }
             #[inline(always)]
             fn max(self, a: Self::V, b: Self::V) -> Self::V {
-                // SAFETY: as above.
+                // SAFETY: a value `self` exists only on a machine with these instructions.
                 unsafe { std::arch::x86_64::$max(a, b) }
             }
             #[inline(always)]
             unsafe fn load(self, at: *const i16) -> Self::V {
-                // SAFETY: as promised by the caller.
+                // SAFETY: a value `self` exists only on a machine with these instructions, and the caller guarantees
+                // that `N` values from `at` are readable; the load needs no alignment.
                 unsafe { std::arch::x86_64::$load(at.cast()) }
             }
             #[inline(always)]
             fn fetch(self, at: *const i16) {
-                // SAFETY: a hint, which no address makes fail. Benchmark: `carina bench isoregion`, the projections.
+                // SAFETY: a prefetch is a hint, which cannot fail for any address. Benchmark: `carina bench isoregion`,
+                // the projections.
                 unsafe {
                     std::arch::x86_64::_mm_prefetch::<{ std::arch::x86_64::_MM_HINT_T0 }>(at.cast())
                 }
             }
             #[inline(always)]
             unsafe fn store(self, at: *mut i16, v: Self::V) {
-                // SAFETY: as promised by the caller.
+                // SAFETY: a value `self` exists only on a machine with these instructions, and the caller guarantees
+                // that `N` values from `at` are writable; the store needs no alignment.
                 unsafe { std::arch::x86_64::$store(at.cast(), v) }
             }
         }
@@ -213,9 +226,10 @@ impl Slab<'_> {
                 slab.run(Avx2(()));
             }
             match simd {
-                // SAFETY: the set is only handed out where the machine has it. Benchmark: `carina bench isoregion`.
+                // SAFETY: an `InstructionSet` value exists only on a machine that has the instructions of that set.
+                // Benchmark: `carina bench isoregion`.
                 InstructionSet::Avx512 => unsafe { avx512(self) },
-                // SAFETY: as above.
+                // SAFETY: an `InstructionSet` value exists only on a machine that has the instructions of that set.
                 InstructionSet::Avx2 => unsafe { avx2(self) },
                 _ => self.run(Sse2(())),
             }
@@ -227,7 +241,9 @@ impl Slab<'_> {
         }
     }
 
-    /// Four slices at a time: the image along k lies in a slower cache than the rows, and is read once for all four.
+    /// Project four slices at a time.
+    ///
+    /// The image along k is in a slower cache than the rows, and is read once for all four slices.
     #[inline(always)]
     fn run<V: Values>(self, v: V) {
         const AT_ONCE: usize = 4;
@@ -258,10 +274,10 @@ impl Slab<'_> {
     }
 }
 
-/// How far ahead memory is asked for, values: 2 KiB.
+/// Prefetch distance in values: 2 KiB.
 const AHEAD: usize = 1024;
 
-/// `S` slices into their rows of the images along i and j, and into the image along k.
+/// Project `S` slices into their rows of the images along i and j, and into the image along k.
 #[inline(always)]
 fn project_slices<V: Values, const S: usize>(
     v: V,
@@ -279,7 +295,7 @@ fn project_slices<V: Values, const S: usize>(
         along_j,
         along_k,
     };
-    // Two rows at a time: what is written along j is written once for both.
+    // Two rows at a time, so that the image along j is written once for both.
     let in_pairs = if V::ASKS { nj - nj % 2 } else { 0 };
     for j in (0..in_pairs).step_by(2) {
         rows.project::<V, S, 2>(v, j);
@@ -289,7 +305,7 @@ fn project_slices<V: Values, const S: usize>(
     }
 }
 
-/// Slices side by side, and their rows of the images.
+/// Adjacent slices and their rows of the images.
 struct Rows<'a> {
     data: &'a [i16],
     shape_ji: [usize; 2],
@@ -299,14 +315,14 @@ struct Rows<'a> {
 }
 
 impl Rows<'_> {
-    /// Rows `j .. j + R` of `S` slices.
+    /// Project rows `j .. j + R` of `S` slices.
     #[inline(always)]
     fn project<V: Values, const S: usize, const R: usize>(&mut self, v: V, j: usize) {
         let [nj, ni] = self.shape_ji;
         let mut most = [[v.least(); S]; R];
         let mut i = 0;
-        // SAFETY: i + N <= ni and j + R <= nj, and the rows lie within the lengths that `project_slices` asserts. Benchmark:
-        // `carina bench isoregion`.
+        // SAFETY: i + N <= ni and j + R <= nj, and `project_slices` asserts the lengths of the rows, so all loads and
+        // stores are inside them. Benchmark: `carina bench isoregion`.
         unsafe {
             while i + V::N <= ni {
                 let mut down = [v.least(); S];
@@ -339,7 +355,7 @@ impl Rows<'_> {
         for r in 0..R {
             for s in 0..S {
                 let mut lanes = [i16::MIN; 32];
-                // SAFETY: no register holds more than 32 values.
+                // SAFETY: `lanes` has 32 values and no register holds more.
                 unsafe { v.store(lanes.as_mut_ptr(), most[r][s]) };
                 let row = &self.data[(s * nj + j + r) * ni..][..ni];
                 let mut value = i16::MIN;
@@ -369,7 +385,7 @@ mod tests {
     use super::*;
     use carina_grid::{Affine, Grid};
 
-    // Registers that every machine has, read as the largest ones are.
+    // Registers that every machine has, used in the way of the largest ones.
     #[cfg(target_arch = "x86_64")]
     registers!(
         Asking,
@@ -414,7 +430,8 @@ mod tests {
 
     #[test]
     fn each_projection_is_the_largest_value_along_its_axis() {
-        // Rows shorter than a run, of several, and with a rest; slices in fours, and with a rest.
+        // Rows shorter than a register, of several registers, and with a remainder; slices in groups of four, and with
+        // a remainder.
         for shape in [[3, 4, 5], [4, 2, 32], [9, 3, 71], [1, 1, 1], [6, 5, 64]] {
             let grid = Grid::new(shape, Affine::IDENTITY).unwrap();
             let [nk, nj, ni] = shape;

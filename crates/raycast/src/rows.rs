@@ -1,4 +1,4 @@
-//! Rows of a picture: refused where they are none, shared among threads.
+//! Rows of a picture: validation of a range of rows, and distribution to threads.
 
 use std::{
     ops::Range,
@@ -9,8 +9,9 @@ use rayon::prelude::*;
 
 use crate::{CastStats, Frame, InstructionSet, Method, RaycastError};
 
-/// Shares rows of `blank` items, `per_row` in each, among the threads, `num_rows` at a time; once `stop` is set, what is
-/// left stays blank.
+/// Fill rows in parallel, `num_rows` at a time; each row has `per_row` items, which are `blank` at first.
+///
+/// After `stop` is set, the remaining rows stay blank.
 pub(crate) fn share<T: Copy + Send>(
     rows: &Range<usize>,
     (blank, per_row): (T, usize),
@@ -22,7 +23,8 @@ pub(crate) fn share<T: Copy + Send>(
     let stats = items
         .par_chunks_mut(per_row * num_rows)
         .enumerate()
-        // Rows differ in cost by far (dark lumen, near wall): small shares let a thread that is done take more.
+        // Rows differ greatly in cost (dark lumen, near wall): with small jobs, a thread that has finished can take
+        // more.
         .with_max_len(4 / num_rows)
         .map(|(n, out)| {
             if stop.is_some_and(|stop| stop.load(Ordering::Relaxed)) {

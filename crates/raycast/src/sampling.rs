@@ -1,30 +1,32 @@
-//! Reading a volume between its voxels.
+//! Sampling of a volume between its voxels.
 
 use carina_grid::VolumeView;
 
-/// A point or an offset in voxel coordinates. The fourth lane is 0: four lanes are one register.
+/// Point or offset in voxel coordinates.
+///
+/// The fourth lane is 0: four lanes fill one register.
 pub(crate) type Lanes = [f32; 4];
 
-/// An int16 volume prepared for sampling at f32 voxel coordinates; indices clamp to the edge.
+/// Volume of int16 values, prepared for sampling at f32 voxel coordinates; indices are clamped to the edge.
 #[derive(Debug, Clone, Copy)]
 pub struct Field<'a> {
     pub(crate) data: &'a [i16],
-    /// `n - 1` per axis: coordinates are clamped to `0 ..= last`.
+    /// Largest coordinate `n - 1` per axis: coordinates are clamped to `0 ..= last`.
     pub(crate) last: Lanes,
-    /// The highest lower corner of a cell, `max(n - 2, 0)`.
+    /// Largest lower corner of a cell, `max(n - 2, 0)`.
     pub(crate) last_cell: [i32; 4],
     /// Distance in memory to the next voxel; 0 on an axis of one voxel, so that its second corner is its first.
     pub(crate) stride: [usize; 3],
 }
 
-/// A cell of eight voxels and the place in it.
+/// Cell of eight voxels and a position in it.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Cell {
     /// Lower corner.
     ijk: [i32; 4],
-    /// Its place in memory.
+    /// Index of the lower corner in memory.
     base: usize,
-    /// 0..1 on each axis.
+    /// Position in the cell, 0 to 1 on each axis.
     t: Lanes,
 }
 
@@ -33,37 +35,38 @@ fn lerp(t: f32, a: f32, b: f32) -> f32 {
     t.mul_add(b - a, a)
 }
 
-/// The same between integers, whose difference is exact.
+/// Interpolate between integers, whose difference is exact.
 #[inline(always)]
 fn lerp_ints(t: f32, a: i32, b: i32) -> f32 {
     t.mul_add((b - a) as f32, a as f32)
 }
 
-/// The first voxel of a pair.
+/// Return the first voxel of a pair.
 #[inline(always)]
 const fn low(pair: i32) -> i32 {
     pair << 16 >> 16
 }
 
-/// The second voxel of a pair.
+/// Return the second voxel of a pair.
 #[inline(always)]
 const fn high(pair: i32) -> i32 {
     pair >> 16
 }
 
-/// The whole part of a coordinate in a volume.
+/// Return the integer part of a coordinate in a volume.
 #[inline(always)]
 fn whole(x: f32) -> i32 {
     debug_assert!((0.0..=2e9).contains(&x));
-    // SAFETY: coordinates are clamped to 0 ..= n - 1 and at most 1/2 is added; a grid has at most 2^31 voxels.
-    // Benchmark: the checked cast saturates with compares and moves, a tenth of the brute-force caster.
+    // SAFETY: coordinates are clamped to 0 ..= n - 1 and at most 1/2 is added; a grid has at most 2^31 voxels, so the
+    // result fits an i32. Benchmark: the checked cast saturates with comparisons and moves, which cost a tenth of the
+    // brute-force caster.
     unsafe { x.to_int_unchecked() }
 }
 
-/// Coordinates held in `0 ..= last`; NaN becomes 0.
+/// Clamp coordinates to `0 ..= last`; NaN becomes 0.
 #[inline(always)]
 fn clamp(p: Lanes, last: Lanes) -> Lanes {
-    // Written as comparisons, which are one instruction each; f32::min guards against a NaN that `last` cannot be.
+    // Comparisons compile to one instruction each; `f32::min` also handles a NaN in `last`, which cannot occur.
     std::array::from_fn(|a| {
         let x = if p[a] > 0.0 { p[a] } else { 0.0 };
         if x < last[a] { x } else { last[a] }
@@ -71,7 +74,7 @@ fn clamp(p: Lanes, last: Lanes) -> Lanes {
 }
 
 impl<'a> Field<'a> {
-    /// Prepares a volume.
+    /// Prepare a volume for sampling.
     #[must_use]
     pub fn new(volume: VolumeView<'a, i16>) -> Self {
         let [ni, nj, nk] = volume.grid().shape_ijk();
@@ -85,7 +88,7 @@ impl<'a> Field<'a> {
         }
     }
 
-    /// The cell that holds a point, clamped to the volume.
+    /// Return the cell that contains a point, clamped to the volume.
     #[inline(always)]
     pub(crate) fn cell(&self, p: Lanes) -> Cell {
         let x = clamp(p, self.last);
@@ -99,11 +102,11 @@ impl<'a> Field<'a> {
 
     #[inline(always)]
     fn index(&self, ijk: [i32; 4]) -> usize {
-        // An axis of one voxel has stride 0 and index 0. Indices are 0 or more.
+        // An axis of one voxel has stride 0 and index 0. Indices are never negative.
         ijk[0] as usize + ijk[1] as usize * self.stride[1] + ijk[2] as usize * self.stride[2]
     }
 
-    /// A voxel.
+    /// Return a voxel's value.
     #[inline(always)]
     fn at(&self, index: usize) -> i32 {
         debug_assert!(index < self.data.len());
@@ -113,7 +116,7 @@ impl<'a> Field<'a> {
         i32::from(unsafe { *self.data.get_unchecked(index) })
     }
 
-    /// A voxel and its neighbour along x (itself, where x has one voxel), in the low and the high half.
+    /// Return a voxel and its neighbour along x (itself if x has one voxel) in the low and the high half.
     #[inline(always)]
     fn pair(&self, index: usize) -> i32 {
         if self.stride[0] == 0 {
@@ -121,20 +124,21 @@ impl<'a> Field<'a> {
             return v << 16 | v & 0xffff;
         }
         debug_assert!(index + 1 < self.data.len());
-        // SAFETY: as in `at`, for this voxel and the next; int16 pairs have no padding. Benchmark: half the loads of a
-        // sample.
+        // SAFETY: `index` and `index + 1` are voxels of one row, because `cell` clamps the lower corner to last_cell;
+        // every bit pattern is a valid `[i16; 2]`, which has the alignment of i16. Benchmark: a sample needs half the
+        // loads.
         let pair: [i16; 2] = unsafe { self.data.as_ptr().add(index).cast::<[i16; 2]>().read() };
         i32::from(pair[1]) << 16 | i32::from(pair[0]) & 0xffff
     }
 
-    /// Rows of two voxels along x, interpolated.
+    /// Interpolate rows of two voxels along x.
     #[inline(always)]
     fn rows<const N: usize>(&self, tx: f32, starts: [usize; N]) -> [f32; N] {
         let pairs = starts.map(|start| self.pair(start));
         std::array::from_fn(|n| lerp_ints(tx, low(pairs[n]), high(pairs[n])))
     }
 
-    /// Interpolated value: along x, then y, then z, each as `a + t (b - a)` with one rounding.
+    /// Return the interpolated value: along x, then y, then z, each as `a + t (b - a)` with one rounding.
     #[inline(always)]
     pub(crate) fn value_in(&self, cell: &Cell) -> f32 {
         let [_, sy, sz] = self.stride;
@@ -147,22 +151,23 @@ impl<'a> Field<'a> {
         )
     }
 
-    /// Interpolated value at voxel coordinates.
+    /// Return the interpolated value at voxel coordinates.
     #[inline(always)]
     #[must_use]
     pub fn value(&self, [x, y, z]: [f32; 3]) -> f32 {
         self.value_in(&self.cell([x, y, z, 0.0]))
     }
 
-    /// Central differences per voxel at the eight corners, interpolated like values.
+    /// Return the gradient: central differences per voxel at the eight corners, interpolated like values.
     ///
-    /// At the edge the missing neighbour is the edge voxel itself, so a difference there is half the one-sided one.
+    /// At the edge the missing neighbour is replaced by the edge voxel itself, so a difference there is half the
+    /// one-sided one.
     #[inline(always)]
     pub(crate) fn gradient_in(&self, cell: &Cell) -> [f32; 3] {
         let [tx, ty, tz, _] = cell.t;
         std::array::from_fn(|a| {
             let stride = self.stride[a];
-            // Memory steps to the voxel before the lower corners and to the one after the upper ones, held at the edge.
+            // Strides to the voxel before the lower corners and to the voxel after the upper ones; 0 at the edge.
             let before = if cell.ijk[a] > 0 { stride } else { 0 };
             let after = if cell.ijk[a] < self.last_cell[a] {
                 stride
@@ -185,29 +190,32 @@ impl<'a> Field<'a> {
         })
     }
 
-    /// The voxel nearest to a point, clamped to the volume: its place in memory and its coordinates.
+    /// Return the voxel nearest to a point, clamped to the volume: its index in memory and its coordinates.
     #[inline(always)]
     pub(crate) fn nearest(&self, p: Lanes) -> (usize, Lanes) {
-        // At most last + 1/2, of which the whole part is last.
+        // At most last + 1/2, whose integer part is last.
         let ijk = clamp(p, self.last).map(|x| whole(x + 0.5));
         (self.index(ijk), ijk.map(|v| v as f32))
     }
 
-    /// The cell that holds a point, clamped to the volume: the place in memory of its lower corner, and its middle. Where a
-    /// point lies at the volume's upper face or beyond it, that of the face, which no map of cells knows.
+    /// Return the cell that contains a point, clamped to the volume: the index in memory of its lower corner, and its
+    /// centre.
+    ///
+    /// For a point on or beyond the volume's upper face the result is the cell that starts at that face. Maps of cells
+    /// have radius 0 there.
     #[inline(always)]
     pub(crate) fn cell_of(&self, p: Lanes) -> (usize, Lanes) {
         let ijk = clamp(p, self.last).map(whole);
         (self.index(ijk), ijk.map(|v| v as f32 + 0.5))
     }
 
-    /// The value of a voxel that [`Self::nearest`] found.
+    /// Return the value of a voxel that [`Self::nearest`] found.
     #[inline(always)]
     pub(crate) fn voxel(&self, index: usize) -> i16 {
         self.data[index]
     }
 
-    /// True if the point lies in the box of the voxels, half a voxel beyond the outer centres included.
+    /// Return true if the point is in the box of the voxels, including half a voxel beyond the outer centres.
     #[inline(always)]
     pub(crate) fn contains(&self, p: [f32; 3]) -> bool {
         (0..3).all(|a| p[a] >= -0.5 && p[a] <= self.last[a] + 0.5)
@@ -232,7 +240,7 @@ mod tests {
             .collect()
     }
 
-    /// Value in f64 by the textbook sum over eight clamped corners.
+    /// Return the value in f64 by the textbook sum over eight clamped corners.
     fn reference(volume: VolumeView<'_, i16>, p: [f64; 3]) -> f64 {
         let mut sum = 0.0;
         for corner in 0..8 {

@@ -1,8 +1,10 @@
-//! Silhouettes: two rays for a pixel where a near wall ends before a far one, so that its edge is no staircase.
+//! Silhouettes: a pixel at the edge of a near wall in front of a far one gets two rays, so that the edge has no
+//! staircase.
 //!
-//! Which pixels these are follows from the first walls of a pixel and of its four neighbours in the whole picture, and
-//! the rays lie at fixed places in the pixel; so strips agree with the whole, leaps with brute force, and packets with
-//! the scalar casters. Depth and measures stay those of the ray through the pixel's middle.
+//! The choice of these pixels depends only on the first walls of a pixel and of its four neighbours in the whole
+//! picture, and the rays have fixed positions in the pixel. So strips agree with the whole picture, leaps with brute
+//! force, and packets with the scalar casters. Depths and measurements remain those of the ray through the pixel's
+//! centre.
 
 use std::{
     ops::Range,
@@ -19,36 +21,42 @@ use crate::{
     surface::cast_walls_row,
 };
 
-/// Where the two rays lie, from the middle of a pixel, in pixels: about a third of it apart along both axes and along
-/// neither diagonal, so that edges of most directions have a step between.
+/// Offsets of the two rays from the centre of a pixel, in pixels.
+///
+/// The rays are a fraction of a pixel apart along both axes and along neither diagonal, so that edges of most
+/// directions get an intermediate level.
 const BESIDE: [[f64; 2]; 2] = [[-0.2, -0.36], [0.2, 0.36]];
-/// How far the inverse depth may bend from pixel to pixel, as a part of the nearest one's. It is straight along a plane,
-/// however steeply that is seen; a bend of an eighth is 1/8 of the brightness of a wall.
+/// Limit of the second difference of the inverse depth from pixel to pixel, as a fraction of the nearest pixel's
+/// inverse depth.
+///
+/// The inverse depth of a plane is linear at any inclination; a deviation of an eighth is 1/8 of the brightness of a
+/// wall.
 const BEND: f32 = 0.125;
-/// Light of a wall seen head on that is too faint for a staircase to be seen, linear.
+/// Linear light of a wall at normal incidence below which a staircase is not visible.
 const FAINT: f32 = 0.02;
 
-/// How far light creeps round a silhouette, at least: an edge that is thin and wet is not the dark line that matt stone has
-/// where it turns away.
+/// Smallest wrap lighting at a silhouette.
+///
+/// The edge of thin, wet mucosa is not the dark line that matt stone shows where it turns away.
 const EDGE_WRAP: f32 = 0.6;
 
-/// Rows that are searched together, and pixels that are cast together.
+/// Number of rows that are searched together, and of pixels that are cast together.
 const ROWS_AT_A_TIME: usize = 16;
 const PIXELS_AT_A_TIME: usize = 256;
 
-/// Depths of the first walls of some rows in ray steps, with the rows before and after them where the picture has these.
+/// Depths of the first walls of some rows in ray steps, with the row before and the row after if the picture has them.
 #[derive(Clone, Copy)]
 pub(crate) struct DepthRows<'a> {
     pub width: usize,
     pub first_row: usize,
     pub depths: &'a [f32],
-    /// Empty at the picture's edge.
+    /// Row before; empty at the picture's edge.
     pub before: &'a [f32],
     pub after: &'a [f32],
 }
 
 impl<'a> DepthRows<'a> {
-    /// The pixels of a row, if they are known.
+    /// Return the pixels of a row if they are known.
     fn row(&self, row: Option<usize>) -> Option<&'a [f32]> {
         let row = row?;
         let num_rows = self.depths.len() / self.width;
@@ -64,10 +72,11 @@ impl<'a> DepthRows<'a> {
     }
 }
 
-/// Inverse depths of a row in ray steps; 0 for a ray that meets no wall. A wall within the first step touches the lens.
-/// Pixels outside the outline of a scope's picture have no ray and are no wall's edge: with NaN no comparison holds.
+/// Compute the inverse depths of a row in ray steps; 0 for a ray that meets no wall.
 ///
-/// No closures and no branches, here and in what marks pixels: several pixels at a time, with the caller's instructions.
+/// A wall within the first step touches the lens. Pixels outside the outline of a scope's picture have no ray and are
+/// not at a wall's edge: they get NaN, for which every comparison is false. This function and the functions that mark
+/// pixels have no closures and no branches, so that the compiler vectorises them with the caller's instructions.
 #[inline(always)]
 fn inverses(frame: &Frame<'_>, depths: &[f32], row: usize, out: &mut [f32]) {
     let count = out.len().min(depths.len());
@@ -79,14 +88,14 @@ fn inverses(frame: &Frame<'_>, depths: &[f32], row: usize, out: &mut [f32]) {
     if let Some(rays) = frame.camera().lens_rays() {
         let [x, y, z] = rays.directions_of(row).map(|of_row| &of_row[..count]);
         for n in 0..count {
-            // Unit directions, or none.
+            // A direction is a unit vector, or 0 for a pixel without a ray.
             let has_ray = x[n] * x[n] + y[n] * y[n] + z[n] * z[n] > 0.5;
             out[n] = if has_ray { out[n] } else { f32::NAN };
         }
     }
 }
 
-/// The pixels (column, row) of some rows that lie on a silhouette.
+/// Return the pixels (column, row) of some rows that are on a silhouette.
 fn pixels_of(
     frame: &Frame<'_>,
     light: &Lighting,
@@ -97,8 +106,8 @@ fn pixels_of(
     match simd {
         InstructionSet::Portable | InstructionSet::Neon => search(frame, light, rows, wanted),
         #[cfg(target_arch = "x86_64")]
-        // SAFETY: these sets are only handed out where the machine has AVX2. Benchmark: benchmarks/measurements/rendering.md, where the
-        // look's decoration goes.
+        // SAFETY: an `InstructionSet` value of these sets exists only on a machine with AVX2, BMI1, BMI2, LZCNT and
+        // POPCNT. Benchmark: benchmarks/measurements/rendering.md, cost of the appearance's decoration.
         InstructionSet::Avx2 | InstructionSet::Avx512 => unsafe {
             search_avx2(frame, light, rows, wanted)
         },
@@ -125,10 +134,10 @@ fn search(
     rows: &DepthRows<'_>,
     wanted: Range<usize>,
 ) -> Vec<(usize, usize)> {
-    // Where the light that comes back, `exposure / depth^2`, is faint.
+    // Inverse depth below which the reflected light, `exposure / depth^2`, is faint.
     let least = (FAINT / light.exposure.max(1e-9)).sqrt() * light.step_mm;
     let mut found = Vec::new();
-    // The row above, the row itself and the row below, by turns.
+    // Ring buffer of the row above, the row itself and the row below.
     let mut inverse = [(); 3].map(|()| vec![0.0f32; rows.width]);
     let mut known = [false; 3];
     for (n, row) in [wanted.start.checked_sub(1), Some(wanted.start)]
@@ -158,7 +167,7 @@ fn search(
         if known[0] && known[2] {
             mark_bends([above, middle, below], least, &mut on);
         }
-        // Few pixels are marked: eight are looked at together.
+        // Few pixels are marked, so eight are tested together.
         for (n, eight) in on.chunks(8).enumerate() {
             if eight.iter().fold(0, |any, &on| any | on) != 0 {
                 let columns = eight.iter().enumerate().filter(|&(_, &on)| on != 0);
@@ -171,7 +180,7 @@ fn search(
     found
 }
 
-/// Marks where the inverse depth bends from the first over the second to the third.
+/// Mark the pixels where the second difference of the inverse depth over three rows or columns exceeds the limit.
 #[inline(always)]
 fn mark_bends(three: [&[f32]; 3], least: f32, on: &mut [u8]) {
     let [before, middle, after] = three;
@@ -186,8 +195,9 @@ fn mark_bends(three: [&[f32]; 3], least: f32, on: &mut [u8]) {
     }
 }
 
-/// Casts and lights the two rays of every pixel on a silhouette in the rows that `rgb` holds, and shows their mean there.
-/// Without packets the scalar casters do so. Once `stop` is set, what is left stays as it is.
+/// Cast and shade the two rays of every pixel on a silhouette in the rows of `rgb`, and store their mean there.
+///
+/// Without packets the scalar casters are used. After `stop` is set, the remaining pixels stay unchanged.
 pub(crate) fn smooth_silhouettes(
     frame: &Frame<'_>,
     method: Method<'_>,
@@ -199,7 +209,7 @@ pub(crate) fn smooth_silhouettes(
 ) -> CastStats {
     let (width, first) = (rows.width, rows.first_row);
     let num_rows = rgb.len() / (3 * width);
-    // A picture has few such pixels: collected from all rows, their rays fill whole packets.
+    // A picture has few such pixels; collecting them from all rows fills whole packets with their rays.
     let pixels: Vec<(usize, usize)> = (0..num_rows.div_ceil(ROWS_AT_A_TIME))
         .into_par_iter()
         .flat_map_iter(|n| {
@@ -260,7 +270,7 @@ fn smoothed_pixels(
     let shown = pairs
         .iter()
         .map(|two| [0, 1, 2].map(|c| mean(two[c], two[3 + c])));
-    // Rays are counted by pixel.
+    // The number of rays is the number of pixels, so further rays of a pixel are not counted.
     let stats = CastStats {
         num_rays: 0,
         ..stats.with_loads(frame, method).lit(&walls)

@@ -1,6 +1,6 @@
-//! The first wall of every ray: how far it is, where it lies, which way it faces.
+//! First wall of every ray: its depth, position and normal.
 //!
-//! Picking, contact and synthetic data need it, and lighting starts from it.
+//! Picking, contact and synthetic data use it, and shading starts from it.
 
 use std::ops::Range;
 
@@ -16,21 +16,27 @@ use crate::{
     rows::{check, share},
 };
 
-/// The first wall of a ray: where what shines through falls below one half.
+/// First wall of a ray, where the remaining transparency falls below one half.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Hit {
-    /// Along the ray from the camera's centre.
+    /// Distance along the ray from the camera's centre, mm.
     pub depth_mm: f32,
-    /// The point.
+    /// Position of the wall, LPS mm.
     pub position_lps: [f64; 3],
-    /// Unit normal of the wall, on the camera's side; the way back along the ray in flat tissue, which has no direction.
+    /// Unit normal of the wall, on the camera's side.
+    ///
+    /// In flat tissue, which has no direction, it is the reverse of the ray's direction.
     pub normal_lps: [f32; 3],
 }
 
-/// First walls of `rows` of the picture, `[row, column]`, `None` where a ray meets none.
+/// Return the first walls of `rows` of the picture, `[row, column]`; `None` for a ray that meets no wall.
 ///
 /// Depths and positions are the same for brute force and for leaps over transparent classes, in whole pictures and in
-/// strips, on every instruction set. The light of the frame's options has no part in them.
+/// strips, on every instruction set. The walls do not depend on the light of the frame's options.
+///
+/// # Errors
+///
+/// Returns an error if the rows, the instruction set or the maps of `method` are not valid for the frame.
 pub fn cast_surface(
     frame: &Frame<'_>,
     method: Method<'_>,
@@ -53,7 +59,11 @@ pub fn cast_surface(
     Ok((hits, stats))
 }
 
-/// The first wall at one pixel: one ray, the same numbers as [`cast_surface`] gives for it.
+/// Return the first wall at one pixel: one ray, with the same numbers as from [`cast_surface`].
+///
+/// # Errors
+///
+/// Returns an error if the pixel is outside the picture, or if the maps of `method` are not valid for the frame.
 pub fn pick(
     frame: &Frame<'_>,
     method: Method<'_>,
@@ -79,7 +89,7 @@ pub fn pick(
     Ok(found.then(|| hit_of(frame, &Normals::of(frame), column, row, wall.hit)))
 }
 
-/// What the ray of one pixel gathers.
+/// Cast the ray of one pixel.
 pub(crate) fn wall_at(
     frame: &Frame<'_>,
     method: Method<'_>,
@@ -95,7 +105,7 @@ pub(crate) fn wall_at(
     )
 }
 
-/// What the rays of `rows` gather without the light at the tip, first walls included.
+/// Cast the rays of `rows` without the light at the tip, including first walls.
 pub(crate) fn cast_walls(
     frame: &Frame<'_>,
     method: Method<'_>,
@@ -114,7 +124,7 @@ pub(crate) fn cast_walls(
     }))
 }
 
-/// The same for one row, by the scalar casters.
+/// Cast the rays of one row without the light at the tip, with the scalar casters.
 pub(crate) fn cast_walls_row(
     frame: &Frame<'_>,
     method: Method<'_>,
@@ -157,7 +167,8 @@ fn cast_wall(
 
 fn hit_of(frame: &Frame<'_>, normals: &Normals, column: usize, row: usize, hit: f32) -> Hit {
     let ray = frame.ray(column, row);
-    // In f64: f32 leaves 0.03 um at the far end of a patient, but sums of such positions should not drift either.
+    // Computed in f64: f32 is accurate to 0.03 um at the far end of a patient, but sums of such positions must not
+    // drift.
     let at: [f64; 3] = std::array::from_fn(|a| {
         f64::from(hit).mul_add(f64::from(ray.delta[a]), frame.origin_ijk[a])
     });

@@ -1,4 +1,4 @@
-//! Transfer functions: from points to a table over integer HU.
+//! Transfer functions: conversion of points to a table over integer HU.
 
 use carina_isoregion::Rgba;
 
@@ -13,10 +13,16 @@ pub struct Transfer {
 }
 
 impl Transfer {
-    /// From points `[hu, r, g, b, alpha]` in order of HU, colours and opacities 0..1, opacity per `reference_mm`.
+    /// Create a transfer function from points `[hu, r, g, b, alpha]` in order of HU.
     ///
-    /// Two points at one HU make a step; the later one holds at that HU. With `bin_hu` above 1 every bin of that width
-    /// has the colour of its middle (the paper's quantised values).
+    /// Colours and opacities are 0 to 1, opacity is per `reference_mm`.
+    ///
+    /// Two points at one HU make a step; the later one applies at that HU. With `bin_hu` above 1 every bin of that
+    /// width has the colour of its middle (the paper's quantised values).
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the points are not finite, not in order or out of range, or if a number is not valid.
     pub fn new(
         points: Vec<[f64; 5]>,
         reference_mm: f64,
@@ -57,7 +63,7 @@ impl Transfer {
         })
     }
 
-    /// Colour and opacity per reference length at an integer HU.
+    /// Return colour and opacity per reference length at an integer HU.
     #[must_use]
     pub fn at(&self, hu: i32) -> Rgba {
         let hu = if self.bin_hu > 1 {
@@ -74,33 +80,37 @@ impl Transfer {
             return colour(next);
         };
         let t = (hu - last[0]) / (next[0] - last[0]);
-        // a + t (b - a): between two equal colours this is exactly that colour, so a flat stretch is one class.
+        // a + t (b - a): between two equal colours this is exactly that colour, so a constant section is one class.
         std::array::from_fn(|c| last[c + 1] + t * (next[c + 1] - last[c + 1]))
     }
 
-    /// Entries for every HU from `lo` to `hi`.
+    /// Return the entries for every HU from `lo` to `hi`.
     #[must_use]
     pub fn range(&self, lo: i32, hi: i32) -> Vec<Rgba> {
         (lo..=hi).map(|hu| self.at(hu)).collect()
     }
 }
 
-/// What one sample adds, by integer HU: premultiplied colour and opacity of one ray step.
+/// Premultiplied colour and opacity that one sample (one ray step) adds, by integer HU.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TransferTable {
     pub(crate) lo_hu: i32,
     pub(crate) last: i32,
     pub(crate) entries: Vec<[f32; 4]>,
-    /// Entries before this one have no opacity.
+    /// Index of the first entry with opacity.
     pub(crate) first_visible: i32,
     step_mm: f64,
 }
 
 impl TransferTable {
-    /// A table for ray steps of `step_mm` over the values that a volume holds.
+    /// Create a table for ray steps of `step_mm` over the values that a volume contains.
     ///
     /// Opacity of a step: `1 - (1 - alpha)^(step / reference)`, in f64 by a pure-Rust `pow`, so that tables are equal
-    /// everywhere.
+    /// on all machines.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the length of the step or the range of the values is not valid.
     pub fn new(
         transfer: &Transfer,
         step_mm: f64,
@@ -126,7 +136,7 @@ impl TransferTable {
         let entries: Vec<[f32; 4]> = (i32::from(lo_hu)..=i32::from(hi_hu))
             .map(|hu| {
                 let rgba = transfer.at(hu);
-                // Long flat stretches are common and pow is not cheap.
+                // Long constant sections are common and `pow` is slow.
                 if let Some((before, entry)) = last
                     && before.map(f64::to_bits) == rgba.map(f64::to_bits)
                 {
@@ -148,36 +158,38 @@ impl TransferTable {
         })
     }
 
-    /// The entry of a sampled value: `floor(value + 0.5)`, clamped to the table.
+    /// Return the entry of a sampled value: `floor(value + 0.5)`, clamped to the table.
     #[inline(always)]
     pub(crate) fn at(&self, value: f32) -> [f32; 4] {
-        // SAFETY: interpolated int16 values are finite and within +-32768.5. Benchmark: as in `sampling`.
+        // SAFETY: interpolated int16 values are finite and within +-32768.5, so the result fits an i32. Benchmark: as
+        // for `whole` in `sampling`.
         let hu: i32 = unsafe { (value + 0.5).floor().to_int_unchecked() };
         self.at_hu(hu)
     }
 
-    /// The entry of an integer value, clamped to the table.
+    /// Return the entry of an integer value, clamped to the table.
     #[inline(always)]
     pub(crate) fn at_hu(&self, hu: i32) -> [f32; 4] {
         let n = (hu - self.lo_hu).clamp(0, self.last) as usize;
         debug_assert!(n < self.entries.len());
-        // SAFETY: `last` is the last entry; there is at least one. Benchmark: one of two loads of a clear sample.
+        // SAFETY: `n` is at most `last`, the index of the last entry; a table has at least one entry. Benchmark: this
+        // is one of two loads of a clear sample.
         unsafe { *self.entries.get_unchecked(n) }
     }
 
-    /// Premultiplied colour and opacity of one step at an integer value, clamped to the table.
+    /// Return the premultiplied colour and opacity of one step at an integer value, clamped to the table.
     #[must_use]
     pub fn entry(&self, hu: i32) -> [f32; 4] {
         self.at_hu(hu.clamp(-40_000, 40_000))
     }
 
-    /// Length of a ray step.
+    /// Return the length of a ray step in mm.
     #[must_use]
     pub const fn step_mm(&self) -> f64 {
         self.step_mm
     }
 
-    /// True if every entry from `lo` to `hi` adds nothing.
+    /// Return true if no entry from `lo` to `hi` has opacity.
     #[must_use]
     pub fn is_transparent(&self, lo_hu: i32, hi_hu: i32) -> bool {
         (lo_hu..=hi_hu).all(|hu| self.at_hu(hu)[3] == 0.0)

@@ -7,23 +7,24 @@ use rayon::prelude::*;
 
 use crate::{Field, Window};
 
-/// The three planes through a point: sagittal (x), coronal (y) and axial (z) of patient space.
+/// Three planes through a point: sagittal (x), coronal (y) and axial (z) of patient space.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TriPlane {
-    /// Where they meet, LPS mm.
+    /// Point where the planes intersect, LPS mm.
     pub centre_lps: [f64; 3],
-    /// How values become grey.
+    /// Window that maps values to grey levels.
     pub window: Window,
-    /// Values below this are seen through, or `None` to keep all.
+    /// Value below which a plane is transparent; `None` for opaque planes.
     pub clear_below: Option<f32>,
-    /// Colour behind the planes.
+    /// Background colour.
     pub background: [u8; 3],
-    /// Brightness of the sagittal, coronal and axial plane, so that their edges can be told apart.
+    /// Brightness of the sagittal, coronal and axial plane; different values make the edges of the planes visible.
     pub brightness: [f32; 3],
 }
 
-/// Casts rows of the planes' picture, `[row, column, channel]`: along each ray the nearest plane that is in the volume there and not
-/// clear.
+/// Cast rows of the planes' picture, `[row, column, channel]`.
+///
+/// Each ray shows the nearest plane that is in the volume and not transparent there.
 #[must_use]
 pub fn cast_tri_plane(
     volume: VolumeView<'_, i16>,
@@ -44,7 +45,7 @@ pub fn cast_tri_plane(
             for (column, pixel) in out.chunks_exact_mut(3).enumerate() {
                 let dir = camera.ray(column, row).dir_lps;
                 let mut hits: [(f64, usize); 3] = std::array::from_fn(|axis| {
-                    // A ray along a plane never meets it; a plane behind the camera is not seen.
+                    // A ray parallel to a plane never meets it; a plane behind the camera is not visible.
                     let t = (planes.centre_lps[axis] - origin[axis]) / dir[axis];
                     (if t > 0.0 { t } else { f64::INFINITY }, axis)
                 });
@@ -79,11 +80,11 @@ mod tests {
 
     #[test]
     fn the_nearest_plane_hides_those_behind_it_and_clear_values_do_not() {
-        // Values are 10 i: the plane x = 2 shows 20 everywhere, the planes y and z show all.
+        // Values are 10 i: the plane x = 2 shows 20 everywhere, the planes y and z show all values.
         let grid = Grid::new([9, 9, 9], Affine::IDENTITY).unwrap();
         let data: Vec<i16> = (0..729).map(|n| (n % 9 * 10) as i16).collect();
         let volume = VolumeView::new(&data, &grid).unwrap();
-        // From far along -x, looking along +x, down along +y: the sagittal plane is met first.
+        // The camera is far away at -x and looks along +x with +y down, so rays meet the sagittal plane first.
         let pose = Affine::from_columns(
             [0.0, 0.0, -1.0],
             [0.0, 1.0, 0.0],
@@ -106,7 +107,7 @@ mod tests {
         let through = cast_tri_plane(volume, &planes, &camera, 0..65);
         let strip = cast_tri_plane(volume, &planes, &camera, 20..31);
         assert_eq!(strip, through[20 * 65 * 3..31 * 65 * 3]);
-        // Row 32 looks level along y = 3.3, so it meets neither of the other planes inside the box; a row further down
+        // Row 32 looks horizontally along y = 3.3, so it meets neither of the other planes inside the box; a lower row
         // meets y = 4.
         assert_eq!(&through[centre..centre + 3], &[9, 8, 7]);
         assert!(

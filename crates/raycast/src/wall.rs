@@ -1,29 +1,35 @@
-//! The endoscopic wall, written into a copy of the volume (docs/decisions/0105).
+//! Endoscopic wall: raised values round the lumen in a copy of the volume (docs/decisions/0105).
 
 use rayon::prelude::*;
 
 use crate::{RaycastError, mask::FULL};
 
-/// What is written at a voxel, by the smoothed lumen there (0 ..= 1024): in the lumen, in the shell of one voxel round
-/// it, and in the voxels behind that shell.
+/// Tables of the values to write, indexed by the smoothed lumen at a voxel (0 ..= 1024).
+///
+/// There is a table for voxels in the lumen, one for the shell of one voxel round the lumen, and one for the voxels
+/// behind that shell.
 #[derive(Debug, Clone, Copy)]
 pub struct WallHeights<'a> {
-    /// In the lumen.
+    /// Values in the lumen.
     pub lumen: &'a [i16],
-    /// In the shell.
+    /// Values in the shell.
     pub shell: &'a [i16],
-    /// Behind the shell.
+    /// Values behind the shell.
     pub backing: &'a [i16],
 }
 
-/// A box of a volume, `first .. end` along z, y and x.
+/// Box of a volume, `first .. end` along z, y and x.
 pub type BoxZyx = [(usize, usize); 3];
 
-/// Raises values round a lumen so that nothing shines through its wall.
+/// Raise values round a lumen so that its wall is opaque.
 ///
-/// `part` holds the lumen and the four voxels round it, or the volume ends there. A voxel beside the lumen with a value
-/// below `open_below` belongs to it: a lumen found by a low threshold ends inside its blurred edge. Works slice by
-/// slice; beside the values there is one byte for each voxel of the box.
+/// `part` must contain the lumen and the four voxels round it, or reach the end of the volume. A voxel beside the lumen
+/// with a value below `open_below` counts as lumen, because a lumen found with a low threshold ends inside its blurred
+/// edge. The function works slice by slice and needs one extra byte for each voxel of the box.
+///
+/// # Errors
+///
+/// Returns an error if an array, a table or the box has the wrong size.
 pub fn raise_wall(
     values: &mut [i16],
     lumen: &[u8],
@@ -50,7 +56,7 @@ pub fn raise_wall(
     let row_of =
         |z: usize, y: usize| (part[0].0 + z) * plane + (part[1].0 + y) * shape_zyx[2] + part[2].0;
 
-    // The lumen, grown into its own blurred edge.
+    // Mask of the lumen, extended by the voxels of its blurred edge.
     let mut open = vec![0u8; nz * ny * nx];
     open.par_chunks_mut(ny * nx)
         .enumerate()
@@ -121,7 +127,7 @@ pub fn raise_wall(
     Ok(())
 }
 
-/// Sets every voxel of a slice within `reach` of one that is set, along both axes.
+/// Set every voxel of a slice within `reach` of a set voxel, along both axes.
 fn grow(slice: &mut [u8], nx: usize, reach: usize) {
     for _ in 0..reach {
         for row in slice.chunks_mut(nx) {
@@ -150,7 +156,7 @@ fn grow(slice: &mut [u8], nx: usize, reach: usize) {
     }
 }
 
-/// One slice of [`crate::smoothed_mask`], from a mask of 0 and 1 there and in the slices beside it.
+/// Compute one slice of [`crate::smoothed_mask`] from a mask of 0 and 1 in this slice and its two neighbours.
 fn smoothed_slice([before, here, after]: [&[u8]; 3], nx: usize) -> Vec<u16> {
     let unit = FULL as u16 / 64;
     let mut out: Vec<u16> = (0..here.len())

@@ -1,8 +1,8 @@
-//! Window and level: from values to grey levels.
+//! Window and level: conversion of values to grey levels.
 
 use crate::RaycastError;
 
-/// Window and level: which values become black and white.
+/// Window and level: the values that become black and white.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Window {
     lo: f32,
@@ -10,7 +10,11 @@ pub struct Window {
 }
 
 impl Window {
-    /// Values from `level - width / 2` (black) to `level + width / 2` (white).
+    /// Create a window from `level - width / 2` (black) to `level + width / 2` (white).
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the width is not above 0 or the level is not finite.
     pub fn new(width_hu: f64, level_hu: f64) -> Result<Self, RaycastError> {
         if !(width_hu.is_finite() && width_hu > 0.0 && level_hu.is_finite()) {
             return Err(RaycastError::Setting {
@@ -25,7 +29,7 @@ impl Window {
         })
     }
 
-    /// The grey level of a value.
+    /// Return the grey level of a value.
     #[inline(always)]
     #[must_use]
     pub fn grey(&self, value: f32) -> u8 {
@@ -33,7 +37,7 @@ impl Window {
         (value - self.lo).mul_add(self.scale, 0.5) as u8
     }
 
-    /// The value that is black, and grey levels per value above it.
+    /// Return the value that is black, and the grey levels per unit of value above it.
     pub(crate) const fn ramp(self) -> (f32, f32) {
         (self.lo, self.scale)
     }

@@ -1,20 +1,22 @@
-//! Whether leaping pays in a picture: in dense or noisy tissue it saves too few samples to pay for its look-ups.
+//! Rule that decides whether rays leap in a picture.
 //!
-//! A few rays spread over the whole picture are cast first and counted. The rule looks at counts alone, so it says the
-//! same for every strip, instruction set and number of threads; and as both casters give the same picture, it changes the
-//! time only. The counts of a picture do not hold these rays.
+//! In dense or noisy tissue leaping skips too few samples to compensate for its look-ups.
+//!
+//! A few rays that are spread over the whole picture are cast first and counted. The rule uses only these counts, so
+//! the decision is the same for every strip, instruction set and number of threads. Both casters give the same picture,
+//! so the decision changes only the time. The statistics of a picture exclude these rays.
 
 use crate::{
     CastStats, Frame, InstructionSet, Interpolation, Method, brute,
     leap::{self, Start},
 };
 
-/// Rays on each side of the picture that decide.
+/// Number of trial rays along each side of the picture.
 const TRIED: usize = 8;
-/// Pictures of fewer pixels are not worth a trial.
+/// Number of pixels below which a picture needs no trial.
 const LEAST_PIXELS: usize = 64 * TRIED * TRIED;
 
-/// `method`, or brute force where leaps would take longer.
+/// Return `method`, or brute force if leaps would take longer.
 pub(crate) fn if_it_pays<'a>(
     frame: &Frame<'_>,
     method: Method<'a>,
@@ -28,13 +30,14 @@ pub(crate) fn if_it_pays<'a>(
     let stats = match simd {
         InstructionSet::Portable | InstructionSet::Neon => tried(frame, method),
         #[cfg(target_arch = "x86_64")]
-        // SAFETY: these sets are only handed out where the machine has AVX2, FMA, BMI1, BMI2, LZCNT and POPCNT.
-        // Benchmark: without them every fused multiply-add is a call, and the trial takes a tenth of a small picture.
+        // SAFETY: an `InstructionSet` value of these sets exists only on a machine with AVX2, FMA, BMI1, BMI2, LZCNT
+        // and POPCNT. Benchmark: without them every fused multiply-add is a call, and the trial takes a tenth of the
+        // time of a small picture.
         InstructionSet::Avx2 | InstructionSet::Avx512 => unsafe { tried_avx2(frame, method) },
         #[cfg(not(target_arch = "x86_64"))]
         InstructionSet::Avx2 | InstructionSet::Avx512 => tried(frame, method),
     };
-    // A ray that starts costs a little more, too: what it needs for leaps is set up.
+    // Setting up leaps makes the start of a ray a little more expensive.
     let num_rays = (TRIED * TRIED) as u64;
     if stats.num_skipped > lookup_price(frame, method) * stats.num_lookups + 3 * num_rays {
         method
@@ -43,7 +46,7 @@ pub(crate) fn if_it_pays<'a>(
     }
 }
 
-/// How many samples of brute force a look-up costs as much time as; measured, docs/decisions/0104.
+/// Return the time of a look-up in units of a brute-force sample; measured, docs/decisions/0104.
 fn lookup_price(frame: &Frame<'_>, method: Method<'_>) -> u64 {
     match (method, frame.options.interpolation) {
         (Method::LeapClasses(_), Interpolation::Nearest) => 7,

@@ -1,7 +1,7 @@
-//! The wall's field of a tube that turns: three times, on as many threads as `RAYON_NUM_THREADS` says.
+//! Benchmark of the wall field of a curved tube: three runs on as many threads as `RAYON_NUM_THREADS`.
 //!
-//! `cargo bench -p carina-scope --bench field` makes the mesh; a file of corners (f64) and one of triangles (u32) as
-//! arguments take its place.
+//! `cargo bench -p carina-scope --bench field` creates the mesh; a file of vertices (f64) and a file of triangles (u32)
+//! as arguments replace it.
 
 use std::time::Instant;
 

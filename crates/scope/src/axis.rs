@@ -1,9 +1,9 @@
-//! The scope's axis: nodes from the tip back to where it enters, its frames, and how it relaxes.
+//! Axis of the scope: nodes from the tip back to the entry, their frames, and the relaxation.
 //!
 //! The axis is an elastic rod of nodes [`NODE_MM`] apart (Bergou et al., "Discrete elastic rods", SIGGRAPH 2008: frames
-//! carried along without twist, bending energy from the angle at each node). It is stiff against twist and stretch, so the
-//! hand's roll arrives at the tip. Curvature that the lever asks for is the rest shape of the bending section; elsewhere
-//! the rest shape is straight. Walls hold the nodes.
+//! carried along without twist, bending energy from the angle at each node). The rod is stiff against twist and
+//! stretch, so the roll of the hand arrives at the tip. The rest shape of the bending section has the curvature set by
+//! the lever; elsewhere the rest shape is straight. Walls limit the positions of the nodes.
 
 use carina_grid::{cross, dot, unit};
 
@@ -13,26 +13,32 @@ use crate::wall::WallField;
 
 type Point = [f64; 3];
 
-/// How far the tip and the shaft may be in the wall when a movement is accepted (the stated limits are 0.1 and 0.5).
+/// Largest penetration of the wall by the tip with which a movement is accepted, mm.
+///
+/// The next constant is the limit for the shaft. (The specified limits are 0.1 mm and 0.5 mm.)
 const TIP_TOLERANCE_MM: f64 = 0.02;
 const SHAFT_TOLERANCE_MM: f64 = 0.15;
 const LEAST_SWEEPS: usize = 3;
 const MOST_SWEEPS: usize = 36;
-/// So many sweeps must halve what is still in the wall, or there is no room.
+/// Number of sweeps within which the penetration must fall by half; otherwise the scope does not fit.
 const PATIENCE: usize = 8;
-/// Nodes near the tip that every sweep looks at; those farther back move little, and only the first sweep does.
+/// Number of nodes near the tip that every sweep processes.
+///
+/// Nodes farther back move little, and only the first sweep processes them.
 const NEAR_NODES: usize = 60;
 
-/// What the hand sets.
+/// Controls of the scope.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Controls {
-    /// From the entry.
+    /// Insertion depth from the entry, mm.
     pub(crate) depth_mm: f64,
     pub(crate) roll_rad: f64,
     pub(crate) flexion_rad: f64,
 }
 
-/// Nodes of the axis, the tip's face first. The last two lie behind the entry and are led.
+/// Nodes of the axis, the tip's face first.
+///
+/// The last two are behind the entry and have prescribed positions.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Axis {
     pub(crate) nodes: Vec<Point>,
@@ -50,7 +56,7 @@ fn mix(a: Point, b: Point, t: f64) -> Point {
     std::array::from_fn(|k| a[k] + t * (b[k] - a[k]))
 }
 
-/// `v`, at right angles to `from`, turned with the smallest rotation that takes `from` to `to`.
+/// Rotate `v`, which is perpendicular to `from`, by the smallest rotation that takes `from` to `to`.
 fn carried(v: Point, from: Point, to: Point) -> Point {
     let share = dot(to, v) / (1.0 + dot(from, to)).max(1e-6);
     let turned: Point = std::array::from_fn(|a| v[a] - share * (from[a] + to[a]));
@@ -58,7 +64,7 @@ fn carried(v: Point, from: Point, to: Point) -> Point {
     unit(along(turned, -slant, to)).unwrap_or(v)
 }
 
-/// `v` turned about the unit axis.
+/// Return `v` rotated about the unit axis.
 fn turned(v: Point, axis: Point, angle: f64) -> Point {
     let (s, c) = (libm::sin(angle), libm::cos(angle));
     let (across, part) = (cross(axis, v), dot(axis, v) * (1.0 - c));
@@ -66,12 +72,12 @@ fn turned(v: Point, axis: Point, angle: f64) -> Point {
 }
 
 impl Axis {
-    /// Nodes from the tip to the second one behind the entry, for a depth.
+    /// Return the number of nodes for a depth, from the tip to the second node behind the entry.
     fn num_nodes(depth_mm: f64) -> usize {
         (depth_mm / NODE_MM).ceil() as usize + 2
     }
 
-    /// A straight scope that enters along the entry's direction.
+    /// Create a straight scope that enters along the entry's direction.
     pub(crate) fn straight(entry: &Entry, depth_mm: f64) -> Self {
         Self {
             nodes: (0..Self::num_nodes(depth_mm))
@@ -80,12 +86,14 @@ impl Axis {
         }
     }
 
-    /// Unit vector from a node to the next one towards the tip.
+    /// Return the unit vector from a node to the next one towards the tip.
     fn forward(&self, node: usize) -> Point {
         unit(sub(self.nodes[node - 1], self.nodes[node])).unwrap_or([0.0, 0.0, -1.0])
     }
 
-    /// What is up on each segment, from segment (1, 0) at place 0 back to the led one.
+    /// Return the up direction of each segment.
+    ///
+    /// Index 0 is segment (1, 0) at the tip, the last index the segment behind the entry.
     pub(crate) fn ups(&self, first_up: Point, roll_rad: f64) -> Vec<Point> {
         let last = self.nodes.len() - 1;
         let mut ups = vec![[0.0; 3]; last];
@@ -113,7 +121,7 @@ impl Axis {
         }
     }
 
-    /// Moves the scope along itself: what is behind follows what is before.
+    /// Move the scope along itself: each node follows the path of the nodes before it.
     pub(crate) fn shift(&mut self, entry: &Entry, depth_mm: f64, by_mm: f64) {
         let share = (by_mm.abs() / NODE_MM).min(1.0);
         let old = &self.nodes;
@@ -132,14 +140,14 @@ impl Axis {
         while moved.len() < wanted {
             moved.push([0.0; 3]);
         }
-        // The led nodes lie where the straight scope behind the entry has them.
+        // The nodes behind the entry are on the straight line along the entry's direction.
         for n in wanted - 2..wanted {
             moved[n] = along(entry.at, depth_mm - n as f64 * NODE_MM, entry.into);
         }
         self.nodes = moved;
     }
 
-    /// Bends the part before each node of the bending section by what the controls changed.
+    /// Bend the part in front of each node of the bending section by the change of the controls.
     pub(crate) fn bend(
         &mut self,
         body: &ScopeBody,
@@ -151,7 +159,7 @@ impl Axis {
             return;
         }
         let (rigid, num) = (body.rigid_nodes(), body.bending_nodes());
-        // Nodes that are led do not bend.
+        // Nodes with prescribed positions do not bend.
         let last = (rigid + num - 1).min(self.nodes.len().saturating_sub(3));
         if last < rigid {
             return;
@@ -163,7 +171,7 @@ impl Axis {
             after.flexion_rad / num as f64,
         );
         let roll = after.roll_rad - before.roll_rad;
-        // What is before a node is turned by all nodes behind it, in their order.
+        // The part in front of a node is rotated by all nodes behind it, in their order.
         let mut turns: Vec<(Point, f64)> = Vec::with_capacity(2 * num);
         let turned_by = |turns: &[(Point, f64)], v: Point| {
             turns
@@ -172,7 +180,7 @@ impl Axis {
         };
         for node in (1..=last).rev() {
             if node >= rigid {
-                // The old bend is taken back and the new one put in, both about axes of the segment behind.
+                // The old bend is removed and the new one applied, both about axes of the segment behind.
                 let behind = turned_by(&turns, forwards[node]);
                 let up = turned_by(&turns, old_ups[node]);
                 let new_up = turned(up, behind, roll);
@@ -184,7 +192,7 @@ impl Axis {
         }
     }
 
-    /// The second difference of nodes that the rest shape has at each node.
+    /// Return the second difference of the nodes of the rest shape at each node.
     fn rest(&self, body: &ScopeBody, ups: &[Point], flexion_rad: f64) -> Vec<Point> {
         let (rigid, num) = (body.rigid_nodes(), body.bending_nodes());
         let bow = 2.0 * NODE_MM * libm::sin(0.5 * flexion_rad / num as f64);
@@ -199,11 +207,11 @@ impl Axis {
             .collect()
     }
 
-    /// One pass of the first `num` nodes, each to where the bending energy of its neighbourhood is least.
+    /// Move each of the first `num` nodes once to the position of least bending energy of its neighbourhood.
     fn unbend(&mut self, rest: &[Point], num: usize) {
         let x = &mut self.nodes;
         for n in (0..num).rev() {
-            // Second differences at n - 1, n and n + 1 hold node n with factors 1, -2 and 1.
+            // Second differences at n - 1, n and n + 1 contain node n with factors 1, -2 and 1.
             let mut sum: Point =
                 std::array::from_fn(|a| rest[n + 1][a] + 2.0 * x[n + 1][a] - x[n + 2][a]);
             let mut weight = 1.0;
@@ -223,7 +231,7 @@ impl Axis {
         }
     }
 
-    /// Nodes back to their distances, from the entry to the tip, and the rigid tip straight.
+    /// Restore the distances of the nodes, from the entry to the tip, and straighten the rigid tip.
     fn stretch(&mut self, body: &ScopeBody, num: usize) {
         let free = self.nodes.len() - 2;
         for n in (0..num).rev() {
@@ -240,7 +248,9 @@ impl Axis {
         }
     }
 
-    /// Places along the shaft that are held off the wall: nodes and the middles between them, with the nodes they move.
+    /// Return the positions along the shaft that are kept off the wall.
+    ///
+    /// The positions are nodes and the midpoints between them, as pairs of the nodes that are moved.
     fn shaft_places(body: &ScopeBody, num: usize) -> impl Iterator<Item = (usize, usize)> + use<> {
         let base = body.rigid_nodes().min(num);
         (base..num).flat_map(move |n| [(n, n), (n, n + 1)])
@@ -287,7 +297,7 @@ impl Axis {
             let Some(away) = field.away_from_wall(least.at_lps) else {
                 break;
             };
-            // The tip is a lever: a push at a share of its length moves both its ends.
+            // The tip is a lever: a push at a fraction of its length moves both of its ends.
             let share = (-least.in_tip[2] / (base as f64 * NODE_MM)).clamp(0.0, 1.0);
             let norm = share * share + (1.0 - share) * (1.0 - share);
             let (front, back) = ((1.0 - share) / norm, share / norm);
@@ -299,7 +309,7 @@ impl Axis {
         }
     }
 
-    /// How far the tip and the shaft's first `num` nodes are in the wall (0 where they are not).
+    /// Return the penetration of the wall by the tip and by the shaft's first `num` nodes (0 without penetration).
     pub(crate) fn depths_mm(
         &self,
         field: &WallField,
@@ -321,7 +331,7 @@ impl Axis {
         ((-tip.mm).max(0.0), shaft)
     }
 
-    /// Lets the rod relax against the walls; false if it does not find room.
+    /// Relax the rod against the walls; return false if it does not fit.
     pub(crate) fn relax(
         &mut self,
         field: &WallField,
@@ -332,7 +342,7 @@ impl Axis {
         controls: Controls,
     ) -> bool {
         if self.nodes.len() - 2 <= body.rigid_nodes() {
-            // The rigid tip is still in the entry, and looks where that leads.
+            // The rigid tip is still in the entry and points in the entry's direction.
             *self = Self::straight(entry, controls.depth_mm);
         }
         let free = self.nodes.len() - 2;
@@ -359,7 +369,7 @@ impl Axis {
             if inside && free > num {
                 let all = self.depths_mm(field, feelers, body, entry, ups[0], free);
                 if all.1 > SHAFT_TOLERANCE_MM {
-                    // Far back the shaft is held by a place that only whole sweeps see.
+                    // The shaft penetrates the wall far back, where only sweeps over all nodes have an effect.
                     self.hold_off(field, feelers, body, entry, ups[0], free);
                     self.stretch(body, free);
                     continue;
@@ -382,7 +392,7 @@ impl Axis {
         false
     }
 
-    /// The part before the bending section as it would lie without walls, and its face.
+    /// Return the position of the tip's face if the part in front of the bending section's base were free of walls.
     pub(crate) fn free_face(
         &self,
         body: &ScopeBody,

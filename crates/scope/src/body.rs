@@ -1,33 +1,39 @@
-//! The scope's sizes, and its tip in space.
+//! Sizes of the scope, and its tip in space.
 
 use carina_grid::{dot, length};
 
 use crate::ScopeError;
 
-/// Distance of the nodes of the scope's axis.
+/// Distance between the nodes of the scope's axis, mm.
 pub(crate) const NODE_MM: f64 = 2.0;
 
-/// Sizes of a scope. Lengths in mm, angles in radians.
+/// Sizes of a scope.
+///
+/// Lengths in mm, angles in radians.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ScopeBody {
-    /// Radius of the rigid tip and of the bending section.
+    /// Radius of the rigid tip and of the bending section, mm.
     pub tip_radius_mm: f64,
-    /// Radius of the insertion tube.
+    /// Radius of the insertion tube, mm.
     pub tube_radius_mm: f64,
-    /// Length of the rigid tip.
+    /// Length of the rigid tip, mm.
     pub rigid_mm: f64,
-    /// Length of the bending section.
+    /// Length of the bending section, mm.
     pub bending_mm: f64,
-    /// Greatest flexion upwards.
+    /// Largest upward flexion, radians.
     pub up_rad: f64,
-    /// Greatest flexion downwards, positive.
+    /// Largest downward flexion, positive.
     pub down_rad: f64,
-    /// Working length.
+    /// Working length, mm.
     pub length_mm: f64,
 }
 
 impl ScopeBody {
-    /// Refuses sizes that are no scope.
+    /// Check the sizes and return them.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if a size is out of range.
     pub fn checked(self) -> Result<Self, ScopeError> {
         let within = |what: &str, value: f64, low: f64, high: f64| {
             if (low..=high).contains(&value) {
@@ -37,7 +43,8 @@ impl ScopeBody {
                 reason: format!("expected {what} from {low} to {high}, found {value}"),
             })
         };
-        // A tip that is twice as wide as the edge of its face is round; 3.9 is less than half of what the field knows.
+        // A tip with a diameter of twice the radius of the rounded edge is a ball; 3.9 mm is less than half of the
+        // range of the field.
         within("a tip radius (mm)", self.tip_radius_mm, 0.7, 3.9)?;
         within("a tube radius (mm)", self.tube_radius_mm, 0.5, 3.9)?;
         within("a rigid tip (mm)", self.rigid_mm, 2.0, 20.0)?;
@@ -56,7 +63,7 @@ impl ScopeBody {
         ((self.bending_mm / NODE_MM).round() as usize).max(2)
     }
 
-    /// Radius of the scope at a distance behind the face.
+    /// Return the radius of the scope at a distance behind the face.
     pub(crate) fn radius_mm(&self, behind_mm: f64) -> f64 {
         if behind_mm < (self.rigid_nodes() + self.bending_nodes()) as f64 * NODE_MM {
             self.tip_radius_mm
@@ -66,7 +73,7 @@ impl ScopeBody {
     }
 }
 
-/// A tip in space: the face's centre and unit axes.
+/// Tip in space: the face's centre and unit axes.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Tip {
     pub(crate) at: [f64; 3],
@@ -83,7 +90,7 @@ impl Tip {
     }
 }
 
-/// The plane through which the scope enters; what lies behind it is not looked at.
+/// Plane through which the scope enters; the region behind it is ignored.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Entry {
     pub(crate) at: [f64; 3],

@@ -4,31 +4,38 @@ use crate::ScopeError;
 use crate::frames::rotation_minimising_frames;
 use crate::gaze::{gaze, smoothed};
 
-/// Distance of the curve's knots. Small against a voxel, so straight lines between knots look like a curve.
+/// Distance between the curve's knots.
+///
+/// The distance is small relative to a voxel, so straight lines between knots look like a curve.
 const STEP_MM: f64 = 0.25;
-/// Width of the smoothing of positions: irons out the stairs of 0.5 to 1 mm voxels, keeps bends of an airway.
+/// Sigma of the smoothing of positions: it removes the steps of 0.5 to 1 mm voxels and keeps the bends of an airway.
 const POSITION_SIGMA_MM: f64 = 2.0;
-/// How far ahead the gaze is centred, and over which width: about one length of a subsegmental airway (7 to 10 mm) in all.
+/// Distance from a point to the centre of the Gaussian that weights the tangents ahead of it for the gaze, mm.
+///
+/// The next constant is the sigma of the Gaussian, mm.
+///
+/// Together they cover about the length of one subsegmental airway (7 to 10 mm).
 const GAZE_AHEAD_MM: f64 = 3.0;
 const GAZE_SIGMA_MM: f64 = 4.0;
-/// Width of the smoothing of tangents: planes across the curve must not rock with what is left of the stairs.
+/// Sigma of the smoothing of tangents, so that planes across the curve do not rock with the remaining voxel steps.
 const TANGENT_SIGMA_MM: f64 = 2.0;
-/// A patient is not longer than this; a longer "path" is broken input and would take memory without end.
+/// Largest length of a path, longer than any patient; a longer path is invalid input and would need unlimited memory.
 const MAX_LENGTH_MM: f64 = 20_000.0;
 
 /// Nearest point of a curve.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Nearest {
-    /// Place on the curve, in mm along the given polyline.
+    /// Position on the curve, in mm along the given polyline.
     pub path_mm: f64,
-    /// Distance from the curve.
+    /// Distance from the curve, mm.
     pub distance_mm: f64,
 }
 
-/// A smooth curve with camera frames along a polyline.
+/// Smooth curve with camera frames along a polyline.
 ///
-/// Places on it are counted in millimetres *of the given polyline*, so that forks and generations that were found there keep
-/// their numbers; the curve itself is a little shorter. Every point of it lies within `max_deviation_mm` of the polyline.
+/// Positions on the curve are in millimetres *of the given polyline*, so that bifurcations and generations along the
+/// polyline keep their positions; the curve itself is a little shorter. Every point of the curve is within
+/// `max_deviation_mm` of the polyline.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FlightCurve {
     step_mm: f64,
@@ -38,17 +45,22 @@ pub struct FlightCurve {
 }
 
 impl FlightCurve {
-    /// A curve along `points` (LPS mm, root to tip; repeated points are allowed).
+    /// Create a curve along `points` (LPS mm, root to tip; repeated points are allowed).
     ///
-    /// `up` is what should appear up at the start; `None` takes anterior, or superior where the start looks along the
-    /// antero-posterior axis (head-end position of the operator).
+    /// `up` is the direction that appears up at the start; `None` selects anterior, or superior if the start looks
+    /// along the antero-posterior axis (head-end position of the operator).
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the points are no path, if `up` has no length or is along the gaze, or if the deviation is
+    /// out of range.
     pub fn new(
         points: &[[f64; 3]],
         up: Option<[f64; 3]>,
         max_deviation_mm: f64,
     ) -> Result<Self, ScopeError> {
         let refuse = |reason: String| Err(ScopeError::Path { reason });
-        // Half a step of the deviation is spent by the chords of the resampled line (below).
+        // Half a step of the deviation is used by the chords of the resampled line (below).
         if !(0.2..=10.0).contains(&max_deviation_mm) {
             return Err(ScopeError::Deviation {
                 found_mm: max_deviation_mm,
@@ -86,8 +98,8 @@ impl FlightCurve {
         let num_steps = (length_mm / STEP_MM).ceil().max(1.0) as usize;
         let step_mm = length_mm / num_steps as f64;
         let even = resampled(&line, &cumulative, step_mm, num_steps);
-        // A knot may leave its place on the polyline by `reach`; a chord between two places one step apart cuts a corner by
-        // at most half a step; together they stay within the stated deviation.
+        // A knot may deviate from its position on the polyline by `reach`; a chord between two positions one step apart
+        // cuts a corner by at most half a step; together they stay within the given deviation.
         let reach = max_deviation_mm - STEP_MM / 2.0;
         let knots: Vec<[f64; 3]> = smoothed(&even, POSITION_SIGMA_MM, step_mm)
             .iter()
@@ -95,7 +107,7 @@ impl FlightCurve {
             .map(|(s, e)| {
                 let away: [f64; 3] = std::array::from_fn(|a| s[a] - e[a]);
                 let far = length(away);
-                // tanh: bounded by `reach` without a kink where the bound sets in.
+                // tanh: limited by `reach`, without a kink where the limit takes effect.
                 let shrink = if far > 1e-12 {
                     reach * libm::tanh(far / reach) / far
                 } else {
@@ -109,7 +121,7 @@ impl FlightCurve {
             Some(up) => unit(up).ok_or(ScopeError::Up {
                 reason: "has zero length",
             })?,
-            // 0.99: within 8 degrees of the anterior axis "anterior up" is meaningless.
+            // 0.99: within 8 degrees of the anterior axis "anterior up" is undefined.
             None if gazes[0][1].abs() < 0.99 => [0.0, -1.0, 0.0],
             None => [0.0, 0.0, 1.0],
         };
@@ -129,37 +141,40 @@ impl FlightCurve {
         })
     }
 
-    /// Length of the given polyline.
+    /// Return the length of the given polyline.
     #[must_use]
     pub const fn length_mm(&self) -> f64 {
         self.length_mm
     }
 
-    /// Number of knots.
+    /// Return the number of knots.
     #[must_use]
     pub const fn num_knots(&self) -> usize {
         self.frames.len()
     }
 
-    /// Positions of the knots, evenly spaced in mm of the polyline.
+    /// Return the positions of the knots, evenly spaced in mm of the polyline.
     pub fn knots(&self) -> impl Iterator<Item = [f64; 3]> + '_ {
         self.frames.iter().map(|f| f.column(3))
     }
 
-    /// Distance of the knots, in mm of the polyline.
+    /// Return the distance between the knots, in mm of the polyline.
     #[must_use]
     pub const fn step_mm(&self) -> f64 {
         self.step_mm
     }
 
-    /// A frame at each knot whose +z is the curve's own direction, not the gaze: right and down span the plane across the
-    /// airway. They turn about the direction as little as can be.
+    /// Return a frame at each knot whose +z is the curve's own direction, not the gaze.
+    ///
+    /// Right and down span the plane across the airway.
+    ///
+    /// The frames rotate about the direction as little as possible.
     #[must_use]
     pub fn tangent_frames(&self) -> Vec<Affine> {
         let knots: Vec<[f64; 3]> = self.knots().collect();
         let tangents = gaze(&knots, 0.0, TANGENT_SIGMA_MM, self.step_mm);
-        // The gaze at the start is within a bend of the tangent; where "up" should lie along it, the gaze's frame has one
-        // that does not.
+        // The gaze at the start is within a bend of the tangent. If `up` is along the tangent, the up direction of the
+        // gaze's frame is used, which is not.
         frames_along(&knots, &tangents, self.up, self.step_mm)
             .or_else(|| {
                 let up = self.frames[0].column(1).map(|v| -v);
@@ -168,11 +183,11 @@ impl FlightCurve {
             .unwrap_or_else(|| self.frames.clone())
     }
 
-    /// The camera (`lps_from_camera`) at a place, clamped to the ends.
+    /// Return the camera (`lps_from_camera`) at a position, clamped to the ends.
     #[must_use]
     pub fn pose_at(&self, path_mm: f64) -> Affine {
         let last = self.frames.len() - 1;
-        // A NaN becomes the start: max returns the other operand.
+        // NaN becomes the start, because `max` returns the other operand.
         let at = (path_mm.max(0.0) / self.step_mm).min(last as f64);
         let i = (at as usize).min(last - 1);
         let t = at - i as f64;
@@ -181,19 +196,19 @@ impl FlightCurve {
             let (p, q) = (a.column(c), b.column(c));
             std::array::from_fn(|k| (1.0 - t) * p[k] + t * q[k])
         };
-        // Neighbouring frames differ by little: mixing and making the axes square again is a rotation between them.
+        // Neighbouring frames differ little, so mixing and orthonormalising their axes is a rotation between them.
         let forward = unit(mix(2)).unwrap_or_else(|| a.column(2));
         let down = mix(1);
         let slant = dot(down, forward);
         let down =
             unit(std::array::from_fn(|k| down[k] - slant * forward[k])).unwrap_or_else(|| {
-                // Only where a path doubles back within one step; the frame before is still a frame.
+                // This occurs only if a path reverses within one step; the previous frame is still valid.
                 a.column(1)
             });
         Affine::from_columns(cross(down, forward), down, forward, mix(3))
     }
 
-    /// The place nearest to a point.
+    /// Return the position nearest to a point.
     #[must_use]
     pub fn nearest(&self, point: [f64; 3]) -> Nearest {
         let mut best = Nearest {
@@ -218,10 +233,10 @@ impl FlightCurve {
     }
 }
 
-/// Frames that look along `looks` and stand at `knots`.
+/// Return frames at `knots` that look along `looks`.
 ///
-/// Double reflection wants a curve and its tangents. The looks are not the tangents of the knots' curve, so the frames are
-/// taken along the curve that has them for tangents, and then moved onto the knots.
+/// Double reflection needs a curve and its tangents. The looks are not the tangents of the curve through the knots, so
+/// the frames are computed along a curve with these tangents, and then moved to the knots.
 fn frames_along(
     knots: &[[f64; 3]],
     looks: &[[f64; 3]],
@@ -244,7 +259,7 @@ fn frames_along(
     )
 }
 
-/// Points every `step_mm` along a polyline, both ends included.
+/// Return points every `step_mm` along a polyline, including both ends.
 fn resampled(
     line: &[[f64; 3]],
     cumulative: &[f64],
@@ -285,7 +300,7 @@ mod tests {
             .fold(f64::INFINITY, f64::min)
     }
 
-    /// A staircase on anisotropic voxels, down a slanted line: what a voxel tracker hands over.
+    /// Return a staircase on anisotropic voxels along a slanted line, as a voxel tracker returns it.
     fn staircase() -> Vec<[f64; 3]> {
         let spacing = [0.7, 0.8, 1.25];
         (0..150)
@@ -312,7 +327,7 @@ mod tests {
             let Ok(curve) = FlightCurve::new(&line, None, deviation) else { return Ok(()) };
             for n in 0..=200 {
                 let pose = curve.pose_at(curve.length_mm() * f64::from(n) / 200.0);
-                // 1e-9: rounding of coordinates of some hundred mm.
+                // Tolerance 1e-9: rounding of coordinates of some hundred mm.
                 prop_assert!(distance_to_line(pose.column(3), &line) <= deviation + 1e-9);
                 prop_assert!(pose.is_rigid(1e-12));
             }
@@ -324,7 +339,7 @@ mod tests {
             let there = at * curve.length_mm();
             let found = curve.nearest(curve.pose_at(there).column(3));
             prop_assert!(found.distance_mm < 1e-9);
-            // A stair that goes across the path leaves places that are close in space but a stair apart in mm.
+            // A step across the path gives positions that are near in space but one step apart in mm.
             prop_assert!((found.path_mm - there).abs() < 1.0);
         }
     }
@@ -332,7 +347,7 @@ mod tests {
     #[test]
     fn the_gaze_does_not_wobble_on_a_staircase_of_voxels() {
         let curve = FlightCurve::new(&staircase(), None, 0.5).unwrap();
-        // The line itself turns by less than 0.5 degrees per mm; its voxel steps point up to 50 degrees off it.
+        // The line itself turns by less than 0.5 degrees per mm; its voxel steps differ from it by up to 50 degrees.
         let mut last = curve.pose_at(0.0);
         let mut worst: f64 = 0.0;
         let num = curve.length_mm() as usize;
@@ -350,10 +365,11 @@ mod tests {
 
     #[test]
     fn the_start_has_anterior_up_and_the_patients_right_on_the_right() {
-        // Looking caudally from the head end (docs/conventions.md, left and right): -y is anterior, -x is the patient's right.
+        // Looking caudally from the head end (docs/conventions.md, left and right): -y is anterior, -x is the patient's
+        // right.
         let curve = FlightCurve::new(&[[5.0, 6.0, 100.0], [5.0, 6.0, 0.0]], None, 0.5).unwrap();
         let near = |found: [f64; 3], wanted: [f64; 3]| {
-            // 1e-12: rounding of the weighted means.
+            // Tolerance 1e-12: rounding of the weighted means.
             assert!(
                 length(std::array::from_fn(|a| found[a] - wanted[a])) < 1e-12,
                 "{found:?}"
@@ -382,7 +398,7 @@ mod tests {
 
     #[test]
     fn tangent_frames_stand_across_the_curve_and_do_not_spin() {
-        // A quarter circle of radius 40 mm in the coronal plane, straight ends.
+        // A quarter circle of radius 40 mm in the coronal plane, with straight ends.
         let points: Vec<[f64; 3]> = (0..=200)
             .map(|i| {
                 let s = f64::from(i) * 0.5;
@@ -405,10 +421,10 @@ mod tests {
         for i in 1..frames.len() - 1 {
             assert!(frames[i].is_rigid(1e-9));
             assert_eq!(frames[i].column(3), knots[i]);
-            // Down stays posterior: the curve lies in the coronal plane.
+            // Down stays posterior, because the curve is in the coronal plane.
             assert!((frames[i].column(1)[1] - 1.0).abs() < 1e-6, "{i}");
             let chord = unit(std::array::from_fn(|a| knots[i + 1][a] - knots[i - 1][a])).unwrap();
-            // 2 degrees: where the bend begins, its smoothing over 2 mm of 40 mm.
+            // Tolerance: 2 degrees at the beginning of the bend, from the smoothing over 2 mm of a radius of 40 mm.
             assert!(dot(chord, frames[i].column(2)) > 0.9994, "{i}");
         }
     }

@@ -1,4 +1,6 @@
-//! Driving the scope: what the hand sets, in small steps, each accepted only if tip and shaft stay in the lumen.
+//! Drive of the scope.
+//!
+//! The controls change in small steps, and each step is accepted only if tip and shaft stay in the lumen.
 
 use std::sync::Arc;
 
@@ -12,79 +14,86 @@ use crate::wall::WallField;
 
 type Point = [f64; 3];
 
-/// Largest step of the insertion, and of flexion and roll (a bent tip of 50 mm then moves by about as much).
+/// Largest step of the insertion.
+///
+/// The next constant is that of flexion and roll (a bent tip of 50 mm then moves by about as much).
 const STEP_MM: f64 = 0.5;
 const STEP_RAD: f64 = 0.02;
-/// The tip touches the wall when it is no farther from it than this.
+/// Largest distance between tip and wall that counts as contact, mm.
 const TOUCH_MM: f64 = 0.1;
-/// Contact ends only beyond this: a tip that slides along a rough wall touches once, not hundred times.
+/// Distance at which contact ends.
+///
+/// The limit is larger than that of contact, so that a tip that slides along a rough wall counts as one contact, not as
+/// a hundred.
 const RELEASE_MM: f64 = 0.3;
-/// How far ahead a scope that is held up looks for the width that it would need.
+/// Distances ahead at which a blocked scope measures the width of the airway, mm.
 const LOOK_AHEAD_MM: [f64; 4] = [1.0, 2.0, 3.0, 4.0];
 
-/// Why the scope did not go as far as the hand asked.
+/// Reason why the scope did not follow the controls completely.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Limit {
-    /// It did.
+    /// The scope followed the controls.
     None,
-    /// Drawn back to where it enters.
+    /// The scope is withdrawn to the entry.
     Entry,
     /// The tip is pressed against a wall.
     Wall,
     /// The airway ahead is too narrow.
     Narrow,
-    /// The working length ends.
+    /// The working length is used up.
     Length,
     /// The lever is at its stop.
     Flexion,
 }
 
-/// Where the tip touches.
+/// Contact of the tip with the wall.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Contact {
-    /// The place of the wall, LPS mm.
+    /// Position on the wall, LPS mm.
     pub point_lps: Point,
-    /// Away from the wall, unit length.
+    /// Direction away from the wall, unit length.
     pub normal_lps: Point,
-    /// How much farther the tip would be in the wall if there were none.
+    /// Additional distance by which the tip would move into the wall if the wall did not exist, mm.
     pub depth_mm: f64,
 }
 
-/// All that touched since the scope was placed.
+/// Summary of the contacts since the scope was placed.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ContactRecord {
-    /// How often the tip began to touch.
+    /// Number of contacts of the tip.
     pub count: u64,
-    /// How long it touched in all.
+    /// Total time of contact, s.
     pub time_s: f64,
-    /// The deepest [`Contact::depth_mm`].
+    /// Largest [`Contact::depth_mm`].
     pub max_depth_mm: f64,
 }
 
-/// The scope after a sample.
+/// State of the scope after a sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ScopeState {
-    /// The tip's face: +x right, +y down, +z forward.
+    /// Pose of the tip's face: +x right, +y down, +z forward.
     pub lps_from_tip: Affine,
-    /// Insertion from the path's start.
+    /// Insertion from the path's start, mm.
     pub insertion_mm: f64,
     /// Roll, clockwise as the operator sees it.
     pub roll_rad: f64,
-    /// Flexion, above 0 up.
+    /// Flexion, positive for up.
     pub flexion_rad: f64,
-    /// Where the tip touches, if it does.
+    /// Contact of the tip, if any.
     pub contact: Option<Contact>,
-    /// 0 for a clear view, 1 where the lens lies on the wall.
+    /// Red-out: 0 for a clear view, 1 if the lens touches the wall.
     pub red_out: f64,
-    /// Why the scope did not go as far as asked.
+    /// Reason why the scope did not follow the controls completely.
     pub limit: Limit,
-    /// The widest tip that would pass on, where the limit is [`Limit::Narrow`].
+    /// Diameter of the widest tip that would pass, if the limit is [`Limit::Narrow`].
     pub passable_mm: Option<f64>,
-    /// What touched so far.
+    /// Summary of the contacts so far.
     pub record: ContactRecord,
 }
 
-/// A scope in a lumen. A pure function of its samples: the same ones give the same states, bit for bit.
+/// Scope in a lumen.
+///
+/// Its states depend only on its samples: equal samples give equal states, bit for bit.
 #[derive(Debug, Clone)]
 pub struct ScopeDrive {
     field: Arc<WallField>,
@@ -95,16 +104,21 @@ pub struct ScopeDrive {
     first_up: Point,
     axis: Axis,
     controls: Controls,
-    /// The roll as it was asked for, whole turns and all; the controls hold less than one.
+    /// Requested roll including whole turns; the controls contain less than one turn.
     asked_roll_rad: f64,
     touches: bool,
     state: ScopeState,
 }
 
 impl ScopeDrive {
-    /// A scope that enters a lumen along a path (LPS mm; the trachea's centreline from its start).
+    /// Create a scope that enters a lumen along a path (LPS mm; the trachea's centreline from its start).
     ///
-    /// It enters at the first place of the path with room for it; `up` is what the unrolled picture has up.
+    /// The scope enters at the first position of the path that is wide enough; `up` is the direction that is up in the
+    /// unrolled picture.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the sizes or the path are not valid, or if the scope does not fit.
     pub fn new(
         field: Arc<WallField>,
         body: ScopeBody,
@@ -139,7 +153,7 @@ impl ScopeDrive {
         };
         let first_up = match up {
             Some(up) => up,
-            // Anterior, or superior where the view is antero-posterior (head-end position).
+            // Anterior, or superior if the view is antero-posterior (head-end position).
             None if into[1].abs() < 0.99 => [0.0, -1.0, 0.0],
             None => [0.0, 0.0, 1.0],
         };
@@ -182,25 +196,25 @@ impl ScopeDrive {
         Ok(drive)
     }
 
-    /// The scope now.
+    /// Return the present state.
     #[must_use]
     pub const fn state(&self) -> &ScopeState {
         &self.state
     }
 
-    /// Its sizes.
+    /// Return the sizes of the scope.
     #[must_use]
     pub const fn body(&self) -> &ScopeBody {
         &self.body
     }
 
-    /// Where the scope enters, in mm along the path: the least insertion.
+    /// Return the position of the entry in mm along the path: the smallest insertion.
     #[must_use]
     pub const fn entry_mm(&self) -> f64 {
         self.entry_mm
     }
 
-    /// The axis of the scope from the entry to the tip's face, LPS mm.
+    /// Return the axis of the scope from the entry to the tip's face, LPS mm.
     #[must_use]
     pub fn shaft_lps(&self) -> Vec<Point> {
         let mut points: Vec<Point> = self
@@ -215,7 +229,7 @@ impl ScopeDrive {
         points
     }
 
-    /// How far tip and shaft are in the wall by the field that they are held in (0 where they are not).
+    /// Return the penetration of the wall by tip and shaft, according to the wall field (0 without penetration).
     #[must_use]
     pub fn wall_depths_mm(&self) -> (f64, f64) {
         let ups = self.axis.ups(self.first_up, self.controls.roll_rad);
@@ -229,10 +243,15 @@ impl ScopeDrive {
         )
     }
 
-    /// Sets the three controls, `dt_s` after the sample before.
+    /// Set the three controls, `dt_s` after the previous sample.
     ///
-    /// The scope moves from where it is towards them and stops where it cannot go on; the next sample starts there.
-    /// Roll and flexion always arrive (a lever can be pressed against a wall), insertion may not.
+    /// The scope moves from its present position towards the controls and stops where it is blocked; the next sample
+    /// starts there. Roll and flexion always reach their values (a lever can be pressed against a wall); insertion may
+    /// not.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if a value is not finite or `dt_s` is negative.
     pub fn drive(
         &mut self,
         insertion_mm: f64,
@@ -265,7 +284,8 @@ impl ScopeDrive {
             limit = Limit::Length;
         }
         let start = self.controls;
-        // Whole turns change nothing: the shaft is stiff, and is not wound up. Of a roll of any size less than one is left.
+        // Whole turns have no effect, because the shaft is stiff and does not twist. The remainder of a roll of any
+        // size is less than one turn.
         let whole = |rad: f64| libm::remainder(rad, core::f64::consts::TAU);
         let turn = whole(whole(roll_rad) - start.roll_rad);
         let (advance, bend) = (depth_mm - start.depth_mm, flexion - start.flexion_rad);
@@ -297,11 +317,11 @@ impl ScopeDrive {
         Ok(self.state)
     }
 
-    /// One small step; false if the insertion could not be reached.
+    /// Perform one small step; return false if the insertion could not be reached.
     fn step(&mut self, wanted: Controls) -> bool {
         let before = self.controls;
         let advance = wanted.depth_mm - before.depth_mm;
-        // Where the whole step has no room, a part of it may have; then at least the lever moves.
+        // If the whole step does not fit, a part of it may; at the end only the lever moves.
         for share in [1.0, 0.3, 0.0] {
             if share < 1.0 && advance == 0.0 {
                 break;
@@ -315,7 +335,7 @@ impl ScopeDrive {
             }
         }
         if advance < 0.0 {
-            // Drawn back without relaxing, the scope lies where it lay already.
+            // Withdrawn without relaxation, the scope has only positions that it had before.
             let mut axis = self.axis.clone();
             axis.shift(&self.entry, wanted.depth_mm, advance);
             let ups = axis.ups(self.first_up, wanted.roll_rad);
@@ -334,7 +354,7 @@ impl ScopeDrive {
                 return true;
             }
         }
-        // The lever is pressed against a wall: it turns, the tip does not.
+        // The lever is pressed against a wall: it turns, but the tip does not.
         self.controls = Controls {
             depth_mm: before.depth_mm,
             ..wanted
@@ -342,10 +362,14 @@ impl ScopeDrive {
         advance == 0.0
     }
 
-    /// Lays the scope along a path that starts where its own does, with the tip `insertion_mm` along it: roll and flexion 0,
-    /// a new record.
+    /// Place the scope along a path that starts where its own path does, with the tip `insertion_mm` along it.
     ///
-    /// Where the path is too narrow the tip lies before that place, and the state's limit says so.
+    /// Roll and flexion become 0, and the contact record starts again. If the path is too narrow, the tip ends before
+    /// the narrow position, and the limit of the state is set.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the path or the insertion is not valid.
     pub fn place(&mut self, path: &[Point], insertion_mm: f64) -> Result<ScopeState, ScopeError> {
         let refuse = |reason: String| Err(ScopeError::Scope { reason });
         if !insertion_mm.is_finite() {
@@ -442,7 +466,7 @@ impl ScopeDrive {
         self.axis.tip(ups[0])
     }
 
-    /// Writes the state from axis and controls.
+    /// Compute the state from axis and controls.
     fn look(&mut self, dt_s: f64, limit: Limit, further_mm: f64) {
         let tip = self.tip();
         let least = self.feelers.clearance(&self.field, &tip, &self.entry);
@@ -485,7 +509,9 @@ impl ScopeDrive {
         };
     }
 
-    /// A wall beside the tip is a radius away from the lens; only one before it can be nearer.
+    /// Return the red-out.
+    ///
+    /// A wall beside the tip is one radius away from the lens; only a wall in front of the lens can be nearer.
     fn red_out(&self, tip: &Tip) -> f64 {
         if self.entry.depth_mm(tip.at) < 0.5 {
             return 0.0;
@@ -494,7 +520,7 @@ impl ScopeDrive {
         ((0.6 * r - self.field.distance_mm(tip.at)) / (0.45 * r)).clamp(0.0, 1.0)
     }
 
-    /// The width of the airway ahead, if the tip is wider.
+    /// Return the width of the airway ahead if it is too narrow for the tip.
     fn too_narrow(&self, tip: &Tip) -> Option<f64> {
         let mut least = f64::INFINITY;
         let mut at = tip.at;
@@ -502,7 +528,7 @@ impl ScopeDrive {
         let mut walked = 0.0;
         for ahead in LOOK_AHEAD_MM {
             let mut p = along(at, ahead - walked, forward);
-            // To the middle of the lumen across the direction of advance.
+            // Move to the middle of the lumen across the direction of advance.
             for _ in 0..40 {
                 let Some(away) = self.field.away_from_wall(p) else {
                     break;
@@ -516,7 +542,7 @@ impl ScopeDrive {
             }
             let room = self.field.distance_mm(p);
             if room < 0.3 {
-                // Not an airway: the wall itself.
+                // No airway, but the wall itself.
                 break;
             }
             least = least.min(room);
@@ -529,10 +555,10 @@ impl ScopeDrive {
 }
 
 const PATH_STEP_MM: f64 = 0.25;
-/// Eight times the length of a scope; the points of a longer path would only fill the memory.
+/// Largest length of a path, eight times the length of a scope; the points of a longer path would only use memory.
 const MOST_PATH_MM: f64 = 5_000.0;
 
-/// A path as points [`PATH_STEP_MM`] apart.
+/// Return points [`PATH_STEP_MM`] apart along a path.
 fn evenly(path: &[Point]) -> Result<Vec<Point>, ScopeError> {
     if path.iter().flatten().any(|v| !v.is_finite()) {
         return Err(ScopeError::Scope {

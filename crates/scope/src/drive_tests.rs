@@ -24,7 +24,9 @@ fn capsule(p: Point, a: Point, b: Point, radius: f64) -> f64 {
     radius - distance(ap, ab.map(|v| t * v))
 }
 
-/// A stem of 9 mm radius down to the origin, then two arms; the right one (x below 0) narrows to a radius of 2.
+/// Signed distance of a test lumen: a stem of 9 mm radius down to the origin, then two arms.
+///
+/// The right one (x below 0) narrows to a radius of 2.
 pub(crate) fn lumen(p: Point) -> f64 {
     let right = capsule(p, [0.0, 0.0, 0.0], [-30.0, 0.0, -45.0], 6.0).max(capsule(
         p,
@@ -105,17 +107,17 @@ fn a_free_tip_bends_to_its_angle_with_the_radius_of_its_bending_section() {
     let state = scope.drive(60.0, 0.0, 1.0, 0.1).unwrap();
     let look = state.lps_from_tip.column(2);
     let angle = libm::acos(-look[2]);
-    // 1e-3: what relaxing leaves.
+    // Tolerance 1e-3: the residual error of the relaxation.
     assert!((angle - 1.0).abs() < 1e-3, "{angle}");
-    // Up is anterior, and the tip is carried there.
+    // Up is anterior, and the tip moves in that direction.
     assert!(look[1] < 0.0 && state.lps_from_tip.column(3)[1] < -2.0);
-    // Rolled by a quarter clockwise, up is the patient's right.
+    // After a roll by a quarter turn clockwise, up is the patient's right.
     let state = scope
         .drive(60.0, core::f64::consts::FRAC_PI_2, 1.0, 0.1)
         .unwrap();
     let look = state.lps_from_tip.column(2);
     assert!(look[0] < -0.8 && look[1].abs() < 0.01, "{look:?}");
-    // And back: the scope forgets where it was.
+    // And back: the state does not depend on previous positions.
     let state = scope.drive(60.0, 0.0, 0.0, 0.1).unwrap();
     let off = distance(state.lps_from_tip.column(2), [0.0, 0.0, -1.0]);
     assert!(off < 1e-3, "{off}");
@@ -144,7 +146,7 @@ fn pushed_at_a_carina_it_stops_there_in_red_and_is_drawn_back_again() {
     assert!(distance(state.lps_from_tip.column(3), [0.0, 0.0, 90.0]) < 0.5);
 }
 
-/// Steers the tip towards a point as a hand would: rolls so that it lies up or down, and flexes.
+/// Steer the tip towards a point as a hand would: roll so that the point is up or down, and flex.
 pub(crate) fn steered(scope: &mut ScopeDrive, to: Point, steps: usize) -> crate::ScopeState {
     let mut state = *scope.state();
     for _ in 0..steps {
@@ -160,7 +162,7 @@ pub(crate) fn steered(scope: &mut ScopeDrive, to: Point, steps: usize) -> crate:
         }
         let off = libm::atan2(libm::hypot(x, y), z);
         let turn = libm::atan2(x, -y);
-        // The nearer of turning up to it, or down.
+        // The smaller of the rolls that turn the point up or down.
         let (turn, bend) = if turn.abs() > core::f64::consts::FRAC_PI_2 {
             (turn - core::f64::consts::PI.copysign(turn), -off)
         } else {
@@ -264,7 +266,7 @@ fn the_same_samples_give_the_same_states_bit_for_bit() {
 fn a_roll_of_any_size_is_less_than_a_turn_and_does_not_hang() {
     let mut scope = scope();
     let start = scope.drive(50.0, 0.0, 0.6, 0.1).unwrap();
-    // Taking whole turns off by a rounded division leaves 2.1e9 rad of this one, which is 1e11 steps.
+    // Removing whole turns by a rounded division leaves 2.1e9 rad of this roll, which is 1e11 steps.
     let state = scope.drive(50.0, 1.559e25, 0.6, 0.1).unwrap();
     assert_eq!(state.roll_rad, 1.559e25);
     for roll in [f64::MAX, -f64::MAX, 1e300] {

@@ -1,4 +1,4 @@
-//! Eight numbers at once, in registers where the machine has them.
+//! Vectors of eight f32, in registers if the machine has them.
 #![allow(
     clippy::inline_always,
     reason = "operations must become registers in the function that has them enabled"
@@ -6,21 +6,23 @@
 
 pub(crate) const LANES: usize = 8;
 
-/// Eight numbers. No operation is fused or estimated: every form gives the same bits.
+/// Vector of eight f32.
+///
+/// No operation is fused or approximated, so all implementations give the same bits.
 pub(crate) trait Eight: Copy {
     fn of(values: [f32; LANES]) -> Self;
     fn out(self) -> [f32; LANES];
     fn plus(self, other: Self) -> Self;
     fn minus(self, other: Self) -> Self;
     fn times(self, other: Self) -> Self;
-    /// The greater; the other where it is not greater.
+    /// Return the greater number of each lane; `other` if `self` is not greater.
     fn greater(self, other: Self) -> Self;
-    /// The lesser; the other where it is not less.
+    /// Return the lesser number of each lane; `other` if `self` is not less.
     fn lesser(self, other: Self) -> Self;
     fn root(self) -> Self;
-    /// `yes` where this is above 0, else `no`.
+    /// Return `yes` in lanes where this number is above 0, else `no`.
     fn above_zero(self, yes: Self, no: Self) -> Self;
-    /// Whether any is not above the other's.
+    /// Return whether a number in any lane is at most that of `other`.
     fn any_within(self, other: Self) -> bool;
 
     #[inline(always)]
@@ -29,11 +31,11 @@ pub(crate) trait Eight: Copy {
     }
 }
 
-/// As the compiler makes it for the build's target.
+/// Implementation by arrays, which the compiler translates to the instructions of the build's target.
 #[derive(Clone, Copy)]
 pub(crate) struct Plain([f32; LANES]);
 
-/// Loops and not closures: each becomes one operation of registers.
+/// Define operations as loops, not closures, so that each becomes one instruction on registers.
 macro_rules! each {
     ($n:ident, $value:expr) => {{
         let mut out = [0.0; LANES];
@@ -114,62 +116,67 @@ mod avx2 {
 
     use super::{Eight, LANES};
 
-    /// Made only in functions that a machine with AVX2 reaches (`Packets::signed`).
+    /// Implementation by AVX2 registers.
+    ///
+    /// Values are created only in functions that run on machines with AVX2 (`Packets::signed`).
     #[derive(Clone, Copy)]
     pub(crate) struct Avx2(x86::__m256);
 
-    // SAFETY of all: see the type. Loads and stores are of arrays of eight f32 and need no alignment.
+    // SAFETY of all operations: a value exists only on a machine with AVX2 (see the type). Loads and stores are of
+    // arrays of eight f32 and need no alignment.
     impl Eight for Avx2 {
         #[inline(always)]
         fn of(values: [f32; LANES]) -> Self {
-            // SAFETY: as above.
+            // SAFETY: this code runs only on a machine with AVX2 (see the type), and the array has eight f32; the load
+            // needs no alignment.
             Self(unsafe { x86::_mm256_loadu_ps(values.as_ptr()) })
         }
         #[inline(always)]
         fn all(value: f32) -> Self {
-            // SAFETY: as above.
+            // SAFETY: this code runs only on a machine with AVX2 (see the type).
             Self(unsafe { x86::_mm256_set1_ps(value) })
         }
         #[inline(always)]
         fn out(self) -> [f32; LANES] {
             let mut out = [0.0; LANES];
-            // SAFETY: as above.
+            // SAFETY: this code runs only on a machine with AVX2 (see the type), and the array has eight f32; the store
+            // needs no alignment.
             unsafe { x86::_mm256_storeu_ps(out.as_mut_ptr(), self.0) };
             out
         }
         #[inline(always)]
         fn plus(self, other: Self) -> Self {
-            // SAFETY: as above.
+            // SAFETY: this code runs only on a machine with AVX2 (see the type).
             Self(unsafe { x86::_mm256_add_ps(self.0, other.0) })
         }
         #[inline(always)]
         fn minus(self, other: Self) -> Self {
-            // SAFETY: as above.
+            // SAFETY: this code runs only on a machine with AVX2 (see the type).
             Self(unsafe { x86::_mm256_sub_ps(self.0, other.0) })
         }
         #[inline(always)]
         fn times(self, other: Self) -> Self {
-            // SAFETY: as above.
+            // SAFETY: this code runs only on a machine with AVX2 (see the type).
             Self(unsafe { x86::_mm256_mul_ps(self.0, other.0) })
         }
         #[inline(always)]
         fn greater(self, other: Self) -> Self {
-            // SAFETY: as above.
+            // SAFETY: this code runs only on a machine with AVX2 (see the type).
             Self(unsafe { x86::_mm256_max_ps(self.0, other.0) })
         }
         #[inline(always)]
         fn lesser(self, other: Self) -> Self {
-            // SAFETY: as above.
+            // SAFETY: this code runs only on a machine with AVX2 (see the type).
             Self(unsafe { x86::_mm256_min_ps(self.0, other.0) })
         }
         #[inline(always)]
         fn root(self) -> Self {
-            // SAFETY: as above.
+            // SAFETY: this code runs only on a machine with AVX2 (see the type).
             Self(unsafe { x86::_mm256_sqrt_ps(self.0) })
         }
         #[inline(always)]
         fn above_zero(self, yes: Self, no: Self) -> Self {
-            // SAFETY: as above.
+            // SAFETY: this code runs only on a machine with AVX2 (see the type).
             unsafe {
                 let above =
                     x86::_mm256_cmp_ps::<{ x86::_CMP_GT_OQ }>(self.0, x86::_mm256_setzero_ps());
@@ -178,7 +185,7 @@ mod avx2 {
         }
         #[inline(always)]
         fn any_within(self, other: Self) -> bool {
-            // SAFETY: as above.
+            // SAFETY: this code runs only on a machine with AVX2 (see the type).
             unsafe {
                 x86::_mm256_movemask_ps(x86::_mm256_cmp_ps::<{ x86::_CMP_LE_OQ }>(self.0, other.0))
                     != 0

@@ -1,45 +1,45 @@
-/// What can be wrong with a path, a wall or a scope.
+/// Errors of paths, walls and scopes.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ScopeError {
-    /// The points do not make a path.
+    /// The points are not a path.
     #[error("cannot fly along this path: {reason}")]
     Path {
-        /// Why.
+        /// Reason of the error.
         reason: String,
     },
-    /// The up direction has no length, or lies along the first gaze.
+    /// The up direction has no length, or is along the first gaze.
     #[error("cannot orient the view: the up direction {reason}")]
     Up {
-        /// Why.
+        /// Reason of the error.
         reason: &'static str,
     },
-    /// The allowed deviation is too small to smooth with, or not a length.
+    /// The allowed deviation is too small for smoothing, or not a length.
     #[error(
         "the largest deviation from the path must be between 0.2 and 10 mm; found {found_mm} mm"
     )]
     Deviation {
-        /// The refused length.
+        /// Rejected length, mm.
         found_mm: f64,
     },
-    /// The wall's field cannot be made.
+    /// The wall field cannot be computed.
     #[error("cannot compute the distances to the wall: {reason}")]
     Wall {
-        /// Why.
+        /// Reason of the error.
         reason: String,
     },
-    /// A scope's sizes are unusable, or it cannot be put where it was asked for.
+    /// A scope's sizes are not valid, or the scope cannot be placed at the requested position.
     #[error("cannot drive this scope: {reason}")]
     Scope {
-        /// Why.
+        /// Reason of the error.
         reason: String,
     },
-    /// The caller stopped the work.
+    /// The caller stopped the computation.
     #[error("stopped")]
     Cancelled,
 }
 
 impl ScopeError {
-    /// Stable code, shared with Python and the wire.
+    /// Return the stable error code, shared with Python and the wire.
     #[must_use]
     pub const fn code(&self) -> &'static str {
         match self {

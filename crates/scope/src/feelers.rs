@@ -1,54 +1,59 @@
-//! The balls that stand for the rigid tip, and how near they are to the wall.
+//! Balls that represent the surface of the rigid tip, and their clearance from the wall.
 //!
-//! They lie so densely that a ridge of the wall cannot sink in between them by more than some hundredths of a millimetre,
-//! which makes hundreds of a wide tip. Most are never asked: each group has a leader, and where that has room for all of
-//! its group the others have room too.
+//! The balls are so dense that a ridge of the wall cannot penetrate between them by more than some hundredths of a
+//! millimetre, so a wide tip has hundreds of balls. Most are not tested: each group has a leader, and if the clearance
+//! of the leader is large enough for its whole group, the other balls of the group need no test.
 
 use crate::body::{Entry, ScopeBody, Tip, distance};
 use crate::wall::WallField;
 
-/// Radius of the rounded edge of the tip's face.
+/// Radius of the rounded edge of the tip's face, mm.
 const EDGE_MM: f64 = 0.6;
-/// Distance of neighbouring balls of the face, the edge and the side behind it: a ridge sinks in by `APART^2 / (8 EDGE)`.
+/// Distance between neighbouring balls of the face, the edge and the side behind it: a ridge penetrates by
+/// `APART^2 / (8 EDGE)`.
 const APART_MM: f64 = 0.36;
-/// Distance of the balls on the axis behind them: no more than 0.03 mm, for the thinnest tip.
+/// Distance between the balls on the axis behind them, with a penetration of at most 0.03 mm for the thinnest tip.
 const AXIS_MM: f64 = 0.4;
-/// Left between the balls and the wall: at an edge of the wall the field, read between its samples, says some hundredths
-/// too much, and a ridge sinks in between balls by as much.
+/// Gap between the balls and the wall.
+///
+/// At an edge of the wall the interpolated field is some hundredths too large, and a ridge penetrates between balls by
+/// as much.
 pub(crate) const SKIN_MM: f64 = 0.03;
-/// How far the balls of a group are from its leader.
+/// Largest distance of the balls of a group from its leader, mm.
 const REACH_MM: f64 = 0.75;
-/// What a leader must have beyond its reach. Distances change by no more than 1 mm per mm, but what is read between
-/// samples of the field may be a little more, and clearances up to where contact ends are told as they are.
+/// Clearance that a leader must have beyond its reach.
+///
+/// Distances change by at most 1 mm per mm, but interpolated values of the field may change a little more, and
+/// clearances up to the end of contact must be exact.
 const GUARD_MM: f64 = 0.5;
 
-/// A ball: its centre in the tip's frame (right, down, forward; the face's centre is the origin) and radius.
+/// Ball: its centre in the tip's frame (right, down, forward; the face's centre is the origin) and radius.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Feeler {
     pub(crate) at: [f64; 3],
     pub(crate) radius: f64,
 }
 
-/// Some balls that follow each other, the leader first.
+/// Group of consecutive balls, the leader first.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Group {
     first: usize,
     end: usize,
-    /// From the leader's centre to the farthest of the others.
+    /// Distance from the leader's centre to the farthest of the other centres, mm.
     reach_mm: f64,
 }
 
-/// All balls of a tip: a cylinder with a flat face and a rounded edge.
+/// All balls of a tip, which is a cylinder with a flat face and a rounded edge.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Feelers {
     balls: Vec<Feeler>,
     groups: Vec<Group>,
-    /// Groups of face, edge and the side near them; the balls of the others lie on the axis.
+    /// Number of groups of face, edge and the side near them; the balls of the other groups are on the axis.
     num_front: usize,
     radius_mm: f64,
 }
 
-/// Least clearance of the tip's balls, and where in the tip's frame and in space.
+/// Least clearance of the tip's balls, with its position in the tip's frame and in space.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Clearance {
     pub(crate) mm: f64,
@@ -86,7 +91,7 @@ impl Feelers {
         for n in 0..=num {
             ring(across * n as f64 / num as f64, edge, 0.0);
         }
-        // Rings stand on gap.
+        // Successive rings are staggered by half of the distance between their balls.
         for n in 1..=num {
             let behind = edge + across * n as f64 / (num + 1) as f64;
             ring(across, behind, 0.5 * (n % 2) as f64);
@@ -132,10 +137,10 @@ impl Feelers {
         made
     }
 
-    /// The least clearance; where that is far beyond where contact ends it may be another ball's.
+    /// Return the least clearance; a value far above the limit of contact may be that of another ball.
     pub(crate) fn clearance(&self, field: &WallField, tip: &Tip, entry: &Entry) -> Clearance {
         let mut least = Clearance::none(tip);
-        // With room for a ball round the face and what is behind it, no ball of the face can touch.
+        // If a ball round the face and the part behind it is free, no ball of the face can touch the wall.
         let r = self.radius_mm;
         let is_clear = entry.depth_mm(tip.at) >= 0.0
             && field.distance_mm(tip.place([0.0, 0.0, -0.5 * r])) > 1.2 * r + 1.0;
@@ -151,7 +156,7 @@ impl Feelers {
         least
     }
 
-    /// The clearance of a ball, wherever it is; what lies behind the entry does not count.
+    /// Return the clearance of a ball, and update `least`; balls behind the entry do not update it.
     fn take(
         &self,
         least: &mut Clearance,
@@ -173,7 +178,7 @@ impl Feelers {
         mm
     }
 
-    /// The same from every ball: what [`Self::clearance`] is checked against.
+    /// Return the least clearance of every ball, as a reference for [`Self::clearance`].
     #[cfg(test)]
     fn clearance_of_all(&self, field: &WallField, tip: &Tip, entry: &Entry) -> Clearance {
         let mut least = Clearance::none(tip);
@@ -198,11 +203,11 @@ mod tests {
         })
     }
 
-    /// A place of the tip's surface, `along` its outline from the face's centre to the rigid end (0 to 1).
+    /// Return a point of the tip's surface, `along` its outline from the face's centre to the rigid end (0 to 1).
     fn on_surface(radius: f64, along: f64, turn: f64) -> [f64; 3] {
         let edge = EDGE_MM.min(0.5 * radius);
         let (flat, round) = (radius - edge, 0.5 * core::f64::consts::PI * edge);
-        // The last ball is as long as the rigid end.
+        // The last ball extends to the rigid end.
         let mm = along * (flat + round + BODY.rigid_mm - edge - AXIS_MM);
         let (across, behind) = if mm < flat {
             (mm, 0.0)
@@ -233,7 +238,7 @@ mod tests {
                 .iter()
                 .map(|f| distance(p, f.at) - f.radius)
                 .fold(f64::INFINITY, f64::min);
-            // A spike could sink in as far as this; a ridge by half of it.
+            // A spike could penetrate by this distance; a ridge by half of it.
             prop_assert!(gap < if radius < 1.2 { 0.12 } else { 0.065 }, "{gap} at {p:?}");
         }
 
@@ -243,7 +248,8 @@ mod tests {
             lean in 0.0f64..3.2,
             roll in 0.0f64..6.3,
         ) {
-            // Pressed at the ridge between two arms, which sinks in between balls that lie too far apart.
+            // The tip is pressed against the ridge between two arms, which would penetrate between balls that are too
+            // far apart.
             let forward = [libm::sin(lean), 0.0, -libm::cos(lean)];
             let entry = Entry { at: [0.0, 0.0, 112.0], into: [0.0, 0.0, -1.0] };
             let feelers = tip_of(radius);
@@ -280,7 +286,7 @@ mod tests {
             let mut tip = Tip { at, right, down: carina_grid::cross(forward, right), forward };
             let entry = Entry { at: [0.0, 0.0, 112.0], into: [0.0, 0.0, -1.0] };
             let feelers = tip_of(radius);
-            // From the middle of nowhere to where it touches, and some way into the wall.
+            // From a free position to contact, and some way into the wall.
             for _ in 0..12 {
                 let all = feelers.clearance_of_all(&field, &tip, &entry);
                 let led = feelers.clearance(&field, &tip, &entry);

@@ -1,6 +1,6 @@
 use carina_grid::{Affine, cross, dot, unit};
 
-/// The vector `a` mirrored in the plane with normal `v`.
+/// Return the vector `a` mirrored in the plane with normal `v`.
 fn mirrored(a: [f64; 3], v: [f64; 3]) -> [f64; 3] {
     let vv = dot(v, v);
     if vv < 1e-30 {
@@ -10,11 +10,12 @@ fn mirrored(a: [f64; 3], v: [f64; 3]) -> [f64; 3] {
     std::array::from_fn(|i| a[i] - f * v[i])
 }
 
-/// Camera frames along a curve that turn about the tangent as little as can be: double reflection (Wang, Juettler, Zheng
-/// and Liu, "Computation of rotation minimizing frames", ACM TOG 27(1), 2008, table I).
+/// Return camera frames along a curve that rotate about the tangent as little as possible.
 ///
-/// `tangents` are unit vectors, one per point. `up` seeds the first frame; it need not be at a right angle to the first
-/// tangent, only not along it (then `None`). Each frame has +x right, +y down, +z along the tangent, and the point as origin.
+/// The method is double reflection (Wang, Juettler, Zheng and Liu, "Computation of rotation minimizing frames", ACM TOG
+/// 27(1), 2008, table I). `tangents` are unit vectors, one per point. `up` defines the first frame; it need not be
+/// perpendicular to the first tangent, but must not be along it (then the result is `None`). Each frame has +x right,
+/// +y down, +z along the tangent, and the point as origin.
 #[must_use]
 pub fn rotation_minimising_frames(
     points: &[[f64; 3]],
@@ -33,7 +34,8 @@ pub fn rotation_minimising_frames(
             let down_left = mirrored(down, step);
             let rest: [f64; 3] = std::array::from_fn(|a| tangent[a] - tangent_left[a]);
             down = mirrored(down_left, rest);
-            // Two reflections keep right angles but for rounding, which would add up over thousands of points.
+            // Two reflections keep right angles except for rounding errors, which would accumulate over thousands of
+            // points.
             let along = dot(down, tangent);
             down = unit(std::array::from_fn(|a| down[a] - along * tangent[a]))?;
         }
@@ -51,7 +53,7 @@ pub fn rotation_minimising_frames(
 mod tests {
     use super::*;
 
-    /// Points and tangents of a helix of radius `a` and slope `b`, by arc length.
+    /// Return points and tangents of a helix of radius `a` and slope `b`, by arc length.
     fn helix(a: f64, b: f64, length: f64, num: usize) -> (Vec<[f64; 3]>, Vec<[f64; 3]>) {
         let c = (a * a + b * b).sqrt();
         (0..num)
@@ -65,13 +67,14 @@ mod tests {
 
     #[test]
     fn on_a_helix_the_frame_turns_against_the_normal_by_the_torsion() {
-        // A rotation-minimising frame turns by -torsion * length against the Frenet frame; torsion = b / (a^2 + b^2).
+        // A rotation-minimising frame turns by -torsion * length relative to the Frenet frame; torsion = b / (a^2 +
+        // b^2).
         let (a, b, length) = (10.0, 4.0, 60.0);
         let torsion = b / (a * a + b * b);
         let mut errors = Vec::new();
         for num in [31usize, 61] {
             let (points, tangents) = helix(a, b, length, num);
-            // Frenet normal at the start points to the axis, -x; use it as "up", so down = +x.
+            // The Frenet normal at the start points to the axis, -x; it is used as "up", so down = +x.
             let frames = rotation_minimising_frames(&points, &tangents, [-1.0, 0.0, 0.0]).unwrap();
             let last = frames.last().unwrap();
             let p = points[num - 1];
@@ -79,11 +82,11 @@ mod tests {
             let binormal = cross(tangents[num - 1], outwards.map(|v| -v));
             let down = last.column(1);
             let angle = libm::atan2(dot(down, binormal), dot(down, outwards));
-            // Frenet's normal (inwards) turns by the torsion about the tangent, so the frame falls behind it by as much.
+            // Frenet's normal (inwards) turns by the torsion about the tangent, so the frame lags behind it by as much.
             errors.push((angle - torsion * length).abs());
         }
         assert!(errors[1] < 1e-5, "{errors:?}");
-        // Fourth order (Wang 2008, 4.2): half the step, a sixteenth of the error; 12 leaves room for the next order.
+        // Fourth order (Wang 2008, 4.2): with half the step the error is a sixteenth; 12 allows for the next order.
         assert!(errors[0] / errors[1] > 12.0, "{errors:?}");
     }
 

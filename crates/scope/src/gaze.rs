@@ -1,6 +1,7 @@
 use carina_grid::unit;
 
-/// Weights of a Gaussian around `centre`, in steps of `step`, cut at three sigma, with the offset of the first.
+/// Return the weights of a Gaussian around `centre`, in steps of `step`, cut at three sigma, with the offset of the
+/// first weight.
 fn gaussian(centre: f64, sigma: f64, step: f64) -> (isize, Vec<f64>) {
     let first = ((centre - 3.0 * sigma) / step).floor() as isize;
     let last = ((centre + 3.0 * sigma) / step).ceil() as isize;
@@ -14,13 +15,14 @@ fn gaussian(centre: f64, sigma: f64, step: f64) -> (isize, Vec<f64>) {
     (first, weights.into_iter().map(|w| w / sum).collect())
 }
 
-/// Evenly spaced points, each replaced by a Gaussian mean of its neighbours. Both ends stay where they are: beyond them the
-/// line is continued through the end point.
+/// Replace each of the evenly spaced points by a Gaussian mean of its neighbours.
+///
+/// Both ends stay fixed: beyond them the line is continued by mirroring in the end point.
 pub(crate) fn smoothed(points: &[[f64; 3]], sigma_mm: f64, step_mm: f64) -> Vec<[f64; 3]> {
     let (first, weights) = gaussian(0.0, sigma_mm, step_mm);
     let last = points.len() as isize - 1;
     let at = |n: isize| -> [f64; 3] {
-        // A point beyond an end is the point as far inside, mirrored in the end point.
+        // A point beyond an end is the mirror image, in the end point, of the point as far inside.
         let (end, inner) = if n < 0 {
             (0, (-n).min(last))
         } else if n > last {
@@ -45,10 +47,10 @@ pub(crate) fn smoothed(points: &[[f64; 3]], sigma_mm: f64, step_mm: f64) -> Vec<
         .collect()
 }
 
-/// The direction to look in at each point: the mean tangent of the stretch ahead, weighted by a Gaussian.
+/// Return the viewing direction at each point: the mean tangent of the part ahead, weighted by a Gaussian.
 ///
-/// Looking along the tangent itself shows every voxel step of a path as a wobble, and turns into a branch only when the tip
-/// is already in it; a person looks ahead.
+/// A view along the tangent itself shows every voxel step of a path as a wobble, and turns into a branch only when the
+/// tip is already in the branch; a person looks ahead.
 pub(crate) fn gaze(
     points: &[[f64; 3]],
     ahead_mm: f64,
@@ -74,14 +76,14 @@ pub(crate) fn gaze(
         .map(|i| {
             let mut sum = [0.0; 3];
             for (n, w) in weights.iter().enumerate() {
-                // Beyond an end the line goes straight on.
+                // Beyond an end the line continues straight.
                 let t =
                     tangents[(i as isize + first + n as isize).clamp(0, last as isize) as usize];
                 for a in 0..3 {
                     sum[a] += w * t[a];
                 }
             }
-            // Where a path doubles back the mean vanishes; the last gaze that meant something is kept.
+            // Where a path reverses, the mean vanishes; the last valid gaze is kept.
             if carina_grid::length(sum) > 1e-3
                 && let Some(g) = unit(sum)
             {

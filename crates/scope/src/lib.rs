@@ -1,7 +1,8 @@
-//! The bronchoscope: how its tip follows a path (paper 3.2, path mode), and how the scope bends and touches the wall.
+//! Bronchoscope: the motion of its tip along a path (paper 3.2, path mode), and its bending and contact with the wall.
 //!
-//! A tracked path is a polyline, often a staircase of voxels. [`FlightCurve`] makes of it what a camera can ride on: a curve
-//! that stays within a stated distance of the polyline, a gaze that turns slowly, and frames that do not spin about it.
+//! A tracked path is a polyline, often with voxel steps. [`FlightCurve`] converts it to a path for a camera: a curve
+//! that stays within a given distance of the polyline, a gaze that turns slowly, and frames that do not rotate about
+//! the gaze.
 //!
 //! [`ScopeDrive`] is the instrument itself: insertion, roll and flexion move an elastic axis in a lumen, which is a
 //! [`WallField`], the signed distance to the wall.

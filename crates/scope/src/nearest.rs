@@ -1,4 +1,6 @@
-//! The nearest triangle of a mesh: readable, one point at a time. [`crate::nearest_packet`] is the same for eight.
+//! Nearest triangle of a mesh for one point at a time.
+//!
+//! The module is the readable reference of [`crate::nearest_packet`], which processes eight points.
 
 use std::collections::HashMap;
 
@@ -8,11 +10,13 @@ use crate::axis::{along, sub};
 
 type Point = [f64; 3];
 
-/// Triangles of a leaf.
+/// Number of triangles of a leaf.
 const LEAF: usize = 4;
 
-/// Nearest point of a triangle (Ericson, "Real-Time Collision Detection", 5.1.5), and what of it that is: 0 to 2 a
-/// corner, 3 to 5 the edge from that corner (less 3) to the next, 6 the face.
+/// Return the nearest point of a triangle, and the feature that contains it (Ericson, "Real-Time Collision Detection",
+/// 5.1.5).
+///
+/// The feature is 0 to 2 for a corner, 3 to 5 for the edge from that corner (minus 3) to the next, 6 for the face.
 pub(crate) fn nearest_on([a, b, c]: [Point; 3], p: Point) -> (Point, usize) {
     let (ab, ac, ap) = (sub(b, a), sub(c, a), sub(p, a));
     let (d1, d2) = (dot(ab, ap), dot(ac, ap));
@@ -49,7 +53,9 @@ pub(crate) fn nearest_on([a, b, c]: [Point; 3], p: Point) -> (Point, usize) {
 pub(crate) struct Node {
     low: Point,
     high: Point,
-    /// First triangle and number of them in a leaf; place of the right child and 0 in a fork (the left one follows it).
+    /// For a leaf, the first triangle and the number of triangles.
+    ///
+    /// For an inner node, the index of the right child and 0 (the left child follows the node).
     pub(crate) first: u32,
     pub(crate) count: u32,
 }
@@ -60,14 +66,15 @@ impl Node {
     }
 }
 
-/// Triangles in a tree of boxes.
+/// Triangles in a tree of bounding boxes.
 pub(crate) struct Boxes {
     pub(crate) nodes: Vec<Node>,
     pub(crate) triangles: Vec<[Point; 3]>,
-    /// Out of the lumen, of each triangle's corners, edges and face (see [`nearest_on`]): in front of which side of them
-    /// a point lies is the side of the wall that it lies on, whichever of equally near triangles was found (Baerentzen
-    /// and Aanaes, "Signed distance computation using the angle weighted pseudonormal", 2005). That of the triangle it
-    /// lies most in front of, which was taken before, is the wrong side at some corners.
+    /// Normals, out of the lumen, of each triangle's corners, edges and face (see [`nearest_on`]).
+    ///
+    /// The side of the feature's normal on which a point lies is the side of the wall, whichever of several equally
+    /// near triangles was found (Baerentzen and Aanaes, "Signed distance computation using the angle weighted
+    /// pseudonormal", 2005). Using the triangle that faces the point most gives the wrong side at some corners.
     normals: Vec<[Point; 7]>,
 }
 
@@ -124,19 +131,21 @@ impl Boxes {
         Self::split(nodes, vertices, all, middle..range.end);
     }
 
-    /// Whether a point whose nearest triangle this is lies in the lumen, or on the wall.
+    /// Return whether a point with this nearest triangle is in the lumen, or on the wall.
     pub(crate) fn is_inside(&self, p: Point, triangle: usize) -> bool {
         let (foot, part) = nearest_on(self.triangles[triangle], p);
         dot(sub(p, foot), self.normals[triangle][part]) <= 0.0
     }
 
-    /// Signed distance, positive inside, with the nearest triangle. `hint` is a triangle that may be near.
+    /// Return the signed distance, positive inside, and the nearest triangle.
+    ///
+    /// `hint` is a triangle that may be near.
     pub(crate) fn signed(&self, p: Point, hint: usize) -> (f64, usize) {
         let measure = |t: usize| {
             let away = sub(p, nearest_on(self.triangles[t], p).0);
             dot(away, away)
         };
-        // Compared squared.
+        // Squared distances are compared.
         let (mut best, mut which) = (measure(hint), hint);
         let mut stack = [(0.0, 0u32); 64];
         let mut depth = 1;
@@ -177,7 +186,10 @@ impl Boxes {
     }
 }
 
-/// Of corners the sum of their faces' normals by angle, of edges that of their two faces'.
+/// Compute the normals of corners and edges.
+///
+/// The normal of a corner is the sum of its faces' normals weighted by angle, that of an edge the sum of those of its
+/// two faces.
 fn normals(num_vertices: usize, order: &[[u32; 3]], corners: &[[Point; 3]]) -> Vec<[Point; 7]> {
     let add = |to: &mut Point, share: f64, n: Point| *to = along(*to, share, n);
     let mut of_corner = vec![[0.0; 3]; num_vertices];
@@ -224,7 +236,7 @@ fn squared_box_distance(node: &Node, p: Point) -> f64 {
 pub(crate) mod tests {
     use super::*;
 
-    /// A cube of 10 mm round the origin.
+    /// Return a cube of 10 mm round the origin.
     pub(crate) fn cube() -> (Vec<Point>, Vec<[u32; 3]>) {
         let vertices = (0..8usize)
             .map(|c| std::array::from_fn(|a| if c >> a & 1 == 1 { 5.0 } else { -5.0 }))
@@ -244,7 +256,7 @@ pub(crate) mod tests {
         (vertices, triangles)
     }
 
-    /// A closed surface of `rows` rings of `round` points between two ends, the upper one first.
+    /// Return a closed surface of `rows` rings of `round` points between two ends, the upper one first.
     pub(crate) fn of_rings(
         [top, bottom]: [Point; 2],
         [rows, round]: [usize; 2],

@@ -1,7 +1,7 @@
-//! Signed distances of eight points at once: one walk through the tree of boxes, triangles measured in lanes.
+//! Signed distances of eight points at once: one traversal of the tree of boxes, triangles measured in lanes.
 //!
-//! [`Boxes::signed`] is the readable form; a property test holds the two together. Lanes are plain arrays that the
-//! compiler turns into registers. Nothing is fused or estimated, so every instruction set gives the same bits.
+//! [`Boxes::signed`] is the readable form; a property test compares the two. Lanes are plain arrays that the compiler
+//! translates to registers. No operation is fused or approximated, so every instruction set gives the same bits.
 #![allow(
     clippy::inline_always,
     reason = "operations of lanes must become registers in the function that has them enabled"
@@ -18,20 +18,20 @@ use crate::nearest::Boxes;
 type Point = [f64; 3];
 type Lanes = [f32; LANES];
 
-/// Boxes are kept in f32 about the mesh's middle: more than that rounds.
+/// Margin of the boxes, which are stored in f32 relative to the mesh's middle; rounding errors are smaller.
 const BOX_MM: f32 = 1e-4;
 
-/// A triangle as lanes need it.
+/// Triangle in the form that the lanes need.
 struct Face {
     corner: Point,
-    /// Edges from corner to corner, once round.
+    /// Edges from corner to corner, in order.
     edges: [[f32; 3]; 3],
-    /// Directions in the triangle's plane that lead out over each edge.
+    /// Directions in the triangle's plane that point outwards across each edge.
     outwards: [[f32; 3]; 3],
-    /// 1 / length^2 of the edges; 0 for one without length.
+    /// 1 / length^2 of the edges; 0 for an edge without length.
     inverse: [f32; 3],
     normal: [f32; 3],
-    /// 1 for a triangle without area, of which only the edges count.
+    /// 1 for a triangle without area, for which only the edges count.
     flat: f32,
 }
 
@@ -52,7 +52,7 @@ impl Face {
             corner: a,
             edges: edges.map(single),
             outwards: edges.map(|e| single(cross(e, normal))),
-            // An edge shorter than f32 can square has no length either.
+            // An edge whose squared length underflows in f32 also counts as having no length.
             inverse: inverse.map(|v| if v.is_finite() { v } else { 0.0 }),
             normal: single(normal),
             flat: f32::from(u8::from(normal == [0.0; 3])),
@@ -60,19 +60,19 @@ impl Face {
     }
 }
 
-/// The mesh for questions in packets.
+/// Mesh prepared for queries of packets of points.
 pub(crate) struct Packets<'a> {
     boxes: &'a Boxes,
     middle: Point,
-    /// Low and high corners of the nodes' boxes, from the middle.
+    /// Low and high corners of the nodes' boxes, relative to the middle.
     spans: Vec<[[f32; 3]; 2]>,
     faces: Vec<Face>,
     simd: InstructionSet,
 }
 
-/// Eight points that lie together.
+/// Packet of eight points that are near each other.
 pub(crate) struct Together {
-    /// What the points are given from.
+    /// Origin of the points' coordinates.
     pub(crate) origin: Point,
     /// x, y and z of the points, mm from the origin.
     pub(crate) at: [Lanes; 3],
@@ -102,7 +102,9 @@ impl<'a> Packets<'a> {
         }
     }
 
-    /// Signed distances in mm, positive inside, and the nearest triangles. `hint` is a triangle that may be near.
+    /// Return signed distances in mm, positive inside, and the nearest triangles.
+    ///
+    /// `hint` is a triangle that may be near.
     pub(crate) fn signed(&self, points: &Together, hint: u32) -> Found {
         let (mut signed_mm, triangles) = self.nearest(points, hint);
         for n in 0..LANES {
@@ -120,8 +122,8 @@ impl<'a> Packets<'a> {
     fn nearest(&self, points: &Together, hint: u32) -> (Lanes, [u32; LANES]) {
         match self.simd {
             #[cfg(target_arch = "x86_64")]
-            // SAFETY: the set is one of `InstructionSet::available`, which asked this machine. Measured by
-            // `cargo bench -p carina-scope --bench field`.
+            // SAFETY: `self.simd` is one of `InstructionSet::available`, which has tested this machine for the
+            // instructions. Measured by `cargo bench -p carina-scope --bench field`.
             InstructionSet::Avx2 | InstructionSet::Avx512 => unsafe {
                 self.nearest_avx2(points, hint)
             },
@@ -157,7 +159,8 @@ impl<'a> Packets<'a> {
             at[1].plus(E::all(shift[1])),
             at[2].plus(E::all(shift[2])),
         ];
-        // Each lane asks only for what may be nearer to itself: together they see little more than one of them alone.
+        // A box is visited only if it may contain a triangle nearer to some lane; eight near points together visit
+        // little more than one of them alone.
         let mut bound = nearest.bound();
         let mut stack = [(E::all(0.0), 0u32); 64];
         let mut depth = 1;
@@ -239,15 +242,15 @@ fn squared_to_edge<E: Eight>(from: [E; 3], edge: [f32; 3], inverse: f32) -> E {
     x.times(x).plus(y.times(y)).plus(z.times(z))
 }
 
-/// The nearest so far, for each lane.
+/// Nearest triangle so far, for each lane.
 struct Nearest<E> {
     distance: E,
-    /// The triangle's number, as bits.
+    /// Number of the triangle, stored as the bits of an f32.
     which: E,
 }
 
 impl<E: Eight> Nearest<E> {
-    /// Measure a triangle from every lane.
+    /// Measure the distance of a triangle from every lane.
     #[inline(always)]
     fn meet(&mut self, face: &Face, number: u32, origin: Point, at: [E; 3]) {
         let corner = [
@@ -273,7 +276,7 @@ impl<E: Eight> Nearest<E> {
         self.distance = self.distance.lesser(distance);
     }
 
-    /// Nothing farther than this, squared, changes a lane.
+    /// Return the squared distance beyond which no triangle changes a lane.
     #[inline(always)]
     fn bound(&self) -> E {
         let far = self.distance.plus(E::all(BOX_MM));
@@ -281,7 +284,7 @@ impl<E: Eight> Nearest<E> {
     }
 }
 
-/// What was found for each of eight points.
+/// Results for each of eight points.
 pub(crate) struct Found {
     pub(crate) signed_mm: Lanes,
     pub(crate) triangles: [u32; LANES],
@@ -293,7 +296,8 @@ mod tests {
     use crate::nearest::tests::{cube, of_rings};
     use proptest::prelude::*;
 
-    /// A closed surface round the origin with folds and dents: a sphere of latitudes whose corners lie at random radii.
+    /// Return a closed surface round the origin with folds and dents: a sphere of latitudes whose corners have random
+    /// radii.
     fn dented(radii: &[f64]) -> (Vec<Point>, Vec<[u32; 3]>) {
         const ROWS: usize = 7;
         const ROUND: usize = 9;
@@ -330,7 +334,7 @@ mod tests {
             for n in 0..LANES {
                 let p = std::array::from_fn(|a| points.origin[a] + f64::from(points.at[a][n]));
                 let (truth, _) = boxes.signed(p, 0);
-                // f32 of coordinates within some 10 mm.
+                // Tolerance: rounding to f32 of coordinates within some 10 mm.
                 let one = f64::from(found.signed_mm[n]);
                 assert!((one - truth).abs() < 2e-5, "{one} {truth} at {p:?}");
                 let triangle = boxes.triangles[found.triangles[n] as usize];
@@ -342,7 +346,8 @@ mod tests {
         assert!(bits.windows(2).all(|w| w[0] == w[1]));
     }
 
-    /// How often the surface goes round a point, by solid angles (van Oosterom and Strackee 1983): 1 inside, 0 outside.
+    /// Return the winding number of the surface round a point, by solid angles (van Oosterom and Strackee 1983): 1
+    /// inside, 0 outside.
     fn winding(vertices: &[Point], triangles: &[[u32; 3]], p: Point) -> f64 {
         let angles = triangles.iter().map(|t| {
             let [a, b, c] = t.map(|v| sub(vertices[v as usize], p));
@@ -393,7 +398,8 @@ mod tests {
         let (mut vertices, mut triangles) = cube();
         vertices.push([0.0, 0.0, 5.0]);
         triangles.extend([[8, 8, 8], [0, 0, 1], [8, 1, 8]]);
-        // The last two lie on the surface or inside: as edges they are near, and tell no side.
+        // The last two triangles are on the surface or inside: only their edges are near, and they do not determine a
+        // side.
         for seed in 0..50 {
             check(
                 &vertices,

@@ -1,37 +1,39 @@
-//! The lumen's wall as a signed distance: how far a point is from it, and which way is away from it.
+//! Wall of the lumen as a signed distance field: distance of a point from the wall, and direction away from the wall.
 //!
-//! Distances are samples of a lattice and are read trilinearly. Only bricks of the lattice near the wall are stored: a
-//! trachea and its branches are thin things in a large box.
+//! Distances are samples on a lattice and are interpolated trilinearly. Only bricks of the lattice near the wall are
+//! stored, because a trachea and its branches fill a small part of a large box.
 
 use carina_grid::Affine;
 
 use crate::ScopeError;
 
-/// Cells of a brick on each axis; a brick stores one sample more, so that a cell never needs two bricks.
+/// Number of cells of a brick on each axis; a brick stores one more sample, so that a cell never needs two bricks.
 pub(crate) const CELLS: usize = 8;
 const SIDE: usize = CELLS + 1;
 pub(crate) const SAMPLES: usize = SIDE * SIDE * SIDE;
-/// Size of the matrix and of the shape in the bytes of a field.
+/// Size of the matrix and of the shape in the serialised bytes of a field.
 const HEAD_BYTES: usize = 8 * 15;
-/// Distances are kept from this far outside the lumen ...
+/// Largest distance outside the lumen that is stored; beyond, the stored value means "farther".
 pub(crate) const OUTSIDE_MM: f64 = 2.5;
-/// ... to this far inside; beyond, they say only that it is farther. No scope has such a radius.
+/// Largest distance inside the lumen that is stored; beyond, the stored value means "farther".
+///
+/// No scope has such a radius.
 pub(crate) const INSIDE_MM: f64 = 4.5;
 const FAR_OUTSIDE: u32 = u32::MAX;
 const FAR_INSIDE: u32 = u32::MAX - 1;
 
-/// What a brick holds.
+/// Contents of a brick.
 pub(crate) enum Brick {
-    /// Farther than [`OUTSIDE_MM`] outside the lumen.
+    /// All samples are farther than [`OUTSIDE_MM`] outside the lumen.
     Outside,
-    /// Farther than [`INSIDE_MM`] from the wall.
+    /// All samples are inside and farther than [`INSIDE_MM`] from the wall.
     Inside,
     /// Samples, x fastest.
     Near(Vec<f32>),
 }
 
 impl Brick {
-    /// What these samples make.
+    /// Create a brick from its samples.
     pub(crate) fn of(samples: Vec<f32>) -> Self {
         if samples.iter().all(|&d| f64::from(d) <= -OUTSIDE_MM) {
             Self::Outside
@@ -48,17 +50,22 @@ impl Brick {
 pub struct WallField {
     lattice_from_lps: Affine,
     lps_from_lattice: Affine,
-    /// Samples along i, j, k.
+    /// Number of samples along i, j, k.
     shape_ijk: [usize; 3],
     num_bricks: [usize; 3],
     brick_at: Vec<u32>,
     samples: Vec<f32>,
-    /// Half the smallest distance of samples: the step of differences.
+    /// Half of the smallest sample spacing: the step of the finite differences.
     step_mm: f64,
 }
 
 impl WallField {
-    /// A field from signed distances on a grid, positive in the lumen, `[z, y, x]`, x fastest.
+    /// Create a field from signed distances on a grid, positive in the lumen, `[z, y, x]`, x fastest.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the number of distances does not match the shape, if a distance is NaN, or if there is no
+    /// lumen.
     pub fn from_distances(
         distance_mm: &[f32],
         shape_ijk: [usize; 3],
@@ -91,7 +98,7 @@ impl WallField {
         })
     }
 
-    /// A field of bricks, each made from the lattice place of its first sample.
+    /// Create a field of bricks; `make` returns each brick from the lattice position of its first sample.
     pub(crate) fn build(
         shape_ijk: [usize; 3],
         lps_from_lattice: Affine,
@@ -139,19 +146,19 @@ impl WallField {
         })
     }
 
-    /// Where the lattice lies.
+    /// Return the transform of the lattice to patient space.
     #[must_use]
     pub const fn lps_from_lattice(&self) -> &Affine {
         &self.lps_from_lattice
     }
 
-    /// Memory of the samples.
+    /// Return the memory of the samples in bytes.
     #[must_use]
     pub const fn num_bytes(&self) -> usize {
         self.samples.len() * size_of::<f32>()
     }
 
-    /// All that it holds, as bytes one after the other: equal fields give equal bytes.
+    /// Call `take` with all data of the field as successive bytes; equal fields give equal bytes.
     pub fn for_each_part(&self, mut take: impl FnMut(&[u8])) {
         for row in self.lps_from_lattice.rows() {
             for v in row {
@@ -175,7 +182,11 @@ impl WallField {
         }
     }
 
-    /// Decodes the bytes of [`WallField::for_each_part`], joined; refuses bytes that are not a field.
+    /// Decode the joined bytes of [`WallField::for_each_part`].
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the bytes are not a field.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, ScopeError> {
         let refuse = |reason: &str| ScopeError::Wall {
             reason: format!("the bytes are not those of a wall: {reason}"),
@@ -191,7 +202,7 @@ impl WallField {
             return Err(refuse("the lattice is not finite"));
         }
         let shape = [12, 13, 14].map(|n| u64::from_le_bytes(word(n)));
-        // 2^16 samples on an axis are 26 m; the limit keeps the products below from overflow.
+        // 2^16 samples on an axis are 26 m; the limit prevents an overflow of the products below.
         if shape.iter().any(|n| !(2..=1 << 16).contains(n)) {
             return Err(refuse("the shape of the lattice is out of range"));
         }
@@ -236,15 +247,16 @@ impl WallField {
         })
     }
 
-    /// Distance to the wall, positive in the lumen. It ends at -2.5 mm outside (also beyond the lattice, and for a point
-    /// that is no number) and at 4.5 mm inside.
+    /// Return the distance to the wall, positive in the lumen.
+    ///
+    /// The distance is limited to -2.5 mm outside (also beyond the lattice, and for a NaN) and to 4.5 mm inside.
     #[must_use]
     pub fn distance_mm(&self, p_lps: [f64; 3]) -> f64 {
         let at = self.lattice_from_lps.point(p_lps);
         let mut cell = [0usize; 3];
         let mut share = [0.0; 3];
         for a in 0..3 {
-            // Written so that a NaN is outside.
+            // The comparison is written so that a NaN is outside.
             if !(at[a] >= 0.0 && at[a] <= (self.shape_ijk[a] - 1) as f64) {
                 return -OUTSIDE_MM;
             }
@@ -269,7 +281,7 @@ impl WallField {
         mix(plane(0), plane(SIDE * SIDE), share[2])
     }
 
-    /// Which way the distance grows, unit length; `None` where it is the same all round.
+    /// Return the unit direction in which the distance increases; `None` if it is constant in all directions.
     #[must_use]
     pub fn away_from_wall(&self, p_lps: [f64; 3]) -> Option<[f64; 3]> {
         let h = self.step_mm;
@@ -292,7 +304,7 @@ mod tests {
     use super::*;
     use carina_grid::length;
 
-    /// A tube along z, on anisotropic samples that are turned by 30 degrees.
+    /// Return a tube along z, on anisotropic samples rotated by 30 degrees.
     fn tube(radius: f64) -> WallField {
         let (s, c) = (0.5, libm::sqrt(0.75));
         let lps = Affine::from_columns(
@@ -358,7 +370,7 @@ mod tests {
         for short in [0, 8, HEAD_BYTES, HEAD_BYTES + 3, good.len() - 1] {
             assert!(WallField::from_bytes(&good[..short]).is_err(), "{short}");
         }
-        // A row of the matrix, a size of the lattice, the number of a brick, a sample.
+        // Damaged are a row of the matrix, a size of the lattice, the number of a brick, and a sample.
         for (at, bytes) in [
             (0, f64::NAN.to_le_bytes()),
             (0, 0.0f64.to_le_bytes()),

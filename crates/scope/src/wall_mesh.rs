@@ -1,4 +1,4 @@
-//! The wall's signed distance from a closed mesh: exact to the nearest triangle at every sample.
+//! Signed distance field of the wall from a closed mesh: exact to the nearest triangle at every sample.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -14,9 +14,14 @@ use crate::wall::{Brick, CELLS, INSIDE_MM, OUTSIDE_MM, SAMPLES, WallField, clamp
 type Point = [f64; 3];
 
 impl WallField {
-    /// A field from a closed mesh whose triangles are counterclockwise from outside, on samples `spacing_mm` apart.
+    /// Compute a field from a closed mesh whose triangles are counterclockwise from outside, on samples `spacing_mm`
+    /// apart.
     ///
-    /// `go_on` is told the share done and may end the work.
+    /// `go_on` receives the completed share and returns false to stop the computation.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the mesh is not valid or `go_on` returns false.
     pub fn from_mesh(
         vertices: &[Point],
         triangles: &[[u32; 3]],
@@ -70,7 +75,7 @@ impl WallField {
         for (slot, &(n, _)) in near.iter().enumerate() {
             slots[n] = slot;
         }
-        // The first brick that may not go on ends them all.
+        // The first brick whose check returns false stops all bricks.
         let owned: Option<Vec<Owned>> = near
             .par_iter()
             .map(|&(n, hint)| {
@@ -106,7 +111,7 @@ impl WallField {
                     for z in 0..=CELLS {
                         for y in 0..=CELLS {
                             let there = |x: usize| [first[0] + x, first[1] + y, first[2] + z];
-                            // What it owns in one piece; its neighbours have the rest.
+                            // The samples that the brick owns are contiguous; the others come from its neighbours.
                             let own_row = if y < CELLS && z < CELLS {
                                 let row = (z * CELLS + y) * CELLS;
                                 &own[row..row + CELLS]
@@ -124,23 +129,23 @@ impl WallField {
     }
 }
 
-/// The samples that a brick owns, x fastest: all but those on its far faces, which are its neighbours' first ones.
+/// Samples that a brick owns, x fastest: all but those on its far faces, which are the first ones of its neighbours.
 type Owned = Vec<f32>;
 
-/// Share of the work that it is to tell the kinds of bricks.
+/// Share of the work that determines the kinds of bricks.
 const CLASSED: f64 = 0.1;
 
-/// Packets of the samples that a brick owns.
+/// Number of packets of the samples that a brick owns.
 const NUM_PACKETS: usize = (CELLS / 2) * (CELLS / 2) * (CELLS / 2);
 
-/// What is told and asked while it works.
+/// Progress counter and stop function of the computation.
 struct Steps<'a, F> {
     done: AtomicUsize,
     go_on: &'a F,
 }
 
 impl<F: Fn(f64) -> bool + Sync> Steps<'_, F> {
-    /// One of `num` bricks is measured.
+    /// Count a finished brick of `num` bricks; return false if the computation must stop.
     fn go_on(&self, num: usize) -> bool {
         let done = self.done.fetch_add(1, Ordering::Relaxed) + 1;
         (self.go_on)(CLASSED + (1.0 - CLASSED) * done as f64 / num as f64)
@@ -151,7 +156,7 @@ impl<F: Fn(f64) -> bool + Sync> Steps<'_, F> {
 enum Kind {
     Outside,
     Inside,
-    /// With the triangle that is nearest to its middle: where the search in it begins, whichever thread it falls to.
+    /// With the triangle nearest to the brick's middle, at which its search starts in any thread.
     Near(usize),
 }
 
@@ -165,7 +170,10 @@ const fn index_of(at: [usize; 3], num: [usize; 3]) -> usize {
     (at[2] * num[1] + at[1]) * num[0] + at[0]
 }
 
-/// What each brick holds, or may hold: no triangle's box near, the distance of its middle tells.
+/// Return the kind of each brick.
+///
+/// Bricks near a triangle's box are `Near`, and bricks that are connected with the faces of the lattice are `Outside`.
+/// For the other bricks the signed distance from the brick's centre to the wall determines the kind.
 fn brick_kinds<F: Fn(f64) -> bool + Sync>(
     boxes: &Boxes,
     lps: &Affine,
@@ -212,13 +220,15 @@ fn brick_kinds<F: Fn(f64) -> bool + Sync>(
     Ok(made.concat())
 }
 
-/// The place of a lane in its packet.
+/// Return the position of a lane in its packet.
 #[inline]
 const fn bits(lane: usize) -> [usize; 3] {
     [lane & 1, lane >> 1 & 1, lane >> 2 & 1]
 }
 
-/// Places of a packet's samples from its first one: two on each axis, `apart_mm`. The lattice is upright.
+/// Return the offsets of a packet's samples from its first one: two on each axis, `apart_mm` apart.
+///
+/// The lattice is parallel to the LPS axes.
 fn two_on_each_axis(apart_mm: f32) -> [[f32; LANES]; 3] {
     let mut at = [[0.0; LANES]; 3];
     for (a, row) in at.iter_mut().enumerate() {
@@ -229,12 +239,12 @@ fn two_on_each_axis(apart_mm: f32) -> [[f32; LANES]; 3] {
     at
 }
 
-/// Signed distances of the samples that a brick owns, each to the nearest of all triangles.
+/// Return the signed distances of the samples that a brick owns, each to the nearest of all triangles.
 fn own_samples(packets: &Packets<'_>, lps: &Affine, first: [usize; 3], hint: usize) -> Owned {
     let mut found = vec![0.0; CELLS * CELLS * CELLS];
     let spacing = carina_grid::length(lps.column(0)) as f32;
     let apart = two_on_each_axis(spacing);
-    // From any sample of a packet to any of the next one.
+    // Distance from any sample of a packet to any sample of the next packet.
     let reach = libm::sqrtf(9.0 + 1.0 + 1.0) * spacing;
     let mut hint = hint as u32;
     let mut before = 0.0f32;
@@ -243,7 +253,8 @@ fn own_samples(packets: &Packets<'_>, lps: &Affine, first: [usize; 3], hint: usi
         let place = index_of(at, [CELLS; 3]);
         if at[0] > 0 && (before > INSIDE_MM as f32 + reach || before < -(OUTSIDE_MM as f32 + reach))
         {
-            // So far from the wall beside it that it says no more than that: no need to ask.
+            // The previous packet is so far from the wall that the values of this packet are clamped, too; no query is
+            // needed.
             for lane in 0..LANES {
                 found[place + index_of(bits(lane), [CELLS; 3])] = clamped(before);
             }
@@ -267,11 +278,12 @@ fn own_samples(packets: &Packets<'_>, lps: &Affine, first: [usize; 3], hint: usi
     found
 }
 
-/// No triangle is near.
+/// Marker for no near triangle.
 const NONE: u32 = u32::MAX;
 
-/// For each brick a triangle whose box is within [`OUTSIDE_MM`] of its own, or [`NONE`]: then all of it is outside and
-/// farther, or inside.
+/// Return, for each brick, a triangle whose box is within [`OUTSIDE_MM`] of the brick.
+///
+/// The result is [`NONE`] if there is none: then the whole brick is inside, or farther outside.
 fn triangles_near(boxes: &Boxes, low: Point, brick_mm: f64, num: [usize; 3]) -> Vec<u32> {
     let mut near = vec![NONE; num.iter().product()];
     for (t, corners) in boxes.triangles.iter().enumerate() {
@@ -295,7 +307,7 @@ fn triangles_near(boxes: &Boxes, low: Point, brick_mm: f64, num: [usize; 3]) -> 
     near
 }
 
-/// Bricks that are reached from the lattice's faces without passing one near a triangle.
+/// Return the bricks that can be reached from the faces of the lattice without passing a brick near a triangle.
 fn reached_from_outside(near: &[u32], num: [usize; 3]) -> Vec<bool> {
     let mut reached = vec![false; near.len()];
     let mut open = Vec::new();
@@ -339,7 +351,7 @@ mod tests {
             ([0.0, -6.0, 1.0], -1.0),
             ([0.0, 0.0, 0.0], INSIDE_MM),
         ] {
-            // The ridge in the middle is the one place where a distance is not straight between samples.
+            // The ridge in the middle is the only position where the distance is not linear between samples.
             assert!((field.distance_mm(p) - truth).abs() < 0.26, "{p:?}");
         }
         assert_eq!(field.distance_mm([40.0, 0.0, 0.0]), -OUTSIDE_MM);
@@ -355,7 +367,7 @@ mod tests {
         assert_eq!(stopped.unwrap_err(), ScopeError::Cancelled);
     }
 
-    /// A sphere of 7 mm and a tube out of it, in triangles of some mm.
+    /// Return a sphere of 7 mm with a tube attached, in triangles of some mm.
     fn bulb() -> (Vec<Point>, Vec<[u32; 3]>) {
         const ROWS: usize = 40;
         const ROUND: usize = 24;
@@ -383,7 +395,7 @@ mod tests {
                     let (truth, _) = boxes.signed(p, 0);
                     let wanted = truth.clamp(-OUTSIDE_MM, INSIDE_MM);
                     num_in_band += u32::from(wanted == truth);
-                    // f32, and a read between samples that rounding leaves a hair off one.
+                    // Tolerance: rounding to f32, and interpolation at a position that rounding moves slightly off a sample.
                     let found = field.distance_mm(p);
                     assert!((found - wanted).abs() < 5e-5, "{found} {wanted} at {p:?}");
                 }

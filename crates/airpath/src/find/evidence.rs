@@ -1,9 +1,10 @@
-//! The way from a place in the lung to the lumen along which the CT shows most of a wall (docs/decisions/0119).
+//! Path from a position in the lung to the lumen along which the CT shows the most wall (docs/decisions/0119).
 //!
-//! What counts as wall is what the extension follows ([`crate::find::tubeness`]): how far the values rise on all but a fifth of
-//! the rays from a voxel. A step is cheap where that is high, or where the values are as dark as the air of a wide airway, which
-//! rays of 3 mm do not cross; it is dear in plain lung and dearer towards tissue. How enclosed a voxel is does
-//! not depend on where a search began, so it is kept: a pointer that moves asks for much the same voxels again.
+//! The measure of wall is that of the extension ([`crate::find::tubeness`]): the rise of the values on all but a fifth
+//! of the rays from a voxel, called the enclosure. The cost of a step is low where the enclosure is high, or where the
+//! values are as dark as the air of a wide airway, which rays of 3 mm do not cross; it is high in plain lung and higher
+//! towards tissue. The enclosure of a voxel does not depend on the start of a search, so it is cached: a moving pointer
+//! needs mostly the same voxels again.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -15,35 +16,35 @@ use rayon::prelude::*;
 use crate::find::tubeness::{Enclosure, REACH_MM, smoothed};
 use carina_leastcost::{TrackError, Watch};
 
-/// What makes a step cheap or dear, in the volume's numbers.
+/// Levels that determine the cost of a step, in the volume's numbers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WayLevels {
-    /// A rise to the wall as most lung does not show it; twice as much is as good as it gets.
+    /// Rise to the wall that most lung does not reach; the cost is lowest at twice this rise.
     pub enclosed: f64,
-    /// As dark as this is the air of a wide airway.
+    /// Largest value that counts as the air of a wide airway.
     pub dark: f64,
-    /// From here on brightness makes a step dearer.
+    /// Value above which brightness increases the cost.
     pub bright: f64,
-    /// Brighter than this nothing passes.
+    /// Value above which no path passes.
     pub closed: f64,
 }
 
-/// Weight of a voxel without any wall round it, over that of an airway's middle.
+/// Weight of a voxel without any wall round it, relative to the middle of an airway.
 const PLAIN: f64 = 25.0;
 const DARK: f64 = 1.5;
-/// Added where a voxel is about as bright as tissue.
+/// Additional weight of a voxel that is about as bright as tissue.
 const BRIGHT: f64 = 6.0;
-/// Voxels that are looked at for an airway before a search heads straight for the lumen.
+/// Number of voxels that are searched for an airway before the search heads straight for the lumen.
 const PATIENCE: usize = 25_000;
-/// Voxels after which a search gives up: tissue lies between.
+/// Number of voxels after which a search stops, because tissue lies between.
 const MOST_VOXELS: usize = 300_000;
-/// Edge of a page of voxels.
+/// Edge length of a page, in voxels.
 const PAGE: usize = 8;
 const PAGE_VOXELS: usize = PAGE * PAGE * PAGE;
 const UNKNOWN: i16 = i16::MIN;
 const NO_STEP: u8 = 255;
 
-/// A volume without its finest noise, and how enclosed its voxels are.
+/// Volume without its finest noise, and the cached enclosures of its voxels.
 #[derive(Debug)]
 pub struct Enclosures {
     grid: Grid,
@@ -52,17 +53,17 @@ pub struct Enclosures {
     search: Mutex<Search>,
 }
 
-/// A way from the lumen to a place.
+/// Path from the lumen to a position.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SeenWay {
-    /// Voxels; the first lies in the lumen.
+    /// Voxels of the path; the first is in the lumen.
     pub voxels: Vec<[usize; 3]>,
     /// Sum of length in mm times weight.
     pub cost: f64,
 }
 
 impl Enclosures {
-    /// Of a volume.
+    /// Prepare a volume.
     #[must_use]
     pub fn new(values: VolumeView<'_, i16>) -> Self {
         let grid = values.grid().clone();
@@ -74,25 +75,25 @@ impl Enclosures {
         }
     }
 
-    /// Its grid.
+    /// Return the grid of the volume.
     #[must_use]
     pub const fn grid(&self) -> &Grid {
         &self.grid
     }
 
-    /// The volume without its finest noise.
+    /// Return the volume without its finest noise.
     #[must_use]
     pub fn smooth(&self) -> VolumeView<'_, i16> {
         VolumeView::new(&self.smooth, &self.grid).expect("made on this grid")
     }
 
-    /// Trilinear value without the finest noise, edge-clamped.
+    /// Return the trilinear value without the finest noise; outside the volume the nearest edge value is used.
     #[must_use]
     pub fn value_at(&self, ijk: [f64; 3]) -> f32 {
         carina_leastcost::lumen::interpolated(self.smooth(), ijk)
     }
 
-    /// How far the values rise on all but a fifth of the rays from a voxel.
+    /// Return the enclosure of a voxel: the rise of the values on all but a fifth of the rays.
     #[must_use]
     pub fn at(&self, voxel: [usize; 3]) -> i16 {
         let [nx, ny, _] = self.grid.shape_ijk();
@@ -100,7 +101,7 @@ impl Enclosures {
             .at(&self.smooth, voxel[0] + nx * (voxel[1] + ny * voxel[2]))
     }
 
-    /// Weight per mm of a voxel; 0 is closed.
+    /// Return the weight per mm of a voxel; 0 for a voxel that no path passes.
     #[must_use]
     pub fn weight(&self, levels: WayLevels, value: f64, rise: f64) -> f64 {
         if value > levels.closed {
@@ -116,13 +117,18 @@ impl Enclosures {
         }
     }
 
-    /// The cheapest way from the lumen to `start`; `None` if there is none.
+    /// Find the cheapest path from the lumen to `start`; return `None` if there is none.
     ///
-    /// Where an airway leads there it is found at once. Where none was met among so many voxels there is none, and the search
-    /// heads for `toward`, a place of the lumen: a way that is no airway need not be the cheapest of all.
+    /// If an airway leads to `start`, the search finds it quickly. If the search has met none after `PATIENCE`
+    /// voxels, it heads for `toward`, a position in the lumen: the resulting path follows no airway and need not be the
+    /// cheapest of all.
     ///
-    /// A step costs its length in mm times the mean weight of its voxels; of equally cheap ways the one whose last voxels come first
-    /// in array order is taken.
+    /// A step costs its length in mm times the mean weight of its voxels. Of equally cheap paths the result is the one
+    /// whose last voxels come first in array order.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if `watch` stops the search.
     pub fn way(
         &self,
         start: [usize; 3],
@@ -135,9 +141,14 @@ impl Enclosures {
         self.cheapest(&mut search, start, Some(toward), levels, is_lumen, watch)
     }
 
-    /// From each place the cheapest way to anywhere `away_mm` from it, whatever lies there: what lung can pretend.
+    /// Find from each start the cheapest path to any voxel `away_mm` away, regardless of the tissue.
     ///
-    /// Ways begin at their far end; `None` where there is none.
+    /// The results show the cost of paths through lung alone. Paths begin at their far end; `None` where there is no
+    /// path.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if `watch` stops the search.
     pub fn runs(
         &self,
         starts: &[[usize; 3]],
@@ -252,10 +263,10 @@ impl Enclosures {
                 if there == 0.0 {
                     continue;
                 }
-                // The lumen costs what an airway's middle does.
+                // The lumen has the weight of an airway's middle.
                 let through =
                     here + step_mm * 0.5 * (weight + if there < 0.0 { 1.0 } else { there });
-                // Costs are kept as f32: compared as they are kept, so that each is reached once.
+                // Costs are stored as f32 and must be compared as f32, so that each voxel is reached once.
                 let through = f64::from(through as f32);
                 if through < known {
                     search.reach(to, through, n as u8);
@@ -270,7 +281,7 @@ impl Enclosures {
         Ok(None)
     }
 
-    /// The weight of a voxel, looked up once per search; below 0 in the lumen.
+    /// Return the weight of a voxel, which is computed once per search; below 0 in the lumen.
     fn look(
         &self,
         search: &mut Search,
@@ -317,11 +328,11 @@ const fn index(voxel: [usize; 3], nx: usize, ny: usize) -> usize {
     voxel[0] + nx * (voxel[1] + ny * voxel[2])
 }
 
-/// What searches know of the voxels that they met; only how enclosed they are is kept from one search to the next.
+/// Data of the voxels that a search has met; only the enclosures are reused by the next search.
 #[derive(Debug)]
 struct Search {
     num_pages: [usize; 3],
-    /// Where each page of the volume is kept, 0 where it is not, else one more than its place.
+    /// Index plus one of each page of the volume; 0 for a page that is not stored.
     place_of: Vec<u32>,
     last: (u32, u32),
     pages: Vec<Page>,
@@ -331,7 +342,9 @@ struct Search {
 #[derive(Debug)]
 struct Page {
     rise: [i16; PAGE_VOXELS],
-    /// The round in which the weight was looked up, and that in which the voxel was reached.
+    /// Number of the search in which the weight was computed.
+    ///
+    /// The next field is the search in which the voxel was reached.
     seen: [u32; PAGE_VOXELS],
     met: [u32; PAGE_VOXELS],
     weight: [f32; PAGE_VOXELS],
@@ -363,7 +376,7 @@ impl Search {
 
     fn begin(&mut self) {
         self.round += 1;
-        // 9 KiB each: where a hand has been all over a large volume, begin again.
+        // A page takes 9 KiB, so the cache is cleared when searches have covered much of a large volume.
         if self.pages.len() > 10_000 {
             self.pages.clear();
             self.place_of.fill(0);
@@ -412,7 +425,7 @@ impl Search {
         page.before[cell] = step;
     }
 
-    /// From a voxel back to the start of the search.
+    /// Return the voxels from a voxel back to the start of the search.
     fn back(&mut self, from: [usize; 3], steps: &[([isize; 3], f64)]) -> Vec<[usize; 3]> {
         let mut found = vec![from];
         let mut voxel = from;
@@ -429,7 +442,7 @@ impl Search {
     }
 }
 
-/// Finite costs in order.
+/// Finite cost with a total order.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Ordered(f64);
 
@@ -455,7 +468,7 @@ mod tests {
     use super::*;
     use carina_leastcost::Unwatched;
 
-    /// The least cost to reach any goal, by relaxing every step until nothing changes.
+    /// Return the least cost to reach any goal, by relaxing every step until nothing changes.
     fn least_cost(
         found: &Enclosures,
         start: [usize; 3],
@@ -535,7 +548,7 @@ mod tests {
             let is_goal = |voxel: [usize; 3]| voxel[0] == 0;
             let start = [6, 3, 2];
             let slow = least_cost(&found, start, levels, is_goal);
-            // Twice: what the first search leaves behind must not matter to the second.
+            // Two searches, because the data that the first one leaves must not change the result of the second.
             for _ in 0..2 {
                 match found.way(start, [0, 3, 2], levels, is_goal, &Unwatched).unwrap() {
                     Some(way) => {

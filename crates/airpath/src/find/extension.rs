@@ -1,15 +1,17 @@
-//! From the lumen that the flood found on into the airways that it could not follow (docs/algorithms.md).
+//! Extension of the lumen from the end of the flood into airways that the flood could not follow (docs/algorithms.md).
 //!
-//! The flood ends where an airway's wall no longer holds a level. What lies beyond is looked for by shape, not by level:
-//! voxels that are enclosed by brighter wall ([`crate::find::tubeness`]) are followed from the lumen's surface, face to face.
-//! How enclosed a voxel must be is read off the volume itself: lung away from the airways shows what noise, texture and vessels
-//! pretend. At most a fiftieth of it passes, far below the share (31 % of a cubic lattice joined by faces) at which
-//! passing voxels would join into ways of any length if they lay about by chance. An edge-enhancing kernel arranges them in
-//! sheets (docs/decisions/0113), so a search that reaches too much of the lung is given up.
+//! The flood ends where an airway's wall does not confine a level any more. The extension searches by shape instead of
+//! by level: voxels that are enclosed by brighter wall ([`crate::find::tubeness`]) are followed from the lumen's
+//! surface, face to face. The threshold of the enclosure comes from the volume itself: lung away from the airways shows
+//! the enclosures that noise, texture and vessels cause. At most a fiftieth of the lung passes the threshold, far below
+//! the share (31 % of a cubic lattice joined by faces) at which randomly placed voxels would form connected paths of
+//! any length. An edge-enhancing kernel arranges such voxels in sheets (docs/decisions/0113), so a search that reaches
+//! too much of the lung is cancelled.
 //!
-//! Of what was reached, paths are kept: from the lumen, along the most enclosed voxels, to the farthest tips, the longest
-//! first, cut where following them no longer pays. A path that is short, or not clearly better than lung, goes. Round a
-//! kept path the lumen is what is darker than half-way up to its wall there.
+//! The reached voxels give paths from the lumen, along the most enclosed voxels, to the farthest tips, the longest
+//! first; a path ends where its further part does not look like an airway. A path that is short, or not clearly better
+//! than lung, is removed. Round a remaining path the lumen consists of the voxels that are darker than half-way up to
+//! the wall there.
 
 use carina_grid::VolumeView;
 use rayon::prelude::*;
@@ -21,22 +23,26 @@ use crate::find::extension_ways::Search;
 use crate::find::tubeness::{Enclosure, REACH_MM, smoothed};
 use carina_leastcost::{TrackError, Watch};
 
-/// What the extension found.
+/// Result of [`extend`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Extension {
-    /// Kept paths, parents before what leaves them.
+    /// Accepted paths; a path comes before the paths that leave it.
     pub followed: Vec<Followed>,
-    /// Voxels that joined the lumen.
+    /// Number of voxels added to the lumen.
     pub num_voxels: usize,
-    /// How far values must rise round a voxel, in the volume's numbers: what 98 % of the lung does not reach.
+    /// Threshold of the enclosure in the volume's numbers, which 98 % of the lung does not reach.
     pub enclosed: f64,
-    /// Voxels that could be followed from the lumen's surface, before paths were judged.
+    /// Number of voxels that could be followed from the lumen's surface, before paths were judged.
     pub num_reached: usize,
-    /// It reached more of the lung than airways can, and was given up: nothing was added.
+    /// Whether the search reached more of the lung than airways can and was cancelled: nothing was added.
     pub ran_out: bool,
 }
 
-/// Extends `lumen` (1 inside, 0 outside; face-connected) in place: what is added gets [`EXTENDED`].
+/// Extend `lumen` (1 inside, 0 outside; face-connected) in place: added voxels get [`EXTENDED`].
+///
+/// # Errors
+///
+/// Returns an error if `watch` stops the search.
 pub fn extend(
     values: VolumeView<'_, i16>,
     lumen: &mut [u8],

@@ -1,31 +1,31 @@
-//! What the extension may do, what it calls an airway in this volume's lung, and the marks that it leaves on voxels.
+//! Limits of the extension, thresholds from the lung of a volume, and the marks of voxels during the search.
 
 use rayon::prelude::*;
 
 use crate::find::tubeness::Enclosure;
 
-/// What the extension may do.
+/// Limits of the extension.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ExtensionLimits {
-    /// Air in the trachea.
+    /// Value of the air in the trachea.
     pub air: f64,
-    /// Values of lung, the calibration's sample.
+    /// Range of values of lung, for the calibration's sample.
     pub lung: (i16, i16),
-    /// Brighter than this is no lumen.
+    /// Largest smoothed value of a voxel that can be lumen.
     pub brightest: i16,
-    /// Least rise from a lumen to its wall, whatever the lung shows.
+    /// Smallest rise from a lumen to its wall, independent of the lung.
     pub least_rise: f64,
-    /// Voxels that are less enclosed are crossed on at most this way, mm.
+    /// Longest path through less enclosed voxels, mm.
     pub gap_mm: f64,
-    /// A path must lead at least this far out of the lumen that is known, mm.
+    /// Smallest length by which a path must lead out of the known lumen, mm.
     pub min_length_mm: f64,
-    /// A voxel must be so many times as enclosed as this volume's lung asks for; 1 as a rule.
+    /// Factor of the enclosure threshold that this volume's lung gives; normally 1.
     pub raised: f64,
-    /// The search is given up once it has reached more than this share of the lung.
+    /// Largest share of the lung that the search may reach before it is cancelled.
     pub most_reached: f64,
-    /// The least probability of a way and all that it leaves.
+    /// Smallest accepted probability of a path together with all paths that it leaves.
     pub least_probability: f64,
-    /// Where thick slices were divided; None where voxels have the CT's own size.
+    /// How thick slices were divided; None if voxels have the CT's own size.
     pub divided: Option<Divided>,
 }
 
@@ -58,27 +58,30 @@ impl ExtensionLimits {
     }
 }
 
-/// How ways are judged where thick slices were divided.
+/// Parameters for judging paths in a volume of divided thick slices.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Divided {
     /// Axis of the grid across the slices.
     pub axis: usize,
     /// Thickness of the slices before they were divided, mm.
     pub slice_mm: f64,
-    /// A section pays by how much its log-odds exceed this.
+    /// Log-odds of a section above which it counts in favour of a path.
     pub least_odds: f64,
 }
 
-/// One airway that was followed beyond the flood's end.
+/// Airway that was followed beyond the end of the flood.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Followed {
-    /// Voxels of its middle, from the lumen outwards.
+    /// Voxels of its centreline, from the lumen outwards.
     pub voxels: Vec<u32>,
     /// Length, mm.
     pub length_mm: f64,
-    /// That it and all that it leaves are airways; 1 for the thinnest airways, which are judged in another way.
+    /// Probability that this path and all paths that it leaves are airways.
+    ///
+    /// The value is 1 for the thinnest airways, which are judged in another way.
     pub probability: f64,
-    /// Mean rise to the wall over what the lung pretends (1 is no better than the darkest fiftieth of lung).
+    /// Mean rise to the wall divided by the threshold from the lung (a value of 1 equals the most enclosed fiftieth of
+    /// the lung).
     pub contrast: f64,
 }
 
@@ -88,17 +91,21 @@ pub const EXTENDED: u8 = 2;
 pub(crate) const PENDING: u8 = 3;
 pub(crate) const REFUSED: u8 = 4;
 
-/// Share of the lung that is less enclosed than what is followed, and than what a path must be on average.
+/// Share of the lung that is less enclosed than followed voxels.
+///
+/// The next constant is the share for the mean of an accepted path.
 const FOLLOWED_SHARE: f64 = 0.98;
 const KEPT_SHARE: f64 = 0.995;
 
-/// Along an airway the values rise, as its lumen narrows and takes on more of the blur of its wall. A way that rises and falls
-/// again by more than this, in thresholds, has stepped over a wall into the lung; less than this share of the way from air
-/// to half a wall is none, however little noise there is.
+/// Largest fall of the values along a path, in thresholds.
+///
+/// Along an airway the values rise, because its lumen narrows and the blur of its wall increases. A path whose values
+/// rise and fall again by more than this has crossed a wall into the lung. `LEAST_DROP` is the lower limit, as a
+/// fraction of the distance from air to half of a wall, for volumes with little noise.
 const DROP: f64 = 8.0;
 const LEAST_DROP: f64 = 0.4;
 
-/// A gap's voxels are at least this share as enclosed.
+/// Smallest enclosure of a voxel in a gap, as a fraction of the threshold.
 const GAP_SHARE: f64 = 0.3;
 
 /// Number of lung voxels that the calibration uses at most, and needs at least.
@@ -113,15 +120,15 @@ const MOST_REACHED_DIVIDED: f64 = 0.04;
 /// [`ExtensionLimits::most_reached`], or if the way has no wall on one side.
 const SURE_PROBABILITY: f64 = 0.8;
 
-/// How enclosed voxels must be.
+/// Thresholds of the enclosure.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Levels {
     pub(crate) followed: i16,
     pub(crate) kept: f64,
     pub(crate) gap: i16,
-    /// A way that rises and falls again by more than this has stepped over a wall.
+    /// Largest fall of the values along a path after a rise; a path with a larger fall has crossed a wall.
     pub(crate) drop: f64,
-    /// Voxels; airways beyond the flood are a small part of the lung.
+    /// Largest number of reached voxels; airways beyond the flood are a small part of the lung.
     pub(crate) most_reached: usize,
 }
 

@@ -1,4 +1,5 @@
-//! What can be reached from the lumen's surface through enclosed voxels, and which of it without stepping over a sill.
+//! Voxels that can be reached from the lumen's surface through enclosed voxels, and those that need no crossing of a
+//! wall.
 
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
@@ -10,19 +11,20 @@ use crate::find::extension_levels::{ExtensionLimits, LUMEN, Levels, PENDING, REF
 use crate::find::tubeness::Enclosure;
 use carina_leastcost::{TrackError, Watch};
 
-/// A voxel that was reached.
+/// Voxel that was reached.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Node {
     pub(crate) voxel: u32,
-    /// To its wall: how enclosed it is.
+    /// Rise to its wall: its enclosure.
     pub(crate) rise: i16,
-    /// Way without a wall that leads to it, mm.
+    /// Length of the path without a wall that leads to it, mm.
     gap_mm: f32,
 }
 
-/// All voxels that can be followed from the lumen's surface, in the order in which they were met.
+/// Return all voxels that can be followed from the lumen's surface, in the order in which they were met.
 ///
-/// It ends early with more than [`Levels::most_reached`] of them: then it runs out into the lung.
+/// The search ends early if it reaches more than [`Levels::most_reached`] voxels, because it has then leaked into the
+/// lung.
 pub(crate) fn reach(
     values: VolumeView<'_, i16>,
     smooth: &[i16],
@@ -34,7 +36,7 @@ pub(crate) fn reach(
 ) -> Result<Vec<Node>, TrackError> {
     let faces = Faces::new(values);
     let mut nodes: Vec<Node> = Vec::new();
-    // (voxel, gap before it, mm of the step to it)
+    // Items are (voxel, gap before it, mm of the step to it).
     let mut wave: Vec<(u32, f32, f32)> = Vec::new();
     for at in 0..lumen.len() {
         if lumen[at] == LUMEN {
@@ -46,7 +48,7 @@ pub(crate) fn reach(
             });
         }
     }
-    // Voxels that no short gap has led to yet, and how enclosed they are.
+    // Voxels, with their enclosures, that no sufficiently short gap has reached yet.
     let mut waiting: HashMap<u32, i16> = HashMap::new();
     while !wave.is_empty() && nodes.len() <= levels.most_reached {
         watch.go_on(0.3)?;
@@ -69,7 +71,7 @@ pub(crate) fn reach(
             if rise < levels.gap || smooth[voxel as usize] > limits.brightest {
                 lumen[voxel as usize] = REFUSED;
             } else if f64::from(gap_mm) > limits.gap_mm {
-                // Another way may lead here by a shorter gap.
+                // Another path may reach this voxel through a shorter gap.
                 lumen[voxel as usize] = 0;
                 waiting.insert(voxel, rise);
             } else {
@@ -81,7 +83,7 @@ pub(crate) fn reach(
                 });
             }
         }
-        // The shortest gaps first: a voxel joins by the best of its ways.
+        // The shortest gaps come first, so that a voxel is reached by the best of its paths.
         let mut from: Vec<Node> = nodes[first..].to_vec();
         from.sort_by(|a, b| a.gap_mm.total_cmp(&b.gap_mm).then(a.voxel.cmp(&b.voxel)));
         for node in from {
@@ -96,7 +98,7 @@ pub(crate) fn reach(
     Ok(nodes)
 }
 
-/// The neighbours by faces, and how far they are.
+/// Neighbours by faces, and their distances.
 pub(crate) struct Faces {
     shape: [usize; 3],
     step_mm: [f32; 3],
@@ -135,9 +137,9 @@ impl Faces {
     }
 }
 
-/// Which of the reached voxels can be had without stepping over a sill: see [`Levels::drop`].
+/// Return which of the reached voxels can be reached without a fall larger than [`Levels::drop`].
 ///
-/// Voxels are met by the lowest way, as water would (a minimax path).
+/// Each voxel is reached by the path with the lowest maximum value (a minimax path).
 pub(crate) fn open_from(
     values: VolumeView<'_, i16>,
     smooth: &[i16],
@@ -181,7 +183,7 @@ pub(crate) fn open_from(
     open
 }
 
-/// Where each reached voxel stands in the list.
+/// Return the index of each reached voxel in the list.
 pub(crate) fn places(reached: &[Node]) -> HashMap<u32, u32> {
     reached
         .iter()

@@ -1,4 +1,6 @@
-//! The extension on drawn tubes: it follows a faint one, crosses a short gap, and leaves the lung and a groove alone.
+//! Tests of the extension on drawn tubes.
+//!
+//! The extension follows a faint tube and crosses a short gap, but enters neither the lung nor a groove.
 
 use carina_grid::{Affine, Grid, VolumeView, length};
 
@@ -25,7 +27,8 @@ struct Drawn {
     lumen: Vec<u8>,
 }
 
-/// Lung with noise, and a wide dark tube along x that is known up to `known_mm` and goes on thin and faint up to `ends_mm`.
+/// Draw lung with noise, and a wide dark tube along x that is known up to `known_mm` and continues thin and faint up to
+/// `ends_mm`.
 fn drawn(noise_hu: f64, known_mm: f64, ends_mm: f64, dimmed: impl Fn([f64; 3]) -> f64) -> Drawn {
     let place = Affine::from_columns(
         [0.0, 0.65, 0.0],
@@ -54,7 +57,7 @@ fn drawn(noise_hu: f64, known_mm: f64, ends_mm: f64, dimmed: impl Fn([f64; 3]) -
         };
         let air = inside(radius);
         let wall = (inside(radius + 0.6) - air) * dimmed(p);
-        // The sum of twelve even ones has a deviation of 1.
+        // The sum of twelve uniform random numbers has a standard deviation of 1.
         let noise: f64 = (0..12).map(|_| unit()).sum::<f64>() - 6.0;
         values.push((-865.0 + 800.0 * wall - 135.0 * air + noise_hu * noise).round() as i16);
         lumen.push(u8::from(off < 2.0 && p[0] < known_mm));
@@ -86,7 +89,7 @@ fn a_faint_tube_is_followed_to_its_end_and_no_farther() {
         let end = farthest_mm(&chest);
         assert!((45.0..=51.5).contains(&end), "noise {noise}: ends at {end}");
         assert_eq!(found.followed.len(), 1, "noise {noise}");
-        // Nothing outside the tube's outer wall: 0.8 + 0.6 mm, and half a voxel.
+        // No added voxel is outside the tube's outer wall: 0.8 + 0.6 mm, and half a voxel.
         for (at, _) in chest
             .lumen
             .iter()
@@ -145,7 +148,7 @@ fn in_divided_slices_a_way_ends_at_a_long_stretch_of_enclosed_lung_even_if_a_tub
             let p: [f64; 3] = std::array::from_fn(|a| v[a] as f64 * spacing[a]);
             let off = length([0.0, p[1] - 16.0, p[2] - 15.0]);
             if (24.0..24.0 + long_mm).contains(&p[0]) && off < 3.2 {
-                // As wide as an airway with dark air in it, and as bright as lung.
+                // As wide as an airway with dark air, but as bright as lung.
                 chest.values[at] = if off < 2.2 { -860 } else { -100 };
             }
         }
@@ -190,7 +193,7 @@ fn a_straight_tube_is_likely_and_no_way_is_kept_below_the_least_probability() {
 
 #[test]
 fn a_groove_between_two_vessels_beside_the_airway_is_no_airway() {
-    // Two bright bars beside each other, lung between them, from the known tube's end on.
+    // Two adjacent bright bars with lung between them, from the end of the known tube on.
     let mut chest = drawn(15.0, 20.0, 20.0, |_| 1.0);
     let spacing = chest.grid.spacing_mm();
     for at in 0..chest.values.len() {
@@ -209,7 +212,7 @@ fn a_groove_between_two_vessels_beside_the_airway_is_no_airway() {
 
 #[test]
 fn a_search_that_reaches_too_much_of_the_lung_is_given_up_and_adds_nothing() {
-    // A chest beside itself again and again: less lung would be too little for a share of it.
+    // Several copies of a chest side by side, because the lung of one copy is too small for the share.
     let one = drawn(15.0, 20.0, 50.0, |_| 1.0);
     let grid = Grid::new([40 * 14, 46, 100], *one.grid.lps_from_ijk()).unwrap();
     let (values, lumen) = (one.values.repeat(14), one.lumen.repeat(14));

@@ -1,18 +1,18 @@
-//! Whether a section of a way looks like an airway.
+//! Criteria for whether a section of a path looks like an airway.
 
 use carina_grid::Grid;
 
 use crate::find::extension_levels::{Divided, ExtensionLimits};
 use crate::find::tubeness::Section;
 
-/// Blur of a scanner with a smooth kernel in a CT that was interpolated once (sigma): 1.8 mm full width.
+/// Blur (sigma) of a scanner with a smooth kernel in a CT that was interpolated once: 1.8 mm full width.
 const SCANNER_BLUR_MM: f64 = 0.75;
-/// Below this many widths of the blur a radius is the blur's own, and says nothing about how dark the lumen should be.
+/// Radius in blurs below which the radius is only that of the blur and does not show how dark the lumen should be.
 const BLURRED: f64 = 0.75;
-/// Share of the sides of a section on which there must be wall; a fork leaves a quarter open.
+/// Smallest share of the sides of a section that must have a wall; a bifurcation leaves a quarter open.
 const MIN_WALLED: f64 = 0.7;
 
-/// Of the products of two of the seven figures of [`log_odds`], in the order of a triangle.
+/// Weights of the products of pairs of the seven features of [`log_odds`], as a triangular matrix.
 const WEIGHTS: [&[f64]; 7] = [
     &[-8.55, 0.68, 3.23, 0.45, -0.63, 3.90, -0.58],
     &[0.44, 2.72, 0.21, 1.43, -4.59, -2.21],
@@ -22,27 +22,29 @@ const WEIGHTS: [&[f64]; 7] = [
     &[-7.69, 3.79],
     &[-1.98],
 ];
-/// Of 1, the evidence of a way's sections (logarithm), the distance from other lumens (mm), the share of the lung round it
-/// that the search reached, and straightness (distance of its ends over its length).
+/// Weights of the features of a path.
+///
+/// The features are: 1; logarithm of the evidence of its sections; distance from other lumens (mm); share of the
+/// surrounding lung that the search reached; straightness (distance of its ends divided by its length).
 pub(crate) const WAY_WEIGHTS: [f64; 5] = [-8.23, 1.09, 0.57, -8.62, 6.44];
-/// The same where the evidence is the sum of the sections' log-odds.
+/// Weights of the same features, for evidence that is the sum of the sections' log-odds.
 pub(crate) const WAY_WEIGHTS_DIVIDED: [f64; 5] = [-7.64, 1.03, 0.61, -2.82, 3.95];
 
-/// Blur in the slices and least blur across them (sigma), mm.
+/// Blur within the slices (sigma), mm; the next constant is the smallest blur across them.
 const BLUR_IN_SLICE_MM: f64 = 0.65;
 const LEAST_BLUR_ACROSS_MM: f64 = 0.5;
 
-/// What stands between a lumen and its values.
+/// Blur and noise that separate the true values of a lumen from those in the volume.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Blur {
-    /// Of scanner, voxel and smoothing.
+    /// Blur of scanner, voxel and smoothing.
     pub(crate) sigma_mm: f64,
-    /// In the volume's numbers.
+    /// Noise in the volume's numbers.
     pub(crate) noise: f64,
 }
 
 impl Blur {
-    /// Of everything that blurs on a grid: scanner, voxel, smoothing.
+    /// Return the blur on a grid, of scanner, voxel and smoothing together.
     pub(crate) fn on(grid: &Grid, noise: f64) -> Self {
         let voxel_mm = grid.spacing_mm().iter().product::<f64>().cbrt();
         Self {
@@ -52,15 +54,15 @@ impl Blur {
     }
 }
 
-/// Logarithm of the odds that a section of a way in divided slices is one of an airway (docs/decisions/0114).
+/// Return the log-odds that a section of a path in divided slices belongs to an airway (docs/decisions/0114).
 ///
-/// Thick slices blur in one direction, so how dark a lumen must be depends on where its airway runs. The figures are 1, the
-/// enclosure (logarithm, in thresholds), how bright the middle is between air and the wall and between air and half a wall,
-/// the radius, the share of sides with a wall, and the blur that makes a lumen of that radius so bright, over the blur that
-/// the slices have in this direction (logarithm).
+/// Thick slices blur in one direction, so the expected darkness of a lumen depends on the direction of its airway. The
+/// features are: 1; the enclosure (logarithm, in thresholds); the brightness of the middle between air and the wall,
+/// and between air and half a wall; the radius; the share of sides with a wall; and the logarithm of the ratio between
+/// the blur that gives a lumen of that radius this brightness and the blur of the slices in this direction.
 ///
-/// `enclosure` is how far the values rise round the way, in thresholds; `along` is the part of the way's direction that
-/// lies across the slices.
+/// `enclosure` is the rise of the values round the path, in thresholds; `along` is the component of the path's
+/// direction across the slices.
 pub(crate) fn log_odds(
     section: &Section,
     own: f64,
@@ -91,13 +93,15 @@ pub(crate) fn log_odds(
         .sum()
 }
 
-/// Probability that a way is an airway if what it leaves is one; the figures are those of [`WAY_WEIGHTS`].
+/// Return the probability that a path is an airway if the airway that it leaves is one.
+///
+/// The features are those of [`WAY_WEIGHTS`].
 pub(crate) fn probability_of_way(figures: [f64; 5], weights: &[f64; 5]) -> f64 {
     let odds: f64 = weights.iter().zip(figures).map(|(w, f)| w * f).sum();
     1.0 / (1.0 + (-odds).exp())
 }
 
-/// How bright the middle is, as a share of the way from air to the wall.
+/// Return the brightness of the middle, as a fraction of the distance from air to the wall.
 fn share_of_wall(section: &Section, own: f64, air: f64) -> f64 {
     if section.rise > 0.0 {
         ((own - air) / (own + section.rise - air).max(1.0)).clamp(0.02, 0.98)
@@ -106,14 +110,15 @@ fn share_of_wall(section: &Section, own: f64, air: f64) -> f64 {
     }
 }
 
-/// The radius, where the sections that the weights were fitted to have it, mm.
+/// Return the radius, clamped to the range to which the weights were fitted, mm.
 fn radius_of(section: &Section) -> f64 {
     section.radius_mm.clamp(0.4, 2.2)
 }
 
-/// The blur that makes a lumen of this radius so bright, over the blur of the slices in this direction (logarithm).
+/// Return the logarithm of the ratio between an assumed blur and the blur of the slices in this direction.
 ///
-/// `along` is the part of the way's direction that lies across the slices.
+/// The assumed blur is the one that gives a lumen of this radius this brightness. `along` is the component of the
+/// path's direction across the slices.
 fn blur_ratio(section: &Section, own: f64, along: f64, air: f64, divided: Divided) -> f64 {
     let blur_mm = radius_of(section) / (-2.0 * share_of_wall(section, own, air).ln()).sqrt();
     let across_mm = (divided.slice_mm / 12f64.sqrt()).hypot(LEAST_BLUR_ACROSS_MM);
@@ -123,10 +128,10 @@ fn blur_ratio(section: &Section, own: f64, along: f64, air: f64, divided: Divide
         .ln()
 }
 
-/// Wall on most sides, and as dark in the middle as a lumen that wide must be.
+/// Return true if there is wall on most sides and the middle is as dark as a lumen of this width must be.
 ///
-/// Blur leaves `exp(-r^2 / 2 s^2)` of the wall's brightness in the middle of a tube of radius r. A wide tube is as dark as the
-/// trachea; a groove between a vessel and an airway's wall is as wide, and as bright as lung.
+/// Blur leaves `exp(-r^2 / 2 s^2)` of the wall's brightness in the middle of a tube of radius r. A wide tube is as dark
+/// as the trachea; a groove between a vessel and an airway's wall is as wide, and as bright as lung.
 pub(crate) fn looks_like_airway(section: &Section, own: f64, air: f64, blur: Blur) -> bool {
     let wall = own + section.rise;
     let widths = section.radius_mm / blur.sigma_mm;

@@ -1,4 +1,4 @@
-//! The least-cost ways from the lumen through what was reached, and the lumen round those that are kept.
+//! Least-cost paths from the lumen through the reached voxels, and the lumen round the accepted paths.
 
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
@@ -15,34 +15,37 @@ use crate::find::tubeness::{REACH_MM, Section, section};
 use carina_leastcost::{TrackError, Watch};
 
 const NONE: u32 = u32::MAX;
-/// How far a tube's side lies from its middle, through enclosed voxels, mm.
+/// Distance from a path, through enclosed voxels, up to which voxels belong to the same tube, mm.
 const COVER_MM: f32 = 3.0;
-/// A lumen's voxels lie within so many radii of the middle by faces, which is a way round corners.
+/// Largest distance of a lumen's voxels from the path, measured through faces (also round corners), in radii.
 const FILL_RADII: f64 = 1.5;
-/// Half-way up the wall is taken over so many voxels to both sides.
+/// Number of voxels to both sides over which the level half-way up the wall is taken.
 const FILL_NODES: usize = 2;
-/// The direction of a way is taken over this much of it, to both sides, mm.
+/// Length to both sides over which the direction of a path is taken, mm.
 const TANGENT_MM: f64 = 2.0;
-/// The distance of a way from the known lumens is measured beyond its first part, which lies beside the airway that it
-/// leaves. Longer distances count as the second of these; both mm.
+/// Length of the first part of a path, which does not count for the distance from known lumens.
+///
+/// That part is beside the airway that the path leaves. The next constant is the upper limit of that distance; both mm.
 const BEYOND_MM: f64 = 5.0;
 const CLEAR_MM: f64 = 6.0;
-/// Radius of the lung around a way in which reached voxels are counted, mm.
+/// Radius of the lung around a path in which reached voxels are counted, mm.
 const AROUND_MM: f64 = 8.0;
-/// What a voxel may give a path, in thresholds: one bright wall must not pay for a long way without.
+/// Largest gain of a path by one voxel, in thresholds, so that one bright wall does not compensate for a long part
+/// without wall.
 const MOST_GAIN: f64 = 3.0;
-/// In divided slices a way ends where it has lost so much of what it gained before, thresholds times mm: what looks like an
-/// airway farther on is none of this way (docs/decisions/0112).
+/// In divided slices, a path ends where it has lost this much of its previous gain, in thresholds times mm.
+///
+/// An airway farther on does not belong to this path (docs/decisions/0112).
 const MOST_LOSS_MM: f64 = 12.0;
 
-/// A kept path, as places in the list of reached voxels.
+/// Accepted path, as indices in the list of reached voxels.
 #[derive(Debug, Clone)]
 pub(crate) struct Path {
     nodes: Vec<u32>,
-    /// To the wall at each of them, mm.
+    /// Distance to the wall at each voxel, mm.
     radius_mm: Vec<f64>,
     length_mm: f64,
-    /// That it and all that it leaves are airways.
+    /// Probability that this path and all paths that it leaves are airways.
     probability: f64,
 }
 
@@ -66,18 +69,18 @@ impl Path {
     }
 }
 
-/// A section of a way.
+/// Section across a path at one of its voxels, with the direction of the path there.
 struct WaySection {
-    /// Direction of the way, a unit vector in mm on the grid's axes.
+    /// Direction of the path, a unit vector in mm on the grid's axes.
     along: [f64; 3],
     section: Section,
 }
 
-/// The least-cost ways from the lumen through what was reached.
+/// Search for the least-cost paths from the lumen through the reached voxels.
 pub(crate) struct Search<'a> {
     values: VolumeView<'a, i16>,
     smooth: VolumeView<'a, i16>,
-    /// With the marks that the search left.
+    /// Lumen with the marks of the search.
     lumen: &'a [u8],
     faces: Faces,
     reached: &'a [Node],
@@ -85,7 +88,7 @@ pub(crate) struct Search<'a> {
     at: HashMap<u32, u32>,
     before: Vec<u32>,
     along_mm: Vec<f32>,
-    /// Probability of the kept path that holds it; 0 where none does.
+    /// Probability of the accepted path that contains the voxel; 0 for a voxel in no path.
     kept: Vec<f64>,
 }
 
@@ -105,7 +108,7 @@ impl<'a> Search<'a> {
         let mut along_mm = vec![f32::INFINITY; reached.len()];
         let mut cost = vec![u64::MAX; reached.len()];
         let mut open = BinaryHeap::new();
-        // Micrometres times weight: integers have one order.
+        // Micrometres times weight, as integers, because integers have a total order.
         let weight = |node: &Node| {
             let rise = f64::from(node.rise.max(1));
             1.0 + (4.0 * f64::from(levels.followed) / rise).min(20.0).powi(2)
@@ -202,9 +205,10 @@ impl<'a> Search<'a> {
         Ok(paths)
     }
 
-    /// The part of a way that pays, if that is enough for an airway.
+    /// Return the first part of a path with the largest gain, if it qualifies as an airway.
     ///
-    /// In divided slices the sections are first judged by odds, which need much evidence; then as in any other CT.
+    /// In divided slices the sections are first judged by log-odds, which need much evidence, and then as in any other
+    /// CT.
     fn worth(&self, way: &[u32], limits: &ExtensionLimits) -> Option<Path> {
         let sections = self.sections(way);
         limits
@@ -221,7 +225,7 @@ impl<'a> Search<'a> {
         divided: Option<Divided>,
     ) -> Option<Path> {
         let threshold = f64::from(self.levels.followed);
-        // Two of 100 voxels of lung pass the threshold: two deviations, of which one is allowed for.
+        // Two of 100 voxels of lung pass the threshold, which is thus two standard deviations; one is allowed for.
         let blur = Blur::on(self.smooth.grid(), 0.5 * threshold);
         let (start_mm, probability_before) = match self.before[way[0] as usize] {
             NONE => (0.0, 1.0),
@@ -237,7 +241,7 @@ impl<'a> Search<'a> {
             let step = f64::from(along - last_mm);
             last_mm = along;
             let own = f64::from(self.smooth.data()[self.reached[*node as usize].voxel as usize]);
-            // Over a wall: what opens behind it is not this airway.
+            // The path has crossed a wall: a dark part behind it is not this airway.
             highest = highest.max(own);
             if own < highest - self.levels.drop {
                 break;
@@ -294,7 +298,8 @@ impl<'a> Search<'a> {
         })
     }
 
-    /// Probability that a way is an airway if what it leaves is one, from what no single section shows.
+    /// Return the probability that a path is an airway if the airway that it leaves is one, from features of the whole
+    /// path.
     fn way_probability(
         &self,
         way: &[u32],
@@ -329,7 +334,7 @@ impl<'a> Search<'a> {
         probability_of_way(figures, weights)
     }
 
-    /// Distance to the lumen that was known before, at most [`CLEAR_MM`].
+    /// Return the distance to the previously known lumen, at most [`CLEAR_MM`].
     fn clearance_at(&self, voxel: [usize; 3]) -> f64 {
         let mut least = CLEAR_MM;
         self.each_within(voxel, CLEAR_MM, |at, off_mm| {
@@ -340,7 +345,9 @@ impl<'a> Search<'a> {
         least
     }
 
-    /// Share of the lung round a voxel that the search reached: much where it runs out.
+    /// Return the share of the lung round a voxel that the search reached.
+    ///
+    /// The share is large where the search leaks into the lung.
     fn reached_share(&self, voxel: [usize; 3], limits: &ExtensionLimits) -> f64 {
         let (mut num_lung, mut num_reached) = (0usize, 0usize);
         let lung = limits.lung.0..=limits.lung.1;
@@ -384,7 +391,7 @@ impl<'a> Search<'a> {
         Profile::of(self.values, &voxels).is_none_or(|profile| profile.is_round())
     }
 
-    /// Length of a way without its steps to and fro between voxels: from one place to the next a slice away.
+    /// Return the length of a path without its zigzag between voxels: measured between positions about one slice apart.
     fn straight_mm(&self, way: &[u32]) -> f64 {
         let grid = self.smooth.grid();
         let spacing = grid.spacing_mm();
@@ -427,7 +434,7 @@ impl<'a> Search<'a> {
             .collect()
     }
 
-    /// Marks what lies in the tube round a way, so that it is no tip of its own.
+    /// Mark the voxels in the tube round a path, so that they do not become separate tips.
     fn cover(&self, way: &[u32], covered: &mut [bool]) {
         let mut left: HashMap<u32, f32> = way.iter().map(|n| (*n, COVER_MM)).collect();
         let mut open: Vec<u32> = way.to_vec();
@@ -448,9 +455,9 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// The lumen round the kept paths.
+    /// Return the voxels of the lumen round the accepted paths.
     pub(crate) fn filled(&self, smooth: &[i16], paths: &[Path]) -> Vec<u32> {
-        // Half-way up the wall at each place of a path, over some voxels along it.
+        // Level half-way up the wall at each position of a path, the median over some voxels along the path.
         let mut open = BinaryHeap::new();
         let mut best: HashMap<u32, u32> = HashMap::new();
         for path in paths {

@@ -1,14 +1,15 @@
-//! The automatic lumen: a flood that rises from the trachea, with a leak guard (docs/algorithms.md).
+//! Automatic lumen: a flood with rising level from the trachea, with a limit on leaks (docs/algorithms.md).
 //!
-//! The level rises one unit (HU) at a time. A voxel joins when it is at most at the level and touches the lumen by a face; what
-//! becomes reachable through it at the same level joins with it: the *basin* behind that voxel. In an airway basins are
-//! small, or they are tubes; where the flood breaks through a wall, the basin is the lung, which is huge. So a basin
-//! above a limit is a leak: it is given back, and a ball round the breach stays closed for good, while the flood rises
-//! on elsewhere. This makes the level local: thick-walled airways are filled up to the half-maximum of their wall, thin
-//! ones up to just below the level at which they would leak.
+//! The level rises one unit (HU) at a time. A voxel joins if its value is at most the level and it touches the lumen by
+//! a face; the voxels that become reachable through it at the same level join with it. These voxels are the *basin*
+//! behind that voxel. In an airway, basins are small, or they are tubes; where the flood breaks through a wall, the
+//! basin is the lung, which is huge. So a basin above a size limit is a leak: its voxels are removed again, and a ball
+//! round the breach stays closed permanently, while the flood rises elsewhere. The level is therefore local:
+//! thick-walled airways are filled up to the half-maximum of their wall, thin ones up to just below the level at which
+//! they would leak.
 //!
-//! Above the level of tracheal air and its noise, a second guard looks at what surrounds a basin. The wall of an airway is
-//! clearly brighter than the level; the surroundings of a dark pocket of lung are not.
+//! Above the level of tracheal air and its noise, a second test examines the surroundings of a basin. The wall of an
+//! airway is clearly brighter than the level; the surroundings of a dark pocket of lung are not.
 
 use carina_grid::{Grid, VolumeView};
 
@@ -17,43 +18,47 @@ use carina_leastcost::{TrackError, Watch};
 /// Limits of the flood.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FloodLimits {
-    /// First level; everything up to here that touches the start is lumen.
+    /// First level; all voxels up to this level that are connected with the start are lumen.
     pub first_level: i16,
-    /// Air of the trachea and its noise end here; above it the surroundings are looked at.
+    /// Upper limit of tracheal air and its noise; above this level the surroundings of basins are tested.
     pub core_level: i16,
-    /// The flood ends here (half-way between lumen and wall).
+    /// Last level (half-way between lumen and wall).
     pub last_level: i16,
-    /// A basin larger than this is a leak.
+    /// Largest volume of a basin that is not a leak, mm^3.
     pub leak_mm3: f64,
-    /// Above the core level: a basin larger than this is a leak.
+    /// Largest volume of a basin that is not a leak, above the core level.
     pub small_leak_mm3: f64,
-    /// A ball of this radius round a breach stays closed.
+    /// Radius of the ball round a breach that stays closed, mm.
     pub closed_radius_mm: f64,
-    /// Above the core level: a basin's surroundings must be this much above the level, on average.
+    /// Smallest mean difference between a basin's surroundings and the level, above the core level.
     pub min_contrast: f64,
 }
 
-/// What the flood found.
+/// Result of the flood.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Flood {
-    /// 1 = lumen, 0 = not.
+    /// Lumen: 1 inside, 0 outside.
     pub lumen: Vec<u8>,
-    /// Voxels in the lumen.
+    /// Number of voxels in the lumen.
     pub num_voxels: usize,
     /// Breaches that were closed: voxel and level.
     pub leaks: Vec<([usize; 3], i16)>,
-    /// Basins refused because their surroundings are no wall.
+    /// Number of basins that were rejected because they have no wall around them.
     pub num_without_wall: usize,
 }
 
 const UNKNOWN: u8 = 0;
 const LUMEN: u8 = 1;
-/// Above the level when it was met; waits for its level.
+/// State of a voxel that was above the level when it was met and waits for its level.
 const WAITING: u8 = 2;
-/// Closed for good.
+/// State of a voxel that is closed permanently.
 const CLOSED: u8 = 3;
 
-/// Floods from `seeds` (voxels of the trachea).
+/// Flood from `seeds` (voxels of the trachea).
+///
+/// # Errors
+///
+/// Returns an error if an argument is not valid or `watch` stops the flood.
 pub fn flood(
     values: VolumeView<'_, i16>,
     seeds: &[[usize; 3]],
@@ -84,7 +89,7 @@ struct Rising<'a> {
     values: VolumeView<'a, i16>,
     limits: &'a FloodLimits,
     state: Vec<u8>,
-    /// Voxels that wait, by level above the first.
+    /// Waiting voxels, by level above the first level.
     waiting: Vec<Vec<u32>>,
     leak_vox: usize,
     small_leak_vox: usize,
@@ -128,7 +133,7 @@ impl<'a> Rising<'a> {
     fn rise_to(&mut self, level: i16, watch: &impl Watch) -> Result<(), TrackError> {
         let slot = (i32::from(level) - i32::from(self.limits.first_level)) as usize;
         let mut next = 0;
-        // Voxels can join this level's list while it is worked on.
+        // Voxels can be added to this level's list while it is processed.
         while next < self.waiting[slot].len() {
             let entry = self.waiting[slot][next];
             next += 1;
@@ -140,7 +145,7 @@ impl<'a> Rising<'a> {
         Ok(())
     }
 
-    /// Opens one waiting voxel: its basin joins, or is given back.
+    /// Open one waiting voxel: its basin joins the lumen or is rejected.
     fn open(&mut self, entry: u32, level: i16, watch: &impl Watch) -> Result<(), TrackError> {
         let limit = if level > self.limits.core_level {
             self.small_leak_vox
@@ -165,7 +170,7 @@ impl<'a> Rising<'a> {
                 let value = data[at];
                 match state[at] {
                     UNKNOWN | WAITING if value <= level => {
-                        // A waiting voxel at or below the level is one of this level's own list.
+                        // A waiting voxel at or below the level belongs to the list of this level.
                         state[at] = LUMEN;
                         basin.push(at as u32);
                     }
@@ -186,7 +191,7 @@ impl<'a> Rising<'a> {
             self.close(entry, level);
             return Ok(());
         }
-        // A basin that the lumen holds from most sides is noise inside it or the rim of its wall, no way out.
+        // A basin with lumen on most sides is noise inside the lumen or the rim of its wall, not a leak.
         if level > self.limits.core_level && around_count > lumen_count {
             let contrast = around_sum as f64 / around_count as f64 - f64::from(level);
             if contrast < self.limits.min_contrast {
@@ -205,7 +210,7 @@ impl<'a> Rising<'a> {
         Ok(())
     }
 
-    /// Gives a leaking basin back and closes the ball round its breach.
+    /// Remove a leaking basin and close the ball round its breach.
     fn close(&mut self, entry: u32, level: i16) {
         for at in &self.basin {
             self.state[*at as usize] = UNKNOWN;
@@ -236,7 +241,8 @@ impl<'a> Rising<'a> {
         self.state[entry as usize] = CLOSED;
     }
 
-    /// Fills what the lumen encloses on all sides: noise, mucus, the wall of a tube. Looks in the box round the lumen.
+    /// Fill holes that the lumen encloses on all sides (noise, mucus, the wall of a tube), within the bounding box of
+    /// the lumen.
     fn fill_holes(&mut self) {
         let grid = self.values.grid();
         let shape = grid.shape_ijk();
@@ -249,7 +255,7 @@ impl<'a> Rising<'a> {
                     high[axis] = high[axis].max(voxel[axis]);
                 }
             } else {
-                // From here on: not seen from outside.
+                // From here on, UNKNOWN means not connected with the outside.
                 self.state[at] = UNKNOWN;
             }
         }
@@ -312,7 +318,7 @@ impl<'a> Rising<'a> {
     }
 }
 
-/// Calls `visit` for the up to six voxels that share a face.
+/// Call `visit` for the up to six voxels that share a face.
 fn for_each_face(grid: &Grid, at: usize, mut visit: impl FnMut(usize)) {
     let [nx, ny, nz] = grid.shape_ijk();
     let [i, j, k] = grid.voxel(at);

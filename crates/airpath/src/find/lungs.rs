@@ -1,18 +1,20 @@
-//! Lung beside a carina: what tells a trachea from bowel.
+//! Area of lung beside a carina, which distinguishes a trachea from bowel.
 
 use carina_grid::{Ijk, VolumeView, length};
 
 use crate::find::spots::{AirLevels, transverse_axis};
 
-/// Lung that must be seen on each side of the carina, mm2 in one slice. Chest CTs at hand show 7000 and more, a belly's bowel 330.
+/// Smallest area of lung on each side of the carina, mm2 in one slice.
+///
+/// The chest CTs examined show 7000 and more, the bowel of an abdomen 330.
 pub(crate) const MIN_LUNG_MM2: f64 = 800.0;
-/// How far from the carina lung is looked for: sideways, front and back, down; mm.
+/// Distances from the carina within which lung is searched: sideways, front and back, down; mm.
 const LUNG_REACH_MM: [f64; 3] = [130.0, 80.0, 45.0];
 
-/// Lung on the right and on the left of the carina, at its height or below: the most in one slice, mm2.
+/// Return the areas of lung on the right and on the left of the carina, at its height or below.
 ///
-/// A voxel is lung if it and its four neighbours in the slice are in lung's range (the blurred edges of bowel gas and skin pass
-/// through that range within one voxel), with tissue farther out.
+/// Each area is the largest in one slice, mm2. A voxel is lung if it and its four neighbours in the slice are in lung's
+/// range (the blurred edges of bowel gas and skin pass through that range within one voxel), with tissue farther out.
 pub(crate) fn lungs_beside(
     values: VolumeView<'_, i16>,
     levels: AirLevels,
@@ -43,7 +45,7 @@ pub(crate) fn lungs_beside(
         let Some(slice) = slice.filter(|s| *s < shape[axis]) else {
             break;
         };
-        // First and last tissue of every line of the slice, to tell lung from the air outside the body.
+        // First and last tissue of every line of the slice, to distinguish lung from the air outside the body.
         let voxel = |p: usize, q: usize| {
             let mut ijk = [0; 3];
             (ijk[axis], ijk[u], ijk[v]) = (slice, p, q);
@@ -69,7 +71,7 @@ pub(crate) fn lungs_beside(
                     along_v[p].0 < q,
                     q < along_v[p].1,
                 ];
-                // Three of four: a crop may have cut the chest wall away on one side.
+                // Three of four sides suffice, because cropping may have removed the chest wall on one side.
                 if !is_lung(ijk) || sides.iter().filter(|s| **s).count() < 3 {
                     continue;
                 }

@@ -1,4 +1,4 @@
-//! From a volume to its airways' lumen.
+//! Segmentation of the airway lumen in a volume.
 
 pub mod evidence;
 pub mod extension;

@@ -2,26 +2,32 @@
 
 use rayon::prelude::*;
 
-/// What is looked for, and where.
+/// Criteria and region of the search.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PieceLimits {
-    /// Air is at most this bright.
+    /// Largest value of air.
     pub darkest: i16,
-    /// First voxel (i, j, k) of the box that is looked at, and the first beyond it. What lies outside is no air.
+    /// First voxel (i, j, k) of the box to search, and the first voxel beyond it.
+    ///
+    /// Voxels outside do not count as air.
     pub box_ijk: ([usize; 3], [usize; 3]),
-    /// A voxel of air has at least so many neighbours by faces that are as dark, lumen or not: alone it is noise.
+    /// Smallest number of face neighbours at most as bright as `darkest`, lumen or not; a voxel with fewer is noise.
     pub least_neighbours: usize,
-    /// Pieces have from so many to so many voxels.
+    /// Smallest and largest number of voxels of a piece.
     pub voxels: (usize, usize),
-    /// More air than this, in voxels, and nothing can be told by it: there are no pieces then.
+    /// Largest number of air voxels; with more, pieces have no meaning and the result is empty.
     pub most_air: usize,
 }
 
-/// Marks of a voxel of the box.
+/// Mark of a voxel of the box: air.
+///
+/// The next constant marks a voxel that touches the lumen.
 const AIR: u8 = 1;
 const TOUCHES: u8 = 2;
 
-/// Pieces that hang together by faces and share none with the lumen (not 0): their voxels in order, the largest piece first.
+/// Find the face-connected pieces of air that share no face with the lumen (not 0).
+///
+/// Return their voxels in ascending order, the largest piece first.
 pub fn pieces_of_air(
     values: &[i16],
     lumen: &[u8],
@@ -111,7 +117,7 @@ pub fn pieces_of_air(
             pieces.push(piece);
         }
     }
-    // The scan has them by their first voxel: of two alike that one stays first.
+    // The scan finds pieces by their first voxel, and the sort is stable, so pieces of equal size stay in that order.
     pieces.sort_by_key(|piece| std::cmp::Reverse(piece.len()));
     pieces
 }

@@ -1,7 +1,8 @@
-//! A volume as a softer reconstruction kernel would show it: what a sharp one raised is lowered again.
+//! Volume as from a softer reconstruction kernel: the amplification by a sharp kernel is reversed.
 //!
-//! An edge-enhancing kernel raises fine detail: its transfer is `1 + a (1 - g)`, where `g` falls from 1 to 0 with frequency. The
-//! inverse, `1 / (1 + a (1 - g))`, is a share of the value itself and a sum of blurs (docs/decisions/0113).
+//! An edge-enhancing kernel amplifies fine detail: its transfer function is `1 + a (1 - g)`, where `g` falls from 1 to
+//! 0 with frequency. The inverse, `1 / (1 + a (1 - g))`, is a weighted sum of the value itself and of blurs
+//! (docs/decisions/0113).
 
 use carina_grid::VolumeView;
 use rayon::prelude::*;
@@ -12,18 +13,20 @@ use crate::find::tubeness::{Enclosure, REACH_MM, smoothed};
 /// One Gaussian of a mixture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Blur {
-    /// Its share.
+    /// Weight in the sum.
     pub weight: f64,
-    /// How wide it is, mm.
+    /// Standard deviation, mm.
     pub sigma_mm: f64,
 }
 
-/// Gaussians end here, in sigmas.
+/// Radius at which Gaussians are truncated, in sigmas.
 const REACH_SIGMAS: f64 = 3.0;
-/// What is narrower than this many voxels has no say in the next one.
+/// Sigma in voxels below which a Gaussian does not reach the next voxel.
 const NARROWEST_VOX: f64 = 0.25;
 
-/// `own` times each value, and the blurs of the volume along the axes that are `blurred`; values beyond a face are those on it.
+/// Return `own` times each value plus the blurs of the volume along the axes that are `blurred`.
+///
+/// Beyond a face the values at the face are used.
 #[must_use]
 pub fn mixed(
     values: VolumeView<'_, i16>,
@@ -76,26 +79,26 @@ pub fn mixed(
     out
 }
 
-/// What the sharp volume has cut off at its darkest value.
+/// Parameters of the restoration of values that the sharp volume has clipped at its lowest value.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CutOff {
-    /// The sharp volume's darkest value.
+    /// Lowest value of the sharp volume.
     pub floor: i16,
-    /// What air is.
+    /// Value of air.
     pub air: i16,
-    /// The softened volume is air for certain up to here.
+    /// Largest value in the softened volume that is certainly air.
     pub certain: i16,
-    /// A wall rises at least this much over a lumen that was cut off.
+    /// Smallest rise of a wall above a clipped lumen.
     pub rise: i16,
-    /// How wide the dark seam is that a kernel lays inside a wall, mm.
+    /// Width of the dark seam that a kernel creates inside a wall, mm.
     pub seam_mm: f64,
 }
 
-/// Makes air of airways' lumen that the sharp volume has cut off; the number of such voxels.
+/// Set clipped voxels of airway lumens to the value of air; return the number of these voxels.
 ///
-/// A sharp kernel makes the lumen along a wall, and all of a small one, darker than air. Files end at a least value: what lay
-/// below is lost, and the softened lumen comes out too bright. The dark rims beside vessels and pleura are cut off as well. They
-/// touch no air that is certain, and have tissue on one side alone.
+/// A sharp kernel makes the lumen along a wall, and all of a small lumen, darker than air. Files have a lowest value;
+/// darker values are lost, and the softened lumen becomes too bright. The dark rims beside vessels and pleura are
+/// clipped as well, but they touch no voxel that is certainly air, and have tissue on one side only.
 pub fn keep_cut_off_air(sharp: VolumeView<'_, i16>, soft: &mut [i16], cut: &CutOff) -> usize {
     let smooth = smoothed(sharp);
     let enclosure = Enclosure::new(sharp.grid(), REACH_MM);
@@ -108,10 +111,10 @@ pub fn keep_cut_off_air(sharp: VolumeView<'_, i16>, soft: &mut [i16], cut: &CutO
         })
         .map(|(at, _)| at as u32)
         .collect();
-    // From certain air through what was cut off, as far as a seam is wide.
+    // Start at voxels that are certainly air and continue through clipped voxels up to the width of a seam.
     let faces = Faces::new(sharp);
     let is_cut = |at: usize, soft: &[i16]| sharp.data()[at] <= cut.floor && soft[at] > cut.certain;
-    // A voxel of lung that noise made dark is no air: air has air on all sides, or what was cut off.
+    // A lung voxel that is dark because of noise does not count: air has air or clipped voxels on all sides.
     let is_air = |at: usize| {
         let mut is_inside = soft[at] <= cut.certain;
         if is_inside {
@@ -161,13 +164,13 @@ pub fn keep_cut_off_air(sharp: VolumeView<'_, i16>, soft: &mut [i16], cut: &CutO
     kept.len()
 }
 
-/// What one thread needs for a slice.
+/// Buffers of one thread for a slice.
 struct Room {
     shape: [usize; 2],
     sum: Vec<f32>,
     across: Vec<f32>,
     row: Vec<f32>,
-    /// A row with what lies beyond its ends.
+    /// A row, extended beyond its ends.
     wide: Vec<f32>,
 }
 
@@ -182,7 +185,7 @@ impl Room {
         }
     }
 
-    /// Adds `weight` times the blurred slice to the sum.
+    /// Add `weight` times the blurred slice to the sum.
     fn blur_slice(&mut self, weight: f32, wx: &[f32], wy: &[f32]) {
         let [nx, ny] = self.shape;
         let reach = wx.len() - 1;
@@ -213,7 +216,7 @@ impl Room {
     }
 }
 
-/// Half of a Gaussian's weights, the middle first; they and their mirror image sum to 1.
+/// Return half of a Gaussian's weights, the middle first; together with their mirror image they sum to 1.
 fn weights(sigma_vox: f64) -> Vec<f32> {
     if sigma_vox < NARROWEST_VOX {
         return vec![1.0];
@@ -233,7 +236,7 @@ mod tests {
 
     use super::*;
 
-    /// As it is written down: each blur a sum over all voxels in its reach.
+    /// Compute the mixture directly from its definition: each blur is a sum over all voxels within its radius.
     fn mixed_slowly(
         values: VolumeView<'_, i16>,
         own: f64,
@@ -302,7 +305,7 @@ mod tests {
             let blurs = [Blur { weight: 0.4, sigma_mm }, Blur { weight: 0.25, sigma_mm: 1.5 * sigma_mm }];
             let fast = mixed(view, 0.35, &blurs, blurred);
             for (a, b) in fast.iter().zip(mixed_slowly(view, 0.35, &blurs, blurred)) {
-                // Half a unit of rounding, and f32 beside f64.
+                // Tolerance: half a unit of rounding, and the difference between f32 and f64.
                 prop_assert!((f64::from(*a) - b).abs() <= 0.51);
             }
         }
@@ -319,7 +322,7 @@ mod tests {
                 let (x, y) = (i as f64 - 12.0, j as f64 - 16.0);
                 let off = x.hypot(y);
                 match i {
-                    // Tissue, and a dark rim two voxels wide beside it.
+                    // The volume has tissue from i = 30 on, and a dark rim two voxels wide in front of it.
                     30.. => 40,
                     28..30 => -1024,
                     _ if off <= 1.2 => -1024,
@@ -351,7 +354,7 @@ mod tests {
         let place =
             Affine::from_columns([0.7, 0.0, 0.0], [0.0, 0.7, 0.0], [0.0, 0.0, 0.7], [0.0; 3]);
         let grid = Grid::new([12, 12, 60], place).unwrap();
-        // Wide air, its dark seam and its wall; a lung with a seam as dark, of tissue alone.
+        // Wide air with a dark seam and a wall; and lung with an equally dark seam of tissue alone.
         let sharp: Vec<i16> = (0..grid.num_voxels())
             .map(|at| match grid.voxel(at)[0] {
                 0..20 => -1005,

@@ -1,29 +1,30 @@
-//! Spots of air in the slices of a chest, and chains of spots that follow one another: what may be a trachea or a bronchus.
+//! Spots of air in the slices of a chest, and chains of successive spots, which are candidates for a trachea or a
+//! bronchus.
 
 use carina_grid::{Grid, Ijk, VolumeView, length};
 
-/// Levels that tell air from tissue.
+/// Levels that distinguish air, lung and tissue.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AirLevels {
-    /// Values below are air.
+    /// Upper limit of the values of air.
     pub air: i16,
-    /// A wall of soft tissue reaches at least this.
+    /// Smallest value of a wall of soft tissue.
     pub tissue: i16,
-    /// Lung lies between these; `None` where the values do not show it (a painted mask), then no lung is asked for.
+    /// Range of values of lung; `None` if the values do not show lung (a painted mask), so that no lung is required.
     pub lung: Option<(i16, i16)>,
 }
 
-/// One spot of air in one slice.
+/// Spot of air in one slice.
 #[derive(Debug, Clone)]
 pub(crate) struct Spot {
-    /// A voxel of the spot near its centre.
+    /// Voxel of the spot near its centre.
     pub(crate) voxel: [usize; 3],
     pub(crate) centre_lps: [f64; 3],
     pub(crate) area_mm2: f64,
     elongation: f64,
     /// Share of directions in which soft tissue follows.
     pub(crate) ringed: f64,
-    /// Its cells in the slice, in order, and the cell of `voxel` among them.
+    /// Cells of the spot in the slice, in ascending order; the next field is the cell of `voxel`.
     cells: Vec<u32>,
     middle: u32,
 }
@@ -45,14 +46,14 @@ impl Spot {
         (4.0..=33.0).contains(&self.diameter_mm()) && self.ringed >= 0.5
     }
 
-    /// The middle of one lies in the other.
+    /// Return true if the middle of one spot is in the other.
     fn overlaps(&self, other: &Self) -> bool {
         self.cells.binary_search(&other.middle).is_ok()
             || other.cells.binary_search(&self.middle).is_ok()
     }
 }
 
-/// The grid axis nearest to head-feet.
+/// Return the grid axis nearest to head-feet.
 pub(crate) fn transverse_axis(grid: &Grid) -> usize {
     let share = |axis: usize| {
         let column = grid.lps_from_ijk().column(axis);
@@ -63,7 +64,7 @@ pub(crate) fn transverse_axis(grid: &Grid) -> usize {
         .unwrap_or(2)
 }
 
-/// Spots of one slice that are of a size to matter.
+/// Return the spots of one slice whose size is relevant.
 pub(crate) fn spots_of_air(
     values: VolumeView<'_, i16>,
     levels: AirLevels,
@@ -139,7 +140,8 @@ pub(crate) fn spots_of_air(
                 nearest = (x * x + y * y, c);
             }
         }
-        // Ratio of the main axes of the ellipse with the same second moments (1/12 cell of its own keeps it finite).
+        // Ratio of the main axes of the ellipse with the same second moments (1/12 cell for the size of a cell keeps
+        // the ratio finite).
         let own = n * cell_mm2 / 12.0;
         let (mean, half) = (
             f64::midpoint(pp, qq) + own,
@@ -178,7 +180,8 @@ pub(crate) fn spots_of_air(
     spots
 }
 
-/// Share of directions in which tissue is met within 4 mm behind the edge of the air, at most 30 mm from the centre.
+/// Return the share of directions in which tissue follows within 4 mm behind the edge of the air, at most 30 mm from
+/// the centre.
 fn ringed_share(
     nu: usize,
     nv: usize,
@@ -216,7 +219,7 @@ fn ringed_share(
     f64::from(num_ringed) / NUM_DIRECTIONS as f64
 }
 
-/// Spots of successive slices that follow one another, from `first` down.
+/// Spots of successive slices that overlap or are near, from slice `first` down.
 #[derive(Debug)]
 pub(crate) struct Chain {
     pub(crate) first: usize,
@@ -229,9 +232,9 @@ pub(crate) fn chains(
     change: f64,
     suits: impl Fn(&Spot) -> bool,
 ) -> Vec<Chain> {
-    // A tube tilted by 60 degrees moves 1.7 steps per slice; 2 mm for the centre's own noise.
+    // A tube tilted by 60 degrees moves 1.7 steps per slice; 2 mm allow for the noise of the centre.
     let reach_mm = 1.8 * step_mm + 2.0;
-    // A spot in a chain starts none of its own; two chains may go on in one spot where their tubes meet in a slice.
+    // A spot in a chain does not start another chain; two chains may share a spot where their tubes meet in a slice.
     let mut taken: Vec<Vec<bool>> = slices.iter().map(|s| vec![false; s.len()]).collect();
     let mut found = Vec::new();
     for first in 0..slices.len() {
@@ -263,7 +266,7 @@ pub(crate) fn chains(
     found
 }
 
-/// Distance of two spots across the head-feet axis.
+/// Return the distance of two spots across the head-feet axis.
 pub(crate) fn across_mm(a: &Spot, b: &Spot) -> f64 {
     (a.centre_lps[0] - b.centre_lps[0]).hypot(a.centre_lps[1] - b.centre_lps[1])
 }
@@ -276,7 +279,7 @@ pub(crate) fn chain_length_mm(slices: &[Vec<Spot>], chain: &Chain) -> f64 {
 }
 
 impl Chain {
-    /// The spot in a slice, if the chain runs through it.
+    /// Return the chain's spot in a slice, if the chain includes that slice.
     pub(crate) fn at<'a>(&self, slices: &'a [Vec<Spot>], slice: usize) -> Option<&'a Spot> {
         let n = slice.checked_sub(self.first)?;
         self.spots.get(n).map(|spot| &slices[slice][*spot])

@@ -1,10 +1,10 @@
-//! The thinnest airways: from the lumen along bright threads with a dark middle (docs/decisions/0112).
+//! Thinnest airways: search from the lumen along bright threads with a dark middle (docs/decisions/0112).
 //!
-//! An airway of one or two voxels is brighter than lung all through, and its middle is darker than its wall by less than the
-//! noise. Its evidence is spread along it, so it is looked for along ways: a filter of short straight pieces
-//! ([`crate::find::tube_filter`]) says where a way may lead and at what price, through gaps as well; of the cheapest ways to
-//! the farthest tips the CT round each is averaged over 5 mm ([`crate::find::thin_profile`]), and the way is kept as far as
-//! that looks like an airway.
+//! An airway of one or two voxels is brighter than lung throughout, and its middle is darker than its wall by less than
+//! the noise. Its evidence is distributed along it, so the search is along paths: a filter of short straight pieces
+//! ([`crate::find::tube_filter`]) gives the voxels that a path may use and their cost, including gaps. For the cheapest
+//! paths to the farthest tips, the CT round each path is averaged over 5 mm ([`crate::find::thin_profile`]), and a path
+//! is accepted as far as this average looks like an airway.
 
 use carina_grid::{Grid, VolumeView};
 use carina_leastcost::{TrackError, Watch};
@@ -16,61 +16,74 @@ use crate::find::thin_reach::{Dips, Reached, Ways};
 use crate::find::tube_filter::{ThinSection, TubeFilter, across, sides};
 use crate::find::tubeness::smoothed;
 
-/// What the search may do; values are the volume's own.
+/// Limits of the search; values are in the volume's numbers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ThinLimits {
-    /// Air in the trachea.
+    /// Value of the air in the trachea.
     pub air: f64,
-    /// Values of lung, the calibration's sample.
+    /// Range of values of lung, for the calibration's sample.
     pub lung: (i16, i16),
-    /// Brighter than this is no lumen.
+    /// Largest smoothed value of a voxel that can be lumen.
     pub brightest: i16,
-    /// A wall is at least this bright: brighter than lung.
+    /// Smallest value of a wall: brighter than lung.
     pub least_wall: f64,
-    /// Ways lead through voxels with a dip of this, or more where the lung pretends it.
+    /// Smallest dip of the voxels of a path; a larger threshold from the lung replaces it.
     pub least_dip: f64,
-    /// Averaged along it, an airway's dip is more than this.
+    /// Smallest dip of an airway, averaged along it.
     pub kept_dip: f64,
-    /// What blurs the CT is at most so wide (sigma), mm.
+    /// Upper limit of the blur of the CT (sigma), mm.
     pub blur_mm: f64,
-    /// An airway that goes on from an end leads at least this far, mm.
+    /// Smallest length of an airway that continues from the end of another, mm.
     pub min_length_mm: f64,
-    /// And one that leaves from the side of another: shorter ways there are strands of lung that vessels close off.
+    /// Smallest length of an airway that leaves from the side of another, mm.
+    ///
+    /// Shorter paths there are strips of lung enclosed by vessels.
     pub min_side_mm: f64,
-    /// The search is given up once it has reached more than this share of the lung.
+    /// Largest share of the lung that the search may reach before it is cancelled.
     pub most_reached: f64,
 }
 
-/// What was found.
+/// Result of the search for thin airways.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Thin {
-    /// Airways, those that others leave from before them.
+    /// Airways; an airway comes before those that leave it.
     pub followed: Vec<Followed>,
-    /// Voxels that were reached before ways were judged.
+    /// Number of voxels reached before paths were judged.
     pub num_reached: usize,
-    /// It reached more of the lung than airways can: nothing was added.
+    /// Whether the search reached more of the lung than airways can: nothing was added.
     pub ran_out: bool,
 }
 
-/// Share of the lung whose voxels have less of a dip than what is followed.
+/// Share of the lung whose voxels have a smaller dip than followed voxels.
 const FOLLOWED_SHARE: f64 = 0.985;
 const MIN_SAMPLES: usize = 2_000;
 const NUM_SAMPLES: usize = 20_000;
-/// Voxels this near to a way are no tips of their own, mm; of one that was not kept, only those beside it.
+/// Distance from an accepted path within which voxels are no separate tips, mm.
+///
+/// The next constant is the same distance for a rejected path.
 const COVER_MM: f32 = 2.0;
 const COVER_REFUSED_MM: f32 = 1.0;
-/// A way whose voxels gain nothing, in thresholds, is not looked at any closer. One voxel gains at most so much.
+/// Largest gain of a path by one voxel, in thresholds.
+///
+/// A path without a positive gain is not examined further.
 const MOST_GAIN: f64 = 1.5;
-/// Lumen beside a way lies within its radius and this, mm.
+/// Upper limit of the radius within which voxels beside a path are added to the lumen, mm.
 const MOST_RADIUS_MM: f64 = 1.0;
 
-/// A way's start is so many places. Behind it there is lumen at these distances, and of 8 sides there at most so many are.
+/// Number of positions at the start of a path that give its direction.
+///
+/// The path continues an airway if there is lumen behind its start, at the distances `BEHIND_MM`, and if at most
+/// `MOST_BESIDE` of 8 sides there (at `BESIDE_MM`) are lumen.
 const NUM_START: usize = 7;
 const BEHIND_MM: [f64; 2] = [1.2, 2.4];
 const BESIDE_MM: f64 = 2.0;
 const MOST_BESIDE: usize = 3;
 
-/// Follows thin airways from `lumen` (1 inside, 0 outside) in place: what is added gets [`EXTENDED`].
+/// Follow thin airways from `lumen` (1 inside, 0 outside) in place: added voxels get [`EXTENDED`].
+///
+/// # Errors
+///
+/// Returns an error if `watch` stops the search.
 pub fn extend_thin(
     values: VolumeView<'_, i16>,
     lumen: &mut [u8],
@@ -81,7 +94,7 @@ pub fn extend_thin(
     let grid = values.grid();
     let data = values.data();
     let smooth = smoothed(values);
-    // A stride without a factor in common with rows and slices walks through all of the volume evenly.
+    // A stride without a common factor with rows and slices samples the whole volume evenly.
     let stride = 1009;
     let sample: Vec<usize> = (0..data.len())
         .step_by(stride)
@@ -147,7 +160,7 @@ pub fn extend_thin(
     })
 }
 
-/// What lung is like in the sample.
+/// Return the median value of lung in the sample.
 fn median_lung(sample: &[usize], smooth: &[i16], limits: &ThinLimits) -> f64 {
     let mut values: Vec<i16> = sample.iter().map(|at| smooth[*at]).collect();
     values.sort_unstable();
@@ -157,7 +170,7 @@ fn median_lung(sample: &[usize], smooth: &[i16], limits: &ThinLimits) -> f64 {
         .map_or(middle, |value| f64::from(*value))
 }
 
-/// The dip that all but a few of the sampled voxels of lung stay below.
+/// Return the dip that all but a few of the sampled voxels of lung do not reach.
 fn pretended(sample: &[usize], dip: impl Fn(usize) -> i16 + Sync) -> f64 {
     if sample.len() < MIN_SAMPLES {
         return 0.0;
@@ -172,14 +185,14 @@ fn pretended(sample: &[usize], dip: impl Fn(usize) -> i16 + Sync) -> f64 {
     f64::from(dips[((dips.len() - 1) as f64 * FOLLOWED_SHARE) as usize])
 }
 
-/// A way that is an airway.
+/// Accepted path along a thin airway: its voxels, its positions and its mean dip.
 struct Kept {
     voxels: Vec<u32>,
     places: Vec<Place>,
     mean_dip: f64,
 }
 
-/// Of the ways to all tips, the farthest first, what is an airway.
+/// Examine the paths to all tips, the farthest first; return the accepted parts.
 fn kept_ways(
     values: VolumeView<'_, i16>,
     reached: &Reached,
@@ -249,7 +262,9 @@ fn kept_ways(
     Ok(kept)
 }
 
-/// Whether a way goes on from the end of a thin airway as that one ran: behind its start there is lumen, and beside that none.
+/// Return whether a path continues a thin airway from its end in the same direction.
+///
+/// There must be lumen behind its start, and little lumen beside that.
 fn goes_on(grid: &Grid, lumen: &[u8], places: &[Place]) -> bool {
     let far = &places[(NUM_START - 1).min(places.len() - 1)];
     let start = places[0].mm;
@@ -275,7 +290,8 @@ fn goes_on(grid: &Grid, lumen: &[u8], places: &[Place]) -> bool {
     BEHIND_MM.into_iter().all(|mm| is_lumen(behind(mm))) && beside <= MOST_BESIDE
 }
 
-/// Whether the voxels of a way gain more, up to one of them, than those without a dip cost.
+/// Return whether the gains of the voxels of a path, summed from its start to any voxel, exceed the losses of voxels
+/// without a dip.
 fn is_worth_a_look(reached: &Reached, way: &[u32], asked_dip: f64) -> bool {
     let mut gain = 0.0;
     way.iter().any(|node| {
@@ -285,7 +301,7 @@ fn is_worth_a_look(reached: &Reached, way: &[u32], asked_dip: f64) -> bool {
     })
 }
 
-/// Marks what lies in the tube round a way.
+/// Mark the voxels in the tube round a path.
 fn cover(reached: &Reached, way: &[u32], reach_mm: f32, covered: &mut [bool]) {
     let mut left: std::collections::HashMap<u32, f32> =
         way.iter().map(|n| (*n, reach_mm)).collect();
@@ -303,7 +319,8 @@ fn cover(reached: &Reached, way: &[u32], reach_mm: f32, covered: &mut [bool]) {
     }
 }
 
-/// Adds a way's voxels to the lumen, joined by faces, and those beside it that are darker than half-way up the wall.
+/// Add a path's voxels to the lumen, connected by faces, and the voxels beside the path that are darker than half-way
+/// up the wall.
 fn fill(values: VolumeView<'_, i16>, lumen: &mut [u8], way: &Kept) {
     let grid = values.grid();
     let shape = grid.shape_ijk();
@@ -313,13 +330,13 @@ fn fill(values: VolumeView<'_, i16>, lumen: &mut [u8], way: &Kept) {
             lumen[at] = EXTENDED;
         }
     };
-    // The first voxel touches the lumen, or an airway that was kept before it, perhaps by a corner.
+    // The first voxel touches the lumen, or a previously accepted airway, perhaps only by a corner.
     let first = grid.voxel(way.voxels[0] as usize);
     let mut last = beside(lumen, first, shape).unwrap_or(first);
     for voxel in &way.voxels {
         let to = grid.voxel(*voxel as usize);
         while last != to {
-            // Of the faces on the way the darkest.
+            // Of the possible face neighbours, use the darkest.
             let next = (0..3)
                 .filter(|a| last[*a] != to[*a])
                 .map(|a| {
@@ -362,7 +379,7 @@ fn fill(values: VolumeView<'_, i16>, lumen: &mut [u8], way: &Kept) {
     }
 }
 
-/// A voxel of the lumen beside one: the first by faces, edges and corners.
+/// Return a voxel of the lumen beside a voxel: first by faces, then by edges, then by corners.
 fn beside(lumen: &[u8], voxel: [usize; 3], shape: [usize; 3]) -> Option<[usize; 3]> {
     (0..27isize)
         .map(|n| [n % 3 - 1, n / 3 % 3 - 1, n / 9 - 1])

@@ -1,46 +1,55 @@
-//! What a CT shows round a way, averaged along it, and how much of the way is a thin airway.
+//! Values of a CT round a path, averaged along the path, and the part of the path that is a thin airway.
 
 use carina_grid::VolumeView;
 use carina_leastcost::lumen::interpolated;
 
 use crate::find::tube_filter::{NUM_SIDES, ROUNDNESS, ThinSection, across, sides};
 
-/// Places along a way are so far apart, mm.
+/// Distance between positions along a path, mm.
 pub(crate) const EVERY_MM: f64 = 0.5;
-/// Values are averaged over so many places to both sides: 5 mm.
+/// Number of positions to both sides over which values are averaged: 5 mm.
 const NUM_MEAN: usize = 5;
-/// Steps from voxel to voxel are smoothed out, and the direction is taken, over so many places to both sides.
+/// Number of positions to both sides over which the zigzag between voxels is smoothed.
+///
+/// The next constant is the number of positions on each side between which the direction of the path is measured.
 const NUM_SMOOTHED: usize = 2;
 const NUM_DIRECTION: usize = 3;
-/// A way from voxel to voxel is moved to its darkest by so much across it, mm, so many times.
+/// Offsets across a path, mm, at which a darker position is searched; `NUM_CENTRED` is the number of repetitions.
 const OFFSETS_MM: [f64; 2] = [0.25, 0.5];
 const NUM_OFFSETS: usize = 1 + 8 * OFFSETS_MM.len();
 const NUM_CENTRED: usize = 2;
 /// Distances from the middle at which values are read, mm.
 const DISTANCES_MM: [f64; 8] = [0.6, 0.8, 1.0, 1.25, 1.6, 2.1, 2.6, 3.2];
-/// The crest of a wall is looked for at the first so many.
+/// Number of the first distances at which the crest of a wall is searched.
 const NUM_CRESTS: usize = 6;
-/// What a place may give a way, in thresholds: one bright wall must not pay for a long way without.
+/// Largest gain of a path by one position, in thresholds, so that one bright wall does not compensate for a long part
+/// without wall.
 const MOST_GAIN: f64 = 3.0;
-/// Of what is kept the mean is at least this many thresholds, and this share looks like an airway.
+/// Smallest mean dip of an accepted path, in thresholds.
+///
+/// The next constant is the smallest share of positions that look like an airway.
 const KEPT_MEAN: f64 = 1.2;
 const KEPT_SHARE: f64 = 0.75;
-/// The wall of a thin airway is thin: its crest lies so near, mm, behind it there is lung on so many of 8 sides (an artery
-/// lies along the others), and its radius is as steady as this (standard deviation, mm).
+/// Largest distance of the crest of a thin airway's wall, mm.
+///
+/// The next constants are the smallest mean number of 8 sides with lung behind the wall (an artery is at the others),
+/// and the largest standard deviation of the radius, mm.
 const FARTHEST_CREST_MM: f64 = 1.3;
 const LEAST_THIN: f64 = 4.5;
 const STEADY_MM: f64 = 0.06;
 
-/// In its first places a way may be brighter than it is by so much of the wall's rise.
+/// Number of positions at the start of a path that may be brighter than its median.
+///
+/// The next constant is the largest difference, as a fraction of the wall's rise.
 const NUM_FIRST: usize = 4;
 const OPENNESS: f64 = 0.65;
 
-/// Of a whole way the second darkest side rises at least this share of the median side.
+/// Smallest rise of the second darkest side of a whole path, as a fraction of the rise of the median side.
 const ROUND_WAY: f64 = 0.4;
-/// Walls farther out than this are not seen well enough to say on how many sides they are, mm.
+/// Radius of a wall above which the CT does not show reliably on how many sides it is, mm.
 const WIDE_MM: f64 = 1.3;
 
-/// A way's places, each with what is seen round 5 mm of the way.
+/// Positions of a path, each with the values averaged over 5 mm of the path.
 #[derive(Debug, Clone)]
 pub(crate) struct Profile {
     pub(crate) places: Vec<Place>,
@@ -48,24 +57,24 @@ pub(crate) struct Profile {
 
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Place {
-    /// Steps of mm along the grid's axes.
+    /// Position in mm along the grid's axes.
     pub(crate) mm: [f64; 3],
-    /// In the middle, of this place alone and of the mean.
+    /// Value in the middle at this position; the next field is the average along the path.
     own: f64,
     pub(crate) middle: f64,
-    /// How far the second darkest side rises over the middle.
+    /// Rise of the second darkest side above the middle.
     dip: f64,
-    /// How far the median side does.
+    /// Rise of the median side above the middle.
     pub(crate) rise: f64,
-    /// Where the median side is half-way up, mm.
+    /// Distance at which the median side is half-way up, mm.
     pub(crate) radius_mm: f64,
-    /// Where the median side is brightest, mm.
+    /// Distance at which the median side is brightest, mm.
     crest_mm: f64,
-    /// The darkest value of each side farther out.
+    /// Lowest value of each side beyond the crest.
     beyond: [f64; NUM_SIDES],
 }
 
-/// What is asked of a way.
+/// Requirements that a path must meet to be accepted as a thin airway.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Asked {
     pub(crate) section: ThinSection,
@@ -74,13 +83,13 @@ pub(crate) struct Asked {
 }
 
 impl Profile {
-    /// Of the way through voxels that touch each other; none where there is but one place.
+    /// Return the profile of a path through adjacent voxels; `None` if the path has only one position.
     pub(crate) fn of(values: VolumeView<'_, i16>, voxels: &[u32]) -> Option<Self> {
         let curve = evenly(values, voxels);
         (curve.len() > 1).then(|| Self::along(values, &curve))
     }
 
-    /// The same, of the way moved to its darkest.
+    /// Return the profile of a path after moving it to the darkest positions; `None` if the path has only one position.
     pub(crate) fn centred(values: VolumeView<'_, i16>, voxels: &[u32]) -> Option<Self> {
         let curve = evenly(values, voxels);
         let moved = |curve: Vec<[f64; 3]>, _| centred(&curve, |mm| value_at(values, mm));
@@ -115,7 +124,9 @@ impl Profile {
         Self { places }
     }
 
-    /// How many of the places, from the first, are an airway: as far as following it pays, if that is enough for one.
+    /// Return the number of positions, from the first, that are an airway.
+    ///
+    /// These positions are the part with the largest gain; the result is 0 if the part does not qualify.
     pub(crate) fn kept(&self, asked: &Asked) -> usize {
         let (mut gain, mut most, mut num) = (0.0, 0.0, 0);
         let looks: Vec<bool> = self.places.iter().map(|p| p.looks_like(asked)).collect();
@@ -146,7 +157,9 @@ impl Profile {
         }
     }
 
-    /// Whether the wall is as thin as an airway's of that width, and that wide all along: what vessels close off is not.
+    /// Return whether the wall is as thin as that of an airway and the radius constant along the path.
+    ///
+    /// A space enclosed by vessels does not satisfy this.
     fn is_a_thread(&self, num: usize, section: &ThinSection) -> bool {
         let places = &self.places[..num];
         let mean =
@@ -158,7 +171,9 @@ impl Profile {
             && varies_mm <= STEADY_MM
     }
 
-    /// Whether the lumen opens into the one it leaves from: a way that begins in that one's wall leads to lung beside it.
+    /// Return whether the lumen opens into the airway that it leaves.
+    ///
+    /// A path that begins in that airway's wall leads to lung beside it.
     fn is_open(&self, num: usize) -> bool {
         let places = &self.places[..num];
         let first = &places[..NUM_FIRST.min(num)];
@@ -166,13 +181,15 @@ impl Profile {
         brightest - median(places, |p| p.own) <= OPENNESS * median(places, |p| p.rise)
     }
 
-    /// Whether the wall is on all sides: a groove between a vessel and a wall is open on one. Wide lumens are not asked.
+    /// Return whether the wall is on all sides (a groove between a vessel and a wall is open on one side).
+    ///
+    /// The result is always true for wide lumens.
     pub(crate) fn is_round(&self) -> bool {
         median(&self.places, |p| p.radius_mm) > WIDE_MM
             || median(&self.places, |p| p.dip / p.rise.max(1.0)) >= ROUND_WAY
     }
 
-    /// Mean dip of the first places.
+    /// Return the mean dip of the first positions.
     pub(crate) fn mean_dip(&self, num: usize) -> f64 {
         self.places[..num].iter().map(|p| p.dip).sum::<f64>() / num.max(1) as f64
     }
@@ -184,7 +201,7 @@ fn median(places: &[Place], value: impl Fn(&Place) -> f64) -> f64 {
     values[values.len() / 2]
 }
 
-/// Length of so many places.
+/// Return the length of a number of positions.
 pub(crate) fn length_mm(num: usize) -> f64 {
     EVERY_MM * num as f64
 }
@@ -197,7 +214,7 @@ fn value_at(values: VolumeView<'_, i16>, mm: [f64; 3]) -> f64 {
     ))
 }
 
-/// Values at one place.
+/// Values at one position of a path: in the middle, and at several distances on each side.
 struct Seen {
     middle: f64,
     walls: [[f64; NUM_SIDES]; DISTANCES_MM.len()],
@@ -247,7 +264,7 @@ impl Place {
         }
     }
 
-    /// Sides with lung behind the wall.
+    /// Return the number of sides with lung behind the wall.
     fn num_thin(&self, section: &ThinSection) -> f64 {
         let most = section.beyond(self.middle + self.rise);
         self.beyond.iter().filter(|side| **side < most).count() as f64
@@ -262,7 +279,8 @@ impl Place {
     }
 }
 
-/// At each place of a curve two unit vectors across it, turned as little as may be from one place to the next.
+/// Return at each position of a curve two unit vectors across it, with the least rotation from one position to the
+/// next.
 fn frames(curve: &[[f64; 3]]) -> impl Iterator<Item = [[f64; 3]; 2]> {
     let last = curve.len() - 1;
     let mut up = None;
@@ -273,7 +291,8 @@ fn frames(curve: &[[f64; 3]]) -> impl Iterator<Item = [[f64; 3]; 2]> {
         );
         let along = carina_grid::unit(std::array::from_fn(|x| curve[b][x] - curve[a][x]))
             .unwrap_or([0.0, 0.0, 1.0]);
-        // Sides keep their place round the way: the one before, without its part along it.
+        // Each frame is derived from the previous one, without the component along the path, so that sides keep their
+        // position round the path.
         let first = up
             .and_then(|before: [f64; 3]| {
                 let part = carina_grid::dot(before, along);
@@ -285,7 +304,7 @@ fn frames(curve: &[[f64; 3]]) -> impl Iterator<Item = [[f64; 3]; 2]> {
     })
 }
 
-/// The curve moved to where the CT along it is darkest: a way from voxel to voxel cuts corners.
+/// Move the curve to where the CT along it is darkest, because a path from voxel to voxel cuts corners.
 fn centred(curve: &[[f64; 3]], at: impl Fn([f64; 3]) -> f64) -> Vec<[f64; 3]> {
     let last = curve.len() - 1;
     let moved = |n: usize, frame: &[[f64; 3]; 2], offset: [f64; 2]| -> [f64; 3] {
@@ -308,7 +327,7 @@ fn centred(curve: &[[f64; 3]], at: impl Fn([f64; 3]) -> f64) -> Vec<[f64; 3]> {
     smoothed(&darkest)
 }
 
-/// Offsets across a way: none, and 8 round it at each distance, mm.
+/// Return the offsets across a path: none, and 8 directions at each distance, mm.
 fn offset_mm(n: usize) -> [f64; 2] {
     let Some(n) = n.checked_sub(1) else {
         return [0.0; 2];
@@ -318,7 +337,7 @@ fn offset_mm(n: usize) -> [f64; 2] {
     [mm * cos, mm * sin]
 }
 
-/// Each place the mean of those near it.
+/// Replace each position by the mean of the near positions.
 fn smoothed(curve: &[[f64; 3]]) -> Vec<[f64; 3]> {
     let last = curve.len().saturating_sub(1);
     (0..curve.len())
@@ -330,7 +349,7 @@ fn smoothed(curve: &[[f64; 3]]) -> Vec<[f64; 3]> {
         .collect()
 }
 
-/// Places at even distances along the way, its steps from voxel to voxel smoothed out.
+/// Return positions at equal distances along the path, with the zigzag between voxels smoothed.
 fn evenly(values: VolumeView<'_, i16>, voxels: &[u32]) -> Vec<[f64; 3]> {
     let grid = values.grid();
     let spacing = grid.spacing_mm();

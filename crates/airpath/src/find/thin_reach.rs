@@ -1,4 +1,4 @@
-//! Voxels that thin airways may lead through, from the lumen outwards, and the least-cost ways through them.
+//! Voxels that paths of thin airways may use, from the lumen outwards, and the least-cost paths through them.
 
 use carina_grid::{Grid, InstructionSet};
 use carina_leastcost::{TrackError, Watch};
@@ -7,35 +7,39 @@ use rayon::prelude::*;
 use crate::find::extension_levels::LUMEN;
 use crate::find::tube_filter::{BLOCK, TubeFilter};
 
-/// How far ways lead from the lumen, and later on, through voxels without a dip, mm; half as far at that price.
+/// Allowance of a path at the lumen: length in mm that it may pass through voxels without a dip.
+///
+/// The next constant is the largest allowance. At `PRICE` per mm, the actual length is half of that.
 const FIRST_MM: f32 = 1.0;
 const MOST_MM: f32 = 4.0;
-/// Of a voxel's dip over what is asked for, less 1: what a mm of it adds to or takes from that way, and at most.
+/// Change of the allowance per mm of path: this factor times (dip divided by the threshold, minus 1).
+///
+/// The next constant is the largest increase per mm.
 const PRICE: f32 = 2.0;
 const MOST_GAIN: f32 = 0.5;
-/// A better way to a voxel is one that may lead so much farther, mm.
+/// Smallest improvement of the allowance, in mm, for which a voxel is processed again.
 const BETTER_MM: f32 = 0.05;
 
-/// A voxel that was reached.
+/// Voxel that was reached.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Node {
     pub(crate) voxel: u32,
     pub(crate) dip: i16,
-    /// As far a way may lead on without a dip, mm.
+    /// Remaining allowance of length without a dip, mm.
     left_mm: f32,
 }
 
-/// All that was reached.
+/// All voxels that were reached.
 #[derive(Debug)]
 pub(crate) struct Reached {
     pub(crate) nodes: Vec<Node>,
-    /// Where each voxel stands among the nodes.
+    /// Index of each voxel among the nodes.
     at: VoxelMap,
     around: Neighbours,
 }
 
 impl Reached {
-    /// What can be reached from the lumen; it ends with more than `most` voxels.
+    /// Find the voxels that can be reached from the lumen; the search ends if there are more than `most`.
     pub(crate) fn from_lumen(
         grid: &Grid,
         lumen: &[u8],
@@ -94,7 +98,7 @@ impl Reached {
         Ok(Self { nodes, at, around })
     }
 
-    /// Calls `visit` with each node beside one, and how far away it is, mm.
+    /// Call `visit` with each neighbouring node and its distance, mm.
     pub(crate) fn each_beside(&self, node: u32, mut visit: impl FnMut(u32, f32)) {
         self.around
             .each(self.nodes[node as usize].voxel as usize, |next, step_mm| {
@@ -104,14 +108,14 @@ impl Reached {
             });
     }
 
-    /// The cheapest ways from the lumen.
+    /// Compute the cheapest paths from the lumen.
     pub(crate) fn ways(&self, lumen: &[u8], asked: f64) -> Ways {
         let num = self.nodes.len();
         let mut ways = Ways {
             before: vec![None; num],
             along_mm: vec![f32::INFINITY; num],
         };
-        // Micrometres times weight: integers have one order.
+        // Micrometres times weight, as integers, because integers have a total order.
         let mut found: Vec<Found> = self
             .nodes
             .iter()
@@ -160,15 +164,15 @@ impl Reached {
     }
 }
 
-/// What the cheapest way to a node costs, and what a mm of it does.
+/// Cost of the cheapest path to a node, and weight of the node.
 #[derive(Debug, Clone, Copy)]
 struct Found {
     cost: u64,
-    /// 1 or more.
+    /// Cost per length, 1 or more.
     weight: f64,
 }
 
-/// A queue by cost, in buckets so narrow that no step leads from one into itself: sorted once, each is in order.
+/// Queue by cost, in buckets so narrow that no step stays within its bucket: a bucket that is sorted once is in order.
 #[derive(Debug)]
 struct Buckets {
     width: u64,
@@ -177,7 +181,7 @@ struct Buckets {
 }
 
 impl Buckets {
-    /// No step costs less than `least`.
+    /// Create a queue; `least` is a lower bound of the cost of a step.
     fn new(least: f64) -> Self {
         Self {
             width: (least as u64).max(1),
@@ -194,7 +198,7 @@ impl Buckets {
         self.open[bucket].push((cost, node));
     }
 
-    /// The cheapest, by cost and number.
+    /// Return the bucket with the lowest costs, sorted by cost and number.
     fn pop(&mut self) -> Option<Vec<(u64, u32)>> {
         let ahead = self.open[self.front..].iter().position(|b| !b.is_empty())?;
         self.front += ahead + 1;
@@ -204,21 +208,21 @@ impl Buckets {
     }
 }
 
-/// The cheapest way to each node.
+/// Cheapest path to each node.
 #[derive(Debug)]
 pub(crate) struct Ways {
-    /// The node before it; none beside the lumen.
+    /// Previous node; none beside the lumen.
     pub(crate) before: Vec<Option<u32>>,
-    /// Its length, mm.
+    /// Length of the path, mm.
     pub(crate) along_mm: Vec<f32>,
 }
 
-/// The neighbours by faces, edges and corners, and how far they are.
+/// Neighbours by faces, edges and corners, and their distances.
 #[derive(Debug)]
 pub(crate) struct Neighbours {
     shape: [isize; 3],
     steps: Vec<([isize; 3], f32)>,
-    /// The same as steps in memory, for voxels that no side of the volume is next to.
+    /// The same neighbours as memory offsets, for voxels that are not at a face of the volume.
     in_memory: Vec<(isize, f32)>,
 }
 
@@ -246,7 +250,7 @@ impl Neighbours {
         }
     }
 
-    /// How far the nearest of them is.
+    /// Return the distance of the nearest neighbour.
     fn nearest_mm(&self) -> f32 {
         self.steps
             .iter()
@@ -273,17 +277,17 @@ impl Neighbours {
     }
 }
 
-/// Dips of voxels that are dark enough for a lumen, as far as they were asked for.
+/// Cache of the dips of voxels that are dark enough for a lumen.
 pub(crate) struct Dips<'a> {
     filter: &'a TubeFilter,
     values: &'a [i16],
     smooth: &'a [i16],
-    /// A brighter voxel is no lumen.
+    /// Largest smoothed value of a voxel that can be lumen.
     brightest: i16,
     simd: InstructionSet,
-    /// In blocks of voxels beside each other: who asks for one asks for its neighbours soon.
+    /// Dips in blocks of voxels that are consecutive in memory, because neighbours are usually needed soon.
     known: Vec<[i16; BLOCK]>,
-    /// Where each block stands among them.
+    /// Index of each block in `known`.
     at: VoxelMap,
 }
 
@@ -305,7 +309,7 @@ impl<'a> Dips<'a> {
         }
     }
 
-    /// Measures what is not known yet of voxels, in their order in memory.
+    /// Compute the dips of voxels that are not cached yet, in their order in memory.
     fn measure(&mut self, voxels: &[(u32, f32)]) {
         let is_dark = |voxel: u32| self.smooth[voxel as usize] <= self.brightest;
         let mut blocks: Vec<u32> = voxels
@@ -326,7 +330,7 @@ impl<'a> Dips<'a> {
         );
     }
 
-    /// The dip of a voxel that was measured; none of one that is too bright.
+    /// Return the dip of a measured voxel; `None` if the voxel is too bright.
     fn of(&self, voxel: u32) -> Option<i16> {
         let block = self.at.get(voxel / BLOCK as u32)?;
         (self.smooth[voxel as usize] <= self.brightest)
@@ -334,11 +338,11 @@ impl<'a> Dips<'a> {
     }
 }
 
-/// What is reached next, each voxel once.
+/// Voxels to be reached next, each once.
 #[derive(Debug)]
 struct Wave {
     reached: Vec<(u32, f32)>,
-    /// Where each voxel stands among them.
+    /// Index of each voxel in the list.
     at: VoxelMap,
 }
 
@@ -354,7 +358,7 @@ impl Wave {
         self.reached.is_empty()
     }
 
-    /// The best of the ways to a voxel counts.
+    /// Add a voxel; of several paths to it the best allowance counts.
     fn reach(&mut self, voxel: u32, left_mm: f32) {
         if let Some(n) = self.at.get(voxel) {
             let best_mm = &mut self.reached[n as usize].1;
@@ -365,7 +369,7 @@ impl Wave {
         }
     }
 
-    /// All of them in their order in memory; none is left.
+    /// Return all voxels in their order in memory and empty the list.
     fn take(&mut self) -> Vec<(u32, f32)> {
         let mut reached = std::mem::take(&mut self.reached);
         for (voxel, _) in &reached {
@@ -379,7 +383,7 @@ impl Wave {
 const TILE: usize = 256;
 const NONE: u32 = u32::MAX;
 
-/// A number for some of a volume's voxels: room is taken where there are any.
+/// Map from some voxels of a volume to numbers; it needs memory only where it has entries.
 #[derive(Debug)]
 struct VoxelMap {
     tiles: Vec<Option<Box<[u32; TILE]>>>,

@@ -1,4 +1,6 @@
-//! The search for thin airways on drawn chests: a thread with a dark middle is followed, vessels and lung are not.
+//! Tests of the search for thin airways on drawn chests.
+//!
+//! The search follows a thread with a dark middle, but neither vessels nor lung.
 
 use carina_grid::{Affine, Grid, VolumeView, cross, dot, length, unit};
 use carina_leastcost::{TrackError, Unwatched, Watch};
@@ -18,7 +20,7 @@ const LIMITS: ThinLimits = ThinLimits {
     min_side_mm: 5.0,
     most_reached: 1.0,
 };
-/// The known airway's end, and where what goes on from it points: along no axis of the grid.
+/// End of the known airway; the next constant is the direction of its continuation, along no axis of the grid.
 const START_MM: [f64; 3] = [12.0, 12.5, 12.0];
 const ALONG: [f64; 3] = [0.86, 0.33, 0.39];
 const KNOWN_RADIUS_MM: f64 = 1.9;
@@ -29,7 +31,7 @@ struct Drawn {
     lumen: Vec<u8>,
 }
 
-/// Where a point lies: along the way from the start, and off it to two sides, mm.
+/// Return the coordinates of a point along the continuation from the start, and to two sides of it, mm.
 fn along_and_off(p: [f64; 3]) -> [f64; 3] {
     let along = unit(ALONG).unwrap();
     let across = unit(cross(along, [0.0, 0.0, 1.0])).unwrap();
@@ -41,8 +43,9 @@ fn along_and_off(p: [f64; 3]) -> [f64; 3] {
     ]
 }
 
-/// Lung with noise of 25 HU and a known airway that ends at the start; beyond it what `drawn_hu` tells of a place along and
-/// off the way, where it tells anything. Blurred as a CT is.
+/// Draw lung with noise of 25 HU and a known airway that ends at the start, blurred like a CT.
+///
+/// `drawn_hu` gives values of the continuation at a point along and off the path, or `None` for lung.
 fn drawn(drawn_hu: impl Fn([f64; 3]) -> Option<f64>) -> Drawn {
     let place = Affine::from_columns(
         [0.0, 0.6, 0.0],
@@ -104,7 +107,7 @@ fn drawn(drawn_hu: impl Fn([f64; 3]) -> Option<f64>) -> Drawn {
         (state >> 33) as f64 / f64::from(1u32 << 31)
     };
     let values = blurred.iter().map(|hu| {
-        // The sum of twelve even ones has a deviation of 1.
+        // The sum of twelve uniform random numbers has a standard deviation of 1.
         let noise: f64 = (0..12).map(|_| even()).sum::<f64>() - 6.0;
         (hu + 25.0 * noise).round() as i16
     });
@@ -119,7 +122,7 @@ fn drawn(drawn_hu: impl Fn([f64; 3]) -> Option<f64>) -> Drawn {
     }
 }
 
-/// A tube of 0.6 mm radius with a wall of 0.7 mm, up to `ends_mm`, without a wall where `gap` says so.
+/// Draw a tube of 0.6 mm radius with a wall of 0.7 mm, up to `ends_mm`; the wall is missing where `gap` is true.
 fn thin_tube(ends_mm: f64, gap: impl Fn(f64) -> bool) -> Drawn {
     drawn(move |[t, x, y]| {
         let off = x.hypot(y);
@@ -133,7 +136,7 @@ fn extended(chest: &mut Drawn) -> Thin {
     extend_thin(view, &mut chest.lumen, &LIMITS, &Unwatched).unwrap()
 }
 
-/// How far along what was added reaches, and how far off the way it lies, mm.
+/// Return how far along the path the added voxels extend, and their largest distance from it, mm.
 fn added_mm(chest: &Drawn) -> (f64, f64) {
     let spacing = chest.grid.spacing_mm();
     chest
@@ -158,7 +161,7 @@ fn a_thin_tube_in_noise_is_followed_to_its_end_and_no_farther() {
     assert!(!found.followed.is_empty());
     let (far, off) = added_mm(&chest);
     assert!((14.0..=17.5).contains(&far), "ends at {far}");
-    // Within the outer wall, and a voxel.
+    // Tolerance: the outer radius of the wall (0.6 + 0.7 mm) and one voxel.
     assert!(off < 1.3 + 0.65, "{off}");
     let total_mm: f64 = found.followed.iter().map(|way| way.length_mm).sum();
     assert!((10.0..=19.0).contains(&total_mm), "{total_mm}");
@@ -192,7 +195,7 @@ fn a_vessel_that_goes_on_from_the_airway_is_none() {
 
 #[test]
 fn lung_between_two_or_three_vessels_is_no_airway() {
-    // Three that touch each other would close off a lumen: nothing in a CT tells it from an airway's.
+    // Three vessels that touch each other would enclose a lumen that a CT cannot distinguish from an airway's.
     for (vessels, apart_mm) in [(2, 1.8), (2, 2.2), (3, 2.7)] {
         let mut chest = drawn(|[_, x, y]| {
             let is_vessel = (0..vessels).any(|n| {
@@ -221,7 +224,7 @@ fn lung_beyond_an_airway_that_ends_adds_nothing() {
 
 #[test]
 fn a_search_that_reaches_too_much_of_the_lung_is_given_up_and_adds_nothing() {
-    // A chest beside itself again and again: less lung would be too little for a share of it.
+    // Several copies of a chest side by side, because the lung of one copy is too small for the share.
     let one = thin_tube(16.0, |_| false);
     let num = 18;
     let grid = Grid::new([52 * num, 52, 64], *one.grid.lps_from_ijk()).unwrap();

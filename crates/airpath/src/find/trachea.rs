@@ -1,13 +1,15 @@
-//! The trachea from its anatomy: a tube of air, 7 to 27 mm wide, walled by soft tissue, that runs down between the lungs and
-//! splits into one branch to the right and one to the left.
+//! Search for the trachea by its anatomy.
 //!
-//! Works on the grid's slices that are nearest to transverse, in whatever order and orientation they are stored: only the
-//! LPS directions of the grid's axes are used (+z superior, +x left). Arms, the table and the air outside never pass: they
-//! are not ringed by tissue at this size, or do not split. Bowel can split; it has no lung on both sides. A main bronchus
-//! can split with lung on both sides; it has a twin.
+//! A trachea is a tube of air, 7 to 27 mm wide, with a wall of soft tissue, that runs down between the lungs and
+//! divides into one branch to the right and one to the left.
 //!
-//! Patients lose parts of this: a main bronchus narrowed or blocked, a lung collapsed or taken out, the trachea cropped.
-//! Each missing part is a [`Doubt`] and makes the rest stricter.
+//! The search uses the grid's slices that are nearest to transverse, in any order and orientation: only the LPS
+//! directions of the grid's axes matter (+z superior, +x left). Arms, the table and the air outside never qualify,
+//! because no tissue surrounds them at this size, or they do not divide. Bowel can divide, but has no lung on both
+//! sides. A main bronchus can divide with lung on both sides, but has a similar tube beside it.
+//!
+//! In some patients a part of this is missing: a main bronchus is narrowed or blocked, a lung has collapsed or was
+//! removed, the trachea is cropped. Each missing part is recorded as a [`Doubt`] and makes the other criteria stricter.
 
 use carina_grid::{VolumeView, length};
 use rayon::prelude::*;
@@ -19,60 +21,64 @@ use crate::find::spots::{
 };
 use carina_leastcost::{TrackError, Watch};
 
-/// What the anatomy of a trachea misses here.
+/// Part of the expected anatomy that is missing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Doubt {
-    /// The volume's first slices cut it off less than 18 mm above the carina.
+    /// The first slices of the volume cut the trachea off less than 18 mm above the carina.
     CutOff,
     /// One main bronchus is short or narrow.
     NarrowBronchus,
-    /// It goes on into one main bronchus only.
+    /// The trachea continues into one main bronchus only.
     OneBronchus,
     /// There is lung on one side only.
     OneLung,
 }
 
-/// The trachea that was found.
+/// Trachea that was found.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Trachea {
     /// Voxels of its air, one per slice, from the top down.
     pub voxels: Vec<[usize; 3]>,
-    /// Equivalent diameter of each, mm.
+    /// Equivalent diameter at each voxel, mm.
     pub diameters_mm: Vec<f64>,
     /// Length, mm.
     pub length_mm: f64,
-    /// Place of the split, LPS.
+    /// Position of the carina, LPS.
     pub carina_lps: [f64; 3],
-    /// Why it may be something else; empty for a trachea as in the book.
+    /// Reasons why it may be another structure; empty for a trachea with the expected anatomy.
     pub doubts: Vec<Doubt>,
 }
 
-/// How the tubes below must look.
+/// Criteria for the two tubes below a division.
 #[derive(Debug, Clone, Copy)]
 struct SplitRule {
-    /// Both are followed this far down, mm.
+    /// Length over which both are followed down, mm.
     follow_mm: f64,
-    /// Least diameter of the wider and of the narrower one, mm.
+    /// Smallest diameter of the wider tube, mm; the next field is that of the narrower one.
     wider_mm: f64,
     narrower_mm: f64,
-    /// Farthest apart front to back, mm: the oesophagus lies behind.
+    /// Largest distance front to back, mm, because the oesophagus is behind.
     front_back_mm: f64,
 }
 
-/// Length of trachea that must be in the volume, mm; and where the volume's first slices cut it off.
+/// Smallest length of trachea in the volume, mm; the next constant applies if the volume's first slices cut it off.
 const MIN_LENGTH_MM: f64 = 18.0;
 const MIN_CUT_OFF_MM: f64 = 8.0;
-/// Length of a trachea that lacks a main bronchus or a lung, mm: no other airway is wide for so long.
+/// Smallest length of a trachea without one main bronchus or one lung, mm: no other airway is wide for this length.
 const STRICT_LENGTH_MM: f64 = 40.0;
-/// The same for one that lacks both, and for one that other tubes run beside, mm.
+/// Smallest length of a trachea without one main bronchus and one lung, or with other tubes beside the trachea, mm.
 const BEYOND_DOUBT_MM: f64 = 60.0;
-/// And its least median diameter, mm, least share ringed by tissue, and most drift sideways per mm down.
+/// Smallest median diameter of such a trachea, mm.
+///
+/// The next constants are the smallest share surrounded by tissue, and the largest sideways displacement per mm down.
 const STRICT_DIAMETER_MM: f64 = 9.0;
 const STRICT_RINGED: f64 = 0.8;
 const STRICT_SLANT: f64 = 0.6;
-/// The one main bronchus leaves the line of the trachea by this much, mm.
+/// Smallest distance by which a single main bronchus leaves the line of the trachea, mm.
 const ASIDE_MM: f64 = 10.0;
-/// How much the area of a tube may change from slice to slice, as a factor: a bronchus may meet one that leaves it level.
+/// Largest change of the area of a tube from slice to slice, as a factor.
+///
+/// The next constant applies to a bronchus, which may meet a horizontal branch.
 const TRACHEA_CHANGE: f64 = 2.2;
 const BRONCHUS_CHANGE: f64 = 5.0;
 const BOTH_BRONCHI: SplitRule = SplitRule {
@@ -87,12 +93,15 @@ const NARROW_BRONCHUS: SplitRule = SplitRule {
     narrower_mm: 3.9,
     front_back_mm: 12.0,
 };
-/// A tube beside a candidate that is this much of its diameter, this far off and runs along for this long: a twin.
+/// Smallest diameter of a twin (a similar tube beside a candidate), as a fraction of the candidate's diameter.
+///
+/// The next constants are the range of distances of a twin, and the smallest length over which it runs beside the
+/// candidate.
 const TWIN_DIAMETER: f64 = 0.6;
 const TWIN_OFF_MM: (f64, f64) = (22.0, 130.0);
 const TWIN_LENGTH_MM: f64 = 12.0;
 
-/// The slices from the top down, and what runs through them.
+/// Slices from the top down, with the chains of bronchi.
 struct Scene<'a> {
     values: VolumeView<'a, i16>,
     levels: AirLevels,
@@ -101,7 +110,11 @@ struct Scene<'a> {
     step_mm: f64,
 }
 
-/// Finds the trachea.
+/// Find the trachea.
+///
+/// # Errors
+///
+/// Returns an error if there is no trachea, or if `watch` stops the search.
 pub fn find_trachea(
     values: VolumeView<'_, i16>,
     levels: AirLevels,
@@ -116,7 +129,7 @@ pub fn find_trachea(
     } else {
         (0..num_slices).rev().collect()
     };
-    // From the top down.
+    // Slices from the top down.
     let slices: Vec<Vec<Spot>> = in_order
         .par_iter()
         .map(|&slice| {
@@ -142,7 +155,8 @@ pub fn find_trachea(
         let Some(candidate) = scene.candidate(chain) else {
             continue;
         };
-        // One as long as this needs no such proof: pockets of air beside it (a collapsed lung, the gut) are no twins.
+        // A candidate of this length needs no test for twins: pockets of air beside it (a collapsed lung, the gut) are
+        // no twins.
         let is_long = candidate.trachea.length_mm >= BEYOND_DOUBT_MM;
         if !(is_long && scene.passes_strictly(chain, &candidate))
             && scene.has_twin(chain, candidate.ends_at)
@@ -173,7 +187,7 @@ pub fn find_trachea(
     }))
 }
 
-/// A chain that passes for a trachea.
+/// Chain that qualifies as a trachea.
 struct Candidate {
     trachea: Trachea,
     ends_at: usize,
@@ -188,7 +202,10 @@ impl Candidate {
         doubts.contains(&Doubt::OneBronchus) || doubts.contains(&Doubt::OneLung)
     }
 
-    /// The larger tube. One without a main bronchus or a lung only counts above the other: the colon runs below the lungs.
+    /// Return whether this candidate is better: the larger tube.
+    ///
+    /// A candidate without a main bronchus or a lung is better only if it is above the other, because the colon is
+    /// below the lungs.
     fn beats(&self, other: &Self) -> bool {
         let above = |a: &Self, b: &Self| a.bottom_z_mm >= b.top_z_mm - 15.0;
         match (self.is_strict(), other.is_strict()) {
@@ -204,9 +221,9 @@ impl Scene<'_> {
         &self.slices[chain.first + n][chain.spots[n]]
     }
 
-    /// The chain as a trachea, with its doubts; `None` if it is none.
+    /// Return the chain as a trachea, with its doubts; `None` if it does not qualify.
     fn candidate(&self, chain: &Chain) -> Option<Candidate> {
-        // The scanner's first slice may be padding in a part.
+        // Part of the scanner's first slice may be padding.
         let cut_off = chain.first <= 1;
         let least_mm = if cut_off {
             MIN_CUT_OFF_MM
@@ -217,7 +234,7 @@ impl Scene<'_> {
             return None;
         }
         let mut doubts = Vec::new();
-        // The chain may go on into a main bronchus: look for the split all along its lower part.
+        // The chain may continue into a main bronchus, so the division is searched along its whole lower part.
         let (carina_lps, ends_at) =
             if let Some(split) = self.split_below(chain, BOTH_BRONCHI, least_mm) {
                 split
@@ -238,7 +255,7 @@ impl Scene<'_> {
             return None;
         }
         if length_mm < MIN_LENGTH_MM {
-            // So short a piece must be wide.
+            // Such a short piece must be wide.
             if median(&diameters_mm) < STRICT_DIAMETER_MM {
                 return None;
             }
@@ -270,7 +287,9 @@ impl Scene<'_> {
         (!candidate.is_strict() || self.passes_strictly(chain, &candidate)).then_some(candidate)
     }
 
-    /// Long, wide, upright and ringed all along: enough without a second main bronchus or lung.
+    /// Return true if the tube is long, wide, upright and surrounded by tissue throughout.
+    ///
+    /// Then no second main bronchus or lung is required.
     fn passes_strictly(&self, chain: &Chain, candidate: &Candidate) -> bool {
         let trachea = &candidate.trachea;
         let ringed: Vec<f64> = (0..=candidate.ends_at)
@@ -291,10 +310,11 @@ impl Scene<'_> {
             && aside <= STRICT_SLANT * (candidate.top_z_mm - candidate.bottom_z_mm)
     }
 
-    /// Where the chain splits: the carina's place and the last spot of the chain above it.
+    /// Return the carina's position and the last spot of the chain above it.
     ///
-    /// Two tubes in the same slices, one on the right and one on the left of the chain's last undivided spot, that both go on
-    /// for a while and drift apart. One of them may be the lower part of the chain itself.
+    /// The carina is above two tubes in the same slices, one on the right and one on the left of the chain's last
+    /// undivided spot, that both continue for a while and diverge. One of them may be the lower part of the chain
+    /// itself.
     fn split_below(
         &self,
         chain: &Chain,
@@ -315,7 +335,8 @@ impl Scene<'_> {
             };
             for start in below..=furthest {
                 let stop = start + num_needed - 1;
-                // Tubes present in this slice and for long enough below it, with the place where they are now and then.
+                // Tubes that are present in this slice and long enough below it, with their spots in the first and the
+                // last of these slices.
                 let tubes: Vec<(&Spot, &Spot)> = self
                     .bronchi
                     .iter()
@@ -333,7 +354,7 @@ impl Scene<'_> {
                         let wide_enough =
                             one.max(two) >= rule.wider_mm && one.min(two) >= rule.narrower_mm;
                         let front_back = (left.centre_lps[1] - right.centre_lps[1]).abs();
-                        // 1 mm per 3 mm: main bronchi part by at least 30 degrees.
+                        // 1 mm per 3 mm: main bronchi diverge by at least 30 degrees.
                         if now >= 7.0
                             && then - now >= rule.follow_mm / 3.0
                             && between
@@ -352,12 +373,14 @@ impl Scene<'_> {
         None
     }
 
-    /// Where the chain, or the tube that it goes on in, leaves its line to one side: the carina when one main bronchus is shut.
+    /// Return the position where the chain, or the tube that continues it, leaves its line to one side.
+    ///
+    /// The position is the carina if one main bronchus is closed.
     fn turn_aside(&self, chain: &Chain) -> Option<([f64; 3], usize)> {
         let last = chain.spots.len() - 1;
         let end = self.spot(chain, last);
         let top = self.spot(chain, 0);
-        // The line through the upper part: from the top to 60 % of the way.
+        // Line through the upper part: from the top to 60 % of the length.
         let upper = self.spot(chain, last * 3 / 5);
         let down = top.centre_lps[2] - upper.centre_lps[2];
         if down < STRICT_LENGTH_MM / 2.0 {
@@ -391,10 +414,10 @@ impl Scene<'_> {
         Some((self.spot(chain, ends_at).centre_lps, ends_at))
     }
 
-    /// True if another tube of about its width runs beside the chain, to the right or to the left.
+    /// Return true if another tube of similar width runs beside the chain, to the right or to the left.
     fn has_twin(&self, chain: &Chain, ends_at: usize) -> bool {
         let min_slices = (TWIN_LENGTH_MM / self.step_mm).ceil().max(2.0) as usize;
-        // The tubes of a split may begin a little above the chain's last spot: not looked at.
+        // The tubes of a division may begin a little above the chain's last spot, so the slices there are not tested.
         let num_near = (6.0 / self.step_mm).ceil() as usize;
         let stop = chain.first + (ends_at + 1).saturating_sub(num_near);
         self.bronchi.iter().any(|other| {

@@ -1,74 +1,80 @@
-//! How much darker a short piece of a thin tube is in its middle than on its sides, whatever way the tube runs.
+//! Filter for short pieces of thin tubes in any direction: the difference between the sides of a piece and its middle.
 //!
-//! The wall of a lumen of one or two voxels is blurred into it. What is left is a bright thread whose middle is a little
-//! darker, by less than the noise of a voxel: a rule that looks from one voxel ([`crate::find::tubeness`]) loses it. Means
-//! along the tube do not. So values are added up along straight pieces, in the middle and on eight sides of it. The *dip*
-//! of a piece is how far the second darkest side rises over the middle (one side may open into a branch). It counts where
-//! the sides are alike, where they are as bright as a wall can be, and where the middle is as dark as a tube that wide is:
-//! lung between vessels is surrounded on some sides, is wide, and too bright for its width.
+//! The wall of a lumen of one or two voxels is blurred into the lumen. The result is a bright thread whose middle is a
+//! little darker, by less than the noise of a voxel, so that a rule for single voxels ([`crate::find::tubeness`])
+//! misses it. Means along the tube have less noise. So values are added along straight pieces, in the middle and on
+//! eight sides of it. The *dip* of a piece is the rise of the second darkest side above the middle (one side may open
+//! into a branch). A dip counts only if the sides are similar, if they are as bright as a wall can be, and if the
+//! middle is as dark as in a tube of this width: lung between vessels is surrounded on some sides, is wide, and too
+//! bright for its width.
 
 use carina_grid::{Grid, InstructionSet};
 
-/// Directions that are tried, over half a sphere: any tube is within 12 degrees of one.
+/// Number of directions tested, over half a sphere: any tube is within 12 degrees of one.
 const NUM_DIRECTIONS: usize = 64;
-/// Sides that are looked at round an axis.
+/// Number of sides round an axis.
 pub(crate) const NUM_SIDES: usize = 8;
-/// Places along a piece, and how far apart they are, mm.
+/// Number of positions along a piece; the next constant is the distance between them, mm.
 const NUM_ALONG: usize = 7;
 const STEP_MM: f64 = 0.75;
-/// The crest of the wall is looked for at these distances, mm: thin lumens, blurred. A wall farther out is not that thin.
+/// Distances at which the crest of the wall is searched, mm: those of thin lumens, blurred.
+///
+/// A thin lumen has no wall farther out.
 const CRESTS_MM: [f64; 3] = [0.65, 0.75, 1.1];
-/// A wall that thin has lung behind it, at this distance, on so many sides; an artery lies along the others.
+/// Distance behind a thin wall at which there must be lung.
+///
+/// The next constant is the smallest number of sides with lung (an artery is at the others).
 const BEYOND_MM: f64 = 2.4;
 const LEAST_BEYOND: usize = 4;
-/// A blurred lumen reaches half-way up its wall at this share of the crest's distance.
+/// Distance at which a blurred lumen is half-way up its wall, as a fraction of the crest's distance.
 const HALF_WAY: f64 = 0.5;
-/// The second darkest side rises at least this share of the mean rise.
+/// Smallest rise of the second darkest side, as a fraction of the mean rise.
 pub(crate) const ROUNDNESS: f64 = 0.5;
 
-/// What a thin airway's section looks like, in the volume's numbers.
+/// Properties of a thin airway's section, in the volume's numbers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct ThinSection {
     pub(crate) air: f64,
-    /// A wall is at least this bright.
+    /// Smallest value of a wall.
     pub(crate) least_wall: f64,
-    /// What blurs (sigma), mm.
+    /// Blur (sigma), mm.
     pub(crate) blur_mm: f64,
-    /// Lung round the airways.
+    /// Value of lung round the airways.
     pub(crate) lung: f64,
 }
 
 impl ThinSection {
-    /// Darker than this is lung behind a wall, and no more wall.
+    /// Return the value below which a voxel behind a wall is lung and not wall.
     pub(crate) fn beyond(&self, wall: f64) -> f64 {
         0.5 * (wall + self.lung)
     }
 
-    /// Whether a middle is as dark as that of a tube: blur leaves `exp(-r^2 / 2 s^2)` of the wall's brightness in it.
+    /// Return whether a middle is as dark as that of a tube: blur leaves `exp(-r^2 / 2 s^2)` of the wall's brightness
+    /// in it.
     pub(crate) fn is_dark(&self, middle: f64, wall: f64, radius_mm: f64) -> bool {
         middle - self.air <= (-0.5 * (radius_mm / self.blur_mm).powi(2)).exp() * (wall - self.air)
     }
 }
 
-/// The filter on one grid.
+/// Filter for one grid.
 #[derive(Debug)]
 pub(crate) struct TubeFilter {
     shape: [isize; 3],
     margin: [isize; 3],
-    /// How far in memory the pieces of a voxel reach, back and forth.
+    /// Largest memory offset of the pieces of a voxel, in both directions.
     reach: usize,
     directions: Vec<Direction>,
     section: ThinSection,
 }
 
-/// Where the values of a piece stand in memory, from the first voxel that any piece reaches.
+/// Memory offsets of the values of a piece, from the first voxel that any piece uses.
 type Steps = [u32; NUM_ALONG];
 
 #[derive(Debug)]
 struct Direction {
     middle: Steps,
     crests: Vec<Crest>,
-    /// Each side behind the wall.
+    /// Positions of each side behind the wall.
     beyond: [Steps; NUM_SIDES],
 }
 
@@ -78,15 +84,15 @@ struct Crest {
     sides: [Steps; NUM_SIDES],
 }
 
-/// What the sides of a piece are like at one crest: sums of its values.
+/// Measures of the sides of a piece at one crest, from the sums of their values.
 #[derive(Debug, Clone, Copy)]
 struct Sides {
-    /// The second darkest of them.
+    /// Sum of the second darkest side.
     second: i32,
     total: i32,
 }
 
-/// So many voxels beside each other in memory are filtered at once.
+/// Number of voxels, consecutive in memory, that are filtered at once.
 pub(crate) const BLOCK: usize = 8;
 
 impl TubeFilter {
@@ -123,7 +129,8 @@ impl TubeFilter {
                         sides: ring(mm),
                     })
                     .to_vec();
-                // In large voxels two crests are the same places: the tube of the nearer one may be brighter.
+                // With large voxels two crests may use the same voxels; then only the nearer one is used, for which the
+                // tube may be brighter.
                 crests.dedup_by(|next, last| next.sides == last.sides);
                 Direction {
                     middle: std::array::from_fn(|n| place(n, [0.0; 3])),
@@ -141,9 +148,9 @@ impl TubeFilter {
         }
     }
 
-    /// The dip at a voxel; 0 where there is no tube, or where the volume ends.
+    /// Return the dip at a voxel; 0 if there is no tube, or at the end of the volume.
     ///
-    /// This is the definition; [`TubeFilter::dips`] says the same of many voxels sooner.
+    /// This function is the definition; [`TubeFilter::dips`] computes the same for many voxels faster.
     pub(crate) fn dip(&self, values: &[i16], voxel: usize) -> i16 {
         if !self.is_within(voxel) {
             return 0;
@@ -164,7 +171,7 @@ impl TubeFilter {
         mean_dip(best)
     }
 
-    /// The dips of [`BLOCK`] voxels beside each other in memory, bit for bit.
+    /// Return the dips of [`BLOCK`] voxels that are consecutive in memory, equal to [`TubeFilter::dip`] bit for bit.
     pub(crate) fn dips(&self, simd: InstructionSet, values: &[i16], first: usize) -> [i16; BLOCK] {
         #[cfg(target_arch = "x86_64")]
         {
@@ -173,7 +180,7 @@ impl TubeFilter {
                 filter.block(values, first)
             }
             if matches!(simd, InstructionSet::Avx2 | InstructionSet::Avx512) {
-                // SAFETY: a set is only handed out where the machine has it.
+                // SAFETY: an `InstructionSet` value exists only on a machine that has the instructions of that set.
                 return unsafe { avx2(self, values, first) };
             }
         }
@@ -233,7 +240,7 @@ impl TubeFilter {
         best.map(mean_dip)
     }
 
-    /// Whether all that is looked at round a voxel lies in the volume.
+    /// Return whether all positions that the filter reads round a voxel are in the volume.
     fn is_within(&self, voxel: usize) -> bool {
         let [nx, ny, _] = self.shape;
         let at = voxel as isize;
@@ -241,7 +248,7 @@ impl TubeFilter {
         (0..3).all(|a| ijk[a] >= self.margin[a] && ijk[a] < self.shape[a] - self.margin[a])
     }
 
-    /// Whether a piece whose sides have risen over its middle looks like a thin tube.
+    /// Return whether a piece whose sides rise above its middle looks like a thin tube.
     fn is_tube(
         &self,
         direction: &Direction,
@@ -267,12 +274,12 @@ impl TubeFilter {
     }
 }
 
-/// A piece's dip from that of its sum.
+/// Return a piece's mean dip from the dip of its sum.
 const fn mean_dip(sum: i32) -> i16 {
     (sum / NUM_ALONG as i32) as i16
 }
 
-/// The sum of a piece's values; `window` begins with the first voxel that any piece reaches.
+/// Return the sum of a piece's values; `window` begins with the first voxel that any piece uses.
 fn sum_of(window: &[i16], steps: &Steps) -> i32 {
     steps
         .iter()
@@ -280,7 +287,7 @@ fn sum_of(window: &[i16], steps: &Steps) -> i32 {
         .sum()
 }
 
-/// The same for voxels beside each other.
+/// Return the sums of a piece's values for voxels that are consecutive in memory.
 #[expect(
     clippy::inline_always,
     reason = "compiled once for each instruction set"
@@ -299,8 +306,9 @@ fn sums_of(window: &[i16], steps: &Steps) -> [i32; BLOCK] {
     sums
 }
 
-/// [`risen`] for voxels beside each other: the second darkest of the sides and the sum of all; none where none is above
-/// its `least`.
+/// Return the second darkest of the sides and the sum of all, as [`risen`] does.
+///
+/// The function processes voxels that are consecutive in memory. The result is `None` if no voxel is above its `least`.
 #[expect(
     clippy::inline_always,
     reason = "compiled once for each instruction set"
@@ -329,13 +337,13 @@ fn risen_anywhere(
     Some((second, total))
 }
 
-/// Whether enough sides are darker than `most` behind the wall.
+/// Return whether enough sides are darker than `most` behind the wall.
 fn is_thin(sides: &[Steps; NUM_SIDES], sum: impl Fn(&Steps) -> i32, most: f64) -> bool {
     let dark = sides.iter().filter(|side| f64::from(sum(side)) < most);
     dark.count() >= LEAST_BEYOND
 }
 
-/// What the sides are like; none where the second darkest is not above `least`.
+/// Return the measures of the sides; `None` if the second darkest is not above `least`.
 fn risen(sides: &[Steps; NUM_SIDES], sum: impl Fn(&Steps) -> i32, least: i32) -> Option<Sides> {
     let (mut darkest, mut second, mut total) = (i32::MAX, i32::MAX, 0);
     for side in sides {
@@ -357,7 +365,7 @@ fn risen(sides: &[Steps; NUM_SIDES], sum: impl Fn(&Steps) -> i32, least: i32) ->
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Side {
     unit: [f64; 3],
-    /// Nearer than this it is the voxel of the axis itself, mm.
+    /// Distance below which a position is in the voxel of the axis itself, mm.
     least_mm: f64,
 }
 
@@ -370,7 +378,7 @@ impl Side {
         }
     }
 
-    /// The place on this side at a distance, mm; in the next voxel at least.
+    /// Return the position on this side at a distance, mm; at least in the next voxel.
     pub(crate) fn at(&self, distance_mm: f64) -> [f64; 3] {
         self.unit.map(|u| u * distance_mm.max(self.least_mm))
     }
@@ -386,7 +394,7 @@ pub(crate) fn sides(across: [f64; 3], up: [f64; 3], spacing: [f64; 3]) -> [Side;
     })
 }
 
-/// Two unit vectors across a direction, and across each other.
+/// Return two perpendicular unit vectors across a direction.
 pub(crate) fn across(along: [f64; 3]) -> ([f64; 3], [f64; 3]) {
     let smallest = (0..3)
         .min_by(|a, b| along[*a].abs().total_cmp(&along[*b].abs()))
@@ -397,7 +405,7 @@ pub(crate) fn across(along: [f64; 3]) -> ([f64; 3], [f64; 3]) {
     (across, carina_grid::cross(along, across))
 }
 
-/// Unit vectors spread evenly over half a sphere (a Fibonacci lattice).
+/// Return unit vectors distributed evenly over half a sphere (a Fibonacci lattice).
 fn half_sphere(num: usize) -> impl Iterator<Item = [f64; 3]> {
     let golden = std::f64::consts::PI * (3.0 - 5f64.sqrt());
     (0..num).map(move |n| {
@@ -422,7 +430,7 @@ mod tests {
         lung: -870.0,
     };
 
-    /// Noise, with a bright thread whose middle is dark, at an angle to all axes.
+    /// Draw noise, and a bright thread with a dark middle, at an angle to all axes.
     fn chest(grid: &Grid, seed: u64, noise: i64) -> Vec<i16> {
         let spacing = grid.spacing_mm();
         let mut state = seed | 1;

@@ -1,24 +1,27 @@
-//! How enclosed a voxel is by brighter wall: what tells the inside of a small airway from the lung round it.
+//! Enclosure of a voxel by brighter wall, which distinguishes the inside of a small airway from the lung round it.
 //!
-//! The wall of a bronchus of a few voxels is blurred: its lumen may be as bright as lung, or brighter, and its wall no brighter
-//! than a vessel's rim. What stays is the shape: from the middle of the lumen the values rise in all directions but the two
-//! along the tube (three at a fork). So rays go out from the voxel, each notes how far the values rise, and the
-//! *enclosure* is the rise that all but a fifth of the rays reach. It needs no direction and no scale to be guessed, and a
-//! voxel beside one vessel, or between two, is enclosed on some sides only.
+//! The wall of a bronchus of a few voxels is blurred: its lumen may be as bright as lung, or brighter, and its wall no
+//! brighter than a vessel's rim. The shape remains visible: from the middle of the lumen the values rise in all
+//! directions but the two along the tube (three at a bifurcation). So rays start at the voxel, each gives the rise of
+//! the values along it, and the *enclosure* is the rise that all but a fifth of the rays reach. The enclosure needs no
+//! estimate of direction or scale, and a voxel beside one vessel, or between two, is enclosed on some sides only.
 
 use carina_grid::{Grid, VolumeView};
 use rayon::prelude::*;
 
-/// Rays look this far, mm: the wall of an airway up to 4 mm wide lies within, and its two open ends take a fifth of the rays.
+/// Length of the rays, mm.
+///
+/// This length includes the wall of an airway up to 4 mm wide, and the two open ends take a fifth of the rays.
 pub const REACH_MM: f64 = 3.0;
 
 const NUM_RAYS: usize = 48;
-/// Rays that may find no wall: both ends of the tube, or all three of a fork.
+/// Number of rays that may find no wall: both ends of the tube, or all three of a bifurcation.
 const NUM_OPEN: usize = 10;
 
-/// Values with the finest noise taken out: a kernel of three voxels on each axis, 0.6 of the smallest spacing wide (sigma).
+/// Remove the finest noise: smooth with a kernel of three voxels on each axis, with a sigma of 0.6 of the smallest
+/// spacing.
 ///
-/// An axis with voxels far longer than that is left as it is.
+/// An axis with much longer voxels is not smoothed.
 #[must_use]
 pub fn smoothed(values: VolumeView<'_, i16>) -> Vec<i16> {
     let grid = values.grid();
@@ -64,19 +67,19 @@ pub fn smoothed(values: VolumeView<'_, i16>) -> Vec<i16> {
 #[derive(Debug)]
 pub struct Enclosure {
     shape: [isize; 3],
-    /// For each ray the voxels it passes, as offsets, in order.
+    /// For each ray its voxels in order, as offsets.
     rays: Vec<Vec<[isize; 3]>>,
-    /// The same as steps in memory, for voxels that are nowhere near the volume's faces.
+    /// The same voxels as memory offsets, for voxels that are not near the volume's faces.
     steps: Vec<Vec<isize>>,
     margin: [isize; 3],
 }
 
 impl Enclosure {
-    /// Rays of `reach_mm` for a grid.
+    /// Create rays of `reach_mm` for a grid.
     #[must_use]
     pub fn new(grid: &Grid, reach_mm: f64) -> Self {
         let spacing = grid.spacing_mm();
-        // At least one voxel on each axis, whatever the spacing.
+        // At least one voxel on each axis, for any spacing.
         let coarsest = spacing.into_iter().fold(0.0, f64::max);
         let reach_mm = reach_mm.max(1.01 * coarsest);
         let step_mm = 0.5 * grid.min_spacing_mm();
@@ -109,7 +112,7 @@ impl Enclosure {
         }
     }
 
-    /// How far the values rise on all but a fifth of the rays from a voxel; below 0 on a wall.
+    /// Return the rise of the values on all but a fifth of the rays from a voxel; below 0 on a wall.
     #[must_use]
     pub fn at(&self, smooth: &[i16], voxel: usize) -> i16 {
         let [nx, ny, nz] = self.shape;
@@ -126,7 +129,7 @@ impl Enclosure {
                 *rise = most.saturating_sub(own);
             }
         } else {
-            // What lies beyond the volume is no wall.
+            // Positions outside the volume do not count as wall.
             for (rise, ray) in rises.iter_mut().zip(&self.rays) {
                 let mut most = own;
                 for offset in ray {
@@ -142,7 +145,9 @@ impl Enclosure {
         *rises.select_nth_unstable(NUM_OPEN).1
     }
 
-    /// Whether the values rise by `rise` or more on all but a fifth of the rays: [`Enclosure::at`] at least that, sooner known.
+    /// Return whether the values rise by `rise` or more on all but a fifth of the rays.
+    ///
+    /// The result equals that of a comparison of [`Enclosure::at`] with `rise`, but faster.
     #[must_use]
     pub fn reaches(&self, smooth: &[i16], voxel: usize, rise: i16) -> bool {
         let [nx, ny, _] = self.shape;
@@ -165,7 +170,7 @@ impl Enclosure {
     }
 }
 
-/// Unit vectors spread evenly over the sphere (a Fibonacci lattice).
+/// Return unit vectors distributed evenly over the sphere (a Fibonacci lattice).
 fn directions() -> impl Iterator<Item = [f64; 3]> {
     let golden = std::f64::consts::PI * (3.0 - 5f64.sqrt());
     (0..NUM_RAYS).map(move |n| {
@@ -176,12 +181,12 @@ fn directions() -> impl Iterator<Item = [f64; 3]> {
     })
 }
 
-/// A section across a tube: on which share of its sides there is wall, and how far the wall is.
+/// Section across a tube: share of its sides with wall, and distance of the wall.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Section {
     /// Share of the directions across in which the values rise enough.
     pub walled: f64,
-    /// Median distance to half of that rise, mm.
+    /// Median distance to half of the rise, mm.
     pub radius_mm: f64,
     /// Median rise to the wall.
     pub rise: f64,
@@ -189,9 +194,9 @@ pub struct Section {
 
 const NUM_SIDES: usize = 16;
 
-/// Looks across a tube that runs along `along` (unit vector in steps of mm on the grid's axes) at a voxel.
+/// Measure the section at a voxel across a tube with direction `along` (unit vector in steps of mm on the grid's axes).
 ///
-/// `rise` is what counts as wall.
+/// `rise` is the smallest rise that counts as wall.
 #[must_use]
 pub fn section(
     smooth: VolumeView<'_, i16>,
@@ -226,7 +231,7 @@ pub fn section(
             });
             *value = f64::from(carina_leastcost::lumen::interpolated(smooth, at));
         }
-        // Up to the first wall: what rises behind it is none of this tube's.
+        // Only up to the first wall, because further rises do not belong to this tube.
         let mut peak = 0;
         for s in 1..profile.len() {
             if profile[s] > profile[peak] {
@@ -289,7 +294,7 @@ mod tests {
         Grid::new(shape_zyx, place).unwrap()
     }
 
-    /// The kernel as it is written down: a product of three weights, neighbours clamped to the edge.
+    /// Compute the kernel directly from its definition: a product of three weights, neighbours clamped to the edge.
     fn smoothed_slowly(values: VolumeView<'_, i16>) -> Vec<i16> {
         let grid = values.grid();
         let sigma = 0.6 * grid.min_spacing_mm();
@@ -314,7 +319,7 @@ mod tests {
             .collect()
     }
 
-    /// Enclosure without the shortcut for voxels away from the faces.
+    /// Compute the enclosure without the faster path for voxels away from the faces.
     fn enclosed_slowly(enclosure: &Enclosure, smooth: VolumeView<'_, i16>, voxel: usize) -> i16 {
         let shape = smooth.grid().shape_ijk().map(|n| n as isize);
         let from = smooth.grid().voxel(voxel).map(|v| v as isize);
@@ -356,7 +361,7 @@ mod tests {
             let view = VolumeView::new(&values, &grid).unwrap();
             let fast = smoothed(view);
             for (a, b) in fast.iter().zip(smoothed_slowly(view)) {
-                // One unit: f32 against f64 at a rounding tie.
+                // Tolerance: one unit, because f32 and f64 may differ at a rounding tie.
                 prop_assert!((i32::from(*a) - i32::from(b)).abs() <= 1);
             }
             let enclosure = Enclosure::new(&grid, REACH_MM);
@@ -371,7 +376,7 @@ mod tests {
         }
     }
 
-    /// Lung at -860 with a tube along a direction: lumen, wall, both blurred.
+    /// Draw lung at -860 HU with a tube along a direction: lumen and wall, both blurred.
     fn tube(grid: &Grid, along: [f64; 3], radius: f64, wall_mm: f64) -> Vec<i16> {
         let middle = grid.shape_ijk().map(|n| n as f64 / 2.0);
         let spacing = grid.spacing_mm();
@@ -396,7 +401,7 @@ mod tests {
             let enclosure = Enclosure::new(&grid, REACH_MM);
             let middle = grid.shape_ijk().map(|n| n / 2);
             assert!(enclosure.at(&smooth, grid.index(middle)) > 150, "{along:?}");
-            // 2.5 mm off, outside the wall.
+            // 2.5 mm from the axis, outside the wall.
             let helper = if along[0] > 0.9 {
                 [0.0, 1.0, 0.0]
             } else {
@@ -425,10 +430,10 @@ mod tests {
             REACH_MM,
         );
         assert_eq!(closed.walled, 1.0);
-        // The drawn wall is blurred to half its height, so half-way up to it lies 0.2 mm inside the drawn edge; 0.15 mm for
-        // the voxel's centre, which lies off the axis.
+        // The drawn wall is blurred to half its height, so its half-way level is 0.2 mm inside the drawn edge; 0.15 mm
+        // for the voxel's centre, which is off the axis.
         assert!((closed.radius_mm - 1.3).abs() < 0.15, "{closed:?}");
-        // No wall on one half: lung all the way.
+        // One half has no wall, only lung.
         let limit = middle[0] as f64;
         for (at, value) in values.iter_mut().enumerate() {
             if grid.voxel(at)[0] as f64 > limit {

@@ -1,33 +1,34 @@
-//! What half-maximum edges of a blurred airway show, computed from the point spread.
+//! Half-maximum edges of a blurred airway, computed from the point spread function.
 //!
-//! An airway is a round tube of lumen with a wall as thick all round; behind the wall lies lung, or tissue as dense as the
-//! wall. Along a tube the blur changes nothing, so a section is a plane image: two discs under a Gaussian that has one
-//! standard deviation within the slices and another one towards the slice normal. For each size, wall and ratio of both
-//! blurs the profile from the centre gives the half-maximum edge and the rise from lumen to wall, as measured in a CT.
+//! The model of an airway is a round tube of lumen with a wall of constant thickness; behind the wall is lung, or
+//! tissue as dense as the wall. Along a tube the blur has no effect, so a section is a plane image: two discs blurred
+//! by a Gaussian with one standard deviation within the slices and another one towards the slice normal. For each
+//! radius, wall and ratio of both blurs, the profile from the centre gives the half-maximum edge and the rise from
+//! lumen to wall, as measured in a CT.
 //!
-//! All lengths in units of the blur within the slices.
+//! All lengths are in units of the blur within the slices.
 
 use std::sync::LazyLock;
 
 use rayon::prelude::*;
 
-/// Directions from the slice (0) to across it (90 degrees).
+/// Number of directions from within the slice (0 degrees) to across it (90 degrees).
 const NUM_DIRECTIONS: usize = 5;
 const NUM_RADII: usize = 14;
 const LEAST_RADIUS: f64 = 0.7;
 const MOST_RADIUS: f64 = 14.0;
 const WALLS: [f64; 8] = [0.25, 0.5, 0.8, 1.2, 1.7, 2.4, 3.4, 5.0];
-/// Blur across over blur within the slices.
+/// Ratios of the blur across the slices to the blur within them.
 const RATIOS: [f64; 6] = [0.6, 1.0, 1.4, 1.9, 2.8, 4.2];
-/// Lung above the lumen, as a share of the wall's rise above the lumen: -860 HU between -1000 and 20 HU.
+/// Value of lung above the lumen, as a fraction of the wall's rise above the lumen: -860 HU between -1000 and 20 HU.
 const LUNG: f64 = 0.14;
 
-/// What profiles in the directions of a quarter turn show.
+/// Measurements on the profiles of a tube in the directions of a quarter turn.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 struct Shown {
-    /// Half-maximum edge of the lumen, from the centre.
+    /// Half-maximum edge of the lumen, measured from the centre.
     edge: [f64; NUM_DIRECTIONS],
-    /// Rise from the lowest value to the wall's peak, as a share of the rise of an unblurred wall.
+    /// Rise from the lowest value to the wall's peak, as a fraction of the rise of an unblurred wall.
     rise: [f64; NUM_DIRECTIONS],
 }
 
@@ -63,13 +64,13 @@ fn radius_at(n: usize) -> f64 {
     LEAST_RADIUS * (MOST_RADIUS / LEAST_RADIUS).powf(n as f64 / (NUM_RADII - 1) as f64)
 }
 
-/// The radius that stands for another one in the tables.
+/// Clamp a radius to the range of the tables.
 #[must_use]
 pub fn within_tables(radius: f64) -> f64 {
     radius.clamp(LEAST_RADIUS, MOST_RADIUS)
 }
 
-/// What tubes of one radius show, by the thickness of their walls.
+/// Measurements on blurred tubes of one radius, by the thickness of their walls.
 #[derive(Debug, Clone, Copy)]
 pub struct Tube {
     walled: [Shown; WALLS.len()],
@@ -77,7 +78,9 @@ pub struct Tube {
 }
 
 impl Tube {
-    /// A tube of this radius; `ratio` is the blur across the slices over that within them. Linear between computed sizes.
+    /// Return the measurements of a tube of this radius, interpolated linearly between computed sizes.
+    ///
+    /// `ratio` is the blur across the slices divided by the blur within them.
     #[must_use]
     pub fn new(radius: f64, ratio: f64) -> Self {
         let at = (within_tables(radius) / LEAST_RADIUS).ln() / (MOST_RADIUS / LEAST_RADIUS).ln()
@@ -99,13 +102,13 @@ impl Tube {
         tube
     }
 
-    /// The half-maximum edge in a direction (0 within the slice, 1 across it) where tissue lies behind it.
+    /// Return the half-maximum edge in a direction (0 within the slice, 1 across it) with tissue behind the edge.
     #[must_use]
     pub fn edge_in_tissue(&self, turn: f64) -> f64 {
         at_turn(&self.in_tissue.edge, turn)
     }
 
-    /// The thickness of the wall that rises so far above the lumen in a direction, and its half-maximum edge.
+    /// Return the thickness of the wall with the given rise above the lumen in a direction, and its half-maximum edge.
     #[must_use]
     pub fn wall_that_rises(&self, rise: f64, turn: f64) -> (f64, f64) {
         let of = |w: usize| {
@@ -131,14 +134,14 @@ impl Tube {
     }
 }
 
-/// A value between those of the directions from the slice (0) to across it (1).
+/// Interpolate a value between the directions from within the slice (0) to across it (1).
 fn at_turn(values: &[f64; NUM_DIRECTIONS], turn: f64) -> f64 {
     let at = turn * (NUM_DIRECTIONS - 1) as f64;
     let before = (at as usize).min(NUM_DIRECTIONS - 2);
     values[before] + (at - before as f64) * (values[before + 1] - values[before])
 }
 
-/// Two neighbours in a rising list and their shares, by the logarithm of the value.
+/// Return two neighbours in an ascending list and their weights, by the logarithm of the value.
 fn between(list: &[f64], value: f64) -> [(usize, f64); 2] {
     let value = value.clamp(list[0], list[list.len() - 1]);
     let after = list
@@ -148,7 +151,9 @@ fn between(list: &[f64], value: f64) -> [(usize, f64); 2] {
     [(after - 1, 1.0 - share), (after, share)]
 }
 
-/// The profiles of one tube and what they show; `ratio` is the blur across the slices.
+/// Compute the profiles of one tube and measure them.
+///
+/// `ratio` is the blur across the slices divided by the blur within them.
 fn image(radius: f64, wall: Option<f64>, ratio: f64) -> Shown {
     let widest = ratio.max(1.0);
     let step = 0.1;
@@ -183,7 +188,8 @@ fn image(radius: f64, wall: Option<f64>, ratio: f64) -> Shown {
     found
 }
 
-/// Integral of the standard normal distribution up to `x` (Abramowitz and Stegun 7.1.26: 1.5e-7).
+/// Return the integral of the standard normal distribution up to `x` (Abramowitz and Stegun 7.1.26: accurate to
+/// 1.5e-7).
 pub(crate) fn normal_cdf(x: f64) -> f64 {
     let z = x.abs() / std::f64::consts::SQRT_2;
     let t = 1.0 / (1.0 + 0.327_591_1 * z);
@@ -195,16 +201,16 @@ pub(crate) fn normal_cdf(x: f64) -> f64 {
     0.5 * (1.0 + if x < 0.0 { -erf } else { erf })
 }
 
-/// A disc under the blur, by its strips along the second axis.
+/// Blurred disc, divided into strips along the second axis.
 struct Disc {
-    /// Place along the first axis, half the height there, and weight.
+    /// Strips with their position along the first axis, half of their height, and their weight.
     strips: Vec<[f64; 3]>,
     ratio: f64,
 }
 
 impl Disc {
     fn new(radius: f64, ratio: f64) -> Self {
-        // The midpoints of even angles: strips grow narrower towards the ends, where the height changes most.
+        // Midpoints of equal angles: strips become narrower towards the ends, where the height changes most.
         let num = (6.0 * radius).ceil().clamp(20.0, 90.0) as usize;
         let each = std::f64::consts::PI / num as f64;
         let strips = (0..num)
@@ -221,7 +227,7 @@ impl Disc {
         Self { strips, ratio }
     }
 
-    /// Share of the point spread at a place that lies in the disc.
+    /// Return the fraction of the point spread at a position that is in the disc.
     fn share(&self, x: f64, y: f64) -> f64 {
         self.strips
             .iter()

@@ -1,13 +1,15 @@
-//! Cross-sections of an airway, perpendicular to its centreline: lumen area, diameters and wall thickness with their errors.
+//! Cross-sections of an airway, perpendicular to its centreline: lumen area, diameters and wall thickness with their
+//! errors.
 //!
-//! Rays leave the centre in the plane. Along each the values are read between the voxels (Catmull-Rom), the lumen's lowest
-//! value and the wall's first peak are looked up, and the edge of the lumen is where the profile passes half-way between
-//! them (full width at half maximum: Reinhardt et al. 1997; Nakano et al. 2000). The wall ends half-way between its peak and
-//! the lowest value behind it; a ray whose wall has no far side (a vessel or the mediastinum lies against it) has no say in
-//! the wall's thickness. The plane's centre then moves to the centre of the lumen found, and the rays are cast again.
+//! Rays start at the centre, in the plane. Along each ray the values are interpolated between the voxels (Catmull-Rom),
+//! and the lumen's lowest value and the wall's first peak are found. The edge of the lumen is where the profile is
+//! half-way between them (full width at half maximum: Reinhardt et al. 1997; Nakano et al. 2000). The wall ends
+//! half-way between its peak and the lowest value behind it. A ray whose wall has no far side (a vessel or the
+//! mediastinum touches it) does not count for the wall's thickness. Then the plane's centre moves to the centre of the
+//! lumen found, and the rays are cast again.
 //!
-//! Half-maximum edges of thin walls are biased, and [`crate::section::deblur`] takes the known part of that out. This file finds
-//! the raw edges and turns corrected ones into figures.
+//! Half-maximum edges of thin walls are biased, and [`crate::section::deblur`] removes the known part of the bias. This
+//! file finds the raw edges and computes measurements from the corrected ones.
 
 use carina_grid::{Grid, Lps, VolumeView, length};
 use rayon::prelude::*;
@@ -21,81 +23,87 @@ use crate::section::rays::{
 use crate::tree::smooth::Point;
 use carina_leastcost::{TrackError, Watch};
 
-/// With a smaller share of rays whose wall has a far side its thickness is not told.
+/// Smallest fraction of rays whose wall has a far side for which the wall's thickness is reported.
 pub const LEAST_WALL_SHARE: f64 = 0.3;
-/// What is thicker is not the wall alone: the far side found is that of what lies against it.
+/// Largest thickness of a wall; a larger one includes the tissue that touches the wall.
 pub const THICKEST_WALL_MM: f64 = 3.0;
-/// A centre that is off by less than this share of a voxel is in the middle.
+/// Distance of the centre from the middle, as a fraction of a voxel, below which the centre needs no correction.
 const CENTRED_VOX: f64 = 0.1;
 const MAX_CASTS: usize = 4;
-/// Planes between two looks at the watch; few, so that pictures that are due do not wait for more than some milliseconds.
+/// Number of planes between two checks of the watch.
+///
+/// The number is small, so that pictures that are due wait for at most some milliseconds.
 const PLANES_PER_LOOK: usize = 16;
-/// What interpolation and stepping leave unknown of one edge, in voxels (one standard deviation).
+/// Uncertainty of one edge due to interpolation and step length, in voxels (one standard deviation).
 const EDGE_VOX: f64 = 0.1;
 /// Half of a 95 % interval, in standard deviations.
 const HALF_95: f64 = 1.96;
-/// Error of a radius whose blur is not known, as a share of it.
+/// Error of a radius with unknown blur, as a fraction of the radius.
 const UNKNOWN_BLUR: f64 = 0.2;
-/// Error of a wall by the model of the blur, over that of the radius.
+/// Ratio of a wall's error due to the blur model to the radius's error.
 const WALL_BY_MODEL: f64 = 2.0;
-/// From this weight of a direction on the shape of a section counts in full for its widths.
+/// Weight of a direction from which on its shape counts fully for the widths of a section.
 const SHAPE_WEIGHT: f64 = 0.5;
-/// Error of a wall by its model, which is flat and as thick all round, in blurs.
+/// Error of a wall due to the wall model (flat and of constant thickness), in blurs.
 const WALL_BY_BLUR: f64 = 0.4;
 
-/// Where to cut.
+/// Position and orientation of a section.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Plane {
-    /// A point well inside the lumen, LPS mm.
+    /// Point well inside the lumen, LPS mm.
     pub centre: Point,
     /// Unit vector along the airway.
     pub normal: Point,
-    /// About how far the wall is, mm: rays give up at [`reach_mm`].
+    /// Approximate distance to the wall, mm; it determines the length of the rays ([`reach_mm`]).
     pub radius_mm: f64,
 }
 
-/// What a plane shows. Lengths in mm; NaN where there is none.
+/// Measurements of a section.
+///
+/// Lengths are in mm; NaN if there is no value.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Section {
-    /// Centre of the lumen found (of its area), in the plane.
+    /// Centre of the area of the lumen found, in the plane.
     pub centre: Point,
-    /// Area of the lumen.
+    /// Area of the lumen, mm^2.
     pub area_mm2: f64,
-    /// Diameter of the circle with that area.
+    /// Diameter of the circle with the area of the lumen, mm.
     pub equivalent_mm: f64,
-    /// Least and greatest width through the centre.
+    /// Smallest width through the centre, mm.
     pub min_mm: f64,
-    /// See `min_mm`.
+    /// Largest width through the centre, mm.
     pub max_mm: f64,
-    /// Median over the rays whose wall has a far side.
+    /// Thickness of the wall, from the rays whose wall has a far side.
     pub wall_mm: f64,
-    /// How far the edges lie outside the half-maximum ones (mean over the rays): the correction for the blur.
+    /// Mean distance by which the edges are outside the half-maximum ones: the correction for the blur.
     pub shift_mm: f64,
-    /// Half of an interval meant to hold the truth in 95 of 100 cases; see [`Section::set_errors`].
+    /// Half-width of an interval that should contain the true diameter in 95 of 100 cases; see [`Section::set_errors`].
     pub equivalent_error_mm: f64,
-    /// The same for the widths.
+    /// Half-width of such an interval for the smallest and the largest width, mm.
     pub width_error_mm: f64,
-    /// The same for the wall.
+    /// Half-width of such an interval for the wall, mm.
     pub wall_error_mm: f64,
-    /// Rays that met a wall, 0 to 1.
+    /// Fraction of rays that met a wall, 0 to 1.
     pub share: f64,
-    /// Rays whose wall has a far side, 0 to 1.
+    /// Fraction of rays whose wall has a far side, 0 to 1.
     pub wall_share: f64,
-    /// Rays that left the volume before they met a wall, 0 to 1.
+    /// Fraction of rays that left the volume before they met a wall, 0 to 1.
     pub left_share: f64,
-    /// Distance of the lumen's edge from `centre` along each ray; NaN where it was not found.
+    /// Distance of the lumen's edge from `centre` along each ray; NaN where no edge was found.
     pub edge_mm: [f64; NUM_RAYS],
-    /// Distance of the wall's outer edge likewise.
+    /// Distance of the wall's outer edge from `centre` along each ray; NaN where no edge was found.
     pub outer_mm: [f64; NUM_RAYS],
 }
 
-/// How far a ray looks for the lumen's edge, mm: 3 radii, for a lumen three times as wide as high, and 3 voxels.
+/// Return the distance up to which a ray searches for the lumen's edge, mm.
+///
+/// The distance is 3 radii, for a lumen three times as wide as high, and 3 voxels.
 #[must_use]
 pub fn reach_mm(radius_mm: f64, voxel_mm: f64) -> f64 {
     3.0 * radius_mm + 3.0 * voxel_mm
 }
 
-/// Size of a voxel along the rays of a plane, mm (root mean square over the rays).
+/// Return the size of a voxel along the rays of a plane, mm (root mean square over the rays).
 #[must_use]
 pub fn voxel_in_plane_mm(grid: &Grid, axes: (Point, Point)) -> f64 {
     let square: f64 = (0..NUM_RAYS)
@@ -104,7 +112,11 @@ pub fn voxel_in_plane_mm(grid: &Grid, axes: (Point, Point)) -> f64 {
     (square / NUM_RAYS as f64).sqrt()
 }
 
-/// Casts the rays of many planes over all cores; the result does not depend on their number.
+/// Cast the rays of many planes on all cores; the result does not depend on the number of cores.
+///
+/// # Errors
+///
+/// Returns an error if `watch` stops the computation.
 pub fn cast_planes(
     values: VolumeView<'_, i16>,
     planes: &[Plane],
@@ -123,7 +135,7 @@ pub fn cast_planes(
     Ok(sections)
 }
 
-/// Casts the rays of one plane from the centre of the lumen it shows.
+/// Cast the rays of one plane from the centre of the lumen in that plane.
 #[must_use]
 pub fn cast_plane(values: VolumeView<'_, i16>, plane: Plane, levels: SectionLevels) -> Cast {
     let axes = plane_axes(plane.normal);
@@ -139,12 +151,13 @@ pub fn cast_plane(values: VolumeView<'_, i16>, plane: Plane, levels: SectionLeve
         if far_mm <= centred_mm {
             break;
         }
-        // A hole in the contour can pull the centre out of the lumen: at most half a radius at a time.
+        // A hole in the contour can pull the centre out of the lumen, so the centre moves by at most half a radius at a
+        // time.
         let share = (0.5 * plane.radius_mm / far_mm).min(1.0);
         let next: Point =
             std::array::from_fn(|a| centre[a] + share * (u * axes.0[a] + v * axes.1[a]));
         let cast_again = cast(values, next, axes, plane.radius_mm, levels);
-        // A step that loses the wall was one into a neighbour.
+        // If fewer rays meet a wall, the step went into a neighbouring airway.
         if share_met(&cast_again) + 0.05 < share_met(&rays) {
             break;
         }
@@ -177,9 +190,9 @@ fn cast(
     })
 }
 
-/// Edges that lie as near to the section's circle as the blur in their direction makes them uncertain.
+/// Move each edge towards the section's circle as far as the blur in its direction makes it uncertain.
 ///
-/// Thick slices do not show the shape of an airway across them. The circle has the area that the certain edges tell.
+/// Thick slices do not show the shape of an airway across them. The circle's area is the weighted mean over the edges.
 fn rounded_across(edge_mm: &[f64; NUM_RAYS], weights: &[f64; NUM_RAYS]) -> [f64; NUM_RAYS] {
     let (mut square, mut total) = (0.0, 0.0);
     for n in (0..NUM_RAYS).filter(|n| edge_mm[*n].is_finite()) {
@@ -195,7 +208,7 @@ fn share_met(rays: &[Edges; NUM_RAYS]) -> f64 {
 }
 
 impl Section {
-    /// Figures of a cast, with the blur's effect taken out of its edges (`None`: raw half-maximum edges).
+    /// Compute the measurements of a cast, with edges corrected by `blur` (`None`: raw half-maximum edges).
     ///
     /// `voxel_mm` is the spacing in the plane.
     #[must_use]
@@ -218,7 +231,7 @@ impl Section {
         let weights = blur.map_or([1.0; NUM_RAYS], |b| b.weights(axes));
         let moved_mm = std::array::from_fn(|n| raw_mm[n] + shift[n]);
         let edge_mm = rounded_across(&moved_mm, &weights);
-        // Widths are no means over directions: they keep the shape as far as it is visible at all.
+        // Widths are not means over directions, so they keep the shape as far as it is visible at all.
         let shape_mm = rounded_across(&moved_mm, &weights.map(|w| (w / SHAPE_WEIGHT).min(1.0)));
         let mut section = Self {
             centre: cast.centre,
@@ -276,12 +289,13 @@ impl Section {
         section
     }
 
-    /// The errors: half of an interval meant to hold the truth in 95 of 100 cases.
+    /// Set the errors: half-widths of intervals that should contain the true values in 95 of 100 cases.
     ///
-    /// One edge is known to `e`, with `e^2 = (noise / slope)^2 + (0.1 voxel)^2`. A section of radius `r` has as many
-    /// independent edges as voxels on its edge, `n = 2 pi r / voxel`, at most one per ray. To their error, `1.96 e /
-    /// sqrt(n)`, comes that of the model of the blur ([`Correction::error`]; without a blur all of it). A width has fewer
-    /// edges for itself: `n / 4`. The wall adds both its edges and a share of the blur.
+    /// One edge has the error `e`, with `e^2 = (noise / slope)^2 + (0.1 voxel)^2`. A section of radius `r` has as many
+    /// independent edges as voxels on its edge, `n = 2 pi r / voxel`, at most one per ray. Their error,
+    /// `1.96 e / sqrt(n)`, is combined with the error of the blur model ([`Correction::error`]; without a blur a fixed
+    /// fraction). A width has fewer independent edges, `n / 4`. The error of the wall includes both of its edges and a
+    /// fraction of the blur.
     fn set_errors(&mut self, cast: &Cast, voxel_mm: f64, noise: f64, model: f64, blur_mm: f64) {
         let edge = edge_error_mm(cast, &self.edge_mm, voxel_mm, noise);
         let num_rays = NUM_RAYS as f64 * self.share;
@@ -299,14 +313,14 @@ impl Section {
         }
     }
 
-    /// True if the section has an area.
+    /// Return true if the section has an area.
     #[must_use]
     pub fn is_measured(&self) -> bool {
         self.area_mm2.is_finite()
     }
 }
 
-/// What noise and voxels leave unknown of one edge: one standard deviation.
+/// Return the error of one edge due to noise and voxels: one standard deviation.
 fn edge_error_mm(cast: &Cast, edge_mm: &[f64; NUM_RAYS], voxel_mm: f64, noise: f64) -> f64 {
     let slopes = (0..NUM_RAYS)
         .filter(|n| edge_mm[*n].is_finite())
@@ -316,11 +330,12 @@ fn edge_error_mm(cast: &Cast, edge_mm: &[f64; NUM_RAYS], voxel_mm: f64, noise: f
     (noise / median(slopes).max(1e-3)).hypot(EDGE_VOX * voxel_mm)
 }
 
-/// Least and greatest width through the centre.
+/// Return the smallest and the largest width through the centre.
 ///
-/// The width at an angle is the sum of two opposite edges, which only even harmonics of the contour have. Small lumens are
-/// seen as ellipses (second harmonic): finer shapes are smaller than their voxels. Noise alone makes a circle look flat;
-/// what it adds to a harmonic's square on average (4 e^2 / n, see [`Section::set_errors`]) is taken off it.
+/// The width at an angle is the sum of two opposite edges, which depends only on even harmonics of the contour. Small
+/// lumens are treated as ellipses (second harmonic), because finer shapes are smaller than their voxels. Noise alone
+/// makes a circle look flat; its mean contribution to the square of a harmonic (4 e^2 / n, see [`Section::set_errors`])
+/// is subtracted.
 fn widths(contour: &[f64; NUM_RAYS], voxel_mm: f64, edge_mm: f64) -> (f64, f64) {
     let mean = contour.iter().sum::<f64>() / NUM_RAYS as f64;
     let num = (std::f64::consts::TAU * mean / voxel_mm).clamp(1.0, NUM_RAYS as f64);

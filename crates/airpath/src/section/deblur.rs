@@ -1,17 +1,17 @@
-//! What the scanner's blur does to half-maximum edges, and taking it out.
+//! Removal of the effect of the scanner's blur on half-maximum edges.
 //!
-//! A wall thinner than the blur shows less than its true peak, so the half-way levels are too low on both sides: the lumen
-//! comes out too small and the wall too thick. A section is therefore compared with the image of a round tube under the
-//! scan's own blur ([`crate::section::blurred_tube`]): the tube whose half-maximum edges and whose rise from lumen to wall
-//! are those measured. In direction of a vessel or of tissue the wall rises further, and the edge there moves less.
+//! A wall thinner than the blur shows less than its true peak, so the half-way levels are too low on both sides: the
+//! lumen appears too small and the wall too thick. A section is therefore compared with the image of a round tube under
+//! the scan's own blur ([`crate::section::blurred_tube`]): the tube with the measured half-maximum edges and rise from
+//! lumen to wall. In the direction of a vessel or of tissue the wall rises more, and the edge there moves less.
 //!
-//! The blur is taken along the slices and across them separately. An edge without a far side (thick tissue behind it) takes
-//! 1.349 sigma from a quarter to three quarters of its rise. Edges across thick slices tell little about the diameter, and
-//! count by the fourth power of the ratio of both blurs.
+//! The blur along the slices and the blur across them are measured separately. An edge without a far side (thick tissue
+//! behind it) takes 1.349 sigma from a quarter to three quarters of its rise. Edges across thick slices give little
+//! information about the diameter; their weight is the fourth power of the ratio of both blurs.
 //!
-//! The thickness of a wall that is wide beside the blur follows from its half-maximum edges instead: for a flat wall of
-//! thickness `w` between two equally dark sides the half-maximum thickness is `sigma * G(w / sigma)`, a known function that
-//! starts at 2.355 and joins `G(x) = x` from about 4 on (the model of Reinhardt et al. 1997).
+//! For a wall that is wide relative to the blur, the thickness follows from its half-maximum edges instead: for a flat
+//! wall of thickness `w` between two equally dark sides the half-maximum thickness is `sigma * G(w / sigma)`, a known
+//! function that starts at 2.355 and approaches `G(x) = x` from about 4 on (the model of Reinhardt et al. 1997).
 
 use std::sync::LazyLock;
 
@@ -21,85 +21,94 @@ use crate::section::blurred_tube::{Tube, normal_cdf, within_tables};
 use crate::section::rays::{Cast, NUM_RAYS, direction, median, plane_axes, without_outliers};
 use crate::tree::smooth::Point;
 
-/// Edges that the blur is taken from, at least.
+/// Smallest number of edges from which the blur is measured.
 const LEAST_EDGES: usize = 200;
-/// Share of the slice axis in a ray's direction below which it counts for the blur within the slices: the first with
-/// enough edges, because the blur of thick slices already shows at a small slope.
+/// Limits of the slice axis's share in a ray's direction below which the ray counts for the blur within the slices.
+///
+/// The first limit with enough edges is used, because the blur of thick slices already shows at a small slope.
 const IN_PLANE: [f64; 4] = [0.1, 0.15, 0.2, 0.35];
 const ENOUGH_EDGES: usize = 1000;
 /// Share above which a ray counts for the blur across the slices.
 const ACROSS: f64 = 0.8;
-/// Tissue is no sharp edge everywhere: the steeper edges tell the blur within the slices.
+/// Quantile of the measured blurs that is used within the slices.
+///
+/// Not all tissue has a sharp edge, so the steeper edges show the blur.
 const STEEP_SHARE: f64 = 0.3;
-/// An edge across slices passes few values, and the interpolation between them widens it by so much.
+/// Factor by which interpolation widens an edge across slices, which contains few values.
 const WIDENED_ACROSS: f64 = 1.36;
-/// No slice blurs less across than this share of the blur within it.
+/// Smallest ratio of the blur across the slices to the blur within them.
 const LEAST_ACROSS: f64 = 0.8;
-/// Walls of so many blurs show their thickness by their edges, fully so many blurs later.
+/// Thickness in blurs above which the half-maximum edges of a wall count for its thickness.
+///
+/// The next constant is the further thickness, in blurs, beyond which the edges alone determine the thickness.
 const EDGES_TELL_FROM: f64 = 2.2;
 const EDGES_TELL_OVER: f64 = 1.2;
-/// Directions with this weight show the thickness of a wall.
+/// Smallest weight of a direction that counts for the thickness of a wall.
 const CERTAIN: f64 = 0.6;
-/// The rise of a wall is the mean over so many rays on both sides.
+/// Number of rays on each side over which the rise of a wall is averaged.
 const SMOOTHED_RAYS: usize = 2;
-/// The largest blur over radius, and across over within the slices, for which the rest of the bias is known.
+/// Largest ratio of blur to radius for which the remaining bias is known.
+///
+/// The next constant is the largest ratio of the blur across the slices to the blur within them.
 const MOST_BLURRED: f64 = 0.8;
 const MOST_ACROSS: f64 = 4.0;
-/// A kernel without rims blurs by so many pixels; one that blurs less by more than `SHARP` overshoots clearly.
+/// Blur in pixels of a kernel without overshoot; a kernel with a blur smaller by more than `SHARP` overshoots clearly.
 const NO_RIM: f64 = 0.9;
 const SHARP: f64 = 0.3;
-/// Steps of the fit of a tube to a section.
+/// Number of iterations of the fit of a tube to a section.
 const FITS: usize = 14;
-/// No wall is thinner than this share of the blur: half-maximum thickness hardly tells thinner ones apart.
+/// Smallest thickness of a wall in blurs: the half-maximum thickness hardly differs between thinner walls.
 const THINNEST: f64 = 0.6;
 
-/// The scanner's blur (with that of the voxels and of the interpolation), standard deviations in mm.
+/// Blur of the scanner, including that of the voxels and of the interpolation; standard deviations in mm.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Blur {
     /// Unit vector across the slices.
     pub slice_normal: Point,
-    /// Within a slice.
+    /// Blur within a slice, mm.
     pub in_plane_mm: f64,
-    /// Across the slices.
+    /// Blur across the slices, mm.
     pub across_mm: f64,
-    /// Least distance of two voxels.
+    /// Smallest voxel spacing, mm.
     pub pixel_mm: f64,
 }
 
-/// The correction of one section.
+/// Correction of one section.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Correction {
-    /// How far each edge of the lumen moves outwards.
+    /// Distance by which each edge of the lumen moves outwards, mm.
     pub shift_mm: [f64; NUM_RAYS],
-    /// Thickness of the wall.
+    /// Thickness of the wall, mm.
     pub wall_mm: f64,
-    /// Half of an interval meant to hold the true radius in 95 of 100 cases, without noise, as a share of the radius.
+    /// Half-width, as a fraction of the radius, of an interval that should contain the true radius in 95 of 100 cases,
+    /// without noise.
     pub error: f64,
 }
 
-/// What the rest of the bias and the error of a section depend on.
+/// Parameters of the remaining bias and of the error of a section.
 #[derive(Debug, Clone, Copy)]
 struct Size {
-    /// Blur within the slices over radius.
+    /// Ratio of the blur within the slices to the radius.
     blur_over_radius: f64,
-    /// How much wider the blur is across the slices, by the share of that direction in the section.
+    /// Excess of the blur across the slices over the blur within them, times the share of the direction across in the
+    /// section.
     across: f64,
-    /// How many pixels the blur is below that of a kernel without rims.
+    /// Difference in pixels between the blur of a kernel without overshoot and this blur.
     sharpness: f64,
 }
 
 impl Size {
-    /// The logarithm of the true radius over that of the fitted tube.
+    /// Return the logarithm of the ratio of the true radius to that of the fitted tube.
     ///
-    /// A scan is not the model: slices and pixels are boxes, values lie apart and are interpolated, and sharp kernels
-    /// overshoot. The weights were fitted to painted phantoms and one painted patient (docs/decisions/0117).
+    /// A scan differs from the model: slices and pixels are boxes, values are discrete and are interpolated, and sharp
+    /// kernels overshoot. The weights were fitted to painted phantoms and one painted patient (docs/decisions/0117).
     fn rest(self) -> f64 {
         let (a, k) = (self.blur_over_radius, self.sharpness);
         let within = a * a * (0.498 - 0.915 * a + 1.209 * k + 3.334 * k * k);
         (within + a * self.across * (0.273 - 0.923 * a)).clamp(-0.15, 0.25)
     }
 
-    /// See [`Correction::error`]; from the same phantoms and patient.
+    /// Return the error (see [`Correction::error`]), fitted to the phantoms and the patient of `rest`.
     fn error(self) -> f64 {
         let (a, sharp) = (self.blur_over_radius, (self.sharpness - SHARP).max(0.0));
         0.0053 + a * a * (0.263 + 0.4 * a + 1.25 * sharp) + 0.093 * a * self.across.max(0.0).sqrt()
@@ -107,7 +116,7 @@ impl Size {
 }
 
 impl Blur {
-    /// A blur of this grid.
+    /// Create a blur for this grid.
     #[must_use]
     pub fn new(grid: &Grid, in_plane_mm: f64, across_mm: f64) -> Self {
         Self {
@@ -118,7 +127,7 @@ impl Blur {
         }
     }
 
-    /// The blur of a scan from the rays that met thick tissue; `None` where there are too few.
+    /// Measure the blur of a scan from the rays that met thick tissue; return `None` if there are too few.
     #[must_use]
     pub fn of_casts(grid: &Grid, casts: &[Cast]) -> Option<Self> {
         let slice_normal = slice_normal(grid);
@@ -154,7 +163,7 @@ impl Blur {
         let in_plane_mm = steep[(STEEP_SHARE * steep.len() as f64) as usize];
         let spacing = grid.spacing_mm();
         let across_mm = if across.len() < LEAST_EDGES {
-            // The box of a slice is wider by so much than that of a pixel: variance of a box is its width^2 / 12.
+            // A slice is a wider box than a pixel: the variance of a box is its width^2 / 12.
             let widest = spacing.into_iter().fold(0.0, f64::max);
             let wider = widest * widest - grid.min_spacing_mm().powi(2);
             (in_plane_mm.powi(2) + wider / 12.0).sqrt()
@@ -164,14 +173,14 @@ impl Blur {
         Some(Self::new(grid, in_plane_mm, across_mm))
     }
 
-    /// The blur along a direction.
+    /// Return the blur along a direction.
     #[must_use]
     pub fn along_mm(&self, dir: Point) -> f64 {
         let share = dot(dir, self.slice_normal).powi(2).min(1.0);
         (self.in_plane_mm.powi(2) * (1.0 - share) + self.across_mm.powi(2) * share).sqrt()
     }
 
-    /// How far an edge in each direction can be trusted: 1 within the slices, less where the blur is wider.
+    /// Return the weight of an edge in each direction: 1 within the slices, less where the blur is wider.
     #[must_use]
     pub fn weights(&self, axes: (Point, Point)) -> [f64; NUM_RAYS] {
         std::array::from_fn(|n| {
@@ -181,10 +190,11 @@ impl Blur {
         })
     }
 
-    /// The correction of a section: the round tube whose blurred image has its edges and its rise from lumen to wall.
+    /// Compute the correction of a section.
     ///
-    /// The wall is taken as equally thick all round, and as soft tissue: one that is thinner than the blur shows its
-    /// thickness by how far it rises, a thick one by its own half-maximum edges.
+    /// The function fits the round tube whose blurred image has the section's edges and its rise from lumen to wall.
+    /// The wall is modelled as soft tissue of constant thickness. The thickness of a wall thinner than the blur follows
+    /// from its rise, that of a thick wall from its own half-maximum edges.
     #[must_use]
     pub fn correction(
         &self,
@@ -206,7 +216,7 @@ impl Blur {
         let weights = self.weights(axes);
         let met = |n: &usize| edge_mm[*n].is_finite();
         let walled = |n: &usize| thick_mm[*n].is_finite();
-        // A vessel or a fissure beside the wall lets it rise further, over several rays.
+        // A vessel or a fissure beside the wall increases its rise over several rays, so the rise is averaged.
         let rise: [f64; NUM_RAYS] = std::array::from_fn(|n| {
             let near =
                 (0..=2 * SMOOTHED_RAYS).map(|d| (n + NUM_RAYS + d - SMOOTHED_RAYS) % NUM_RAYS);
@@ -232,7 +242,7 @@ impl Blur {
             let next = weighted_mean(&weights, met, |n| edge_mm[n] / sigma + shift[n]);
             radius += 0.6 * (next - radius);
         }
-        // Medians: a vessel that lies against a part of the wall makes it thicker there.
+        // Medians, because a vessel that touches a part of the wall makes it thicker there.
         let by_rise = median((0..NUM_RAYS).filter(certain).map(|n| walls[n]).collect());
         let by_edges = median(
             (0..NUM_RAYS)
@@ -268,7 +278,7 @@ fn weighted_mean(
     sum / total
 }
 
-/// The axis of the grid with the widest spacing; the third where all are equal.
+/// Return the direction of the grid axis with the widest spacing; the third axis if all are equal.
 fn slice_normal(grid: &Grid) -> Point {
     let spacing = grid.spacing_mm();
     let widest = (0..3)
@@ -284,19 +294,19 @@ fn slice_normal(grid: &Grid) -> Point {
     unit(grid.lps_from_ijk().column(widest)).unwrap_or([0.0, 0.0, 1.0])
 }
 
-/// Steps of the table of `G` per unit of `w / sigma`.
+/// Number of table entries of `G` per unit of `w / sigma`.
 const TABLE_STEPS: usize = 50;
-/// From here on the blur does not matter.
+/// Thickness in blurs above which the blur does not matter.
 const TABLE_END: usize = 6;
 
-/// `G(w / sigma)`, half-maximum thickness in blurs, for thicknesses of 0 to [`TABLE_END`] blurs.
+/// Table of `G(w / sigma)`, the half-maximum thickness in blurs, for thicknesses of 0 to [`TABLE_END`] blurs.
 static TABLE: LazyLock<Vec<f64>> = LazyLock::new(|| {
     (0..=TABLE_STEPS * TABLE_END)
         .map(|n| half_maximum_slow((n as f64 / TABLE_STEPS as f64).max(1e-3)))
         .collect()
 });
 
-/// `G`, by bisection.
+/// Compute `G` by bisection.
 fn half_maximum_slow(wall: f64) -> f64 {
     let at = |x: f64| normal_cdf(x + 0.5 * wall) - normal_cdf(x - 0.5 * wall);
     let half = 0.5 * at(0.0);
@@ -312,7 +322,7 @@ fn half_maximum_slow(wall: f64) -> f64 {
     inside + outside
 }
 
-/// Half-maximum thickness of a blurred flat wall between equally dark sides.
+/// Return the half-maximum thickness of a blurred flat wall between equally dark sides.
 #[must_use]
 pub fn half_maximum_mm(wall_mm: f64, sigma_mm: f64) -> f64 {
     let at = wall_mm / sigma_mm * TABLE_STEPS as f64;
@@ -324,7 +334,7 @@ pub fn half_maximum_mm(wall_mm: f64, sigma_mm: f64) -> f64 {
     sigma_mm * (TABLE[before] + share * (TABLE[before + 1] - TABLE[before]))
 }
 
-/// The wall that has this half-maximum thickness, at least [`THINNEST`] blurs.
+/// Return the thickness of the wall with this half-maximum thickness, at least [`THINNEST`] blurs.
 #[must_use]
 pub fn true_thickness_mm(thick_mm: f64, sigma_mm: f64) -> f64 {
     let thick = thick_mm / sigma_mm;

@@ -2,37 +2,39 @@
 
 use carina_grid::VolumeView;
 
-/// A wall's far side is there when the values fall again by this share of their rise.
+/// Smallest fall of the values behind a wall's peak, as a fraction of their rise, that counts as the wall's far side.
 const FALL: f32 = 0.3;
-/// How far behind the lumen's edge the wall's far side is looked for, mm. Walls are 1 to 3 mm thick.
+/// Distance behind the lumen's edge up to which the wall's far side is searched, mm.
+///
+/// Walls are 1 to 3 mm thick.
 pub(crate) const WALL_REACH_MM: f64 = 5.0;
 
-/// What the values mean.
+/// Levels that distinguish lumen, wall and noise, in the units of the values.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SectionLevels {
-    /// A wall rises at least this far above the lumen.
+    /// Smallest rise of a wall above the lumen.
     pub min_contrast: f32,
-    /// A wall is not brighter than this: cartilage with lime and vessels with contrast medium are cut down to it.
+    /// Largest value of a wall: calcified cartilage and vessels with contrast medium are clipped to it.
     pub brightest_wall: f32,
-    /// A wall of soft tissue rises so far above air.
+    /// Rise of a wall of soft tissue above air.
     pub wall_rise: f32,
     /// Standard deviation of the noise.
     pub noise: f32,
 }
 
-/// Values at even steps along a ray.
+/// Values at constant intervals along a ray.
 #[derive(Debug, Clone, Default)]
 pub struct Profile {
-    /// Distance of neighbours, mm.
+    /// Distance between successive values, mm.
     pub step_mm: f64,
-    /// The first lies at the ray's origin.
+    /// Values; the first is at the ray's origin.
     pub values: Vec<f32>,
-    /// The ray left the volume before its full length.
+    /// Whether the ray left the volume before its full length.
     pub left_volume: bool,
 }
 
 impl Profile {
-    /// Reads the values along a ray of at most `length_mm`; `dir_ijk` is the step of 1 mm in voxels.
+    /// Read the values along a ray of at most `length_mm`; `dir_ijk` is the step of 1 mm in voxels.
     pub fn read(
         &mut self,
         values: VolumeView<'_, i16>,
@@ -49,7 +51,7 @@ impl Profile {
         for n in 0..=num_steps {
             let s = n as f64 * step_mm;
             let ijk: [f64; 3] = std::array::from_fn(|a| from_ijk[a] + s * dir_ijk[a]);
-            // A voxel reaches half a step to both sides of its centre.
+            // A voxel extends by half a step to both sides of its centre.
             if (0..3).any(|a| !(-0.5..shape[a] as f64 - 0.5).contains(&ijk[a])) {
                 self.left_volume = true;
                 return;
@@ -58,7 +60,7 @@ impl Profile {
         }
     }
 
-    /// Where the line between two neighbouring values passes a level, mm.
+    /// Return the position where the line between two neighbouring values crosses a level, mm.
     fn crossing_mm(&self, before: usize, level: f32) -> f64 {
         let (low, high) = (self.values[before], self.values[before + 1]);
         let share = if low == high {
@@ -70,29 +72,29 @@ impl Profile {
     }
 }
 
-/// Lumen and wall along one ray.
+/// Edges of lumen and wall along one ray.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Edges {
     /// Edge of the lumen, mm from the origin.
     pub inner_mm: Option<f64>,
-    /// Far side of the wall.
+    /// Far side of the wall, mm from the origin.
     pub outer_mm: Option<f64>,
-    /// How long the lumen's edge takes from a quarter to three quarters of its rise; NaN where it does not show.
+    /// Distance in mm over which the lumen's edge rises from a quarter to three quarters; NaN if that is not visible.
     pub flank_mm: f64,
     /// Rise from the lumen's lowest value to the wall's peak.
     pub rise: f64,
-    /// No wall was met because the ray left the volume.
+    /// Whether no wall was met because the ray left the volume.
     pub left_volume: bool,
 }
 
 impl Edges {
-    /// Mean slope of the middle half of the lumen's edge, per mm.
+    /// Return the mean slope of the middle half of the lumen's edge, per mm.
     #[must_use]
     pub fn slope_per_mm(&self) -> f64 {
         0.5 * self.rise / self.flank_mm.max(1e-3)
     }
 
-    /// Standard deviation of the blur, mm, from an edge against thick tissue; `None` at any other.
+    /// Return the standard deviation of the blur, mm, from an edge against thick tissue; `None` for any other edge.
     #[must_use]
     pub fn sigma_mm(&self) -> Option<f64> {
         // A Gaussian's integral takes 1.349 standard deviations from a quarter to three quarters.
@@ -101,7 +103,7 @@ impl Edges {
     }
 }
 
-/// Looks for the half-maximum edges; the lumen's edge at most `reach_mm` from the origin.
+/// Find the half-maximum edges; the lumen's edge is at most `reach_mm` from the origin.
 #[must_use]
 pub fn edges_of(profile: &Profile, reach_mm: f64, levels: SectionLevels) -> Edges {
     let values = &profile.values;
@@ -110,7 +112,7 @@ pub fn edges_of(profile: &Profile, reach_mm: f64, levels: SectionLevels) -> Edge
         ..Edges::default()
     };
     let least_rise = levels.min_contrast.max(4.0 * levels.noise);
-    // The wall begins where the values have risen enough above the lowest so far.
+    // The wall begins where the values have risen enough above the lowest value so far.
     let mut low = f32::INFINITY;
     let mut rise_at = None;
     for (n, &value) in values.iter().enumerate() {
@@ -128,7 +130,7 @@ pub fn edges_of(profile: &Profile, reach_mm: f64, levels: SectionLevels) -> Edge
     }
     let Some(rise_at) = rise_at else { return none };
 
-    // Its peak: the highest value before the values fall again, or within the reach of a wall.
+    // The wall's peak is the highest value before the values fall again, or within the largest thickness of a wall.
     let wall_steps = (WALL_REACH_MM / profile.step_mm).ceil() as usize;
     let (mut peak, mut peak_at) = (f32::NEG_INFINITY, rise_at);
     for (n, &value) in values.iter().enumerate().skip(rise_at).take(wall_steps) {
@@ -150,7 +152,7 @@ pub fn edges_of(profile: &Profile, reach_mm: f64, levels: SectionLevels) -> Edge
             ..none
         };
     }
-    // From a quarter to three quarters of the rise, along the flank that holds the edge.
+    // Positions of a quarter and three quarters of the rise, along the flank that contains the edge.
     let level = |share: f32| low + share * (peak - low);
     let quarter = (0..=before).rev().find(|&n| values[n] < level(0.25));
     let three = (before..peak_at).find(|&n| values[n + 1] >= level(0.75));
@@ -169,7 +171,7 @@ pub fn edges_of(profile: &Profile, reach_mm: f64, levels: SectionLevels) -> Edge
     }
 }
 
-/// The wall's far side: half-way between its peak and the lowest value behind it, if it falls at all.
+/// Return the wall's far side: half-way between its peak and the lowest value behind it, if the values fall at all.
 fn outer_mm(
     profile: &Profile,
     peak_at: usize,
@@ -181,7 +183,7 @@ fn outer_mm(
     let window = profile.values.iter().skip(peak_at).take(wall_steps);
     for &value in window.clone() {
         behind = behind.min(value);
-        // The next structure begins.
+        // The next structure begins here.
         if peak - behind >= fall && value - behind >= fall {
             break;
         }
@@ -194,9 +196,10 @@ fn outer_mm(
     (after > 0).then(|| profile.crossing_mm(peak_at + after - 1, half))
 }
 
-/// The value at a point between voxels: Catmull-Rom along each axis, beyond the last voxel as at it.
+/// Interpolate the value at a point between voxels: Catmull-Rom along each axis.
 ///
-/// Unlike linear interpolation it hardly blurs: a lumen of three voxels keeps its width.
+/// Beyond the last voxel, its value is used. Unlike linear interpolation, this method hardly blurs: a lumen of three
+/// voxels keeps its width.
 #[must_use]
 pub fn value_at(values: VolumeView<'_, i16>, ijk: [f64; 3]) -> f32 {
     let base = ijk.map(|v| v.floor() as isize);
@@ -227,7 +230,7 @@ pub fn value_at(values: VolumeView<'_, i16>, ijk: [f64; 3]) -> f32 {
     sum
 }
 
-/// Weights of the neighbours at -1, 0, 1 and 2 for a point at `t` between 0 and 1.
+/// Return the weights of the neighbours at -1, 0, 1 and 2 for a point at `t` between 0 and 1.
 fn catmull_rom(t: f32) -> [f32; 4] {
     let (t2, t3) = (t * t, t * t * t);
     [

@@ -1,31 +1,31 @@
-//! The rays of a section and its contour: lengths at even angles round a point, in the plane across an airway.
+//! Rays of a section and its contour: distances at equal angles round a point, in the plane across an airway.
 
 use carina_grid::{cross, unit};
 
 use crate::section::profile::Edges;
 use crate::tree::smooth::Point;
 
-/// Rays of a section; also the number of its contour's points.
+/// Number of rays of a section, and of points of its contour.
 pub const NUM_RAYS: usize = 64;
 
-/// With a smaller share of rays that meet a wall there is no section, only a hole in the wall.
+/// Smallest fraction of rays that meet a wall; with fewer there is no closed lumen.
 pub const LEAST_SHARE: f64 = 0.6;
 
-/// The rays of a plane and what they met.
+/// Rays of a plane with the edges found on them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Cast {
-    /// Where the rays began, LPS mm.
+    /// Origin of the rays, LPS mm.
     pub centre: Point,
     /// Unit vector along the airway.
     pub normal: Point,
-    /// Counter-clockwise as seen against the normal, from the first axis of [`plane_axes`].
+    /// Edges on each ray: counterclockwise as seen against the normal, from the first axis of [`plane_axes`].
     pub rays: [Edges; NUM_RAYS],
 }
 
-/// Two unit vectors that span the plane across `normal`; a right-handed frame with it.
+/// Return two unit vectors that span the plane across `normal` and form a right-handed frame with it.
 #[must_use]
 pub fn plane_axes(normal: Point) -> (Point, Point) {
-    // The LPS axis that is least along the normal: the same frame for the same normal, whatever came before.
+    // The helper is the LPS axis with the smallest component along the normal, so that equal normals give equal frames.
     let mut helper = [0.0; 3];
     let least = (0..3)
         .min_by(|&a, &b| normal[a].abs().total_cmp(&normal[b].abs()))
@@ -35,7 +35,7 @@ pub fn plane_axes(normal: Point) -> (Point, Point) {
     (across, cross(normal, across))
 }
 
-/// Unit vector of a ray.
+/// Return the unit vector of a ray.
 pub(crate) fn direction((across, up): (Point, Point), n: usize) -> Point {
     let (s, c) = angle(n).sin_cos();
     std::array::from_fn(|a| c * across[a] + s * up[a])
@@ -45,15 +45,17 @@ pub(crate) fn angle(n: usize) -> f64 {
     std::f64::consts::TAU * n as f64 / NUM_RAYS as f64
 }
 
-/// Edges of the lumen; NaN where there is none, or where it lies far from those of its neighbours and belongs to something
-/// else (the far wall of a branch that leaves here).
+/// Return the edges of the lumen.
+///
+/// The result is NaN where there is none, or where the edge is far from those of the neighbouring rays and belongs to
+/// another structure (the far wall of a branch that leaves here).
 pub(crate) fn without_outliers(rays: &[Edges; NUM_RAYS]) -> [f64; NUM_RAYS] {
     without_far(&std::array::from_fn(|n| {
         rays[n].inner_mm.unwrap_or(f64::NAN)
     }))
 }
 
-/// Lengths along rays without those far from their neighbours'.
+/// Replace lengths along rays that are far from those of the neighbouring rays by NaN.
 pub(crate) fn without_far(lengths: &[f64; NUM_RAYS]) -> [f64; NUM_RAYS] {
     const REACH: usize = 5;
     std::array::from_fn(|n| {
@@ -70,7 +72,7 @@ pub(crate) fn without_far(lengths: &[f64; NUM_RAYS]) -> [f64; NUM_RAYS] {
     })
 }
 
-/// A contour without gaps: they are filled from both sides. `None` with too many of them.
+/// Fill the gaps of a contour from both sides; return `None` if there are too many gaps.
 pub(crate) fn filled(met: &[f64; NUM_RAYS]) -> Option<[f64; NUM_RAYS]> {
     if share_of(met) < LEAST_SHARE {
         return None;
@@ -79,7 +81,7 @@ pub(crate) fn filled(met: &[f64; NUM_RAYS]) -> Option<[f64; NUM_RAYS]> {
         if met[n].is_finite() {
             return met[n];
         }
-        // The nearest found ray on each side, round the circle.
+        // Nearest ray with a length on each side, round the circle.
         let side = |step: usize| {
             (1..NUM_RAYS)
                 .map(|d| (d, (n + d * step) % NUM_RAYS))
@@ -98,13 +100,13 @@ pub(crate) fn share_of(lengths: &[f64; NUM_RAYS]) -> f64 {
     lengths.iter().filter(|r| r.is_finite()).count() as f64 / NUM_RAYS as f64
 }
 
-/// The middle value; NaN of none.
+/// Return the median; NaN for an empty list.
 pub(crate) fn median(mut list: Vec<f64>) -> f64 {
     list.sort_by(f64::total_cmp);
     list.get(list.len() / 2).copied().unwrap_or(f64::NAN)
 }
 
-/// Centre of the area inside a contour, in the plane's axes.
+/// Return the centre of the area inside a contour, in the plane's axes.
 pub(crate) fn centroid(contour: &[f64; NUM_RAYS]) -> [f64; 2] {
     let (mut u, mut v, mut area) = (0.0, 0.0, 0.0);
     for (n, r) in contour.iter().enumerate() {

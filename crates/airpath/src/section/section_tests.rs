@@ -1,4 +1,5 @@
-//! Cross-sections of drawn tubes: round and elliptical, any direction, anisotropic voxels, walls thinner than the blur.
+//! Tests of cross-sections of drawn tubes: round and elliptical, any direction, anisotropic voxels, walls thinner than
+//! the blur.
 
 use carina_grid::{Affine, Grid, Ijk, VolumeView, cross, dot, unit};
 use proptest::prelude::*;
@@ -18,22 +19,22 @@ const LEVELS: SectionLevels = SectionLevels {
 };
 const SIGMA_MM: f64 = 0.5;
 
-/// A straight tube with an elliptical lumen and a wall, blurred by a Gaussian.
+/// Straight tube with an elliptical lumen and a wall, blurred by a Gaussian.
 struct Tube {
     centre: Point,
     axis: Point,
-    /// Half of the lumen's width along the two axes of the plane.
+    /// Half of the lumen's width along the two axes of the plane, mm.
     half_mm: [f64; 2],
     wall_mm: f64,
-    /// Value beyond the wall.
+    /// Value behind the wall.
     outside: f64,
-    /// Beyond this distance from the axis along the first axis there is tissue again (a vessel); infinite for none.
+    /// Distance from the axis, along the first axis, beyond which there is tissue again (a vessel); infinite for none.
     vessel_mm: f64,
 }
 
-/// Pixels of a drawn section, mm.
+/// Size of a pixel of a drawn section, mm.
 const PIXEL_MM: f64 = 0.1;
-/// Half of its width.
+/// Half of the width of a drawn section, mm.
 const PICTURE_MM: f64 = 14.0;
 
 impl Tube {
@@ -50,7 +51,7 @@ impl Tube {
 
     fn sharp(&self, u: f64, v: f64) -> f64 {
         let [a, b] = self.half_mm;
-        // Distance to an ellipse, first order at its edge: exact for a circle.
+        // Distance to an ellipse, to first order at its edge: exact for a circle.
         let k0 = (u / a).hypot(v / b);
         let k1 = (u / (a * a)).hypot(v / (b * b));
         let depth = if k1 < 1e-9 {
@@ -67,7 +68,7 @@ impl Tube {
         }
     }
 
-    /// The section, blurred along both axes; a straight tube is the same all along.
+    /// Return the section, blurred along both axes; a straight tube has the same section everywhere.
     fn picture(&self) -> Vec<f64> {
         let n = (2.0 * PICTURE_MM / PIXEL_MM) as usize;
         let at = |i: usize| (i as f64 + 0.5) * PIXEL_MM - PICTURE_MM;
@@ -124,7 +125,8 @@ fn draw(grid: &Grid, tube: &Tube) -> Vec<i16> {
         .map(|at| {
             let p = grid.to_lps(Ijk(grid.voxel(at).map(|v| v as f64))).0;
             let off: Point = std::array::from_fn(|a| p[a] - tube.centre[a]);
-            // Linear between pixels, which are far smaller than the blur; the picture's border beyond it.
+            // Linear interpolation between pixels, which are much smaller than the blur; beyond the picture, the value
+            // at its border.
             let place = |mm: f64| ((mm + PICTURE_MM) / PIXEL_MM - 0.5).clamp(0.0, n as f64 - 1.001);
             let (u, v) = (place(dot(off, across)), place(dot(off, up)));
             let (i, j) = (u as usize, v as usize);
@@ -135,7 +137,7 @@ fn draw(grid: &Grid, tube: &Tube) -> Vec<i16> {
         .collect()
 }
 
-/// Cut off the middle by a third of the lumen, so that the centre must be found.
+/// Cast a section that starts a third of the lumen off the middle, so that the centre must be found.
 fn cut(grid: &Grid, values: &[i16], tube: &Tube) -> Cast {
     let (across, _) = plane_axes(tube.axis);
     let least = tube.half_mm[0].min(tube.half_mm[1]);
@@ -149,8 +151,10 @@ fn cut(grid: &Grid, values: &[i16], tube: &Tube) -> Cast {
     cast_plane(view, plane, LEVELS)
 }
 
-/// The blur that a profile shows: the tube's, and that of reading between voxels (a triangle as wide as two voxels has a
-/// variance of a sixth of a voxel's square). [`Blur::of_casts`] finds both together.
+/// Return the blur of a profile, which includes the interpolation between voxels.
+///
+/// Interpolation is a triangle as wide as two voxels, with a variance of a sixth of a voxel's square.
+/// [`Blur::of_casts`] measures both together.
 fn seen_sigma_mm(spacing_mm: f64) -> f64 {
     (SIGMA_MM * SIGMA_MM + spacing_mm * spacing_mm / 12.0).sqrt()
 }
@@ -188,7 +192,8 @@ proptest! {
         let off = (section.equivalent_mm - truth).abs();
         prop_assert!(off <= section.equivalent_error_mm, "{off} of {}", section.equivalent_error_mm);
         prop_assert!(off < 0.3, "{off}");
-        // About half of the blur on each side; the measured one is far better (above).
+        // About half of the blur on each side; the error with the measured blur is much smaller (see the assertion
+        // before).
         prop_assert!(section.equivalent_error_mm < 0.6, "{}", section.equivalent_error_mm);
         let off = (section.min_mm - 2.0 * flat * radius).abs().max((section.max_mm - 2.0 * radius).abs());
         prop_assert!(off <= section.width_error_mm + 0.1, "{off} of {}", section.width_error_mm);
@@ -233,7 +238,7 @@ fn without_the_correction_a_thin_wall_looks_thick_and_its_lumen_narrow() {
     let section = measure(&grid, &tube);
     let off = (section.wall_mm - 0.8).abs();
     assert!(off < section.wall_error_mm && off < 0.25, "{off}");
-    // Better than half of the raw error.
+    // The corrected error must be smaller than half of the raw error.
     let off = (section.equivalent_mm - 6.0).abs();
     assert!(off < section.equivalent_error_mm && off < 0.15, "{off}");
     assert!(section.shift_mm > 0.1);
@@ -255,7 +260,7 @@ fn the_blur_is_found_on_edges_against_thick_tissue() {
         .collect();
     let casts = cast_planes(view, &planes, LEVELS, &Unwatched).unwrap();
     let blur = Blur::of_casts(&grid, &casts).unwrap();
-    // 0.03: the interpolation's own blur.
+    // 0.03 is the blur of the interpolation itself.
     assert!((blur.in_plane_mm - SIGMA_MM).abs() < 0.04, "{blur:?}");
     let section = Section::of(&casts[0], Some(&blur), 0.6, LEVELS);
     assert!(section.wall_mm.is_nan(), "no far side");
@@ -345,7 +350,7 @@ fn thickness_and_half_maximum_undo_each_other_and_the_frame_is_right_handed() {
         let found = true_thickness_mm(half_maximum_mm(wall, 0.6), 0.6);
         assert!((found - wall).abs() < 5e-3, "{wall} {found}");
     }
-    // The half-maximum thickness of a thin wall is the blur's own, 2.355 sigma.
+    // The half-maximum thickness of a thin wall is that of the blur itself, 2.355 sigma.
     assert!((half_maximum_mm(1e-3, 1.0) - 2.3548).abs() < 2e-3);
     for normal in [[0.0, 0.0, 1.0], [0.6, -0.8, 0.0], [-0.48, 0.6, -0.64]] {
         let (across, up) = plane_axes(normal);

@@ -1,28 +1,32 @@
-//! A branch of the airway tree, and what its points ask of the lumen.
+//! Branch of the airway tree, and smooth points and wall distances of a line in the lumen.
 
 use carina_grid::{Grid, Ijk, length};
 
 use crate::tree::smooth::{self, Point};
 use carina_leastcost::lumen::LumenGraph;
 
-/// A piece of airway between two forks, or between a fork and a tip.
+/// Part of an airway between two bifurcations, or between a bifurcation and a tip.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Branch {
-    /// Position of the parent in the list; `None` at the root. Parents come first.
+    /// Index of the parent in the list; `None` at the root.
+    ///
+    /// Parents come first.
     pub parent: Option<usize>,
-    /// Forks passed on the way here.
+    /// Number of bifurcations between the root and this branch.
     pub generation: u32,
-    /// Voxel path, root to tip; the first node is the parent's last.
+    /// Voxel path from the root side to the tip side; the first node is the parent's last.
     pub nodes: Vec<u32>,
     /// Smooth centreline in the middle of the lumen, LPS; the first point is the parent's last, bit for bit.
     pub points: Vec<Point>,
-    /// Radius of the circle with the area of the lumen across the branch, at each point, mm.
+    /// Radius in mm, at each point, of the circle with the area of the lumen's cross-section.
     pub radius_mm: Vec<f64>,
     /// Distance to the wall at each point, mm.
     pub wall_mm: Vec<f64>,
 }
 
-/// A chain inside the lumen as even, smooth points inside it, and how far along the chain each one stands, mm.
+/// Convert a chain of points in the lumen to evenly spaced, smooth points in the lumen.
+///
+/// Also return the distance of each point along the chain, mm.
 #[must_use]
 pub fn smooth_inside(
     graph: &LumenGraph,
@@ -48,11 +52,12 @@ pub(crate) fn pulled_inside(graph: &LumenGraph, grid: &Grid, lps: Point) -> Poin
     grid.to_lps(Ijk(graph.pulled_inside(grid, ijk))).0
 }
 
-/// Distance to the wall at a point, mm; 0 outside the lumen.
+/// Return the distance to the wall at a point, mm; 0 outside the lumen.
 ///
-/// From a lumen voxel near the point to its wall and from the point to that voxel is never shorter than the way to the
-/// wall, and exactly as long where the voxel lies on that way: the least over the neighbours. (Interpolated between voxels
-/// the distance has no sharp ridge: in the middle of a tube it would be half a voxel short.)
+/// The result is the smallest sum, over the neighbouring lumen voxels, of the distance from the point to the voxel and
+/// of the voxel's distance to its wall. The sum is never smaller than the distance to the wall, and equal to it if the
+/// voxel is on the shortest line to the wall. (Interpolation of the distance between voxels would flatten the sharp
+/// maximum in the middle of a tube: half a voxel too small.)
 #[must_use]
 pub fn radius_mm(graph: &LumenGraph, grid: &Grid, lps: Point) -> f64 {
     let ijk = grid.to_ijk(carina_grid::Lps(lps)).0;

@@ -1,8 +1,8 @@
-//! Branches, read off the tree of least-cost paths.
+//! Branches, derived from the tree of least-cost paths.
 //!
-//! Tips are found as in TEASAR (Sato et al. 2000): the node with the longest path among those not yet covered is a tip; its
-//! path is traced back to what is already in the tree; then everything within a multiple of its tube's radius is covered.
-//! Unlike there, that distance is measured inside the lumen, so a neighbouring tube behind a wall keeps its own tip.
+//! Tips are found as in TEASAR (Sato et al. 2000): the node with the longest path among the uncovered nodes is a tip;
+//! its path is traced back to the existing tree; then all nodes within a multiple of the tube's radius are covered.
+//! Unlike in TEASAR, the distance is measured inside the lumen, so a neighbouring tube behind a wall keeps its own tip.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
@@ -17,21 +17,21 @@ use carina_leastcost::lumen::LumenGraph;
 use carina_leastcost::tracker::Tracker;
 use carina_leastcost::{TrackError, Watch};
 
-/// When a side path is a branch.
+/// Limits that decide whether a side path is a branch.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BranchLimits {
-    /// A side path must reach this far beyond the tube it leaves, mm.
+    /// Smallest distance in mm by which a side path must extend beyond the tube that it leaves.
     pub min_length_mm: f64,
-    /// A path covers what is within this multiple of its tube's radius ...
+    /// Multiple of a tube's radius within which a path covers all nodes; `cover_mm` is added to this distance.
     pub cover_radii: f64,
-    /// ... plus this, mm.
+    /// Distance in mm that is added to the multiple `cover_radii` of the radius.
     pub cover_mm: f64,
-    /// Distance of points along a centreline, mm.
+    /// Distance between points along a centreline, mm.
     pub step_mm: f64,
 }
 
 impl BranchLimits {
-    /// Limits for a grid: coarse slices leave coarser bumps on a tube.
+    /// Return the limits for a grid: thick slices cause coarser bumps on a tube.
     #[must_use]
     pub fn for_grid(grid: &Grid) -> Self {
         let coarsest = grid.spacing_mm().into_iter().fold(0.0, f64::max);
@@ -44,7 +44,11 @@ impl BranchLimits {
     }
 }
 
-/// The automatic tree of everything that `tracker` has settled.
+/// Return the automatic tree of all nodes that `tracker` has settled.
+///
+/// # Errors
+///
+/// Returns an error if `watch` stops the computation.
 pub fn find_branches(
     graph: &LumenGraph,
     tracker: &Tracker,
@@ -81,10 +85,11 @@ pub fn find_branches(
     Ok(tree.branches(limits, &[]))
 }
 
-/// The part of the automatic tree that leads to `targets`.
+/// Return the part of the automatic tree that leads to `targets`.
 ///
-/// A target hangs on the automatic tree by the end of its own path; that piece belongs to the branch it hangs on. Branches end
-/// where the automatic tree forks, so that they are its branches, the last ones cut short.
+/// The end of a target's own path joins the target to the automatic tree; this piece belongs to the branch that it
+/// joins. Branches end at the bifurcations of the automatic tree, so that they equal its branches except for the last
+/// ones, which may be shorter.
 #[must_use]
 pub fn branches_to(
     graph: &LumenGraph,
@@ -98,7 +103,7 @@ pub fn branches_to(
     let mut before: BTreeMap<u32, u32> = BTreeMap::new();
     for branch in automatic {
         for pair in branch.nodes.windows(2) {
-            // Nodes that were looked up along a centreline may come back to where it was: they would be their own ancestors.
+            // Nodes found along a centreline may repeat; a repeated node would become its own ancestor.
             if !whole.in_tree[pair[1] as usize] {
                 before.insert(pair[1], pair[0]);
                 whole.add(pair);
@@ -110,7 +115,7 @@ pub fn branches_to(
         if tracker.cost_quanta(target).is_none() {
             continue;
         }
-        // A target at the wall is off the middle by a whole radius.
+        // A target at the wall is a whole radius away from the axis, so the search uses 1.5 radii.
         let mut chain = whole.forked_low(&whole.chain_to_tree(target), 1.5);
         chain.reverse();
         while !used.in_tree[chain[chain.len() - 1] as usize]
@@ -120,7 +125,7 @@ pub fn branches_to(
         }
         chain.reverse();
         if chain.len() > 1 || used.chains.is_empty() {
-            // What is drawn runs along the chain, also where that is not the target's least-cost path.
+            // Lengths follow the chain, also where it is not the target's least-cost path.
             used.measure(&chain);
             used.add(&chain);
         }
@@ -134,10 +139,12 @@ pub fn branches_to(
     used.branches(limits, &forks)
 }
 
-/// For every node of the graph the branch in whose tube it lies; `NO_NODE` where it is not connected to any.
+/// Return, for every node of the graph, the index of the branch whose tube contains the node.
 ///
-/// That is the branch whose centreline is nearest inside the lumen, measured from the tube's surface: a wide tube reaches
-/// farther than a narrow one that leaves it.
+/// The result is `NO_NODE` if the node is connected to no branch.
+///
+/// The result is the branch with the nearest centreline, measured inside the lumen and from the tube's surface: a wide
+/// tube reaches farther than a narrow one that leaves it.
 #[must_use]
 pub fn branch_of_nodes(graph: &LumenGraph, branches: &[Branch]) -> Vec<u32> {
     let mut branch_of = vec![NO_NODE; graph.num_nodes()];
@@ -170,19 +177,19 @@ pub fn branch_of_nodes(graph: &LumenGraph, branches: &[Branch]) -> Vec<u32> {
     branch_of
 }
 
-/// Wider than the radius of any airway, mm.
+/// Radius in mm that is larger than that of any airway.
 pub(crate) const WIDEST_TUBE_MM: f64 = 20.0;
 
-/// What is near a path of the tree, measured inside the lumen.
+/// Region near the paths of the tree, measured inside the lumen.
 pub(crate) struct Cover<'a> {
     graph: &'a LumenGraph,
     limits: &'a BranchLimits,
-    /// How much farther the cover reaches from each node, mm; 0 where it does not reach it.
+    /// Remaining reach of the cover from each node, mm; 0 for a node that is not covered.
     left_mm: Vec<f32>,
     open: BinaryHeap<(OrderedMm, u32)>,
 }
 
-/// Finite lengths in order. As integers (micrometres), so that they have one.
+/// Length as an integer in micrometres, because integers have a total order.
 pub(crate) type OrderedMm = u32;
 
 pub(crate) fn ordered(mm: f64) -> OrderedMm {
@@ -203,7 +210,9 @@ impl<'a> Cover<'a> {
         self.left_mm[node as usize] > 0.0
     }
 
-    /// Spreads from every node of a chain at once, farthest reach first, so each node is passed about once.
+    /// Cover the surroundings of a chain.
+    ///
+    /// All nodes start at once, largest reach first, so that each node is visited about once.
     pub(crate) fn add(&mut self, chain: &[u32]) {
         for &node in chain {
             let reach = self.limits.cover_radii * self.graph.wall_mm(node) + self.limits.cover_mm;
@@ -217,7 +226,7 @@ impl<'a> Cover<'a> {
             let (left_mm, open) = (&mut self.left_mm, &mut self.open);
             self.graph.for_each_edge(node, |next, length_mm| {
                 let left = here - length_mm;
-                // 1 micrometre more, so that equal reaches do not chase each other.
+                // The tolerance of 1 micrometre prevents repeated updates between nodes with equal reach.
                 if left > f64::from(left_mm[next as usize]) + 1e-3 {
                     left_mm[next as usize] = left as f32;
                     open.push((ordered(left), next));
@@ -227,13 +236,13 @@ impl<'a> Cover<'a> {
     }
 }
 
-/// A path has left its neighbour's tube when it is farther from its middle than this multiple of the tube's radius.
+/// Multiple of a tube's radius: a path has left the tube if it is farther than this distance from the tube's axis.
 const FORK_RADII: f64 = 1.0;
 
-/// Two forks are one if they are nearer to each other than this multiple of the tube's radius.
+/// Multiple of a tube's radius: two bifurcations nearer than this distance are merged.
 const ONE_FORK_RADII: f64 = 0.9;
 
-/// A growing set of root paths.
+/// Growing set of paths from the root.
 struct NodeTree<'a> {
     graph: &'a LumenGraph,
     tracker: &'a Tracker,
@@ -241,9 +250,9 @@ struct NodeTree<'a> {
     /// Length of each settled node's path, mm.
     along_mm: Vec<f64>,
     in_tree: Vec<bool>,
-    /// Paths in the order they were added; each begins on an earlier one.
+    /// Paths in the order in which they were added; each begins on an earlier one.
     chains: Vec<Vec<u32>>,
-    /// The next nodes of each node of the tree, in that order.
+    /// Next nodes of each node of the tree, in that order.
     children: BTreeMap<u32, Vec<u32>>,
 }
 
@@ -274,7 +283,7 @@ impl<'a> NodeTree<'a> {
         self.chains.is_empty()
     }
 
-    /// From the nearest node of the tree (or the root) to `tip`.
+    /// Return the path from the nearest node of the tree (or the root) to `tip`.
     fn chain_to_tree(&self, tip: u32) -> Vec<u32> {
         let mut chain = vec![tip];
         let mut node = tip;
@@ -288,12 +297,12 @@ impl<'a> NodeTree<'a> {
         chain
     }
 
-    /// Moves the fork of a new chain down to where it leaves the tube that it shares with the tree.
+    /// Move the bifurcation of a new chain to the point where the chain leaves the tube that it shares with the tree.
     ///
-    /// Two least-cost paths part well before their tubes do: each cuts the corner. A node still belongs to the shared tube
-    /// while some node of the tree is near, below the present fork, and in sight.
+    /// Two least-cost paths separate well before their tubes do, because each cuts the corner. A node still belongs to
+    /// the shared tube while a node of the tree below the present bifurcation is near and visible from it.
     fn forked_low(&self, chain: &[u32], radii: f64) -> Vec<u32> {
-        // Nodes of the tree below the join.
+        // Nodes of the tree below the junction.
         let mut below = vec![chain[0]];
         let mut next = 0;
         while next < below.len() {
@@ -304,7 +313,7 @@ impl<'a> NodeTree<'a> {
         }
         let ijk = |node: u32| self.graph.voxel(node).map(|v| v as f64);
         let mut fork = (0, chain[0]);
-        // A tip is never given up: the last node stays in the chain.
+        // The last node stays in the chain, because the tip must not be lost.
         for (n, &node) in chain.iter().enumerate().take(chain.len() - 1).skip(1) {
             let point = self.point(node);
             let near = below
@@ -326,8 +335,9 @@ impl<'a> NodeTree<'a> {
         lower
     }
 
-    /// How many nodes at a chain's tip only run into the blind end of the tube: the wall there is nearer with every step.
-    /// At most 4 mm and a third of the chain.
+    /// Return the number of nodes at a chain's tip that run into the blind end of the tube.
+    ///
+    /// There the wall becomes nearer with every step. The result is at most 4 mm and a third of the chain.
     fn blunt_end(&self, chain: &[u32]) -> usize {
         let tip = chain.len() - 1;
         let mut num_cut = 0;
@@ -342,7 +352,7 @@ impl<'a> NodeTree<'a> {
         num_cut
     }
 
-    /// Lengths along a chain that hangs on the tree, whatever the least-cost paths of its nodes are.
+    /// Set the lengths along a chain that is attached to the tree, independent of the least-cost paths of its nodes.
     fn measure(&mut self, chain: &[u32]) {
         for pair in chain.windows(2) {
             let (p, q) = (self.point(pair[0]), self.point(pair[1]));
@@ -367,7 +377,7 @@ impl<'a> NodeTree<'a> {
             .0
     }
 
-    /// Cuts the paths at their forks.
+    /// Divide the paths into branches at their bifurcations.
     fn branches(&self, limits: &BranchLimits, more_forks: &[u32]) -> Vec<Branch> {
         if self.chains.is_empty() {
             return Vec::new();
@@ -380,17 +390,17 @@ impl<'a> NodeTree<'a> {
                 || (!below(node).is_empty() && more_forks.binary_search(&node).is_ok())
         };
 
-        // Depth first; a stack of (parent, first node, second node).
+        // Depth-first search with a stack of (parent, first node, second node).
         let mut branches: Vec<Branch> = Vec::new();
         let mut open: Vec<(Option<usize>, Vec<u32>)> = vec![(None, vec![root])];
         while let Some((parent, mut nodes)) = open.pop() {
             let mut end = nodes[nodes.len() - 1];
-            // At the root itself a fork would leave an empty trunk: pass through.
+            // A bifurcation at the root itself would give an empty trunk, so it is skipped.
             while below(end).len() == 1 && (nodes.len() == 1 || !is_fork(end)) {
                 end = below(end)[0];
                 nodes.push(end);
             }
-            // Two forks this near to each other are one fork with more children.
+            // Two near bifurcations count as one with more children.
             let run_mm = self.along_mm[end as usize] - self.along_mm[nodes[0] as usize];
             let is_one_fork = parent.is_some()
                 && below(end).len() > 1
@@ -423,8 +433,11 @@ impl<'a> NodeTree<'a> {
         branches
     }
 
-    /// Smooth centrelines. Each root path is smoothed as a whole, longest first, so that it runs evenly through its forks;
-    /// a branch takes its piece of the first such path it lies on, and glides into it from its parent's last point.
+    /// Compute smooth centrelines.
+    ///
+    /// Each path from the root is smoothed as a whole, longest first, so that it runs evenly through its bifurcations.
+    /// A branch takes its part of the first such path that contains it; its beginning is blended from the last point of
+    /// its parent.
     fn draw(&self, branches: &mut [Branch], limits: &BranchLimits) {
         let mut leaves: Vec<usize> = (0..branches.len())
             .filter(|b| !branches.iter().any(|other| other.parent == Some(*b)))
@@ -465,7 +478,7 @@ impl<'a> NodeTree<'a> {
         }
     }
 
-    /// The piece of a curve between two places along it, begun at `start`.
+    /// Return the part of a curve between two positions along it, moved to begin at `start`.
     fn cut(
         &self,
         curve: &[Point],
@@ -482,7 +495,7 @@ impl<'a> NodeTree<'a> {
             }
         };
         let begin = place(from_mm);
-        // Points nearer than a tenth of a step to an end would only make a kink.
+        // Points nearer than a tenth of a step to an end would only cause a kink.
         let margin = 0.1 * (at_mm[at_mm.len() - 1] / at_mm.len() as f64);
         let mut points = vec![begin];
         points.extend(

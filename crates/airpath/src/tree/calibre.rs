@@ -1,8 +1,9 @@
-//! How wide a branch is at each point of its centreline: the radius of the circle with the area of the lumen across it.
+//! Width of a branch at each point of its centreline: the radius of the circle with the area of the lumen's
+//! cross-section.
 //!
-//! The distance to the wall is less than that: it is the least of all directions, and the more of the wall is near, the more
-//! noise it finds. At a fork a section cuts more than one tube. There a branch is as wide as its nearest section of its own,
-//! or as the section at the place where that is narrower (a stenosis at its mouth).
+//! The distance to the wall is smaller, because it is the minimum over all directions; the more wall is near, the more
+//! noise lowers it. At a bifurcation a section cuts more than one tube. There the width is that of the nearest section
+//! of the branch alone, or of the section at the point itself if that is narrower (a stenosis at the branch's ostium).
 
 use carina_grid::{Grid, unit};
 use rayon::prelude::*;
@@ -13,18 +14,20 @@ use crate::tree::smooth::Point;
 use crate::tree::tube::{BEFORE_FORK_RADII, PAST_CARINA_RADII, Tube, View};
 use carina_leastcost::lumen::LumenGraph;
 
-/// Radii of branches, mm: of sections, and distances to the wall.
+/// Radii of a branch from its sections, and distances to the wall, mm.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Calibre {
-    /// Of the circle with the area of the lumen across the branch, at each of its points.
+    /// Radius, at each point, of the circle with the area of the lumen's cross-section.
     pub section_mm: Vec<f64>,
-    /// Distance to the wall.
+    /// Distance to the wall at each point, mm.
     pub wall_mm: Vec<f64>,
 }
 
-/// The radii of the wanted branches of a tree, all of which are given: the points of each, and its parent.
+/// Compute the radii of the wanted branches of a tree.
 ///
-/// Everything follows from the lumen and these lines: the same tree has the same radii, however it came to be.
+/// `lines` has the points of all branches, and `parents` their parents.
+///
+/// The result depends only on the lumen and these lines, so equal trees have equal radii.
 #[must_use]
 pub fn of_branches(
     graph: &LumenGraph,
@@ -40,7 +43,7 @@ pub fn of_branches(
             children[*parent].push(b);
         }
     }
-    // Where a branch begins to be one by itself depends on those that leave the same fork.
+    // The start of a branch's own part depends on its siblings at the same bifurcation.
     let needed: Vec<bool> = (0..lines.len())
         .map(|b| wanted(b) || parents[b].is_some_and(|p| children[p].iter().any(|c| wanted(*c))))
         .collect();
@@ -86,7 +89,7 @@ pub fn of_branches(
         .collect()
 }
 
-/// The radius at each point, from sections of the tube's own part, `from_mm` to `to_mm`.
+/// Return the radius at each point, from sections of the tube's own part, `from_mm` to `to_mm`.
 fn sections(view: &View<'_>, tube: &Tube, wall: &[f64], from_mm: f64, to_mm: f64) -> Vec<f64> {
     let count = tube.points.len();
     let raw: Vec<f64> = (0..count).map(|n| section(view, tube, n)).collect();
@@ -102,7 +105,7 @@ fn sections(view: &View<'_>, tube: &Tube, wall: &[f64], from_mm: f64, to_mm: f64
                 return raw[n];
             }
             let held = match (after.checked_sub(1).map(|m| own[m]), own.get(after)) {
-                // A gap between two sections: even between them.
+                // Interpolate across a gap between two sections.
                 (Some(before), Some(&next)) => {
                     let (a, b) = (tube.along_mm[before], tube.along_mm[next]);
                     let share = (tube.along_mm[n] - a) / (b - a).max(1e-9);
@@ -120,14 +123,14 @@ fn sections(view: &View<'_>, tube: &Tube, wall: &[f64], from_mm: f64, to_mm: f64
         .collect()
 }
 
-/// The radius of the section at a point; NaN where the lumen is not closed round it.
+/// Return the radius of the section at a point; NaN if the lumen is not closed round the point.
 fn section(view: &View<'_>, tube: &Tube, n: usize) -> f64 {
     let at = tube.along_mm[n];
     let chord = tube.chord(at - tube.radius_mm, at + tube.radius_mm);
     unit(chord)
         .and_then(|normal| view.contour(tube.points[n], plane_axes(normal), tube.radius_mm))
         .map_or(f64::NAN, |contour| {
-            // A sector's area is r^2 / 2 of its angle.
+            // A sector has the area of its angle times r^2 / 2.
             (contour.iter().map(|r| r * r).sum::<f64>() / contour.len() as f64).sqrt()
         })
 }

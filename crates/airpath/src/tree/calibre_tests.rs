@@ -1,4 +1,4 @@
-//! Radii of drawn tubes against the circles of their area, on an oblique anisotropic grid.
+//! Tests of the radii of drawn tubes against circles of equal area, on an oblique anisotropic grid.
 
 use carina_grid::{Affine, Grid, Ijk, VolumeView};
 
@@ -23,7 +23,7 @@ fn grid() -> Grid {
     .unwrap()
 }
 
-/// The lumen of what has a negative `depth` (mm, 0 at the wall), with an edge blurred over 1.2 mm.
+/// Return the graph of a lumen where `depth` (mm, 0 at the wall) is negative, with an edge blurred over 1.2 mm.
 fn graph(grid: &Grid, depth: impl Fn(Point) -> f64) -> LumenGraph {
     let values: Vec<i16> = (0..grid.num_voxels())
         .map(|at| {
@@ -51,7 +51,7 @@ fn a_flat_lumen_is_as_wide_as_the_circle_of_its_area_and_not_as_its_least_width(
     let grid = grid();
     let (long, short) = (6.0, 3.0);
     let graph = graph(&grid, |[x, y, _]| {
-        // Near the wall, where it counts, the ellipse's function over its slope is the distance.
+        // Near the wall, the ellipse's function divided by its gradient is the distance.
         let f = (x / long).hypot(y / short);
         let slope = (x / long / long).hypot(y / short / short) / f.max(1e-6);
         (f - 1.0) / slope.max(1e-6)
@@ -62,7 +62,8 @@ fn a_flat_lumen_is_as_wide_as_the_circle_of_its_area_and_not_as_its_least_width(
         .unwrap();
     let circle = f64::sqrt(long * short);
     for n in 5..35 {
-        // A twentieth: between voxels the edge is known to about a tenth of one, and 64 rays meet it.
+        // Tolerance of a twentieth: between voxels the edge is accurate to about a tenth of a voxel, and 64 rays meet
+        // it.
         assert!(
             (found.section_mm[n] / circle - 1.0).abs() < 0.05,
             "{}",
@@ -111,7 +112,8 @@ fn up_to_its_fork_a_branch_is_as_wide_as_beyond_it() {
     for (b, found) in all.iter().enumerate() {
         let found = found.as_ref().unwrap();
         for r in &found.section_mm[..36] {
-            // Half a voxel: as a section is, noise-free; the wall's distance is off by the parent's radius here.
+            // Tolerance of half a voxel: accurate for a noise-free section; the distance to the wall would be wrong by
+            // the parent's radius here.
             assert!((r - radii[b]).abs() < 0.4, "branch {b}: {r}");
         }
     }
@@ -135,7 +137,7 @@ fn a_narrow_mouth_is_told_although_it_lies_at_the_fork() {
         (0..3)
             .map(|b| {
                 let (away, n) = off(p, &lines[b]);
-                // The wider child is pinched where it becomes one by itself.
+                // The wider child is constricted where its own part begins.
                 let pinch = if b == 1 {
                     2.0 * (-((n - 13.0) / 4.0).powi(2)).exp()
                 } else {

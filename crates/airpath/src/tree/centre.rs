@@ -1,10 +1,11 @@
-//! Centrelines in the middle of the lumen, and forks where the axes of the tubes meet.
+//! Centrelines in the middle of the lumen, and bifurcations where the axes of the tubes meet.
 //!
-//! A least-cost path keeps near the middle, but cuts the corner into a branch. Where a branch is a tube by itself its
-//! points move to the centre of the lumen's area in the plane across it, between voxels. Near a fork no such centre is the
-//! branch's: there the axes of parent and children are carried on as straight lines, and the fork is the point nearest to
-//! all of them (least squares; Antiga and Steinman 2004 place a bifurcation's origin likewise from where its tubes begin to
-//! be separate). The centreline bends from one tube's axis to the other's with as little curvature as it can.
+//! A least-cost path stays near the middle, but cuts the corner into a branch. In the part where a branch is a separate
+//! tube, its points move to the centre of the lumen's cross-section, with sub-voxel accuracy. Near a bifurcation the
+//! cross-section includes other branches. There the axes of parent and children continue as straight lines, and the
+//! bifurcation is the point nearest to all of them (least squares; Antiga and Steinman 2004 similarly place a
+//! bifurcation's origin from where its tubes begin to be separate). The centreline bends from one tube's axis to the
+//! other's with the least possible curvature.
 
 use carina_grid::{Grid, Lps, dot, length};
 use rayon::prelude::*;
@@ -15,16 +16,18 @@ use crate::tree::smooth::{self, Point, cumulative_mm};
 use crate::tree::tube::{BEFORE_FORK_RADII, CENTRED_PULL, PAST_CARINA_RADII, Tube, View, sub};
 use carina_leastcost::lumen::LumenGraph;
 
-/// The lumen closes at a tip: its last part is no tube.
+/// Number of radii before a tip where the tube ends, because the lumen closes at the tip.
 const BEFORE_TIP_RADII: f64 = 0.5;
-/// How much the fork of the least-cost paths counts against an axis: it decides only where the axes are nearly parallel.
+/// Weight of the bifurcation of the least-cost paths relative to an axis.
+///
+/// The weight matters only if the axes are nearly parallel.
 const OLD_FORK_WEIGHT: f64 = 0.05;
-/// A fork is not moved farther than this multiple of its tube's radius.
+/// Largest displacement of a bifurcation, as a multiple of its tube's radius.
 const FARTHEST_RADII: f64 = 2.5;
-/// Points near a fork hardly pull: they only say where the lumen is.
+/// Weight of the points near a bifurcation; they are small, because these points only show where the lumen is.
 const FORK_PULL: f64 = 1e-3;
 
-/// Moves the drawn branches into the middle and their forks to where their axes meet.
+/// Move the drawn branches to the middle of the lumen and their bifurcations to the intersections of the axes.
 ///
 /// Every point stays in the lumen, and a child still begins at its parent's last point, bit for bit.
 pub(crate) fn refine(graph: &LumenGraph, grid: &Grid, branches: &mut [Branch], step_mm: f64) {
@@ -60,7 +63,7 @@ pub(crate) fn refine(graph: &LumenGraph, grid: &Grid, branches: &mut [Branch], s
         let length_mm = tube.length_mm();
         tube.to_mm = length_mm - before_end * tube.radius_mm;
         if tube.to_mm - tube.from_mm < step_mm {
-            // All of it belongs to its forks: only its middle is its own.
+            // The whole branch belongs to its bifurcations; only its middle is its own part.
             let middle =
                 (0.5 * (tube.from_mm + tube.to_mm)).clamp(0.25 * length_mm, 0.75 * length_mm);
             (tube.from_mm, tube.to_mm) = (middle, middle);
@@ -76,7 +79,7 @@ pub(crate) fn refine(graph: &LumenGraph, grid: &Grid, branches: &mut [Branch], s
         let tube = &tubes[b];
         starts[b] = branches[b].parent.map_or(tube.points[0], |p| ends[p]);
         let old = tube.at(tube.length_mm());
-        // A fork that would come to lie before the one above it stays where it was.
+        // A bifurcation that would move behind the previous one keeps its position.
         ends[b] = match forks[b] {
             Some(fork)
                 if dot(sub(fork, starts[b]), sub(old, tube.points[0])) > 0.0
@@ -111,11 +114,11 @@ pub(crate) fn refine(graph: &LumenGraph, grid: &Grid, branches: &mut [Branch], s
 }
 
 impl View<'_> {
-    /// The point nearest to the axes of a branch and of its children.
+    /// Return the point nearest to the axes of a branch and of its children.
     fn fork(&self, tubes: &[Tube], parent: usize, children: &[usize]) -> Point {
         let tube = &tubes[parent];
         let old = tube.at(tube.length_mm());
-        // Sum of w (I - t t') F = sum of w (I - t t') p, and the old fork with a small weight.
+        // Solve: sum of w (I - t t') F = sum of w (I - t t') p, with a small weight for the previous bifurcation.
         let mut matrix = [[0.0; 3]; 3];
         let mut right = [0.0; 3];
         let mut add = |p: Point, t: Option<Point>, w: f64| {
@@ -152,7 +155,7 @@ impl View<'_> {
         self.graph.sees(p, q)
     }
 
-    /// The whole branch from its first point to its last, through the middle of its own part.
+    /// Return the points of the whole branch from its first point to its last, through the middle of its own part.
     fn drawn(
         &self,
         tube: &Tube,
@@ -161,7 +164,7 @@ impl View<'_> {
         forks: bool,
         step_mm: f64,
     ) -> Vec<Point> {
-        // What lies behind the fork's plane is not on the way: a fork may have moved.
+        // The bifurcation may have moved, so points that are not between the two ends are left out.
         let axis = sub(end, start);
         let on_way =
             |p: &&Point| dot(sub(**p, start), axis) > 0.0 && dot(sub(end, **p), axis) > 0.0;
@@ -171,7 +174,7 @@ impl View<'_> {
         chain.push(end);
         let along = cumulative_mm(&chain);
         if along[along.len() - 1] <= 0.0 {
-            // A single voxel.
+            // A branch of a single voxel has one point.
             return if tube.points.len() == 1 {
                 vec![start]
             } else {
@@ -203,7 +206,7 @@ impl View<'_> {
     }
 }
 
-/// Solves a symmetric 3 x 3 system by Cramer's rule; `None` where it has no one answer.
+/// Solve a symmetric 3 x 3 system by Cramer's rule; return `None` if it has no unique solution.
 fn solve(m: [[f64; 3]; 3], r: [f64; 3]) -> Option<Point> {
     let determinant = |c: [[f64; 3]; 3]| {
         c[0][0] * (c[1][1] * c[2][2] - c[1][2] * c[2][1])

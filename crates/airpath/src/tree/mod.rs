@@ -1,4 +1,4 @@
-//! The airway tree.
+//! Airway tree: branches, centrelines and radii.
 
 pub mod branch;
 pub mod branches;

@@ -1,33 +1,38 @@
 //! Smooth centrelines that stay inside the lumen.
 //!
-//! A chain of voxel centres is a staircase. It is resampled evenly and smoothed by penalised least squares (Whittaker 1923,
-//! second differences; Eilers 2003): minimise sum w |x - y|^2 + lambda sum |x[n-1] - 2 x[n] + x[n+1]|^2. Points that would
-//! leave the lumen are pulled back, to just inside first, then to the chain, which never leaves it, until all are inside.
+//! A chain of voxel centres has steps. The chain is resampled evenly and smoothed by penalised least squares (Whittaker
+//! 1923, second differences; Eilers 2003): minimise sum w |x - y|^2 + lambda sum |x[n-1] - 2 x[n] + x[n+1]|^2. Points
+//! that would leave the lumen are pulled back, first to just inside, then to the chain, which never leaves the lumen,
+//! until all points are inside.
 
 use carina_grid::length;
 
-/// A point in LPS, mm.
+/// Point in LPS, mm.
 pub type Point = [f64; 3];
 
-/// Bends shorter than this are staircase, not anatomy, in a tube of [`REFERENCE_RADIUS_MM`].
+/// Length of a bend below which it counts as a voxel step and not as anatomy, in a tube of [`REFERENCE_RADIUS_MM`].
 const SHORTEST_BEND_MM: f64 = 18.0;
-/// Wider tubes are smoothed more: their middle is known less exactly, and the chain may wander further.
+/// Radius of the reference tube.
+///
+/// Wider tubes are smoothed more, because their middle is known less exactly and the chain may deviate more.
 const REFERENCE_RADIUS_MM: f64 = 2.0;
 const MAX_ROUNDS: usize = 24;
-/// First a point outside is only pulled to just inside, which leaves the curve its smoothness: where the lumen is thinner than
-/// the slices the chain has corners, and a curve that is pulled onto it takes them over.
+/// Number of first rounds, in which a point outside is only pulled to just inside, so that the curve stays smooth.
+///
+/// If the lumen is thinner than the slices, the chain has corners, and a curve that is pulled onto the chain would get
+/// them.
 const GENTLE_ROUNDS: usize = 16;
-/// On the way back to the chain the inside is looked for in such steps.
+/// Step, as a fraction of the distance to the chain, of the search for a position inside.
 const GENTLE_SHARE: f64 = 0.125;
 const GENTLE_PULL: f64 = 1.0;
-/// A corner of more than 20 degrees from one point to the next is sharp.
+/// Cosine of the largest turn between successive points that is not sharp: 20 degrees.
 const SHARP_COSINE: f64 = 0.94;
 const RELAXING_ROUNDS: usize = 30;
 const RELAXING_SHARE: f64 = 0.5;
-/// The pull of a point that stays where it is.
+/// Weight of a point that must not move.
 pub const FIXED: f64 = 1e9;
 
-/// How much a point pulls the curve towards itself, by the radius of the tube there.
+/// Return the weight with which a point attracts the curve, from the radius of the tube at the point.
 #[must_use]
 pub fn pull_of(radius_mm: f64) -> f64 {
     (REFERENCE_RADIUS_MM / radius_mm.max(0.1))
@@ -35,7 +40,9 @@ pub fn pull_of(radius_mm: f64) -> f64 {
         .clamp(0.05, 4.0)
 }
 
-/// Points every `step_mm` (or a little less) along a chain, both ends kept exactly; and how far along each is, mm.
+/// Return points every `step_mm` (or a little less) along a chain, with both ends unchanged.
+///
+/// Also return the distance of each point along the chain, mm.
 #[must_use]
 pub fn resampled(chain: &[Point], step_mm: f64) -> (Vec<Point>, Vec<f64>) {
     let along = cumulative_mm(chain);
@@ -53,7 +60,7 @@ pub fn resampled(chain: &[Point], step_mm: f64) -> (Vec<Point>, Vec<f64>) {
     (points, at)
 }
 
-/// Length along a chain up to each of its points.
+/// Return the length along a chain up to each of its points.
 #[must_use]
 pub fn cumulative_mm(chain: &[Point]) -> Vec<f64> {
     let mut sum = 0.0;
@@ -67,7 +74,7 @@ pub fn cumulative_mm(chain: &[Point]) -> Vec<f64> {
     along
 }
 
-/// The point `s` mm along a chain whose cumulative lengths are `along`.
+/// Return the point `s` mm along a chain whose cumulative lengths are `along`.
 #[must_use]
 pub fn point_at(chain: &[Point], along: &[f64], s: f64) -> Point {
     let after = along.partition_point(|&a| a < s).clamp(1, chain.len() - 1);
@@ -88,10 +95,10 @@ fn distance(a: Point, b: Point) -> f64 {
     length([a[0] - b[0], a[1] - b[1], a[2] - b[2]])
 }
 
-/// Smooths evenly spaced points; the first stays where it is, and the last if `keep_end` (a tip may move a little).
+/// Smooth evenly spaced points; the first stays fixed, and the last too if `keep_end` (a tip may move a little).
 ///
-/// `radius_mm` is the tube's at each point; `inside` must hold for every given point and will hold for every returned one
-/// (a point for which even the strongest pull does not suffice is returned as it was given).
+/// `radius_mm` is the tube's radius at each point. `inside` must be true for every given point; it is true for every
+/// returned point, because a point for which the strongest weight is not enough is returned unchanged.
 #[must_use]
 pub fn smoothed(
     points: &[Point],
@@ -109,9 +116,9 @@ pub fn smoothed(
     smoothed_by(points, &pull, inside)
 }
 
-/// Smooths evenly spaced points, each of which pulls the curve towards itself by its own weight; [`FIXED`] ones stay.
+/// Smooth evenly spaced points, each with its own weight; points with the weight [`FIXED`] do not move.
 ///
-/// Otherwise as [`smoothed`].
+/// Otherwise the function works as [`smoothed`].
 #[must_use]
 pub fn smoothed_by(points: &[Point], pull: &[f64], inside: impl Fn(Point) -> bool) -> Vec<Point> {
     let n = points.len();
@@ -136,8 +143,8 @@ pub fn smoothed_by(points: &[Point], pull: &[f64], inside: impl Fn(Point) -> boo
         for &m in &fixed {
             smooth[m] = points[m];
         }
-        // Half-way between neighbours should be inside as well: a flight interpolates. The given chain itself may pass a
-        // voxel's corner there, so in the end only the points must be.
+        // The middle between neighbours should be inside as well, because a flight interpolates. The given chain itself
+        // may cut a voxel's corner there, so in the last rounds only the points must be inside.
         let halves = round < GENTLE_ROUNDS + MAX_ROUNDS / 2;
         let bad: Vec<usize> = (0..n)
             .filter(|&m| {
@@ -155,7 +162,8 @@ pub fn smoothed_by(points: &[Point], pull: &[f64], inside: impl Fn(Point) -> boo
                 }
                 continue;
             }
-            // One who was inside was left by the half behind it: both of its ends go back.
+            // If the point itself is inside, the middle between it and the next point is outside: both points move
+            // back.
             let both = if inside(smooth[m]) { m + 2 } else { m + 1 };
             for near in m..both.min(n) {
                 if pull[near] >= FIXED {
@@ -171,7 +179,7 @@ pub fn smoothed_by(points: &[Point], pull: &[f64], inside: impl Fn(Point) -> boo
             }
         }
     }
-    // Whatever is still outside goes back to where it was.
+    // Points that are still outside return to their given positions.
     for (found, given) in smooth.iter_mut().zip(points) {
         if !inside(*found) {
             *found = *given;
@@ -180,12 +188,12 @@ pub fn smoothed_by(points: &[Point], pull: &[f64], inside: impl Fn(Point) -> boo
     relaxed(smooth, given, inside)
 }
 
-/// Spreads sharp corners over the points beside them, as far as the lumen allows.
+/// Spread sharp corners over the neighbouring points as far as the lumen allows.
 ///
 /// Where the lumen is one voxel wide, points that were pulled inside leave a corner between two smooth parts.
 fn relaxed(mut points: Vec<Point>, pull: &[f64], inside: impl Fn(Point) -> bool) -> Vec<Point> {
     let last = points.len() - 1;
-    // The least cosine of the turns at a point and at its neighbours.
+    // Smallest cosine of the turns at a point and at its neighbours.
     let sharpest = |points: &[Point], m: usize| {
         (m.saturating_sub(1).max(1)..(m + 2).min(last))
             .map(|n| cosine(points[n - 1], points[n], points[n + 1]))
@@ -219,7 +227,7 @@ fn relaxed(mut points: Vec<Point>, pull: &[f64], inside: impl Fn(Point) -> bool)
     points
 }
 
-/// Cosine of the turn at a point of a line; 1 where the line goes straight on.
+/// Return the cosine of the turn at a point of a line; 1 if the line continues straight.
 fn cosine(before: Point, here: Point, after: Point) -> f64 {
     let [one, two] = [(before, here), (here, after)]
         .map(|(a, b)| -> Point { std::array::from_fn(|x| b[x] - a[x]) });
@@ -231,8 +239,9 @@ fn cosine(before: Point, here: Point, after: Point) -> f64 {
     }
 }
 
-/// Solves (W + lambda D'D) x = W y for the three coordinates; D takes second differences. Symmetric, five diagonals,
-/// positive definite: L D L' without pivoting.
+/// Solve (W + lambda D'D) x = W y for the three coordinates; D takes second differences.
+///
+/// The matrix is symmetric and positive definite with five diagonals: L D L' without pivoting.
 fn solve(points: &[Point], pull: &[f64], lambda: f64) -> Vec<Point> {
     let n = points.len();
     let (mut diagonal, mut first, mut second) = (pull.to_vec(), vec![0.0; n], vec![0.0; n]);
@@ -327,7 +336,7 @@ mod tests {
     }
 
     fn staircase() -> Vec<Point> {
-        // A line drawn with steps of one unit, as a voxel path draws it.
+        // A line with steps of one unit, like a voxel path.
         (0..60)
             .map(|n| [f64::from(n), f64::from(n / 3), f64::from(n / 5) * 1.3])
             .collect()
@@ -348,7 +357,7 @@ mod tests {
                         gradient += lambda * factor * bend(at);
                     }
                 }
-                // 1e-8: rounding of sums of some 60 mm times 12.5 in f64.
+                // Tolerance 1e-8: rounding of sums of some 60 mm times 12.5 in f64.
                 assert!(gradient.abs() < 1e-8, "{a} {m} {gradient}");
             }
         }
@@ -379,7 +388,7 @@ mod tests {
 
     #[test]
     fn no_point_leaves_the_inside_and_the_ends_stay() {
-        // A right-angled corridor one unit wide: free smoothing would cut its corner.
+        // A right-angled corridor one unit wide, whose corner unconstrained smoothing would cut.
         let mut chain: Vec<Point> = (0..20).map(|n| [f64::from(n), 0.0, 0.0]).collect();
         chain.extend((1..20).map(|n| [19.0, f64::from(n), 0.0]));
         let inside = |p: Point| {

@@ -1,4 +1,5 @@
-//! What edits ask of the tree in the lumen's graph: which voxels a cut takes, which tips a new piece of lumen has.
+//! Queries of the lumen's graph for edits of the tree: the voxels that a cut removes, and the tips of a new piece of
+//! lumen.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -11,13 +12,15 @@ use carina_leastcost::lumen::LumenGraph;
 use carina_leastcost::tracker::Tracker;
 use carina_leastcost::{TrackError, Watch};
 
-/// How far from a cut piece's centreline its own lumen can reach, mm.
+/// Largest distance in mm of lumen from the centreline of a branch that is cut off.
 const CUT_REACH_MM: f64 = 25.0;
 
-/// The nodes that lie in the tubes of `cut` rather than of `kept`: both are nodes on centrelines.
+/// Return the nodes that are in the tubes of the branches `cut` rather than of the branches `kept`.
 ///
-/// Near is measured inside the lumen from the tubes' surfaces, as in [`crate::tree::branches::branch_of_nodes`]; a node that is as near to
-/// both stays. Looks in the box round `cut` alone.
+/// Both are given by the nodes on their centrelines.
+///
+/// Distances are measured inside the lumen from the tubes' surfaces, as in [`crate::tree::branches::branch_of_nodes`];
+/// a node at equal distance from both is not returned. Only the box round `cut` is searched.
 #[must_use]
 pub fn cut_nodes(graph: &LumenGraph, grid: &Grid, cut: &[u32], kept: &[u32]) -> Vec<u32> {
     let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
@@ -37,7 +40,8 @@ pub fn cut_nodes(graph: &LumenGraph, grid: &Grid, cut: &[u32], kept: &[u32]) -> 
     let mut is_cut = vec![false; graph.num_nodes()];
     let mut is_middle = vec![false; graph.num_nodes()];
     let mut open = BinaryHeap::new();
-    // The kept first: a node that both centrelines share stays, and so does what is as near to both.
+    // The branches that remain come first, so that a node on both centrelines, or at equal distance from both, is not
+    // cut.
     for (nodes, of_cut) in [(kept, false), (cut, true)] {
         for &node in nodes {
             if off[node as usize] == u32::MAX && is_near(node) {
@@ -68,10 +72,14 @@ pub fn cut_nodes(graph: &LumenGraph, grid: &Grid, cut: &[u32], kept: &[u32]) -> 
         .collect()
 }
 
-/// Tips of branches that `candidates` hold and a tree with `tree_nodes` on its centrelines does not, longest path first.
+/// Return the tips of branches that are among `candidates` and not in an existing tree, longest path first.
 ///
-/// As the automatic tree is found (see [`crate::tree::branches::find_branches`]), with the tree that is there already covering what is
-/// near it.
+/// The existing tree has `tree_nodes` on its centrelines. The tips are found as for the automatic tree (see
+/// [`crate::tree::branches::find_branches`]), except that the existing tree already covers its surroundings.
+///
+/// # Errors
+///
+/// Returns an error if `watch` stops the search.
 pub fn more_tips(
     graph: &LumenGraph,
     tracker: &Tracker,
@@ -122,7 +130,7 @@ pub fn more_tips(
             chain.push(before);
             node = before;
         }
-        // Measured from the surface of the tube that the piece leaves; its cover reaches farther.
+        // The length is measured from the surface of the tube that the piece leaves; the tube's cover reaches farther.
         let covered_mm = (limits.cover_radii - 1.0) * graph.wall_mm(node) + limits.cover_mm;
         let beyond_mm = along_mm[tip as usize] - along_mm[node as usize] + covered_mm;
         if beyond_mm >= limits.min_length_mm {

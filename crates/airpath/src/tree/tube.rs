@@ -1,4 +1,4 @@
-//! A branch as a tube: the part of it that is one by itself, its axis, and sections of the lumen across it.
+//! Branch as a tube: its own part (where it is a separate tube), its axis, and sections of the lumen across it.
 
 use carina_grid::{Grid, Ijk, Lps, dot, unit};
 
@@ -7,30 +7,32 @@ use crate::tree::branch::{self, Branch};
 use crate::tree::smooth::{self, Point, cumulative_mm, point_at};
 use carina_leastcost::lumen::LumenGraph;
 
-/// Places along two branches are compared at this distance.
+/// Interval in mm at which positions along two branches are compared.
 const LOOK_MM: f64 = 0.25;
 
-/// A branch is a tube by itself this many radii past the carina, and up to as many before its own fork as the second says.
+/// Number of radii past the carina at which a branch's own part begins.
+///
+/// The next constant is the number of radii before the branch's bifurcation at which that part ends.
 pub(crate) const PAST_CARINA_RADII: f64 = 0.3;
 pub(crate) const BEFORE_FORK_RADII: f64 = 1.0;
 
-/// An axis is the line through so many radii of tube.
+/// Length of the tube, in radii, through which its axis is fitted.
 const AXIS_RADII: f64 = 2.0;
 
-/// Points that were centred hold their place so much better than those of a voxel path.
+/// Weight of centred points in the smoothing relative to the points of a voxel path.
 pub(crate) const CENTRED_PULL: f64 = 4.0;
 const ROUNDS: usize = 3;
 
-/// A branch with the part of it that is a tube by itself.
+/// Branch with its own part, in which it is a separate tube.
 pub(crate) struct Tube {
     pub(crate) points: Vec<Point>,
     pub(crate) along_mm: Vec<f64>,
-    /// Median distance to the wall.
+    /// Median distance to the wall, mm.
     pub(crate) radius_mm: f64,
-    /// The tube's part, mm along the branch.
+    /// Start of the branch's own part, mm along the branch; the next field is its end.
     pub(crate) from_mm: f64,
     pub(crate) to_mm: f64,
-    /// Centred points of that part.
+    /// Centred points of the own part.
     pub(crate) middle: Vec<Point>,
 }
 
@@ -46,12 +48,12 @@ impl Tube {
         point_at(&self.points, &self.along_mm, s.clamp(0.0, self.length_mm()))
     }
 
-    /// From one place along the branch to another.
+    /// Return the vector from one position along the branch to another.
     pub(crate) fn chord(&self, from_mm: f64, to_mm: f64) -> Point {
         sub(self.at(to_mm), self.at(from_mm))
     }
 
-    /// The axis at one end of the tube's part: a point and a unit vector along the branch, and how well it is known.
+    /// Return the axis at one end of the own part: a point, a unit vector along the branch, and the weight of the axis.
     pub(crate) fn axis(&self, at_end: bool) -> Option<(Point, Point, f64)> {
         let n = self.middle.len();
         let reach_mm = AXIS_RADII * self.radius_mm;
@@ -68,13 +70,13 @@ impl Tube {
             .map(|m| self.middle[m])
             .collect();
         if part.len() < 3 {
-            // Too short for an axis of its own: the whole branch's direction, hardly trusted.
+            // The own part is too short for an axis: use the direction of the whole branch with a small weight.
             let chord = sub(self.at(self.length_mm()), self.at(0.0));
             return Some((part.first().copied()?, unit(chord)?, 0.1));
         }
         let count = part.len() as f64;
         let mean: Point = std::array::from_fn(|a| part.iter().map(|p| p[a]).sum::<f64>() / count);
-        // Least squares over the way: the slope of each coordinate.
+        // Least squares over the distance along the branch: the slope of each coordinate.
         let middle = (count - 1.0) / 2.0;
         let slope: Point = std::array::from_fn(|a| {
             (0..part.len())
@@ -87,7 +89,7 @@ impl Tube {
             part[0]
         };
         let dir = unit(slope)?;
-        // The point of the line that is nearest to the tube's end.
+        // Point of the line that is nearest to the end of the own part.
         let off = dot(sub(end, mean), dir);
         let on_line = std::array::from_fn(|a| mean[a] + off * dir[a]);
         Some((
@@ -102,7 +104,7 @@ pub(crate) fn sub(a: Point, b: Point) -> Point {
     std::array::from_fn(|i| a[i] - b[i])
 }
 
-/// The lumen that tubes lie in.
+/// Lumen that contains tubes.
 pub(crate) struct View<'a> {
     pub(crate) graph: &'a LumenGraph,
     pub(crate) grid: &'a Grid,
@@ -118,7 +120,7 @@ impl View<'_> {
         self.tube_of(&branch.points, &walls)
     }
 
-    /// A line with its distances to the wall.
+    /// Create a tube from a line with its distances to the wall.
     pub(crate) fn tube_of(&self, points: &[Point], walls_mm: &[f64]) -> Tube {
         let mut radii = walls_mm.to_vec();
         radii.sort_by(f64::total_cmp);
@@ -136,7 +138,7 @@ impl View<'_> {
         self.graph.holds(self.grid.to_ijk(Lps(p)).0)
     }
 
-    /// How far from their common fork a wall comes between two branches.
+    /// Return the distance from their common bifurcation at which a wall separates two branches.
     pub(crate) fn parting_mm(&self, one: &Tube, other: &Tube) -> Option<f64> {
         let shorter = one.length_mm().min(other.length_mm());
         (1..=(shorter / LOOK_MM) as usize)
@@ -147,7 +149,7 @@ impl View<'_> {
             })
     }
 
-    /// The points of a tube's own part, each in the centre of its section.
+    /// Return the points of a tube's own part, each moved to the centre of its section.
     pub(crate) fn centred(&self, tube: &Tube, step_mm: f64) -> Vec<Point> {
         let num_steps = ((tube.to_mm - tube.from_mm) / step_mm).round().max(0.0) as usize;
         let place = |n: usize| {
@@ -165,7 +167,7 @@ impl View<'_> {
                     let chord = if b - a >= 2 {
                         sub(points[b], points[a])
                     } else {
-                        // A short part has its branch's direction.
+                        // A short part uses the direction of its branch.
                         let s = place(n);
                         tube.chord(s - tube.radius_mm, s + tube.radius_mm)
                     };
@@ -180,7 +182,7 @@ impl View<'_> {
         points
     }
 
-    /// The lumen's edge in a plane, if it is closed there.
+    /// Return the lumen's edge in a plane, if it is closed there.
     pub(crate) fn contour(
         &self,
         from: Point,
@@ -192,7 +194,7 @@ impl View<'_> {
         filled(&without_far(&met))
     }
 
-    /// Centre of the lumen's area in a plane, if it is closed there and the centre lies in it.
+    /// Return the centre of the lumen's area in a plane, if the lumen is closed there and contains the centre.
     fn centre(&self, from: Point, normal: Point, radius_mm: f64) -> Option<Point> {
         let axes = plane_axes(normal);
         let [u, v] = centroid(&self.contour(from, axes, radius_mm)?);
@@ -202,7 +204,10 @@ impl View<'_> {
         self.holds(centre).then_some(centre)
     }
 
-    /// Where a ray leaves the lumen: the last voxel on it, and how far that one's wall is. NaN beyond the reach.
+    /// Return the distance at which a ray leaves the lumen.
+    ///
+    /// The result is the distance to the last voxel in the lumen plus that voxel's distance to the wall. The result is
+    /// NaN beyond the reach.
     fn ray_mm(&self, from: Point, dir: Point, reach_mm: f64) -> f64 {
         let step_mm = 0.5 * self.grid.min_spacing_mm();
         let first = self.grid.to_ijk(Lps(from)).0;

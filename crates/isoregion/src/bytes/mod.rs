@@ -1,4 +1,5 @@
-//! What the map's kernels need of an instruction set: rows of bytes, one voxel each, a register at a time.
+//! Operations on rows of bytes, one voxel each, a register at a time, that the map's kernels need from an instruction
+//! set.
 
 mod portable;
 mod register;
@@ -13,30 +14,33 @@ use x86::{Avx2, Avx512, Sse2};
 
 /// Code that is compiled once for each instruction set.
 pub(crate) trait Kernel {
-    /// Must be inlined, or it loses the set.
+    /// Run the code.
+    ///
+    /// The method must be inlined, or it is compiled without the instruction set.
     fn run<B: Bytes>(self, b: B);
 }
 
-/// Runs a kernel with the widest registers that the set has and that rows of `nx` voxels fill.
+/// Run a kernel with the widest registers of the set that a row of `nx` voxels fills.
 pub(crate) fn run<K: Kernel>(simd: InstructionSet, nx: usize, kernel: K) {
     #[cfg(target_arch = "x86_64")]
     {
         #[target_feature(enable = "avx512f,avx512bw,avx2,bmi1,bmi2,lzcnt,popcnt")]
         fn avx512<K: Kernel>(kernel: K) {
-            // SAFETY: this function runs only where the machine has the instructions.
+            // SAFETY: this function runs only on a machine with the instructions of its target features.
             kernel.run(unsafe { Avx512::new() });
         }
         #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
         fn avx2<K: Kernel>(kernel: K) {
-            // SAFETY: this function runs only where the machine has the instructions.
+            // SAFETY: this function runs only on a machine with the instructions of its target features.
             kernel.run(unsafe { Avx2::new() });
         }
         if simd == InstructionSet::Avx512 && nx >= Avx512::N {
-            // SAFETY: the set is only handed out where the machine has it. Benchmark: benches/map.rs.
+            // SAFETY: an `InstructionSet` value exists only on a machine that has the instructions of that set.
+            // Benchmark: benches/map.rs.
             return unsafe { avx512(kernel) };
         }
         if matches!(simd, InstructionSet::Avx512 | InstructionSet::Avx2) && nx >= Avx2::N {
-            // SAFETY: as above.
+            // SAFETY: an `InstructionSet` value exists only on a machine that has the instructions of that set.
             return unsafe { avx2(kernel) };
         }
         if nx >= Sse2::N {
@@ -56,17 +60,17 @@ pub(crate) fn run<K: Kernel>(simd: InstructionSet, nx: usize, kernel: K) {
 mod tests {
     use super::*;
 
-    /// Every operation against the plain loop that says what it does.
+    /// Check every operation against a plain loop that defines it.
     fn check<B: Bytes>(b: B) {
         let n = B::N;
         let load = |v: &[u8]| {
             assert!(v.len() >= n);
-            // SAFETY: long enough.
+            // SAFETY: the array has at least as many bytes as a register.
             unsafe { b.load(v.as_ptr()) }
         };
         let values = |v: B::V| {
             let mut out = vec![0u8; n];
-            // SAFETY: n bytes.
+            // SAFETY: `out` has as many bytes as a register.
             unsafe { b.store(out.as_mut_ptr(), v) };
             out
         };
@@ -112,7 +116,7 @@ mod tests {
             );
             assert_eq!(values(b.rising()), each(&|i| i as u8 + 1));
             assert_eq!(values(b.falling()), each(&|i| (n - i) as u8));
-            // SAFETY: both hold 64 bytes.
+            // SAFETY: both arrays have 64 bytes.
             let equal = unsafe { b.equal64(p.as_ptr(), q.as_ptr()) };
             let mut hu: Vec<i16> = (0..64).map(|i| i16::from_le_bytes([p[i], q[i]])).collect();
             hu[0] = i16::MIN;
@@ -123,7 +127,7 @@ mod tests {
                 (77, i16::MAX),
                 (hu[9], hu[9]),
             ] {
-                // SAFETY: 64 values.
+                // SAFETY: the array has 64 values.
                 let within = unsafe { b.within64(hu.as_ptr(), lo, lo.abs_diff(hi)) };
                 for i in 0..64 {
                     assert_eq!(equal >> i & 1 == 1, p[i] == q[i]);
@@ -141,11 +145,11 @@ mod tests {
         {
             check(Sse2);
             if InstructionSet::Avx2.is_available() {
-                // SAFETY: the machine has it.
+                // SAFETY: the test has checked that the machine has the instruction set.
                 check(unsafe { Avx2::new() });
             }
             if InstructionSet::Avx512.is_available() {
-                // SAFETY: the machine has it.
+                // SAFETY: the test has checked that the machine has the instruction set.
                 check(unsafe { Avx512::new() });
             }
         }

@@ -1,8 +1,8 @@
-//! Plain arrays, which compilers turn into what the build's target has (SSE2, NEON).
+//! Instruction set of plain arrays, which compilers translate to the instructions of the build's target (SSE2, NEON).
 
 use super::Bytes;
 
-/// `N` voxels: 16, or 1 for rows shorter than a register.
+/// Register of `N` voxels: 16, or 1 for rows shorter than a register.
 #[derive(Clone, Copy)]
 pub(crate) struct Portable<const N: usize>;
 
@@ -44,7 +44,7 @@ impl<const N: usize> Bytes for Portable<N> {
     }
     #[inline(always)]
     fn spread(self, mut v: [u8; N]) -> [u8; N] {
-        // Distances 1, 2, 4 .. in turn make up every distance.
+        // Distances 1, 2, 4 .. combine to every distance.
         let mut s = 1;
         while s < N {
             let old = v;
@@ -68,23 +68,25 @@ impl<const N: usize> Bytes for Portable<N> {
 
     #[inline(always)]
     unsafe fn load(self, at: *const u8) -> [u8; N] {
-        // SAFETY: as promised by the caller. Benchmark: crates/isoregion/benches/map.rs, as for all below.
+        // SAFETY: the caller guarantees that `N` bytes from `at` are readable. Benchmark:
+        // crates/isoregion/benches/map.rs, as for all operations below.
         unsafe { at.cast::<[u8; N]>().read_unaligned() }
     }
     #[inline(always)]
     unsafe fn store(self, at: *mut u8, v: [u8; N]) {
-        // SAFETY: as promised by the caller.
+        // SAFETY: the caller guarantees that `N` bytes from `at` are writable.
         unsafe { at.cast::<[u8; N]>().write_unaligned(v) }
     }
     #[inline(always)]
     unsafe fn equal64(self, a: *const u8, b: *const u8) -> u64 {
-        // SAFETY: as promised by the caller.
+        // SAFETY: the caller guarantees that 64 bytes from `a` and from `b` are readable; an array of bytes needs no
+        // alignment.
         let (a, b) = unsafe { (a.cast::<[u8; 64]>().read(), b.cast::<[u8; 64]>().read()) };
         bits(std::array::from_fn(|n| u8::from(a[n] == b[n])))
     }
     #[inline(always)]
     unsafe fn within64(self, at: *const i16, lo: i16, width: u16) -> u64 {
-        // SAFETY: as promised by the caller.
+        // SAFETY: the caller guarantees that 64 values from `at` are readable.
         let v = unsafe { at.cast::<[i16; 64]>().read_unaligned() };
         bits(std::array::from_fn(|n| {
             u8::from(v[n].wrapping_sub(lo).cast_unsigned() <= width)
@@ -92,12 +94,12 @@ impl<const N: usize> Bytes for Portable<N> {
     }
 }
 
-/// Bit n is byte n, each 0 or 1.
+/// Combine 64 bytes of 0 or 1 to a mask: bit n is byte n.
 #[inline(always)]
 fn bits(flags: [u8; 64]) -> u64 {
     let mut out = 0;
     for (n, eight) in flags.as_chunks::<8>().0.iter().enumerate() {
-        // The product moves bit 8 n to bit 56 + n; no two terms meet in the top byte.
+        // The product moves bit 8 n to bit 56 + n, and no two terms overlap in the top byte.
         let top = u64::from_le_bytes(*eight).wrapping_mul(0x0102_0408_1020_4080) >> 56;
         out |= top << (8 * n);
     }

@@ -1,4 +1,4 @@
-//! SSE2, which every `x86_64` has, AVX2 and AVX-512.
+//! Instruction sets SSE2, which every `x86_64` has, AVX2 and AVX-512.
 
 use std::arch::x86_64::{
     __m128i, __m256i, __m512i, _mm_adds_epu8, _mm_and_si128, _mm_cmpeq_epi8, _mm_cmpeq_epi16,
@@ -28,7 +28,7 @@ const RISING: [u8; 64] = {
     out
 };
 
-/// `FALLING[64 - N ..]` falls from N to 1.
+/// Bytes whose part `FALLING[64 - N ..]` falls from N to 1.
 const FALLING: [u8; 64] = {
     let mut out = [0; 64];
     let mut n = 0;
@@ -39,26 +39,29 @@ const FALLING: [u8; 64] = {
     out
 };
 
-/// Each operation is one or a few instructions.
+/// Define operations of one or a few instructions each.
 macro_rules! operations {
     ($(fn $name:ident($($arg:ident: $type:ty),*) -> $out:ty { $body:expr })*) => {$(
         #[inline(always)]
         fn $name(self, $($arg: $type),*) -> $out {
-            // SAFETY: `self` exists only where the machine has the instructions; loads and stores are of whole arrays.
-            // Benchmark: crates/isoregion/benches/map.rs.
+            // SAFETY: a value `self` exists only on a machine with the instructions; loads and stores are of whole
+            // arrays. Benchmark: crates/isoregion/benches/map.rs.
             unsafe { $body }
         }
     )*};
 }
 
-/// The machine has AVX-512 F and BW.
+/// Instruction set AVX-512 F and BW.
+///
+/// A value proves that the machine has both.
 #[derive(Clone, Copy)]
 pub(crate) struct Avx512(());
 
 impl Avx512 {
-    /// The proof.
+    /// Create a value, which proves that the machine has the instructions.
     ///
     /// # Safety
+    ///
     /// The machine must have AVX-512 F and BW.
     #[inline(always)]
     pub(crate) unsafe fn new() -> Self {
@@ -115,22 +118,26 @@ impl Bytes for Avx512 {
 
     #[inline(always)]
     unsafe fn load(self, at: *const u8) -> __m512i {
-        // SAFETY: as promised by the caller. Benchmark: as above.
+        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that the
+        // bytes are readable. Benchmark: crates/isoregion/benches/map.rs.
         unsafe { _mm512_loadu_si512(at.cast()) }
     }
     #[inline(always)]
     unsafe fn store(self, at: *mut u8, v: __m512i) {
-        // SAFETY: as promised by the caller.
+        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that the
+        // bytes are writable.
         unsafe { _mm512_storeu_si512(at.cast(), v) }
     }
     #[inline(always)]
     unsafe fn equal64(self, a: *const u8, b: *const u8) -> u64 {
-        // SAFETY: as promised by the caller.
+        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that 64
+        // bytes from `a` and from `b` are readable.
         unsafe { _mm512_cmpeq_epu8_mask(self.load(a), self.load(b)) }
     }
     #[inline(always)]
     unsafe fn within64(self, at: *const i16, lo: i16, width: u16) -> u64 {
-        // SAFETY: as promised by the caller.
+        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that 64
+        // values from `at` are readable.
         unsafe {
             let (lo, width) = (
                 _mm512_set1_epi16(lo),
@@ -144,14 +151,17 @@ impl Bytes for Avx512 {
     }
 }
 
-/// The machine has AVX2.
+/// Instruction set AVX2.
+///
+/// A value proves that the machine has it.
 #[derive(Clone, Copy)]
 pub(crate) struct Avx2(());
 
 impl Avx2 {
-    /// The proof.
+    /// Create a value, which proves that the machine has the instructions.
     ///
     /// # Safety
+    ///
     /// The machine must have AVX2.
     #[inline(always)]
     pub(crate) unsafe fn new() -> Self {
@@ -176,7 +186,7 @@ impl Bytes for Avx2 {
             _mm256_alignr_epi8::<1>(_mm256_permute2x128_si256::<0x21>(v, after), v)
         }
         fn expand(bits: u64) -> __m256i {{
-            // Byte n gets the byte that holds bit n, keeps that bit, and is full where it is set.
+            // Byte n gets the byte that contains bit n, keeps only that bit, and becomes 255 if the bit is set.
             let byte = _mm256_setr_epi8(
                 0, 0, 0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 1, 2, 2, 2, 2, 2, 2, 2, 2, 3, 3, 3, 3, 3, 3, 3, 3,
             );
@@ -219,17 +229,20 @@ impl Bytes for Avx2 {
 
     #[inline(always)]
     unsafe fn load(self, at: *const u8) -> __m256i {
-        // SAFETY: as promised by the caller. Benchmark: as above.
+        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that the
+        // bytes are readable. Benchmark: crates/isoregion/benches/map.rs.
         unsafe { _mm256_loadu_si256(at.cast()) }
     }
     #[inline(always)]
     unsafe fn store(self, at: *mut u8, v: __m256i) {
-        // SAFETY: as promised by the caller.
+        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that the
+        // bytes are writable.
         unsafe { _mm256_storeu_si256(at.cast(), v) }
     }
     #[inline(always)]
     unsafe fn equal64(self, a: *const u8, b: *const u8) -> u64 {
-        // SAFETY: as promised by the caller.
+        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that 64
+        // bytes from `a` and from `b` are readable.
         unsafe {
             let first = _mm256_cmpeq_epi8(self.load(a), self.load(b));
             let second = _mm256_cmpeq_epi8(self.load(a.add(32)), self.load(b.add(32)));
@@ -239,7 +252,8 @@ impl Bytes for Avx2 {
     }
     #[inline(always)]
     unsafe fn within64(self, at: *const i16, lo: i16, width: u16) -> u64 {
-        // SAFETY: as promised by the caller.
+        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that 64
+        // values from `at` are readable.
         unsafe {
             let (lo, width) = (
                 _mm256_set1_epi16(lo),
@@ -253,7 +267,9 @@ impl Bytes for Avx2 {
     }
 }
 
-/// Nothing to prove: part of `x86_64`.
+/// Instruction set SSE2.
+///
+/// This set needs no proof, because SSE2 is part of `x86_64`.
 #[derive(Clone, Copy)]
 pub(crate) struct Sse2;
 
@@ -274,7 +290,7 @@ impl Bytes for Sse2 {
             _mm_or_si128(_mm_srli_si128::<1>(v), _mm_slli_si128::<15>(after))
         }
         fn expand(bits: u64) -> __m128i {{
-            // Eight copies of each of two bytes, of which byte n keeps bit n and is full where it is set.
+            // Eight copies of each of two bytes, of which byte n keeps only bit n and becomes 255 if the bit is set.
             let eight = |n: u64| _mm_set1_epi8((bits >> n) as i8);
             let bit = _mm_set1_epi64x(0x8040_2010_0804_0201_u64.cast_signed());
             let spread = _mm_unpacklo_epi64(eight(0), eight(8));
@@ -302,19 +318,21 @@ impl Bytes for Sse2 {
 
     #[inline(always)]
     unsafe fn load(self, at: *const u8) -> __m128i {
-        // SAFETY: as promised by the caller. Benchmark: as above.
+        // SAFETY: every x86_64 has SSE2, and the caller guarantees that the bytes are readable. Benchmark:
+        // crates/isoregion/benches/map.rs.
         unsafe { _mm_loadu_si128(at.cast()) }
     }
     #[inline(always)]
     unsafe fn store(self, at: *mut u8, v: __m128i) {
-        // SAFETY: as promised by the caller.
+        // SAFETY: every x86_64 has SSE2, and the caller guarantees that the bytes are writable.
         unsafe { _mm_storeu_si128(at.cast(), v) }
     }
     #[inline(always)]
     unsafe fn equal64(self, a: *const u8, b: *const u8) -> u64 {
         let mut out = 0;
         for n in [0, 16, 32, 48] {
-            // SAFETY: as promised by the caller.
+            // SAFETY: every x86_64 has SSE2, and the caller guarantees that 64 bytes from `a` and from `b` are
+            // readable.
             let bits = unsafe {
                 _mm_movemask_epi8(_mm_cmpeq_epi8(self.load(a.add(n)), self.load(b.add(n))))
             };
@@ -326,10 +344,10 @@ impl Bytes for Sse2 {
     unsafe fn within64(self, at: *const i16, lo: i16, width: u16) -> u64 {
         let mut out = 0;
         for n in [0, 16, 32, 48] {
-            // SAFETY: as promised by the caller.
+            // SAFETY: every x86_64 has SSE2, and the caller guarantees that 64 values from `at` are readable.
             let bits = unsafe {
                 let (lo, width) = (_mm_set1_epi16(lo), _mm_set1_epi16(width.cast_signed()));
-                // Unsigned: v <= width where v - width, held at 0, is 0.
+                // Unsigned comparison: v <= width if v - width, saturated at 0, is 0.
                 let first =
                     _mm_subs_epu16(_mm_sub_epi16(_mm_loadu_si128(at.add(n).cast()), lo), width);
                 let second = _mm_subs_epu16(
@@ -346,20 +364,21 @@ impl Bytes for Sse2 {
     }
 }
 
-/// Full bytes where 32 values from `at` lie in `lo ..= lo + width`.
+/// Return bytes of 255 where 32 values from `at` are in `lo ..= lo + width`.
 ///
 /// # Safety
+///
 /// The machine must have AVX2, and the values must be readable.
 #[inline(always)]
 unsafe fn within_bytes(at: *const i16, lo: __m256i, width: __m256i) -> __m256i {
-    // SAFETY: as promised by the caller.
+    // SAFETY: the caller guarantees AVX2 and that the values are readable.
     unsafe {
         let first = _mm256_sub_epi16(_mm256_loadu_si256(at.cast()), lo);
         let second = _mm256_sub_epi16(_mm256_loadu_si256(at.add(16).cast()), lo);
-        // There is no unsigned comparison, but v <= width where the larger of both is width.
+        // AVX2 has no unsigned comparison, but v <= width if the larger of both is width.
         let first = _mm256_cmpeq_epi16(_mm256_max_epu16(first, width), width);
         let second = _mm256_cmpeq_epi16(_mm256_max_epu16(second, width), width);
-        // Packing works within halves: put the quarters back in order.
+        // Packing works within halves, so the quarters are put back in order.
         _mm256_permute4x64_epi64::<0b11_01_10_00>(_mm256_packs_epi16(first, second))
     }
 }

@@ -1,7 +1,7 @@
-//! What pictures of one volume share: numbers at its voxels, worked out where a ray first comes and kept in bricks.
+//! Bricks: cached numbers at the voxels of one volume that its pictures share.
 //!
-//! A brick holds 4 x 4 x 4 cells. It is filled by the thread that first asks for it and read by all; which bricks exist
-//! never shows in a picture.
+//! A brick holds 4 x 4 x 4 cells. The first thread that needs a brick fills it, and all threads read it. The picture
+//! does not depend on which bricks exist.
 
 mod samples;
 #[cfg(test)]

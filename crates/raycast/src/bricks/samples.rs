@@ -1,27 +1,28 @@
-//! Values and gradients of a volume, kept in bricks: what light at every sample reads.
+//! Bricks of values and gradients of a volume, for pictures that are shaded at every sample.
 //!
-//! Value and gradient between voxels take 32 voxels in twelve places, of which neighbouring samples take most again. At
-//! voxels the gradient is a central difference of integers and exact. Kept beside the value, four int16 for a voxel, a
-//! sample is four reads, of two voxels each (docs/decisions/0103).
+//! An interpolated value with its gradient needs 32 voxels at twelve addresses, and neighbouring samples read most of
+//! them again. At a voxel, the gradient is an exact central difference of integers. Stored beside the value as four
+//! int16 per voxel, a sample needs four reads of two voxels each (docs/decisions/0103).
 
 use super::store::{CELLS, Fill, MOST_BRICKS, Numbers, PER_BRICK, STRIDE, Store, VOXELS};
 use crate::Field;
 
-/// Bricks of values and gradients of one volume: at each voxel the value and the differences along i, j and k between the
-/// voxels after it and before it.
+/// Bricks of values and gradients of one volume.
+///
+/// Each voxel has its value and the differences along i, j and k between the voxels after it and before it.
 #[derive(Debug)]
 pub struct SampleBricks {
     store: Store,
 }
 
 impl SampleBricks {
-    /// No brick yet, for a volume of this shape.
+    /// Create an empty cache for a volume of this shape.
     #[must_use]
     pub fn of(shape_ijk: [usize; 3]) -> Self {
         Self::with_room(shape_ijk, MOST_BRICKS)
     }
 
-    /// The same with room for so many bricks.
+    /// Create an empty cache with capacity for `most` bricks.
     #[must_use]
     pub fn with_room(shape_ijk: [usize; 3], most: usize) -> Self {
         Self {
@@ -29,25 +30,29 @@ impl SampleBricks {
         }
     }
 
-    /// Whether they are of a volume of this shape. That it has the same values is the caller's word.
+    /// Return whether the bricks are for a volume of this shape.
+    ///
+    /// The caller must ensure that the volume has the same values.
     #[must_use]
     pub fn fit(&self, shape_ijk: [usize; 3]) -> bool {
         self.store.shape == shape_ijk
     }
 
-    /// Bricks kept.
+    /// Return the number of stored bricks.
     #[must_use]
     pub fn len(&self) -> usize {
         self.store.len()
     }
 
-    /// Whether no brick is kept.
+    /// Return whether no brick is stored.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Whether no further brick can be kept: what lies in others is read from the volume.
+    /// Return whether the cache is full.
+    ///
+    /// Cells without a stored brick are read from the volume.
     #[must_use]
     pub fn is_full(&self) -> bool {
         self.store.is_full()
@@ -59,7 +64,7 @@ impl Fill for SampleBricks {
         &self.store
     }
 
-    /// False, too, where a difference is no int16.
+    /// Return false also if a difference does not fit an int16.
     fn fill(&self, field: &Field<'_>, number: usize) -> bool {
         let brick = self.store.brick(number);
         let filled = || filled(field, brick);
@@ -68,7 +73,7 @@ impl Fill for SampleBricks {
 }
 
 fn filled(field: &Field<'_>, brick: [usize; 3]) -> Option<Numbers> {
-    // Places in memory of the voxels from the one before the brick to the one after it, held at the edge.
+    // Memory offsets of the voxels from the one before the brick to the one after it, clamped at the edge.
     let places: [[usize; VOXELS + 2]; 3] = std::array::from_fn(|a| {
         std::array::from_fn(|n| {
             let voxel = (brick[a] * CELLS + n).saturating_sub(1);

@@ -1,4 +1,4 @@
-//! Bricks of values and gradients: that pictures read from them are those of the scalar caster.
+//! Tests of the bricks of values and gradients: pictures read from them equal those of the scalar caster.
 
 use std::sync::Arc;
 
@@ -25,7 +25,9 @@ struct Case {
 }
 
 impl Case {
-    /// Values between two limits, seen from the middle or from a corner; half of them are visible.
+    /// Create a case with random values between two limits, seen from the middle or from a corner.
+    ///
+    /// Half of the values are visible.
     fn random(shape: [usize; 3], limits: [i16; 2], seed: u64) -> Self {
         let mut state = seed | 1;
         let mut random = |n: i64| {
@@ -71,7 +73,9 @@ impl Case {
         Frame::new(volume, &self.table, camera, options).unwrap()
     }
 
-    /// Pictures of all instruction sets, twice from the same bricks, are the scalar caster's. Gives the bricks.
+    /// Check that pictures of all instruction sets, twice from the same bricks, equal the scalar caster's.
+    ///
+    /// Return the bricks.
     fn check(&self, room: usize) -> Arc<SampleBricks> {
         let (truth, counts) = cast_rows_scalar(
             &self.frame(),
@@ -108,7 +112,7 @@ proptest! {
     fn differences_beyond_int16_are_read_from_the_volume(
         shape in prop::array::uniform3(2usize..10), seed in any::<u64>(),
     ) {
-        // Half of the volume is out of reach of the bricks; the other half is stored.
+        // Half of the volume does not fit in the bricks; the other half is stored.
         let mut case = Case::random(shape, [-32_768, 32_767], seed);
         let half = case.values.len() / 2;
         for value in &mut case.values[half..] {

@@ -1,30 +1,35 @@
-//! Slopes of walls, kept in bricks: what lighting reads of a volume, worked out once for all pictures of it.
+//! Bricks of wall slopes: the gradients that the shading needs, computed once for all pictures of a volume.
 //!
-//! A lit pixel needs the volume's slope round its wall. Taken anew for each pixel that is fourteen samples, most of which
-//! its neighbours take as well. Here it is worked out at voxels, in bricks of 4 x 4 x 4 cells that are filled when a ray
-//! first meets a wall in them, and read between voxels (docs/decisions/0103). Which bricks exist never shows in a picture.
+//! A shaded pixel needs the volume's slope round its wall. Computed separately for each pixel, the slope needs fourteen
+//! samples, most of which the neighbouring pixels also need. Here the slope is computed at voxels, in bricks of 4 x 4 x
+//! 4 cells that are filled when a ray first meets a wall in them, and interpolated between voxels
+//! (docs/decisions/0103). The picture does not depend on which bricks exist.
 
 use std::cell::RefCell;
 
 use super::store::{CELLS, Fill, Numbers, PER_BRICK, PER_VOXEL, STRIDE, Store, VOXELS};
 use crate::Field;
 
-/// Six samples along the axes and eight at the corners of a box: their places in units of the reach, and the weight of
-/// those along the axes. Chosen by trial: on a plane edge blurred by 0.7 voxels the normal is off by 0.2 degrees (0.6 at
-/// most), where the corners alone miss by 4 and the axes alone by 2.4.
+/// Distance of the samples on the axes, in units of the reach.
+///
+/// The next constants are their weight, and distance and weight of the corner samples.
+///
+/// A slope uses six samples along the axes and eight at the corners of a box, chosen by trial: on a plane edge blurred
+/// by 0.7 voxels the normal is off by 0.2 degrees (0.6 at most), compared with 4 for the corners alone and 2.4 for the
+/// axes alone.
 pub(crate) const AXIS_AT: f32 = 1.2;
 pub(crate) const AXIS_WEIGHT: f32 = 0.96;
 pub(crate) const CORNER_AT: f32 = 0.7;
 pub(crate) const CORNER_WEIGHT: f32 = 0.7;
 
-/// Bricks of slopes of one volume, for one way of finding normals.
+/// Bricks of slopes of one volume, for one set of parameters of the normals.
 #[derive(Debug)]
 pub struct NormalBricks {
     store: Store,
     reach: [f32; 3],
     held: [f32; 2],
     taps: [Taps; 3],
-    /// Stored numbers are slopes times this.
+    /// Factor from stored numbers to slopes.
     scale: f32,
 }
 
@@ -35,7 +40,7 @@ struct Taps {
     far: Tap,
 }
 
-/// A distance in whole voxels and the rest.
+/// Distance, divided into whole voxels and the fraction.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Tap {
     whole: usize,
@@ -50,7 +55,7 @@ impl Tap {
         }
     }
 
-    /// Values at this distance after and before `at`, in a line whose neighbours are `stride` apart.
+    /// Return the values at this distance after and before `at`, in a line whose neighbours are `stride` apart.
     #[inline(always)]
     fn both(self, line: &[f32], at: usize, stride: usize) -> (f32, f32) {
         let (one, two) = (self.whole * stride, (self.whole + 1) * stride);
@@ -63,18 +68,20 @@ impl Tap {
 }
 
 impl Taps {
-    /// Voxels that are needed beyond a brick's own.
+    /// Return the number of voxels that are needed beyond a brick's own voxels.
     fn halo(&self) -> usize {
         self.far.whole + 1
     }
 }
 
 impl NormalBricks {
-    /// No brick yet: for a volume of this shape, slopes over `reach` voxels of values held in a range, and room for `most`
-    /// bricks.
+    /// Create an empty cache for a volume of this shape.
+    ///
+    /// `reach` is the distance of the samples in voxels, `held` the range to which values are clamped, and `most` the
+    /// capacity in bricks.
     pub(crate) fn new(shape: [usize; 3], reach: [f32; 3], held: [f32; 2], most: usize) -> Self {
         let [low, high] = held;
-        // What both parts of a slope are at most.
+        // Upper bound of both parts of a slope.
         let steepest = (AXIS_WEIGHT + 4.0 * CORNER_WEIGHT) * (high - low);
         Self {
             store: Store::new(shape, most),
@@ -88,35 +95,38 @@ impl NormalBricks {
         }
     }
 
-    /// Whether they are slopes of such a volume, found so.
+    /// Return whether the slopes are for a volume of this shape with the same parameters.
     pub(crate) fn are(&self, shape: [usize; 3], reach: [f32; 3], held: [f32; 2]) -> bool {
         self.store.shape == shape && self.reach == reach && self.held == held
     }
 
-    /// Bricks kept.
+    /// Return the number of stored bricks.
     #[must_use]
     pub fn len(&self) -> usize {
         self.store.len()
     }
 
-    /// Whether no brick is kept.
+    /// Return whether no brick is stored.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Whether no further brick can be kept: pictures stay right and become slow.
+    /// Return whether the cache is full.
+    ///
+    /// Pictures are still correct then, but slow.
     #[must_use]
     pub fn is_full(&self) -> bool {
         self.store.is_full()
     }
 
-    /// Slopes are stored numbers times this.
+    /// Return the factor from stored numbers to slopes.
     pub(crate) fn unit(&self) -> f32 {
         1.0 / self.scale
     }
 
-    /// The numbers of the brick that a cell lies in, kept or not, and the place of the cell's lower corner there.
+    /// Return the numbers of the brick that contains a cell, stored or not, and the index of the cell's lower corner in
+    /// them.
     ///
     /// `cell` must be within the volume's cells.
     pub(crate) fn brick_of(&self, field: &Field<'_>, cell: [usize; 3]) -> (Numbers, usize) {
@@ -124,8 +134,10 @@ impl NormalBricks {
         (self.filled(field, cell.map(|c| c / CELLS)), within)
     }
 
-    /// The slopes at the voxels of a brick: differences across it, on each axis by itself and between the corners of a box,
-    /// of values held near the wall's own. The corners' part is a product of three sums along the axes.
+    /// Compute the slopes at the voxels of a brick.
+    ///
+    /// A slope combines differences on each axis and differences between the corners of a box, of values clamped to the
+    /// range round the wall's value. The corner part is computed as three successive sums along the axes.
     fn filled(&self, field: &Field<'_>, brick: [usize; 3]) -> Numbers {
         thread_local! {
             static WORK: RefCell<Work> = RefCell::default();
@@ -151,17 +163,17 @@ impl Fill for NormalBricks {
     }
 }
 
-/// The parts of a brick on the way to its slopes.
+/// Intermediate results of a brick.
 #[derive(Default)]
 struct Work {
     halo: [usize; 3],
-    /// Voxels read, `[k, j, i]`, and how many along each axis.
+    /// Voxels read, `[k, j, i]`, and their number along each axis.
     read: Vec<f32>,
     n: [usize; 3],
     /// Sums and differences along k, `[voxel of the brick, j, i]`.
     sum_k: Vec<f32>,
     rise_k: Vec<f32>,
-    /// Along k and j, `[voxel, voxel, i]`: both sums; rise along j; rise along k.
+    /// Results along k and j, `[voxel, voxel, i]`: both sums; rise along j; rise along k.
     sums: Vec<f32>,
     rise_j: Vec<f32>,
     rise_k_sum_j: Vec<f32>,

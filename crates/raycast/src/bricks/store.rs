@@ -1,4 +1,4 @@
-//! Memory for bricks, and who fills them.
+//! Memory of bricks, and coordination of the threads that fill them.
 
 use std::{
     cell::UnsafeCell,
@@ -7,31 +7,34 @@ use std::{
 
 use crate::Field;
 
-/// Cells of a brick along each axis.
+/// Number of cells of a brick along each axis.
 pub(crate) const CELLS: usize = 4;
-/// Voxels of a brick along each axis: both ends of its cells.
+/// Number of voxels of a brick along each axis: both ends of its cells.
 pub(super) const VOXELS: usize = CELLS + 1;
 /// Numbers in memory for each voxel: four, so that a voxel is one 64-bit load.
 pub(crate) const PER_VOXEL: usize = 4;
 /// Numbers in memory for each brick, of which the last few are 0.
 pub(crate) const PER_BRICK: usize = 512;
-/// Memory steps of a brick from voxel to voxel along each axis.
+/// Memory offset in a brick from voxel to voxel along each axis.
 pub(crate) const STRIDE: [usize; 3] = [PER_VOXEL, PER_VOXEL * VOXELS, PER_VOXEL * VOXELS * VOXELS];
-/// At most so many bricks are kept: 64 MB, some fifty views of an airway.
+/// Largest number of stored bricks: 64 MB, enough for some fifty views of an airway.
 pub(crate) const MOST_BRICKS: usize = 1 << 16;
 
-/// The numbers of a brick.
+/// Numbers of a brick.
 pub(crate) type Numbers = Box<[i16; PER_BRICK]>;
 
-/// In the table: not there; being filled; cannot be stored. Others are one more than the brick's place.
+/// Table entry of a brick that is not stored.
+///
+/// The next constants are the entries of a brick that is being filled and of a brick that cannot be stored. Any other
+/// entry is one more than the brick's index.
 const ABSENT: i32 = 0;
 const BUSY: i32 = -1;
 const UNFIT: i32 = -2;
 
-/// What bricks hold.
+/// Contents of bricks.
 pub(crate) trait Fill {
     fn store(&self) -> &Store;
-    /// Fills a brick, by its place among those of the volume, if this is the first to ask; false if it cannot be kept.
+    /// Fill a brick, given by its number in the volume, if it is not yet filled; return false if it cannot be stored.
     fn fill(&self, field: &Field<'_>, number: usize) -> bool;
 }
 
@@ -40,20 +43,22 @@ pub(crate) trait Fill {
 pub(crate) struct Store {
     pub(super) shape: [usize; 3],
     num_bricks: [usize; 3],
-    /// For each brick of the volume where it is kept.
+    /// State or index of each brick of the volume.
     table: Box<[AtomicI32]>,
-    /// Memory for bricks; each is written once, by the thread that has claimed it, before the table tells of it.
+    /// Memory of the bricks.
+    ///
+    /// Each brick is written once, by the thread that has claimed it, before the table refers to it.
     numbers: UnsafeCell<Vec<i16>>,
     most: usize,
     len: AtomicUsize,
 }
 
-// SAFETY: a brick is written by the one thread that has claimed it, and read by others only after the table tells of it
-// (release, then acquire); the vector itself never grows.
+// SAFETY: a brick is written only by the thread that has claimed it, and other threads read it only after the table
+// refers to it (release store, then acquire load); the vector itself never grows.
 unsafe impl Sync for Store {}
 
 impl Store {
-    /// No brick yet, and room for `most`.
+    /// Create an empty store with capacity for `most` bricks.
     pub(super) fn new(shape: [usize; 3], most: usize) -> Self {
         let num_bricks = shape.map(|n| n.saturating_sub(1).div_ceil(CELLS).max(1));
         let num = num_bricks.iter().product();
@@ -62,7 +67,7 @@ impl Store {
             shape,
             num_bricks,
             table: absent(num),
-            // Lanes that have no brick read the first.
+            // Lanes without a brick read the first one, so its memory must exist.
             numbers: UnsafeCell::new(vec![0; most.max(1) * PER_BRICK]),
             most,
             len: AtomicUsize::new(0),
@@ -73,30 +78,32 @@ impl Store {
         self.len.load(Ordering::Relaxed).min(self.most)
     }
 
-    /// Whether no further brick can be kept.
+    /// Return whether the store is full.
     pub(super) fn is_full(&self) -> bool {
         self.len() == self.most && self.most < self.table.len()
     }
 
-    /// The numbers of all bricks.
+    /// Return a pointer to the numbers of all bricks.
     pub(crate) fn numbers(&self) -> *const i16 {
-        // SAFETY: the vector never changes, only what it holds; no reference to that is made here.
+        // SAFETY: the vector itself never changes, only its elements, and no reference to the elements is created here.
         unsafe { (*self.numbers.get()).as_ptr() }
     }
 
-    /// For each brick of the volume one more than its place, or a number that is not positive.
+    /// Return the table: for each brick of the volume one more than its index, or a number that is not positive.
     pub(crate) fn table(&self) -> &[AtomicI32] {
         &self.table
     }
 
-    /// Bricks of the volume along each axis.
+    /// Return the number of bricks of the volume along each axis.
     pub(crate) fn num_bricks(&self) -> [usize; 3] {
         self.num_bricks
     }
 
-    /// Place of a brick in [`Self::numbers`], which is filled if this is the first to ask; `None` where it is not kept.
+    /// Return the index of a brick in [`Self::numbers`], and fill the brick if it is not yet filled.
     ///
-    /// `fill` gives nothing where the numbers cannot be stored, which is kept, too.
+    /// The result is `None` if it is not stored.
+    ///
+    /// `fill` returns `None` if the numbers cannot be stored; the table records this result, too.
     #[cold]
     pub(super) fn fill(
         &self,
@@ -128,7 +135,8 @@ impl Store {
             entry.store(ABSENT, Ordering::Release);
             return None;
         }
-        // SAFETY: claimed < most, and no other thread has or will have this place; see `Store`.
+        // SAFETY: claimed < most, so the brick's memory is inside the vector; `fetch_add` gives each thread another
+        // index, so no other thread writes there, and none reads it before the table refers to it (see `Store`).
         unsafe {
             let to = (*self.numbers.get()).as_mut_ptr().add(claimed * PER_BRICK);
             to.copy_from_nonoverlapping(numbers.as_ptr(), PER_BRICK);
@@ -137,17 +145,17 @@ impl Store {
         Some(claimed * PER_BRICK)
     }
 
-    /// A brick by its place among those of the volume.
+    /// Return the coordinates of a brick from its number in the volume.
     pub(super) fn brick(&self, number: usize) -> [usize; 3] {
         let [ni, nj, _] = self.num_bricks;
         [number % ni, number / ni % nj, number / (ni * nj)]
     }
 }
 
-/// A table without bricks: memory that is zero and touched only where a ray comes.
+/// Return a table without bricks: zeroed memory, whose pages the system provides only when a ray needs them.
 fn absent(num: usize) -> Box<[AtomicI32]> {
     let zeros = vec![ABSENT; num].into_boxed_slice();
-    // SAFETY: an AtomicI32 has the size, the alignment and the bits of an i32. Benchmark: one by one they would be written,
-    // 10 MB for a chest, of which a view touches a hundredth.
+    // SAFETY: an AtomicI32 has the size, the alignment and the bit representation of an i32. Benchmark: initialising
+    // one by one would write 10 MB for a chest, of which a view needs a hundredth.
     unsafe { Box::from_raw(Box::into_raw(zeros) as *mut [AtomicI32]) }
 }

@@ -1,4 +1,4 @@
-//! Look-ups of a packet and what they are good for; the operations of [`crate::leap`], lane by lane.
+//! Look-ups of a packet and the leaps that follow; the operations of [`crate::leap`], lane by lane.
 
 use carina_isoregion::MAX_SEGMENT_SAMPLES;
 
@@ -9,7 +9,7 @@ use super::{
 };
 use crate::leap::{FAR, LEAST_PATIENCE, MAX_STEPS, MOST_PATIENCE, Price};
 
-/// Steps per voxel on each axis, with the sign of the direction and without it; as in `leap::Pace`.
+/// Steps per voxel on each axis, with and without the sign of the direction; as in `leap::Pace`.
 #[derive(Clone, Copy)]
 pub(super) struct Pace<L: Lanes> {
     signed: [L::F; 3],
@@ -21,7 +21,7 @@ impl<L: Lanes> Pace<L> {
     pub(super) fn of(l: L, delta: &[L::F; 3]) -> Self {
         let (mut signed, mut plain) = (*delta, *delta);
         for a in 0..3 {
-            // An axis along which a ray stands still never ends a leap.
+            // An axis along which a ray does not advance never ends a leap.
             let moves = l.less(l.splat(1e-12), l.abs(delta[a]));
             let inverse = l.div(l.splat(1.0), delta[a]);
             signed[a] = l.select(moves, inverse, l.splat(0.0));
@@ -30,7 +30,7 @@ impl<L: Lanes> Pace<L> {
         Self { signed, plain }
     }
 
-    /// As in `leap::Pace::steps`.
+    /// Return the steps until each lane leaves its cube; as in `leap::Pace::steps`.
     #[inline(always)]
     fn steps(&self, l: L, p: [L::F; 3], v: [L::F; 3], reach: L::F) -> L::I {
         let mut on = v;
@@ -44,8 +44,9 @@ impl<L: Lanes> Pace<L> {
 }
 
 impl Scene<'_> {
-    /// Asks the map in some lanes. Those where it knows something leap; the others become more patient. Gives the lanes
-    /// that have leaped.
+    /// Look up the map in some lanes.
+    ///
+    /// Lanes with a radius above 0 leap; the patience of the others grows. Return the lanes that have leaped.
     #[inline(always)]
     pub(super) fn ask<L: Lanes>(
         &self,
@@ -56,8 +57,8 @@ impl Scene<'_> {
     ) -> L::M {
         let p = packet.at(l, packet.k, self.frame.origin3());
         let (index, v) = self.voxels.cell_of(l, p);
-        // SAFETY: the map has the volume's voxels, and `cell_of` clamps to them in all lanes. Benchmark:
-        // benchmarks/measurements/rendering.md.
+        // SAFETY: the map has as many voxels as the volume, and `cell_of` clamps the index to them in all lanes.
+        // Benchmark: benchmarks/measurements/rendering.md.
         let r = unsafe { l.bytes(self.radius.as_ptr(), index) };
         let leaps = l.and(asked, l.less_i(l.splat_i(0), r));
         let n = pace.steps(l, p, v, l.add(l.to_f(r), l.splat(self.margin)));
@@ -67,7 +68,7 @@ impl Scene<'_> {
         leaps
     }
 
-    /// Goes on after look-ups: leaps of `n` samples, and the rays' patience; as in `leap::Asking`.
+    /// Apply leaps of `n` samples and update the rays' patience after look-ups; as in `leap::Asking`.
     #[inline(always)]
     fn settle<L: Lanes>(&self, l: L, packet: &mut Packet<L>, asked: L::M, leaps: L::M, n: L::I) {
         let Price { worth, pays } = self.price;
@@ -88,19 +89,23 @@ impl Scene<'_> {
         packet.k = l.select_i(leaps, l.add_i(packet.k, n), packet.k);
     }
 
-    /// Segments of `n` samples in the rows of the step table that begin at `row`. No closure: it would be compiled without
-    /// the instruction set.
+    /// Return the segments of `n` samples in the rows of the step table that begin at `row`.
+    ///
+    /// The function contains no closure, because a closure would be compiled without the instruction set.
     #[inline(always)]
     fn segments_at<L: Lanes>(&self, l: L, row: L::I, n: L::I) -> [L::F; 4] {
         let segments = self.segments.entries();
         let last = l.splat_i(segments.len() as i32 - 1);
         let at = l.max_i(l.min_i(l.add_i(row, n), last), l.splat_i(0));
-        // SAFETY: held within the table, which has entries, in all lanes. Benchmark: benchmarks/measurements/rendering.md.
+        // SAFETY: the index is clamped to the table, which is not empty, in all lanes. Benchmark:
+        // benchmarks/measurements/rendering.md.
         unsafe { l.entries(segments.as_ptr(), at) }
     }
 
-    /// Asks the map of all classes in some lanes, and adds segments where it knows something; as in `leap::cast_classes`.
-    /// Gives the lanes that have leaped and those whose ray is opaque now.
+    /// Look up the map of all classes in some lanes, and add a segment in lanes with a label; as in
+    /// `leap::cast_classes`.
+    ///
+    /// Return the lanes that have leaped and the lanes whose ray is now opaque.
     #[inline(always)]
     pub(super) fn ask_classes<L: Lanes>(
         &self,
@@ -111,8 +116,8 @@ impl Scene<'_> {
     ) -> (L::M, L::M) {
         let p = packet.at(l, packet.k, self.frame.origin3());
         let (index, v) = self.voxels.nearest(l, p);
-        // SAFETY: both maps have the volume's voxels, and `nearest` clamps to them in all lanes. Benchmark:
-        // benchmarks/measurements/rendering.md.
+        // SAFETY: both maps have as many voxels as the volume, and `nearest` clamps the index to them in all lanes.
+        // Benchmark: benchmarks/measurements/rendering.md.
         let (r, label) = unsafe {
             (
                 l.bytes(self.radius.as_ptr(), index),
@@ -134,7 +139,7 @@ impl Scene<'_> {
         let faint = l.less(l.mul(packet.transparency, segment[3]), limit);
         let crossing = l.bits(l.and(leaps, faint));
         if crossing != 0 {
-            // Once in a ray's life: find the sample where brute force stops.
+            // Find the sample where brute force stops; this happens once per ray.
             let (labels, transparency) = (l.store_i(label), l.store(packet.transparency));
             let mut cut = l.store_i(n);
             each_lane(crossing, |lane| {

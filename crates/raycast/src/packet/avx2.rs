@@ -1,4 +1,4 @@
-//! Eight rays: AVX2 and FMA.
+//! Instruction set of eight lanes: AVX2 and FMA.
 #![allow(
     clippy::wildcard_imports,
     reason = "half a hundred intrinsics, each named in full where it is used"
@@ -14,17 +14,22 @@ use super::{
     },
 };
 
-/// The machine has AVX2 and FMA.
+/// Instruction set AVX2 and FMA.
+///
+/// A value proves that the machine has both.
 #[derive(Clone, Copy)]
 pub(super) struct Avx2 {
-    /// Pairs of voxels are read by gather instructions.
+    /// Whether pairs of voxels are read by gather instructions.
     gathers: bool,
 }
 
 impl Avx2 {
-    /// The proof, and whether pairs of voxels are read by gather instructions ([`super::gathers`]).
+    /// Create a value, which proves that the machine has the instructions.
+    ///
+    /// `gathers` selects gather instructions for reads of voxel pairs ([`super::gathers`]).
     ///
     /// # Safety
+    ///
     /// The machine must have AVX2 and FMA.
     #[inline(always)]
     pub(super) const unsafe fn new(gathers: bool) -> Self {
@@ -32,7 +37,7 @@ impl Avx2 {
     }
 }
 
-/// For each mask of eight lanes: which of the values in turn a lane takes.
+/// For each mask of eight lanes and each lane: the index of the packed value that the lane takes.
 static TURN: [[i32; 8]; 256] = {
     let mut turns = [[0; 8]; 256];
     let mut mask = 0;
@@ -50,7 +55,7 @@ static TURN: [[i32; 8]; 256] = {
     turns
 };
 
-/// For each mask of eight lanes: its lanes in turn.
+/// For each mask of eight lanes: the indices of its lanes in ascending order.
 static PLACE: [[i32; 8]; 256] = {
     let mut places = [[0; 8]; 256];
     let mut mask = 0;
@@ -68,38 +73,40 @@ static PLACE: [[i32; 8]; 256] = {
     places
 };
 
-/// A full lane for each bit.
+/// Expand each bit to a full lane.
 ///
 /// # Safety
+///
 /// The machine must have AVX2.
 #[inline(always)]
 unsafe fn lanes_of(bits: u32) -> __m256i {
-    // SAFETY: as promised by the caller.
+    // SAFETY: the caller guarantees AVX2.
     unsafe {
         let bit = _mm256_setr_epi32(1, 2, 4, 8, 16, 32, 64, 128);
         _mm256_cmpeq_epi32(_mm256_and_si256(_mm256_set1_epi32(bits as i32), bit), bit)
     }
 }
 
-/// Each operation is one or a few instructions.
+/// Define operations of one or a few instructions each.
 macro_rules! operations {
     ($(fn $name:ident($($arg:ident: $type:ty),*) -> $out:ty { $body:expr })*) => {$(
         #[inline(always)]
         fn $name(self, $($arg: $type),*) -> $out {
-            // SAFETY: `self` exists only where the machine has the instructions; loads and stores are of whole arrays.
-            // Benchmark: benchmarks/measurements/rendering.md.
+            // SAFETY: a value `self` exists only on a machine with the instructions; loads and stores are of whole
+            // arrays. Benchmark: benchmarks/measurements/rendering.md.
             unsafe { $body }
         }
     )*};
 }
 
-/// Two halves in one register.
+/// Combine two halves in one register.
 ///
 /// # Safety
+///
 /// The machine must have AVX2.
 #[inline(always)]
 unsafe fn whole_of([a, b]: [__m128i; 2]) -> __m256i {
-    // SAFETY: as promised by the caller.
+    // SAFETY: the caller guarantees AVX2.
     unsafe { _mm256_inserti128_si256::<1>(_mm256_castsi128_si256(a), b) }
 }
 
@@ -160,7 +167,7 @@ impl Lanes for Avx2 {
         fn quarters(a: __m256i) -> __m256i { _mm256_srli_epi32::<2>(a) }
         fn modulo_4(a: __m256i) -> __m256i { _mm256_and_si256(a, _mm256_set1_epi32(3)) }
 
-        // Products with 1, 0 and -1, added in pairs, in i32: nothing can overflow.
+        // Products with 1, 0 and -1, added in pairs as i32, cannot overflow.
         fn first(pair: __m256i) -> __m256i { _mm256_madd_epi16(pair, _mm256_set1_epi32(1)) }
         fn second(pair: __m256i) -> __m256i { _mm256_srai_epi32::<16>(pair) }
         fn rise(pair: __m256i) -> __m256i { _mm256_madd_epi16(pair, _mm256_set1_epi32(0x0001_ffff)) }
@@ -169,7 +176,7 @@ impl Lanes for Avx2 {
     #[inline(always)]
     fn fill(self, old: __m256, mask: u32, values: &[f32]) -> __m256 {
         let values = &values[..Self::N];
-        // SAFETY: as for the operations above.
+        // SAFETY: a value `self` exists only on a machine with the instructions; loads and stores are of whole arrays.
         unsafe {
             let values = _mm256_loadu_ps(values.as_ptr());
             let turn = _mm256_loadu_si256(TURN[(mask & 255) as usize].as_ptr().cast());
@@ -180,7 +187,7 @@ impl Lanes for Avx2 {
     #[inline(always)]
     fn fill_i(self, old: __m256i, mask: u32, values: &[i32]) -> __m256i {
         let values = &values[..Self::N];
-        // SAFETY: as for the operations above.
+        // SAFETY: a value `self` exists only on a machine with the instructions; loads and stores are of whole arrays.
         unsafe {
             let values = _mm256_loadu_si256(values.as_ptr().cast());
             let turn = _mm256_loadu_si256(TURN[(mask & 255) as usize].as_ptr().cast());
@@ -191,7 +198,7 @@ impl Lanes for Avx2 {
     #[inline(always)]
     fn put(self, v: __m256, mask: u32, out: &mut [f32]) {
         let out = &mut out[..Self::N];
-        // SAFETY: as for the operations above.
+        // SAFETY: a value `self` exists only on a machine with the instructions; loads and stores are of whole arrays.
         unsafe {
             let lane = _mm256_loadu_si256(PLACE[(mask & 255) as usize].as_ptr().cast());
             _mm256_storeu_ps(out.as_mut_ptr(), _mm256_permutevar8x32_ps(v, lane));
@@ -200,7 +207,7 @@ impl Lanes for Avx2 {
     #[inline(always)]
     fn put_i(self, v: __m256i, mask: u32, out: &mut [i32]) {
         let out = &mut out[..Self::N];
-        // SAFETY: as for the operations above.
+        // SAFETY: a value `self` exists only on a machine with the instructions; loads and stores are of whole arrays.
         unsafe {
             let lane = _mm256_loadu_si256(PLACE[(mask & 255) as usize].as_ptr().cast());
             let packed = _mm256_permutevar8x32_epi32(v, lane);
@@ -218,7 +225,8 @@ impl Lanes for Avx2 {
         let mut out = [base; R];
         if self.gathers {
             for n in 0..R {
-                // SAFETY: every pair lies in the data, as promised by the caller.
+                // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that
+                // every pair is in the data.
                 out[n] = unsafe {
                     _mm256_i32gather_epi32::<2>(data.offset(offsets[n] as isize).cast(), base)
                 };
@@ -226,8 +234,9 @@ impl Lanes for Avx2 {
             return out;
         }
         let index = self.store_i(base);
-        // SAFETY: every pair lies in the data, as promised by the caller. Four lanes at a time, whose addresses stay in
-        // registers for all offsets.
+        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that every
+        // pair is in the data. Four lanes are read at a time, so that their addresses stay in registers for all
+        // offsets.
         unsafe {
             let mut parts = [[_mm_setzero_si128(); 2]; R];
             for part in 0..2 {
@@ -252,7 +261,8 @@ impl Lanes for Avx2 {
     ) -> [[__m256i; 2]; R] {
         let index = self.store_i(base);
         let mut out = [[base; 2]; R];
-        // SAFETY: all four voxels lie in the data, as promised by the caller.
+        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that all
+        // four voxels are in the data.
         unsafe {
             let mut parts = [[[_mm_setzero_si128(); 2]; 2]; R];
             for part in 0..2 {
@@ -279,7 +289,8 @@ impl Lanes for Avx2 {
     ) -> [[__m256i; 4]; R] {
         let index = self.store_i(base);
         let mut out = [[base; 4]; R];
-        // SAFETY: all eight numbers lie in the data, as promised by the caller.
+        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that all
+        // eight numbers are in the data.
         unsafe {
             let order = _mm256_broadcastsi128_si256(interleaved());
             let mut parts = [[_mm256_setzero_si256(); 4]; R];
@@ -309,21 +320,24 @@ impl Lanes for Avx2 {
     #[inline(always)]
     unsafe fn links(self, table: *const AtomicI32, index: __m256i) -> __m256i {
         let index = self.store_i(index);
-        // SAFETY: each lane's link lies in the table, as promised by the caller.
+        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that each
+        // lane's link is in the table.
         unsafe { whole_of([four_links(table, &index, 0), four_links(table, &index, 4)]) }
     }
 
     #[inline(always)]
     unsafe fn voxels(self, data: *const i16, index: __m256i) -> __m256i {
         let index = self.store_i(index);
-        // SAFETY: the voxel lies in the data, as promised by the caller.
+        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that the
+        // voxel is in the data.
         unsafe { _mm256_cvtepi16_epi32(eight_voxels(data, &index, 0)) }
     }
 
     #[inline(always)]
     unsafe fn bytes(self, data: *const u8, index: __m256i) -> __m256i {
         let index = self.store_i(index);
-        // SAFETY: the byte lies in the data, as promised by the caller.
+        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that the
+        // byte is in the data.
         unsafe {
             let (a, b) = (four_bytes(data, &index, 0), four_bytes(data, &index, 4));
             _mm256_cvtepu8_epi32(_mm_unpacklo_epi32(a, b))
@@ -333,8 +347,9 @@ impl Lanes for Avx2 {
     #[inline(always)]
     unsafe fn entries(self, table: *const [f32; 4], index: __m256i) -> [__m256; 4] {
         let at = self.store_i(index);
-        // SAFETY: each lane's entry lies in the table, as promised by the caller.
-        // Eight loads of four numbers and a transposition: a quarter of the loads of four gathers.
+        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that each
+        // lane's entry is in the table. Eight loads of four numbers and a transposition need a quarter of the loads of
+        // four gathers.
         unsafe {
             let entry = |n: usize| _mm_loadu_ps(table.add(at[n] as usize).cast());
             let two = |n: usize| {

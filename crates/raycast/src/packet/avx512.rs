@@ -1,4 +1,4 @@
-//! Sixteen rays: AVX-512 F, BW, DQ and VL.
+//! Instruction set of sixteen lanes: AVX-512 F, BW, DQ and VL.
 #![allow(
     clippy::wildcard_imports,
     reason = "half a hundred intrinsics, each named in full where it is used"
@@ -14,17 +14,22 @@ use super::{
     },
 };
 
-/// The machine has AVX-512 F, BW, DQ and VL.
+/// Instruction set AVX-512 F, BW, DQ and VL.
+///
+/// A value proves that the machine has all of them.
 #[derive(Clone, Copy)]
 pub(super) struct Avx512 {
-    /// Pairs of voxels are read by gather instructions.
+    /// Whether pairs of voxels are read by gather instructions.
     gathers: bool,
 }
 
 impl Avx512 {
-    /// The proof, and whether pairs of voxels are read by gather instructions ([`super::gathers`]).
+    /// Create a value, which proves that the machine has the instructions.
+    ///
+    /// `gathers` selects gather instructions for reads of voxel pairs ([`super::gathers`]).
     ///
     /// # Safety
+    ///
     /// The machine must have AVX-512 F, BW, DQ and VL.
     #[inline(always)]
     pub(super) const unsafe fn new(gathers: bool) -> Self {
@@ -32,25 +37,26 @@ impl Avx512 {
     }
 }
 
-/// Each operation is one or a few instructions.
+/// Define operations of one or a few instructions each.
 macro_rules! operations {
     ($(fn $name:ident($($arg:ident: $type:ty),*) -> $out:ty { $body:expr })*) => {$(
         #[inline(always)]
         fn $name(self, $($arg: $type),*) -> $out {
-            // SAFETY: `self` exists only where the machine has the instructions; loads and stores are of whole arrays.
-            // Benchmark: benchmarks/measurements/rendering.md.
+            // SAFETY: a value `self` exists only on a machine with the instructions; loads and stores are of whole
+            // arrays. Benchmark: benchmarks/measurements/rendering.md.
             unsafe { $body }
         }
     )*};
 }
 
-/// Four quarters in one register.
+/// Combine four quarters in one register.
 ///
 /// # Safety
+///
 /// The machine must have AVX-512 F.
 #[inline(always)]
 unsafe fn whole_of([a, b, c, d]: [__m128i; 4]) -> __m512i {
-    // SAFETY: as promised by the caller.
+    // SAFETY: the caller guarantees AVX-512 F.
     unsafe {
         let ab = _mm256_inserti128_si256::<1>(_mm256_castsi128_si256(a), b);
         let cd = _mm256_inserti128_si256::<1>(_mm256_castsi128_si256(c), d);
@@ -107,7 +113,7 @@ impl Lanes for Avx512 {
         fn quarters(a: __m512i) -> __m512i { _mm512_srli_epi32::<2>(a) }
         fn modulo_4(a: __m512i) -> __m512i { _mm512_and_si512(a, _mm512_set1_epi32(3)) }
 
-        // Products with 1, 0 and -1, added in pairs, in i32: nothing can overflow.
+        // Products with 1, 0 and -1, added in pairs as i32, cannot overflow.
         fn first(pair: __m512i) -> __m512i { _mm512_madd_epi16(pair, _mm512_set1_epi32(1)) }
         fn second(pair: __m512i) -> __m512i { _mm512_srai_epi32::<16>(pair) }
         fn rise(pair: __m512i) -> __m512i { _mm512_madd_epi16(pair, _mm512_set1_epi32(0x0001_ffff)) }
@@ -116,13 +122,13 @@ impl Lanes for Avx512 {
     #[inline(always)]
     fn fill(self, old: __m512, mask: u32, values: &[f32]) -> __m512 {
         let values = &values[..Self::N];
-        // SAFETY: as for the operations above.
+        // SAFETY: a value `self` exists only on a machine with the instructions; loads and stores are of whole arrays.
         unsafe { _mm512_mask_expand_ps(old, mask as u16, _mm512_loadu_ps(values.as_ptr())) }
     }
     #[inline(always)]
     fn fill_i(self, old: __m512i, mask: u32, values: &[i32]) -> __m512i {
         let values = &values[..Self::N];
-        // SAFETY: as for the operations above.
+        // SAFETY: a value `self` exists only on a machine with the instructions; loads and stores are of whole arrays.
         unsafe {
             let values = _mm512_loadu_si512(values.as_ptr().cast());
             _mm512_mask_expand_epi32(old, mask as u16, values)
@@ -131,7 +137,7 @@ impl Lanes for Avx512 {
     #[inline(always)]
     fn put(self, v: __m512, mask: u32, out: &mut [f32]) {
         let out = &mut out[..Self::N];
-        // SAFETY: as for the operations above.
+        // SAFETY: a value `self` exists only on a machine with the instructions; loads and stores are of whole arrays.
         unsafe {
             _mm512_storeu_ps(out.as_mut_ptr(), _mm512_maskz_compress_ps(mask as u16, v));
         }
@@ -139,7 +145,7 @@ impl Lanes for Avx512 {
     #[inline(always)]
     fn put_i(self, v: __m512i, mask: u32, out: &mut [i32]) {
         let out = &mut out[..Self::N];
-        // SAFETY: as for the operations above.
+        // SAFETY: a value `self` exists only on a machine with the instructions; loads and stores are of whole arrays.
         unsafe {
             let packed = _mm512_maskz_compress_epi32(mask as u16, v);
             _mm512_storeu_si512(out.as_mut_ptr().cast(), packed);
@@ -177,7 +183,8 @@ impl Lanes for Avx512 {
         let mut out = [base; R];
         if self.gathers {
             for n in 0..R {
-                // SAFETY: every pair lies in the data, as promised by the caller.
+                // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that
+                // every pair is in the data.
                 out[n] = unsafe {
                     _mm512_i32gather_epi32::<2>(base, data.offset(offsets[n] as isize).cast())
                 };
@@ -185,8 +192,9 @@ impl Lanes for Avx512 {
             return out;
         }
         let index = self.store_i(base);
-        // SAFETY: every pair lies in the data, as promised by the caller. Four lanes at a time, whose addresses stay in
-        // registers for all offsets.
+        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that every
+        // pair is in the data. Four lanes are read at a time, so that their addresses stay in registers for all
+        // offsets.
         unsafe {
             let mut parts = [[_mm_setzero_si128(); 4]; R];
             for part in 0..4 {
@@ -211,7 +219,8 @@ impl Lanes for Avx512 {
     ) -> [[__m512i; 2]; R] {
         let index = self.store_i(base);
         let mut out = [[base; 2]; R];
-        // SAFETY: all four voxels lie in the data, as promised by the caller.
+        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that all
+        // four voxels are in the data.
         unsafe {
             let mut parts = [[[_mm_setzero_si128(); 4]; 2]; R];
             for part in 0..4 {
@@ -238,7 +247,8 @@ impl Lanes for Avx512 {
     ) -> [[__m512i; 4]; R] {
         let index = self.store_i(base);
         let mut out = [[base; 4]; R];
-        // SAFETY: all eight numbers lie in the data, as promised by the caller.
+        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that all
+        // eight numbers are in the data.
         unsafe {
             let order = _mm512_broadcast_i32x4(interleaved());
             let mut parts = [[_mm512_setzero_si512(); 4]; R];
@@ -275,7 +285,8 @@ impl Lanes for Avx512 {
     #[inline(always)]
     unsafe fn links(self, table: *const AtomicI32, index: __m512i) -> __m512i {
         let index = self.store_i(index);
-        // SAFETY: each lane's link lies in the table, as promised by the caller.
+        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that each
+        // lane's link is in the table.
         unsafe {
             whole_of([
                 four_links(table, &index, 0),
@@ -289,7 +300,8 @@ impl Lanes for Avx512 {
     #[inline(always)]
     unsafe fn voxels(self, data: *const i16, index: __m512i) -> __m512i {
         let index = self.store_i(index);
-        // SAFETY: the voxel lies in the data, as promised by the caller.
+        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that the
+        // voxel is in the data.
         unsafe {
             let (a, b) = (eight_voxels(data, &index, 0), eight_voxels(data, &index, 8));
             _mm512_cvtepi16_epi32(_mm256_inserti128_si256::<1>(_mm256_castsi128_si256(a), b))
@@ -299,7 +311,8 @@ impl Lanes for Avx512 {
     #[inline(always)]
     unsafe fn bytes(self, data: *const u8, index: __m512i) -> __m512i {
         let index = self.store_i(index);
-        // SAFETY: the byte lies in the data, as promised by the caller.
+        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that the
+        // byte is in the data.
         unsafe {
             let (a, b) = (four_bytes(data, &index, 0), four_bytes(data, &index, 4));
             let (c, d) = (four_bytes(data, &index, 8), four_bytes(data, &index, 12));
@@ -311,8 +324,9 @@ impl Lanes for Avx512 {
     #[inline(always)]
     unsafe fn entries(self, table: *const [f32; 4], index: __m512i) -> [__m512; 4] {
         let at = self.store_i(index);
-        // SAFETY: each lane's entry lies in the table, as promised by the caller.
-        // Sixteen loads of four numbers and a transposition: a quarter of the loads of four gathers.
+        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that each
+        // lane's entry is in the table. Sixteen loads of four numbers and a transposition need a quarter of the loads
+        // of four gathers.
         unsafe {
             let entry = |n: usize| _mm_loadu_ps(table.add(at[n] as usize).cast());
             let four = |n: usize| {

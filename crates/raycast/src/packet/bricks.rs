@@ -1,4 +1,4 @@
-//! Bricks read by packets, lane by lane.
+//! Reads of bricks by packets, lane by lane.
 
 use super::lanes::{Array, Lanes, each_lane};
 use crate::{
@@ -8,7 +8,7 @@ use crate::{
 
 const _: () = assert!(CELLS == 4, "`quarters` and `modulo_4` are made for it");
 
-/// Memory steps from a cell's lower corner to its four rows along x, in bricks of voxels.
+/// Memory offsets, in voxels of a brick, from a cell's lower corner to its four rows along x.
 const ROWS: [i32; 4] = [
     0,
     STRIDE[1] as i32,
@@ -16,7 +16,7 @@ const ROWS: [i32; 4] = [
     (STRIDE[1] + STRIDE[2]) as i32,
 ];
 
-/// The bricks of a volume.
+/// Reader of the bricks of a volume.
 pub(super) struct Reader<'a, B> {
     bricks: &'a B,
     field: &'a Field<'a>,
@@ -36,7 +36,7 @@ fn lerp<L: Lanes>(l: L, t: L::F, a: L::F, b: L::F) -> L::F {
     l.fma(t, l.sub(b, a), a)
 }
 
-/// Between the two numbers of a pair.
+/// Interpolate between the two numbers of a pair.
 #[inline(always)]
 fn lerp_pair<L: Lanes>(l: L, t: L::F, pair: L::I) -> L::F {
     l.fma(t, l.to_f(l.rise(pair)), l.to_f(l.first(pair)))
@@ -53,30 +53,31 @@ impl<'a, B: Fill> Reader<'a, B> {
         }
     }
 
-    /// For each lane one more than the place of its cell's brick; `None` if a wanted lane has none. Lanes at rest without
-    /// one get the first, for which there is memory: a volume has at least one.
+    /// Return, for each lane, one more than the index of its cell's brick; `None` if a wanted lane has no brick.
     ///
-    /// Every lane's cell must lie in the volume, also that of a lane at rest.
+    /// Other lanes without a brick get the first brick, whose memory always exists, because a volume has at least one
+    /// brick. Every lane's cell must be in the volume, also in lanes that are not wanted.
     #[inline(always)]
     fn find<L: Lanes>(&self, l: L, ijk: &[L::I; 3], wanted: L::M) -> Option<L::I> {
         let [ni, nj] = [l.splat_i(self.num_bricks[0]), l.splat_i(self.num_bricks[1])];
         let number = l.add_i(l.mul_i(l.quarters(ijk[2]), nj), l.quarters(ijk[1]));
         let number = l.add_i(l.mul_i(number, ni), l.quarters(ijk[0]));
         let table = self.bricks.store().table().as_ptr();
-        // SAFETY: cells lie in the volume, so their bricks are among its own. Benchmark: benchmarks/measurements/rendering.md.
+        // SAFETY: cells are in the volume, so the numbers of their bricks are in the table. Benchmark:
+        // benchmarks/measurements/rendering.md.
         let mut kept = unsafe { l.links(table, number) };
         let absent = l.bits(l.without(wanted, l.less_i(l.splat_i(0), kept)));
         if absent != 0 {
             if !self.fill(&l.store_i(number), absent) {
                 return None;
             }
-            // SAFETY: as above.
+            // SAFETY: cells are in the volume, so the numbers of their bricks are in the table.
             kept = unsafe { l.links(table, number) };
         }
         Some(l.max_i(kept, l.splat_i(1)))
     }
 
-    /// Fills the bricks of some lanes; false if one of them cannot be kept.
+    /// Fill the bricks of some lanes; return false if one of them cannot be stored.
     #[cold]
     #[inline(never)]
     fn fill(&self, numbers: &Array<i32>, lanes: u32) -> bool {
@@ -87,10 +88,11 @@ impl<'a, B: Fill> Reader<'a, B> {
         all
     }
 
-    /// The four numbers of voxels, interpolated between those of each lane's cell `ijk` at `t`; `None` if a wanted lane has
-    /// no brick.
+    /// Interpolate the four numbers of voxels in each lane's cell `ijk` at `t`.
     ///
-    /// Every lane's cell must lie in the volume, also that of a lane at rest.
+    /// Return `None` if a wanted lane has no brick.
+    ///
+    /// Every lane's cell must be in the volume, also in lanes that are not wanted.
     #[inline(always)]
     pub(super) fn between_voxels<L: Lanes>(
         &self,
@@ -105,7 +107,8 @@ impl<'a, B: Fill> Reader<'a, B> {
             let steps = l.mul_i(l.modulo_4(ijk[a]), l.splat_i(STRIDE[a] as i32));
             at = l.add_i(at, steps);
         }
-        // SAFETY: the lower corner of a cell in a brick, whose eight corners lie in the brick. Benchmark: as above.
+        // SAFETY: `at` is the lower corner of a cell in a stored brick, and the brick contains all eight corners of its
+        // cells. Benchmark: benchmarks/measurements/rendering.md.
         let rows = unsafe { l.quadruples(self.bricks.store().numbers(), at, ROWS) };
         let mut out = [t[0]; 4];
         for c in 0..4 {

@@ -1,4 +1,6 @@
-//! What is wet: droplets in the film of mucus, and secretions. All of it is decoration, fixed to the tissue like texture.
+//! Wet surface of the wall: droplets in the film of mucus, and secretions.
+//!
+//! Both are decoration and are fixed to the tissue like the texture.
 
 use std::array::from_fn;
 
@@ -9,36 +11,42 @@ use super::{
 };
 use crate::appearance::Appearance;
 
-/// Cells of the noise per mm: pools of secretions, bubbles.
+/// Noise cells per mm: of the pools of secretions here, of the bubbles in the next constant.
 const POOLS_PER_MM: f32 = 0.2;
 const BUBBLES_PER_MM: f32 = 1.5;
-/// The highlight's exponent on a droplet is 2 to this: it is rounder than the film, so that its glint has a size.
+/// Exponent of the highlight on a droplet as a power of two.
+///
+/// A droplet is rounder than the film, so its highlight has a visible size.
 const DROP_LOG2: u32 = 5;
-/// Glint of a droplet as part of what a guide gives head on.
+/// Strength of the highlight of a droplet, as a fraction of the light that a guide gives at normal incidence.
 const DROP_GLINT: f32 = 1.2;
-/// How much lower a bump may be to carry a droplet where the film is 1 thicker: droplets gather, and leave walls dry between.
+/// Decrease, per unit of film thickness, of the height that a bump needs to carry a droplet.
+///
+/// Droplets thus form groups with dry wall between them.
 const GATHER: f32 = 1.0;
 const BUBBLE_GLINT: f32 = 2.4;
-/// Slope of a droplet's side. Along an airway only a steep side faces the scope, which is why a smooth film has no
-/// highlight there.
+/// Slope of a droplet's side.
+///
+/// Along an airway only a steep side faces the scope; therefore a smooth film has no highlight there.
 const DROP_SLOPE: f32 = 1.4;
-/// Display colour of secretions, pale and a little yellow.
+/// Display colour of secretions, pale and slightly yellow.
 const SECRETIONS_RGB: [f32; 3] = [0.90, 0.84, 0.66];
-/// How much of it covers the mucosa beneath a pool.
+/// Opacity of a pool over the mucosa beneath it.
 const COVER: f32 = 0.55;
 
-/// The wet surface at points of the wall.
+/// Wet surface at points of the wall.
 #[derive(Clone, Copy)]
 pub(super) struct Film<L: Lanes> {
-    /// Droplets and bubbles: how much of one is there, times the strength of its glint.
+    /// Coverage by droplets and bubbles, times the strength of their highlight.
     pub glint: L::F,
-    /// Their surface's normal.
+    /// Normal of the surface of droplets and bubbles.
     pub drop: [L::F; 3],
-    /// How much of a pool is there, 0..1.
+    /// Coverage by a pool, 0 to 1.
     pub pool: L::F,
 }
 
-/// A bump of noise with this value and slope: how far it stands above `from`, 0..1, and the normal of its sides.
+/// Return the height of a noise bump above `from`, scaled to 0 to 1, and the normal of its sides, from the noise's
+/// value and slope.
 #[inline(always)]
 fn bump<L: Lanes>(
     l: L,
@@ -53,16 +61,21 @@ fn bump<L: Lanes>(
     (above, unit(l, tilted).0)
 }
 
-/// 1 while a cell of the noise has ten pixels or more, 0 when it has hardly three: farther away a droplet is a white dot.
+/// Return the visibility of noise detail.
+///
+/// The visibility is 1 if a noise cell covers ten pixels or more, and 0 below about three, because a droplet would be
+/// only a white dot.
 #[inline(always)]
 fn fades<L: Lanes>(l: L, footprint_mm: L::F, per_mm: f32) -> L::F {
     let cells = l.mul(footprint_mm, l.splat(per_mm));
     smooth(l, l.fma(cells, l.splat(-5.0), l.splat(1.5)))
 }
 
-/// The wet surface at patient points `lps` with normals `n` on the scope's side. Droplets finer than a few pixels,
-/// whose width there is `footprint_mm`, fade out. They hang where the film is `thick` and the coarse relief, of which `bumps` are value
-/// and slope, stands out: noise of their own would cost more than all else of them.
+/// Compute the wet surface at patient points `lps` with normals `n` on the scope's side.
+///
+/// Droplets finer than a few pixels fade out; `footprint_mm` is the width of a pixel at the wall. Droplets form where
+/// the film is `thick` and the coarse relief is high; `bumps` are value and slope of that relief. A separate noise for
+/// droplets would cost more than the rest of this function.
 #[inline(always)]
 pub(super) fn film<L: Lanes>(
     l: L,
@@ -88,7 +101,7 @@ pub(super) fn film<L: Lanes>(
         film.glint = l.mul(l.mul(above, near), s(DROP_GLINT * look.specks));
     }
     if look.secretions > 0.0 {
-        // The floor of an airway in a supine patient: the wall that looks to the front, LPS -y.
+        // Floor of an airway in a supine patient: the wall whose normal points to the front, LPS -y.
         let floor = smooth(l, l.fma(n[1], s(-2.5), s(-0.6)));
         let (level, _) = noise(l, scaled(l, s(POOLS_PER_MM), q), 61);
         let filled = l.add(level, s(look.secretions.mul_add(1.2, -0.8)));
@@ -109,7 +122,8 @@ pub(super) fn film<L: Lanes>(
 }
 
 impl<L: Lanes> Film<L> {
-    /// The colour of the mucosa (linear) seen through a pool, and the level surface of the pool in place of the film's.
+    /// Blend the mucosa's linear colour with the colour of a pool, and the film's normal with the pool's horizontal
+    /// surface.
     #[inline(always)]
     pub(super) fn fill(self, l: L, colour: &mut [L::F; 3], n_film: &mut [L::F; 3]) {
         let s = |v: f32| l.splat(v);
@@ -118,7 +132,7 @@ impl<L: Lanes> Film<L> {
             let pale = s(SECRETIONS_RGB[c] * SECRETIONS_RGB[c]);
             colour[c] = l.fma(cover, l.sub(pale, colour[c]), colour[c]);
         }
-        // What flows lies level, which the front of a supine patient is.
+        // The surface of a fluid is horizontal; in a supine patient its normal points to the front.
         let level = [s(0.0), s(-1.0), s(0.0)];
         let mut mixed = *n_film;
         for a in 0..3 {
@@ -131,7 +145,9 @@ impl<L: Lanes> Film<L> {
         *n_film = unit(l, mixed).0;
     }
 
-    /// The glint towards the scope, where `half` lies half-way between it and a light.
+    /// Return the highlight towards the scope.
+    ///
+    /// `half` is the half-way vector between the directions to the scope and to a light.
     #[inline(always)]
     pub(super) fn towards(self, l: L, half: [L::F; 3]) -> L::F {
         let mut highlight = l.max(dot(l, self.drop, half), l.splat(0.0));

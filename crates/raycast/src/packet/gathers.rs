@@ -1,8 +1,9 @@
-//! Whether gather instructions take less time than single loads here.
+//! Measurement that decides whether gather instructions or single loads are used on this machine.
 //!
-//! They do on Intel's server processors since Sapphire Rapids, do not on Zen 4 and Zen 5, and are several times slower
-//! where microcode fences them (Gather Data Sampling). No feature flag tells these apart, a virtual machine may hide the
-//! model, and the bits are the same either way: so both are timed, once in a process (docs/decisions/0103).
+//! Gathers are faster on Intel's server processors since Sapphire Rapids, slower on Zen 4 and Zen 5, and several times
+//! slower where microcode mitigates Gather Data Sampling. No feature flag distinguishes these machines, a virtual
+//! machine may hide the model, and the bits are the same either way. So both variants are timed once per process
+//! (docs/decisions/0103).
 
 use std::{
     hint::black_box,
@@ -16,16 +17,19 @@ use super::{
 };
 use crate::InstructionSet;
 
-/// True if voxels are read faster by gathers than one by one. The first call takes some fifty microseconds.
+/// Return true if gathers read voxels faster than single loads.
+///
+/// The first call takes some fifty microseconds.
 pub(super) fn gathers_pay(simd: InstructionSet) -> bool {
     static PAY: [OnceLock<bool>; 2] = [OnceLock::new(), OnceLock::new()];
     match simd {
         InstructionSet::Avx2 if simd.is_available() => *PAY[0].get_or_init(|| {
-            // SAFETY: the machine has it. Benchmark: `carina bench isoregion`, the oblique slice.
+            // SAFETY: `simd.is_available()` has confirmed that the machine has the instruction set. Benchmark:
+            // `carina bench isoregion`, the oblique slice.
             faster(|data, gathers| unsafe { read_avx2(data, gathers) })
         }),
         InstructionSet::Avx512 if simd.is_available() => *PAY[1].get_or_init(|| {
-            // SAFETY: as above.
+            // SAFETY: `simd.is_available()` has confirmed that the machine has the instruction set.
             faster(|data, gathers| unsafe { read_avx512(data, gathers) })
         }),
         _ => false,
@@ -36,7 +40,7 @@ const SIDE: usize = 64;
 const READS: usize = 64;
 const ROUNDS: usize = 9;
 
-/// Least times of rounds in turn, from lines that lie in the nearest cache.
+/// Compare the shortest times of alternating rounds with and without gathers; the data fit the nearest cache.
 fn faster(read: impl Fn(&[i16], bool) -> i32) -> bool {
     let data: Vec<i16> = (0..SIDE * SIDE).map(|n| n as i16).collect();
     let mut least = [Duration::MAX; 2];
@@ -52,17 +56,17 @@ fn faster(read: impl Fn(&[i16], bool) -> i32) -> bool {
 
 #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
 fn read_avx512(data: &[i16], gathers: bool) -> i32 {
-    // SAFETY: this function runs only where the machine has the instructions.
+    // SAFETY: this function runs only on a machine with the instructions of its target features.
     read(unsafe { avx512::Avx512::new(gathers) }, data)
 }
 
 #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
 fn read_avx2(data: &[i16], gathers: bool) -> i32 {
-    // SAFETY: this function runs only where the machine has the instructions.
+    // SAFETY: this function runs only on a machine with the instructions of its target features.
     read(unsafe { avx2::Avx2::new(gathers) }, data)
 }
 
-/// The rows of cells one after another along a diagonal, added up.
+/// Read the rows of consecutive cells along a diagonal and add them.
 #[inline(always)]
 fn read<L: Lanes>(l: L, data: &[i16]) -> i32 {
     assert!(data.len() >= SIDE * SIDE);
@@ -76,8 +80,8 @@ fn read<L: Lanes>(l: L, data: &[i16]) -> i32 {
         let base = l.add_i(places, l.splat_i(n % 16));
         let side = SIDE as i32;
         let offsets = [0, side, 8 * side, 9 * side];
-        // SAFETY: a lane's place is at most 31 * 65 + 15, and the furthest pair 9 * 64 and one more beyond it: 2607 of 4096.
-        // Benchmark: as above.
+        // SAFETY: a lane's index is at most 31 * 65 + 15, and the farthest pair is 9 * 64 and one more beyond that
+        // index: 2607 of 4096 values. Benchmark: `carina bench isoregion`, the oblique slice.
         let pairs = unsafe { l.pairs(data.as_ptr(), base, offsets) };
         for pair in pairs {
             sum = l.add_i(sum, pair);
@@ -91,11 +95,11 @@ fn read<L: Lanes>(l: L, data: &[i16]) -> i32 {
 mod tests {
     use super::*;
 
-    /// Pairs at one place for each lane, and the same read one by one.
+    /// Return the pair at one index per lane, read by the lanes and read one by one.
     fn pairs_of<L: Lanes>(l: L, data: &[i16], places: &Array<i32>, offset: i32) -> [Vec<i32>; 2] {
         let reach = |place: i32| usize::try_from(place + offset).unwrap();
         assert!(places[..L::N].iter().all(|&p| reach(p) + 1 < data.len()));
-        // SAFETY: as just asserted. No speed is asked of a test.
+        // SAFETY: the assertion above guarantees that every pair is in the data. Speed is not relevant in a test.
         let [found] = unsafe { l.pairs(data.as_ptr(), l.load_i(places), [offset]) };
         let expected = (0..L::N).map(|n| {
             let at = reach(places[n]);
@@ -111,7 +115,7 @@ mod tests {
         places: &Array<i32>,
         offset: i32,
     ) -> [Vec<i32>; 2] {
-        // SAFETY: this function runs only where the machine has the instructions.
+        // SAFETY: this function runs only on a machine with the instructions of its target features.
         pairs_of(
             unsafe { avx512::Avx512::new(gathers) },
             data,
@@ -122,7 +126,7 @@ mod tests {
 
     #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
     fn pairs_avx2(gathers: bool, data: &[i16], places: &Array<i32>, offset: i32) -> [Vec<i32>; 2] {
-        // SAFETY: this function runs only where the machine has the instructions.
+        // SAFETY: this function runs only on a machine with the instructions of its target features.
         pairs_of(unsafe { avx2::Avx2::new(gathers) }, data, places, offset)
     }
 
@@ -144,13 +148,14 @@ mod tests {
             }
             for gathers in [false, true] {
                 if InstructionSet::Avx512.is_available() {
-                    // SAFETY: the machine has it. No speed is asked of a test.
+                    // SAFETY: the test has checked that the machine has the instruction set. Speed is not relevant in a
+                    // test.
                     let [found, expected] =
                         unsafe { pairs_avx512(gathers, &data, &places, offset) };
                     assert_eq!(found, expected, "AVX-512, gathers: {gathers}");
                 }
                 if InstructionSet::Avx2.is_available() {
-                    // SAFETY: as above.
+                    // SAFETY: the test has checked that the machine has the instruction set.
                     let [found, expected] = unsafe { pairs_avx2(gathers, &data, &places, offset) };
                     assert_eq!(found, expected, "AVX2, gathers: {gathers}");
                 }

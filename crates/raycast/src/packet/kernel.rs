@@ -1,10 +1,12 @@
-//! The packet caster, in two stages with rays handed from one to the other, so that the lanes of each do the same thing.
+//! Packet caster in two stages that exchange rays, so that the lanes of each stage do the same work.
 //!
-//! *Search*: rays leap and take samples that are surely clear. *Shade*: rays take samples that may be visible, one after
-//! the other, until one is clear or the ray ends. A lane whose ray has left takes another ray.
+//! In the *search* stage, rays leap and take samples that are certainly clear. In the *shade* stage, rays take samples
+//! that may be visible, one after the other, until a sample is clear or the ray ends. A lane whose ray has left the
+//! stage takes another ray.
 //!
-//! The stages may have different numbers of lanes. A search waits: each look-up and each sample begins where the last one
-//! led to, so that more rays side by side cost little. Shading computes, and has no use for more than fit in registers.
+//! The stages may have different numbers of lanes. A search waits for memory: each look-up and each sample starts where
+//! the previous one ended, so additional parallel rays cost little. Shading is limited by computation, and more lanes
+//! than fit in registers do not help.
 
 use super::{
     ask::Pace,
@@ -16,10 +18,12 @@ use super::{
 };
 use crate::CastStats;
 
-/// Rays that wait for shading before it starts: a change of stage saves and loads all lanes.
+/// Number of rays in the shading pool at which shading starts.
+///
+/// A change of stage saves and loads all lanes.
 const SHADE_FROM: usize = 96;
 
-/// The state of a band, whose rays are searched with in `L` and shaded in `S`.
+/// State of a band of rows, whose rays are searched in `L` and shaded in `S`.
 struct Band<L: Lanes, S: Lanes, O: Out> {
     source: Source,
     searching: Pool,
@@ -39,7 +43,7 @@ impl<L: Lanes, S: Lanes, O: Out> Band<L, S, O> {
         self.sum_of_end += packet.finish(l, lanes);
     }
 
-    /// True if there are rays to search with.
+    /// Return true if rays are left for the search stage.
     #[inline(always)]
     fn may_search(&self) -> bool {
         !(self.searching.is_empty() && self.source.is_empty() && self.search.occupied == 0)
@@ -47,7 +51,7 @@ impl<L: Lanes, S: Lanes, O: Out> Band<L, S, O> {
 }
 
 impl Scene<'_> {
-    /// Casts all rays of a band of rows.
+    /// Cast all rays of a band of rows.
     #[inline(always)]
     pub(super) fn cast<
         L: Lanes,
@@ -86,8 +90,9 @@ impl Scene<'_> {
         band.stats
     }
 
-    /// Leaps and clear samples, until enough rays wait for shading or none is left to search. Without shading a visible
-    /// sample costs no more than a clear one and is taken here.
+    /// Run the search stage: leaps and clear samples, until enough rays wait for shading or none is left to search.
+    ///
+    /// Without shading a visible sample costs no more than a clear one and is taken here.
     #[inline(always)]
     fn search<
         L: Lanes,
@@ -107,7 +112,8 @@ impl Scene<'_> {
         // Lanes whose next sample may be visible.
         let mut visible = 0;
         loop {
-            // Rays come and go many at a time: a change costs about as much as a look-up (docs/decisions/0103).
+            // Rays are exchanged many at a time, because an exchange costs about as much as a look-up
+            // (docs/decisions/0103).
             if L::N - active.count_ones() as usize >= L::N / 2 {
                 if visible != 0 {
                     band.shading.take_from(l, &mut packet, visible, O::HITS);
@@ -176,7 +182,7 @@ impl Scene<'_> {
                 let (lit, goes_on) =
                     self.take_samples::<L, O, false, NEAREST>(l, &mut packet, at, walks);
                 if LEAP == TRANSPARENT {
-                    // Not directly after a sample that added something.
+                    // No look-up directly after a sample with opacity.
                     let next = l.add_i(packet.k, l.splat_i(1));
                     let later = l.max_i(packet.ask_at, next);
                     packet.ask_at = l.select_i(lit, later, packet.ask_at);
@@ -187,8 +193,9 @@ impl Scene<'_> {
         band.search = packet;
     }
 
-    /// Visible samples, until no ray waits for shading and few are left in the lanes. No ray asks the map here: a sample
-    /// follows one that added something, or the map has been asked.
+    /// Run the shade stage: visible samples, until no ray waits for shading and few are left in the lanes.
+    ///
+    /// No ray needs a look-up here: its previous sample had opacity, or the search stage has already looked up the map.
     #[inline(always)]
     fn shade<L: Lanes, S: Lanes, O: Out, const SHADED: bool>(
         &self,
@@ -197,7 +204,7 @@ impl Scene<'_> {
     ) {
         let mut packet = band.shade;
         let mut active = packet.occupied;
-        // The next sample of the lanes at work. It goes on in the others, too.
+        // Next sample of the active lanes. The counter advances in the other lanes, too.
         let mut k = packet.k;
         // Lanes whose last sample was clear.
         let mut clear = 0;

@@ -1,25 +1,29 @@
-//! What a packet kernel needs of an instruction set: numbers, masks and gathers for as many rays as fit a register.
+//! Operations that a packet kernel needs from an instruction set.
+//!
+//! The operations work on numbers, masks and gathers for as many rays as fit a register.
 
 use std::sync::atomic::AtomicI32;
 
-/// The most lanes of any instruction set.
+/// Largest number of lanes of any instruction set.
 pub(super) const MAX_LANES: usize = 32;
 
 /// One value for each lane, in memory.
 pub(crate) type Array<T> = [T; MAX_LANES];
 
-/// An instruction set. A value of the type is the proof that the machine has it.
+/// Instruction set.
 ///
-/// Every operation is the IEEE one, or the integer one, that the scalar kernel uses; there are no estimates.
-/// `min(a, b)` is `if a < b { a } else { b }`, `max(a, b)` is `if a > b { a } else { b }`.
+/// A value of the implementing type proves that the machine has the set.
+///
+/// Every operation is the IEEE or integer operation of the scalar kernel; there are no approximations. `min(a, b)` is
+/// `if a < b { a } else { b }`, `max(a, b)` is `if a > b { a } else { b }`.
 pub(crate) trait Lanes: Copy {
     /// Number of lanes.
     const N: usize;
-    /// f32 for each lane.
+    /// One f32 for each lane.
     type F: Copy;
-    /// i32 for each lane.
+    /// One i32 for each lane.
     type I: Copy;
-    /// Yes or no for each lane.
+    /// One boolean for each lane.
     type M: Copy;
 
     fn splat(self, v: f32) -> Self::F;
@@ -27,22 +31,29 @@ pub(crate) trait Lanes: Copy {
     fn store(self, v: Self::F) -> Array<f32>;
     fn store_i(self, v: Self::I) -> Array<i32>;
     fn load_i(self, values: &Array<i32>) -> Self::I;
-    /// Lanes of the mask take the values in turn, the others stay. There must be at least as many values as lanes.
+    /// Put consecutive values into the lanes of the mask; other lanes stay unchanged.
+    ///
+    /// There must be at least as many values as lanes.
     fn fill(self, old: Self::F, mask: u32, values: &[f32]) -> Self::F;
-    /// The same for integers.
+    /// Put consecutive integers into the lanes of the mask; other lanes stay unchanged.
+    ///
+    /// There must be at least as many values as lanes.
     fn fill_i(self, old: Self::I, mask: u32, values: &[i32]) -> Self::I;
 
-    /// Writes the lanes of the mask one after the other; what follows them, up to the number of lanes, may become
-    /// anything.
+    /// Write the lanes of the mask consecutively to `out`.
+    ///
+    /// The following items, up to the number of lanes, become undefined.
     fn put(self, v: Self::F, mask: u32, out: &mut [f32]);
-    /// The same for integers.
+    /// Write the lanes of the mask consecutively to `out`, as integers.
+    ///
+    /// The following items, up to the number of lanes, become undefined.
     fn put_i(self, v: Self::I, mask: u32, out: &mut [i32]);
 
     fn add(self, a: Self::F, b: Self::F) -> Self::F;
     fn sub(self, a: Self::F, b: Self::F) -> Self::F;
     fn mul(self, a: Self::F, b: Self::F) -> Self::F;
     fn div(self, a: Self::F, b: Self::F) -> Self::F;
-    /// `a b + c`, rounded once.
+    /// Return `a b + c`, rounded once.
     fn fma(self, a: Self::F, b: Self::F, c: Self::F) -> Self::F;
     fn min(self, a: Self::F, b: Self::F) -> Self::F;
     fn max(self, a: Self::F, b: Self::F) -> Self::F;
@@ -50,7 +61,7 @@ pub(crate) trait Lanes: Copy {
     fn sqrt(self, a: Self::F) -> Self::F;
     fn floor(self, a: Self::F) -> Self::F;
     fn less(self, a: Self::F, b: Self::F) -> Self::M;
-    /// `yes` in the lanes of the mask, else `no`.
+    /// Return `yes` in the lanes of the mask, else `no`.
     fn select(self, mask: Self::M, yes: Self::F, no: Self::F) -> Self::F;
 
     fn add_i(self, a: Self::I, b: Self::I) -> Self::I;
@@ -61,7 +72,7 @@ pub(crate) trait Lanes: Copy {
     fn less_i(self, a: Self::I, b: Self::I) -> Self::M;
     fn select_i(self, mask: Self::M, yes: Self::I, no: Self::I) -> Self::I;
 
-    /// The whole part; the value must be within i32.
+    /// Return the integer part; the value must be within i32.
     fn whole(self, a: Self::F) -> Self::I;
     fn to_f(self, a: Self::I) -> Self::F;
 
@@ -69,75 +80,84 @@ pub(crate) trait Lanes: Copy {
     fn bits(self, a: Self::M) -> u32;
     fn and(self, a: Self::M, b: Self::M) -> Self::M;
     fn or(self, a: Self::M, b: Self::M) -> Self::M;
-    /// `a` without `b`.
+    /// Return `a` without `b`.
     fn without(self, a: Self::M, b: Self::M) -> Self::M;
 
-    /// The quotient by 4 of a number that is not negative.
+    /// Return the quotient of a non-negative number by 4.
     fn quarters(self, a: Self::I) -> Self::I;
-    /// Its rest.
+    /// Return the remainder of a non-negative number by 4.
     fn modulo_4(self, a: Self::I) -> Self::I;
 
-    /// First of two int16 in each lane.
+    /// Return the first of the two int16 in each lane.
     fn first(self, pair: Self::I) -> Self::I;
-    /// Second of two int16 in each lane.
+    /// Return the second of the two int16 in each lane.
     fn second(self, pair: Self::I) -> Self::I;
-    /// Second less first.
+    /// Return the second int16 minus the first.
     fn rise(self, pair: Self::I) -> Self::I;
 
-    /// Voxels `base + offset` and the next ones along x, the first one in the low half, for each offset.
+    /// Load, for each offset, voxel `base + offset` into the low half and the next voxel along x into the high half.
     ///
     /// # Safety
-    /// In every lane and for every offset both must lie in the data.
+    ///
+    /// In every lane and for every offset both voxels must be in the data.
     unsafe fn pairs<const R: usize>(
         self,
         data: *const i16,
         base: Self::I,
         offsets: [i32; R],
     ) -> [Self::I; R];
-    /// Voxels `base + offset` and the next three along x, as two pairs, for each offset.
+    /// Load, for each offset, voxel `base + offset` and the next three along x, as two pairs.
     ///
     /// # Safety
-    /// In every lane and for every offset all four must lie in the data.
+    ///
+    /// In every lane and for every offset all four voxels must be in the data.
     unsafe fn quads<const R: usize>(
         self,
         data: *const i16,
         base: Self::I,
         offsets: [i32; R],
     ) -> [[Self::I; 2]; R];
-    /// Four int16 at `base + offset` and the next four, as pairs: both first ones, both second ones and so on, for each
-    /// offset.
+    /// Load, for each offset, four int16 at `base + offset` and the next four, interleaved as pairs.
+    ///
+    /// The pairs are both first ones, both second ones and so on.
     ///
     /// # Safety
-    /// In every lane and for every offset all eight must lie in the data.
+    ///
+    /// In every lane and for every offset all eight numbers must be in the data.
     unsafe fn quadruples<const R: usize>(
         self,
         data: *const i16,
         base: Self::I,
         offsets: [i32; R],
     ) -> [[Self::I; 4]; R];
-    /// What the table tells at `index` at this moment; what was written before that was told is seen.
+    /// Load the table's entries at `index` atomically, with acquire ordering: writes before the store of an entry are
+    /// visible.
     ///
     /// # Safety
-    /// In every lane it must lie in the table.
+    ///
+    /// In every lane `index` must be in the table.
     unsafe fn links(self, table: *const AtomicI32, index: Self::I) -> Self::I;
-    /// The voxel at `index`.
+    /// Load the voxel at `index`.
     ///
     /// # Safety
-    /// In every lane it must lie in the data.
+    ///
+    /// In every lane `index` must be in the data.
     unsafe fn voxels(self, data: *const i16, index: Self::I) -> Self::I;
-    /// The byte at `index`, 0..255.
+    /// Load the byte at `index`, 0 to 255.
     ///
     /// # Safety
-    /// In every lane it must lie in the data.
+    ///
+    /// In every lane `index` must be in the data.
     unsafe fn bytes(self, data: *const u8, index: Self::I) -> Self::I;
-    /// Four numbers at `index`, as one register for each of the four.
+    /// Load the four numbers at `index`, as one register for each of the four.
     ///
     /// # Safety
-    /// In every lane the entry must lie in the table.
+    ///
+    /// In every lane the entry must be in the table.
     unsafe fn entries(self, table: *const [f32; 4], index: Self::I) -> [Self::F; 4];
 }
 
-/// The numbers of the lanes in a mask.
+/// Call `take` with the number of each lane in a mask.
 #[inline(always)]
 pub(super) fn each_lane(mut lanes: u32, mut take: impl FnMut(usize)) {
     while lanes != 0 {

@@ -1,4 +1,4 @@
-//! Lighting of the first walls: see `appearance`.
+//! Shading of the first walls: see `appearance`.
 
 use std::{array::from_fn, iter::once};
 
@@ -18,17 +18,17 @@ use super::{
 };
 use crate::{Decoration, Field, Frame, InstructionSet, composite::Gathered, lighting::Lighting};
 
-/// Squared radius of a light guide's end, mm2: the inverse square does not run away where a wall touches it.
+/// Squared radius of a light guide's end, mm2: it limits the inverse square for a wall that touches the guide.
 const GUIDE_MM2: f32 = 2.5;
-/// Depth at which the tissue beneath the surface is looked at, mm: the cartilage of an airway lies there.
+/// Depth beneath the surface at which the tissue is sampled, mm: the cartilage of an airway is at this depth.
 const BENEATH_MM: f32 = 1.4;
 /// Display colour of mucosa over cartilage.
 const PALE_RGB: [f32; 3] = [0.98, 0.79, 0.72];
-/// Linear colour of light that has met a wall before.
+/// Linear colour of light that another wall has reflected.
 const TINT_RGB: [f32; 3] = [1.0, 0.42, 0.32];
-/// Linear light that is shown as white.
+/// Linear light that is displayed as white.
 const WHITE: f32 = 3.6;
-/// How far dark tones are pressed down, 0..1.
+/// Strength of the darkening of dark tones, 0 to 1.
 const TOE: f32 = 0.65;
 
 /// Values of a volume at positions in voxels.
@@ -43,7 +43,7 @@ impl<L: Lanes> Values<L> for Voxels<'_> {
     }
 }
 
-/// The same, one by one, for volumes that packets cannot read.
+/// Values read one by one, for volumes that packets cannot read.
 impl<L: Lanes> Values<L> for &Field<'_> {
     fn at(self, l: L, p: [L::F; 3]) -> L::F {
         let p = p.map(|p| l.store(p));
@@ -56,13 +56,15 @@ fn load<L: Lanes>(l: L, values: &Array<f32>) -> L::F {
     l.fill(l.splat(0.0), ((1u64 << L::N) - 1) as u32, values)
 }
 
-/// Gradient of the volume round `p` in LPS, from its slopes in bricks (docs/decisions/0103).
+/// Return the gradient of the volume round `p` in LPS, from the slopes in the bricks (docs/decisions/0103).
 #[inline(always)]
 fn inward<L: Lanes>(l: L, light: &Lighting, field: &Field<'_>, p: [L::F; 3]) -> [L::F; 3] {
     turn(l, &light.normals.rows, rise(l, &light.bricks, field, p))
 }
 
-/// Linear colour of lit walls, before the tone curve. `hit` is 0 or more in all lanes.
+/// Return the linear colour of shaded walls, before the tone curve.
+///
+/// `hit` must be 0 or more in all lanes.
 #[inline(always)]
 fn lit<L: Lanes>(
     l: L,
@@ -76,12 +78,12 @@ fn lit<L: Lanes>(
     let look = &light.look;
     let p = along(l, splat(l, light.origin_ijk), hit, delta);
     let step = turn(l, &light.lps_from_ijk, delta);
-    // From the camera's centre.
+    // Vector in mm from the camera's centre to the wall.
     let offset = scaled(l, hit, step);
     let back = scaled(l, s(-1.0 / light.step_mm), step);
     let depth = l.mul(hit, s(light.step_mm));
 
-    // The normal, on the camera's side; flat tissue faces the camera.
+    // The normal is on the camera's side; flat tissue faces the camera.
     let gradient = inward(l, light, field, p);
     let (n, steep) = unit(l, gradient);
     let away = l.less(s(0.0), dot(l, n, back));
@@ -93,7 +95,7 @@ fn lit<L: Lanes>(
     }
     let n = normal;
 
-    // Mucosa is paler where it covers cartilage: where the CT is dense beneath it.
+    // Mucosa is paler where it covers cartilage, that is, where the CT is dense beneath it.
     let into = turn(l, &light.ijk_from_lps, n);
     let dense = values.at(l, along(l, p, s(-BENEATH_MM), into));
     let [from, to] = look.pale_hu;
@@ -133,9 +135,9 @@ fn lit<L: Lanes>(
         let shown = l.fma(pale, l.sub(s(PALE_RGB[c]), albedo[c]), albedo[c]);
         colour[c] = l.mul(l.mul(shown, shown), tint[c]);
     }
-    // Half of the relief also shows in the matt part.
+    // Half of the relief also affects the diffuse light.
     let n_matt = unit(l, along(l, n, s(1.0), n_film)).0;
-    // No closure: it would be compiled without the instruction set, with a call for each operation.
+    // No closure: a closure would be compiled without the instruction set, with a call for each operation.
     let wet = if look.specks > 0.0 || look.secretions > 0.0 {
         Some(film(l, look, lps, n, footprint, thick, bumps))
     } else {
@@ -180,7 +182,7 @@ fn lit<L: Lanes>(
     out
 }
 
-/// Lights rows of pixels that have been gathered, from `first_row` on, as 8-bit colours; the same bits on every instruction
+/// Shade rows of gathered pixels, from `first_row` on, as 8-bit colours; the bits are the same on every instruction
 /// set.
 pub(crate) fn light_rows(
     frame: &Frame<'_>,
@@ -197,13 +199,13 @@ pub(crate) fn light_rows(
         let row = first_row + row;
         match (simd, voxels) {
             #[cfg(target_arch = "x86_64")]
-            // SAFETY: the instruction set is only handed out where the machine has it. Benchmark:
-            // benchmarks/measurements/rendering.md.
+            // SAFETY: an `InstructionSet` value exists only on a machine that has the instructions of that set.
+            // Benchmark: benchmarks/measurements/rendering.md.
             (InstructionSet::Avx512, Some(voxels)) => unsafe {
                 light_row_avx512(frame, light, voxels, row, gathered, rgb);
             },
             #[cfg(target_arch = "x86_64")]
-            // SAFETY: as above.
+            // SAFETY: an `InstructionSet` value exists only on a machine that has the instructions of that set.
             (InstructionSet::Avx2, Some(voxels)) => unsafe {
                 light_row_avx2(frame, light, voxels, row, gathered, rgb);
             },
@@ -223,7 +225,7 @@ fn light_row_avx512(
     gathered: &[Gathered],
     rgb: &mut [u8],
 ) {
-    // SAFETY: this function runs only where the machine has the instructions.
+    // SAFETY: this function runs only on a machine with the instructions of its target features.
     let l = Pair(unsafe { Avx512::new(false) });
     light_row(l, frame, light, voxels, row, gathered, rgb);
 }
@@ -238,7 +240,7 @@ fn light_row_avx2(
     gathered: &[Gathered],
     rgb: &mut [u8],
 ) {
-    // SAFETY: this function runs only where the machine has the instructions.
+    // SAFETY: this function runs only on a machine with the instructions of its target features.
     let l = Pair(unsafe { Avx2::new(false) });
     light_row(l, frame, light, voxels, row, gathered, rgb);
 }
@@ -278,19 +280,19 @@ fn light_row<L: Lanes>(
         };
         let mut shown = [[0; MAX_LANES]; 3];
         for c in 0..3 {
-            // Bright light is compressed as a camera does it: x (1 + x / white^2) / (1 + x).
+            // Bright light is compressed as in a camera: x (1 + x / white^2) / (1 + x).
             let x = colour[c];
             let tone = l.div(
                 l.mul(x, l.fma(x, s(1.0 / (WHITE * WHITE)), s(1.0))),
                 l.add(x, s(1.0)),
             );
             let v = l.sqrt(l.max(tone, s(0.0)));
-            // And its dark parts are pressed down.
+            // The toe of the tone curve darkens dark tones further.
             let v = l.mul(v, l.fma(v, s(TOE), s(1.0 - TOE)));
             let behind = s(light.background[c]);
             let mut v = l.fma(walls.transparency, l.sub(behind, v), v);
             if let Some((veil, met)) = veil {
-                // A ray without a wall ends in the dark, before which there is mist, too.
+                // A ray without a wall ends in the dark; the mist is visible there, too.
                 let dark = l.mul(walls.transparency, behind);
                 v = l.select(met, v, dark);
                 v = l.fma(veil, l.sub(s(MIST_RGB[c]), v), v);
@@ -308,7 +310,7 @@ fn light_row<L: Lanes>(
     }
 }
 
-/// A ray without a wall ends far away, where no light comes back from.
+/// Return a pixel without colour: a ray without a wall ends far away and gets no light.
 fn unlit(pixel: &Gathered) -> Gathered {
     Gathered {
         rgb: [0.0; 3],
@@ -316,13 +318,13 @@ fn unlit(pixel: &Gathered) -> Gathered {
     }
 }
 
-/// What rays have gathered, in lanes.
+/// Results of gathered rays, in lanes.
 struct Walls<L: Lanes> {
     delta: [L::F; 3],
-    /// 0 in lanes without a wall.
+    /// Distance to the wall in steps; 0 in lanes without a wall.
     hit: L::F,
     transparency: L::F,
-    /// The flat colour, not multiplied by its opacity.
+    /// Flat colour, not multiplied by its opacity.
     albedo: [L::F; 3],
 }
 
@@ -353,7 +355,9 @@ fn gather<L: Lanes>(l: L, delta: &[Array<f32>; 3], pixels: &[Gathered]) -> Walls
     }
 }
 
-/// Light that comes back from pixels (column, row, what was gathered) at an exposure of 1 and without decoration, for the automatic exposure.
+/// Return the reflected light of pixels (column, row, gathered ray) for the automatic exposure.
+///
+/// The exposure is 1, and decoration is off.
 pub(crate) fn brightness(
     frame: &Frame<'_>,
     light: &Lighting,
@@ -372,7 +376,7 @@ pub(crate) fn brightness(
         let gathered: Vec<Gathered> = pixels.iter().map(|pixel| pixel.2).collect();
         let walls = gather(l, &deltas_of(frame, &directions), &gathered);
         let [r, g, b] = lit(l, &plain, None, (&frame.field, &frame.field), &walls);
-        // About the eye's weights.
+        // Luminance weights of red, green and blue, close to the sensitivity of the eye.
         let weights = [l.splat(0.3), l.splat(0.6), l.splat(0.1)];
         out.extend_from_slice(&l.store(dot(l, [r, g, b], weights))[..pixels.len()]);
     }

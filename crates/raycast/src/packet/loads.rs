@@ -1,5 +1,7 @@
-//! Loads from a place of its own for each lane. On some machines single loads and insertions take half to two
-//! thirds of the time of the gather instructions (docs/decisions/0103); on others they take more ([`super::gathers`]).
+//! Loads from a separate address for each lane.
+//!
+//! On some machines single loads and insertions take half to two thirds of the time of the gather instructions
+//! (docs/decisions/0103); on others they take more ([`super::gathers`]).
 
 use std::{
     arch::x86_64::{
@@ -12,17 +14,18 @@ use std::{
 
 use super::lanes::Array;
 
-/// Where the voxels of lanes `n..n + 4` lie.
+/// Return the addresses of the voxels of lanes `n..n + 4`.
 ///
 /// # Safety
-/// They must lie in the data.
+///
+/// The voxels must be in the data.
 #[inline(always)]
 pub(super) unsafe fn lane_pointers(
     data: *const i16,
     index: &Array<i32>,
     n: usize,
 ) -> [*const i16; 4] {
-    // SAFETY: as promised by the caller; indices are not negative.
+    // SAFETY: the caller guarantees that the voxels are in the data; indices are not negative.
     unsafe {
         [
             data.add(index[n] as u32 as usize),
@@ -33,13 +36,14 @@ pub(super) unsafe fn lane_pointers(
     }
 }
 
-/// Two voxels of each of four lanes, as 32-bit words.
+/// Load two voxels for each of four lanes, as 32-bit words.
 ///
 /// # Safety
-/// They must lie in the data; SSE 4.1.
+///
+/// The voxels must be in the data, and the machine must have SSE 4.1.
 #[inline(always)]
 pub(super) unsafe fn four_pairs(lanes: [*const i16; 4], offset: i32) -> __m128i {
-    // SAFETY: as promised by the caller.
+    // SAFETY: the caller guarantees SSE 4.1 and that the voxels are in the data.
     unsafe {
         let pair = |n: usize| {
             lanes[n]
@@ -54,13 +58,14 @@ pub(super) unsafe fn four_pairs(lanes: [*const i16; 4], offset: i32) -> __m128i 
     }
 }
 
-/// Four voxels of each of four lanes: the first two and the last two, as 32-bit words.
+/// Load four voxels for each of four lanes: the first two and the last two, as 32-bit words.
 ///
 /// # Safety
-/// They must lie in the data; SSE 2.
+///
+/// The voxels must be in the data, and the machine must have SSE 2.
 #[inline(always)]
 pub(super) unsafe fn four_quads(lanes: [*const i16; 4], offset: i32) -> [__m128i; 2] {
-    // SAFETY: as promised by the caller.
+    // SAFETY: the caller guarantees SSE 2 and that the voxels are in the data.
     unsafe {
         let at = |n: usize| lanes[n].offset(offset as isize);
         let two = |n: usize| {
@@ -75,33 +80,36 @@ pub(super) unsafe fn four_quads(lanes: [*const i16; 4], offset: i32) -> [__m128i
     }
 }
 
-/// The bytes of two times four int16, so that both first ones are neighbours, both second ones and so on.
+/// Return the shuffle of bytes that interleaves two groups of four int16: both first ones, both second ones and so on.
 ///
 /// # Safety
-/// SSE 2.
+///
+/// The machine must have SSE 2.
 #[inline(always)]
 pub(super) unsafe fn interleaved() -> __m128i {
-    // SAFETY: as promised by the caller.
+    // SAFETY: the caller guarantees SSE 2.
     unsafe { _mm_setr_epi8(0, 1, 8, 9, 2, 3, 10, 11, 4, 5, 12, 13, 6, 7, 14, 15) }
 }
 
-/// Eight numbers.
+/// Load eight numbers.
 ///
 /// # Safety
-/// They must lie in the data; SSE 2.
+///
+/// The numbers must be in the data, and the machine must have SSE 2.
 #[inline(always)]
 pub(super) unsafe fn eight_numbers(data: *const i16, offset: i32) -> __m128i {
-    // SAFETY: as promised by the caller.
+    // SAFETY: the caller guarantees SSE 2 and that the numbers are in the data; the load needs no alignment.
     unsafe { _mm_loadu_si128(data.offset(offset as isize).cast()) }
 }
 
-/// Links of lanes `n..n + 4`.
+/// Load the links of lanes `n..n + 4`.
 ///
 /// # Safety
-/// They must lie in the table; SSE 4.1.
+///
+/// The links must be in the table, and the machine must have SSE 4.1.
 #[inline(always)]
 pub(super) unsafe fn four_links(table: *const AtomicI32, index: &Array<i32>, n: usize) -> __m128i {
-    // SAFETY: as promised by the caller; indices are not negative.
+    // SAFETY: the caller guarantees SSE 4.1 and that the links are in the table; indices are not negative.
     unsafe {
         let link = |lane: usize| {
             let link = &*table.add(index[n + lane] as u32 as usize);
@@ -114,13 +122,14 @@ pub(super) unsafe fn four_links(table: *const AtomicI32, index: &Array<i32>, n: 
     }
 }
 
-/// A voxel of each of lanes `n..n + 8`.
+/// Load a voxel for each of lanes `n..n + 8`.
 ///
 /// # Safety
-/// They must lie in the data; SSE 2.
+///
+/// The voxels must be in the data, and the machine must have SSE 2.
 #[inline(always)]
 pub(super) unsafe fn eight_voxels(data: *const i16, index: &Array<i32>, n: usize) -> __m128i {
-    // SAFETY: as promised by the caller.
+    // SAFETY: the caller guarantees SSE 2 and that the voxels are in the data.
     unsafe {
         let voxel = |lane: usize| i32::from(*data.add(index[n + lane] as u32 as usize));
         let v = _mm_cvtsi32_si128(voxel(0) & 0xffff);
@@ -134,13 +143,14 @@ pub(super) unsafe fn eight_voxels(data: *const i16, index: &Array<i32>, n: usize
     }
 }
 
-/// A byte of each of lanes `n..n + 4`, in the lowest 32 bits.
+/// Load a byte for each of lanes `n..n + 4`, in the lowest 32 bits.
 ///
 /// # Safety
-/// They must lie in the data; SSE 4.1.
+///
+/// The bytes must be in the data, and the machine must have SSE 4.1.
 #[inline(always)]
 pub(super) unsafe fn four_bytes(data: *const u8, index: &Array<i32>, n: usize) -> __m128i {
-    // SAFETY: as promised by the caller.
+    // SAFETY: the caller guarantees SSE 4.1 and that the bytes are in the data.
     unsafe {
         let byte = |lane: usize| i32::from(*data.add(index[n + lane] as u32 as usize));
         let v = _mm_cvtsi32_si128(byte(0));

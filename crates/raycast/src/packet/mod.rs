@@ -1,7 +1,7 @@
 //! Packets: the casters with one ray in each lane of a register (docs/decisions/0103).
 //!
-//! The scalar casters in [`crate::brute`] and [`crate::leap`] define truth. A lane does their operations in their order,
-//! so pictures and statistics are equal bit for bit; only which rays advance together differs.
+//! The scalar casters in [`crate::brute`] and [`crate::leap`] define the correct result. A lane performs their
+//! operations in their order, so pictures and statistics are equal bit for bit; only the grouping of rays differs.
 
 mod ask;
 #[cfg(target_arch = "x86_64")]
@@ -59,7 +59,7 @@ pub(crate) use {
     lanes::Lanes as TestLanes, portable::Portable as TestSet, slopes::rise as test_rise,
 };
 
-/// A picture that packets can cast.
+/// Picture that packets can cast.
 #[derive(Clone, Copy)]
 pub(crate) struct Packets<'a> {
     scene: Scene<'a>,
@@ -72,10 +72,10 @@ pub(crate) struct Packets<'a> {
 static NO_SEGMENTS: SegmentTable = SegmentTable::EMPTY;
 
 impl<'a> Packets<'a> {
-    /// `None` where the scalar casters do the work: volumes beyond 32-bit indices, with an axis above 65,535 voxels or one
-    /// voxel along x, and rays of 2^30 steps.
+    /// Prepare a picture; return `None` if the scalar casters must cast it.
     ///
-    /// The maps have been checked against the volume.
+    /// Packets do not support volumes beyond 32-bit indices, volumes with an axis above 65,535 voxels or one voxel
+    /// along x, and rays of 2^30 steps. The caller must have checked the maps against the volume.
     pub(crate) fn of(
         frame: &'a Frame<'a>,
         method: Method<'a>,
@@ -119,12 +119,14 @@ impl<'a> Packets<'a> {
         })
     }
 
-    /// True if packets find first walls for this picture: not with nearest voxels, nor within segments of opaque classes.
+    /// Return true if packets find first walls for this picture.
+    ///
+    /// Packets find no first walls with nearest voxels, nor within segments of opaque classes.
     pub(crate) fn find_walls(&self) -> bool {
         !self.nearest && self.leap != CLASSES
     }
 
-    /// Casts rows from `first_row` on, as many as `out` holds.
+    /// Cast rows from `first_row` on, as many as `out` holds.
     pub(crate) fn cast_band(&self, first_row: usize, out: &mut [u8]) -> CastStats {
         let background = self.scene.frame.options.background;
         let num_pixels = out.len() / 3;
@@ -135,7 +137,9 @@ impl<'a> Packets<'a> {
         self.cast_to(first_row, num_pixels, out)
     }
 
-    /// The same with all that the rays gather, first walls included. The light at the tip is left out.
+    /// Cast rows and return everything that the rays gather, including first walls.
+    ///
+    /// The light at the tip is not applied.
     pub(crate) fn cast_walls(&self, first_row: usize, out: &mut [Gathered]) -> CastStats {
         let num_pixels = out.len();
         self.cast_to(first_row, num_pixels, Walls(out))
@@ -146,11 +150,11 @@ impl<'a> Packets<'a> {
         let source = Source::new(width, first_row, num_pixels / width);
         match self.simd {
             #[cfg(target_arch = "x86_64")]
-            // SAFETY: the instruction set is only handed out where the machine has it. Benchmark:
-            // benchmarks/measurements/rendering.md.
+            // SAFETY: an `InstructionSet` value exists only on a machine that has the instructions of that set.
+            // Benchmark: benchmarks/measurements/rendering.md.
             InstructionSet::Avx512 => unsafe { self.cast_avx512(source, out) },
             #[cfg(target_arch = "x86_64")]
-            // SAFETY: as above.
+            // SAFETY: an `InstructionSet` value exists only on a machine that has the instructions of that set.
             InstructionSet::Avx2 => unsafe { self.cast_avx2(source, out) },
             InstructionSet::Portable | InstructionSet::Neon => {
                 self.cast((portable::Portable, portable::Portable), source, out)
@@ -165,7 +169,7 @@ impl<'a> Packets<'a> {
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
     fn cast_avx512<O: Out>(&self, source: Source, out: O) -> CastStats {
-        // SAFETY: this function runs only where the machine has the instructions.
+        // SAFETY: this function runs only on a machine with the instructions of its target features.
         let l = Pair(unsafe { avx512::Avx512::new(gathers_pay(self.simd)) });
         self.cast((l, l), source, out)
     }
@@ -173,13 +177,13 @@ impl<'a> Packets<'a> {
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
     fn cast_avx2<O: Out>(&self, source: Source, out: O) -> CastStats {
-        // SAFETY: this function runs only where the machine has the instructions.
+        // SAFETY: this function runs only on a machine with the instructions of its target features.
         let l = Pair(unsafe { avx2::Avx2::new(false) });
         // Benchmark: benchmarks/measurements/rendering.md.
         self.cast((Pair(l), l), source, out)
     }
 
-    /// Searches with the first lanes and shades in the second.
+    /// Search in the first lanes and shade in the second lanes.
     #[inline(always)]
     fn cast<L: Lanes, S: Lanes, O: Out>(&self, l: (L, S), source: Source, out: O) -> CastStats {
         let scene = &self.scene;

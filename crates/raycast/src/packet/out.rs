@@ -1,4 +1,4 @@
-//! Where packets write what their rays have gathered.
+//! Outputs of packets for the gathered rays.
 
 use std::ops::Range;
 
@@ -8,19 +8,19 @@ use super::{
 };
 use crate::composite::Gathered;
 
-/// The pixels of a band.
+/// Pixels of a band.
 pub(super) trait Out {
-    /// True if first walls are asked for.
+    /// Whether the output needs first walls.
     const HITS: bool;
 
-    /// Writes the pixels of some lanes.
+    /// Write the pixels of some lanes.
     fn write<L: Lanes>(&mut self, l: L, packet: &Packet<L>, lanes: u32);
 
-    /// Writes pixels that have no ray.
+    /// Write pixels that have no ray.
     fn write_nothing(&mut self, pixels: Range<usize>);
 }
 
-/// 8-bit colours over a background.
+/// Output of 8-bit colours over a background.
 pub(super) struct Rgb8<'a> {
     pub rgb: &'a mut [u8],
     pub background: [f32; 3],
@@ -31,7 +31,7 @@ impl Out for Rgb8<'_> {
 
     #[inline(always)]
     fn write<L: Lanes>(&mut self, l: L, packet: &Packet<L>, lanes: u32) {
-        // As in `Gathered::to_rgb8`; its cast saturates.
+        // Same conversion as in `Gathered::to_rgb8`, whose cast saturates.
         let mut rgb = [[0; MAX_LANES]; 3];
         for c in 0..3 {
             let v = l.fma(
@@ -60,7 +60,7 @@ impl Out for Rgb8<'_> {
     }
 }
 
-/// All that is gathered, first walls included.
+/// Output of everything that rays gather, including first walls.
 pub(super) struct Walls<'a>(pub &'a mut [Gathered]);
 
 impl Out for Walls<'_> {
@@ -69,7 +69,8 @@ impl Out for Walls<'_> {
     #[inline(always)]
     fn write<L: Lanes>(&mut self, l: L, packet: &Packet<L>, lanes: u32) {
         let pixel = l.store_i(packet.pixel);
-        // No closure holds the stores: it would be compiled without the instruction set, one call for each.
+        // The stores are not in a closure, because a closure would be compiled without the instruction set, with a call
+        // for each store.
         let mut rgb = [[0.0; MAX_LANES]; 3];
         for c in 0..3 {
             rgb[c] = l.store(packet.rgb[c]);

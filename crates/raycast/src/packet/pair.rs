@@ -1,14 +1,15 @@
-//! Two registers of rays as one: twice the rays for each decision, and operations that do not wait for each other.
+//! Pairs of registers used as one: twice the rays for each branch, and independent operations that the processor can
+//! overlap.
 
 use std::sync::atomic::AtomicI32;
 
 use super::lanes::{Array, Lanes, MAX_LANES};
 
-/// Two of an instruction set.
+/// Two registers of an instruction set.
 #[derive(Clone, Copy)]
 pub(super) struct Pair<L>(pub L);
 
-/// Each operation in both halves.
+/// Define operations that apply to both halves.
 macro_rules! in_both {
     ($(fn $name:ident($($arg:ident: $kind:ident),*) -> $out:ident;)*) => {$(
         #[inline(always)]
@@ -25,7 +26,7 @@ fn join<T: Copy>(mut low: Array<T>, high: &Array<T>, at: usize) -> Array<T> {
 }
 
 impl<L: Lanes> Pair<L> {
-    /// The parts of a mask, and the number of lanes in the first.
+    /// Return the two halves of a mask, and the number of lanes in the first half.
     #[inline(always)]
     fn parts(mask: u32) -> (u32, u32, usize) {
         let (low, high) = (mask & (u32::MAX >> (32 - L::N)), mask >> L::N);
@@ -139,7 +140,7 @@ impl<L: Lanes> Lanes for Pair<L> {
         base: Self::I,
         offsets: [i32; R],
     ) -> [Self::I; R] {
-        // SAFETY: as promised by the caller.
+        // SAFETY: the caller guarantees for all lanes, and so for each half, that the voxels are in the data.
         let (low, high) = unsafe {
             (
                 self.0.pairs(data, base[0], offsets),
@@ -160,7 +161,7 @@ impl<L: Lanes> Lanes for Pair<L> {
         base: Self::I,
         offsets: [i32; R],
     ) -> [[Self::I; 2]; R] {
-        // SAFETY: as promised by the caller.
+        // SAFETY: the caller guarantees for all lanes, and so for each half, that the voxels are in the data.
         let (low, high) = unsafe {
             (
                 self.0.quads(data, base[0], offsets),
@@ -181,7 +182,7 @@ impl<L: Lanes> Lanes for Pair<L> {
         base: Self::I,
         offsets: [i32; R],
     ) -> [[Self::I; 4]; R] {
-        // SAFETY: as promised by the caller.
+        // SAFETY: the caller guarantees for all lanes, and so for each half, that the numbers are in the data.
         let (low, high) = unsafe {
             (
                 self.0.quadruples(data, base[0], offsets),
@@ -199,25 +200,25 @@ impl<L: Lanes> Lanes for Pair<L> {
 
     #[inline(always)]
     unsafe fn links(self, table: *const AtomicI32, index: Self::I) -> Self::I {
-        // SAFETY: as promised by the caller.
+        // SAFETY: the caller guarantees for all lanes, and so for each half, that the indices are in the table.
         unsafe { [self.0.links(table, index[0]), self.0.links(table, index[1])] }
     }
 
     #[inline(always)]
     unsafe fn voxels(self, data: *const i16, index: Self::I) -> Self::I {
-        // SAFETY: as promised by the caller.
+        // SAFETY: the caller guarantees for all lanes, and so for each half, that the voxels are in the data.
         unsafe { [self.0.voxels(data, index[0]), self.0.voxels(data, index[1])] }
     }
 
     #[inline(always)]
     unsafe fn bytes(self, data: *const u8, index: Self::I) -> Self::I {
-        // SAFETY: as promised by the caller.
+        // SAFETY: the caller guarantees for all lanes, and so for each half, that the bytes are in the data.
         unsafe { [self.0.bytes(data, index[0]), self.0.bytes(data, index[1])] }
     }
 
     #[inline(always)]
     unsafe fn entries(self, table: *const [f32; 4], index: Self::I) -> [Self::F; 4] {
-        // SAFETY: as promised by the caller.
+        // SAFETY: the caller guarantees for all lanes, and so for each half, that the entries are in the table.
         let (low, high) = unsafe {
             (
                 self.0.entries(table, index[0]),

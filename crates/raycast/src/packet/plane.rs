@@ -17,19 +17,20 @@ use super::{
 };
 use crate::{Field, InstructionSet, Window};
 
-/// Rows and columns of a tile (docs/decisions/0103). A row of pixels across an oblique plane meets a row of voxels or two
-/// of its own at each pixel: 256 of them read more lines than the nearest cache holds, 16 of them leave theirs there for
-/// the next row.
+/// Number of rows of a tile; the next constant is the number of columns (docs/decisions/0103).
+///
+/// In an oblique plane, each pixel of a row reads one or two other rows of voxels. 256 pixels read more cache lines
+/// than the nearest cache holds; the lines of 16 pixels stay in the cache for the next row.
 pub(crate) const TILE_ROWS: usize = 64;
 const TILE_COLUMNS: usize = 16;
-/// Where memory is asked for ahead, it is so many rows before it is read (docs/decisions/0103).
+/// Prefetch distance in rows (docs/decisions/0103).
 const ROWS_AHEAD: usize = 8;
 
-/// What all tiles of a plane share.
+/// Data that all tiles of a plane share.
 #[derive(Clone, Copy)]
 pub(crate) struct PlaneTiles<'a> {
     voxels: Voxels<'a>,
-    /// Coordinates of the last voxel, and of the end of the box of the voxels.
+    /// Coordinates of the last voxel; the next field has those of the end of the box of the voxels.
     last: [f32; 3],
     end: [f32; 3],
     along_row: [f32; 3],
@@ -38,18 +39,18 @@ pub(crate) struct PlaneTiles<'a> {
     gathers: bool,
 }
 
-/// Where the pixels of a tile lie.
+/// Position of the pixels of a tile relative to the volume.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Tile {
-    /// All of them at cells of eight voxels.
+    /// All pixels are in cells of eight voxels.
     Between,
-    /// None in the box of the voxels.
+    /// No pixel is in the box of the voxels.
     Outside,
-    /// Anything else.
+    /// Any other position.
     Any,
 }
 
-/// The least and the greatest voxel coordinates at which rows start; `None` with one that is not finite.
+/// Return the smallest and the largest voxel coordinates of the starts of rows; `None` if a coordinate is not finite.
 #[inline(always)]
 fn range_of(starts: &[[f32; 3]]) -> Option<[[f32; 3]; 2]> {
     let (mut least, mut most) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
@@ -72,8 +73,9 @@ fn range_of(starts: &[[f32; 3]]) -> Option<[[f32; 3]; 2]> {
 }
 
 impl<'a> PlaneTiles<'a> {
-    /// `None` where pixels are taken one by one: without AVX2, for volumes beyond 32-bit indices, and for one voxel
-    /// along x.
+    /// Prepare a plane; return `None` if pixels must be sampled one by one.
+    ///
+    /// Pixels are sampled one by one without AVX2, for volumes beyond 32-bit indices, and for one voxel along x.
     pub(crate) fn of(
         field: &Field<'a>,
         along_row: [f32; 3],
@@ -102,21 +104,23 @@ impl<'a> PlaneTiles<'a> {
         }
     }
 
-    /// The same with or without gather instructions, to compare them.
+    /// Select reads with or without gather instructions, to compare both.
     #[cfg(test)]
     pub(crate) fn with_gathers(self, gathers: bool) -> Self {
         Self { gathers, ..self }
     }
 
-    /// Rows of pixels, at most [`TILE_ROWS`], that start at voxel coordinates `starts`; both slices hold zeros.
+    /// Sample rows of pixels, at most [`TILE_ROWS`], that start at voxel coordinates `starts`.
+    ///
+    /// Both output slices must contain zeros.
     pub(crate) fn sample(&self, starts: &[[f32; 3]], grey: &mut [u8], inside: &mut [u8]) {
         match self.simd {
             #[cfg(target_arch = "x86_64")]
-            // SAFETY: the instruction set is only handed out where the machine has it. Benchmark: `carina bench
-            // isoregion`, the oblique slice.
+            // SAFETY: an `InstructionSet` value exists only on a machine that has the instructions of that set.
+            // Benchmark: `carina bench isoregion`, the oblique slice.
             InstructionSet::Avx512 => unsafe { self.sample_avx512(starts, grey, inside) },
             #[cfg(target_arch = "x86_64")]
-            // SAFETY: as above.
+            // SAFETY: an `InstructionSet` value exists only on a machine that has the instructions of that set.
             InstructionSet::Avx2 => unsafe { self.sample_avx2(starts, grey, inside) },
             _ => unreachable!("`of` makes no tiles for it"),
         }
@@ -125,7 +129,7 @@ impl<'a> PlaneTiles<'a> {
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
     fn sample_avx512(&self, starts: &[[f32; 3]], grey: &mut [u8], inside: &mut [u8]) {
-        // SAFETY: this function runs only where the machine has the instructions.
+        // SAFETY: this function runs only on a machine with the instructions of its target features.
         let l = unsafe { avx512::Avx512::new(self.gathers) };
         self.tiles::<_, false>(l, starts, grey, inside);
     }
@@ -133,15 +137,15 @@ impl<'a> PlaneTiles<'a> {
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
     fn sample_avx2(&self, starts: &[[f32; 3]], grey: &mut [u8], inside: &mut [u8]) {
-        // SAFETY: this function runs only where the machine has the instructions.
+        // SAFETY: this function runs only on a machine with the instructions of its target features.
         let l = Pair(unsafe { avx2::Avx2::new(self.gathers) });
         self.tiles::<_, true>(l, starts, grey, inside);
     }
 
-    /// Where the pixels of some columns lie.
+    /// Return the position of the pixels of some columns relative to the volume.
     ///
-    /// A coordinate is `t * along + start` with one rounding, which rises or falls with each of the two: over a tile it
-    /// lies between those at the corners.
+    /// A coordinate is `t * along + start` with one rounding, which is monotonic in both `t` and `start`: over a tile
+    /// it is between the coordinates at the corners.
     #[inline(always)]
     fn place(&self, range: &[[f32; 3]; 2], first_column: usize, last_column: usize) -> Tile {
         let ends = [first_column, last_column].map(|c| c as f32 + 0.5);
@@ -157,7 +161,7 @@ impl<'a> PlaneTiles<'a> {
         if between { Tile::Between } else { Tile::Any }
     }
 
-    /// Voxel coordinates of pixels `t` columns from where a row starts.
+    /// Return the voxel coordinates of the pixels that are `t` columns from the start of a row.
     #[inline(always)]
     fn places<L: Lanes>(&self, l: L, t: L::F, start: &[f32; 3]) -> [L::F; 3] {
         let mut p = [t; 3];
@@ -167,7 +171,7 @@ impl<'a> PlaneTiles<'a> {
         p
     }
 
-    /// Tile by tile; `ASKS` for memory ahead.
+    /// Sample tile by tile; `ASKS` enables prefetches.
     #[inline(always)]
     fn tiles<L: Lanes, const ASKS: bool>(
         &self,
@@ -194,7 +198,7 @@ impl<'a> PlaneTiles<'a> {
                     while column < end {
                         let t = l.add(l.splat(column as f32), centres);
                         if ASKS {
-                            // Rows further down, and at a tile's end those of the tile beside it.
+                            // Prefetch later rows of this tile, and at the tile's end those of the next tile.
                             let soon = row + ROWS_AHEAD;
                             let beside = if soon < starts.len() { 0 } else { TILE_COLUMNS };
                             let t = l.add(t, l.splat(beside as f32));
@@ -205,7 +209,7 @@ impl<'a> PlaneTiles<'a> {
                         let at = row * width + column;
                         if whole {
                             let pixels = at..at + L::N;
-                            // SAFETY: the tile is between voxels.
+                            // SAFETY: `place` has returned `Tile::Between` for this tile.
                             unsafe { self.all(l, p, &mut grey[pixels.clone()]) };
                             inside[pixels].fill(1);
                         } else {
@@ -220,13 +224,15 @@ impl<'a> PlaneTiles<'a> {
         }
     }
 
-    /// Pixels at cells of eight voxels, all of a register.
+    /// Sample pixels that are all in cells of eight voxels; the slice fills a whole register.
     ///
     /// # Safety
-    /// The pixels must lie in a tile that [`Self::place`] finds [`Tile::Between`].
+    ///
+    /// The pixels must be in a tile for which [`Self::place`] returns [`Tile::Between`].
     #[inline(always)]
     unsafe fn all<L: Lanes>(&self, l: L, p: [L::F; 3], grey: &mut [u8]) {
-        // SAFETY: as promised by the caller. Benchmark: as above; without clamps and tests a slice takes a tenth less.
+        // SAFETY: the caller guarantees that the pixels are in cells of eight voxels. Benchmark:
+        // `carina bench isoregion`, the oblique slice; without clamps and tests a slice takes a tenth less.
         let cells = unsafe { self.voxels.cells_between(l, p) };
         let level = self.level(l, self.voxels.value(l, &cells));
         for n in 0..L::N {
@@ -234,10 +240,10 @@ impl<'a> PlaneTiles<'a> {
         }
     }
 
-    /// Pixels anywhere, as many as the slices hold.
+    /// Sample pixels at any position, as many as the slices hold.
     #[inline(always)]
     fn some<L: Lanes>(&self, l: L, p: [L::F; 3], grey: &mut [u8], inside: &mut [u8]) {
-        // True of every number; a coordinate that is none lies nowhere.
+        // True in all lanes. The comparisons below clear lanes outside the box, and lanes with a NaN.
         let mut within = l.less(l.splat(-1.0), l.splat(0.0));
         for a in 0..3 {
             within = l.and(within, l.less(l.splat(f32::NEG_INFINITY), p[a]));
@@ -257,7 +263,7 @@ impl<'a> PlaneTiles<'a> {
         }
     }
 
-    /// As [`Window::grey`].
+    /// Return grey levels; as in [`Window::grey`].
     #[inline(always)]
     fn level<L: Lanes>(&self, l: L, value: L::F) -> Array<i32> {
         let (lo, scale) = self.window.ramp();

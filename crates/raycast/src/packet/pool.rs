@@ -1,4 +1,4 @@
-//! Rays between the lanes: those that search and those that wait for shading.
+//! Storage of rays that are in no lane: rays to search, and rays that wait for shading.
 
 use super::{
     lanes::{Array, Lanes, MAX_LANES, each_lane},
@@ -6,29 +6,32 @@ use super::{
 };
 use crate::{composite::NO_HIT, leap::Start};
 
-/// Rays set up at a time, at least; fewer than 32 more are.
+/// Smallest number of rays that are set up at a time; at most 31 more are set up.
 pub(super) const BATCH: usize = 64;
-/// Rays that a pool holds at most. A batch is set up when none waits to search; then fewer than 96 + 32 wait for shading
-/// and 64 are in lanes, so there are never more than 288. Thirty-two more are for writing whole registers.
+/// Capacity of a pool in rays.
+///
+/// A batch is set up only if no ray waits to be searched; then fewer than 96 + 32 rays wait for shading and 64 are in
+/// lanes, so there are never more than 288. A margin of 32 rays allows stores of whole registers.
 const CAPACITY: usize = 384;
 
-/// The rays in the lanes of an instruction set.
+/// Rays in the lanes of an instruction set.
 #[derive(Clone, Copy)]
 pub(super) struct Packet<L: Lanes> {
     pub delta: [L::F; 3],
     pub rgb: [L::F; 3],
     pub transparency: L::F,
-    /// Where it has met its first wall, as in `Gathered`; kept only by those who ask for it.
+    /// Distance to the first wall, as in `Gathered`; used only if the output needs first walls.
     pub hit: L::F,
-    /// The next sample.
+    /// Next sample.
     pub k: L::I,
     pub end: L::I,
-    /// Place in the band.
+    /// Index of the pixel in the band.
     pub pixel: L::I,
-    /// The sample from which on the map is asked, and the ray's patience (see `leap`).
+    /// Number of the sample at which the map is next looked up; the next field is the number of samples
+    /// between a failed look-up and the next one (see `leap`).
     pub ask_at: L::I,
     pub patience: L::I,
-    /// Lanes that hold a ray.
+    /// Lanes that contain a ray.
     pub occupied: u32,
 }
 
@@ -55,7 +58,7 @@ impl<L: Lanes> Packet<L> {
         !self.occupied & (u32::MAX >> (32 - L::N))
     }
 
-    /// Positions of samples.
+    /// Return the positions of samples.
     #[inline(always)]
     pub(super) fn at(&self, l: L, k: L::I, origin: [f32; 3]) -> [L::F; 3] {
         let t = l.add(l.to_f(k), l.splat(0.5));
@@ -66,7 +69,7 @@ impl<L: Lanes> Packet<L> {
         p
     }
 
-    /// Frees some lanes, whose pixels are written. Gives the sum of their sample numbers.
+    /// Free some lanes whose pixels are written; return the sum of their sample numbers.
     #[inline(always)]
     pub(super) fn finish(&mut self, l: L, lanes: u32) -> u64 {
         let k = l.store_i(self.k);
@@ -77,7 +80,7 @@ impl<L: Lanes> Packet<L> {
     }
 }
 
-/// Rays in memory, each number in an array of its own. The last to come is the first to go.
+/// Stack of rays in memory, with a separate array for each number (last in, first out).
 pub(super) struct Pool {
     len: usize,
     delta: [[f32; CAPACITY]; 3],
@@ -122,7 +125,7 @@ impl Pool {
         self.len == 0
     }
 
-    /// Adds rays that have taken no sample yet, the first `count` of them.
+    /// Add the first `count` of rays that have taken no sample yet.
     #[inline(always)]
     pub(super) fn add(&mut self, rays: &Rays, pixel: &Array<i32>, count: usize, start: Start) {
         let at = self.len;
@@ -144,7 +147,7 @@ impl Pool {
         self.len += count;
     }
 
-    /// Takes rays out of some lanes, which are free then; with `hits` their first walls, too.
+    /// Move rays from some lanes to the pool, which frees the lanes; with `hits` also their first walls.
     #[inline(always)]
     pub(super) fn take_from<L: Lanes>(
         &mut self,
@@ -171,11 +174,11 @@ impl Pool {
         packet.occupied &= !lanes;
     }
 
-    /// Puts rays into free lanes, as many as there are.
+    /// Move rays from the pool to free lanes, as many as there are.
     #[inline(always)]
     pub(super) fn give_to<L: Lanes>(&mut self, l: L, packet: &mut Packet<L>, hits: bool) {
         let mut lanes = packet.free();
-        // The lowest lanes take the rays that are left.
+        // If fewer rays are left than free lanes, the lowest lanes take them.
         while lanes.count_ones() as usize > self.len {
             lanes &= !(1 << lanes.ilog2());
         }

@@ -1,5 +1,7 @@
-//! Eight rays in plain arrays: loops that the compiler turns into whatever vector instructions the target has. It is the
-//! packet kernel of NEON, and on every machine the one that tests compare with the scalar casters.
+//! Instruction set of eight lanes in plain arrays: loops that the compiler translates to the vector instructions of the
+//! target.
+//!
+//! The set is the packet kernel for NEON, and on every machine the kernel that tests compare with the scalar casters.
 
 use std::{
     array::from_fn,
@@ -10,11 +12,11 @@ use super::lanes::{Array, Lanes, MAX_LANES};
 
 const N: usize = 8;
 
-/// No instruction but those that the target has.
+/// Instruction set that needs only the instructions of the target.
 #[derive(Clone, Copy)]
 pub(crate) struct Portable;
 
-/// Each operation lane by lane.
+/// Define operations lane by lane.
 macro_rules! lane_by_lane {
     ($(fn $name:ident($($arg:ident: $type:ty),*) -> $out:ty { $body:expr })*) => {$(
         #[inline(always)]
@@ -54,13 +56,13 @@ fn put<T: Copy>(v: [T; N], mask: u32, out: &mut [T]) {
     let out = &mut out[..N];
     let mut turn = 0;
     for n in 0..N {
-        // A full register has moved all of its lanes by then.
+        // If the register is full, all of its lanes have been moved by then.
         out[turn % N] = v[n];
         turn += (mask >> n & 1) as usize;
     }
 }
 
-/// The lower or the upper half of a pair of int16.
+/// Return the lower and the upper half of a pair of int16.
 #[inline(always)]
 const fn halves(pair: i32) -> (i32, i32) {
     (pair << 16 >> 16, pair >> 16)
@@ -70,7 +72,7 @@ impl Lanes for Portable {
     const N: usize = N;
     type F = [f32; N];
     type I = [i32; N];
-    /// All bits of a lane, or none.
+    /// All bits of a lane set, or none.
     type M = [i32; N];
 
     #[inline(always)]
@@ -134,7 +136,7 @@ impl Lanes for Portable {
         fn less_i(a: i32, b: i32) -> i32 { -i32::from(a < b) }
         fn select_i(mask: i32, yes: i32, no: i32) -> i32 { yes & mask | no & !mask }
 
-        // Saturates, where the other sets give a number that no ray at work ever has.
+        // This cast saturates; the other sets return another number for such values, which no active ray has.
         fn whole(a: f32) -> i32 { a as i32 }
         fn to_f(a: i32) -> f32 { a as f32 }
 
@@ -172,7 +174,8 @@ impl Lanes for Portable {
                 from_fn(
                     #[inline(always)]
                     |n| {
-                        // SAFETY: both voxels lie in the data, as promised by the caller. Benchmark: as in `sampling`.
+                        // SAFETY: the caller guarantees that both voxels are in the data. Benchmark: as for the loads
+                        // in `sampling`.
                         let [a, b] = unsafe {
                             let at = data.offset(base[n] as isize + offset as isize);
                             at.cast::<[i16; 2]>().read_unaligned()
@@ -194,7 +197,8 @@ impl Lanes for Portable {
         offsets.map(
             #[inline(always)]
             |offset| {
-                // SAFETY: all four voxels lie in the data, as promised by the caller. Benchmark: as in `sampling`.
+                // SAFETY: the caller guarantees that all four voxels are in the data. Benchmark: as for the loads in
+                // `sampling`.
                 unsafe { self.pairs(data, base, [offset, offset + 2]) }
             },
         )
@@ -212,7 +216,8 @@ impl Lanes for Portable {
             |offset| {
                 let mut out = [[0; N]; 4];
                 for n in 0..N {
-                    // SAFETY: all eight numbers lie in the data, as promised by the caller. Benchmark: as in `sampling`.
+                    // SAFETY: the caller guarantees that all eight numbers are in the data. Benchmark: as for the loads
+                    // in `sampling`.
                     let numbers = unsafe {
                         let at = data.offset(base[n] as isize + offset as isize);
                         at.cast::<[i16; 8]>().read_unaligned()
@@ -229,25 +234,25 @@ impl Lanes for Portable {
 
     #[inline(always)]
     unsafe fn links(self, table: *const AtomicI32, index: [i32; N]) -> [i32; N] {
-        // SAFETY: the link lies in the table, as promised by the caller. Benchmark: as in `sampling`.
+        // SAFETY: the caller guarantees that the link is in the table. Benchmark: as for the loads in `sampling`.
         index.map(|index| unsafe { &*table.add(index as usize) }.load(Ordering::Acquire))
     }
 
     #[inline(always)]
     unsafe fn voxels(self, data: *const i16, index: [i32; N]) -> [i32; N] {
-        // SAFETY: the voxel lies in the data, as promised by the caller. Benchmark: as in `sampling`.
+        // SAFETY: the caller guarantees that the voxel is in the data. Benchmark: as for the loads in `sampling`.
         index.map(|index| i32::from(unsafe { *data.add(index as usize) }))
     }
 
     #[inline(always)]
     unsafe fn bytes(self, data: *const u8, index: [i32; N]) -> [i32; N] {
-        // SAFETY: the byte lies in the data, as promised by the caller. Benchmark: as in `sampling`.
+        // SAFETY: the caller guarantees that the byte is in the data. Benchmark: as for the loads in `sampling`.
         index.map(|index| i32::from(unsafe { *data.add(index as usize) }))
     }
 
     #[inline(always)]
     unsafe fn entries(self, table: *const [f32; 4], index: [i32; N]) -> [[f32; N]; 4] {
-        // SAFETY: the entry lies in the table, as promised by the caller. Benchmark: as in `sampling`.
+        // SAFETY: the caller guarantees that the entry is in the table. Benchmark: as for the loads in `sampling`.
         let entries = index.map(|index| unsafe { *table.add(index as usize) });
         from_fn(|c| from_fn(|n| entries[n][c]))
     }

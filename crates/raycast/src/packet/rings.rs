@@ -1,7 +1,8 @@
-//! What is fixed to anatomy on a wall: cartilage rings, the membranous wall, colour by region, ridges of forks.
+//! Decoration fixed to the anatomy of a wall: cartilage rings, the membranous wall, colour by region, ridges at
+//! bifurcations.
 //!
-//! It changes the normal that light meets and the colour, and nothing else. Every part is a strength times a change, so
-//! that where a strength is 0 the pixel keeps its bits, whichever pixels share its register.
+//! The decoration changes only the normal used for shading, and the colour. Every effect is a strength times a change,
+//! so a pixel with strength 0 keeps its bits, whichever pixels share its register.
 
 use super::{
     lanes::Lanes,
@@ -10,39 +11,40 @@ use super::{
 };
 use crate::{appearance::Appearance, decoration::Decoration};
 
-/// Height of a ring above the intervals, as part of the rings' distance: some 0.3 mm of 5.6.
+/// Height of a ring above the intervals, as a fraction of the rings' distance: some 0.3 mm of 5.6.
 const HEIGHT: f32 = 0.050;
-/// Half the width of a ring, as part of the rings' distance: 4 mm of 5.6.
+/// Half of the width of a ring, as a fraction of the rings' distance: a ring is 4 mm of 5.6 wide.
 const HALF_WIDTH: f32 = 0.34;
-/// How soft a ring's edge is, as part of the rings' distance.
+/// Width of a ring's soft edge, as a fraction of the rings' distance.
 const EDGE: f32 = 0.24;
-/// How far even and irregular rings stray from their places, as part of their distance.
+/// Largest displacement of regular and of irregular rings, as a fraction of their distance.
 const STRAY: [f32; 2] = [0.09, 0.30];
-/// Cosines of the angle from the middle of the back at which the membranous wall begins and is all there: about a third of
-/// the circumference.
+/// Cosines of the angle from the middle of the back at which the membranous wall begins and is complete.
+///
+/// The membranous wall takes about a third of the circumference.
 const BACK: [f32; 2] = [0.28, 0.70];
-/// Folds of the membranous wall across one radius, and along one ring's distance.
+/// Number of folds of the membranous wall across one radius, and along one ring's distance.
 const FOLDS: [f32; 2] = [9.0, 0.26];
-/// How far folds stray across, in folds.
+/// Sideways displacement of the folds, in folds.
 const WINDING: f32 = 1.6;
 /// Slope of the folds.
 const FOLD: f32 = 0.32;
-/// How far the membranous wall's normal is laid flat.
+/// Strength of the flattening of the membranous wall's normal.
 const FLAT: f32 = 0.60;
 
-/// Change of red, green and blue in the trachea and far from it: yellowish and pale, then redder.
+/// Change of red, green and blue in the trachea and far from it: yellowish and pale in the trachea, redder far from it.
 const HUE: [(f32, f32); 3] = [(0.02, 0.0), (0.13, -0.06), (0.02, -0.05)];
-/// The same between rings, on the membranous wall, on its folds.
+/// Change of red, green and blue between rings, on the membranous wall, and on its folds.
 const BLOOD: [(f32, f32, f32); 3] = [
     (-0.02, 0.01, 0.04),
     (-0.15, -0.09, 0.17),
     (-0.11, -0.06, 0.13),
 ];
 
-/// The place of walls on their airway.
+/// Position of wall points on their airway.
 struct Place<L: Lanes> {
     phase: L::F,
-    /// How the phase grows, per mm, LPS.
+    /// Gradient of the phase per mm, LPS.
     growth: [L::F; 3],
     across: [L::F; 2],
     rings: L::F,
@@ -57,7 +59,9 @@ fn lerp<L: Lanes>(l: L, t: L::F, a: L::F, b: L::F) -> L::F {
     l.fma(t, l.sub(b, a), a)
 }
 
-/// Between the cells round patient points `lps`; strengths are 0 outside the grid. `None` where all are.
+/// Interpolate the cells round patient points `lps`; strengths are 0 outside the grid.
+///
+/// Return `None` if all are 0.
 #[inline(always)]
 fn place<L: Lanes>(l: L, field: &Decoration<'_>, lps: [L::F; 3]) -> Option<Place<L>> {
     let s = |v: f32| l.splat(v);
@@ -79,8 +83,9 @@ fn place<L: Lanes>(l: L, field: &Decoration<'_>, lps: [L::F; 3]) -> Option<Place
     let base = l.add_i(l.mul_i(row, l.splat_i(nx)), cell[0]);
     let base = l.add_i(base, base);
     let step = [2, 2 * nx, 2 * nx * ny].map(|n| l.splat_i(n));
-    // A cell is cut into six tetrahedra: from its first corner along the axis with the most to go, then the next, then the
-    // last. Four corners are read in place of eight, and slopes are differences along that way.
+    // A cell is divided into six tetrahedra. The path through a tetrahedron starts at the cell's first corner and
+    // follows the axis with the largest fraction, then the next, then the last. Four corners are read instead of eight,
+    // and slopes are differences along that path.
     let [x, y, z] = t;
     let (x_y, x_z, y_z) = (l.less(x, y), l.less(x, z), l.less(y, z));
     let (y_first, z_first) = (l.without(x_y, y_z), l.and(x_z, y_z));
@@ -108,8 +113,8 @@ fn place<L: Lanes>(l: L, field: &Decoration<'_>, lps: [L::F; 3]) -> Option<Place
     for half in 0..2 {
         let mut before = s(0.0);
         for n in 0..4 {
-            // SAFETY: a cell's index is at most two below the shape along each axis, and so its other corners lie in the
-            // grid; `Decoration::new` has compared shape and length. Benchmark:
+            // SAFETY: a cell's index is at most two below the shape along each axis, so its other corners are in the
+            // grid; `Decoration::new` has checked that the length matches the shape. Benchmark:
             // benchmarks/measurements/rendering.md.
             let entry = unsafe { l.entries(field.cells.as_ptr().add(half), corners[n]) };
             for c in 0..4 {
@@ -145,19 +150,21 @@ fn place<L: Lanes>(l: L, field: &Decoration<'_>, lps: [L::F; 3]) -> Option<Place
     })
 }
 
-/// What is laid on walls.
+/// Decoration of walls.
 #[derive(Clone, Copy)]
 pub(super) struct Decorated<L: Lanes> {
-    /// Slope of rings and folds, LPS; matt and glossy light both see it.
+    /// Slope of rings and folds, LPS; it affects diffuse light and highlights.
     pub form: [L::F; 3],
-    /// How far the mucosa is paler, 0..1.
+    /// Paleness of the mucosa, 0 to 1.
     pub pale: L::F,
-    /// Factors of the colour's channels, linear.
+    /// Factors of the colour channels, linear.
     pub tint: [L::F; 3],
 }
 
-/// A wall's point of the patient, the normal towards the camera, how far it faces the camera (0..1), and the width of a
-/// pixel there.
+/// Points of walls.
+///
+/// The fields are the position in the patient, the normal towards the camera, the cosine between normal and viewing
+/// direction (0 to 1), and the width of a pixel.
 pub(super) struct Wall<L: Lanes> {
     pub lps: [L::F; 3],
     pub normal: [L::F; 3],
@@ -165,7 +172,9 @@ pub(super) struct Wall<L: Lanes> {
     pub footprint_mm: L::F,
 }
 
-/// Factors of the colour by region. Away from the trachea the mucosa is redder, and wherever no other region is known.
+/// Return the colour factors by region.
+///
+/// Away from the trachea, and where the region is unknown, the mucosa is redder.
 #[inline(always)]
 fn hue<L: Lanes>(l: L, look: &Appearance, proximal: L::F) -> [L::F; 3] {
     let mut factors = [proximal; 3];
@@ -177,7 +186,9 @@ fn hue<L: Lanes>(l: L, look: &Appearance, proximal: L::F) -> [L::F; 3] {
     factors
 }
 
-/// Rings, membranous wall, region and ridge of walls. All is decided by the wall's own point.
+/// Compute rings, membranous wall, colour by region and ridges of walls.
+///
+/// The result depends only on the wall points themselves.
 #[inline(always)]
 pub(super) fn decorate<L: Lanes>(
     l: L,
@@ -195,11 +206,11 @@ pub(super) fn decorate<L: Lanes>(
     };
     let [left, back] = place.across;
     let off = l.sqrt(l.fma(left, left, l.mul(back, back)));
-    // Rings lie on a wall that keeps to the smooth tube; a flat back wall lies nearer to the middle.
+    // Only a wall close to the ideal tube has rings; a flat back wall is nearer to the axis.
     let beyond = smooth(l, l.fma(off, s(-4.0), s(6.2)));
     let proximal = l.mul(place.proximal, beyond);
     let mut tint = hue(l, look, proximal);
-    // The ridge between two daughters is cartilage under thin mucosa.
+    // The ridge between two daughter branches is cartilage under thin mucosa.
     let ridge = l.mul(l.mul(place.spur, s(look.spurs)), beyond);
     // Most walls beyond the lobar bronchi have neither rings nor a membranous wall.
     let either = l.max(
@@ -220,7 +231,7 @@ pub(super) fn decorate<L: Lanes>(
         l.mul(l.sub(cos_back, s(BACK[0])), s(1.0 / (BACK[1] - BACK[0]))),
     );
 
-    // The airway's direction, and a pixel's width along it.
+    // Direction of the airway, and a pixel's width along it in ring distances.
     let (axis, per_mm) = unit(l, place.growth);
     let width = l.div(
         l.mul(wall.footprint_mm, per_mm),
@@ -237,7 +248,7 @@ pub(super) fn decorate<L: Lanes>(
     let ring = smooth(l, inwards);
     let steep = l.mul(l.mul(inwards, l.sub(one, inwards)), l.mul(s(6.0), per_edge));
     let steep = l.select(l.less(t, s(0.0)), steep, l.sub(s(0.0), steep));
-    // Plates in place of rings: some of the round is left out.
+    // Plates instead of rings: parts of the circumference have no cartilage.
     let plates = lerp(
         l,
         place.regular,
@@ -249,14 +260,14 @@ pub(super) fn decorate<L: Lanes>(
     let strength = l.mul(strength, l.mul(on_tube, between));
     let rise = l.mul(l.mul(strength, seen), l.mul(steep, s(HEIGHT)));
     form = along(l, form, rise, axis);
-    // Too far away to be told apart, rings and intervals have one colour.
+    // At a distance where single rings are not visible, rings and intervals have one mean colour.
     let ring = lerp(l, seen, s(2.0 * HALF_WIDTH), ring);
     pale = l.fma(l.mul(strength, ring), s(0.34), pale);
-    // No two intervals are equally red, nor is one all round.
+    // The redness varies between intervals and round the circumference.
     let red = l.fma(skin.mottle, s(0.7), s(0.8));
     let interval = l.mul(l.mul(strength, red), l.sub(one, ring));
 
-    // Folds along the membranous wall, which is flat: across it the normal turns less than on a round tube.
+    // Folds along the membranous wall. The wall is flat, so its normal turns less across the wall than on a round tube.
     let membrane = l.mul(
         l.mul(place.membrane, s(look.membrane)),
         l.mul(at_back, l.mul(on_back, between)),
@@ -264,7 +275,7 @@ pub(super) fn decorate<L: Lanes>(
     let mut fold = s(0.0);
     if l.bits(l.less(s(0.0), membrane)) != 0 {
         let (side, _) = unit(l, [l.sub(s(0.0), axis[2]), s(0.0), axis[0]]);
-        // They wind and merge: what bends them is the mottling, which all walls have.
+        // The folds wind and merge; their displacement is the mottling noise, which all walls have.
         let q = [
             l.fma(left, s(FOLDS[0]), l.mul(skin.mottle, s(WINDING))),
             l.mul(place.phase, s(FOLDS[1])),
@@ -275,7 +286,8 @@ pub(super) fn decorate<L: Lanes>(
         fold = l.mul(l.mul(value, near), membrane);
         let sideways = dot(l, wall.normal, side);
         let turned = l.mul(l.mul(sideways, s(FLAT)), membrane);
-        // Folds lean across the wall, not into it: a wall that faces sideways would be turned from the light.
+        // Folds tilt the normal across the wall, not into it; otherwise a wall seen from the side would turn away from
+        // the light.
         let across = l.fma(l.sub(s(0.0), sideways), sideways, one);
         let lean = l.mul(l.mul(l.mul(slope[0], near), membrane), across);
         let lean = l.fma(lean, s(FOLD), turned);
@@ -283,7 +295,7 @@ pub(super) fn decorate<L: Lanes>(
     }
 
     pale = l.fma(l.mul(ridge, l.sub(one, pale)), s(0.65), pale);
-    // Between rings and on the membranous wall more blood shows.
+    // More blood is visible between rings and on the membranous wall.
     for c in 0..3 {
         let (of_interval, of_membrane, of_fold) = BLOOD[c];
         let blood = l.fma(

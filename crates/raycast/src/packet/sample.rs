@@ -1,13 +1,15 @@
-//! Samples of a packet: read, classified, lit and added; the operations of `Frame::add_sample`, lane by lane.
+//! Samples of a packet: read, classified, shaded and added; the operations of `Frame::add_sample`, lane by lane.
 
 use super::{lanes::Lanes, out::Out, pool::Packet, scene::Scene};
 
 impl Scene<'_> {
-    /// Takes samples `k` and goes on to the next ones. Gives the lanes where a sample added something and those whose ray
-    /// has not ended.
+    /// Take samples `k` and advance to the next ones.
     ///
-    /// In the lanes `take`, `k` is the packet's. Elsewhere it may be anything: where it does not depend on what the last
-    /// samples decided, the next ones are read while these are still being lit.
+    /// Return the lanes whose sample had opacity and the lanes whose ray has not ended.
+    ///
+    /// In the lanes `take`, `k` must be the packet's next sample. In the other lanes it may be any number; if it does
+    /// not depend on the result of the previous samples, the processor can read the next samples while the previous
+    /// ones are still being shaded.
     #[inline(always)]
     pub(super) fn take_samples<L: Lanes, O: Out, const SHADED: bool, const NEAREST: bool>(
         &self,
@@ -23,24 +25,24 @@ impl Scene<'_> {
         (lit, l.without(l.less_i(packet.k, packet.end), opaque))
     }
 
-    /// Reads the samples `k` and tells where they are surely clear.
+    /// Read the samples `k`; return the lanes whose sample is certainly clear.
     #[inline(always)]
     pub(super) fn clear_samples<L: Lanes>(&self, l: L, packet: &Packet<L>) -> L::M {
         let cells = self
             .voxels
             .cells(l, packet.at(l, packet.k, self.frame.origin3()));
         let n = self.entry_of(l, self.voxels.value(l, &cells));
-        // All entries before the first visible one have no opacity.
+        // Entries before the first visible one have no opacity.
         l.less_i(n, l.splat_i(self.frame.table.first_visible))
     }
 
-    /// Entries of the transfer table for sampled values; as in `TransferTable::at`.
+    /// Return the index in the transfer table for sampled values; as in `TransferTable::at`.
     #[inline(always)]
     fn entry_of<L: Lanes>(&self, l: L, value: L::F) -> L::I {
         self.entry_of_hu(l, l.whole(l.floor(l.add(value, l.splat(0.5)))))
     }
 
-    /// The same for integers; as in `TransferTable::at_hu`.
+    /// Return the index in the transfer table for integers; as in `TransferTable::at_hu`.
     #[inline(always)]
     fn entry_of_hu<L: Lanes>(&self, l: L, hu: L::I) -> L::I {
         let table = self.frame.table;
@@ -48,7 +50,9 @@ impl Scene<'_> {
         l.max_i(l.min_i(n, l.splat_i(table.last)), l.splat_i(0))
     }
 
-    /// Reads the samples `k` and adds them in the lanes `take`. Gives the lanes where a sample added something.
+    /// Read the samples `k` and add them in the lanes `take`.
+    ///
+    /// Return the lanes whose sample had opacity.
     #[inline(always)]
     fn add_samples<L: Lanes, O: Out, const SHADED: bool, const NEAREST: bool>(
         &self,
@@ -73,18 +77,20 @@ impl Scene<'_> {
             };
             self.entry_of(l, value)
         };
-        // All entries before the first visible one have no opacity. In shading hardly ever all lanes are clear.
+        // Entries before the first visible one have no opacity. During shading, the case that all lanes are clear is
+        // rare.
         let visible = l.without(take, l.less_i(n, l.splat_i(self.frame.table.first_visible)));
         if !SHADED && l.bits(visible) == 0 {
             return visible;
         }
-        // SAFETY: 0 ..= `last` in all lanes; `last` is the last entry. Benchmark: benchmarks/measurements/rendering.md.
+        // SAFETY: the index is in 0 ..= `last` in all lanes, and `last` is the index of the last entry. Benchmark:
+        // benchmarks/measurements/rendering.md.
         let [r, g, b, alpha] = unsafe { l.entries(self.frame.table.entries.as_ptr(), n) };
         let lit = l.and(take, l.less(l.splat(0.0), alpha));
         let mut rgb = [r, g, b];
         if let (true, Some(light)) = (SHADED, &self.frame.options.light) {
             let facing = self.facing(l, &packet.delta, gradient);
-            // As in `Light::shares`.
+            // Same computation as in `Light::shares`.
             let mut highlight = facing;
             for _ in 0..light.shininess_log2 {
                 highlight = l.mul(highlight, highlight);
@@ -107,10 +113,10 @@ impl Scene<'_> {
         }
         let through = l.mul(packet.transparency, l.sub(l.splat(1.0), alpha));
         if O::HITS {
-            // As in `Gathered::cross`.
+            // Same computation as in `Gathered::cross`.
             let (half, before) = (l.splat(0.5), packet.transparency);
             let crossed = l.without(l.and(lit, l.less(through, half)), l.less(before, half));
-            // Once in a ray's life.
+            // A crossing happens once per ray.
             if l.bits(crossed) != 0 {
                 let part = l.div(l.sub(before, half), l.sub(before, through));
                 packet.hit = l.select(crossed, l.add(l.to_f(k), part), packet.hit);
@@ -120,7 +126,7 @@ impl Scene<'_> {
         lit
     }
 
-    /// Cosines between surface normals and rays, without sign; as in `Frame::facing`.
+    /// Return the absolute cosines between surface normals and rays; as in `Frame::facing`.
     #[inline(always)]
     fn facing<L: Lanes>(&self, l: L, delta: &[L::F; 3], g: [L::F; 3]) -> L::F {
         let along = l.fma(g[2], delta[2], l.fma(g[1], delta[1], l.mul(g[0], delta[0])));

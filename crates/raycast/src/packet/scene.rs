@@ -1,4 +1,4 @@
-//! What all packets of a picture share, and which leaps they take.
+//! Data that all packets of a picture share, and the kinds of leaps.
 
 use carina_isoregion::SegmentTable;
 
@@ -8,24 +8,24 @@ use crate::{
     leap::{Price, Start},
 };
 
-/// No leaps.
+/// Kind: no leaps.
 pub(super) const BRUTE: u8 = 0;
-/// Leaps over transparent classes.
+/// Kind: leaps over transparent classes.
 pub(super) const TRANSPARENT: u8 = 1;
-/// Leaps over all classes by the step table.
+/// Kind: leaps over all classes by the step table.
 pub(super) const CLASSES: u8 = 2;
 
-/// What all packets of a picture share.
+/// Data that all packets of a picture share.
 #[derive(Clone, Copy)]
 pub(super) struct Scene<'a> {
     pub frame: &'a Frame<'a>,
     pub voxels: Voxels<'a>,
-    /// Empty for brute force.
+    /// Radius map; empty for brute force.
     pub radius: &'a [u8],
-    /// Empty unless all classes are leaped, like the step table.
+    /// Labels; like the step table, empty unless all classes are leaped.
     pub labels: &'a [u8],
     pub segments: &'a SegmentTable,
-    /// What a leap may reach beyond the radius.
+    /// Distance in voxels by which a leap may exceed the radius.
     pub margin: f32,
     pub start: Start,
     pub price: Price,

@@ -1,5 +1,6 @@
-//! Rays of many pixels at once: the operations of [`Frame::ray`] in loops that the compiler turns into vector
-//! instructions, since f64 is enough work here to need them (a seventh of a frame when done ray by ray).
+//! Set-up of the rays of many pixels at once: the operations of [`Frame::ray`] in loops that the compiler vectorises.
+//!
+//! The set-up uses f64 and takes a seventh of a frame's time if it is done ray by ray.
 
 use std::ops::Range;
 
@@ -13,15 +14,17 @@ pub(super) struct Rays {
     pub end: Array<i32>,
 }
 
-/// Steps of rays in camera space, mm, by axis; all 0 where a lens or a mask leaves a pixel without a ray.
+/// Steps of rays in camera space, mm, by axis; all 0 for a pixel that a lens or a mask leaves without a ray.
 #[derive(Clone, Copy)]
 pub(super) struct Directions([[f64; MAX_LANES]; 3]);
 
-/// Some columns of some rows.
+/// Range of columns and range of rows of a picture.
 pub(super) type Patch = (Range<usize>, Range<usize>);
 
 impl Directions {
-    /// Those of some patches, one after the other and each row by row: no more pixels than there are lanes.
+    /// Compute the directions of some patches, one after the other and each row by row.
+    ///
+    /// There must be at most as many pixels as lanes.
     #[inline(always)]
     pub(super) fn of(frame: &Frame<'_>, patches: impl Iterator<Item = Patch>) -> Self {
         let camera = frame.camera();
@@ -65,13 +68,13 @@ impl Directions {
         directions
     }
 
-    /// True if no lane has a ray.
+    /// Return true if no lane has a ray.
     #[inline(always)]
     pub(super) fn are_none(&self) -> bool {
         self.0.iter().flatten().all(|&d| d == 0.0)
     }
 
-    /// Steps of the rays in voxels along an axis.
+    /// Return the steps of the rays in voxels along an axis.
     #[inline(always)]
     fn along(&self, frame: &Frame<'_>, axis: usize) -> [f64; MAX_LANES] {
         let [mx, my, mz, _] = frame.ijk_from_camera.rows()[axis];
@@ -84,7 +87,9 @@ impl Directions {
     }
 }
 
-/// Numbers from the first one on, each so much greater than the one before. In fours, as in `scaled`.
+/// Fill `to` with numbers from `first` on in steps of `by`.
+///
+/// Four at a time, as in `scaled`.
 #[inline(always)]
 pub(super) fn count_up(to: &mut [i32], mut first: i32, by: i32) {
     let (fours, rest) = to.as_chunks_mut::<4>();
@@ -100,7 +105,9 @@ pub(super) fn count_up(to: &mut [i32], mut first: i32, by: i32) {
     }
 }
 
-/// Numbers times a factor. Four at a time: for fewer, a loop costs more than its operations.
+/// Multiply numbers by a factor.
+///
+/// Four at a time: for fewer, the loop costs more than its operations.
 #[inline(always)]
 fn scaled(to: &mut [f64], from: &[f32], factor: f64) {
     let (to, to_rest) = to.as_chunks_mut::<4>();
@@ -115,7 +122,7 @@ fn scaled(to: &mut [f64], from: &[f32], factor: f64) {
     }
 }
 
-/// Steps of rays in voxels.
+/// Return the steps of rays in voxels.
 #[inline(always)]
 pub(super) fn deltas_of(frame: &Frame<'_>, directions: &Directions) -> [Array<f32>; 3] {
     let mut delta = [[0.0; MAX_LANES]; 3];
@@ -128,7 +135,7 @@ pub(super) fn deltas_of(frame: &Frame<'_>, directions: &Directions) -> [Array<f3
     delta
 }
 
-/// Rays in these directions; as in [`Frame::ray`] and `clip_line_to_box`.
+/// Set up rays in these directions; as in [`Frame::ray`] and `clip_line_to_box`.
 #[inline(always)]
 pub(super) fn rays_of(frame: &Frame<'_>, directions: &Directions) -> Rays {
     let shape = frame.grid.shape_ijk();
@@ -141,7 +148,8 @@ pub(super) fn rays_of(frame: &Frame<'_>, directions: &Directions) -> Rays {
         (lo..=hi).contains(&frame.origin_ijk[a])
     });
     if is_inside {
-        // The nearer face of each axis lies behind the camera, or in it: every ray starts at 0, and one division is enough.
+        // The camera is in the box, so the nearer face of each axis is behind the camera or at it: every ray starts at
+        // 0, and one division is enough.
         for a in 0..3 {
             let d = directions.along(frame, a);
             let origin = frame.origin_ijk[a];
@@ -157,7 +165,7 @@ pub(super) fn rays_of(frame: &Frame<'_>, directions: &Directions) -> Rays {
         }
         for n in 0..MAX_LANES {
             let to = (t_out[n] + 0.5).floor().max(0.0) as i32;
-            // What stands still along all axes is no ray.
+            // A direction that does not advance along any axis is no ray.
             end[n] = if t_out[n] < f64::INFINITY { to } else { 0 };
         }
         return Rays { delta, first, end };
@@ -167,7 +175,7 @@ pub(super) fn rays_of(frame: &Frame<'_>, directions: &Directions) -> Rays {
         let d = directions.along(frame, a);
         let origin = frame.origin_ijk[a];
         let (lo, hi) = box_of(a);
-        // An axis along which a ray stands still holds it for ever, or never.
+        // On an axis along which a ray does not advance, the ray is always inside the range or never.
         let still = if (lo..=hi).contains(&origin) {
             f64::INFINITY
         } else {
@@ -186,7 +194,7 @@ pub(super) fn rays_of(frame: &Frame<'_>, directions: &Directions) -> Rays {
         }
     }
     for n in 0..MAX_LANES {
-        // What lies behind the camera starts at 0. `Packets::of` has checked that no ray has 2^30 steps.
+        // The part behind the camera starts at 0. `Packets::of` has checked that no ray has 2^30 steps.
         let hit = t_in[n] <= t_out[n];
         let from = (t_in[n] - 0.5).ceil().max(0.0) as i32;
         let to = (t_out[n] + 0.5).floor().max(0.0) as i32;

@@ -1,4 +1,4 @@
-//! Slopes of walls read from bricks, lane by lane.
+//! Wall slopes read from bricks, lane by lane.
 
 use super::{
     bricks::Reader,
@@ -9,7 +9,9 @@ use crate::{
     bricks::{NormalBricks, STRIDE},
 };
 
-/// Slopes of a volume round positions in voxels, interpolated from those at voxels: per voxel axis, in HU over the reach.
+/// Return the slopes of a volume round positions in voxels, interpolated from those at voxels.
+///
+/// The slopes are per voxel axis, in HU over the reach.
 #[inline(always)]
 pub(crate) fn rise<L: Lanes>(
     l: L,
@@ -44,7 +46,9 @@ pub(crate) fn rise<L: Lanes>(
     slope
 }
 
-/// The same where not all bricks can be kept: those that are not are worked out for each lane that asks.
+/// Return the slopes if not all bricks can be stored.
+///
+/// A brick that is not stored is computed again for each lane that needs it.
 #[cold]
 #[inline(never)]
 fn one_by_one(

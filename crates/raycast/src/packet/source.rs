@@ -1,4 +1,4 @@
-//! Where the rays of a band come from.
+//! Source of the rays of a band.
 
 use super::{
     lanes::MAX_LANES,
@@ -8,17 +8,17 @@ use super::{
 };
 use crate::{Frame, leap::Start};
 
-/// Rows of a picture that are cast together: packets cover squares of pixels.
+/// Number of rows of a picture that are cast together, so that packets cover squares of pixels.
 pub(crate) const BAND_ROWS: usize = 4;
-/// Rays of a patch of pixels, at most: the lanes of a packet with AVX2, half of those with AVX-512.
+/// Largest number of rays of a patch of pixels: the lanes of a packet with AVX2, half of those with AVX-512.
 const PATCH: usize = MAX_LANES / 2;
 
-/// The rays of a band of rows that are not set up yet: patch by patch, so that a packet covers a square of pixels.
+/// Rays of a band of rows that are not set up yet: patch by patch, so that a packet covers a square of pixels.
 pub(super) struct Source {
     width: usize,
     first_row: usize,
     num_rows: usize,
-    /// Place of the next rays in the band.
+    /// Position of the next rays in the band.
     column: usize,
     row: usize,
     sum_of_first: u64,
@@ -45,12 +45,12 @@ impl Source {
         self.row == self.num_rows
     }
 
-    /// Sum of the first sample numbers of the rays set up so far.
+    /// Return the sum of the first sample numbers of the rays set up so far.
     pub(super) fn sum_of_first(&self) -> u64 {
         self.sum_of_first
     }
 
-    /// The next pixels of the band: a square of them in a band of four rows. Empty at the end.
+    /// Return the next pixels of the band, a square of them in a band of four rows; empty at the end.
     #[inline(always)]
     fn next_patch(&mut self) -> Patch {
         let num_rows = (self.num_rows - self.row).min(BAND_ROWS);
@@ -64,7 +64,9 @@ impl Source {
         (columns, rows)
     }
 
-    /// Sets rays up in an empty pool. Where none of some pixels has a ray, `out` is told at once.
+    /// Set up rays in an empty pool.
+    ///
+    /// If none of the pixels of a patch has a ray, write these pixels to `out` at once.
     #[inline(always)]
     pub(super) fn set_up<O: Out>(
         &mut self,

@@ -1,4 +1,4 @@
-//! The texture of mucosa: mottling, vessels and micro relief out of noise, which stay on the tissue.
+//! Texture of mucosa: mottling, vessels and fine relief from noise that is fixed to the tissue.
 
 use std::array::from_fn;
 
@@ -8,14 +8,14 @@ use super::{
 };
 use crate::appearance::Appearance;
 
-/// Cells of the texture's noise per mm: mottling, coarse and fine micro relief.
+/// Noise cells of the texture per mm: of the mottling here, of the coarse and of the fine relief in the next constants.
 const MOTTLE_PER_MM: f32 = 0.23;
 pub(super) const WRINKLES_PER_MM: f32 = 0.45 * RELIEF_PER_MM;
 const RELIEF_PER_MM: f32 = 1.9;
-/// Half the width of a vessel's stem and of a branch where it leaves, mm.
+/// Half of the width of a vessel's stem, mm; the next constant is that of a branch where it leaves the stem.
 const VESSEL_MM: f32 = 0.17;
 const BRANCH_MM: f32 = 0.12;
-/// Slope of the micro relief.
+/// Slope of the fine relief.
 const RELIEF: f32 = 0.11;
 
 #[inline(always)]
@@ -23,13 +23,15 @@ fn lerp<L: Lanes>(l: L, t: L::F, a: L::F, b: L::F) -> L::F {
     l.fma(t, l.sub(b, a), a)
 }
 
-/// x (2 x + 1), which permutes 32-bit numbers.
+/// Return x (2 x + 1), a permutation of the 32-bit numbers.
 #[inline(always)]
 fn mix<L: Lanes>(l: L, x: L::I) -> L::I {
     l.mul_i(x, l.add_i(l.add_i(x, x), l.splat_i(1)))
 }
 
-/// A number -1..1 for a corner of the lattice. Mixed twice, the high bits have no pattern that an eye finds.
+/// Return a pseudo-random number from -1 to 1 for a corner of the lattice.
+///
+/// After two mixing steps the high bits show no visible pattern.
 #[inline(always)]
 fn corner<L: Lanes>(l: L, at: [[L::I; 2]; 3], [i, j, k]: [usize; 3]) -> L::F {
     let sum = l.add_i(l.add_i(at[0][i], at[1][j]), at[2][k]);
@@ -37,10 +39,10 @@ fn corner<L: Lanes>(l: L, at: [[L::I; 2]; 3], [i, j, k]: [usize; 3]) -> L::F {
     l.mul(l.to_f(mixed), l.splat(1.0 / 2_147_483_648.0))
 }
 
-/// Noise of the integer lattice, -1..1, and its slope; smooth to the second derivative.
+/// Return the noise of the integer lattice, -1 to 1, and its gradient; it is smooth to the second derivative.
 #[inline(always)]
 pub(super) fn noise<L: Lanes>(l: L, q: [L::F; 3], seed: i32) -> (L::F, [L::F; 3]) {
-    // Odd numbers without a pattern.
+    // Multipliers of the hash of a lattice point: odd numbers without a pattern in their bits.
     const PRIMES: [i32; 3] = [
         0x0019_660d_u32 as i32,
         0x9e37_79b1_u32 as i32,
@@ -98,32 +100,35 @@ pub(super) fn noise<L: Lanes>(l: L, q: [L::F; 3], seed: i32) -> (L::F, [L::F; 3]
     (lerp(l, t[2], near, far), slopes)
 }
 
-/// The texture of a wall at a point of the patient.
+/// Texture of a wall at a point of the patient.
 #[derive(Clone, Copy)]
 pub(super) struct Texture<L: Lanes> {
-    /// Factors of the colour's channels, linear.
+    /// Factors of the colour channels, linear.
     pub tint: [L::F; 3],
-    /// Slope of the micro relief, LPS.
+    /// Slope of the fine relief, LPS.
     pub relief: [L::F; 3],
-    /// How thick the film of mucus is, 0..1.
+    /// Thickness of the film of mucus, 0 to 1.
     pub film: L::F,
-    /// The mottling's noise, -1..1, whatever its strength.
+    /// Noise of the mottling, -1 to 1, independent of the mottling's strength.
     pub mottle: L::F,
-    /// The noise of the coarse relief, -1..1, and its slope per cell of its lattice, whatever its strength.
+    /// Noise of the coarse relief, -1 to 1, and its gradient per cell of its lattice, independent of the relief's
+    /// strength.
     pub bumps: (L::F, [L::F; 3]),
 }
 
-/// The lattice lies askew in the patient, so that no row of it runs along an airway.
+/// Rotation from the patient's axes to the noise lattice, so that no row of the lattice runs along an airway.
 pub(super) const ASKEW: [[f32; 3]; 3] = [[0.36, 0.48, -0.8], [-0.8, 0.60, 0.0], [0.48, 0.64, 0.60]];
 
-/// 1 while a cell of the lattice has 2 pixels or more, 0 when it has less than one.
+/// Return the visibility of the noise: 1 while a cell of the lattice covers 2 pixels or more, 0 below one pixel.
 #[inline(always)]
 pub(super) fn sharp<L: Lanes>(l: L, footprint_mm: L::F, per_mm: f32) -> L::F {
     let cells = l.mul(footprint_mm, l.splat(per_mm));
     smooth(l, l.fma(cells, l.splat(-2.0), l.splat(2.0)))
 }
 
-/// How much of a line of half a width `half_mm`, 0..1, is where noise of the slope `steep_per_mm` has the value `web`.
+/// Return the coverage, 0 to 1, by a line of half-width `half_mm` along the zeros of a noise.
+///
+/// `web` is the value of the noise and `steep_per_mm` the length of its gradient.
 #[inline(always)]
 fn line<L: Lanes>(
     l: L,
@@ -136,13 +141,14 @@ fn line<L: Lanes>(
     let width = l.max(half_mm, l.mul(footprint_mm, s(0.7)));
     let per_width = l.div(s(1.0), width);
     let near = smooth(l, l.sub(s(1.0), l.mul(off_mm, per_width)));
-    // Thin vessels seen from afar are paler, not wider.
+    // Thin vessels at a distance become paler, not wider.
     l.mul(near, l.mul(half_mm, per_width))
 }
 
-/// How much of a vessel, 0..1, is where the noise of mottling and wrinkles has these values and slopes: stems on zero
-/// lines of the one, branches on those of the other, which leave a stem to one side and taper. No noise of their own:
-/// it would cost more than all else of them.
+/// Return the coverage by a vessel, 0 to 1, from the values and gradients of the noises of mottling and wrinkles.
+///
+/// Stems follow the zeros of the mottling; branches follow the zeros of the wrinkles, leave a stem to one side and
+/// taper. A separate noise for vessels would cost more than the rest of the function.
 #[inline(always)]
 fn vessel<L: Lanes>(
     l: L,
@@ -152,7 +158,7 @@ fn vessel<L: Lanes>(
 ) -> L::F {
     let s = |v: f32| l.splat(v);
     let (bend_steep, fold_steep) = (l.sqrt(dot(l, bend, bend)), l.sqrt(dot(l, fold, fold)));
-    // Where noise is flat there is a patch in place of a line, which is left out.
+    // A flat noise would give a patch instead of a line; such patches are left out.
     let stem = line(
         l,
         (mottle, l.mul(bend_steep, s(MOTTLE_PER_MM))),
@@ -173,13 +179,15 @@ fn vessel<L: Lanes>(
         smooth(l, l.mul(mottle, s(12.0))),
         smooth(l, l.add(taper, taper)),
     );
-    // They come and go along a line, so that none is closed.
+    // Vessels appear and disappear along a line, so that no line is a closed ring.
     let shown = smooth(l, l.fma(bend[0], s(1.4), s(0.4)));
     l.mul(l.max(stem, l.mul(branch, beside)), shown)
 }
 
-/// Reads the texture at patient points `lps` (mm). It depends on the point alone, so it stays on the tissue when the scope
-/// moves; detail finer than `footprint_mm`, the width of a pixel there, fades out.
+/// Compute the texture at patient points `lps` (mm).
+///
+/// The texture depends on the point alone, so it stays on the tissue when the scope moves; detail finer than
+/// `footprint_mm`, the width of a pixel there, fades out.
 #[inline(always)]
 pub(super) fn texture<L: Lanes>(
     l: L,
@@ -210,7 +218,7 @@ pub(super) fn texture<L: Lanes>(
     for a in 0..3 {
         relief[a] = l.fma(slope[a], fine, l.mul(coarse[a], wide));
     }
-    // Back from the lattice: its turn is its inverse's transpose.
+    // Rotation from the lattice to the patient: the inverse of a rotation is its transpose.
     let back = from_fn::<_, 3, _>(|x| from_fn(|a| ASKEW[a][x]));
     let film = l.fma(l.mul(grain, fine), s(1.2), l.fma(mottle, s(0.35), s(0.75)));
     Texture {

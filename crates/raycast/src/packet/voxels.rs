@@ -1,25 +1,26 @@
-//! Reading a volume for a packet of rays: the operations of [`crate::sampling`], lane by lane.
+//! Reads of a volume for a packet of rays: the operations of [`crate::sampling`], lane by lane.
 
 use super::{bricks::Reader, lanes::Lanes};
 use crate::{Field, Frame, SampleBricks};
 
-/// The longest axis for which positions and the guard of a leap are what the kernel relies on.
+/// Longest axis for which the accuracy of positions and the margin of a leap are sufficient for this kernel.
 const LONGEST_AXIS: f32 = 65_535.0;
 
-/// A volume whose voxels 32-bit indices reach.
+/// Volume whose voxels have 32-bit indices.
 #[derive(Clone, Copy)]
 pub(super) struct Voxels<'a> {
     data: &'a [i16],
     last: [f32; 3],
     last_cell: [i32; 3],
     stride: [i32; 3],
-    /// Place of voxel (1, 1, 1) if its cell has neighbours on all sides.
+    /// Index of voxel (1, 1, 1) if its cell has neighbours on all sides.
     inner: Option<i32>,
     samples: Option<Reader<'a, SampleBricks>>,
 }
 
-/// A cell of eight voxels and the place in it, for each lane. Every lane's cell lies in the volume, also that of a lane
-/// that is at rest.
+/// Cell of eight voxels and a position in it, for each lane.
+///
+/// Every lane's cell is in the volume, also in lanes that are not active.
 #[derive(Clone, Copy)]
 pub(super) struct Cells<L: Lanes> {
     ijk: [L::I; 3],
@@ -27,12 +28,13 @@ pub(super) struct Cells<L: Lanes> {
     t: [L::F; 3],
 }
 
-/// What a value and its gradient take.
+/// Numbers that a value and its gradient need.
 struct Rows<L: Lanes> {
     /// The four rows of the cell, four voxels each.
     own: [[L::I; 4]; 4],
-    /// The rows before and after it, two voxels each as a pair: along y at the lower and the upper z, along z at the lower
-    /// and the upper y.
+    /// Rows before and after the cell, two voxels each as a pair.
+    ///
+    /// The rows along y are at the lower and the upper z, the rows along z at the lower and the upper y.
     beside: [L::I; 8],
 }
 
@@ -41,20 +43,21 @@ fn lerp<L: Lanes>(l: L, t: L::F, a: L::F, b: L::F) -> L::F {
     l.fma(t, l.sub(b, a), a)
 }
 
-/// Between the two voxels of a pair.
+/// Interpolate between the two voxels of a pair.
 #[inline(always)]
 fn lerp_pair<L: Lanes>(l: L, t: L::F, pair: L::I) -> L::F {
     l.fma(t, l.to_f(l.rise(pair)), l.to_f(l.first(pair)))
 }
 
-/// Between integers.
+/// Interpolate between integers.
 #[inline(always)]
 fn lerp_ints<L: Lanes>(l: L, t: L::F, a: L::I, b: L::I) -> L::F {
     l.fma(t, l.to_f(l.sub_i(b, a)), l.to_f(a))
 }
 
 impl<'a> Voxels<'a> {
-    /// `None` for a volume too large for 32-bit indices, or one with a single voxel along x, which has no pairs.
+    /// Prepare a volume; return `None` for a volume too large for 32-bit indices, or with one voxel along x, which has
+    /// no pairs.
     pub(super) fn of(field: &Field<'a>) -> Option<Self> {
         let [x, y, z, _] = field.last;
         let fits = field.data.len() >= 4
@@ -74,14 +77,14 @@ impl<'a> Voxels<'a> {
         })
     }
 
-    /// The same with values and gradients read from the volume's bricks, where there are any.
+    /// Read values and gradients from the bricks of the frame's volume, if it has any.
     pub(super) fn reading(self, frame: &'a Frame<'a>) -> Self {
         let bricks = frame.samples.as_deref();
         let samples = bricks.map(|bricks| Reader::of(&frame.field, bricks));
         Self { samples, ..self }
     }
 
-    /// Coordinates held in `0 ..= last`; NaN becomes 0.
+    /// Clamp coordinates to `0 ..= last`; NaN becomes 0.
     #[inline(always)]
     fn clamp<L: Lanes>(&self, l: L, p: [L::F; 3]) -> [L::F; 3] {
         let mut x = p;
@@ -98,7 +101,7 @@ impl<'a> Voxels<'a> {
         l.add_i(i, l.add_i(row, slice))
     }
 
-    /// The cells that hold points, clamped to the volume.
+    /// Return the cells that contain points, clamped to the volume.
     #[inline(always)]
     pub(super) fn cells<L: Lanes>(&self, l: L, p: [L::F; 3]) -> Cells<L> {
         let mut t = self.clamp(l, p);
@@ -114,9 +117,10 @@ impl<'a> Voxels<'a> {
         }
     }
 
-    /// The same for points that need no clamping.
+    /// Return the cells that contain points that need no clamping.
     ///
     /// # Safety
+    ///
     /// In every lane a coordinate must be 0 or more and less than `last` on every axis.
     #[inline(always)]
     pub(super) unsafe fn cells_between<L: Lanes>(&self, l: L, mut t: [L::F; 3]) -> Cells<L> {
@@ -132,7 +136,9 @@ impl<'a> Voxels<'a> {
         }
     }
 
-    /// Asks for the memory of the cells that hold points: two of their four rows, of which neighbours ask for the others.
+    /// Prefetch two of the four rows of the cells that contain points.
+    ///
+    /// The prefetches of neighbouring pixels cover the other rows.
     #[inline(always)]
     pub(super) fn ask_for<L: Lanes>(&self, l: L, p: [L::F; 3]) {
         let base = l.store_i(self.cells(l, p).base);
@@ -144,7 +150,7 @@ impl<'a> Voxels<'a> {
         }
     }
 
-    /// The voxels nearest to points, clamped to the volume: their places in memory and their coordinates.
+    /// Return the voxels nearest to points, clamped to the volume: their indices in memory and their coordinates.
     #[inline(always)]
     pub(super) fn nearest<L: Lanes>(&self, l: L, p: [L::F; 3]) -> (L::I, [L::F; 3]) {
         let mut v = self.clamp(l, p);
@@ -156,7 +162,7 @@ impl<'a> Voxels<'a> {
         (self.index(l, ijk), v)
     }
 
-    /// The cells that hold points, clamped to the volume; as in `Field::cell_of`.
+    /// Return the cells that contain points, clamped to the volume; as in `Field::cell_of`.
     #[inline(always)]
     pub(super) fn cell_of<L: Lanes>(&self, l: L, p: [L::F; 3]) -> (L::I, [L::F; 3]) {
         let mut v = self.clamp(l, p);
@@ -168,25 +174,27 @@ impl<'a> Voxels<'a> {
         (self.index(l, ijk), v)
     }
 
-    /// Values of voxels given by their places.
+    /// Return the values of voxels given by their indices.
     #[inline(always)]
     pub(super) fn at<L: Lanes>(&self, l: L, index: L::I) -> L::I {
-        // SAFETY: `nearest` clamps to the volume in all lanes. Benchmark: benchmarks/measurements/rendering.md.
+        // SAFETY: the index comes from `nearest`, which clamps to the volume in all lanes. Benchmark:
+        // benchmarks/measurements/rendering.md.
         unsafe { l.voxels(self.data.as_ptr(), index) }
     }
 
-    /// Memory steps from a cell's lower corner to its four rows along x.
+    /// Return the memory offsets from a cell's lower corner to its four rows along x.
     #[inline(always)]
     fn rows(&self) -> [i32; 4] {
         let [_, sy, sz] = self.stride;
         [0, sy, sz, sy + sz]
     }
 
-    /// Interpolated values.
+    /// Return interpolated values.
     #[inline(always)]
     pub(super) fn value<L: Lanes>(&self, l: L, cells: &Cells<L>) -> L::F {
-        // SAFETY: `cells` clamps the lower corner to last_cell in all lanes, so that one step more on each axis is a voxel;
-        // an axis of one voxel has stride 0, and x has two or more. Benchmark: benchmarks/measurements/rendering.md.
+        // SAFETY: `cells` clamps the lower corner to last_cell in all lanes, so that one step more on each axis is a
+        // voxel; an axis of one voxel has stride 0, and x has two or more. Benchmark:
+        // benchmarks/measurements/rendering.md.
         let pairs = unsafe { l.pairs(self.data.as_ptr(), cells.base, self.rows()) };
         let [tx, ty, tz] = cells.t;
         let mut r = [tx; 4];
@@ -196,8 +204,9 @@ impl<'a> Voxels<'a> {
         lerp(l, tz, lerp(l, ty, r[0], r[1]), lerp(l, ty, r[2], r[3]))
     }
 
-    /// Interpolated values and interpolated central differences per voxel, for the wanted lanes. The four rows of the cell
-    /// are read once, with a voxel more on each side.
+    /// Return interpolated values and interpolated central differences per voxel, for the wanted lanes.
+    ///
+    /// The four rows of the cell are read once, with one more voxel on each side.
     #[inline(always)]
     pub(super) fn value_and_gradient<L: Lanes>(
         &self,
@@ -211,7 +220,7 @@ impl<'a> Voxels<'a> {
             let half = l.splat(0.5);
             return (value, [l.mul(x, half), l.mul(y, half), l.mul(z, half)]);
         }
-        // From the position alone: the reads need not wait for what the last sample decided.
+        // The test uses only the position, so the reads need not wait for the result of the previous sample.
         let mut inside = l.less_i(l.splat_i(0), cells.ijk[0]);
         for a in 0..3 {
             inside = l.and(inside, l.less_i(l.splat_i(0), cells.ijk[a]));
@@ -226,12 +235,12 @@ impl<'a> Voxels<'a> {
         interpolate(l, cells.t, &read)
     }
 
-    /// Reads cells that have neighbours on all sides.
+    /// Read cells that have neighbours on all sides.
     #[inline(always)]
     fn read_inside<L: Lanes>(&self, l: L, base: L::I) -> Rows<L> {
         let [_, sy, sz] = self.stride;
-        // SAFETY: the neighbours before the cell and after it exist, in all lanes: those that have none were given an inner
-        // cell. Benchmark: benchmarks/measurements/rendering.md.
+        // SAFETY: the neighbours before and after the cell exist in all lanes, because the caller has replaced cells
+        // without them by an inner cell. Benchmark: benchmarks/measurements/rendering.md.
         let [_, r10, r01, r11] = self.rows();
         let (quads, pairs) = unsafe {
             (
@@ -265,7 +274,7 @@ impl<'a> Voxels<'a> {
         Rows { own, beside: pairs }
     }
 
-    /// Reads cells some of which lie at the edge, where the missing neighbour is the edge voxel itself.
+    /// Read cells of which some are at the edge, where the edge voxel itself replaces the missing neighbour.
     #[inline(always)]
     fn read_at_edge<L: Lanes>(&self, l: L, cells: &Cells<L>) -> Rows<L> {
         let zero = l.splat_i(0);
@@ -278,9 +287,9 @@ impl<'a> Voxels<'a> {
             before[a] = l.select_i(has_before[a], l.splat_i(s), zero);
             after[a] = l.select_i(has_after[a], l.splat_i(2 * s), l.splat_i(s));
         }
-        // SAFETY: a sum over the axes of (0 ..= n - 1) * stride with at most n - 2 along x, in all lanes: `cells` clamps the
-        // lower corner to last_cell, and further steps are taken only where the neighbour exists. Benchmark:
-        // benchmarks/measurements/rendering.md.
+        // SAFETY: the index is a sum over the axes of (0 ..= n - 1) * stride with at most n - 2 along x, in all lanes:
+        // `cells` clamps the lower corner to last_cell, and further steps are taken only where the neighbour exists.
+        // Benchmark: benchmarks/measurements/rendering.md.
         let pair = |index: L::I| unsafe { l.pairs(self.data.as_ptr(), index, [0])[0] };
         let mut corners = [cells.base; 4];
         for n in 0..4 {
@@ -315,21 +324,21 @@ impl<'a> Voxels<'a> {
     }
 }
 
-/// Asks for the line of memory at an address, which may be any.
+/// Prefetch the cache line at an address; any address is allowed.
 #[inline(always)]
 fn ask_for_line(at: *const i16) {
     #[cfg(target_arch = "x86_64")]
     {
         use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
-        // SAFETY: every x86_64 has SSE, and asking ahead changes nothing and faults at no address. Benchmark:
-        // benchmarks/measurements/rendering.md.
+        // SAFETY: every x86_64 processor has SSE, and a prefetch has no effect on memory and faults at no address.
+        // Benchmark: benchmarks/measurements/rendering.md.
         unsafe { _mm_prefetch::<_MM_HINT_T0>(at.cast()) };
     }
     #[cfg(not(target_arch = "x86_64"))]
     let _ = at;
 }
 
-/// As in `Field::value_in` and `Field::gradient_in`: numbers at the ends of the four rows of a cell.
+/// Interpolate value and gradient from the four rows of a cell; as in `Field::value_in` and `Field::gradient_in`.
 #[inline(always)]
 fn interpolate<L: Lanes>(l: L, t: [L::F; 3], read: &Rows<L>) -> (L::F, [L::F; 3]) {
     let beside = |n: usize| (l.first(read.beside[n]), l.second(read.beside[n]));
@@ -338,7 +347,7 @@ fn interpolate<L: Lanes>(l: L, t: [L::F; 3], read: &Rows<L>) -> (L::F, [L::F; 3]
     for n in 0..4 {
         let own = |n: usize| (read.own[n][1], read.own[n][2]);
         let [v0, v1, v2, v3] = read.own[n];
-        // The rows before and after along y and z: a corner's neighbour on one side is the other corner.
+        // The rows before and after along y and z: on one side a corner's neighbour is the other corner of the cell.
         let (y, z) = (n & 1, n >> 1);
         let along_y = if y == 0 {
             less(own(n + 1), beside(2 * z))
@@ -358,7 +367,7 @@ fn interpolate<L: Lanes>(l: L, t: [L::F; 3], read: &Rows<L>) -> (L::F, [L::F; 3]
     between_rows(l, t, &rows)
 }
 
-/// Value and gradient from the values and differences on the four rows of a cell.
+/// Interpolate value and gradient from the values and differences on the four rows of a cell.
 #[inline(always)]
 fn between_rows<L: Lanes>(l: L, [_, ty, tz]: [L::F; 3], r: &[[L::F; 4]; 4]) -> (L::F, [L::F; 3]) {
     let mut sum = r[0];

@@ -1,9 +1,11 @@
-//! Random chests in small: forked tubes of air with a wall in lung, vessels, and noise as a scanner's (correlated), on
-//! oblique, anisotropic and sometimes mirrored grids; and cameras in the lumen, anywhere inside, and outside.
+//! Small random chests for tests.
+//!
+//! The chests contain forked tubes of air with a wall, lung, vessels, and correlated noise like a scanner's, on
+//! oblique, anisotropic and sometimes mirrored grids. Cameras are in the lumen, anywhere inside, and outside.
 
 use crate::reference::{Matrix, Shares, View};
 
-/// A generator of numbers, the same everywhere.
+/// Random number generator with the same sequence on every machine.
 pub(crate) struct Dice(u64);
 
 impl Dice {
@@ -11,7 +13,7 @@ impl Dice {
         Self(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1)
     }
 
-    /// 0..1.
+    /// Return a random number from 0 to 1.
     pub(crate) fn roll(&mut self) -> f64 {
         self.0 = self
             .0
@@ -35,7 +37,7 @@ impl Dice {
     }
 }
 
-/// A volume with its place, and points in its airways.
+/// Volume with its transform, and points in its airways.
 pub(crate) struct Chest {
     pub(crate) shape: [usize; 3],
     pub(crate) hu: Vec<i16>,
@@ -45,7 +47,7 @@ pub(crate) struct Chest {
     pub(crate) lumen: Vec<([f64; 3], [f64; 3])>,
 }
 
-/// Three axes at right angles, right-handed.
+/// Return three perpendicular, right-handed axes.
 fn frame(dice: &mut Dice) -> [[f64; 3]; 3] {
     let z = dice.unit();
     loop {
@@ -82,17 +84,19 @@ impl Chest {
         Self::with_noise(dice, noise)
     }
 
-    /// With noise of a given height, HU: near 0, neighbours share their value or nearly.
+    /// Create a chest with noise of the given amplitude, HU.
+    ///
+    /// With an amplitude near 0, neighbours have equal or nearly equal values.
     pub(crate) fn with_noise(dice: &mut Dice, noise: f64) -> Self {
         let mut shape: [usize; 3] = std::array::from_fn(|_| dice.between(24.0, 60.0) as usize);
         if dice.roll() < 0.2 {
-            // A long axis: rounding grows with the coordinate.
+            // One long axis: rounding errors grow with the coordinate.
             shape[(dice.roll() * 3.0) as usize] = dice.between(300.0, 500.0) as usize;
         }
         let spacing: [f64; 3] = std::array::from_fn(|_| dice.between(0.5, 1.6));
         let mut axes = frame(dice);
         if dice.roll() < 0.3 {
-            // Slices counted from the other end.
+            // Slices in reverse order.
             axes[2] = axes[2].map(|v| -v);
         }
         let offset: [f64; 3] = std::array::from_fn(|_| dice.between(-200.0, 200.0));
@@ -125,7 +129,7 @@ impl Chest {
                         j as f64 * spacing[1],
                         k as f64 * spacing[2],
                     ];
-                    // Edges as a scanner blurs them: over about 1.5 mm.
+                    // Edges blurred over about 1.5 mm, as by a scanner.
                     let edge = |distance: f64| 1.0 / (1.0 + (distance / 0.35).exp());
                     let mut value = -860.0;
                     for (segment, radius) in &vessels {
@@ -145,7 +149,7 @@ impl Chest {
                 }
             }
         }
-        // Noise as correlated along a row as a scan's: the mean of three.
+        // Noise that is correlated along a row like a scan's: the mean of three random numbers.
         let rolls: Vec<f64> = (0..hu.len() + 2).map(|_| dice.between(-1.0, 1.0)).collect();
         let hu = (0..hu.len())
             .map(|n| {
@@ -169,7 +173,7 @@ impl Chest {
         }
     }
 
-    /// LPS of a point given as shares of the box.
+    /// Return the LPS point at fractions of the box.
     fn at(&self, share: [f64; 3]) -> [f64; 3] {
         std::array::from_fn(|r| {
             let row = self.lps_from_ijk[r];
@@ -180,7 +184,10 @@ impl Chest {
         })
     }
 
-    /// A third in the lumen, a third anywhere in the volume, a third outside and looking at it; field of view 60 to 170.
+    /// Return a random view.
+    ///
+    /// A third of the cameras are in the lumen, a third anywhere in the volume, and a third outside and looking at the
+    /// volume. The field of view is 60 to 170 degrees.
     pub(crate) fn view(&self, dice: &mut Dice, width: usize, height: usize) -> View {
         let mut axes = frame(dice);
         let position = match (dice.roll() * 3.0) as u32 {
@@ -213,7 +220,7 @@ impl Chest {
     }
 }
 
-/// Transfer functions as the product has them, with their lights: points `[hu, r, g, b, alpha]`.
+/// Return transfer functions of the product with their lights: points `[hu, r, g, b, alpha]`.
 pub(crate) fn looks() -> Vec<(&'static str, Vec<[f64; 5]>, Shares)> {
     vec![
         (

@@ -1,5 +1,7 @@
-//! Lighting of first walls: the same bits from every caster, in strips and on every instruction set, and a texture that
-//! stays on the tissue.
+//! Tests of the shading of first walls.
+//!
+//! The bits are the same from every caster, in strips and on every instruction set, and the texture stays on the
+//! tissue.
 
 use crate::scene::{Scene, any_scene, options};
 use carina_grid::{Affine, Camera, Grid, VolumeView, cross, unit};
@@ -71,7 +73,7 @@ proptest! {
 
 #[test]
 fn a_volume_that_packets_cannot_read_is_lit_too() {
-    // One voxel along x has no pairs.
+    // A volume with one voxel along x has no pairs of voxels, which packets need.
     let mut scene = Scene::fixed([0.0; 3], [0.0, 0.0, 1.0]);
     let shape = [9, 8, 1];
     scene.grid = Grid::new(shape, Affine::IDENTITY).unwrap();
@@ -99,7 +101,7 @@ fn a_volume_that_packets_cannot_read_is_lit_too() {
 
 const SHAPE: [usize; 3] = [60, 64, 68];
 
-/// A ball of air of 14 mm in tissue.
+/// Return a volume with a ball of air of 14 mm in tissue.
 fn ball() -> (Grid, Vec<i16>) {
     let spacing = [0.6, 0.55, 0.65];
     let half = [0, 1, 2].map(|a| -spacing[a] * (SHAPE[2 - a] as f64 - 1.0) / 2.0);
@@ -140,7 +142,8 @@ fn the_texture_of_a_wall_stays_on_it_when_the_scope_moves_and_turns() {
     ];
     let transfer = Transfer::new(points, 1.0, 1).unwrap();
     let table = TransferTable::new(&transfer, 0.3, -1024, 100).unwrap();
-    // What the texture or the vessels change, level by level, without highlights and under a light that hardly depends on the pose.
+    // Difference that the texture or the vessels make, level by level, without highlights and under a light that hardly
+    // depends on the pose.
     let look = Appearance {
         exposure: Some(12.0),
         gloss: 0.0,
@@ -197,7 +200,7 @@ fn the_texture_of_a_wall_stays_on_it_when_the_scope_moves_and_turns() {
             if !(0.0..160.0).contains(&column) || !(0.0..160.0).contains(&row) {
                 continue;
             }
-            // Green, where vessels and mottling show most.
+            // Green, where vessels and mottling are most visible.
             let (a, b) = (
                 first[3 * pixel + 1],
                 second[3 * (row as usize * 160 + column as usize) + 1],
@@ -216,9 +219,9 @@ fn the_texture_of_a_wall_stays_on_it_when_the_scope_moves_and_turns() {
             correlation(strengths, [0.0; 3]),
             correlation(strengths, [3.0, 0.0, 0.0]),
         );
-        // Half a pixel of misplacement, and finer detail from nearer, leave this much.
+        // Displacement of half a pixel, and finer detail from a nearer camera, leave at least this correlation.
         assert!(there > 0.7, "{strengths:?}: {there}");
-        // Not so if it were 3 mm beside itself.
+        // A texture displaced by 3 mm would correlate much less.
         assert!(beside.abs() < 0.4, "{strengths:?}: {beside}");
     }
 }
@@ -284,7 +287,7 @@ fn values_out_of_range_are_refused() {
     for look in bad {
         assert_eq!(refused(lit(look)), "render.setting", "{look:?}");
     }
-    // Two lights at once, or no gradient to light by.
+    // Invalid options: two lights at once, or no gradient for the shading.
     let both = FrameOptions {
         appearance: Some(LOOK),
         ..options(true, false)

@@ -1,4 +1,4 @@
-//! What cannot be cast is refused with what was found and what is allowed.
+//! Tests that invalid input is rejected with a message that gives the value found and the allowed values.
 
 use carina_grid::{Affine, Camera, Grid, VolumeView};
 use carina_raycast::{

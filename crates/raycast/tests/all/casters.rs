@@ -1,7 +1,10 @@
-//! The contracts of the casters on hostile scenes (volumes of a few voxels, grains, transfer functions that jump within
-//! one HU): leaping is brute force, strips are the whole, instruction sets agree, and brute force stays within a bound,
-//! derived ray by ray, of what rounding may do at such a jump. How near truth it is where the volume and the transfer
-//! function are those of a CT, `truth.rs` says: at most one grey level.
+//! Contract tests of the casters on difficult scenes.
+//!
+//! The scenes are volumes of a few voxels, single bright voxels, and transfer functions with a jump within one HU.
+//!
+//! Leaping equals brute force, strips equal the whole picture, instruction sets agree, and the error of brute force
+//! stays within a bound, derived for each ray, of the effect of rounding at such a jump. `truth.rs` tests the accuracy
+//! with the volumes and transfer functions of a CT: at most one grey level.
 
 use crate::scene::{Scene, any_scene, options};
 use carina_grid::{VolumeView, clip_line_to_box};
@@ -33,7 +36,7 @@ fn transparent_radius(scene: &Scene, nearest: bool) -> Vec<u8> {
     cell_map(&labels, scene.grid.shape_zyx()).unwrap()
 }
 
-/// Colour of a whole class, read at its first HU.
+/// Return the colour of each class, read at the class's first HU.
 fn class_colours(table: &TransferTable, classes: &[carina_isoregion::Class]) -> Vec<[f32; 4]> {
     classes
         .iter()
@@ -73,10 +76,10 @@ proptest! {
         let map = ClassMap { labels: &out.labels, radius: &radius, segments: &segments };
         let (leap, some) = cast(&scene, false, nearest, Method::LeapClasses(map));
         for (a, b) in brute.iter().zip(&leap) {
-            // A segment is rounded once and its samples one by one; 8-bit rounding can then fall either way.
+            // A segment is rounded once, its samples one by one; rounding to 8 bits can then differ by one level.
             prop_assert!(a.abs_diff(*b) <= 1, "{a} {b}");
         }
-        // A leap ends where brute force stops. Rounding of the transparency may move that by one sample on a ray.
+        // A leap ends where brute force stops. Rounding of the transparency may move that end by one sample on a ray.
         let (lo, hi) = (all.num_samples - all.num_rays.min(all.num_samples), all.num_samples + all.num_rays);
         prop_assert!((lo..=hi).contains(&(some.num_samples + some.num_skipped)));
     }
@@ -115,8 +118,8 @@ proptest! {
             let (column, row) = (n % width, n / width);
             let (reference, doubt) = f64_ray(&scene, volume, &table, column, row);
             for c in 0..3 {
-                // Half a level of rounding to 8 bits, half a level that may lie behind the stop limit, 0.1 for sums in
-                // f32; and what the rounding of positions may change where the transfer function is steep.
+                // Half a level of rounding to 8 bits, half a level for colour behind the stop limit, 0.1 for sums in
+                // f32; and the possible effect of rounded positions where the transfer function is steep.
                 let error = (f64::from(pixel[c]) - reference[c]).abs();
                 prop_assert!(
                     error <= 1.1 + 255.0 * doubt,
@@ -127,8 +130,10 @@ proptest! {
     }
 }
 
-/// One ray in f64, by the formulas of the design and with none of the crate's kernels: its colour, and how much of it may
-/// change (1 is white) because f32 places a sample elsewhere by rounding and reads a neighbouring entry of the table.
+/// Cast one ray in f64, by the formulas of the design and without the crate's kernels.
+///
+/// Return its colour, and a bound of the change (1 is white) that occurs because f32 rounds the position of a sample
+/// and reads a neighbouring entry of the table.
 fn f64_ray(
     scene: &Scene,
     volume: VolumeView<'_, i16>,
@@ -143,7 +148,7 @@ fn f64_ray(
     if let Some((t_in, t_out)) = clip_line_to_box(origin, dir, lo, hi) {
         for k in 0.. {
             let t = (k as f64 + 0.5) * table.step_mm();
-            // f32 keeps 24 bits: 6e-8 of each term, a few terms.
+            // f32 has a precision of 24 bits: 6e-8 of each term, for a few terms.
             let off_vox: f64 = (0..3)
                 .map(|a| 4.0 * 6e-8 * (origin[a].abs() + (t * dir[a]).abs()) + 1e-6)
                 .sum();
@@ -167,7 +172,7 @@ fn f64_ray(
             let mut hu = first;
             while hu <= last {
                 let other = table.entry(hu as i32).map(f64::from);
-                // Another opacity also changes how much of everything behind is seen, by at most itself.
+                // A change of opacity also changes the visibility of everything behind, by at most the same amount.
                 let colour = (0..3)
                     .map(|c| (other[c] - entry[c]).abs())
                     .fold(0.0, f64::max);
@@ -175,7 +180,7 @@ fn f64_ray(
                 hu += 1.0;
             }
             if t < t_in + off_mm || t > t_out - off_mm {
-                // At the box's face the sample itself may be in or out.
+                // At the face of the box the sample itself may be inside or outside.
                 let colour = entry[..3].iter().copied().fold(0.0, f64::max);
                 change = change.max(colour + entry[3]);
             }
@@ -207,7 +212,8 @@ fn trilinear(volume: VolumeView<'_, i16>, point: [f64; 3]) -> f64 {
     value
 }
 
-/// A bound of how much the interpolated value changes per voxel near a point: the range of the 4x4x4 voxels round it.
+/// Return a bound of the change of the interpolated value per voxel near a point: the range of the 4x4x4 voxels round
+/// it.
 fn steepest(volume: VolumeView<'_, i16>, point: [f64; 3]) -> f64 {
     let (mut least, mut most) = (i16::MAX, i16::MIN);
     for n in 0..64isize {

@@ -1,5 +1,6 @@
-//! Parts of the look that are fixed to anatomy: the same bits from every caster, whatever shares a register, and no wall
-//! is moved.
+//! Tests of the decoration that is fixed to anatomy.
+//!
+//! The bits are the same from every caster, for any pixels in one register, and no wall moves.
 
 use crate::scene::{Scene, any_scene, options};
 use carina_grid::{Affine, Camera, Grid, VolumeView};
@@ -40,7 +41,7 @@ fn lit(look: Appearance) -> FrameOptions {
 
 const SHAPE: [usize; 3] = [4, 3, 5];
 
-/// Cells with numbers as an airway has them, at random.
+/// Return a strategy for cells with random values in the range of an airway.
 fn any_cells() -> impl Strategy<Value = Vec<f32>> {
     let cell = (
         -5.0f32..30.0,
@@ -96,7 +97,7 @@ fn decoration_changes_light_and_colour_and_moves_no_wall() {
     let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
     let table = scene.table(false);
     let middle = scene.camera.origin_lps().map(|v| v as f32 - 20.0);
-    // Rings along z all over, in the middle of a wall's round.
+    // Rings along z everywhere; the position is the middle of a wall's circumference.
     let cells: Vec<f32> = (0..5 * 5 * 5)
         .flat_map(|n| {
             let phase = (n / 25) as f32 * 2.0;
@@ -131,8 +132,8 @@ fn decoration_changes_light_and_colour_and_moves_no_wall() {
 
 #[test]
 fn folds_leave_a_wall_that_faces_sideways_in_the_light() {
-    // Two walls, to the left and right of a camera that looks along them. As in a trachea with corners they are told to be
-    // its back.
+    // Two walls, to the left and right of a camera that looks along them. The decoration marks both as the back wall,
+    // as can happen in a trachea with corners.
     let grid = Grid::new([48, 24, 24], Affine::IDENTITY).unwrap();
     let hu: Vec<i16> = (0..grid.num_voxels())
         .map(|at| {

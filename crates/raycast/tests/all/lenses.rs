@@ -1,4 +1,5 @@
-//! Pictures through lenses: the same from every caster, and at each pixel what lies in its direction.
+//! Tests of pictures through lenses: they are the same from every caster, and each pixel shows what is in its
+//! direction.
 
 use std::sync::Arc;
 
@@ -70,7 +71,7 @@ proptest! {
         for simd in InstructionSet::available() {
             prop_assert_eq!(&cast(&scene, &camera, method, shaded, simd), &truth, "{}", simd.name());
         }
-        // Where the lens or the mask has no ray, the background stands.
+        // Pixels for which the lens or the mask has no ray show the background.
         let rays = camera.lens_rays().unwrap();
         for (n, pixel) in truth.0.chunks_exact(3).enumerate() {
             if rays.direction(n % width, n / width) == [0.0; 3] {
@@ -96,7 +97,8 @@ proptest! {
         let pose = *scene.camera.lps_from_camera();
         let camera = Camera::with_lens(pose, Arc::new(rays)).unwrap();
         let (picture, _) = cast(&scene, &camera, Method::Brute, false, InstructionSet::Portable);
-        // A tele pinhole of one pixel that looks the same way, by the formula and not by the lens.
+        // A pinhole camera of one pixel with a narrow field that looks in the same direction, computed from the formula
+        // and not from the lens.
         let aside = if forward[0].abs() < 0.7 { [1.0, 0.0, 0.0] } else { [0.0, 1.0, 0.0] };
         let right = unit(cross(aside, forward)).unwrap();
         let down = cross(forward, right);
@@ -105,8 +107,8 @@ proptest! {
         let (pixel, _) = cast(&scene, &single, Method::Brute, false, InstructionSet::Portable);
         let found = &picture[(row * 23 + column) * 3..][..3];
         for (a, b) in found.iter().zip(&pixel) {
-            // Directions are kept in f32: samples move by some 1e-5 voxels. One level, and more where a transfer
-            // function's step of one HU stands between the two.
+            // Directions are stored in f32, so samples move by some 1e-5 voxels. This changes a pixel by one level, and
+            // by more at a jump of the transfer function within one HU.
             prop_assert!(a.abs_diff(*b) <= 12, "{found:?} for {pixel:?}");
         }
     }

@@ -1,4 +1,4 @@
-//! Leaping never costs more reads than brute force, to 3 percent, and saves most of them where there is room.
+//! Tests that leaping costs at most 3 percent more reads than brute force, and saves most reads in open space.
 
 use carina_grid::{Affine, Camera, Grid, VolumeView};
 use carina_isoregion::{SegmentTable, cell_map, class_labels, radius_map};
@@ -10,7 +10,8 @@ use carina_raycast::{
 const N: usize = 96;
 const STEP_MM: f64 = 0.5;
 
-/// Air in a tube of 16 voxels along z, in tissue with an edge two voxels wide, with noise of `grain` HU.
+/// Return a volume with air in a tube of 16 voxels along z, in tissue with an edge two voxels wide, with noise of
+/// `grain` HU.
 fn tube(grain: i16) -> Vec<i16> {
     fill(grain, |[x, y, _]| {
         let wall = ((x * x + y * y).sqrt() - 8.0).clamp(0.0, 2.0) / 2.0;
@@ -18,12 +19,12 @@ fn tube(grain: i16) -> Vec<i16> {
     })
 }
 
-/// A value everywhere, with noise.
+/// Return a volume with one value everywhere, with noise.
 fn flat(grain: i16, value: i16) -> Vec<i16> {
     fill(grain, |_| value)
 }
 
-/// Single grains of tissue in air: regions a few voxels wide, and none.
+/// Return single voxels of tissue in air: some regions are a few voxels wide, others do not exist.
 fn gravel(one_in: u64) -> Vec<i16> {
     let mut state = 11u64;
     fill(0, |_| {
@@ -56,7 +57,7 @@ fn fill(grain: i16, mut value: impl FnMut([f64; 3]) -> i16) -> Vec<i16> {
         .collect()
 }
 
-/// Clear below -700 HU, then ever more opaque.
+/// Return a transfer function that is clear below -700 HU and increasingly opaque above.
 fn wall(most: f64) -> Vec<[f64; 5]> {
     vec![
         [-700.0, 0.8, 0.5, 0.4, 0.0],
@@ -65,7 +66,9 @@ fn wall(most: f64) -> Vec<[f64; 5]> {
     ]
 }
 
-/// Many clear runs with thin faint ones between: a noisy volume is clear nearly everywhere and has no region.
+/// Return a transfer function of many clear runs with thin faint ones between.
+///
+/// With it a noisy volume is clear nearly everywhere and has no region.
 fn stripes() -> Vec<[f64; 5]> {
     (0..40)
         .flat_map(|n| {
@@ -80,7 +83,7 @@ fn stripes() -> Vec<[f64; 5]> {
 }
 
 fn camera(at: [f64; 3]) -> Camera {
-    // Neither along an axis nor along a diagonal.
+    // The view direction is neither along an axis nor along a diagonal.
     let (s, c) = 0.3f64.sin_cos();
     let pose = Affine::from_columns([c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c], at);
     Camera::new(pose, 1.4, 64, 64).unwrap()
@@ -91,7 +94,7 @@ struct View {
     hu: Vec<i16>,
     points: Vec<[f64; 5]>,
     at: [f64; 3],
-    /// Leaping reads at most this share of what brute force reads.
+    /// Largest allowed ratio of the reads of leaping to those of brute force.
     most: f64,
 }
 
@@ -180,7 +183,7 @@ fn stats(view: &View, reading: Reading, classes: bool) -> (CastStats, CastStats)
         appearance: None,
         background: [0.0; 3],
     };
-    // Without the trial that spares a picture its leaps: the rule of asking has to hold by itself.
+    // The trial that disables leaps is off, because the rule for look-ups must satisfy the limit alone.
     let frame = Frame::new(volume, &table, camera(view.at), options)
         .unwrap()
         .leaping_always();
@@ -226,7 +229,7 @@ fn leaping_reads_no_more_than_brute_force_in_any_view() {
                 leap.num_lookups as f64 / 4096.0,
                 leap.num_leaps as f64 / 4096.0,
             );
-            // A look-up saves less where a sample is a single read.
+            // A look-up saves less if a sample is a single read.
             let most = match reading {
                 Reading::Nearest => view.most.max(0.9_f64.min(view.most + 0.4)),
                 Reading::Flat | Reading::Shaded => view.most,

@@ -1,4 +1,5 @@
-//! The contracts of the casters, in one program: each program of tests is compiled with the kernels and linked anew.
+//! Contract tests of the casters, in one program, because each test program compiles the kernels and is linked
+//! separately.
 
 mod anatomy;
 mod appearance;

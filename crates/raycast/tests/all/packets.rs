@@ -1,5 +1,6 @@
-//! The contract of the packets: on every instruction set of this machine, pictures and statistics of the scalar casters,
-//! bit for bit.
+//! Contract tests of the packets.
+//!
+//! On every instruction set of this machine, pictures and statistics equal those of the scalar casters, bit for bit.
 
 use std::ops::Range;
 
@@ -11,7 +12,7 @@ use carina_raycast::{
 };
 use proptest::prelude::*;
 
-/// Which caster, and how it reads samples.
+/// Caster, and interpolation of its samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Kind {
     Brute,
@@ -66,7 +67,7 @@ fn maps(scene: &Scene, case: &Case) -> Maps {
 
 type Cast = (Vec<u8>, CastStats);
 
-/// By the scalar casters, and by packets on every instruction set.
+/// Cast with the scalar casters, and with packets on every instruction set.
 fn cast(scene: &Scene, maps: &Maps, case: &Case) -> (Cast, Vec<(InstructionSet, Cast)>) {
     let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
     let table = scene.table(case.nearest);
@@ -141,7 +142,8 @@ proptest! {
     fn packets_read_extreme_values_as_the_scalar_casters_do(
         mut scene in any_scene(), kind in any_kind(), seed in any::<u64>(),
     ) {
-        // All of int16, so that differences of voxels need 17 bits and the table is left on both sides.
+        // The whole int16 range, so that differences of voxels need 17 bits and values are beyond both ends of the
+        // table.
         let mut state = seed | 1;
         for hu in &mut scene.hu {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -152,7 +154,7 @@ proptest! {
                 _ => -1000,
             };
         }
-        // The map is made for the values that the table holds; others are clamped to them.
+        // The map is made for the values in the table; other values are clamped to them.
         let mut clamped = scene.clone();
         for hu in &mut clamped.hu {
             *hu = (*hu).clamp(-1100, 3100);
@@ -166,7 +168,8 @@ proptest! {
     fn packets_read_every_byte_of_a_map_as_the_scalar_casters_do(
         scene in any_scene(), kind in any_kind(), seed in any::<u64>(),
     ) {
-        // No maps that belong to a volume: their border would be 0, and the very last bytes are the ones hard to gather.
+        // Random maps that do not belong to the volume: a real map is 0 at the border, but the last bytes are those
+        // that are difficult to gather.
         let mut state = seed | 1;
         let mut random = || {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -204,7 +207,7 @@ fn rays_that_stand_still_on_an_axis_are_those_of_the_scalar_casters() {
         .collect();
     let mut scene = Scene::fixed([0.0; 3], [0.0; 3]);
     (scene.grid, scene.hu) = (grid, hu);
-    // In front of the volume, in it, behind it, and to the side, from where the middle column never meets it.
+    // Cameras in front of the volume, in it, behind it, and to the side, from where the middle column never meets it.
     for at in [
         [6.0, 5.0, -9.0],
         [6.0, 5.0, 4.0],

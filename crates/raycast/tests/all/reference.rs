@@ -1,28 +1,30 @@
-//! A ray caster in f64, written from the formulas (docs/algorithms.md, paper 4.3) and with none of the crates' code: its own
-//! camera, box, interpolation, gradients, table and light. What the casters show may differ from it by rounding alone.
+//! Reference ray caster in f64, written from the formulas (docs/algorithms.md, paper 4.3) without the crates' code.
+//!
+//! The reference has its own camera, box, interpolation, gradients, table and light. The pictures of the casters may
+//! differ from it only by rounding.
 
 /// Rows of a 3x4 matrix.
 pub(crate) type Matrix = [[f64; 4]; 3];
 
-/// Shares and reach of the light at the camera, `[ambient, diffuse, specular, log2 of the exponent, reach in mm]`.
+/// Fractions and reach of the light at the camera, `[ambient, diffuse, specular, log2 of the exponent, reach in mm]`.
 pub(crate) type Shares = [f64; 5];
 
-/// What is looked at.
+/// Volume with its transfer function and its light.
 pub(crate) struct World<'a> {
-    /// Voxels along i, j, k.
+    /// Number of voxels along i, j, k.
     pub(crate) shape: [usize; 3],
-    /// `[k, j, i]`.
+    /// Values `[k, j, i]`.
     pub(crate) hu: &'a [i16],
     pub(crate) lps_from_ijk: Matrix,
-    /// `[hu, r, g, b, alpha]` in order, alpha per mm.
+    /// Points `[hu, r, g, b, alpha]` in ascending order, alpha per mm.
     pub(crate) points: &'a [[f64; 5]],
     pub(crate) light: Option<Shares>,
     pub(crate) step_mm: f64,
-    /// Rays stop when less than this shines through.
+    /// Transparency below which a ray stops.
     pub(crate) stop: f64,
 }
 
-/// From where.
+/// Camera of a picture.
 pub(crate) struct View {
     pub(crate) lps_from_camera: Matrix,
     pub(crate) fov_rad: f64,
@@ -46,7 +48,7 @@ fn column(m: &Matrix, c: usize) -> [f64; 3] {
     [m[0][c], m[1][c], m[2][c]]
 }
 
-/// Rows of the inverse of the first three columns, by Cramer's rule.
+/// Return the rows of the inverse of the first three columns, by Cramer's rule.
 fn inverse(m: &Matrix) -> [[f64; 3]; 3] {
     let [a, b, c] = [column(m, 0), column(m, 1), column(m, 2)];
     let volume = dot(a, cross(b, c));
@@ -60,7 +62,7 @@ impl World<'_> {
         f64::from(self.hu[(k * self.shape[1] + j) * self.shape[0] + i])
     }
 
-    /// Trilinear between the eight voxels round a point of whatever `read` gives at a voxel.
+    /// Interpolate trilinearly between the vectors that `read` returns at the eight voxels round a point.
     fn between(point: [f64; 3], read: impl Fn([i64; 3]) -> [f64; 3]) -> [f64; 3] {
         let mut sum = [0.0; 3];
         for corner in 0..8u32 {
@@ -81,7 +83,7 @@ impl World<'_> {
         sum
     }
 
-    /// Central differences per voxel; a missing neighbour is the edge voxel itself.
+    /// Return central differences per voxel; a missing neighbour is replaced by the edge voxel itself.
     fn difference(&self, at: [i64; 3]) -> [f64; 3] {
         let at: [i64; 3] = std::array::from_fn(|a| at[a].clamp(0, self.shape[a] as i64 - 1));
         std::array::from_fn(|a| {
@@ -92,7 +94,9 @@ impl World<'_> {
         })
     }
 
-    /// Colour and opacity per mm at a value: linear between points, the later of two at one value, flat beyond the ends.
+    /// Return colour and opacity per mm at a value.
+    ///
+    /// Both are linear between points, those of the later of two points at one value, and constant beyond the ends.
     fn colour(&self, hu: f64) -> [f64; 4] {
         let part = |p: &[f64; 5]| [p[1], p[2], p[3], p[4]];
         let after = self.points.iter().position(|p| p[0] > hu);
@@ -107,7 +111,7 @@ impl World<'_> {
         }
     }
 
-    /// One pixel, 0..255 before rounding.
+    /// Return one pixel, 0 to 255 before rounding.
     fn pixel(&self, view: &View, x: usize, y: usize) -> [f64; 3] {
         let ijk_from_lps = inverse(&self.lps_from_ijk);
         let shorter = view.width.min(view.height) as f64;
@@ -132,7 +136,7 @@ impl World<'_> {
         let step = to_ijk(dir).map(|v| v * self.step_mm);
         let inside =
             |p: [f64; 3]| (0..3).all(|a| p[a] >= -0.5 && p[a] <= self.shape[a] as f64 - 0.5);
-        // Where the ray may be inside, in steps: walked sample by sample, but not through all the space before it.
+        // Interval in which the ray may be inside, in steps: the ray is sampled there, but not in the space before it.
         let (mut from, mut to) = (0.0f64, f64::INFINITY);
         for a in 0..3 {
             let (low, high) = (-0.5 - origin[a], self.shape[a] as f64 - 0.5 - origin[a]);
@@ -175,7 +179,7 @@ impl World<'_> {
         rgb.map(|v| (255.0 * v).min(255.0))
     }
 
-    /// The picture, `[row, column, channel]`, 0..255 before rounding.
+    /// Return the picture, `[row, column, channel]`, 0 to 255 before rounding.
     pub(crate) fn picture(&self, view: &View) -> Vec<f64> {
         (0..view.height * view.width)
             .flat_map(|n| self.pixel(view, n % view.width, n / view.width))
@@ -183,7 +187,7 @@ impl World<'_> {
     }
 }
 
-/// Shares of the tissue's own colour and of white.
+/// Return the fractions of the tissue's own colour and of white.
 fn lit(
     [ambient, diffuse, specular, log2, reach_mm]: Shares,
     gradient: [f64; 3],
@@ -191,7 +195,7 @@ fn lit(
     distance_mm: f64,
 ) -> (f64, f64) {
     let length = dot(gradient, gradient).sqrt();
-    // Flat tissue has no direction: it is lit by the ambient share alone.
+    // Flat tissue has no direction: only ambient light applies.
     let facing = if length < 1e-9 {
         0.0
     } else {
@@ -204,7 +208,7 @@ fn lit(
     )
 }
 
-/// Rounded to 8 bits as a picture is.
+/// Round to 8 bits as for a picture.
 pub(crate) fn to_8_bit(picture: &[f64]) -> Vec<u8> {
     picture.iter().map(|v| (v + 0.5) as u8).collect()
 }

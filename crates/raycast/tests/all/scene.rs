@@ -28,13 +28,13 @@ impl Scene {
         TransferTable::new(&self.transfer(binned), step_mm, -1024, 3071).unwrap()
     }
 
-    /// The same view in another viewport.
+    /// Change the size of the viewport.
     pub(crate) fn resize(&mut self, width: usize, height: usize) {
         let pose = *self.camera.lps_from_camera();
         self.camera = Camera::new(pose, 1.5, width, height).unwrap();
     }
 
-    /// A ball of air in tissue, camera at `offset_lps` from the middle.
+    /// Create a scene with a ball of air in tissue and a camera at `offset_lps` from its centre.
     pub(crate) fn fixed(offset_lps: [f64; 3], look: [f64; 3]) -> Self {
         build(
             [18, 20, 22],
@@ -77,7 +77,8 @@ fn wall(clear_hu: f64, opaque_hu: f64) -> Vec<[f64; 5]> {
     ]
 }
 
-/// Two transparent runs with a thin opaque one between them, and flat stretches on either side.
+/// Return a transfer function of two transparent runs with a thin opaque one between them, and constant sections on
+/// either side.
 fn shell() -> Vec<[f64; 5]> {
     vec![
         [-600.0, 0.1, 0.9, 0.3, 0.0],
@@ -129,7 +130,7 @@ fn build(
             .wrapping_add(1_442_695_040_888_963_407);
         (state >> 33) as f64 / f64::from(1u32 << 31)
     };
-    // Air pockets in tissue, with noise of 20 HU and a few sharp grains: large, small and no regions at all.
+    // Air pockets in tissue, with noise of 20 HU and a few single voxels: regions are large, small or absent.
     let pockets: Vec<([f64; 3], f64)> = (0..5)
         .map(|_| (n.map(|n| random() * n as f64), 2.0 + 7.0 * random()))
         .collect();

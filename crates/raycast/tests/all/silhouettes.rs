@@ -1,5 +1,7 @@
-//! Two rays at silhouettes: nearer to the picture of many rays, only where a wall ends before another, and the same in
-//! strips, by leaps and by every caster; depth stays that of the pixel's middle.
+//! Tests of the two rays at silhouettes.
+//!
+//! The result is nearer to a picture of many rays, and changes only where a wall ends in front of another one. The
+//! result is the same in strips, with leaps and from every caster. Depths stay those of the pixel's centre.
 
 use carina_grid::{
     Affine, Camera, FieldShape, Grid, ImageField, Lens, LensRays, Optics, VolumeView,
@@ -16,12 +18,12 @@ const SPACING: [f64; 3] = [0.6, 0.7, 0.65];
 const SHAPE_ZYX: [usize; 3] = [70, 90, 100];
 const SIZE: usize = 72;
 
-/// Plain matt walls: what is compared is where they end.
+/// Plain matt walls, because the tests compare only the positions of their edges.
 const MATT: Appearance = Appearance {
     guides_mm: [[0.0; 3]; 2],
     exposure: Some(120.0),
     ambient: 0.3,
-    // As at silhouettes, so that brightness does not differ there.
+    // The value used at silhouettes, so that the brightness does not differ there.
     wrap: 0.6,
     gloss: 0.0,
     shininess_log2: 6,
@@ -46,7 +48,8 @@ struct Spur {
     radius: Vec<u8>,
 }
 
-/// A plate 9 mm before the camera that ends along a slanted line, and a wall 30 mm behind it.
+/// Return a volume with a plate 9 mm in front of the camera that ends along a slanted line, and a wall 30 mm behind the
+/// plate.
 fn spur() -> Spur {
     let axes = [0, 1, 2].map(|a| std::array::from_fn(|b| if a == b { SPACING[a] } else { 0.0 }));
     let half = [0, 1].map(|a| -SPACING[a] * (SHAPE_ZYX[2 - a] as f64 - 1.0) / 2.0);
@@ -60,7 +63,7 @@ fn spur() -> Spur {
         .map(|index| {
             let voxel = grid.voxel(index).map(|v| v as f64);
             let [x, y, z] = grid.lps_from_ijk().point(voxel);
-            // Depths into the plate and the wall, mm; edges are blurred as a scanner does.
+            // Depths into the plate and the wall, mm; edges are blurred as by a scanner.
             let plate = (z - 9.0).min(12.0 - z).min(0.4 * y - 0.9 * x + 0.7);
             let tissue = (plate.max(z - 39.0) / 0.9 + 0.5).clamp(0.0, 1.0);
             (-1000.0 + 1040.0 * tissue) as i16
@@ -104,7 +107,7 @@ fn pinhole(size: usize) -> Camera {
     Camera::new(pose, 1.2, size, size).unwrap()
 }
 
-/// Behind a round outline.
+/// Return a camera with a round outline.
 fn scope(size: usize) -> Camera {
     let field = ImageField {
         shape: FieldShape::Round,
@@ -149,8 +152,8 @@ fn two_rays_bring_an_edge_nearer_to_the_picture_of_many_and_touch_nothing_else()
             (40..4 * SIZE).contains(&num_changed),
             "{name}: {num_changed}"
         );
-        // Half of the error for a pixel that the line halves, none of it for the neighbour that is a silhouette, too, and
-        // that the line only touches: measured 0.76 together.
+        // The two rays remove half of the error of a pixel that the line halves, and none of the error of a neighbour
+        // on the silhouette that the line only touches: measured 0.76 together.
         assert!(off[1] < 0.85 * off[0], "{name}: {off:?}");
     }
 }
@@ -200,7 +203,8 @@ fn depth_is_that_of_the_middle_and_a_smooth_wall_has_no_silhouette() {
             .0
     };
     assert!(depths(MATT) == depths(ONE_RAY));
-    // Head on, and so slanted that depth doubles from one end of the picture to the other.
+    // A wall at normal incidence, and a wall so slanted that the depth doubles from one end of the picture to the
+    // other.
     for (at, forward, down, fov_rad) in [
         ([-12.0, 0.0, 20.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0], 1.2),
         ([-12.0, -15.0, 34.0], [0.0, 0.8, 0.6], [0.0, 0.6, -0.8], 0.5),

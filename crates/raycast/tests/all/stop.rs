@@ -1,4 +1,4 @@
-//! A picture that is no longer wanted is given up; one that is wanted does not notice that it could be.
+//! Tests that a cast can be cancelled, and that a cast with an unused cancel flag gives the same picture.
 
 use std::sync::atomic::AtomicBool;
 

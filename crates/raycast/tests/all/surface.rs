@@ -1,4 +1,6 @@
-//! First walls: on shapes whose walls are known exactly, the same from every caster, and one by one as all at once.
+//! Tests of first walls on shapes with exactly known walls.
+//!
+//! The result is the same from every caster, and for single pixels as for all pixels at once.
 
 use crate::scene::{Scene, any_scene, options};
 use carina_grid::{Affine, Camera, Grid, VolumeView, dot, length, unit};
@@ -26,7 +28,7 @@ proptest! {
         scene.resize(size.0, size.1);
         let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
         let table = scene.table(false);
-        // The light has no part in it.
+        // The light does not affect the result.
         let frame = Frame::new(volume, &table, scene.camera.clone(), options(shaded, false)).unwrap();
         let radius = transparent_radius(&scene);
         let truth = cast_surface(&frame, Method::Brute, 0..size.1, InstructionSet::Portable).unwrap().0;
@@ -38,7 +40,7 @@ proptest! {
                 prop_assert!(found == truth, "{} {method:?}", simd.name());
             }
         }
-        // Each pick is a cast of its own: some of them in each of the scenes.
+        // Each pick is a separate cast, so only some pixels of each scene are picked.
         for (n, hit) in truth.iter().enumerate().step_by(11) {
             let (column, row) = (n % size.0, n / size.0);
             prop_assert_eq!(&pick(&frame, Method::LeapTransparent(&radius), column, row).unwrap(), hit);
@@ -68,8 +70,9 @@ proptest! {
     }
 }
 
-/// A volume on an oblique, anisotropic grid: air where `inside_mm` (the depth below the surface of the air) is positive,
-/// tissue elsewhere, and between them an edge as a scanner blurs it.
+/// Return a volume of air and tissue on an oblique, anisotropic grid, with an edge blurred as by a scanner.
+///
+/// The volume is air where `inside_mm` (the depth below the surface of the air) is positive.
 fn phantom(inside_mm: impl Fn([f64; 3]) -> f64) -> (Grid, Vec<i16>) {
     let turn = |axis: usize, angle: f64| {
         let (a, b) = ((axis + 1) % 3, (axis + 2) % 3);
@@ -92,7 +95,7 @@ fn phantom(inside_mm: impl Fn([f64; 3]) -> f64) -> (Grid, Vec<i16>) {
             let at = grid
                 .lps_from_ijk()
                 .point(grid.voxel(index).map(|v| v as f64));
-            // Near the error function of a blur of 0.6 mm, as soft kernels of scanners have it.
+            // Close to the error function of a blur of 0.6 mm, which soft kernels of scanners have.
             let tissue = (0.5 - inside_mm(at) / 2.6).clamp(0.0, 1.0);
             (-1000.0 + 1040.0 * tissue * tissue * (3.0 - 2.0 * tissue)) as i16
         })
@@ -100,14 +103,15 @@ fn phantom(inside_mm: impl Fn([f64; 3]) -> f64) -> (Grid, Vec<i16>) {
     (grid, hu)
 }
 
-/// Depths and normals from a camera in the air against `true_hit`: the way along a ray to the wall, and its normal.
+/// Check depths and normals from a camera in the air against `true_hit`: the distance along a ray to the wall, and its
+/// normal.
 fn check_against(
     (grid, hu): &(Grid, Vec<i16>),
     camera: &Camera,
     true_hit: impl Fn([f64; 3], [f64; 3]) -> Option<(f64, [f64; 3])>,
 ) -> usize {
     let volume = VolumeView::new(hu, grid).unwrap();
-    // Opaque round the half-maximum of the edge, -480 HU.
+    // Opaque at the half-maximum of the edge, -480 HU.
     let points = vec![[-560.0, 0.9, 0.5, 0.4, 0.0], [-400.0, 0.9, 0.5, 0.4, 0.99]];
     let transfer = Transfer::new(points, 1.0, 1).unwrap();
     let table = TransferTable::new(&transfer, 0.25 * grid.min_spacing_mm(), -1024, 100).unwrap();
@@ -131,7 +135,8 @@ fn check_against(
             normal_lps,
         } = hit.expect("a wall");
         let slant = -dot(normal, ray.dir_lps);
-        // Half of the smallest voxel, across the wall, which is met where half of the light is gone: a little behind it.
+        // Half of the smallest voxel, across the wall; the caster finds the wall where half of the light is left,
+        // slightly behind the edge.
         let error = (f64::from(depth_mm) - depth) * slant;
         assert!(
             (-0.1..0.35).contains(&error),
@@ -142,7 +147,7 @@ fn check_against(
             .map(|a| (position_lps[a] - ray.origin_lps[a]) * ray.dir_lps[a])
             .sum();
         assert!((along - f64::from(depth_mm)).abs() < 1e-3);
-        // 2 degrees.
+        // The normals may differ by 2 degrees.
         let cosine = dot(normal_lps.map(f64::from), normal);
         assert!(
             cosine > 2f64.to_radians().cos(),
@@ -194,8 +199,8 @@ fn the_wall_of_a_tube_is_where_it_is_and_faces_its_axis() {
         let (a, b) = (dot(d, d), dot(o, d));
         let depth = (-b + (b * b - a * (dot(o, o) - radius * radius)).sqrt()) / a;
         let wall = off(std::array::from_fn(|a| origin[a] + depth * dir[a]));
-        // The far wall is seen at less and less of an angle: a step of the ray is longer than the edge is thick. And the
-        // volume ends.
+        // The angle between ray and far wall becomes so small that a step of the ray is longer than the edge is thick.
+        // Far walls beyond 15 mm are left out, because the volume ends.
         let normal = wall.map(|v| -v / radius);
         (depth < 15.0 && -dot(normal, dir) > 0.25).then_some((depth, normal))
     });

@@ -1,8 +1,8 @@
-//! The casters against truth: on chests as a scanner shows them, every instruction set gives the scalar casters' bits, and
-//! those are the picture of a ray caster in f64 but for rounding to 8 bits.
+//! Accuracy tests of the casters on chests as from a scanner.
 //!
-//! Volumes and transfer functions here are smooth, as in the product. What rounding may do where a transfer function jumps
-//! within one HU is bounded in `casters.rs`, ray by ray.
+//! Every instruction set gives the bits of the scalar casters, and the picture equals that of a ray caster in f64
+//! except for rounding to 8 bits. Volumes and transfer functions here are smooth, as in the product. `casters.rs`
+//! bounds, for each ray, the effect of rounding at a transfer function that jumps within one HU.
 
 use std::ops::AddAssign;
 
@@ -42,18 +42,18 @@ fn camera_of(view: &View) -> Camera {
     Camera::new(pose, view.fov_rad, view.width, view.height).unwrap()
 }
 
-/// What was seen over many pictures.
+/// Counts over many pictures.
 #[derive(Debug, Clone, Copy, Default)]
 struct Tally {
     pictures: u64,
     pixels: u64,
-    /// Pixels with a channel off by one level.
+    /// Number of pixels with a channel that is off by one level.
     off_by_one: u64,
     off_by_more: u64,
     most: u8,
-    /// Pictures that show nothing where the reference shows something.
+    /// Number of black pictures for which the reference is not black.
     black: u64,
-    /// Pixels in which the reference shows something.
+    /// Number of pixels that are not black in the reference.
     lit: u64,
 }
 
@@ -87,7 +87,9 @@ fn compare(found: &[u8], expected: &[u8]) -> Tally {
     tally
 }
 
-/// Casts one view by every caster of this machine and compares all with the scalar one; returns the scalar's picture.
+/// Cast one view with every caster of this machine and compare all with the scalar caster.
+///
+/// Return the scalar caster's picture.
 fn every_caster_agrees(frame: &Frame<'_>, radius: &[u8], height: usize) -> Vec<u8> {
     let mut pictures: Vec<Vec<u8>> = Vec::new();
     for method in [Method::Brute, Method::LeapTransparent(radius)] {
@@ -107,7 +109,7 @@ fn every_caster_agrees(frame: &Frame<'_>, radius: &[u8], height: usize) -> Vec<u
     pictures.swap_remove(0)
 }
 
-/// `num_poses` pictures, ten poses in each chest, by rays that stop when less than `stop` shines through.
+/// Compare `num_poses` pictures, ten poses in each chest, with rays that stop when the transparency falls below `stop`.
 fn against_f64(num_poses: u64, seed: u64, (width, height): (usize, usize), stop: f64) -> Tally {
     (0..num_poses.div_ceil(10))
         .into_par_iter()
@@ -189,10 +191,10 @@ fn twenty_thousand_poses_show_what_a_ray_caster_in_f64_shows() {
     check(against_f64(20_000, 1_000_000, (48, 40), 1.0 / 512.0));
 }
 
-/// Transfer functions with stretches of one colour, whose classes can be leaped also where they are opaque.
+/// Return transfer functions with sections of constant colour, whose classes can be leaped also where they are opaque.
 fn stretches() -> Vec<Vec<[f64; 5]>> {
     vec![
-        // Veils of lung, wall and tissue.
+        // Nearly transparent lung, wall and tissue.
         vec![
             [-930.0, 0.2, 0.3, 0.9, 0.0],
             [-929.0, 0.2, 0.3, 0.9, 0.02],
@@ -208,7 +210,7 @@ fn stretches() -> Vec<Vec<[f64; 5]>> {
             [-499.0, 0.9, 0.6, 0.5, 0.8],
             [3000.0, 0.9, 0.6, 0.5, 0.8],
         ],
-        // Fog everywhere: rays end behind long leaps only.
+        // Fog everywhere: rays end only after long leaps.
         vec![
             [-800.0, 0.6, 0.6, 0.7, 0.01],
             [-799.0, 0.9, 0.9, 0.8, 0.03],
@@ -217,13 +219,15 @@ fn stretches() -> Vec<Vec<[f64; 5]>> {
     ]
 }
 
-/// Leaps over every class against brute force, shading off; also how many samples leaps stood for.
+/// Compare leaps over every class with brute force, without shading.
+///
+/// Also return the number of samples that leaps skipped.
 fn leaps_over_opaque_classes(num_poses: u64, seed: u64, nearest: bool) -> (Tally, u64) {
     (0..num_poses.div_ceil(10))
         .into_par_iter()
         .map(|n| {
             let mut dice = Dice::new(seed + n);
-            // Equal values side by side, as the paper's data have them; a noisy CT has none.
+            // Equal values side by side, as in the paper's data; a noisy CT has none.
             let chest = if nearest {
                 Chest::with_noise(&mut dice, 0.5)
             } else {
@@ -329,7 +333,7 @@ fn leaps_in_thousands_of_poses_move_one_level_on_one_pixel_in_ten_thousand() {
     check_leaps(leaps_over_opaque_classes(3000, 60_000, true));
 }
 
-/// A chest on an upright grid, one voxel a mm on each axis unless told: what lies on a face, lies on it exactly.
+/// Create a chest on an upright grid with the given spacing, so that positions on a face are exactly on that face.
 fn upright(seed: u64, spacing: [f64; 3]) -> Chest {
     let mut chest = Chest::random(&mut Dice::new(seed));
     chest.lps_from_ijk = [
@@ -350,7 +354,7 @@ fn cameras_on_voxel_faces_and_along_axes_show_what_a_ray_caster_in_f64_shows() {
         let volume = VolumeView::new(&chest.hu, &grid).unwrap();
         let half = chest.shape.map(|n| (n / 2) as f64);
         let n = chest.shape.map(|n| n as f64);
-        // A voxel's centre, a face, an edge, a corner; the box's own faces and corners, from inside and outside.
+        // A voxel's centre, a face, an edge, a corner; the box's own faces and corners; and positions outside.
         let places = [
             half,
             [half[0] + 0.5, half[1], half[2]],
