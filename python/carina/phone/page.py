@@ -1,8 +1,8 @@
-"""The page that makes a phone an input device: a small HTTPS server of its own, off until a person opens it.
+"""HTTPS server for the page that makes a phone an input device; the user starts it explicitly.
 
-It is apart from the workstation's server in everything: another socket, bound to the address in the local network,
-another token, and an application that knows one page, its files and one WebSocket. Nothing of a case can be read
-through it; what comes in are samples of a device, which go the way of every device's (``navigate.Pilot``).
+The server is separate from the workstation's server: it has its own socket, bound to the address in the local network,
+its own token, and an application with one page, its files and one WebSocket. It gives no access to the data of a case.
+The samples that it receives are processed like those of every device (``navigate.Pilot``).
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ STARTS_WITHIN_S = 20.0
 
 
 def qr_rows(text: str) -> tuple[str, ...]:
-    """A text as a QR code with its quiet border of four modules: rows of 0 (light) and 1 (dark)."""
+    """Return a text as QR code, with a border of four modules, as rows of 0 (light) and 1 (dark)."""
     import segno
 
     code = segno.make_qr(text, error="m")
@@ -59,7 +59,7 @@ def qr_rows(text: str) -> tuple[str, ...]:
 
 @dataclass(slots=True)
 class _Open:
-    """All that ends when the page is closed."""
+    """Server, thread, tokens and wire state of a running phone page."""
 
     server: uvicorn.Server
     thread: threading.Thread
@@ -68,18 +68,18 @@ class _Open:
 
 
 class PhonePage:
-    """Opens and closes the page, and hands on what the phone says.
+    """Server of the phone page, which passes the samples of the phone to the session.
 
     Parameters
     ----------
     session
-        What is driven.
+        Session whose tip the phone moves.
     web
         Folder of the built client.
     address
-        Where to listen; None takes this machine's address in its network.
+        Address to listen on; None selects this machine's address in the local network.
     changed
-        Told when a phone comes or goes; from any thread.
+        Callback for a phone that connects or disconnects; called from any thread.
     """
 
     def __init__(self, session: Session, *, web: Path, address: str | None = None) -> None:
@@ -97,7 +97,7 @@ class PhonePage:
     # ------------------------------------------------------------ opened and closed
 
     def start(self) -> wire.PhoneInfo:
-        """Open it, with a new key, certificate and token; the same again changes nothing.
+        """Start the page with a new key, certificate and token; do nothing if it runs already.
 
         Raises
         ------
@@ -120,7 +120,7 @@ class PhonePage:
         return info
 
     def stop(self) -> None:
-        """Close it: the link, its token and the certificate are void. Returns when nothing listens any more."""
+        """Stop the page, invalidate its link, token and certificate, and return when its port is closed."""
         with self._lock:
             opened, self._open = self._open, None
             if opened is None:
@@ -130,7 +130,7 @@ class PhonePage:
         self.changed()
 
     def info(self) -> wire.PhoneInfo | None:
-        """What is shown of it; None while it is closed."""
+        """Return the state of the page for the wire; None while the page is stopped."""
         opened, link = self._open, self._link
         if opened is None:
             return None
@@ -199,7 +199,7 @@ class PhonePage:
         return app
 
     async def _talk(self, websocket: WebSocket, tokens: TokenGate) -> None:
-        """One phone, from its hello to its end."""
+        """Serve one phone from its hello message until its socket closes."""
         teller: asyncio.Task[None] | None = None
         link = PhoneLink(self._heard, self._act, clutch_held_moves=self._clutch_held_moves)
         try:
@@ -212,7 +212,7 @@ class PhonePage:
                     "this page and Carina have different versions; reload the page", code="protocol.version"
                 )
             if not tokens.admits(hello.token):
-                # Who tries others waits.
+                # The delay slows down a client that guesses tokens.
                 await asyncio.sleep(WRONG_TOKEN_WAIT_S)
                 raise ProtocolError(
                     "this link is no longer valid; scan the code on the workstation", code="protocol.not-authorised"
@@ -254,7 +254,7 @@ class PhonePage:
         self.changed()
 
     async def _tell(self, websocket: WebSocket) -> None:
-        """What the page shows, when it changes."""
+        """Send the state of the page to the phone whenever the state changes."""
         told = ""
         while True:
             text = wire.encode_message(self._state())
@@ -297,7 +297,7 @@ class PhonePage:
 
 
 async def _receive(websocket: WebSocket) -> str | None:
-    """A text; None for a binary message."""
+    """Return the next text message of the socket; None for a binary message."""
     message = await websocket.receive()
     if message["type"] == "websocket.disconnect":
         raise WebSocketDisconnect(message.get("code", 1006), message.get("reason"))

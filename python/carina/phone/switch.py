@@ -1,4 +1,4 @@
-"""The page for a phone, switched on and off. Nothing of it is loaded before."""
+"""Switch that starts and stops the phone page and imports its libraries only at the first start."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ LIBRARIES = ("cryptography", "segno")
 
 
 class PhoneSwitch:
-    """Opens and closes the page for a phone; what a server is given to offer it (``server.device_desk.Phone``).
+    """Switch for the phone page; implements the interface ``server.device_desk.Phone``.
 
     Parameters
     ----------
     session
-        What is driven.
+        Session whose tip the phone moves.
     web
         Folder of the built client.
     address
-        Where to listen; None takes this machine's address in its network.
+        Address to listen on; None selects this machine's address in the local network.
     """
 
     def __init__(self, session: Session, web: Path | None, address: str | None = None) -> None:
         self.changed: Callable[[], None] = lambda: None
-        """Told when a phone comes or goes; from any thread."""
+        """Callback for a phone that connects or disconnects; called from any thread."""
         self._session = session
         self._web = web
         self._address = address
@@ -46,7 +46,7 @@ class PhoneSwitch:
 
     @property
     def problem(self) -> str | None:
-        """Why it cannot be opened, in words."""
+        """Message that says why the phone page cannot be started, or None."""
         if self._web is None or not (self._web / "phone.html").is_file():
             return not_built("the phone page")
         if any(importlib.util.find_spec(name) is None for name in LIBRARIES):
@@ -54,7 +54,7 @@ class PhoneSwitch:
         return None
 
     def start(self) -> PhoneInfo:
-        """Open it, with a new key, certificate and token; the same again changes nothing.
+        """Start the page with a new key, certificate and token; do nothing if it runs already.
 
         Raises
         ------
@@ -72,14 +72,14 @@ class PhoneSwitch:
         return self._page.start()
 
     def stop(self) -> None:
-        """Close it: the link, its token and the certificate are void. Returns when nothing listens any more."""
+        """Stop the page, invalidate its link, token and certificate, and return when its port is closed."""
         if self._page is not None:
             self._page.stop()
 
     def info(self) -> PhoneInfo | None:
-        """What is shown of it; None while it is closed."""
+        """Return the state of the page for the wire; None while the page is stopped."""
         return None if self._page is None else self._page.info()
 
     def _tell(self) -> None:
-        """Whoever listens now: a server that ends listens no more."""
+        """Call the present ``changed`` callback, which a server replaces when it shuts down."""
         self.changed()

@@ -1,7 +1,7 @@
-"""How fine a picture may be so that it is ready in time: costs learned, levels chosen with hysteresis.
+"""Choice of the picture quality level that fits a time budget, from learned render costs and with hysteresis.
 
-One :class:`FrameBudget` per view. It knows neither clock nor renderer: times are passed in, and tests simulate both.
-Why it is as it is: ``docs/decisions/0108``.
+There is one :class:`FrameBudget` per view. It uses neither a clock nor a renderer: the caller passes times in seconds.
+Reasons for the design: ``docs/decisions/0108``.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ __all__ = ["AIRWAY_LEVELS", "FINDER_BELOW_PER_S", "FULL_STEP_VOX", "OVER", "PLAN
 
 @dataclass(frozen=True, slots=True)
 class Level:
-    """A way to make a picture cheaper."""
+    """Quality level of a picture: its size and its ray step."""
 
     scale: float
-    """Of the sides of the picture."""
+    """Factor on both sides of the picture, at most 1."""
     step_vox: float
-    """Ray step."""
+    """Ray step in voxels."""
 
     @property
     def work(self) -> float:
-        """Expected cost relative to the finest level, until pictures have shown better."""
-        # Measured on a real chest: proportional to the rays, and an eighth of a ray's time does not depend on the step.
+        """Expected cost relative to the finest level, before any cost is learned."""
+        # Measured on a chest CT: the cost is proportional to the rays; an eighth of it does not depend on the step.
         return self.scale**2 * (0.12 + 0.88 * FULL_STEP_VOX / self.step_vox)
 
 
@@ -35,90 +35,101 @@ FULL_STEP_VOX = 0.5
 _SCALES = (1.0, 0.92, 0.84, 0.77, 0.71, 0.65, 0.6, 0.55, 0.5, 0.46, 0.42, 0.385, 0.35, 0.325, 0.3, 0.275, 0.25)
 PLANAR_LEVELS = tuple(Level(scale, FULL_STEP_VOX) for scale in _SCALES)
 AIRWAY_LEVELS = (*PLANAR_LEVELS, *(Level(0.25, step_vox) for step_vox in (0.6, 0.72, 0.86, 1.0, 1.2, 1.4, 1.7, 2.0)))
-"""Resolution first, then the step. A level costs some 0.85 of the one before, so a budget is never missed by much."""
+"""Levels from fine to coarse: first the resolution falls, then the ray step grows.
+
+Each level costs about 0.85 of the level before, so that a budget is never missed by much.
+"""
 
 OVER = 1.0
-"""A level is left for a coarser one when it takes this many times the budget..."""
+"""Ratio of predicted time to budget above which a coarser level is chosen."""
 FITS = 0.9
-"""... for one that takes at most this part of it; and for a finer one only where that is predicted to take no more. The
-levels before and after such a change are 0.85 apart, so that between 0.9 and 1 nothing changes."""
+"""Maximum ratio of predicted time to budget for a newly chosen level, finer or coarser.
+
+Levels are a factor of 0.85 apart; between 0.9 and 1 the level does not change (hysteresis).
+"""
 DWELL_S = 0.4
-"""Time between a change and the next step to a finer level; doubled each time that such a step had to be taken back."""
+"""Minimum seconds between a change and the next step to a finer level; doubled after each step that is taken back."""
 MAX_DWELL_S = 2.0
 REVOKED_WITHIN_S = 1.5
-"""A finer level that is left again within this time was a mistake."""
+"""Seconds within which leaving a finer level again counts as taking the step back."""
 SMOOTH_FASTER = 0.35
-"""Weight of a picture that was faster than expected; slower ones count at once."""
+"""Weight (0..1) of a new median speed that is faster than the estimate; a slower one replaces the estimate at once."""
 BESIDE_AMONG = 16
-"""Of so many last pictures: a quarter took no longer beside its rays than what every picture takes (encoding, header,
-hand-over)."""
+"""Number of last pictures from which the fixed time per picture (encoding, header, delivery) is estimated.
+
+The estimate is the lower quartile of their times outside the rays.
+"""
 WAITS_AMONG = 5
-"""The median of so many last pictures tells what one now waits for cores that other programs have: fewer would take
-every hiccup for a neighbour who stays. It is believed up to..."""
+"""Number of last pictures whose median gives the present wait for cores that other programs use.
+
+With fewer pictures, a single delay would count as a lasting load.
+"""
 WAITS_RISE = 1.5
-"""... this many times the mean of the last 16: every other picture's wait is no reason to shrink for a whole one."""
+"""Upper limit of the present wait, as a multiple of the mean wait of the last 16 pictures."""
 RAYS_MATTER = 0.4
-"""No level is left for a coarser one where its rays alone take less than this part of the budget."""
+"""Part of the budget below which the time of the rays alone is no reason for a coarser level."""
 EACH_S = 0.0005
-"""What every picture takes besides its rays where the rays are not counted."""
+"""Fixed seconds per picture outside the rays, used if the time of the rays is not measured."""
 CLOCK_VARIES = 1.3
-"""Where they are not counted, a picture that took longer than so many times the quickest quarter of the last 16 is
-taken to have waited."""
+"""Limit of the ray time relative to the lower quartile of the last 16 pictures, if the ray time is not measured.
+
+The time above the limit counts as a wait for cores.
+"""
 SURPRISE = 0.25
-"""Part of the surprise at a change of level that is put down to the level; the rest is the content's."""
+"""Part of the prediction error after a change of level that corrects the cost of the level; the rest is content."""
 MAX_SHAPE = math.log(1.3)
-"""The expected costs of levels are not further off than this; the rest is content, whatever it looks like."""
+"""Limit (natural logarithm) of the learned correction to the expected cost of a level."""
 FORGET = 0.998
-"""What was learned about levels fades with every picture: one bad moment must not keep a level out for good."""
+"""Factor per picture by which the learned corrections of the levels decay, so that no error lasts."""
 
 FINDER_BELOW_PER_S = 5.0
-"""Below this rate at the coarsest level another picture stands in as view finder (paper 3.1)."""
+"""Pictures per second at the coarsest level below which the view finder replaces the view (paper 3.1)."""
 HOPELESS_AMONG = 4
-"""After so many pictures it is believed that no level would be quick enough: the rays are not what takes the time."""
+"""Minimum number of pictures before a large fixed time per picture alone switches to the view finder."""
 RECOVERED = 1.5
-"""The view comes back where the coarsest level is predicted to be this much faster than the limit."""
+"""Factor by which the predicted rate at the coarsest level must exceed the limit before the view returns."""
 PROBE_S = 0.010
-"""Time that a probe may take: a picture so small that it holds up nothing. It is not shown."""
+"""Target seconds of a probe: a small picture that is rendered to measure the speed and is not shown."""
 PROBE_EVERY_S = 0.5
 PROBE_SHARE = 0.05
-"""At most this part of the time goes to probes, also where even the smallest picture takes long."""
+"""Maximum part of the time that is spent on probes."""
 
 
 class FrameBudget:
-    """Costs of one view's pictures by level, and the level that keeps a time.
+    """Learned render costs of one view by level, and the choice of the level that fits a time budget.
 
     Parameters
     ----------
     levels
-        From fine to coarse.
+        Levels from fine to coarse.
     finder
-        Whether another picture may stand in where the coarsest level is too slow.
+        Whether the view finder may replace the view if the coarsest level is too slow.
 
     Notes
     -----
-    The time of a picture is its rays, what every picture takes beside them, and the wait for cores that other programs
-    have. The rays are counted (processor time over threads), so a neighbour does not make them look dear. They cost
-    ``speed * work(level) * shape(level)`` times their number at full size. ``speed`` is the content of this moment: the
-    median of the last three pictures, so that one hiccup changes nothing and dearer content is believed at its second
-    picture. ``shape`` is how far a level is from its expected work; it is learned at each change of level, since from
-    one picture to the next the content hardly changes.
+    The time of a picture is the sum of its ray time, a fixed time per picture, and the wait for cores that other
+    programs use. The ray time is processor time divided by threads, so that other programs do not change it. It is
+    ``speed * work(level) * shape(level)`` times the number of pixels at full size. ``speed`` depends on the content; it
+    is the median of the last three pictures, so that a single outlier has no effect. ``shape`` is the ratio of real to
+    expected work of a level; it is learned at each change of level, because the content hardly changes between two
+    pictures.
     """
 
     def __init__(self, levels: tuple[Level, ...], *, finder: bool = False) -> None:
         self.levels = levels
         self.level = next(n for n, level in enumerate(levels) if level.scale == levels[-1].scale)
-        """Present level while moving; at first the coarsest resolution, since the first picture may take long."""
+        """Index of the present level while moving; initially the coarsest resolution, as the first cost is unknown."""
         self._may_find = finder
         self._speed: float | None = None
         self._recent: deque[float] = deque(maxlen=3)
         self._beside: deque[float] = deque(maxlen=BESIDE_AMONG)
-        """What pictures took beyond their rays."""
+        """Seconds of the last pictures outside their rays."""
         self._each_s = EACH_S
         self._clocked: deque[float] = deque(maxlen=BESIDE_AMONG)
-        """Speeds by the clock, where rays are not counted."""
+        """Log speeds of the last pictures from elapsed time, for pictures without a measured ray time."""
         self._shape = [0.0] * (len(levels) + 1)
         self._learned: int | None = None
-        """Level of the last picture; ``len(levels)`` is a probe."""
+        """Index of the level of the last picture; ``len(levels)`` means a probe."""
         self._changed_s = -math.inf
         self._refined_s = -math.inf
         self._dwell_s = DWELL_S
@@ -127,20 +138,20 @@ class FrameBudget:
 
     @property
     def finding(self) -> bool:
-        """The view finder stands in while moving."""
+        """Whether the view finder replaces the view while moving."""
         return self._finding
 
     def predicted_s(self, level: int, pixels: int) -> float:
-        """Time of a picture of ``pixels`` pixels at full size; 0 while nothing is known.
+        """Return the predicted seconds of a picture with ``pixels`` pixels at full size; 0 before the first picture.
 
-        A wait for cores is taken to be as long at every level.
+        The wait for cores is assumed to be equal at every level.
         """
         if self._speed is None:
             return 0.0
         return self._each_s + self._wait_s() + self._rays_s(level, pixels)
 
     def finest_within(self, seconds: float, pixels: int) -> int:
-        """The finest level that is predicted to take at most this long; the coarsest where none does."""
+        """Return the index of the finest level predicted to take at most ``seconds``, or of the coarsest level."""
         return self._first(lambda n: self.predicted_s(n, pixels) <= seconds)
 
     def _first(self, fits: Callable[[int], bool]) -> int:
@@ -148,23 +159,34 @@ class FrameBudget:
         return next((n for n in levels if fits(n)), len(self.levels) - 1)
 
     def _rays_s(self, level: int, pixels: int) -> float:
-        """What the rays of a level take while nothing else wants a core."""
+        """Return the predicted ray time of a level in seconds, without a wait for cores."""
         assert self._speed is not None
         return math.exp(self._speed + self._shape[level]) * self.levels[level].work * pixels
 
     def _wait_s(self) -> float:
-        """What a picture now waits for cores."""
+        """Return the present wait for cores per picture in seconds."""
         now_s = max(0.0, median(list(self._beside)[-WAITS_AMONG:]) - self._each_s)
         return min(now_s, WAITS_RISE * self._usual_wait_s())
 
     def _usual_wait_s(self) -> float:
-        """What the last pictures waited for cores on the average, the longest wait left out: it may be a hiccup's."""
+        """Return the mean wait for cores of the last pictures in seconds, without the longest wait (an outlier)."""
         waits_s = sorted(max(0.0, beside_s - self._each_s) for beside_s in self._beside)
         return sum(waits_s[:-1]) / max(1, len(waits_s) - 1)
 
     def learn(self, level: int, pixels: int, seconds: float, rays_s: float | None = None) -> None:
-        """A picture of a level took so long, ``rays_s`` of it for its rays had they had all threads; None where nobody
-        counted."""
+        """Learn from the time of a rendered picture.
+
+        Parameters
+        ----------
+        level
+            Index of the level of the picture.
+        pixels
+            Number of pixels at full size.
+        seconds
+            Elapsed time of the picture.
+        rays_s
+            Processor time of the rays divided by the threads; None if it was not measured.
+        """
         self._learn(level, self.levels[level].work * pixels, seconds, rays_s)
         self._look_for_finder(pixels)
 
@@ -188,21 +210,33 @@ class FrameBudget:
             self._speed += SMOOTH_FASTER * (now - self._speed)
 
     def _rays_by_clock_s(self, index: int, work: float, seconds: float) -> float:
-        """What of a picture's time its rays took, where nobody counted: not much more than in the quickest quarter."""
-        # At least half of the time goes to the rays: a picture quicker than EACH_S must not count as nothing.
+        """Estimate the ray time of a picture from its elapsed time, limited by the lower quartile of the last ones."""
+        # At least half of the time counts as ray time, so that a picture faster than EACH_S has a positive cost.
         rays_s = max(seconds - EACH_S, 0.5 * seconds, 1e-6)
         self._clocked.append(math.log(rays_s / work) - self._shape[index])
         quiet = sorted(self._clocked)[len(self._clocked) // 4]
         return min(rays_s, CLOCK_VARIES * math.exp(quiet + self._shape[index]) * work)
 
     def choose(self, budget_s: float, pixels: int, now_s: float, *, begins: bool = False) -> int:
-        """The level of the next moving picture; ``begins`` is the first one of a movement, which need not wait."""
+        """Choose and return the level index of the next moving picture.
+
+        Parameters
+        ----------
+        budget_s
+            Time in seconds that the picture may take.
+        pixels
+            Number of pixels at full size.
+        now_s
+            Present time in seconds.
+        begins
+            Whether the picture is the first of a movement; a finer level then needs no waiting time.
+        """
         if self._speed is None:
             return self.level
         if self.predicted_s(self.level, pixels) > OVER * budget_s:
             wanted = self._less(budget_s, pixels)
         else:
-            # A neighbour who was there a moment ago may come back: a finer level has room for either.
+            # The load of other programs may return, so a finer level must also fit with the usual wait.
             rest_s = self._each_s + max(self._wait_s(), self._usual_wait_s())
             wanted = min(self.level, self._first(lambda n: rest_s + self._rays_s(n, pixels) <= FITS * budget_s))
         if wanted > self.level:
@@ -216,11 +250,11 @@ class FrameBudget:
         return self.level
 
     def _less(self, budget_s: float, pixels: int) -> int:
-        """The level that fits, where the wait for cores is taken to become less with the rays."""
+        """Return the coarser level that fits, assuming that the wait for cores shrinks with the ray time."""
         stretch = 1.0 + self._wait_s() / self._rays_s(self.level, pixels)
         fits = self._first(lambda n: self._each_s + stretch * self._rays_s(n, pixels) <= FITS * budget_s)
         fits = max(self.level, fits)
-        # Where the rays are no longer what takes the time, fewer of them would only cost sharpness.
+        # If the rays take a small part of the time, fewer rays would only reduce the sharpness.
         matter_s = RAYS_MATTER * budget_s
         enough = self._first(lambda n: self._rays_s(n, pixels) <= matter_s)
         if enough >= self.level:
@@ -231,8 +265,7 @@ class FrameBudget:
         last = len(self.levels) - 1
         at_end = self.predicted_s(last, pixels)
         if not self._finding:
-            # Only pictures that were really made are proof: one at the coarsest level, or several that took as long
-            # beside their rays.
+            # The switch needs rendered pictures: one at the coarsest level, or several whose fixed time is too long.
             tried = self.level == last and self._learned == last
             hopeless = len(self._beside) >= HOPELESS_AMONG and self._each_s > 1.0 / FINDER_BELOW_PER_S
             self._finding = self._may_find and at_end > 1.0 / FINDER_BELOW_PER_S and (tried or hopeless)
@@ -243,17 +276,17 @@ class FrameBudget:
     # ------------------------------------------------------------ probes while the view finder stands in
 
     def probe_due(self, now_s: float) -> bool:
-        """Whether to look how fast pictures are now."""
+        """Return whether a probe should be rendered now to measure the speed."""
         return self._finding and now_s >= self._probe_due_s
 
     def probe_scale(self, pixels: int) -> float:
-        """Scale of the sides of a probe, at the coarsest step."""
+        """Return the factor on the sides of a probe, which uses the coarsest ray step."""
         last = self.levels[-1]
         expected_s = self.predicted_s(len(self.levels) - 1, pixels)
         return last.scale * min(1.0, math.sqrt(PROBE_S / expected_s)) if expected_s > 0.0 else last.scale
 
     def learn_probe(self, scale: float, pixels: int, seconds: float, now_s: float, rays_s: float | None = None) -> None:
-        """A probe took so long; see :meth:`learn`."""
+        """Learn from the time of a probe, and schedule the next probe; the times are those of :meth:`learn`."""
         work = Level(scale, self.levels[-1].step_vox).work * pixels
         self._learn(len(self.levels), work, seconds, rays_s)
         self._probe_due_s = now_s + max(PROBE_EVERY_S, seconds / PROBE_SHARE)

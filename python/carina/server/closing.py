@@ -1,4 +1,4 @@
-"""How a WebSocket is ended: with a code of the wire and one sentence that a person can read."""
+"""Closing of a WebSocket with a close code of the wire protocol and a readable reason."""
 
 from __future__ import annotations
 
@@ -11,21 +11,20 @@ from carina.server import messages as wire
 __all__ = ["MAX_REASON_BYTES", "close_socket"]
 
 MAX_REASON_BYTES = 123
-"""A close frame holds 125 bytes, two of them the code (RFC 6455, section 5.5)."""
+"""Maximum length of a close reason: a close frame has 125 bytes, two of them the code (RFC 6455, section 5.5)."""
 
 
 async def close_socket(websocket: WebSocket, code: str, reason: str) -> None:
-    """End a socket; nothing where it has ended already.
+    """Close a WebSocket; do nothing if the socket is closed already.
 
     Parameters
     ----------
     websocket
-        Accepted.
+        Socket whose connection was accepted.
     code
-        Of :data:`carina.server.messages.CLOSE_CODES`. Any other, such as that of an error which ends no socket, counts
-        as ``protocol.malformed``.
+        Key of :data:`carina.server.messages.CLOSE_CODES`. Any other code counts as ``protocol.malformed``.
     reason
-        A sentence. What does not fit into a close frame is cut off, never in the middle of a character.
+        One sentence. It is truncated to :data:`MAX_REASON_BYTES` bytes of UTF-8, never inside a character.
     """
     if websocket.application_state is not WebSocketState.CONNECTED:
         return

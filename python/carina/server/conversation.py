@@ -1,4 +1,4 @@
-"""What is said on one window's socket, from its hello to its end."""
+"""WebSocket session of one browser window, from its hello message to the close of its socket."""
 
 from __future__ import annotations
 
@@ -23,14 +23,19 @@ HELLO_WITHIN_S = 20.0
 
 
 async def converse(websocket: WebSocket, attach: Callable[[wire.ClientHello], Awaitable[Window]]) -> int | None:
-    """Serve one window, from its hello to its end, and return the close code of its socket; None if it had none.
+    """Serve one window until its socket closes, and return the close code.
 
     Parameters
     ----------
     websocket
-        Accepted.
+        Socket whose connection was accepted.
     attach
-        Gives whoever says hello a window, or raises ProtocolError.
+        Creates the server's window for a hello message, or raises ProtocolError.
+
+    Returns
+    -------
+    int or None
+        Close code of the socket; None if there is none, for example after a missing hello message.
     """
     window: Window | None = None
     sender: asyncio.Task[None] | None = None
@@ -88,7 +93,8 @@ async def _send_all(websocket: WebSocket, window: Window) -> None:
             await close_socket(websocket, "protocol.slow-client", "this window could not keep up with the data")
             return
         topics, texts, pictures = outbox.take()
-        # All of one moment, before anything is sent: what is called handled then has been told.
+        # All topics are encoded before the first await, so that "handled" never reports a command whose result is
+        # missing from the other topics.
         told = [(topic, window.topic_text(topic)) for topic in topics]
         ended = window.ended
         if ended is not None:

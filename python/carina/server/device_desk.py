@@ -1,4 +1,4 @@
-"""Devices between client, machine and session: connections, the frames in which the tip follows them, what is shown."""
+"""Connections to input devices, the thread that moves the tip by them, and the device status sent to windows."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ __all__ = ["DeviceDesk", "Phone"]
 
 logger = logging.getLogger(__name__)
 
-# The tip follows devices so often at most: twice the rate of screens, below that of trackers.
+# Minimum seconds between two device frames: twice the rate of screens, below the rate of trackers.
 FRAME_S = 1.0 / 125.0
 SHOWN_EVERY_S = 0.2
 MAX_SOURCES = 16
@@ -35,42 +35,42 @@ PICTURE_PX = 512
 
 
 class Phone(Protocol):
-    """A page for a phone that can be opened and closed (:class:`carina.phone.PhoneSwitch`)."""
+    """Interface to start and stop the phone page (:class:`carina.phone.PhoneSwitch`)."""
 
     changed: Callable[[], None]
-    """Told when a phone comes or goes; from any thread."""
+    """Callback for a phone that connects or disconnects; called from any thread."""
 
     @property
     def problem(self) -> str | None:
-        """Why it cannot be opened, in words."""
+        """Message that says why the phone page cannot be started, or None."""
         ...
 
     def start(self) -> wire.PhoneInfo:
-        """Open it; the same again changes nothing."""
+        """Start the phone page; do nothing if it runs already."""
         ...
 
     def stop(self) -> None:
-        """Close it; returns when nothing listens any more."""
+        """Stop the phone page and return when its port is closed."""
         ...
 
     def info(self) -> wire.PhoneInfo | None:
-        """What is shown of it; None while it is closed."""
+        """Return the state of the phone page for the wire; None while it is stopped."""
         ...
 
 
 class DeviceDesk:
-    """Owns the connections to devices and the thread that lets the tip follow them.
+    """Owner of the device connections and of the thread that moves the tip by their samples.
 
     Parameters
     ----------
     session
-        What is driven.
+        Session whose tip the devices move.
     push
-        Sends a message to all windows; from any thread.
+        Sends a message to all windows; called from any thread.
     recordings
-        Folder of the recordings of cases that are not kept.
+        Folder for recordings of cases that are not saved.
     phone
-        The page for a phone, closed or open; None where there is none.
+        The phone page, started or not; None if this build has none.
     """
 
     def __init__(
@@ -92,7 +92,7 @@ class DeviceDesk:
         self._sources: dict[str, Source] = {}
         self._publisher: IgtlServer | None = None
         self._watching: set[int | None] = set()
-        """The windows that show the values of devices."""
+        """Ids of the windows that show the values of devices."""
         self._shown_s = 0.0
         self._pen_told: wire.Pen | None = None
         self._ports: tuple[tuple[str, ...], str | None] = ((), None)
@@ -101,11 +101,11 @@ class DeviceDesk:
         self._thread = threading.Thread(target=self._run, name="carina-devices", daemon=True)
 
     def start(self) -> None:
-        """Begin to follow."""
+        """Start the thread."""
         self._thread.start()
 
     def stop(self) -> None:
-        """End all connections."""
+        """Close all connections, stop the phone page and end the thread."""
         self._ended.set()
         self._session.devices.woken.set()
         for source in self._sources.values():
@@ -122,7 +122,7 @@ class DeviceDesk:
     # ------------------------------------------------------------ in
 
     def handle(self, message: Any, window: int | None = None) -> bool:
-        """Do what a window asks of connections; False if it is not about devices."""
+        """Handle a message of a window about devices; return False if the message is not about devices."""
         session = self._session
         match message:
             case wire.DeviceSample():
@@ -141,7 +141,7 @@ class DeviceDesk:
                 if self._phone is None:
                     raise UsageError("this build of Carina does not include the phone page", code="phone.missing")
                 self._phone_wanted = message.on
-                # Keys, sockets and threads: not while the window waits.
+                # Starting the page creates keys, sockets and threads, which would delay the event loop.
                 threading.Thread(target=self._switch_phone, args=(message.on,), daemon=True).start()
             case wire.WatchDevices():
                 self._watching.discard(window)
@@ -159,17 +159,17 @@ class DeviceDesk:
         return True
 
     def done(self, command: Command) -> None:
-        """After a command was done: what it changed is shown, if it was about devices."""
+        """Send the device status to all windows after a command about devices has run."""
         if type(command).__module__ == commands.devices.__name__:
             self._show()
 
     def window_came(self) -> None:
-        """It is told of the pen, and says itself whether it wants to see devices."""
+        """Schedule the pen state for a new window; the window subscribes to device values by a message."""
         self._pen_told = None
         self._session.devices.woken.set()
 
     def window_went(self, window: int) -> None:
-        """It sees no devices any more."""
+        """Cancel the device subscription of a closed window."""
         self._watching.discard(window)
 
     def _gone(self, device: str) -> None:
@@ -177,7 +177,7 @@ class DeviceDesk:
 
     def _connect(self, address: str) -> None:
         source = open_source(address, Listener(self._session.devices.said, self._gone))
-        # By its own name, which is shown: what was typed may leave out a port, or say more than the name.
+        # The source's own address is the key: the typed address may omit a port or contain more than the address.
         if source.address in self._sources:
             raise UsageError(f"{source.address} is already connected", code="devices.address")
         if len(self._sources) >= MAX_SOURCES:
@@ -190,7 +190,7 @@ class DeviceDesk:
         try:
             with self._phone_switching:
                 if on != self._phone_wanted:
-                    return  # a later click, whose thread may come first
+                    return  # a later request has changed the wanted state; its thread may run before this one
                 if on:
                     self._phone.start()
                 else:
@@ -217,14 +217,14 @@ class DeviceDesk:
         self._publisher.start()
 
     def _picture(self) -> Any:
-        """The airway view for an OpenIGTLink peer that asks: rendered for it, since it asks rarely."""
+        """Render the airway view for the request of an OpenIGTLink peer; None without a case."""
         scene = self._session.scene()
         return None if scene is None else scene.renderer.render(scene.spec(LEAD_VIEW, PICTURE_PX, PICTURE_PX, 1.0)).rgb
 
     # ------------------------------------------------------------ out
 
     def message(self) -> wire.Devices | None:
-        """What is shown; None without a case."""
+        """Return the device status for the wire; None without a case."""
         info = self._session.devices.info()
         if info is None:
             return None
@@ -253,11 +253,11 @@ class DeviceDesk:
         self._show_pen()
 
     def _show_pen(self) -> None:
-        """Where the pen is, when that is news."""
+        """Send the pen state to all windows if it has changed."""
         state = self._session.devices.pen()
         message, told = _pen(state), self._pen_told or NO_PEN
         if state is not None and not state.is_armed and state.off_mm is None and told.lps is not None:
-            # Nobody looks at its place: it is told when somebody does.
+            # The position of a pen that is not armed and has no offset is not displayed, so it causes no message.
             message = replace(message, lps=None if message.lps is None else told.lps)
         if message != told:
             self._pen_told = message
@@ -266,7 +266,7 @@ class DeviceDesk:
     def _run(self) -> None:
         woken, moving = self._session.devices.woken, False
         while not self._ended.is_set():
-            # While nobody says anything and nobody looks, it sleeps.
+            # Without samples and without a subscribed window, the thread sleeps until it is woken.
             woken.wait(1.0 / 60.0 if moving else SHOWN_EVERY_S if self._watching else None)
             if self._ended.is_set():
                 return
@@ -278,12 +278,12 @@ class DeviceDesk:
                     self._shown_s = began_s
                     self._show()
             except Exception as trouble:
-                # The next frame may do; without this thread no device moves anything any more.
+                # The thread continues after an error, because no other thread processes device input.
                 moving = False
                 if not self._fault_logged:
                     self._fault_logged = True
                     log_fault(logger, "processing the device input of one frame failed; input continues", trouble)
-            # A flood of samples makes no more frames than these.
+            # This wait limits the frame rate, however many samples arrive.
             self._ended.wait(max(0.0, FRAME_S - (time.monotonic() - began_s)))
 
 
@@ -335,7 +335,7 @@ NO_PEN = wire.Pen(device=None, tracked=False, lps=None, off_mm=None, off_deg=Non
 def _pen(state: PenState | None) -> wire.Pen:
     if state is None:
         return NO_PEN
-    # A tracker's noise beyond this is no news.
+    # Rounding hides the noise of a tracker, which would otherwise cause a message per sample.
     lps = None if state.lps is None else _three([round(v, 3) for v in state.lps])
     return wire.Pen(
         device=state.device[:200],

@@ -1,4 +1,4 @@
-"""What a person takes away: airways, key frames and flights of the open case as files, made when they are asked for."""
+"""Downloads of the open case: airways, key frames and flights as files that are created on request."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from carina.session import Session
 __all__ = ["FILE_STEM", "Downloads"]
 
 FILE_STEM = "airways"
-"""Of every file: neither the patient nor the case is in its name."""
+"""Stem of every file name, which contains neither the patient nor the case."""
 KEYS_NAME = "key-frames.json"
 FLIGHT_STEM = "flight"
-"""Of a recording, before its number: its own name may say whose it is."""
+"""Stem of the file name of a flight, before its number; the recording's own name could identify the patient."""
 
 
 class Downloads:
-    """Makes one file after the other: a surface takes seconds and both cores.
+    """Creator of download files, one at a time, because a surface takes seconds and all cores.
 
     Parameters
     ----------
     session
-        Whose airways.
+        Session with the open case.
     export
-        Writes a file; another one in tests.
+        Writes a file; tests replace it.
     """
 
     def __init__(self, session: Session, export: Callable[..., Path] = export_airways) -> None:
@@ -43,7 +43,9 @@ class Downloads:
         self._one_at_a_time = asyncio.Lock()
 
     async def answer(self, suffix: str) -> Response:
-        """The file with this suffix (``.json``, ``.stl``, ...), which is removed once it has been sent.
+        """Return a response with the airways as a file of this suffix (``.json``, ``.stl``, ...).
+
+        The temporary file is deleted after the response.
 
         Raises
         ------
@@ -67,7 +69,7 @@ class Downloads:
         return FileForOnce(path, filename=path.name, headers={"cache-control": "no-store"})
 
     async def key_frames(self) -> Response:
-        """The key frames of the open case, as ``carina fly`` takes them.
+        """Return a response with the key frames of the open case, in the format that ``carina fly`` reads.
 
         Raises
         ------
@@ -79,7 +81,7 @@ class Downloads:
         return JSONResponse(document, headers={"cache-control": "no-store", "content-disposition": disposition})
 
     async def flight(self, number: int) -> Response:
-        """A recorded flight of the open case, as ``carina fly`` takes it.
+        """Return a response with a recorded flight of the open case, in the format that ``carina fly`` reads.
 
         Raises
         ------

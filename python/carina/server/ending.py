@@ -1,4 +1,4 @@
-"""How a server ends: within its grace, whatever the other sides do, and without a word where nothing was lost."""
+"""Shutdown of the HTTP server within its grace period, without error messages if no data were lost."""
 
 from __future__ import annotations
 
@@ -14,24 +14,23 @@ from carina.server.strangers import Strangers
 __all__ = ["FAREWELL_S", "EndingServer"]
 
 FAREWELL_S = 0.5
-"""How long the other side of a connection that we have closed may take to read what is on its way and say farewell."""
+"""Seconds that a client has to read the remaining data and finish the closing handshake of a closed connection."""
 LOOK_EVERY_S = 0.02
 
 
 class EndingServer(uvicorn.Server):
-    """Uvicorn's, which asks its connections to close and then waits for the other sides.
+    """Uvicorn server that aborts connections whose client does not finish the closing handshake in time.
 
-    An encrypted connection is closed when the other side has said farewell too, any connection when what was sent has
-    been read; a browser that is busy, or asleep, does neither for half a minute. The library waits for its grace and
-    reports an error in which nothing is wrong. Here such a connection is cut: we have said all we had to say. What
-    stays the library's is to wait for answers that are being made.
+    A busy or suspended browser can delay the closing handshake by half a minute. Uvicorn would wait for its grace
+    period and then log an error. This class aborts such a connection :data:`FAREWELL_S` seconds after it was closed.
+    Requests that are still being answered have the full grace period.
 
     Parameters
     ----------
     config
-        The library's; ``timeout_graceful_shutdown`` is the grace.
+        Configuration of uvicorn; ``timeout_graceful_shutdown`` is the grace period in seconds.
     strangers
-        Of this server: who comes while it ends is turned away.
+        Unauthenticated connections of this server; new ones are aborted during the shutdown.
     """
 
     def __init__(self, config: uvicorn.Config, strangers: Strangers) -> None:
@@ -39,19 +38,19 @@ class EndingServer(uvicorn.Server):
         self._strangers = strangers
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Listen."""
+        """Install the handler for failed ``accept`` calls and open the listening sockets."""
         self._strangers.watch(asyncio.get_running_loop())
         await super().startup(sockets=sockets)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """End the connections and the application, also after a second interrupt."""
+        """Close all connections and shut the application down, also after a second interrupt."""
         servers, self.servers = self.servers, []
         for server in servers:
             server.close()
-        # A connection may have been taken, or its encryption be under way, and nobody have been told of it yet.
+        # A connection may be accepted, or in its TLS handshake, and not yet be registered with the server.
         self._strangers.turn_away()
         await self._end_connections()
-        # From 3.12 on a closed listener is waited for until the last handshake that it began has ended.
+        # From Python 3.12 on, wait_closed() of a listener waits for every TLS handshake that the listener began.
         for server in servers:
             with contextlib.suppress(AttributeError):
                 server.abort_clients()  # type: ignore[attr-defined]
@@ -61,7 +60,7 @@ class EndingServer(uvicorn.Server):
             await self.lifespan.shutdown()
 
     async def _end_connections(self) -> None:
-        """Ask all to close, and cut off those that wait for nothing but the other side."""
+        """Request every connection to close, and abort those that only wait for their client."""
         loop = asyncio.get_running_loop()
         end_s = loop.time() + (self.config.timeout_graceful_shutdown or 0)
         asked: set[Any] = set()
@@ -71,11 +70,11 @@ class EndingServer(uvicorn.Server):
             for connection in list(self.server_state.connections):
                 transport = connection.transport
                 if connection not in asked and not transport.is_closing():
-                    # Also who was an HTTP request before and is a WebSocket now.
+                    # A connection can change from HTTP to WebSocket, which is another object and needs its own request.
                     asked.add(connection)
                     connection.shutdown()
                 if not transport.is_closing():
-                    # Being answered. After the grace it is cut, and what answers notices.
+                    # The server still answers on this connection: abort it only after the grace period.
                     if now_s >= end_s:
                         self._strangers.cut(transport)
                 elif now_s - closing_since.setdefault(connection, now_s) >= FAREWELL_S:

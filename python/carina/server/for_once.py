@@ -1,4 +1,4 @@
-"""A file that is made to be sent once."""
+"""HTTP response for a temporary file that is deleted after it was sent."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ __all__ = ["FileForOnce", "new_folder"]
 
 
 class FileForOnce(FileResponse):
-    """A file in a folder of its own; both go however the answer ends: sent, refused (a range beyond it), broken off."""
+    """Response with a file from its own temporary folder; both are deleted after the response.
+
+    The folder is also deleted if the requested range is invalid or the client disconnects.
+    """
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         try:
@@ -24,12 +27,12 @@ class FileForOnce(FileResponse):
 
 
 def new_folder() -> Path:
-    """For one file alone.
+    """Create a temporary folder for one file, and return its path.
 
     Raises
     ------
     DiskError
-        If the disk takes nothing.
+        If the folder cannot be created, for example on a full disk.
     """
     try:
         return ScratchFolder().path

@@ -1,4 +1,4 @@
-"""HTTP for strangers: a connection that asks for nothing, or never to the end, is ended; their number is limited."""
+"""HTTP protocol with request timeouts and a limit on the number of unauthenticated connections."""
 
 from __future__ import annotations
 
@@ -15,18 +15,24 @@ from carina.server.strangers import Strangers
 __all__ = ["ImpatientProtocol", "impatient"]
 
 FIRST_REQUEST_WITHIN_S = 10.0
-"""From the connection, or from the first byte of a later request, to the last byte of its headers."""
+"""Timeout in seconds for request headers, from the connection or the first byte of a later request to their end."""
 BODY_WITHIN_S = 30.0
-"""Between two parts of a body, while it is read as fast as it comes."""
+"""Timeout in seconds between two parts of a request body; it does not count while the server reads slowly."""
 
 
 class ImpatientProtocol(H11Protocol):
-    """Uvicorn's, which waits for a request for ever; only between two of them it has a limit of its own."""
+    """HTTP/1.1 protocol of uvicorn with timeouts for request headers and bodies.
+
+    Uvicorn itself has only a timeout between two requests of a connection.
+    """
 
     strangers: Strangers
-    """Set by :func:`impatient`."""
+    """Registry of unauthenticated connections; set by :func:`impatient`."""
     authorised: Callable[[Mapping[str, str]], bool] | None = None
-    """Whether a request shows that it may; None where an upgrade to a WebSocket ends what is watched here."""
+    """Returns whether request headers are authorised; None if the WebSocket handler authenticates its client itself.
+
+    If None, the upgrade to a WebSocket removes the connection from the registry.
+    """
 
     _patience: asyncio.TimerHandle | None = None
     _waits_for = ""
@@ -34,24 +40,29 @@ class ImpatientProtocol(H11Protocol):
     _looked_at: Any = None
 
     def connection_made(self, transport: Any) -> None:
+        """Register the connection as unauthenticated and start the timeout of its first request."""
         super().connection_made(transport)
         self.strangers.arrived(self, transport, self._is_idle)
         self._wait()
 
     def connection_lost(self, exc: Exception | None) -> None:
+        """Cancel the timeout and remove the connection from the registry."""
         self._stop_waiting()
         self.strangers.left(self)
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
+        """Process the bytes and set the timeout for the next part of the request."""
         super().data_received(data)
         self._wait()
 
     def handle_events(self) -> None:
+        """Handle the parsed events and check the authorisation of a new request."""
         super().handle_events()
         self._look()
 
     def handle_websocket_upgrade(self, event: h11.Request) -> None:
+        """Check the authorisation, cancel the timeout and pass the connection to the WebSocket protocol."""
         self._look()
         self._stop_waiting()
         if self.authorised is None:
@@ -59,13 +70,14 @@ class ImpatientProtocol(H11Protocol):
         super().handle_websocket_upgrade(event)
 
     def on_response_complete(self) -> None:
+        """Finish the response and cancel a timeout for the request body."""
         super().on_response_complete()
-        # Until the next byte comes the library's own limit counts, which says farewell.
+        # Until the next byte, the keep-alive timeout of uvicorn applies, which closes the connection normally.
         if self._waits_for == "body":
             self._stop_waiting()
 
     def _look(self) -> None:
-        """Whether the newest request shows that whoever sent it may be here."""
+        """Remove the connection from the registry if the headers of its latest request are authorised."""
         if self._is_known or self.authorised is None or self.headers is None or self.headers is self._looked_at:
             return
         self._looked_at = self.headers
@@ -74,11 +86,11 @@ class ImpatientProtocol(H11Protocol):
             self.strangers.left(self)
 
     def _is_idle(self) -> bool:
-        """Nothing is being answered."""
+        """Return whether no request is being answered."""
         return self.cycle is None or self.cycle.response_complete
 
     def _wait(self) -> None:
-        """What is waited for now: the end of a request's headers since they began, the next part of a body, nothing."""
+        """Start or cancel the timeout according to the state of the request: headers, body or neither."""
         if self.transport.get_protocol() is not self or self.transport.is_closing():
             self._stop_waiting()
         elif self._is_idle():
@@ -101,14 +113,14 @@ class ImpatientProtocol(H11Protocol):
             self._patience = None
 
     def _end(self) -> None:
-        # A WebSocket has another protocol by then, of whose end this one is not told: of what is closed an encrypted
-        # transport does not know the protocol any more.
+        # After an upgrade the transport belongs to a WebSocket protocol, and this object gets no connection_lost(). A
+        # closed TLS transport no longer knows its protocol, so is_closing() is checked first.
         if self.transport.is_closing() or self.transport.get_protocol() is not self:
             return
         if self._waits_for == "body" and (self._is_idle() or self.flow.read_paused):
-            self._wait_for("body", BODY_WITHIN_S)  # it is we who are slow
+            self._wait_for("body", BODY_WITHIN_S)  # the server, not the client, causes the delay
             return
-        # Abort: a farewell would wait for the stranger's.
+        # abort() and not close(): a TLS close waits for the answer of the peer.
         self.strangers.ended()
         self.transport.abort()
 
@@ -116,14 +128,14 @@ class ImpatientProtocol(H11Protocol):
 def impatient(
     strangers: Strangers, authorised: Callable[[Mapping[str, str]], bool] | None = None
 ) -> type[ImpatientProtocol]:
-    """The protocol of one server.
+    """Return the HTTP protocol class for one server.
 
     Parameters
     ----------
     strangers
-        Those of this server.
+        Registry of the unauthenticated connections of this server.
     authorised
-        Whether a request's headers show that it may; None where the WebSocket finds that out by itself.
+        Returns whether request headers are authorised; None if the WebSocket handler authenticates its client itself.
     """
     found = None if authorised is None else staticmethod(authorised)
     return type("Impatient", (ImpatientProtocol,), {"strangers": strangers, "authorised": found})

@@ -1,7 +1,7 @@
-"""What a client sent and Carina has not done yet: movements add up, of wishes the newest counts, others get a turn.
+"""Queue of received messages of one window, which merges movements and drops superseded settings.
 
-The client of ours sends a movement per screen refresh. A script may send a thousand a second, each of which takes
-milliseconds: all else on this machine would wait behind them.
+The web client sends one movement per screen refresh. A script can send a thousand a second, each of which takes
+milliseconds; without merging, all other work of the server would wait.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from carina.server import messages as wire
 __all__ = ["Inbox"]
 
 STEER_EVERY_S = 0.004
-"""Movements that follow each other faster are one; a screen shows at most 240 a second."""
+"""Seconds between two movements below which they are merged; a screen shows at most 240 pictures a second."""
 MAX_WAITING = 64
-"""Beyond this nothing is read: the network waits."""
+"""Number of queued messages above which the server stops reading from the socket."""
 LONGEST_PAUSE_S = 0.1
-"""Between two messages of a client with a share of the time, whatever the first of them took."""
+"""Maximum pause in seconds between two messages of a client whose share of the time is limited."""
 MAX_ADVANCE_MM = 1000.0
 MAX_TURN_RAD = 7.0
 NEWEST_ONLY = (
@@ -39,20 +39,20 @@ NEWEST_ONLY = (
     wire.AskBranchDetail,
     wire.Layout,
 )
-"""Of two of them that follow each other, with the same value of ``view`` where they have one, the first is void."""
+"""Message types of which the first of two consecutive messages, with equal ``view`` if they have one, is dropped."""
 
 
 class Inbox:
-    """The messages of one window, in their order; event loop only.
+    """Queue of the messages of one window, in order; used from the event loop only.
 
     Parameters
     ----------
     handle
-        Does one message, at once; must not raise.
+        Handles one message synchronously; must not raise.
     handled
-        Told after each command how many have been done or refused, those included of which a newer one took the place.
+        Called after each command with the number of commands that were executed, refused or superseded so far.
     share
-        Largest share of the event loop's time that these messages may take, more than 0 and at most 1.
+        Maximum share of the event loop's time for these messages, more than 0 and at most 1.
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class Inbox:
         self._handled = handled
         self._pause_per_s = 1.0 / share - 1.0
         self._waiting: deque[tuple[int, Any]] = deque()
-        """Each with the number of commands that have come with it, those that went into it included."""
+        """Queued messages, each with the number of commands received up to it, merged commands included."""
         self._num_commands = 0
         self._num_handled = 0
         self._changed = asyncio.Event()
@@ -76,11 +76,11 @@ class Inbox:
 
     @property
     def num_waiting(self) -> int:
-        """How many have not been done."""
+        """Number of queued messages."""
         return len(self._waiting)
 
     async def put(self, message: Any) -> None:
-        """One more; waits while there are too many."""
+        """Queue a message, or merge it into the last one; wait while the queue is full."""
         await self._room.wait()
         self._num_commands += isinstance(message, Command)
         if self._waiting and (merged := _merged(self._waiting[-1][1], message)) is not None:
@@ -92,7 +92,7 @@ class Inbox:
         self._changed.set()
 
     async def work(self) -> None:
-        """Do them until cancelled; whatever else the loop has to do comes in between."""
+        """Handle messages until cancelled, and yield to the event loop after each message."""
         loop = asyncio.get_running_loop()
         try:
             await self._work(loop)
@@ -103,7 +103,7 @@ class Inbox:
         while True:
             await self._changed.wait()
             if len(self._waiting) == 1 and self._is_steer_next():
-                # Behind it there may be more of the same in a moment; nothing else waits for it.
+                # Wait for further movements to merge; no other message of this window is delayed.
                 soon_s = self._steered_s + STEER_EVERY_S - loop.time()
                 if soon_s > 0.0:
                     await asyncio.sleep(soon_s)
@@ -117,13 +117,13 @@ class Inbox:
         return bool(self._waiting) and isinstance(self._waiting[0][1], wire.Steer)
 
     def drop(self) -> None:
-        """Do none of those that are left: the client sent too many."""
+        """Drop all queued messages, after a client has sent too many."""
         self._waiting.clear()
         self._changed.clear()
         self._room.set()
 
     def finish(self) -> None:
-        """Do all that is left, now: the client has gone, and meant it."""
+        """Handle all queued messages now, after the client has disconnected."""
         while self._waiting:
             self._do_next()
 
@@ -140,7 +140,7 @@ class Inbox:
 
 
 def _merged(before: Any, after: Any) -> Any:
-    """One message that does what two that follow each other do; None where there is none."""
+    """Return one message with the effect of two consecutive messages; None if they cannot be merged."""
     if type(before) is not type(after):
         return None
     if isinstance(after, wire.Steer):
@@ -151,7 +151,7 @@ def _merged(before: Any, after: Any) -> Any:
 
 
 def _sum(a: wire.Steer, b: wire.Steer) -> wire.Steer | None:
-    """As the client adds them up; None where the sum is more than one message may say."""
+    """Return the sum of two movements; None if the sum exceeds the limits of one message."""
     summed = wire.Steer(
         a.advance_mm + b.advance_mm, a.yaw_rad + b.yaw_rad, a.pitch_rad + b.pitch_rad, a.roll_rad + b.roll_rad
     )

@@ -1,4 +1,4 @@
-"""Answers the newest of many questions of a kind, outside the event loop."""
+"""Background thread that runs only the latest pending task of each kind."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ __all__ = ["NewestOnly"]
 
 
 class NewestOnly:
-    """One thread that runs the newest task of each kind; a task that has not begun gives way to a newer one.
+    """Thread that runs the latest task of each kind; a newer task replaces a pending task of the same kind.
 
-    A cursor asks more often than a slow machine answers. What it asked a moment ago nobody wants to know any more.
+    The class serves requests that follow the cursor: a slow machine cannot answer all of them, and only the answer to
+    the latest is of use.
     """
 
     def __init__(self, name: str) -> None:
@@ -21,33 +22,33 @@ class NewestOnly:
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     def start(self) -> None:
-        """Begin."""
+        """Start the thread."""
         self._thread.start()
 
     def ask(self, kind: str, task: Callable[[], None]) -> None:
-        """Run a task soon, in place of one of its kind that waits; it must not raise."""
+        """Queue a task and drop the pending task of the same kind; the task must not raise."""
         with self._changed:
-            # To the end of the queue: kinds take turns.
+            # The task goes to the end of the queue, so that the kinds take turns.
             self._tasks.pop(kind, None)
             self._tasks[kind] = task
             self._changed.notify()
 
     def end(self) -> None:
-        """End after the task under way, for which nobody waits here; what waits is dropped."""
+        """Drop all pending tasks and end the thread after the running task, without waiting for the thread."""
         with self._changed:
             self._stopped = True
             self._tasks.clear()
             self._changed.notify()
 
     def stop(self) -> None:
-        """End, and wait for the task under way."""
+        """Drop all pending tasks, end the thread and wait until the running task has finished."""
         self.end()
         if self._thread.is_alive():
             self._thread.join()
 
     @property
     def thread(self) -> threading.Thread:
-        """That runs them."""
+        """Thread that runs the tasks."""
         return self._thread
 
     def _run(self) -> None:

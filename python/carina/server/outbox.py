@@ -1,4 +1,4 @@
-"""What waits to be sent to one window."""
+"""Queue of the messages that the server has not yet sent to one window."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from carina.server.wire_codec import type_name
 __all__ = ["Outbox"]
 
 MAX_TEXTS = 2000
-"""Text messages waiting for a window that does not read; beyond it is cut off."""
+"""Maximum number of queued text messages; the server disconnects a window that exceeds it."""
 MAX_PICTURES = 200
-"""The same of pictures: those that are not acknowledged count as lost after a while, and others follow."""
+"""Maximum number of queued pictures; pictures pile up if unacknowledged ones count as lost and others follow."""
 TOPICS = (
     "start",
     "state",
@@ -29,14 +29,17 @@ TOPICS = (
     "watching",
     "handled",
 )
-"""In the order in which they are sent: what was done is said after what came of it. The session's ``views`` is not
-among them: it asks for pictures."""
+"""Topics in the order of sending: ``handled``, which reports finished commands, follows the results of the commands.
+The session's topic ``views`` is absent, because it requests pictures instead of a message."""
 NEWEST_ONLY = (wire.Value, wire.LivePath, wire.BranchDetail, wire.EditPreview, wire.Devices, wire.Pen, wire.Cluster)
-"""Messages of which only the newest matters: answers to a cursor, and what is told again and again."""
+"""Message types of which only the latest is sent: answers that follow the cursor, and repeated status messages."""
 
 
 class Outbox:
-    """What waits to be sent to one window; event loop only. Topics coalesce: only their newest message is ever sent."""
+    """Queue of unsent messages for one window; used from the event loop only.
+
+    Of each topic only the latest message is sent.
+    """
 
     def __init__(self) -> None:
         self._topics: set[str] = set()
@@ -48,23 +51,23 @@ class Outbox:
 
     @property
     def overflowed(self) -> bool:
-        """The window reads too slowly, or not at all."""
+        """Whether the queue is over its limit, because the window reads too slowly or not at all."""
         return len(self._texts) > MAX_TEXTS or len(self._pictures) > MAX_PICTURES
 
     def is_news(self, topic: str, text: str) -> bool:
-        """Whether the topic's message differs from the last one sent; notes it as sent."""
+        """Return whether the message of the topic differs from the last one sent, and record the message as sent."""
         if self._sent.get(topic) == text:
             return False
         self._sent[topic] = text
         return True
 
     def mark(self, *topics: str) -> None:
-        """The topic's message must be sent anew."""
+        """Mark topics whose message must be sent again; names outside :data:`TOPICS` are ignored."""
         self._topics.update(t for t in topics if t in TOPICS)
         self._filled.set()
 
     def push(self, message: Any) -> None:
-        """A message that must arrive as it is, in order; of progress and answers to a cursor only the newest."""
+        """Queue a message in order; of progress and of the types in :data:`NEWEST_ONLY` only the latest is sent."""
         if isinstance(message, wire.Progress):
             self._newest[f"job {message.job_id}"] = wire.encode_message(message)
         elif isinstance(message, NEWEST_ONLY):
@@ -76,16 +79,16 @@ class Outbox:
         self._filled.set()
 
     def push_picture(self, data: bytes) -> None:
-        """A picture; their number is bounded by the acknowledgements."""
+        """Queue an encoded picture; the acknowledgements of the client bound the number of pictures."""
         self._pictures.append(data)
         self._filled.set()
 
     async def filled(self) -> None:
-        """Wait until there is something to take."""
+        """Wait until at least one message is queued."""
         await self._filled.wait()
 
     def take(self) -> tuple[list[str], list[str], list[bytes]]:
-        """The changed topics (in their order), the texts and the pictures."""
+        """Remove and return the changed topics (in their order), the text messages and the pictures."""
         self._filled.clear()
         topics = [t for t in TOPICS if t in self._topics]
         texts = [*self._newest.values(), *self._texts]

@@ -1,8 +1,9 @@
-"""Which view to render next, how fine, and when to wait: the frame pump's judgement, without threads or clocks.
+"""Frame scheduler: choice of the next view to render, its quality and its time, without threads or clocks.
 
-Rules (``protocol/README.md``): the newest pose wins per view; the airway view keeps the asked rate and the others share
-what is left, so that none starves; a few unacknowledged pictures per view at most, so that a slow client gets fewer
-pictures and never older ones; coarse while something moves, fine once it is still.
+Rules (``protocol/README.md``): each view shows the latest pose. The airway view has the requested rate; the other views
+share the remaining time, so that each of them is rendered. The number of unacknowledged pictures per view is limited,
+so that a slow client gets fewer pictures but no outdated ones. Pictures are coarse while their content moves and fine
+afterwards.
 """
 
 from __future__ import annotations
@@ -18,29 +19,31 @@ from carina.server.budget import AIRWAY_LEVELS, OVER, PLANAR_LEVELS, FrameBudget
 __all__ = ["DEFAULT_RATE_HZ", "MOVING", "FrameScheduler", "RenderOrder"]
 
 DEFAULT_RATE_HZ = 60.0
-"""Airway pictures per second that are asked for while moving."""
+"""Default target rate of airway pictures while moving, in pictures per second."""
 STILL_AFTER_S = 0.150
-"""A view counts as moving for this long after its content last changed."""
+"""Seconds after the last change of its content for which a view counts as moving."""
 LONG_S = 0.250
-"""A full picture that takes longer has one of middle size before it, as fine as this allows."""
+"""Seconds of a full picture above which a picture of medium quality, which fits in this time, precedes it."""
 GAP = 0.97
-"""Airway pictures begin this part of a period apart, on average. A little less than one: a hand's input that comes at
-the same rate, give or take a millisecond, is answered when it comes."""
+"""Mean interval between the starts of two airway pictures, as a part of the period.
+
+A little less than 1, so that input that arrives at the same rate with a jitter of 1 ms is rendered without delay.
+"""
 ALONE_FITS = 0.95
-"""Part of the period that the airway picture may take while nothing else moves."""
+"""Part of the period that an airway picture may take while no other view moves."""
 OTHERS_SHARE = 0.35
-"""Seconds that the other views get for each second spent on the moving airway view."""
+"""Render time of all other views per second of render time of the moving airway view."""
 OTHERS_MOVE_S = 0.5
-"""The others count as moving for this long after one of them last changed."""
+"""Seconds after the last change of any other view for which the other views count as moving."""
 OTHERS_TARGET_S = 0.025
-"""Time of one picture of another view while the airway view rests."""
+"""Target seconds of one picture of another view while the airway view does not move."""
 MAX_CREDIT_S = 0.25
 MAX_IN_FLIGHT: dict[str, int] = {LEAD_VIEW: 3}
 LOST_AFTER_S = 3.0
-"""A picture that is not acknowledged for so long is taken as lost: a client that lost one must not stay without any."""
+"""Seconds without acknowledgement after which a picture counts as lost, so that the client gets new pictures."""
 
 FINDER, MOVING, PAUSED, FULL = 0, 1, 2, 3
-"""Grades of a picture."""
+"""Grades of a picture, from coarse to fine."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +51,7 @@ class RenderOrder:
     """One picture to render."""
 
     view: str
-    """The view that it is for."""
+    """Name of the view in which the picture is shown."""
     width: int
     height: int
     step_vox: float
@@ -56,15 +59,15 @@ class RenderOrder:
     key: Hashable
     full_width: int
     full_height: int
-    """Size that the client asked for."""
+    """Full height in pixels that the client requested; ``full_width`` likewise is the requested width."""
     level: int
     purpose: Literal["picture", "finder", "probe"] = "picture"
-    """A finder picture is the cut-plane in the place of the view; a probe is measured and not shown."""
+    """Purpose: ``finder`` shows the cut-plane in place of the view; ``probe`` is only timed and not shown."""
     begun_s: float = 0.0
 
     @property
     def full(self) -> bool:
-        """Final quality for this content."""
+        """Whether the picture has the final quality for its content."""
         return self.grade == FULL
 
 
@@ -78,16 +81,16 @@ class _View:
     sent_key: Hashable = None
     sent_grade: int = -1
     in_flight: dict[int, float] = field(default_factory=dict)
-    """Frame ids, and when they were sent."""
+    """Unacknowledged pictures: frame id to time of sending in seconds."""
     was_still: bool = True
-    """No moving picture was ordered since the view last rested."""
+    """Whether no moving picture was ordered since the view was last still."""
 
     @property
     def pixels(self) -> int:
         return self.width * self.height
 
     def is_moving(self, now_s: float) -> bool:
-        # The same sum as in still_s: a difference would round to just before the time that was waited for.
+        # Compared with still_s: the rounding of a difference could end the movement just before the wake-up time.
         return now_s < self.still_s
 
     @property
@@ -95,20 +98,20 @@ class _View:
         return self.changed_s + STILL_AFTER_S
 
     def grade(self, now_s: float) -> int:
-        """How fine a picture may be now."""
+        """Return the grade of the next picture at this time."""
         if self.is_moving(now_s):
             return FINDER if self.budget.finding else MOVING
         if self.sent_key == self.seen_key and self.sent_grade >= PAUSED:
             return FULL
         if self.budget.predicted_s(0, self.pixels) <= LONG_S:
             return FULL
-        # Finer than while moving, or it would be the same picture again. What stood in is no airway picture yet.
+        # A medium picture must be finer than the moving one; after the view finder, any airway picture is new.
         finer = self.budget.finding or self.budget.finest_within(LONG_S, self.pixels) < self.budget.level
         return PAUSED if finer else FULL
 
 
 class FrameScheduler:
-    """State of the visible views; every call passes the time in seconds of one monotonic clock."""
+    """Scheduler of the pictures of the visible views; callers pass the time in seconds of one monotonic clock."""
 
     def __init__(self, *, rate_hz: float = DEFAULT_RATE_HZ) -> None:
         self._period_s = 1.0 / rate_hz
@@ -117,22 +120,22 @@ class FrameScheduler:
         self._credit_s = 0.0
         self._turn: list[str] = []
         self._due_s = -math.inf
-        """When the next airway picture may begin while moving."""
+        """Earliest start of the next airway picture while moving, in seconds of the clock."""
         self._airway_s = 0.0
-        """What the last moving airway picture took."""
+        """Render time in seconds of the last moving airway picture."""
 
     def set_rate(self, rate_hz: float) -> None:
-        """Ask for so many airway pictures per second while moving."""
+        """Set the target rate of airway pictures while moving, in pictures per second."""
         self._period_s = 1.0 / rate_hz
 
     def set_layout(self, views: Mapping[str, tuple[int, int]]) -> None:
-        """The visible views and their sizes; a view of the same size keeps what was sent."""
+        """Set the visible views and their sizes in pixels; a view of unchanged size is not sent again."""
         old = self._views
         self._views = {}
         for name, (width, height) in views.items():
             view = old.get(name)
             if view is None:
-                # What its pictures cost is still known from when it was last visible.
+                # The budget of a view that was visible before still has its learned costs.
                 if name not in self._budgets:
                     finder = name == LEAD_VIEW
                     self._budgets[name] = FrameBudget(AIRWAY_LEVELS if finder else PLANAR_LEVELS, finder=finder)
@@ -144,7 +147,7 @@ class FrameScheduler:
         self._turn += [name for name in self._views if name not in self._turn]
 
     def observe(self, keys: Mapping[str, Hashable], now_s: float) -> None:
-        """Note what each visible view should show now; equal keys mean equal pictures, None is nothing to show."""
+        """Record the content key of each visible view; equal keys mean equal pictures, None means no picture."""
         for name, view in self._views.items():
             key = keys.get(name)
             if key != view.seen_key:
@@ -154,7 +157,7 @@ class FrameScheduler:
                 view.seen_key = key
 
     def next_order(self, now_s: float) -> RenderOrder | None:
-        """The next picture, or None: all is sent, waits to be acknowledged, to be still, or for its time."""
+        """Return the order of the next picture, or None if no picture is due now."""
         ready = [n for n in self._turn if self._wanted(n, now_s) and self._held_until_s(n, now_s) <= now_s]
         others = [name for name in ready if name != LEAD_VIEW]
         if LEAD_VIEW in ready and not (others and self._credit_s > 0.0):
@@ -168,7 +171,10 @@ class FrameScheduler:
         return self._order(name, now_s)
 
     def wake_s(self, now_s: float) -> float | None:
-        """When to ask again without an event: a view may become finer, its time comes, a lost picture is given up."""
+        """Return the time at which a picture can become due without an event; None if there is no such time.
+
+        Such a time is the end of a movement, the start of the next period, or the loss of an unacknowledged picture.
+        """
         times: list[float] = []
         for name, view in self._views.items():
             if view.seen_key is None:
@@ -181,7 +187,7 @@ class FrameScheduler:
         return min(times, default=None)
 
     def _held_until_s(self, name: str, now_s: float) -> float:
-        """Until when a view that wants a picture is held back for the sake of the moving airway view's rate."""
+        """Return the time until which a view must wait so that the moving airway view has its rate."""
         airway = self._views.get(LEAD_VIEW)
         if airway is None or not airway.is_moving(now_s):
             return now_s
@@ -189,18 +195,19 @@ class FrameScheduler:
             return max(self._due_s, now_s)
         expected_s = self._expected_s(name, now_s)
         if self._views[name].grade(now_s) > MOVING and expected_s > OVER * self._other_budget_s(now_s):
-            # It would be given up at the next movement, again and again.
+            # A picture this long would be cancelled by every further movement.
             return airway.still_s
         waits_s = self._due_s - now_s if self._wanted(LEAD_VIEW, now_s) else 0.0
-        # Beyond their share, the others only take the time that would be waited anyway.
+        # Without credit, another view is rendered only in the idle time before the next airway picture.
         return self._due_s if waits_s > 0.0 >= self._credit_s and expected_s > waits_s else now_s
 
     def rendered(
         self, order: RenderOrder, frame_id: int, seconds: float, now_s: float, *, rays_s: float | None = None
     ) -> bool:
-        """A picture was rendered; False if it is not to be sent: a view that is gone, a probe.
+        """Record a rendered picture and return whether it should be sent.
 
-        ``rays_s`` is what its rays take where nothing else wants a core; None where nobody counted it.
+        A probe, and a picture of a view that is no longer visible, are not sent. ``seconds`` is the elapsed render
+        time; ``rays_s`` is the processor time of the rays divided by the threads, or None if it was not measured.
         """
         view = self._views.get(order.view)
         self._account(order, seconds)
@@ -208,7 +215,7 @@ class FrameScheduler:
             return False
         pixels = view.pixels
         if order.purpose == "probe":
-            # The scale that it really had: no picture is smaller than 16 pixels.
+            # The real scale, which differs from the ordered one because no picture is smaller than 16 pixels.
             scale = math.sqrt(order.width * order.height / pixels)
             view.budget.learn_probe(scale, pixels, seconds, now_s, rays_s)
             return False
@@ -219,7 +226,7 @@ class FrameScheduler:
         return True
 
     def given_up(self, order: RenderOrder, seconds: float) -> None:
-        """A picture was given up for a newer one; it is asked for again if it is still wanted then."""
+        """Record that a picture was cancelled after ``seconds``; the scheduler orders it again if it is still due."""
         self._account(order, seconds)
 
     def _account(self, order: RenderOrder, seconds: float) -> None:
@@ -231,39 +238,39 @@ class FrameScheduler:
             self._airway_s = seconds
 
     def failed(self, order: RenderOrder) -> None:
-        """A picture could not be rendered; it is not asked for again until its content changes."""
+        """Record that a picture could not be rendered; it is not ordered again until its content changes."""
         view = self._views.get(order.view)
         if view is not None:
             view.sent_key, view.sent_grade = order.key, FULL
 
     def acknowledge(self, frame_id: int) -> None:
-        """The client has decoded a picture; ids that are not known were never sent, or count as lost."""
+        """Record that the client has decoded a picture; unknown or lost frame ids are ignored."""
         for view in self._views.values():
             view.in_flight.pop(frame_id, None)
 
     def gives_way(self, order: RenderOrder, keys: Mapping[str, Hashable], now_s: float) -> bool:
-        """Whether a picture under way should be given up, now that the views should show this."""
+        """Return whether the picture in progress should be cancelled, given the present content keys of the views."""
         if order.grade <= MOVING:
-            # What is shown while moving is never given up: under a steady hand nothing would ever be ready.
+            # Moving pictures are never cancelled: during a continuous movement none would be finished.
             return False
         if keys.get(order.view) != order.key or keys.get(LEAD_VIEW) != self._seen(LEAD_VIEW):
             return True
-        # A long picture also gives way to what happens in the other views.
+        # A long picture is also cancelled by a change in another view.
         others_wait = any(keys.get(name) != view.seen_key for name, view in self._views.items())
         return others_wait and now_s - order.begun_s + self._expected_s(order.view, now_s) > LONG_S
 
     @property
     def visible(self) -> tuple[str, ...]:
-        """The views of the layout."""
+        """Names of the visible views."""
         return tuple(self._views)
 
     @property
     def finding(self) -> bool:
-        """The view finder stands in for the airway view while it moves."""
+        """Whether the view finder replaces the airway view while the airway view moves."""
         return LEAD_VIEW in self._views and self._views[LEAD_VIEW].budget.finding
 
     def num_in_flight(self, view: str) -> int:
-        """Pictures of a view sent and not acknowledged."""
+        """Return the number of pictures of a view that were sent and not acknowledged."""
         return len(self._views[view].in_flight) if view in self._views else 0
 
     def _seen(self, name: str) -> Hashable:
@@ -292,20 +299,20 @@ class FrameScheduler:
         return any(now_s < v.changed_s + OTHERS_MOVE_S for name, v in self._views.items() if name != LEAD_VIEW)
 
     def _airway_budget_s(self, now_s: float) -> float:
-        """Time of an airway picture while moving, so that one of it and the others' share fit in a period."""
+        """Return the seconds for a moving airway picture, so that it and the share of the others fit in one period."""
         return self._period_s * (GAP / (1.0 + OTHERS_SHARE) if self._others_move(now_s) else ALONE_FITS)
 
     def _other_budget_s(self, now_s: float) -> float:
         if LEAD_VIEW not in self._views or not self._views[LEAD_VIEW].is_moving(now_s):
             return OTHERS_TARGET_S
-        # Where the airway picture takes longer than a period, the share grows with it.
+        # If the airway picture takes longer than a period, the share of the others grows with it.
         return max(self._period_s * OTHERS_SHARE / (1.0 + OTHERS_SHARE), self._airway_s * OTHERS_SHARE)
 
     def _airway_order(self, now_s: float) -> RenderOrder:
         view = self._views[LEAD_VIEW]
         if view.is_moving(now_s):
             gap_s = GAP * self._period_s
-            # On a grid of times, so that a late picture is caught up with; never two in less than half a period.
+            # Start times follow a fixed grid, so that a delay is made up; two starts are at least gap_s / 2 apart.
             self._due_s = max(self._due_s + gap_s, now_s + gap_s / 2)
             if view.budget.probe_due(now_s):
                 return self._sized(LEAD_VIEW, now_s, view.budget.probe_scale(view.pixels), "probe")

@@ -1,4 +1,4 @@
-"""Answers to what a person points at: the live path, what an edit would make, what was measured along a branch."""
+"""Answers to requests that follow the cursor: live path, preview of an edit, measurements along a branch."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ __all__ = ["Pointing", "edit_preview_message", "live_path_message", "no_evidence
 logger = logging.getLogger(__name__)
 
 POINT_EVERY_MM = 0.8
-"""Points of a live path are sent so far apart: finer than a pixel of any view of the whole way."""
+"""Minimum distance in mm of the sent points of a live path; less than a pixel in any view of the whole path."""
 
 
 class Pointing:
-    """Answers questions in a thread of its own; only the newest of each kind.
+    """Worker that answers the latest request of each kind in its own thread.
 
     Parameters
     ----------
     session
-        Who knows.
+        Session that computes the answers.
     shown
-        The airway picture of a frame id, or None once it left the screen long ago.
+        Returns the airway picture of a frame id, or None if it is no longer stored.
     push
-        Takes the answer, from the thread.
+        Sends the answer; called from the thread of the worker.
     """
 
     def __init__(
@@ -52,32 +52,32 @@ class Pointing:
         self._newest = NewestOnly("carina-pointing")
 
     def start(self) -> None:
-        """Begin."""
+        """Start the thread."""
         self._newest.start()
 
     def end(self) -> None:
-        """End after the answer under way, for which nobody waits here."""
+        """End the thread after the answer in progress, without waiting for the thread."""
         self._newest.end()
 
     def stop(self) -> None:
-        """End, and wait for the answer under way."""
+        """End the thread and wait for the answer in progress."""
         self._newest.stop()
 
     @property
     def thread(self) -> threading.Thread:
-        """In which questions are answered."""
+        """Thread that answers the requests."""
         return self._newest.thread
 
     def ask_live_path(self, message: wire.AskLivePath) -> None:
-        """The way to a place; trouble is said in the answer, since a cursor would raise it again and again."""
+        """Queue a request for the live path to a position; the answer contains the message of any error."""
         self._newest.ask("live_path", lambda: self._answer_live_path(message))
 
     def ask_edit_preview(self, message: wire.AskEditPreview) -> None:
-        """What an edit would make at a place; trouble is said in the answer, as for the live path."""
+        """Queue a request for the preview of an edit; the answer contains the message of any error."""
         self._newest.ask("edit_preview", lambda: self._answer_edit_preview(message))
 
     def ask_branch_detail(self, message: wire.AskBranchDetail) -> None:
-        """What was measured along a branch."""
+        """Queue a request for the measurements along a branch."""
         self._newest.ask("branch_detail", lambda: self._answer_branch_detail(message))
 
     def _answer_live_path(self, message: wire.AskLivePath) -> None:

@@ -1,4 +1,4 @@
-"""The frame pump: one thread that renders, encodes and hands over one picture after the other."""
+"""Frame pump: a thread that renders, encodes and delivers one picture after the other."""
 
 from __future__ import annotations
 
@@ -32,39 +32,50 @@ MOVING_QUALITY = 85
 STILL_QUALITY = 95
 STATUS_EVERY_S = 0.5
 MAX_SHOWN = 64
-"""Airway pictures that a click may still be meant for: more than can be on their way to a screen."""
+"""Number of sent airway pictures that are stored so that a click in one of them can be resolved."""
 
 
 @dataclass(frozen=True, slots=True)
 class ShownPicture:
-    """What an airway picture was made from, to find the wall under a click in it."""
+    """Renderer and view of a sent airway picture, used to find the wall under a click in the picture."""
 
     renderer: SessionRenderer
     view: Any
-    """In the size that the client asked for: a coarse picture is clicked in as exactly as a fine one."""
+    """View in the full size that the client requested, so that a click in a coarse picture is resolved exactly."""
     width: int
     height: int
-    """Of the picture that was shown."""
+    """Height in pixels of the picture as sent; ``width`` likewise is that of the sent picture."""
 
     def wall_at(self, column: float, row: float) -> Any:
-        """The first wall under a place in the picture (corner coordinates), or None.
+        """Return the first wall that the ray through a position in the picture meets, or None.
+
+        Parameters
+        ----------
+        column, row
+            Position in pixels of the sent picture; (0, 0) is the corner of the top left pixel.
 
         Raises
         ------
         UsageError
-            ``session.pick`` if the place lies outside the picture.
+            ``session.pick`` if the position is outside the picture.
         """
         if not (column <= self.width and row <= self.height):
             msg = f"the position ({column:g}, {row:g}) lies outside the image of {self.width} x {self.height} pixels"
             raise UsageError(msg, code="session.pick")
-        # The picture's last edge belongs to its last pixel.
+        # A position on the right or lower edge of the picture counts as its last pixel.
         n = min(int(column / self.width * self.view.width), self.view.width - 1)
         m = min(int(row / self.height * self.view.height), self.view.height - 1)
         return self.renderer.pick(self.view, n, m)
 
 
 def encode_jpeg(rgb: NDArray[np.uint8], *, full: bool) -> tuple[bytes, int]:
-    """JPEG of a picture and its quality: q95 4:4:4 where final, q85 4:2:0 while moving."""
+    """Encode a picture as JPEG: quality 95 with 4:4:4 sampling if ``full``, else quality 85 with 4:2:0.
+
+    Returns
+    -------
+    tuple
+        The JPEG bytes and the quality.
+    """
     quality = STILL_QUALITY if full else MOVING_QUALITY
     sampling = "444" if full else "420"
     pixels = np.ascontiguousarray(rgb)
@@ -73,18 +84,24 @@ def encode_jpeg(rgb: NDArray[np.uint8], *, full: bool) -> tuple[bytes, int]:
 
 
 class FramePump:
-    """Renders what the scheduler asks for. :meth:`step` does one picture; :meth:`run` is the thread.
+    """Loop that renders the orders of the scheduler.
+
+    :meth:`run` is the body of the thread; :meth:`step` renders one picture.
 
     Parameters
     ----------
     scene
-        What the views show now; called from the pump's thread, never while the pump holds its lock.
+        Returns the present content of the views, or None without a case. The pump calls it without holding its lock.
     deliver
-        Takes one binary message, in order; from the pump's thread.
+        Sends one binary message; called in order, from the thread of the pump.
     tell
-        Takes a status message, or an error's code and sentence; from the pump's thread.
+        Sends a status message, or the code and message of an error; called from the thread of the pump.
     clock
-        Seconds, monotonic; the session's.
+        Monotonic clock of the session, in seconds.
+    threads
+        Number of render threads, reported in status messages.
+    simd
+        Name of the SIMD instruction set, reported in status messages.
     """
 
     def __init__(
@@ -106,28 +123,31 @@ class FramePump:
         self._rate_hz = DEFAULT_RATE_HZ
         self._scheduler = FrameScheduler(rate_hz=self._rate_hz)
         self._lock = threading.Lock()
-        """Guards the scheduler. Never held while the session is asked: it calls :meth:`wake` under its own lock."""
+        """Guards the scheduler.
+
+        The pump never calls the session with this lock held, because the session calls :meth:`wake` under its own lock.
+        """
         self._under_way: tuple[RenderOrder, CancelToken] | None = None
         self._shown: dict[int, ShownPicture] = {}
         self._woken = threading.Event()
         self._stopped = False
         self._frame_ids = itertools.count(1)
         self._answers: deque[tuple[float, float]] = deque()
-        """Of the last second of movement: when the first picture of a pose was ready, and how old the pose was."""
+        """For each pose of the last second of movement: time of its first picture, and age of the pose, in seconds."""
         self._told_all = True
         self._status_s = float("-inf")
         self._status_pose_id = -1
         self._last_words: dict[str, str] = {}
-        """What was told of each view that could not be rendered last."""
+        """Last error message that was sent for each view that could not be rendered."""
 
     def set_layout(self, views: Mapping[str, tuple[int, int]]) -> None:
-        """The visible views and their sizes in pixels."""
+        """Set the visible views and their sizes (width, height) in pixels."""
         with self._lock:
             self._scheduler.set_layout(views)
         self.wake()
 
     def set_rate(self, rate_hz: float) -> None:
-        """Ask for so many airway pictures per second while moving."""
+        """Set the target rate of airway pictures while moving, in pictures per second."""
         with self._lock:
             self._rate_hz = rate_hz
             self._scheduler.set_rate(rate_hz)
@@ -135,26 +155,26 @@ class FramePump:
 
     @property
     def rate_hz(self) -> float:
-        """Airway pictures per second that are asked for while moving."""
+        """Target rate of airway pictures while moving, in pictures per second."""
         return self._rate_hz
 
     def shown(self, frame_id: int) -> ShownPicture | None:
-        """An airway picture that was sent a moment ago, so that a click in it means what the person saw."""
+        """Return a recently sent airway picture, or None if it is no longer stored."""
         with self._lock:
             return self._shown.get(frame_id)
 
     def acknowledge(self, frame_id: int) -> None:
-        """The client has decoded a picture."""
+        """Record that the client has decoded a picture."""
         with self._lock:
             self._scheduler.acknowledge(frame_id)
         self.wake()
 
     def wake(self) -> None:
-        """Something changed."""
+        """Wake the thread, because something that it renders may have changed."""
         self._woken.set()
 
     def content_changed(self) -> None:
-        """What pictures show has changed: a fine one under way that this makes old is given up."""
+        """Cancel the fine picture in progress if a change of content makes it obsolete, and wake the thread."""
         with self._lock:
             under_way = self._under_way
         if under_way is not None and under_way[0].grade > MOVING and self._is_old(under_way[0]):
@@ -170,35 +190,35 @@ class FramePump:
             return self._scheduler.gives_way(order, _keys(scene, self._scheduler), now_s)
 
     def stop(self) -> None:
-        """End :meth:`run` after the picture under way."""
+        """End :meth:`run` after the picture in progress."""
         self._stopped = True
         self._woken.set()
 
     def run(self) -> None:
-        """Render until :meth:`stop`."""
+        """Render pictures until :meth:`stop` is called."""
         while not self._stopped:
-            # Cleared before the look: what changes during it is not missed.
+            # Cleared before the step, so that a change during the step is not lost.
             self._woken.clear()
             try:
                 rendered = self.step()
             except BaseException as trouble:
-                # BaseException: a panic of the compiled module is no Exception. This thread is the only one that
-                # renders: it goes on with what comes next.
+                # BaseException: a panic of the compiled module is not an Exception. The thread continues with the next
+                # picture, because no other thread renders.
                 log_fault(logger, "sending one image failed", trouble)
                 rendered = False
             if not rendered:
                 self._woken.wait(self.wait_s())
 
     def wait_s(self) -> float | None:
-        """How long nothing will change by itself; None for ever."""
+        """Return the seconds until a picture can become due without an event; None if there is no such time."""
         now_s = self._clock()
         with self._lock:
             wake_s = self._scheduler.wake_s(now_s)
-        # A millisecond more, so that rounding of the wait does not wake it just before.
+        # One millisecond more, so that rounding cannot end the wait just before the time.
         return None if wake_s is None else max(0.0, wake_s - now_s) + 0.001
 
     def step(self) -> bool:
-        """Render and deliver one picture; False if none is wanted now."""
+        """Render and deliver one picture; return False if no picture is due now."""
         scene = self._scene()
         if scene is None:
             return False
@@ -211,13 +231,13 @@ class FramePump:
         if order is None:
             return False
         try:
-            # Once more, since a change before `_under_way` was set could not give this picture up.
+            # Checked again: a change before `_under_way` was set could not cancel this picture.
             if order.grade > MOVING and self._is_old(order):
                 return True
             self._render(scene, order, stop, began_s)
         except BaseException as trouble:
-            # BaseException: a panic of the compiled module is no Exception. Also of what comes after rendering: a
-            # picture that was not sent would be made again and again.
+            # BaseException: a panic of the compiled module is not an Exception. Errors after the rendering count too:
+            # otherwise a picture that cannot be sent would be rendered again and again.
             log_fault(logger, f"rendering failed: {order.view}", trouble)
             words = f"the {order.view} view could not be rendered: internal error in Carina ({type(trouble).__name__})"
             self._failed(order, "carina.fault", words)
@@ -287,15 +307,15 @@ class FramePump:
         with self._lock:
             self._scheduler.failed(order)
         if words != self._last_words.get(order.view):
-            # Once, not for every frame of a flight.
+            # Send an error once, not for every frame.
             self._last_words[order.view] = words
             self._tell((code, words))
 
     def _note_status(self, now_s: float, scene: ShownCase, header: PictureHeader) -> None:
-        """Tell how the stream runs: twice a second while the tip moves, and once more when it has come to rest."""
+        """Send a status message: twice a second while the tip moves, and once after it stops."""
         first = header.pose_id != self._status_pose_id
         if first:
-            # Finer pictures of the same pose come as late as they please; they say nothing about the stream.
+            # Only the first picture of a pose counts: later, finer pictures do not show the rate of the stream.
             self._status_pose_id = header.pose_id
             self._answers.append((now_s, now_s - scene.pose_s))
             while self._answers[0][0] < now_s - 1.0:
@@ -323,7 +343,7 @@ def _keys(scene: ShownCase, scheduler: FrameScheduler) -> dict[str, Hashable]:
 
 
 def _is_empty(rgb: NDArray[np.uint8]) -> bool:
-    """Whether no ray met anything, looked at in one pixel of 64."""
+    """Return whether the picture is black in every 64th pixel (a grid of 8 x 8), that is, no ray met anything."""
     return not rgb[::8, ::8].any()
 
 

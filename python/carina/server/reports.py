@@ -1,4 +1,4 @@
-"""The plan of a target as a report, made by a job that the window sees and can stop."""
+"""Reports and plan files of a target, created by a job that windows display and can stop."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ __all__ = ["REPORT_SUFFIXES", "Reports"]
 
 REPORT_SUFFIXES = (".html", ".pdf", ".json")
 PLAN_SUFFIXES = (".mrk.json", ".seg.nrrd")
-"""For 3D Slicer."""
+"""Suffixes of plan files for 3D Slicer."""
 DICOM_SUFFIXES = (".seg.dcm", ".sr.dcm", ".pdf.dcm")
-"""For an archive: segmentation, measurements, the report. They refer to the CT: its folder must be known."""
+"""Suffixes of DICOM files (segmentation, measurements, report), which refer to the CT and need its folder."""
 STEM: dict[ReportKind, str] = {"report": "plan", "tracing": "tracing-sheet"}
-"""Of every file: neither the patient nor the case is in its name."""
+"""Stem of every file name by kind of report, which contains neither the patient nor the case."""
 SHEET_SHARE = 0.8
 LOOK_S = 0.2
 # A page of its own origin, which reaches nothing of the workstation's; the report's own policy holds besides.
@@ -36,12 +36,12 @@ SANDBOX = "sandbox allow-scripts allow-modals"
 
 
 class Reports:
-    """Makes reports of the open case.
+    """Creator of the reports of the open case.
 
     Parameters
     ----------
     session
-        Whose plans.
+        Session with the open case.
     """
 
     def __init__(self, session: Session) -> None:
@@ -50,7 +50,7 @@ class Reports:
     async def answer(
         self, target_id: str, suffix: str, kind: ReportKind, identity: Literal["none", "from the CT"] = "none"
     ) -> Response:
-        """The report with this suffix, which is removed once it has been sent.
+        """Return a response with the report or plan file of this suffix, which is deleted after the response.
 
         ``identity`` is that of a DICOM file: nothing of the patient unless asked.
 
@@ -74,7 +74,7 @@ class Reports:
             raise
         headers = {"cache-control": "no-store"}
         if suffix == ".html":
-            # Shown, not saved: it is to be printed.
+            # Without a file name, the browser displays the report, so that the user can print it.
             return FileForOnce(path, headers=headers | {"content-security-policy": SANDBOX})
         return FileForOnce(path, filename=path.name, headers=headers)
 
@@ -121,13 +121,13 @@ class Reports:
 
 @dataclass(frozen=True, slots=True)
 class _Archive:
-    """What a DICOM file of a plan needs beside it."""
+    """CT folder and identity setting for the DICOM files of a plan."""
 
     ct: Path
     identity: Literal["none", "from the CT"]
 
     def export(self, path: Path, materials: PlanMaterials, job: Job) -> Path:
-        """A segmentation or measurements, under the target's name."""
+        """Write a segmentation or measurements under the name of the target, and return the path."""
         job.progress("comparing the CT", None)
         name = materials.notes[0] if materials.notes else "Target"
         return export_plan(
@@ -141,7 +141,7 @@ class _Archive:
         )
 
     def wrap(self, path: Path, pdf: bytes, materials: PlanMaterials, job: Job) -> Path:
-        """The report's pages; they never name the patient."""
+        """Write the report as DICOM PDF, whose pages never name the patient, and return the path."""
         from carina.export.plan_dicom_pdf import write_plan_pdf
 
         return write_plan_pdf(
@@ -166,6 +166,6 @@ def _with_verdicts(session: Session, materials: PlanMaterials, target_id: str, j
 
 
 def _settle(done: Future[Path], trouble: BaseException) -> None:
-    """The one who waits may have gone."""
+    """Set the exception of the future unless its waiter has cancelled the future."""
     if not done.cancelled():
         done.set_exception(trouble)

@@ -1,4 +1,4 @@
-"""Messages that are the same for every window: written once, a tree in a thread of its own."""
+"""Cache of encoded messages that are the same for every window; the airway tree is encoded in a thread."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ logger = logging.getLogger(__name__)
 
 
 class SharedTexts:
-    """The texts of the topics that do not depend on the window; event loop only.
+    """Cache of the encoded messages of the topics that do not depend on the window; used from the event loop only.
 
     Parameters
     ----------
     session
-        What they tell of.
+        Session whose state the messages describe.
     patient_citation
-        Of the bundled patient, for the start page.
+        Citation of the bundled patient, for the start page.
     tell
-        Tells all windows what could not be written.
+        Sends an error message to all windows if a tree cannot be encoded.
     """
 
     def __init__(self, session: Session, patient_citation: Citation | None, tell: Callable[[Any], None]) -> None:
@@ -43,19 +43,19 @@ class SharedTexts:
         self._known: dict[str, tuple[tuple[object, ...], str]] = {}
         self._writing: asyncio.Task[None] | None = None
         self._waiting: dict[Outbox, set[str]] = {}
-        """What each window is to be sent once the tree has been written."""
+        """Topics to mark for each window after the tree is encoded."""
         self._unwritable: tuple[Any, Any] | None = None
-        """The tree that could not be written: nothing waits for it."""
+        """Airways and measures whose tree could not be encoded; no topic waits for this tree."""
 
     def mark(self, outbox: Outbox, *topics: str) -> None:
-        """Send a window these topics anew.
+        """Send the given topics to a window again.
 
-        A tree of some hundred branches takes a third of a second to write: it and the route through it follow, while
-        poses and pictures go on.
+        Encoding a tree of some hundred branches takes a third of a second. The topics ``tree`` and ``route`` are
+        therefore marked after the encoding in a thread, while poses and pictures are sent without delay.
         """
         waits: set[str] = set()
         if "tree" in topics and (self._writing is not None or not self._is_known("tree", *self._newest_tree())):
-            # The route, too, where it was not marked: one that was asked for too early was held back.
+            # The route is included even if it is not marked, because route() returned None while the tree was missing.
             waits = {"tree", "route"}
         elif self._writing is not None:
             waits = {"route"} & set(topics)
@@ -66,7 +66,7 @@ class SharedTexts:
                 self._writing = asyncio.get_running_loop().create_task(self._write_tree())
 
     def start(self) -> str:
-        """What the start page shows."""
+        """Return the encoded content of the start page."""
         store, cases = self._session.store, self._session.cases
         return wire.encode_message(
             start_message(
@@ -78,21 +78,21 @@ class SharedTexts:
         )
 
     def watchers_start(self) -> str:
-        """The same for who only watches: none of the person's cases."""
+        """Return the encoded start page for a watching window, without the user's cases."""
         return wire.encode_message(
             start_message(notice_accepted=True, recent=(), patient_citation=self._patient_citation, storage=None)
         )
 
     def tree(self) -> str | None:
-        """None where the newest is still to be written: it is marked then."""
+        """Return the encoded airway tree; None while the latest tree is not encoded, which marks the topic later."""
         return self._tree_text() if self._is_known("tree", *self._newest_tree()) else None
 
     def route(self) -> str | None:
-        """The present route; None where it leads through a tree that is still to be written: both are marked then.
+        """Return the encoded present route; None while the tree of the route is not encoded.
 
-        A mark that is older than the tree asks for it, too, and finds the route through the new one.
+        After the tree is encoded, the topics of both are marked.
         """
-        # One look for both: a document that comes between two has a route through another tree.
+        # One snapshot for tree and route: two snapshots could contain a route through another tree.
         snapshot = self._session.snapshot()
         newest, document = _tree_of(snapshot), snapshot.document
         if not self._is_known("tree", *newest) and not _are_same(newest, self._unwritable):
@@ -101,11 +101,11 @@ class SharedTexts:
         return self._cached("route", lambda: route_message(route), route)
 
     def key_frames(self) -> str:
-        """The key frames."""
+        """Return the encoded key frames."""
         return wire.encode_message(key_frames_message(self._session.key_frames_info()))
 
     def plans(self) -> str:
-        """The plans of the open case; none without one, so that those of the next are news."""
+        """Return the encoded plans of the open case; an empty message without a case."""
         try:
             info = self._session.ask(PlanningOf())
         except UsageError:
@@ -117,7 +117,7 @@ class SharedTexts:
         return self._cached("plan", lambda: plans_message(info), *state, *planned)
 
     def lungs(self) -> str:
-        """What was mapped of the open case's lungs."""
+        """Return the encoded lung map of the open case; an empty message without a case."""
         try:
             info = self._session.ask(LungsOf())
         except UsageError:
@@ -127,11 +127,11 @@ class SharedTexts:
         return self._cached("lungs", lambda: lungs_message(info), *made, *standing)
 
     def flights(self) -> str:
-        """What was recorded into the case."""
+        """Return the encoded list of flights recorded in the case."""
         return wire.encode_message(wire.Flights(self._session.snapshot().flights))
 
     def _tree_text(self) -> str:
-        """From any thread."""
+        """Return the encoded latest tree; may be called from any thread."""
         airways, measures = self._newest_tree()
         return self._cached("tree", lambda: tree_message(airways, measures), airways, measures)
 
@@ -141,7 +141,7 @@ class SharedTexts:
     async def _write_tree(self) -> None:
         is_written = False
         try:
-            # What is marked meanwhile may be of a newer tree.
+            # Repeat until the text is stable: the tree can change during the encoding.
             known = None
             while known != (known := await asyncio.to_thread(self._tree_text)):
                 pass
@@ -156,13 +156,13 @@ class SharedTexts:
             waiting, self._waiting = self._waiting, {}
             for outbox, topics in waiting.items():
                 if is_written:
-                    # A tree may have come since the last look: it is written, too, before a route through it goes.
+                    # mark() checks again for a newer tree, which is encoded before a route through it is sent.
                     self.mark(outbox, *topics)
                 else:
                     outbox.mark(*topics)
 
     def _cached(self, topic: str, message: Callable[[], Any], *values: object) -> str:
-        """A tree is some hundred kilobytes and changes rarely; every change and every new window asks for it."""
+        """Return the cached text of a topic, and encode it anew only if one of ``values`` is another object."""
         if not self._is_known(topic, *values):
             self._known[topic] = (values, wire.encode_message(message()))
         return self._known[topic][1]
@@ -173,13 +173,13 @@ class SharedTexts:
 
 
 def _tree_of(snapshot: Any) -> tuple[Any, Any]:
-    """The airways that are shown, and their measures."""
+    """Return the present airways and their measures; None for each that is missing."""
     airways = None if snapshot.document is None else snapshot.document.airways
     return airways, getattr(snapshot, "measures", None)
 
 
 def _are_same(values: tuple[object, ...], others: tuple[object, ...] | None) -> bool:
-    """One by one the same objects, not equal ones."""
+    """Return whether two tuples contain the identical objects (``is``) in the same order."""
     if others is None or len(values) != len(others):
         return False
     return all(a is b for a, b in zip(values, others, strict=True))

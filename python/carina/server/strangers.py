@@ -1,8 +1,8 @@
-"""Connections that have not shown that they may be here: bounded in number and time, and told of once a minute.
+"""Limits on the number and lifetime of unauthenticated connections, with at most one log line a minute.
 
-A port of this machine can be reached by every program on it and every page in its browsers. Who holds the cookie or
-the secret always finds room: others make room for each other, the longest idle first, long before the process runs out
-of file descriptors.
+Every program on this machine, and every page in its browsers, can connect to the port. Connections with the cookie or
+the secret are not limited. At the limit, a new unauthenticated connection replaces the oldest idle one, so that the
+process keeps free file descriptors.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ __all__ = ["ACCEPT_AT_ONCE", "WAITING_IN_LINE", "Strangers", "num_strangers_allo
 logger = logging.getLogger(__name__)
 
 ACCEPT_AT_ONCE = 16
-"""So many connections are taken before one of them is looked at."""
+"""Number of connections that the server accepts before it handles the first of them."""
 WAITING_IN_LINE = 512
-"""So many more wait in the system, which costs no descriptor."""
+"""Backlog of the listening socket: connections that wait in the operating system and use no file descriptor."""
 RESERVED = 64
-"""Descriptors for the person's own connections, the scan's files and uploads."""
+"""File descriptors reserved for authenticated connections, the files of the scan and uploads."""
 MAX_STRANGERS = 128
 LIFE_S = 60.0
-"""A stranger's connection is ended after so long, whatever it does: a page is sent in seconds."""
+"""Maximum lifetime in seconds of an unauthenticated connection; sending a page takes only seconds."""
 TELL_EVERY_S = 60.0
 TELL_FROM = 20
-"""Fewer are no news: browsers open connections ahead and leave them."""
+"""Minimum number of closed connections for a log line: browsers open spare connections and never use them."""
 
 
 def num_strangers_allowed() -> int:
-    """How many strangers may be connected at once, by the descriptors that are left to this process."""
+    """Return the limit of simultaneous unauthenticated connections, from the free file descriptors of the process."""
     if sys.platform == "win32":
         return MAX_STRANGERS
     import resource
@@ -60,12 +60,12 @@ class _Stranger:
 
 
 class Strangers:
-    """The strangers of one server; event loop only.
+    """Registry and limit of the unauthenticated connections of one server; used from the event loop only.
 
     Parameters
     ----------
     max_num
-        At once; by the descriptors that are left unless told.
+        Maximum number of simultaneous connections; if None, :func:`num_strangers_allowed` computes it.
     """
 
     def __init__(self, max_num: int | None = None) -> None:
@@ -79,12 +79,25 @@ class Strangers:
 
     @property
     def num(self) -> int:
-        """How many are connected."""
+        """Number of open unauthenticated connections."""
         self._forget_ended()
         return len(self._all)
 
     def arrived(self, key: object, transport: asyncio.Transport, is_idle: Callable[[], bool]) -> None:
-        """One more; if there are too many, one that is idle goes, the oldest first."""
+        """Register a new connection; at the limit, close the oldest idle connection first.
+
+        If no connection is idle, the oldest connection is closed. After :meth:`turn_away` the new connection itself is
+        aborted.
+
+        Parameters
+        ----------
+        key
+            Identifies the connection in :meth:`left`.
+        transport
+            Transport of the connection.
+        is_idle
+            Returns whether the connection is idle now.
+        """
         if self._is_over:
             transport.abort()
             return
@@ -97,13 +110,14 @@ class Strangers:
         self._all[key] = _Stranger(transport, is_idle, loop.call_later(LIFE_S, self._end, key))
 
     def turn_away(self) -> None:
-        """The server ends: whoever comes now came too late."""
+        """Abort every connection that arrives from now on, because the server shuts down."""
         self._is_over = True
 
     def cut(self, transport: asyncio.Transport) -> None:
-        """End a connection, of a stranger or not, that may be closing already, without the other side's farewell.
+        """Abort any connection, authenticated or not, without waiting for the closing handshake of the peer.
 
-        An encrypted transport that was closed twice, as uvicorn does, takes no word any more; its socket does.
+        The connection may be closing already. The socket is shut down too, because uvicorn closes a TLS transport
+        twice, and such a transport ignores ``abort``.
         """
         sock = self._sockets.get(transport)
         if sock is not None:
@@ -112,25 +126,28 @@ class Strangers:
         transport.abort()
 
     def left(self, key: object) -> None:
-        """It has gone, or has shown that it may stay."""
+        """Remove a connection that was closed or has authenticated itself; an unknown key is ignored."""
         stranger = self._all.pop(key, None)
         if stranger is not None:
             stranger.end_of_life.cancel()
 
     def ended(self) -> None:
-        """One was ended for what it did not say."""
+        """Count a connection that the server closed, and write a log line if one is due."""
         self._num_untold += 1
         self._tell()
 
     def out_of_descriptors(self) -> None:
-        """The process can open nothing more: all who are idle go."""
+        """Close all idle unauthenticated connections, because the process has no free file descriptor."""
         self._no_descriptors = True
         for key in [k for k, s in self._all.items() if s.is_idle()]:
             self._end(key)
         self._tell()
 
     def watch(self, loop: asyncio.AbstractEventLoop) -> None:
-        """Let a loop that can accept nothing more say so here, and not with a traceback for every try."""
+        """Set an exception handler on the loop that calls :meth:`out_of_descriptors` if ``accept`` fails.
+
+        Without the handler, asyncio logs a traceback for every failed ``accept``.
+        """
 
         def handle(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
             if "accept() out of system resource" in str(context.get("message")):
@@ -144,7 +161,7 @@ class Strangers:
         stranger = self._all.get(key)
         self.left(key)
         if stranger is not None and not stranger.transport.is_closing():
-            # Abort: a farewell would wait for the stranger's.
+            # abort() and not close(): a TLS close waits for the answer of the peer.
             stranger.transport.abort()
             self.ended()
 
@@ -162,7 +179,7 @@ class Strangers:
 
 
 class _OnceAMinute(logging.Filter):
-    """Of one kind of message, one a minute."""
+    """Log filter that passes each message template at most once a minute."""
 
     def __init__(self, clock: Callable[[], float]) -> None:
         super().__init__()
@@ -181,7 +198,7 @@ class _OnceAMinute(logging.Filter):
 
 
 def quieten(clock: Callable[[], float]) -> Callable[[], None]:
-    """What the library says of each nonsensical request is said once a minute; returns what ends this."""
+    """Limit each message of uvicorn's error log to one a minute, and return a function that removes the limit."""
     quiet = _OnceAMinute(clock)
     library = logging.getLogger("uvicorn.error")
     library.addFilter(quiet)

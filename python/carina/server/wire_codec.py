@@ -63,13 +63,13 @@ class ToPhoneMessage(FrozenValue, tag_field="type", tag=snake_case, frozen=True)
 
 
 def type_name(cls: type[FrozenValue]) -> str | None:
-    """A message's ``type``; None for what is only a part of messages."""
+    """Return the ``type`` of a message class; None for a class that only occurs inside messages."""
     config = cls.__struct_config__
     return str(config.tag) if config.tag_field == "type" else None
 
 
 def by_type(*bases: type[FrozenValue]) -> dict[str, type[FrozenValue]]:
-    """The messages below some classes, by their ``type``. Local commands are none."""
+    """Return the message classes derived from some base classes, by ``type``, without local commands."""
     found = [cls for base in bases for cls in (base, *subclasses(base)) if cls not in MESSAGE_BASES]
     return {str(type_name(cls)): cls for cls in found if not issubclass(cls, LocalCommand)}
 
@@ -129,7 +129,7 @@ OLD_WORDS: dict[str, tuple[str, dict[str, str]]] = {
 
 
 def decode(classes: dict[str, type[FrozenValue]], text: str | bytes, *, max_bytes: int = MAX_TEXT_BYTES) -> Any:
-    """One message of some classes; commands also in the words of version 1.
+    """Decode one message of the given classes; command names of wire version 1 are accepted too.
 
     Raises
     ------
@@ -155,7 +155,7 @@ def decode(classes: dict[str, type[FrozenValue]], text: str | bytes, *, max_byte
 
 
 def read_fields(cls: type[V], fields: dict[str, Any], where: str) -> V:
-    """The value of a class that has these fields.
+    """Create a value of a class from these fields.
 
     Raises
     ------
@@ -191,7 +191,7 @@ def _check_document(value: Any, where: str) -> None:
 
 
 def encode(message: FrozenValue) -> str:
-    """A message as JSON text, its ``type`` first.
+    """Return a message as JSON text, with its ``type`` first.
 
     Raises
     ------
@@ -203,13 +203,13 @@ def encode(message: FrozenValue) -> str:
 
 
 def encode_picture(header: FrozenValue, payload: bytes) -> bytes:
-    """One binary message: u32 little-endian header length, JSON header, payload."""
+    """Return one binary message: u32 little-endian header length, JSON header, payload."""
     text = encode(header).encode()
     return struct.pack("<I", len(text)) + text + payload
 
 
 def split_picture(data: bytes) -> tuple[dict[str, Any], bytes]:
-    """The header (as parsed JSON) and the payload of a binary message.
+    """Return the header (as parsed JSON) and the payload of a binary message.
 
     Raises
     ------
