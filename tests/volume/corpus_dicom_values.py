@@ -17,7 +17,7 @@ __all__ = ["MODALITY_LUT", "OUTSIDE", "PADDING", "ringed", "with_lut"]
 Make = Callable[[Path], Path]
 _Y, _X = np.mgrid[:SIDE, :SIDE]
 OUTSIDE = (_X - 15.5) ** 2 + (_Y - 15.5) ** 2 > 17.5**2
-"""Pixels outside the reconstructed circle."""
+"""Mask of the pixels outside the reconstructed circle."""
 METAL = (slice(14, 16), slice(10, 12))
 PADDED, LUT = "DICOM: padding", "DICOM: Modality LUT"
 LOOK = "look at the edge of the slices"

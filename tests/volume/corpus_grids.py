@@ -1,4 +1,4 @@
-"""Grid files of the corpus: NIfTI, NRRD and MetaImage, healthy and wrong in one place each."""
+"""Grid files of the corpus: NIfTI, NRRD and MetaImage, correct or with one defect."""
 
 from __future__ import annotations
 
@@ -43,7 +43,10 @@ def _form(name: str, kind: str = "<i2") -> Make:
 
 
 def _lines(*changes: tuple[str, str]) -> Callable[[list[str]], None]:
-    """Changes lines by how they begin; an empty beginning appends in front of the last one."""
+    """Return an edit that replaces header lines by their first characters.
+
+    An empty key adds the line before the last line.
+    """
 
     def edit(lines: list[str]) -> None:
         for old, new in changes:
