@@ -52,7 +52,7 @@ def inputs_in(folder: Path, *, slices: bool = True) -> list[Path]:
 
 
 def commands_for(path: Path, work: Path) -> list[list[str]]:
-    """Return the four commands with a path, in the order of their cost."""
+    """Return the four commands that read a path as a CT, in the order of their run time."""
     name = os.fspath(path)
     return [
         ["info", name, "--json"],
@@ -99,7 +99,7 @@ def run_command(arguments: list[str]) -> tuple[int, str, str]:
 
 
 def outcome_problem(code: int, out: str, err: str) -> str | None:
-    """Return what is wrong with the outcome of a command with ``--json``; None if it keeps the contract."""
+    """Return what is wrong with the outcome of a command with ``--json``; None if it obeys the contract."""
     if "Traceback" in err or "internal error" in err + out:
         return f"exit {code}: {err.strip()[-300:]}"
     if code not in EXIT_CODES:

@@ -126,7 +126,7 @@ def saved(tmp_path_factory):
     return root, person
 
 
-def test_search_finds_patient_data_in_the_source_files(saved, tmp_path):
+def test_search_detects_patient_data_in_slices_and_compressed_blobs(saved, tmp_path):
     _, person = saved
     assert {"Müller", "KIS-4711", "19610405", UID} <= {
         secret for needle, secret in needles().items() if needle in next((person / "ct").iterdir()).read_bytes()

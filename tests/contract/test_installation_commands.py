@@ -68,7 +68,7 @@ def test_only_one_module_writes_installation_commands() -> None:
     assert {path.name for path in found} <= {"installation.py"}
 
 
-def test_the_extras_are_those_of_the_project_file() -> None:
+def test_extras_are_those_of_the_project_file() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     declared = {
         extra: tuple(requirement.partition(";")[0] for requirement in requirements)

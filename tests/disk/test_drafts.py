@@ -37,7 +37,7 @@ with drafted(Path(sys.argv[1]), what="the test") as file:
 
 @pytest.fixture
 def small_files():
-    """Limit files to 4 kB within the context, which simulates a disk that becomes full during a write."""
+    """Limit files to 4 kB during a test, which simulates a disk that becomes full in the middle of a file."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (4096, before[1]))
     yield
@@ -45,7 +45,7 @@ def small_files():
 
 
 def writing(path):
-    """Run another process that is writing a file."""
+    """Start another process that stops in the middle of writing a file."""
     process = subprocess.Popen(
         [sys.executable, "-c", WRITER, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )

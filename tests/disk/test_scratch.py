@@ -43,7 +43,7 @@ sys.stdin.read()
 
 
 def uploading(folder, script=HOLD):
-    """Run another Carina process that uses a temporary folder."""
+    """Start another Carina process that uses a temporary folder until it is ended."""
     process = subprocess.Popen(
         [sys.executable, "-c", script],
         env={**os.environ, "TMPDIR": str(folder)},

@@ -27,7 +27,7 @@ SECOND = chest(seed=6)
 
 
 def _tags(change: Callable[[int], dict[str, Any]]) -> Make:
-    """Return the maker of a series with tags changed in each slice; the value None removes a tag."""
+    """Return the maker of a series whose slices have the tags of ``change(index)``; the value None removes a tag."""
 
     def edit(dataset: Dataset, index: int) -> None:
         for keyword, value in change(index).items():
@@ -54,7 +54,7 @@ NAMED = ("IM004", "IM009", "IM011", "3 of its 20 slices")
 
 
 def _lettered(keyword: str, text: str) -> Make:
-    """Return the maker of a series with one number written as invalid text, which pydicom would refuse to set."""
+    """Return the maker of a series in which one slice has a text instead of a number, which pydicom does not check."""
 
     def edit(dataset: Dataset, index: int) -> None:
         if index == 4:
@@ -237,7 +237,7 @@ TWO = "DICOM: several in one"
 
 
 def _short(index: int) -> bool:
-    """Return true for slices of a second scan that has two slices fewer, so that the first scan is the larger one."""
+    """Return whether a slice belongs to a second scan of 18 slices, which is smaller than the first scan of 20."""
     return index < 18
 
 
@@ -252,7 +252,7 @@ def _coronal_too(folder: Path) -> Path:
 
 
 def _four_patients(folder: Path) -> Path:
-    """Write a series of four patients without series UIDs, which only the patient tags divide."""
+    """Write slices of two patients without a series UID; only the patient tags differ."""
 
     def edit(dataset: Dataset, index: int) -> None:
         del dataset.SeriesInstanceUID

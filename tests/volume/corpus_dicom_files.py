@@ -148,7 +148,7 @@ def _depth(frame: bytes) -> int:
 
 
 def _noise_of(folder: Path) -> Path:
-    """Write a series with one slice that shows another picture, as a decoder returns for a damaged stream."""
+    """Write a JPEG 2000 series in which one slice contains noise, as a decoder returns it for a damaged stream."""
 
     def edit(dataset: Dataset, index: int) -> None:
         if index == 7:

@@ -31,7 +31,7 @@ def nodes(kind: type) -> list:
 
 
 def raised() -> set[str]:
-    """Return every error code that the source files of the import contain."""
+    """Return every string in the source files of the import that has the form of a code."""
     found = {node.value for node in nodes(ast.Constant) if isinstance(node.value, str)}
     return {text for text in found if CODE.fullmatch(text)}
 

@@ -6,7 +6,7 @@ from carina.volume import demo_patient
 from carina.volume.demo import CASE_PATH, CITATION
 
 
-def test_the_bundled_patient_opens_with_its_citation():
+def test_bundled_patient_opens_with_its_citation():
     volume = demo_patient()
     assert volume.is_hu
     assert volume.shape_zyx == (97, 268, 432)

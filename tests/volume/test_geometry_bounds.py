@@ -38,7 +38,7 @@ def stack(
 
 
 def heights(*gaps: float) -> np.ndarray:
-    """Return the positions on a straight stack with these gaps."""
+    """Return positions (n, 3) in LPS mm of a straight stack along z with these gaps in mm."""
     z = np.concatenate([[0.0], np.cumsum(gaps)])
     return np.stack([np.zeros_like(z), np.zeros_like(z), z], axis=1) + ORIGIN_LPS
 
@@ -52,7 +52,7 @@ def answer(slices: list[SimpleNamespace]) -> str:
 
 
 def one_gap(expected: float, share: float) -> list[SimpleNamespace]:
-    """Return twenty slices of which one gap is ``share`` times the limit below which a slice counts as doubled."""
+    """Return slices with twenty gaps, one of which is ``share`` times the limit for slices at one position."""
     gaps = [expected] * 20
     gaps[10] = max(0.01, 0.02 * expected) * share
     return stack(heights(*gaps))
@@ -84,7 +84,7 @@ def sideways(shift_mm: float, spacing: tuple[float, float], axis: int = 0) -> li
 
 
 def tilted(degrees: float, num_slices: int, gap: float = 1.0, axis: int = 0) -> list[SimpleNamespace]:
-    """Return a stack that leans by an angle."""
+    """Return a stack that is tilted by an angle."""
     positions = heights(*[gap] * (num_slices - 1))
     positions[:, axis] += (positions[:, 2] - ORIGIN_LPS[2]) * math.tan(math.radians(degrees))
     return stack(positions)
@@ -100,7 +100,7 @@ def lean(lean_mm: float, height_mm: float = 4.0) -> list[SimpleNamespace]:
 def turned(shift_mm: float, which: str) -> list[SimpleNamespace]:
     """Return a stack whose last slice has a turned direction, so that its far corner moves by a distance."""
     slices = stack(heights(*[1.0] * 5))
-    # from the length of the chord of the image's diagonal
+    # the far corner moves along a chord around the first corner
     angle = 2 * math.asin(shift_mm / math.hypot(512 * 0.7, 512 * 0.7) / 2)
     c, s = math.cos(angle), math.sin(angle)
     if which == "row":
@@ -268,9 +268,9 @@ def test_each_limit_of_a_grid_header_separates_values_inside_and_outside(given, 
 
 @pytest.mark.parametrize(
     ("widest_mm", "generation"),
-    # Airway diameters by generation after Weibel; the smallest visible diameter is 1.5 mm.
+    # Limits are the airway diameters of Weibel; 1.54 mm (generation 9) is the last one above the visible 1.5 mm.
     [(0.5, 9), (1.54, 9), (1.541, 8), (1.86, 8), (1.861, 7), (2.3, 7), (2.301, 6), (18.0, 0), (30.0, 0)],
 )
-def test_the_trusted_generation_changes_at_each_diameter(widest_mm, generation):
+def test_trusted_generation_changes_at_each_diameter(widest_mm, generation):
     assert trusted_generation((0.5, 0.5, widest_mm)) == generation
     assert trusted_generation((widest_mm, 0.5, 0.5)) == generation

@@ -263,7 +263,7 @@ def test_cancel_stops_the_import_at_every_step(tmp_path, suffix):
             open_volume(path, cancel=lambda asked=asked, stop_at=stop_at: next(asked) >= stop_at)
 
 
-def test_the_library_writes_nothing_to_the_terminal(tmp_path, capfd):
+def test_import_library_writes_nothing_to_the_terminal(tmp_path, capfd):
     path = write(tmp_path / "ct.mha")
     open_volume(path)
     path.write_bytes(path.read_bytes()[:-50])

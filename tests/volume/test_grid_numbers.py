@@ -18,7 +18,7 @@ KINDS = ["<f4", ">f4", "<f8", ">f8"]
 
 
 def with_gaps(rng: np.random.Generator, num: int) -> np.ndarray:
-    """Return a small chest of floats that contains NaN, infinities, and very large and very small numbers."""
+    """Return a small chest of floats with ``num`` voxels each of NaN, +infinity and -infinity."""
     values = grids.chest().astype(np.float64)
     at = rng.choice(values.size, 3 * num, replace=False)
     values.reshape(-1)[at] = np.repeat([np.nan, np.inf, -np.inf], num)
@@ -26,7 +26,7 @@ def with_gaps(rng: np.random.Generator, num: int) -> np.ndarray:
 
 
 def ruled(values: np.ndarray) -> np.ndarray:
-    """Return the values converted by the documented rule, in its simplest implementation."""
+    """Return the expected int16: +infinity becomes the highest finite value, NaN and -infinity the lowest."""
     finite = values[np.isfinite(values)]
     out = np.where(values == np.inf, finite.max(), values)
     return np.where(np.isfinite(out), out, finite.min()).astype(np.int16)

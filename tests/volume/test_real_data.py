@@ -56,7 +56,7 @@ def test_bundled_patient_contains_all_airways_of_the_reference(patient_dicom):
     assert (ijk < np.array(crop.shape_zyx[::-1])).all()
 
 
-def test_the_second_patient_opens(data_dir, tmp_path):
+def test_second_patient_opens(data_dir, tmp_path):
     import tarfile
 
     with tarfile.open(data_dir / "ct" / "QIN-LSC-0064.tar.xz") as archive:
