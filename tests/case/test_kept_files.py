@@ -130,5 +130,5 @@ def test_stored_stenosis_within_its_error_is_neither_shown_nor_exported():
         assert (detail.measures.stenosis_percent is None) == (own.branch_id in within)
         assert (own.summary.stenosis is None) == (own.branch_id in within)
         assert "stenosis" not in repr(own.summary)
-        # Saving again keeps the measured stenosis in the file.
+        # The facts for a second save contain the stenosis as measured.
         assert branch_facts(own, None).summary.stenosis is not None

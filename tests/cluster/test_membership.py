@@ -47,7 +47,7 @@ class PlayedRay:
     nodes_there: list[str] = field(default_factory=lambda: ["a"])
     actors: list[Actor] = field(default_factory=list)
     may_start: threading.Event = field(default_factory=threading.Event)
-    """Event for which each request for a renderer waits."""
+    """Event for which each request for a renderer waits; set at the start."""
     num_asked: int = 0
 
     def __post_init__(self) -> None:

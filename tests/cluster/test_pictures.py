@@ -245,7 +245,7 @@ def test_wrong_replies_are_never_shown(case, cluster, what):
 
 @pytest.mark.parametrize("what", ["wrong_shape", "garbles", "twice", "refuses"])
 def test_no_wrong_reply_blocks_a_frame(case, cluster, monkeypatch, what):
-    """Without the check of replies too, an unusable strip is rendered by another renderer."""
+    """The check of replies is disabled; another renderer must still render an unusable strip."""
     from carina.cluster import console
 
     monkeypatch.setattr(console, "what_is_wrong", lambda answer, order: None)

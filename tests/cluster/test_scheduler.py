@@ -63,7 +63,7 @@ def _settled(power: float, num: int = 400) -> list[float]:
 
 def test_time_per_row_settles_at_the_true_shares_and_raw_time_does_not():
     assert _settled(0.0)[0] == pytest.approx(0.1, abs=1e-6)
-    # This is the deviation from the printed formula: 1/sqrt(3) against three lanes of 1.
+    # With raw strip times, as in the printed formula, the slow lane settles at 1/sqrt(3) against three lanes of 1.
     assert _settled(1.0)[0] == pytest.approx(0.5774 / 3.5774, abs=1e-3)
 
 

@@ -13,7 +13,7 @@ CALLS = list(dict.fromkeys(public_calls()))
 SLOW = {"find_airways", "plan_route", "edit_airways", "wall_field", "Case.open", "track_paths"}
 """Functions whose accepted calls take about a second: without the soak mark, only refused values are tested."""
 VALID: dict[tuple[str, str], set[str]] = {
-    # The end of a lumen that was read from a file has no value.
+    # A lumen that was read from a file has no threshold, so NaN is valid.
     ("Airways", "threshold"): {"nan"},
 }
 """Values that one argument accepts though its type or :data:`NEVER_VALID` excludes them, each with its reason."""

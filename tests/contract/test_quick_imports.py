@@ -1,4 +1,4 @@
-"""Modules that imports must not load: no DICOM reader and no server for types, no file reader for the start page."""
+"""Fast imports: types load no DICOM reader and no server, and the start page loads no file reader."""
 
 from __future__ import annotations
 

@@ -101,7 +101,7 @@ CASES = {
     ),
 }
 
-# Name: (pose, decoration, what a person must see), for the parts that are drawn from the airway tree.
+# Parts that are drawn from the airway tree; DECORATED has name: (pose, parts, what a person must see).
 DOWN_THE_TRACHEA = Pose.looking((0.0, 0.5, 40.0), (0.0, 0.0, -1.0), (0.0, -1.0, 0.0))
 AT_THE_CARINA = Pose.looking((0.0, 0.0, 12.0), (0.0, 0.0, -1.0), (0.0, -1.0, 0.0))
 DECORATED = {

@@ -200,7 +200,7 @@ def test_picture_has_ray_statistics_and_a_plane_has_none(airway):
     renderer.prepare()
     wanted = view(airway, width=96, height=80)
     while (stats := renderer.render(wanted).stats).rays_s is None:
-        pass  # wait until the thread that builds a map has reported its time
+        pass  # a thread that still builds a map may not have reported its time yet
     assert 0.0 < stats.rays_s <= 1.1 * stats.seconds
     # Four times as many rays, on the same busy machine: processor time without waits is compared.
     more = renderer.render(view(airway, width=384, height=320)).stats
