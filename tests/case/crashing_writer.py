@@ -1,6 +1,7 @@
-"""A process that works on a case file until it is killed, started by ``test_crashes.py``.
+"""Process that writes to a case file until ``test_crashes.py`` kills it.
 
-For each line with a seed and a path it forks a child, which says its number and each save before and after it.
+For each input line with a seed and a path, the process forks a child, which prints its process ID, and a line before
+and after each save.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ ACTS = ("key", "look", "gaze", "rename", "undo", "redo", "key", "look")
 
 
 def acts_of(seed):
-    """What is done, one after the other: the same for the same seed."""
+    """Yield the names of random actions, each with a number generator; equal seeds yield equal actions."""
     rng = np.random.default_rng(seed)
     while True:
         yield ACTS[rng.integers(len(ACTS))], lambda n: int(rng.integers(n))
@@ -63,7 +64,7 @@ def main() -> None:
             say(f"pid {os.getpid()}")
             try:
                 work(int(seed), Path(path), volume, say)
-            except BaseException as trouble:  # whatever it is, the test must hear of it
+            except BaseException as trouble:  # the test must receive any exception
                 say(f"failed {type(trouble).__name__} {trouble}")
             os._exit(0)
         os.waitpid(child, 0)

@@ -1,4 +1,4 @@
-"""A case to keep in a file: the small drawn tree with edits, targets, key frames and looks, as a session makes them."""
+"""Cases to save in a file: a small synthetic tree with edits, targets, key frames and view settings."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def source_of(case: EditCase) -> SourceFacts:
 
 
 class Doing:
-    """Does to a case what a person does, without a session."""
+    """Simulated user that edits a case without a session."""
 
     def __init__(self, case: EditCase | None = None) -> None:
         self.case = case or edit_case()
@@ -60,7 +60,7 @@ class Doing:
 
     @classmethod
     def of(cls, moment: Moment, case: EditCase) -> Doing:
-        """Goes on from a moment."""
+        """Return a simulated user that continues from a saved moment."""
         made = cls.__new__(cls)
         made.case, made.history, made.sight = case, moment.history(), moment.sight
         made.numbers, made.at_s = dict(moment.numbers), 100.0
@@ -125,7 +125,7 @@ class Doing:
             )
 
     def measure(self) -> None:
-        """The airways that are shown; from those of the step before, as a session does."""
+        """Measure the shown airways, starting from the measures of the previous step as a session does."""
         if self.measured.of(self.airways) is not None:
             return
         before = self.history.documents()[max(self.history.position - 1, 0)].airways
@@ -151,7 +151,7 @@ class Doing:
             self.measured.became(airways, whole)
 
     def fold(self) -> None:
-        """As a session folds the airways of far steps."""
+        """Compress the airways of distant undo steps as a session does."""
         folded: dict[int, Any] = {}
 
         def fold(document: Document) -> Document:
@@ -210,7 +210,7 @@ ACTS = (
 
 
 def act(doing: Doing, name: str, number: Any) -> None:
-    """One thing that a person does."""
+    """Perform one action by its name."""
     if name in {"undo", "redo", "fold", "measure"}:
         getattr(doing, name)()
     elif name in {"target", "key", "look", "gaze"}:
@@ -274,7 +274,7 @@ def assert_same_airways(found: Airways, expected: Airways) -> None:
 
 
 def kept_file(path: Any) -> None:
-    """A case with a little of everything, to be kept for ever beside those of other schemas (``kept``)."""
+    """Write a case with all kinds of content, from which the permanent files in ``kept`` are made."""
     doing = Doing()
     rng = np.random.default_rng(7)
     acts = "measure target key cut measure look rename paint measure key undo redo add measure target gaze undo"
@@ -289,7 +289,7 @@ def kept_file(path: Any) -> None:
 
 
 def _read_again(command: Any) -> Any:
-    """A window could not have asked for a brush of no width: of such a step the words alone are kept."""
+    """Return the command as the file stores it: None for a brush narrower than 0.1 mm, which no window can send."""
     edit = getattr(command, "edit", None)
     return None if isinstance(edit, PaintLumen) and edit.radius_mm < 0.1 else command
 
@@ -300,7 +300,7 @@ def whole_measures(measures: Any) -> TreeMeasures | None:
 
 
 def assert_same_measures(found: Any, expected: Any) -> None:
-    """Bit for bit, with what an edit goes on from."""
+    """Assert that two measurements are equal bit for bit, including the keys that an edit reuses."""
     one, other = whole_measures(found), whole_measures(expected)
     if other is None:
         assert one is None
@@ -320,13 +320,13 @@ def assert_same_measures(found: Any, expected: Any) -> None:
 
 
 def _measures(moment: Moment) -> list[Any]:
-    """Of the airways of each document."""
+    """Return the stored measures of each document's airways."""
     measured = MeasuredAirways(moment.measures)
     return [measured.of(document.airways) for document in moment.history().documents()]
 
 
 def assert_same_moment(found: Moment | None, expected: Moment, case: EditCase, *, deep: bool = True) -> None:
-    """Bit for bit; with ``deep`` off, the document that is shown in the place of each."""
+    """Assert that two moments are equal bit for bit; with ``deep`` false, compare the shown document only."""
     assert found is not None
     for name in ("position", "sight", "tip", "scope", "search_status", "search_words", "person_moved", "numbers"):
         assert getattr(found, name) == getattr(expected, name), name

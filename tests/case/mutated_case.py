@@ -1,4 +1,4 @@
-"""Mutations of a case file whose digests are made anew, so that the bounds decide and not the digests."""
+"""Mutations of a case file with recomputed digests, so that only the checks of values can detect them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TEXT = (
 )  # fmt: skip
 BLOBS = (b"", b"\x00" * 40, deflated(b"\xff" * 512), deflated(b""))
 RAW = ("1e999", "-1e999", "NaN", "Infinity", "1e308", "-1e308", "1" * 400)
-"""Numbers as JSON writes them, or must not."""
+"""Valid and invalid numbers in JSON notation."""
 VALUES = (
     -1, 0, 0.5, 2**63, 2**31, -1e9 - 1, 1e6 + 1, 1e300, True, None, "", "x" * 30_000, "\x1b[2J", "word", [], {}, [1, 2],
     {"a": 1},
@@ -34,7 +34,7 @@ JSON_COLUMNS = (
 
 
 class Mutator:
-    """Changes one thing of a case file; ``said`` tells what, for a failing test."""
+    """Random change of one value of a case file; ``said`` describes the change for the message of a failing test."""
 
     def __init__(self, connection: sqlite3.Connection, seed: int) -> None:
         self._connection = connection
@@ -51,10 +51,10 @@ class Mutator:
             try:
                 if kind():
                     return
-            except sqlite3.IntegrityError:  # NaN is NULL to SQLite; a digest that is there already
+            except sqlite3.IntegrityError:  # SQLite stores NaN as NULL, or the digest exists already
                 continue
 
-    # ------------------------------------------------------------ kinds
+    # Kinds of mutation
 
     def _column(self) -> bool:
         tables = [row[0] for row in self._connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")]
@@ -169,7 +169,7 @@ class Mutator:
         self.said = "steps shuffled"
         return order != [document for _, document in rows]
 
-    # ------------------------------------------------------------ inside
+    # Helper functions
 
     def _row(self, table: str, where: str = "1") -> int | None:
         found = [row[0] for row in self._connection.execute(f"SELECT rowid FROM {table} WHERE {where}")]
@@ -187,7 +187,7 @@ class Mutator:
             row = dict(zip((one[0] for one in cursor.description), cursor.fetchone(), strict=True))
             try:
                 digest = digest_again(table, row)
-            except (zlib.error, ValueError):  # what cannot be inflated has no digest
+            except (zlib.error, ValueError):  # data that cannot be inflated have no digest
                 return True
             self._connection.execute(f"UPDATE {table} SET digest = ? WHERE rowid = ?", (digest, rowid))
         return True
@@ -212,7 +212,7 @@ def digest_again(table: str, row: dict[str, Any]) -> bytes:
 
 
 def _places(value: Any) -> Any:
-    """Every holder and key of a JSON value."""
+    """Return every container and key of a JSON value."""
     pairs = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     for key, part in list(pairs):
         yield value, key

@@ -1,4 +1,4 @@
-"""Copies, recordings, what plans and reports will keep, and a scan whose axes lie otherwise."""
+"""Content of a case file besides the saved moment: copies, recordings, plans, reports and the packed scan."""
 
 from __future__ import annotations
 
@@ -37,31 +37,31 @@ def file(doing, tmp_path):
         yield file
 
 
-# ------------------------------------------------------------ copies
+# Copies
 
 
-def test_a_copy_is_one_whole_file_that_holds_the_same(file, doing, tmp_path):
+def test_copy_is_one_file_with_equal_content(file, doing, tmp_path):
     target = tmp_path / "named.carina"
     file.write_copy(target, ct_place="../ct")
     assert sorted(p.name for p in tmp_path.iterdir() if "named" in p.name) == ["named.carina"]
-    assert target.read_bytes()[18:20] == b"\x01\x01"  # no journal of the other kind is looked for
+    assert target.read_bytes()[18:20] == b"\x01\x01"  # the file format version says that no WAL journal is used
     with CaseFile.open(target, read_only=True) as copy:
         assert_same_moment(copy.load(doing.case.volume), doing.moment(), doing.case)
         assert copy.source.path == "../ct"
         with pytest.raises(CaseFileError, match="open for reading only"):
             copy.save(doing.moment())
-    # It goes on being written to, and the copy can be written over.
+    # The original stays writable, and the copy can be overwritten.
     file.save(doing.moment())
     file.write_copy(target)
     with CaseFile.open(target) as copy:
         assert copy.source.path is None
 
 
-def test_what_was_forgotten_is_in_no_copy(tmp_path, doing):
+def test_copy_contains_no_deleted_steps(tmp_path, doing):
     with CaseFile.create(tmp_path / "one.carina", source_of(doing.case)) as file:
         other = some_case(8, seed=9)
         file.save(other.moment())
-        # Another line of steps in its place: what only the first had is reached no more.
+        # Replace the steps; the values that only the first moment used become unreachable.
         file.save(doing.moment())
         file.write_copy(tmp_path / "copy.carina")
     with CaseFile.create(tmp_path / "fresh.carina", source_of(doing.case)) as fresh:
@@ -77,7 +77,7 @@ def test_what_was_forgotten_is_in_no_copy(tmp_path, doing):
         assert_same_moment(file.load(doing.case.volume), doing.moment(), doing.case)
 
 
-def test_a_copy_that_cannot_be_written_leaves_what_was_there(file, tmp_path):
+def test_failed_copy_leaves_the_existing_file_unchanged(file, tmp_path):
     target = tmp_path / "named.carina"
     file.write_copy(target)
     before = target.read_bytes()
@@ -89,18 +89,18 @@ def test_a_copy_that_cannot_be_written_leaves_what_was_there(file, tmp_path):
     assert target.read_bytes() == before
 
 
-def test_a_case_is_begun_for_this_person_alone_and_never_over_another(file):
+def test_new_case_file_is_private_and_never_replaces_a_file(file):
     assert stat.S_IMODE(file.path.stat().st_mode) == 0o600
     with pytest.raises(DiskError, match="already exists"):
         CaseFile.create(file.path, file.source)
 
 
-def test_a_copy_that_is_to_live_is_for_this_person_alone(file, tmp_path):
+def test_private_copy_is_readable_by_its_owner_only(file, tmp_path):
     file.write_copy(tmp_path / "live.carina", private=True)
     assert stat.S_IMODE((tmp_path / "live.carina").stat().st_mode) == 0o600
 
 
-def test_the_place_of_the_scan_is_relative(file, doing):
+def test_scan_path_is_relative(file, doing):
     for absolute in ("/data/ct", "C:\\data\\ct", "\\\\share\\ct"):
         with pytest.raises(UsageError, match="relative"):
             SourceFacts.of(doing.case.volume, "00", path=absolute)
@@ -109,11 +109,11 @@ def test_the_place_of_the_scan_is_relative(file, doing):
     assert file.source.choices == {"series": "1"}
 
 
-# ------------------------------------------------------------ recordings
+# Recordings
 
 
 def flown(file, doing, *, num_seconds=5, closes=True):
-    """A recording of a flight that steers ten times a second."""
+    """Record a flight with ten moves per second."""
     pilot = Pilot(Navigator(Pose.looking((0.0, 0.0, 0.0), (0.0, 0.0, -1.0)), volume=doing.case.volume))
     sink = file.record("first flight", begun_s=12.0)
     recorder = Recorder(pilot, sink, case={"digest": "00"}, carina="1", now_s=100.0, view={"shading": True})
@@ -127,7 +127,7 @@ def flown(file, doing, *, num_seconds=5, closes=True):
     return recorder
 
 
-def test_a_recording_is_kept_in_pieces_of_a_second_and_is_flown_again(file, doing, tmp_path):
+def test_recording_is_stored_in_pieces_of_a_second_and_can_be_replayed(file, doing, tmp_path):
     flown(file, doing)
     (facts,) = file.recordings()
     assert (facts.name, facts.begun_s, facts.complete) == ("first flight", 12.0, True)
@@ -142,7 +142,7 @@ def test_a_recording_is_kept_in_pieces_of_a_second_and_is_flown_again(file, doin
     connection.close()
 
 
-def test_a_recording_that_was_cut_off_goes_as_far_as_it_came(file, doing):
+def test_interrupted_recording_is_kept_up_to_its_last_piece(file, doing):
     flown(file, doing, closes=False)
     (facts,) = file.recordings()
     assert not facts.complete
@@ -151,7 +151,7 @@ def test_a_recording_that_was_cut_off_goes_as_far_as_it_came(file, doing):
     assert recording.length_s >= 3.9
 
 
-def test_recordings_are_named_and_forgotten(file, doing):
+def test_recordings_can_be_renamed_ordered_and_deleted(file, doing):
     flown(file, doing, num_seconds=1)
     flown(file, doing, num_seconds=1)
     one, two = file.recordings()
@@ -173,10 +173,10 @@ def test_recordings_are_named_and_forgotten(file, doing):
         assert copy.recording(1).complete
 
 
-# ------------------------------------------------------------ room for more
+# Plans and reports
 
 
-def test_plans_and_reports_have_room(file):
+def test_plans_and_reports_are_stored(file):
     assert file.extra("report") == ()
     file.set_extra("report", ({"words": "größer"}, [1.5, None]))
     file.set_extra("plan", ("one",))
@@ -185,13 +185,13 @@ def test_plans_and_reports_have_room(file):
     assert (file.extra("report"), file.extra("plan")) == ((), ("one",))
 
 
-# ------------------------------------------------------------ another order of the axes
+# Another order of the axes
 
 
 @pytest.mark.parametrize("order", [(0, 1, 2), (2, 0, 1), (1, 0, 2)])
-def test_the_same_scan_with_its_axes_in_another_order_shows_the_same_airways(file, doing, order):
+def test_same_scan_with_permuted_axes_shows_the_same_airways(file, doing, order):
     volume = doing.case.volume
-    # Axes i, j, k of the new volume are these of the old one; the first runs the other way.
+    # The axes i, j, k of the new volume are permuted axes of the old one; the first is reversed.
     shape = volume.shape_zyx[::-1]
     columns = [volume.lps_from_ijk[:3, axis].copy() for axis in order]
     origin = volume.lps_from_ijk[:3, 3] + columns[0] * (shape[order[0]] - 1)
@@ -213,7 +213,7 @@ def test_the_same_scan_with_its_axes_in_another_order_shows_the_same_airways(fil
     tip = expected.airways.tree.tips()[0].points[-1]
     ways = [a.tracker.path_to(tip) for a in (one, other)]
     np.testing.assert_allclose(ways[0].voxel_path_lps[[0, -1]], ways[1].voxel_path_lps[[0, -1]], atol=1e-6)
-    # Of nearly equal ways through a voxel's neighbours another one may be the first.
+    # Of nearly equal paths through neighbouring voxels, the search may choose another one.
     assert ways[0].length_mm == pytest.approx(ways[1].length_mm, rel=0.02)
 
 
@@ -229,7 +229,7 @@ def test_another_scan_is_refused(file, doing):
     assert file.load(Volume(volume.hu_zyx, moved)) is not None
 
 
-# ------------------------------------------------------------ the scan
+# Packed scan
 
 
 def packed(doing, folder, volume):
@@ -241,10 +241,10 @@ def packed(doing, folder, volume):
     return folder / "packed.carina"
 
 
-def test_a_packed_scan_comes_back_voxel_by_voxel(doing, tmp_path, monkeypatch):
+def test_packed_scan_is_restored_voxel_by_voxel(doing, tmp_path, monkeypatch):
     monkeypatch.setattr("carina.case.packed_ct.CHUNK_BYTES", 5000)
     values = doing.case.volume.hu_zyx.copy()
-    values[0, 0, :4] = (-32768, 32767, -32768, 32767)  # steps that leave 16 bits
+    values[0, 0, :4] = (-32768, 32767, -32768, 32767)  # differences that exceed 16 bits
     volume = Volume(values, doing.case.volume.lps_from_ijk)
     with CaseFile.open(packed(doing, tmp_path, volume), read_only=True) as file:
         found = file.packed_volume()
@@ -268,7 +268,7 @@ def test_a_packed_scan_comes_back_voxel_by_voxel(doing, tmp_path, monkeypatch):
         "UPDATE source SET nx = 60000, ny = 60000",
     ],
 )
-def test_a_damaged_packed_scan_is_named_before_memory_is_taken(doing, tmp_path, statement):
+def test_damaged_packed_scan_is_reported_before_memory_is_allocated(doing, tmp_path, statement):
     path = packed(doing, tmp_path, doing.case.volume)
     connection = sqlite3.connect(path)
     connection.execute(statement)
@@ -278,7 +278,7 @@ def test_a_damaged_packed_scan_is_named_before_memory_is_taken(doing, tmp_path, 
         file.packed_volume()
 
 
-def test_only_the_cases_own_scan_is_packed_with_it(file, doing, tmp_path):
+def test_only_the_scan_of_the_case_is_packed(file, doing, tmp_path):
     with pytest.raises(UsageError, match="only the scan"):
-        file.write_copy(tmp_path / "packed.carina", volume=doing.case.volume)  # its digest is another
+        file.write_copy(tmp_path / "packed.carina", volume=doing.case.volume)  # this volume has another digest
     assert not (tmp_path / "packed.carina").exists()

@@ -1,4 +1,4 @@
-"""A case that is saved and opened again is the case that was saved, bit for bit, and is worked on as before."""
+"""Saving and opening a case: the content is equal bit for bit, and further edits have equal results."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ sequences = st.lists(st.tuples(st.sampled_from(ACTS), st.integers(0, 2**32 - 1))
 
 
 def worked_on(acts, path, case=None):
-    """One works on in memory, the other saves, closes and opens again before each step: both do the same."""
+    """Perform actions on a case in memory and on one that is saved and reopened before each action; compare both."""
     doing = again = Doing(case)
     with CaseFile.create(path, source_of(doing.case)) as file:
         file.save(doing.moment())
@@ -32,7 +32,7 @@ def worked_on(acts, path, case=None):
                 act(one, name, lambda n, rng=rng: int(rng.integers(n)))
             file.save(again.moment())
             if place % 3 == 0:
-                file.save(again.moment())  # nothing new
+                file.save(again.moment())  # a second save without a change
     assert_same_moment(again.moment(), doing.moment(), doing.case)
     with CaseFile.open(path, read_only=True) as file:
         assert_same_moment(file.load(doing.case.volume), doing.moment(), doing.case)
@@ -43,7 +43,7 @@ def doing():
     return Doing()
 
 
-def test_a_case_without_a_step_comes_back(doing, tmp_path):
+def test_case_without_a_step_is_restored(doing, tmp_path):
     moment = doing.moment()
     with CaseFile.create(tmp_path / "one.carina", source_of(doing.case)) as file:
         assert file.digest == source_of(doing.case).digest
@@ -56,17 +56,17 @@ def test_a_case_without_a_step_comes_back(doing, tmp_path):
 
 @settings(max_examples=6, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
 @given(acts=sequences)
-def test_any_sequence_reopened_before_each_of_its_steps_is_that_of_a_case_that_stayed_open(acts, tmp_path_factory):
+def test_reopening_before_each_action_does_not_change_the_case(acts, tmp_path_factory):
     worked_on(acts, tmp_path_factory.mktemp("case") / "one.carina")
 
 
-def test_a_branch_that_was_only_renamed_has_the_same_paths_when_it_was_put_away(tmp_path):
+def test_folded_branch_that_was_only_renamed_keeps_its_paths(tmp_path):
     worked_on([("rename", 3401), ("add", 1974794), ("root", 0), ("fold", 0)], tmp_path / "one.carina")
 
 
 @pytest.fixture(scope="module")
 def divided_case():
-    """The case whose slices are divided for search, paths and edits."""
+    """Return a case whose path grid divides each slice in two."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(PathGrid, "of", classmethod(lambda cls, ct: cls(ct, 2)))
         case = edit_case.__wrapped__()
@@ -77,11 +77,11 @@ def divided_case():
 
 @settings(max_examples=4, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
 @given(acts=sequences)
-def test_any_sequence_in_divided_slices_is_that_of_a_case_that_stayed_open(acts, divided_case, tmp_path_factory):
+def test_reopening_with_divided_slices_does_not_change_the_case(acts, divided_case, tmp_path_factory):
     worked_on(acts, tmp_path_factory.mktemp("case") / "one.carina", divided_case)
 
 
-def test_the_lumen_in_divided_slices_comes_back(divided_case, tmp_path):
+def test_lumen_in_divided_slices_is_restored(divided_case, tmp_path):
     with CaseFile.create(tmp_path / "one.carina", source_of(divided_case)) as file:
         file.save(Doing(divided_case).moment())
     with CaseFile.open(tmp_path / "one.carina") as file:
@@ -95,13 +95,11 @@ def test_the_lumen_in_divided_slices_comes_back(divided_case, tmp_path):
 @pytest.mark.soak
 @settings(max_examples=300, deadline=None, suppress_health_check=list(HealthCheck))
 @given(acts=sequences)
-def test_hundreds_of_sequences_reopened_before_each_of_their_steps_are_those_of_one_that_stayed_open(
-    acts, tmp_path_factory
-):
+def test_reopening_before_each_action_does_not_change_the_case_in_300_sequences(acts, tmp_path_factory):
     worked_on(acts, tmp_path_factory.mktemp("case") / "one.carina")
 
 
-def test_a_live_path_and_an_edit_after_opening_are_those_of_the_case_that_was_not_saved(doing, tmp_path):
+def test_live_path_and_edit_after_reopening_equal_those_before(doing, tmp_path):
     with CaseFile.create(tmp_path / "one.carina", source_of(doing.case)) as file:
         file.save(doing.moment())
     with CaseFile.open(tmp_path / "one.carina") as file:

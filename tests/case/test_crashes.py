@@ -1,4 +1,4 @@
-"""Programs are killed, disks are full and the power fails: what was saved is there, whole."""
+"""Case files after a killed process, a full disk or a power failure: all saved content is present."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def begun(doing, tmp_path):
 
 
 class Killing:
-    """Kills a writer in the midst of its work, again and again."""
+    """Process that writes to a case and is killed repeatedly."""
 
     def __init__(self, doing, folder):
         self.doing, self.path = doing, folder / "one.carina"
@@ -52,7 +52,10 @@ class Killing:
         )
 
     def kill_once(self, seed, last):
-        """Kill it when it says a line; the moment before it began, and the number of acts that must be there."""
+        """Kill the writer at the output line ``last``.
+
+        Return the moment before its start, the number of the last saved action and of the last action whose save began.
+        """
         with CaseFile.open(self.path, read_only=True) as file:
             before = file.load(self.doing.case.volume)
         self.process.stdin.write(f"{seed} {self.path}\n")
@@ -74,7 +77,7 @@ class Killing:
         return before, saved, saving
 
     def check(self, before, seed, saved, saving):
-        """It opens, holds all that was said to be saved and nothing that was not done, and can be written to."""
+        """Assert that the file has each confirmed save, no action that was not done, and is writable."""
         with CaseFile.open(self.path) as file:
             found = file.load(self.doing.case.volume)
             done = found.numbers.get("acts", 0)
@@ -113,17 +116,17 @@ def kill_often(doing, begun, times):
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")
-def test_a_writer_that_is_killed_a_dozen_times_loses_nothing_that_was_saved(doing, begun):
+def test_writer_killed_a_dozen_times_loses_no_saved_action(doing, begun):
     kill_often(doing, begun, 12)
 
 
 @pytest.mark.soak
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")
-def test_a_writer_that_is_killed_two_hundred_times_loses_nothing_that_was_saved(doing, begun):
+def test_writer_killed_two_hundred_times_loses_no_saved_action(doing, begun):
     kill_often(doing, begun, 200)
 
 
-def test_a_power_cut_at_any_byte_of_the_journal_leaves_a_moment_that_was_saved(doing, begun, tmp_path):
+def test_power_failure_at_any_byte_of_the_journal_leaves_a_saved_moment(doing, begun, tmp_path):
     rng = np.random.default_rng(8)
     moments = [doing.moment()]
     with CaseFile.open(begun) as file:
@@ -140,7 +143,7 @@ def test_a_power_cut_at_any_byte_of_the_journal_leaves_a_moment_that_was_saved(d
     taken = tmp_path / "taken.carina"
     for cut in [0, 31, *rng.integers(0, len(journal), 20), *lengths]:
         taken.write_bytes(whole)
-        # What was not written down yet is anything.
+        # The part of the journal that was not flushed may contain any bytes.
         rest = bytes(rng.integers(0, 256, 5000, dtype=np.uint8))
         taken.with_name("taken.carina-wal").write_bytes(journal[:cut] + rest)
         with CaseFile.open(taken) as file:
@@ -149,7 +152,7 @@ def test_a_power_cut_at_any_byte_of_the_journal_leaves_a_moment_that_was_saved(d
         assert_same_moment(found, expected, doing.case, deep=False)
 
 
-def test_a_full_disk_is_said_and_what_was_saved_before_stays(doing, begun, tmp_path):
+def test_full_disk_is_reported_and_the_last_save_remains(doing, begun, tmp_path):
     import resource
 
     rng = np.random.default_rng(9)
@@ -174,13 +177,13 @@ def test_a_full_disk_is_said_and_what_was_saved_before_stays(doing, begun, tmp_p
         assert not (tmp_path / "copy.carina").exists()
         with CaseFile.open(begun, read_only=True) as seen:
             assert_same_moment(seen.load(doing.case.volume), before, doing.case, deep=False)
-        # There is room again.
+        # The disk has free space again.
         file.save(doing.moment())
     with CaseFile.open(begun) as file:
         assert_same_moment(file.load(doing.case.volume), doing.moment(), doing.case)
 
 
-def test_a_file_that_is_not_to_be_written_is_said_to_be(doing, begun):
+def test_read_only_file_is_reported(doing, begun):
     begun.chmod(0o400)
     with CaseFile.open(begun, read_only=True) as file:
         file.load(doing.case.volume)

@@ -1,4 +1,4 @@
-"""The recorded flights of a case whose disk refuses, in a file elsewhere."""
+"""Saving the recorded flights to another file while the disk of the case fails."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ WITHIN_S = 60.0
 
 
 class Refusing:
-    """A case file on a disk that takes nothing more; reading waits for ``may_read``."""
+    """Case file on a disk that accepts no writes; reads wait for ``may_read``."""
 
     def __init__(self, file):
         self._file = file
@@ -49,11 +49,11 @@ def facts_of(writer, number):
     return RecordingFacts(number, writer.name, "", writer.begun_s, 4.9, complete=writer.closed)
 
 
-def test_those_in_the_file_and_those_in_memory_are_in_the_file_elsewhere(file, doing, tmp_path):
+def test_stored_and_buffered_flights_are_written_to_another_file(file, doing, tmp_path):
     flown(file, doing)
     (kept,) = file.recordings()
     lines = file.recording_text(kept.recording_id).splitlines(keepends=True)
-    # Half of the second is in the file, the rest waits; the third has not been begun there.
+    # The file has half of the second flight; the rest of it, and all of the third, are in memory.
     half = RecordingWriter("half", 20.0, number=2)
     half.write("".join(lines[:20]))
     file.keep_recording(half)
@@ -81,7 +81,7 @@ def test_those_in_the_file_and_those_in_memory_are_in_the_file_elsewhere(file, d
             assert copy.recording(number).complete
 
 
-def test_a_silent_disk_is_not_waited_for_and_what_it_holds_is_counted(file, doing):
+def test_unresponsive_disk_is_not_awaited_and_its_flights_are_counted(file, doing):
     flown(file, doing)
     (kept,) = file.recordings()
     waiting = RecordingWriter("waiting", 30.0, number=2)
@@ -94,7 +94,7 @@ def test_a_silent_disk_is_not_waited_for_and_what_it_holds_is_counted(file, doin
     assert num_missing == 1
 
 
-def test_what_the_disk_takes_meanwhile_is_not_there_twice(file, doing):
+def test_pieces_written_by_the_disk_meanwhile_are_not_duplicated(file, doing):
     writer = RecordingWriter("flight", 1.0, number=1)
     writer.write('{"t": 0.0}\n')
     file.keep_recording(writer)
@@ -102,7 +102,7 @@ def test_what_the_disk_takes_meanwhile_is_not_there_twice(file, doing):
 
     class Healing(Refusing):
         def recording_text(self, recording_id):
-            # Between the look at what waits and this: the disk takes the rest.
+            # The disk accepts the buffered rest after the list of buffered pieces was read.
             self._file.keep_recording(writer)
             return self._file.recording_text(recording_id)
 
@@ -111,7 +111,7 @@ def test_what_the_disk_takes_meanwhile_is_not_there_twice(file, doing):
     assert num_missing == 0
 
 
-def test_one_that_cannot_be_read_leaves_the_others(file, doing):
+def test_unreadable_flight_does_not_affect_the_others(file, doing):
     class Damaged(Refusing):
         def recording_text(self, recording_id):
             raise DiskError("cannot read the case", code="disk.error")

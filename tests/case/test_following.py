@@ -1,4 +1,4 @@
-"""The live file of another process: each moment is read as it was saved, and nothing twice."""
+"""Reading the live file of another process: each moment equals the saved one, and unchanged parts are not reread."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from made import made_phantom
 
 @pytest.fixture
 def live(tmp_path):
-    """A session, and the file that its moments are saved to."""
+    """Return a volume, a session and the case file to which its moments are saved."""
     volume = made_phantom(spacing_mm=3.0, generations=3).volume
     session = program_session()
     with CaseFile.create(tmp_path / "case.carina", SourceFacts.of(volume, "ab" * 32)) as file:
@@ -33,7 +33,7 @@ def labels(moment):
     return [step.label for step in moment.steps[: moment.position]]
 
 
-def test_each_moment_is_as_it_was_saved_and_shares_what_did_not_change(live):
+def test_each_moment_equals_the_saved_one_and_shares_unchanged_parts(live):
     volume, session, file = live
     follower = CaseFollower(file.path, volume)
     with pytest.raises(CaseFileError) as empty:
@@ -56,7 +56,7 @@ def test_each_moment_is_as_it_was_saved_and_shares_what_did_not_change(live):
     saved(session, file)
     wider = follower.newest()
     assert wider.history().current.look.fov_deg == 100.0
-    # The edited airways are the present ones still: the same object, not made again.
+    # The edited airways did not change, so the follower returns the same object.
     assert wider.history().current.airways is renamed.airways
 
     do_and_wait(session, c.Undo())
@@ -65,7 +65,7 @@ def test_each_moment_is_as_it_was_saved_and_shares_what_did_not_change(live):
     back = follower.newest()
     assert labels(back) == []
     assert back.history().current.airways is found.airways
-    # What is not shown any more is no longer held whole.
+    # Airways that are no longer shown are stored compressed.
     assert all(isinstance(step.document.airways, FoldedAirways) for step in back.steps)
 
     do_and_wait(session, c.Redo())
@@ -75,7 +75,7 @@ def test_each_moment_is_as_it_was_saved_and_shares_what_did_not_change(live):
     assert np.array_equal(again.lumen_zyx, renamed.airways.lumen_zyx)
 
 
-def test_a_file_that_its_owner_has_swept_is_read_anew(live):
+def test_file_whose_unused_rows_were_deleted_is_reread(live):
     volume, session, file = live
     follower = CaseFollower(file.path, volume)
     do_and_wait(session, c.OpenVolume(volume))
@@ -83,7 +83,7 @@ def test_a_file_that_its_owner_has_swept_is_read_anew(live):
     do_and_wait(session, c.SetFov(110.0))
     saved(session, file)
     assert follower.newest().history().current.look.fov_deg == 110.0
-    # Steps that were taken back and done otherwise leave rows behind, which go when the file is closed.
+    # Undone and replaced steps leave rows behind, which are deleted when the file is closed.
     do_and_wait(session, c.Undo())
     do_and_wait(session, c.SetOutline("none"))
     saved(session, file)

@@ -1,4 +1,4 @@
-"""Files beside a case file: journals are checked before anything is copied or replayed."""
+"""SQLite journals beside a case file: they are checked before a copy or a replay."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SPARSE_BYTES = 50 << 30
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """Return the work on a case, and a folder with the case as closed and as killed (changes in the journal)."""
+    """Return the edited case, and a folder with its file closed and its file after a kill (with a journal)."""
     folder = tmp_path_factory.mktemp("made")
     doing = Doing()
     with CaseFile.create(folder / "live.carina", source_of(doing.case)) as file:
@@ -35,20 +35,20 @@ def made(tmp_path_factory):
 
 @pytest.fixture
 def closed(made, tmp_path):
-    """Return a closed case, without a journal."""
+    """Return the path of a closed case, without a journal."""
     return Path(shutil.copy(made[1] / "closed.carina", tmp_path / "x.carina"))
 
 
 @pytest.fixture
 def killed(made, tmp_path):
-    """Return a case with its journal."""
+    """Return the path of a case with its journal."""
     shutil.copy(made[1] / "killed.carina-wal", tmp_path / "x.carina-wal")
     return Path(shutil.copy(made[1] / "killed.carina", tmp_path / "x.carina"))
 
 
 @pytest.fixture(autouse=True)
 def ends():
-    """Interrupt a call that blocks on a pipe: without it a failing test would never end."""
+    """Limit the time of a test, because a call that blocks on a pipe would never return."""
     if os.name != "posix":
         yield
         return
@@ -64,7 +64,7 @@ def ends():
 
 
 def openings(path):
-    """Every way in which a case file is opened."""
+    """Return a function for every way to open a case file."""
     return {
         "read": lambda: CaseFile.open(path, read_only=True),
         "write": lambda: CaseFile.open(path),
@@ -74,7 +74,7 @@ def openings(path):
 
 
 def refusals(path):
-    """Return the error of each way to open a case; each refuses and leaves all files as they were."""
+    """Return the error of each way to open a case, and assert that all files are unchanged."""
     before = {one.name: one.stat() for one in path.parent.iterdir()}
     found = []
     for how, opens in openings(path).items():
@@ -88,7 +88,7 @@ def refusals(path):
 
 
 @pytest.mark.parametrize("tail", ["-wal", "-journal"])
-def test_a_journal_of_50_gb_is_refused_and_nothing_is_copied(closed, tail, monkeypatch):
+def test_journal_of_50_gb_is_refused_and_nothing_is_copied(closed, tail, monkeypatch):
     with closed.with_name(closed.name + tail).open("wb") as file:
         file.truncate(SPARSE_BYTES)
     monkeypatch.setattr(journals, "_copy", lambda *_: pytest.fail("copied"))
@@ -99,7 +99,7 @@ def test_a_journal_of_50_gb_is_refused_and_nothing_is_copied(closed, tail, monke
         assert "move that file" in str(error)
 
 
-def test_of_a_journal_with_a_valid_header_only_its_frames_are_copied(made, killed, monkeypatch):
+def test_only_the_valid_frames_of_a_journal_are_copied(made, killed, monkeypatch):
     journal = killed.with_name("x.carina-wal")
     used = journal.stat().st_size
     os.truncate(journal, 8 << 30)
@@ -118,7 +118,7 @@ def test_of_a_journal_with_a_valid_header_only_its_frames_are_copied(made, kille
 
 @pytest.mark.parametrize("tail", ["-wal", "-journal"])
 @pytest.mark.parametrize("content", [b"a letter", b"a letter" * 100, b"\x7fELF" + bytes(5000)])
-def test_a_file_that_is_no_journal_is_not_replayed_and_is_kept_under_another_name(made, closed, tail, content):
+def test_invalid_journal_is_not_replayed_and_is_renamed(made, closed, tail, content):
     other = closed.with_name(closed.name + tail)
     other.write_bytes(content)
     with CaseFile.open(closed, read_only=True) as file:
@@ -133,15 +133,15 @@ def test_a_file_that_is_no_journal_is_not_replayed_and_is_kept_under_another_nam
 
 @pytest.mark.parametrize("tail", ["-wal", "-journal"])
 @pytest.mark.parametrize("size", [0, 512, 5000])
-def test_an_empty_journal_or_one_of_zeros_loses_nothing(made, closed, tail, size):
+def test_empty_journal_or_journal_of_zeros_loses_nothing(made, closed, tail, size):
     closed.with_name(closed.name + tail).write_bytes(bytes(size))
     for read_only in (True, False):
         with CaseFile.open(closed, read_only=read_only) as file:
             assert_same_moment(file.load(made[0].case.volume), made[0].moment(), made[0].case)
 
 
-def test_a_journal_that_names_a_file_of_another_database_is_refused_and_that_file_stays(closed, tmp_path):
-    # SQLite deletes the file that the end of a rollback journal names, once the journal has been replayed.
+def test_journal_that_names_a_file_of_another_database_is_refused(closed, tmp_path):
+    # After the replay, SQLite deletes the file whose name is at the end of a rollback journal.
     victim = tmp_path / "work.txt"
     victim.write_text("years of work")
     pages = closed.stat().st_size // 4096
@@ -164,7 +164,7 @@ def test_a_journal_that_names_a_file_of_another_database_is_refused_and_that_fil
 @pytest.mark.skipif(os.name != "posix", reason="pipes of POSIX")
 @pytest.mark.parametrize("tail", ["", "-wal", "-journal", "-shm"])
 @pytest.mark.parametrize("kind", ["pipe", "device"])
-def test_a_pipe_or_device_in_the_place_of_a_case_or_its_journal_is_refused(closed, tail, kind):
+def test_pipe_or_device_in_place_of_a_case_or_its_journal_is_refused(closed, tail, kind):
     path = closed.with_name(closed.name + tail)
     path.unlink(missing_ok=True)
     if kind == "pipe":
@@ -178,13 +178,13 @@ def test_a_pipe_or_device_in_the_place_of_a_case_or_its_journal_is_refused(close
         assert f"x.carina{tail}: expected a file" in str(error)
 
 
-def test_a_folder_beside_a_case_is_refused(closed):
+def test_folder_with_the_name_of_a_journal_is_refused(closed):
     closed.with_name("x.carina-wal").mkdir()
     for _, error in refusals(closed):
         assert "found a folder" in str(error)
 
 
-def test_a_copy_that_does_not_fit_is_refused_before_it_is_made(killed, monkeypatch):
+def test_copy_larger_than_the_free_space_is_refused_before_it_is_made(killed, monkeypatch):
     usage = shutil.disk_usage
 
     def full(path):
@@ -197,14 +197,14 @@ def test_a_copy_that_does_not_fit_is_refused_before_it_is_made(killed, monkeypat
     assert refusal.value.code == "disk.full"
 
 
-def test_a_case_file_that_is_too_large_to_copy_is_refused(killed, monkeypatch):
+def test_case_file_that_is_too_large_to_copy_is_refused(killed, monkeypatch):
     monkeypatch.setattr(journals, "MAX_CASE_BYTES", 10_000)
     for _, error in refusals(killed):
         assert "expected at most 10 kB with its journal" in str(error)
 
 
-def test_a_journal_of_sqlite_itself_passes(made, closed, tmp_path):
-    # A hot rollback journal, as a killed writer leaves it.
+def test_rollback_journal_of_sqlite_is_accepted(made, closed, tmp_path):
+    # A killed writer leaves such a hot rollback journal.
     connection = sqlite3.connect(closed, isolation_level=None)
     connection.execute("PRAGMA journal_mode=DELETE")
     connection.execute("PRAGMA cache_size=1")

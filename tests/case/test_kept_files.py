@@ -1,4 +1,4 @@
-"""Case files of each schema open for ever, with what was in them."""
+"""Permanent case files of each schema: they open with all their content in every later version."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ NAMES = sorted(path.stem for path in KEPT.glob("*.carina"))
 
 
 def told(path, volume):
-    """What is in a case file, in numbers that a change of the code must not change."""
+    """Return the content of a case file as JSON values that no change of the code may change."""
     with CaseFile.open(path, read_only=True) as file:
         moment = file.load(volume)
         history = file.history()
@@ -81,18 +81,18 @@ def _in_numbers(kept):
 
 
 def _stored_summary(summary):
-    """The figures of a branch as stored: with a stenosis that is not reported, too."""
+    """Return the figures of a branch as stored, including a stenosis that is not reported."""
     stored = summary.measured_stenosis
     shown = {name: value for name, value in summary.to_json().items() if name != "min_error_mm"}
     return {**shown, "stenosis": None if stored is None else stored.to_json()}
 
 
-def test_a_file_of_each_schema_is_kept():
+def test_there_is_a_permanent_file_of_each_schema():
     assert NAMES == ["schema-1", "schema-2"]
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_kept_case_opens_with_all_that_was_in_it(name, tmp_path):
+def test_permanent_case_file_opens_with_all_its_content(name, tmp_path):
     path = shutil.copy(KEPT / f"{name}.carina", tmp_path / "kept.carina")
     case = edit_case()
     assert told(path, case.volume) == json.loads((KEPT / f"{name}.json").read_text())
@@ -106,7 +106,7 @@ def test_a_kept_case_opens_with_all_that_was_in_it(name, tmp_path):
     assert tip.id not in {b.id for b in edit_airways(case.volume, airways, CutBranch(tip.id)).tree.branches}
 
 
-def test_a_kept_stenosis_within_its_error_is_neither_shown_nor_exported():
+def test_stored_stenosis_within_its_error_is_neither_shown_nor_exported():
     with CaseFile.open(KEPT / "schema-2.carina", read_only=True) as file:
         moment = file.load(edit_case().volume)
         (first, *_) = moment.history().documents()
@@ -130,5 +130,5 @@ def test_a_kept_stenosis_within_its_error_is_neither_shown_nor_exported():
         assert (detail.measures.stenosis_percent is None) == (own.branch_id in within)
         assert (own.summary.stenosis is None) == (own.branch_id in within)
         assert "stenosis" not in repr(own.summary)
-        # Saved again, the file holds the stenosis as it was measured.
+        # The facts for a second save contain the stenosis as measured.
         assert branch_facts(own, None).summary.stenosis is not None

@@ -1,6 +1,6 @@
 """Case files with one mutation and correct digests: each opens with its content, or is refused as damaged.
 
-After each the start page opens, with the case in its list or with a message.
+After each mutation, the start page opens and lists the case or shows a message.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def mutated(made, path, seed):
 
 
 def opened(path, doing, again):
-    """Everything that opening a case comes to; its content, saved and read once more, is the same."""
+    """Assert that a case file can be read completely, and that saving and reopening gives the same content."""
     volume = doing.case.volume
     with CaseFile.open(path, read_only=True) as file:
         history, recordings = file.history(), file.recordings()
@@ -100,7 +100,7 @@ def opened(path, doing, again):
     for _, measures in moment.measures:
         assert isinstance(measures, KeptMeasures)
         measures.load()
-    # As the session shows it.
+    # Set the pose and the path as a session does.
     pilot = Pilot(Navigator(Pose.looking((0.0, 0.0, 0.0), (0.0, 0.0, -1.0)), volume=volume))
     pilot.apply(path_move(None if document.airways is None else document.airways.tree, document.route))
     pilot.navigator.restore(moment.tip, pilot.navigator.path)
@@ -139,7 +139,7 @@ def start_page(path, folder):
     core = SessionCore(lambda *_: None)
     listed = CaseList(core, Saving(core, records, None)).listed()
     assert len(listed) == len(records.all())
-    # Nothing is lost: the case is listed, or its folder lies beside the others.
+    # The case is listed, or its folder is in ``.damaged``.
     assert len(listed) + len(list((folder / "cases" / ".damaged").glob("*/case.carina"))) == 1
     text = encode_message(start_message(notice_accepted=True, recent=listed, patient_citation=None, storage=None))
     json.loads(text, parse_constant=pytest.fail)
@@ -153,7 +153,7 @@ def where(trouble):
 
 
 def run(made, folder, seeds):
-    """How many opened, were refused (by code) and are listed afterwards; what went wrong otherwise."""
+    """Count the cases that open, are refused (by code) and are listed; also return a list of all other errors."""
     found, wrong = Counter(), []
     for seed in seeds:
         place = folder / str(seed)
@@ -181,15 +181,15 @@ def run(made, folder, seeds):
     return found, wrong
 
 
-def test_a_case_without_a_mutation_opens(made, tmp_path):
+def test_case_without_a_mutation_opens(made, tmp_path):
     opened(made[1], made[0], tmp_path / "again.carina")
     assert start_page(made[1], tmp_path) == 1
 
 
-def test_a_mutated_case_opens_or_is_refused_and_the_start_page_opens(made, tmp_path):
+def test_mutated_case_opens_or_is_refused_and_the_start_page_opens(made, tmp_path):
     found, wrong = run(made, tmp_path, range(NUM_MUTATIONS))
     assert wrong == [], "\n".join(wrong)
-    # Both happen: the mutations are neither all harmless nor all refused.
+    # The mutations must be neither all harmless nor all fatal.
     assert found["opened"] >= 5
     assert found["case.damaged"] >= 20
 

@@ -1,4 +1,4 @@
-"""A session over a real case file: real edits, folded steps, a crash, and undo as if nothing had happened."""
+"""A session with a real case file: edits, compressed steps, crashes, and undo after reopening."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from carina.track import CutBranch, PaintLumen, RenameBranch, edit_airways, meas
 from small_case import Background, Clock, SmallRenderer, small_parts
 
 EVENTS = []
-"""Of each session, in turn."""
+"""Lists of events, one list for each session in the order of their start."""
 
 
 def started(folder, measure=None):
@@ -70,7 +70,7 @@ def started(folder, measure=None):
 
 
 def worked(session, background):
-    """More steps than are kept whole."""
+    """Perform more edits than the number of steps that are stored uncompressed."""
     case = edit_case()
     for n in range(NUM_EDITS_WHOLE + 4):
         tip = case.tips[n % 4] + 0.4 * n * np.array([0.3, 0.1, 1.0])
@@ -87,18 +87,18 @@ def document(session):
 
 
 @pytest.mark.parametrize("is_killed", [False, True])
-def test_undo_after_reopening_comes_to_every_step_as_it_does_without(tmp_path, is_killed):
+def test_undo_after_reopening_gives_the_same_steps_as_without_reopening(tmp_path, is_killed):
     session, background = started(tmp_path)
     worked(session, background)
     assert session._saving.write_now()
     if is_killed:
-        # Nothing more is written; the system gives the lock back, and the journal stays.
+        # Simulate a kill: nothing more is written, the lock is released, and the journal stays.
         kept = session._saving._kept
         kept.held.release()
         session._saving._kept = None
         kept.file._connection = None
     else:
-        # It stays open to be compared with; its file goes.
+        # Close the file; the session itself stays open for the comparison.
         kept = session._saving._kept
         session._saving._kept = None
         kept.file.close()
@@ -125,11 +125,11 @@ def test_undo_after_reopening_comes_to_every_step_as_it_does_without(tmp_path, i
     again.close()
 
 
-# ------------------------------------------------------------ measures
+# Measures
 
 
 class Measuring:
-    """Measures, and counts how often."""
+    """Wrapper of ``measure_tree`` that records its calls."""
 
     def __init__(self):
         self.asked = []
@@ -140,7 +140,7 @@ class Measuring:
 
 
 def measures_of_steps(session, background):
-    """What each step shows that undo comes to, the newest first."""
+    """Return the measures that each undo step shows, newest first."""
     found = [session.snapshot().measures]
     while session.snapshot().undo_label is not None:
         session.undo()
@@ -149,12 +149,12 @@ def measures_of_steps(session, background):
     return found
 
 
-def test_what_was_measured_is_not_measured_again_by_undo_or_after_reopening(tmp_path):
+def test_undo_and_reopening_do_not_repeat_measurements(tmp_path):
     measuring = Measuring()
     session, background = started(tmp_path, measuring)
     worked(session, background)
     num_edits = NUM_EDITS_WHOLE + 4
-    # Names change no measure.
+    # Renaming a branch needs no measurement.
     assert num_edits // 2 < len(measuring.asked) <= 1 + num_edits
     measuring.asked.clear()
     session.close()
@@ -167,7 +167,7 @@ def test_what_was_measured_is_not_measured_again_by_undo_or_after_reopening(tmp_
         background.run_all()
     assert measuring.asked == []
     assert_same_measures(again.snapshot().measures, found[2])
-    # An edit goes on from them: what it leaves alone is as it was.
+    # An edit reuses the measures of all branches that it does not change.
     again.do(EditTree(CutBranch(again.snapshot().document.airways.tree.tips()[0].id)))
     background.run_all()
     newest, before = again.snapshot().measures, found[2]
@@ -178,7 +178,7 @@ def test_what_was_measured_is_not_measured_again_by_undo_or_after_reopening(tmp_
     again.close()
 
 
-def test_measures_that_are_damaged_are_made_again_and_that_is_said(tmp_path):
+def test_damaged_measures_are_measured_again_with_a_message(tmp_path):
     measuring = Measuring()
     session, background = started(tmp_path, measuring)
     worked(session, background)
@@ -197,7 +197,7 @@ def test_measures_that_are_damaged_are_made_again_and_that_is_said(tmp_path):
         "the saved measurements of the airways cannot be read, so the airways will be measured" in words
         for words in told
     )
-    # Made from nothing; edits had gone on from those before.
+    # All branches were measured again, so only their IDs are compared.
     found = again.snapshot().measures
     assert [b.branch_id for b in found.branches] == [b.branch_id for b in expected.branches]
     assert again._saving.write_now()
@@ -208,7 +208,7 @@ def test_measures_that_are_damaged_are_made_again_and_that_is_said(tmp_path):
     again.close()
 
 
-def test_a_live_case_of_an_older_carina_goes_on_and_lies_beside_as_it_was(tmp_path):
+def test_live_case_of_an_older_version_is_migrated_and_the_original_is_retained(tmp_path):
     measuring = Measuring()
     session, background = started(tmp_path, measuring)
     worked(session, background)
@@ -233,11 +233,11 @@ def test_a_live_case_of_an_older_carina_goes_on_and_lies_beside_as_it_was(tmp_pa
     again.close()
 
 
-# ------------------------------------------------------------ recordings
+# Recordings
 
 
 def flown(session, clock, seconds):
-    """Ten moves a second."""
+    """Record a flight with ten moves per second."""
     for _ in range(10 * seconds):
         clock.now_s += 0.1
         session.do(Steer(0.5, 0.01, 0.02, 0.0))
@@ -248,7 +248,7 @@ def live_file(tmp_path):
     return live
 
 
-def test_a_flight_is_recorded_into_the_case_and_flown_again_bit_for_bit(tmp_path):
+def test_flight_is_recorded_into_the_case_and_replayed_bit_for_bit(tmp_path):
     session, _ = started(tmp_path)
     clock = session._core.clock
     for n in (1, 2):
@@ -259,7 +259,7 @@ def test_a_flight_is_recorded_into_the_case_and_flown_again_bit_for_bit(tmp_path
         assert session.devices.recording_name is None
     session.do(RecordFlight())
     flown(session, clock, 1)
-    # A case that is closed ends its recording.
+    # Closing the case ends its recording.
     session.do(CloseCase())
     session.close()
     with CaseFile.open(live_file(tmp_path)) as file:
@@ -272,19 +272,19 @@ def test_a_flight_is_recorded_into_the_case_and_flown_again_bit_for_bit(tmp_path
     assert len(replayed) > 25
     assert all(same for _, same in replayed)
     assert open_recording(tmp_path / "flight.jsonl").lines == recording.lines
-    # Numbers go on where they were.
+    # The numbering of flights continues.
     again, _ = started(tmp_path)
     again.do(RecordFlight())
     assert again.devices.recording_name == "Flight 4"
     again.close()
 
 
-def test_of_a_recording_that_a_crash_ended_all_but_the_last_moments_is_there(tmp_path, monkeypatch):
+def test_recording_interrupted_by_a_crash_lacks_only_its_last_moments(tmp_path, monkeypatch):
     session, _ = started(tmp_path)
     session.do(RecordFlight())
     flown(session, session._core.clock, 4)
     assert session._saving.write_now()
-    # Nothing more is written, however long it takes until the file is read.
+    # Nothing more is written before the file is read.
     monkeypatch.setattr(session._saving._kept, "changed", lambda _topics: None)
     flown(session, session._core.clock, 1)
     with CaseFile.open(live_file(tmp_path), read_only=True) as file:
@@ -297,7 +297,7 @@ def test_of_a_recording_that_a_crash_ended_all_but_the_last_moments_is_there(tmp
     session.close()
 
 
-def test_another_case_ends_the_recording_of_the_one_that_was_open(tmp_path):
+def test_opening_another_case_ends_the_recording(tmp_path):
     session, background = started(tmp_path)
     session.do(RecordFlight())
     flown(session, session._core.clock, 2)
@@ -320,7 +320,7 @@ def refused(*_arguments, **_options):
     raise DiskError("the disk is full", code="disk.full")
 
 
-def test_a_recording_that_the_disk_refuses_waits_in_memory(tmp_path, monkeypatch):
+def test_recording_refused_by_the_disk_stays_in_memory(tmp_path, monkeypatch):
     session, _ = started(tmp_path)
     session.do(RecordFlight())
     flown(session, session._core.clock, 2)
@@ -337,7 +337,7 @@ def test_a_recording_that_the_disk_refuses_waits_in_memory(tmp_path, monkeypatch
     session.close()
 
 
-def test_a_case_that_is_not_kept_holds_no_recording(tmp_path):
+def test_case_without_a_file_has_no_recording(tmp_path):
     session = Session(SmallRenderer, parts=small_parts(), submit=(background := Background()), clock=Clock())
     session.do(OpenPath("case"))
     background.run_all()
@@ -346,7 +346,7 @@ def test_a_case_that_is_not_kept_holds_no_recording(tmp_path):
     assert session.devices.recording_name is None
 
 
-# ------------------------------------------------------------ the list of flights
+# List of flights
 
 
 def listed(session):
@@ -359,7 +359,7 @@ def recorded(session, seconds=1):
     session.do(StopRecording())
 
 
-def test_flights_are_named_described_ordered_and_deleted_and_so_they_are_when_the_case_is_opened_again(tmp_path):
+def test_flights_stay_named_described_ordered_and_deleted_after_reopening(tmp_path):
     session, _ = started(tmp_path)
     assert listed(session) == []
     for seconds in (1, 2, 3):
@@ -371,7 +371,7 @@ def test_flights_are_named_described_ordered_and_deleted_and_so_they_are_when_th
         (pytest.approx(3.0), "complete"),
         (0.0, "recording"),
     ]
-    # The one that is being recorded can be named, and not be deleted.
+    # The flight that is being recorded can be renamed but not deleted.
     session.do(RenameFlight(4, "  the fourth "))
     assert session.devices.recording_name == "the fourth"
     with pytest.raises(UsageError, match="the fourth is still being recorded"):
@@ -405,7 +405,7 @@ def test_flights_are_named_described_ordered_and_deleted_and_so_they_are_when_th
     again, _ = started(tmp_path)
     assert listed(again) == found
     assert [one.begun_s for one in again.snapshot().flights] == pytest.approx([one.begun_s for one in before])
-    # A number is never given twice, though the flight that had it has gone.
+    # The number of a deleted flight is not used again.
     recorded(again)
     assert listed(again)[-1] == (5, "Flight 5", "", "complete")
     again.do(CloseCase())
@@ -413,12 +413,12 @@ def test_flights_are_named_described_ordered_and_deleted_and_so_they_are_when_th
     again.close()
 
 
-def test_a_flight_that_a_crash_cut_off_is_listed_as_such_and_taken_away_as_far_as_it_came(tmp_path):
+def test_flight_interrupted_by_a_crash_is_listed_as_incomplete_and_replayed_to_its_end(tmp_path):
     session, _ = started(tmp_path)
     session.do(RecordFlight())
     flown(session, session._core.clock, 2)
     assert session._saving.write_now()
-    # Nothing more is written; the system gives the lock back, and the journal stays.
+    # Simulate a kill: nothing more is written, the lock is released, and the journal stays.
     kept = session._saving._kept
     kept.held.release()
     session._saving._kept = None
@@ -434,7 +434,7 @@ def test_a_flight_that_a_crash_cut_off_is_listed_as_such_and_taken_away_as_far_a
     again.close()
 
 
-def test_a_flight_is_flown_again_where_it_went_until_a_hand_moves_the_tip(tmp_path):
+def test_flight_is_replayed_at_its_place_until_a_manual_move_of_the_tip(tmp_path):
     session, background = started(tmp_path)
     session.do(RecordFlight())
     first = session.pose_info().pose
@@ -466,7 +466,7 @@ def test_a_flight_is_flown_again_where_it_went_until_a_hand_moves_the_tip(tmp_pa
     session.close()
 
 
-def test_a_hand_that_moves_while_a_flight_is_read_is_not_thrown_back(tmp_path):
+def test_manual_move_while_a_flight_is_read_is_not_undone(tmp_path):
     session, background = started(tmp_path)
     recorded(session)
     session.do(FlyFlight(1, 0.0))
@@ -477,7 +477,7 @@ def test_a_hand_that_moves_while_a_flight_is_read_is_not_thrown_back(tmp_path):
     session.close()
 
 
-def test_what_is_done_to_flights_while_the_disk_refuses_is_written_later(tmp_path, monkeypatch):
+def test_changes_of_flights_while_the_disk_fails_are_written_later(tmp_path, monkeypatch):
     session, _ = started(tmp_path)
     recorded(session)
     recorded(session)
@@ -488,7 +488,7 @@ def test_what_is_done_to_flights_while_the_disk_refuses_is_written_later(tmp_pat
         recorded(session)
         session.do(RemoveFlight(1))
         session.do(RenameFlight(2, "kept"))
-        # Before any of it came to the disk.
+        # The flight is deleted before any part of it is written to the disk.
         session.do(RemoveFlight(3))
         assert not session._saving.write_now()
         with pytest.raises(CarinaError, match="the disk is full"):

@@ -1,4 +1,4 @@
-"""A case file from anywhere: what is not exactly ours is refused in words, and nothing of it is run or replayed."""
+"""Case files from untrusted sources: refusal of unknown tables and damaged content, migration, and rescue."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from carina.errors import CarinaError
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """A case with a little of everything, and its file."""
+    """Return a case with all kinds of content, and its file."""
     path = tmp_path_factory.mktemp("made") / "one.carina"
     doing = Doing()
     rng = np.random.default_rng(11)
@@ -37,7 +37,7 @@ def made(tmp_path_factory):
 
 @pytest.fixture
 def stranger(made, tmp_path):
-    """A copy to be spoiled."""
+    """Return a copy of the case file that the test may damage."""
     return shutil.copy(made[1], tmp_path / "stranger.carina")
 
 
@@ -49,7 +49,7 @@ def changed(path, *statements):
 
 
 def looked_through(path, doing):
-    """All that opening, loading and undo can come to."""
+    """Read everything that opening a case, loading it and undo can read."""
     with CaseFile.open(path, read_only=True) as file:
         file.history()
         moment = file.load(doing.case.volume)
@@ -66,7 +66,7 @@ def looked_through(path, doing):
             file.recording(facts.recording_id)
 
 
-# ------------------------------------------------------------ tables
+# Tables
 
 
 @pytest.mark.parametrize(
@@ -84,7 +84,7 @@ def looked_through(path, doing):
     ],
 )
 @pytest.mark.parametrize("read_only", [True, False])
-def test_tables_that_are_not_exactly_ours_are_refused(stranger, statement, read_only):
+def test_tables_unlike_the_schema_are_refused(stranger, statement, read_only):
     changed(stranger, statement)
     before = stranger.read_bytes()
     with pytest.raises(CaseFileError, match="its tables are not those") as refusal:
@@ -93,7 +93,7 @@ def test_tables_that_are_not_exactly_ours_are_refused(stranger, statement, read_
     assert stranger.read_bytes() == before
 
 
-def test_what_is_no_case_is_said_to_be_none(tmp_path):
+def test_file_that_is_not_a_case_is_refused(tmp_path):
     for name, content in (("empty", b""), ("text", b"a letter" * 100), ("header", b"SQLite format 3\x00" + bytes(84))):
         path = tmp_path / f"{name}.carina"
         path.write_bytes(content)
@@ -108,7 +108,7 @@ def test_what_is_no_case_is_said_to_be_none(tmp_path):
         CaseFile.open(tmp_path / "missing.carina")
 
 
-def test_a_newer_carinas_case_is_shown_and_not_changed(made, stranger):
+def test_case_of_a_newer_version_is_shown_and_not_changed(made, stranger):
     changed(
         stranger, "CREATE TABLE scores (id INTEGER PRIMARY KEY, json TEXT NOT NULL) STRICT", "PRAGMA user_version=3"
     )
@@ -124,7 +124,7 @@ def test_a_newer_carinas_case_is_shown_and_not_changed(made, stranger):
 
 
 def as_before_measures(path):
-    """A file of schema 1, as the Carina of that time left it."""
+    """Change the file to schema 1, which has no measures, and return its path."""
     changed(
         path, "PRAGMA foreign_keys=OFF", *(f"DROP TABLE {t}" for t in ("measures", "measured_branch", "sections")),
         "PRAGMA user_version=1",
@@ -132,7 +132,7 @@ def as_before_measures(path):
     return path
 
 
-def test_an_older_carinas_case_is_migrated_in_a_copy(made, stranger, tmp_path):
+def test_case_of_an_older_version_is_migrated_in_a_copy(made, stranger, tmp_path):
     as_before_measures(stranger)
     before = stranger.read_bytes()
     with pytest.raises(CaseFileError, match="an older version of Carina saved it") as refusal:
@@ -148,7 +148,7 @@ def test_an_older_carinas_case_is_migrated_in_a_copy(made, stranger, tmp_path):
         file.save(made[0].moment())
     with CaseFile.open(tmp_path / "now.carina") as file:
         assert_same_moment(file.load(made[0].case.volume), made[0].moment(), made[0].case)
-    # Of a damaged one, too, nothing is missed that it never had.
+    # The rescue of a schema 1 file does not report missing measures.
     assert rescued(stranger, tmp_path / "rescued.carina") == ()
 
 
@@ -162,7 +162,7 @@ def test_an_older_carinas_case_is_migrated_in_a_copy(made, stranger, tmp_path):
     ],
 )
 @pytest.mark.parametrize("read_only", [True, False])
-def test_an_older_file_whose_tables_are_not_exactly_those_of_its_time_is_refused(stranger, statement, read_only):
+def test_older_file_with_tables_unlike_its_schema_is_refused(stranger, statement, read_only):
     changed(as_before_measures(stranger), statement)
     before = stranger.read_bytes()
     with pytest.raises(CaseFileError, match="its tables are not those of schema 1"):
@@ -171,9 +171,7 @@ def test_an_older_file_whose_tables_are_not_exactly_those_of_its_time_is_refused
 
 
 @pytest.mark.parametrize("has_journal", [False, True])
-def test_a_live_case_of_an_older_carina_becomes_one_of_this_and_lies_beside_it_as_it_was(
-    made, stranger, tmp_path, has_journal
-):
+def test_live_case_of_an_older_version_is_migrated_beside_its_original(made, stranger, tmp_path, has_journal):
     as_before_measures(stranger)
     with contextlib.closing(sqlite3.connect(stranger)) as connection:
         before = connection.execute("SELECT n, label FROM step").fetchall()
@@ -200,10 +198,10 @@ def test_a_live_case_of_an_older_carina_becomes_one_of_this_and_lies_beside_it_a
     assert kept == before or ("cut, in the journal" in labels and has_journal)
 
 
-# ------------------------------------------------------------ journals
+# Journals
 
 
-def test_a_journal_beside_a_case_that_is_only_read_is_replayed_in_a_copy(made, tmp_path):
+def test_journal_of_a_case_opened_read_only_is_replayed_in_a_copy(made, tmp_path):
     live = tmp_path / "live.carina"
     doing = made[0]
     with CaseFile.create(live, source_of(doing.case)) as file:
@@ -218,13 +216,13 @@ def test_a_journal_beside_a_case_that_is_only_read_is_replayed_in_a_copy(made, t
     with CaseFile.open(taken / "live.carina", read_only=True) as file:
         assert_same_moment(file.load(doing.case.volume), doing.moment(), doing.case)
         assert {p.name: p.read_bytes() for p in taken.iterdir()} == before
-    # To be written, it goes on from there.
+    # Opened for writing, the case continues from the content of the journal.
     with CaseFile.open(taken / "live.carina") as file:
         assert_same_moment(file.load(doing.case.volume), doing.moment(), doing.case)
     assert [p.name for p in taken.iterdir()] == ["live.carina"]
 
 
-def test_a_spoilt_journal_loses_what_it_held_and_nothing_more(made, tmp_path):
+def test_damaged_journal_loses_only_its_own_changes(made, tmp_path):
     doing = made[0]
     live, taken = tmp_path / "live.carina", tmp_path / "taken.carina"
     with CaseFile.create(live, source_of(doing.case)) as file:
@@ -241,7 +239,7 @@ def test_a_spoilt_journal_loses_what_it_held_and_nothing_more(made, tmp_path):
         assert file.extra("plan") == ()
 
 
-# ------------------------------------------------------------ content
+# Content
 
 
 @pytest.mark.parametrize(
@@ -285,7 +283,7 @@ def test_a_spoilt_journal_loses_what_it_held_and_nothing_more(made, tmp_path):
         ("UPDATE recording_chunk SET n = 7", "recording"),
     ],
 )
-def test_content_that_is_not_what_was_saved_is_named(made, stranger, statement, where):
+def test_content_with_a_wrong_digest_or_value_is_reported(made, stranger, statement, where):
     changed(stranger, "PRAGMA foreign_keys=OFF", statement)
     with pytest.raises(CaseFileError, match=where) as refusal:
         looked_through(stranger, made[0])
@@ -293,7 +291,7 @@ def test_content_that_is_not_what_was_saved_is_named(made, stranger, statement, 
     assert "expected" in str(refusal.value)
 
 
-def test_a_deflated_piece_that_would_fill_the_memory_is_refused_before_it_does(made, stranger):
+def test_compressed_array_of_enormous_size_is_refused_before_it_is_inflated(made, stranger):
     bomb = zlib.compress(bytes(60 << 20), 9)
     changed(stranger, "PRAGMA foreign_keys=OFF", ("UPDATE array SET count = 7864320, width = 0, data = ?", (bomb,)))
     with pytest.raises(CaseFileError, match=r"expected content that matches|f8"):
@@ -321,7 +319,7 @@ spoils = st.fixed_dictionaries(
 
 
 def spoil(made, tmp_path_factory, draw):
-    """A spoilt file is refused in words or is whole; it is never touched; what is rescued of it opens."""
+    """Damage a case file at random; assert that it is refused or whole, stays unchanged, and its rescue opens."""
     doing = made[0]
     folder = tmp_path_factory.mktemp("spoilt")
     path = folder / "spoilt.carina"
@@ -339,28 +337,28 @@ def spoil(made, tmp_path_factory, draw):
 
 @settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
 @given(draw=spoils)
-def test_bits_that_flip_and_files_that_are_cut_end_in_words(made, tmp_path_factory, draw):
+def test_flipped_bits_and_truncated_files_give_messages(made, tmp_path_factory, draw):
     spoil(made, tmp_path_factory, draw)
 
 
 @pytest.mark.soak
 @settings(max_examples=2000, deadline=None, suppress_health_check=list(HealthCheck))
 @given(draw=spoils)
-def test_bits_that_flip_and_files_that_are_cut_end_in_words_thousands_of_times(made, tmp_path_factory, draw):
+def test_flipped_bits_and_truncated_files_give_messages_thousands_of_times(made, tmp_path_factory, draw):
     spoil(made, tmp_path_factory, draw)
 
 
-# ------------------------------------------------------------ rescue
+# Rescue
 
 
-def test_a_whole_case_is_rescued_whole(made, stranger, tmp_path):
+def test_undamaged_case_is_rescued_completely(made, stranger, tmp_path):
     assert rescued(stranger, tmp_path / "rescued.carina") == ()
     with CaseFile.open(tmp_path / "rescued.carina") as file:
         assert_same_moment(file.load(made[0].case.volume), made[0].moment(), made[0].case)
         assert file.recordings()[0].name == "flight"
 
 
-def test_what_was_lost_is_listed_and_the_rest_is_rescued(made, stranger, tmp_path):
+def test_rescue_lists_lost_parts_and_restores_the_others(made, stranger, tmp_path):
     doing = made[0]
     changed(
         stranger,

@@ -1,4 +1,4 @@
-"""The command line as a person runs it, in this process: arguments in, exit code and both outputs back."""
+"""Fixtures that run the command line in the test process and return the exit code, stdout and stderr."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from own_folders import own_folders
 
 @dataclass
 class Ended:
-    """How a command ended."""
+    """Exit code and outputs of a command."""
 
     code: int
     out: str
     err: str
 
     def json(self):
-        """The one object on stdout; anything beside it does not parse."""
+        """Return the single JSON object on stdout; any other output on stdout is a failure."""
         value = json.loads(self.out, parse_constant=lambda name: pytest.fail(f"{name} in JSON"))
         assert isinstance(value, dict)
         return value
@@ -31,7 +31,7 @@ class Ended:
 
 @pytest.fixture
 def carina(monkeypatch, capfd, tmp_path):
-    """Runs ``carina ARGUMENTS``; the person's own folders are temporary."""
+    """Return a function that runs ``carina ARGUMENTS`` with temporary user folders."""
     for name, folder in own_folders(tmp_path / "home").items():
         monkeypatch.setenv(name, folder)
 
@@ -50,7 +50,7 @@ def carina(monkeypatch, capfd, tmp_path):
 
 @pytest.fixture(scope="session")
 def phantom_folder(tmp_path_factory):
-    """A chest at 2.5 mm: small enough to be opened in every test, fine enough for the main airways."""
+    """Return the folder of a phantom with 2.5 mm voxels: small enough for every test, with the main airways."""
     folder = tmp_path_factory.mktemp("phantom")
     write_phantom(made_phantom(spacing_mm=2.5, generations=4), folder)
     return folder
@@ -58,5 +58,5 @@ def phantom_folder(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def ct(phantom_folder):
-    """Its CT."""
+    """Return the path of the phantom's CT."""
     return phantom_folder / "ct.nii.gz"

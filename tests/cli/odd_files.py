@@ -22,9 +22,9 @@ from pathlib import Path
 from typing import Any
 
 EXIT_CODES = {0, 1, 2, 3, 4}
-"""Exit codes of docs/contracts.md for a command that runs to its end."""
+"""Exit codes that docs/contracts.md allows for a command that is not interrupted."""
 MACHINE = {"machine.", "disk."}
-"""Beginnings of the error codes that may end with exit code 1; every other file is refused with 3."""
+"""Prefixes of the error codes that may end with exit code 1; every other refusal of a file has exit code 3."""
 MAX_MESSAGE = 2000
 LIMIT_S = 120.0
 BATCH = 12
@@ -52,7 +52,7 @@ def inputs_in(folder: Path, *, slices: bool = True) -> list[Path]:
 
 
 def commands_for(path: Path, work: Path) -> list[list[str]]:
-    """Return the four commands with a path, in the order of their cost."""
+    """Return the four commands that read a path as a CT, in the order of their run time."""
     name = os.fspath(path)
     return [
         ["info", name, "--json"],
@@ -73,7 +73,7 @@ def as_target(path: Path, scan: Path, work: Path) -> list[list[str]]:
 
 
 class TooLongError(BaseException):
-    """A command that did not end within the limit."""
+    """Error for a command that exceeds the time limit."""
 
 
 def run_command(arguments: list[str]) -> tuple[int, str, str]:
@@ -99,7 +99,7 @@ def run_command(arguments: list[str]) -> tuple[int, str, str]:
 
 
 def outcome_problem(code: int, out: str, err: str) -> str | None:
-    """Return what is wrong with the outcome of a command with ``--json``; None if it keeps the contract."""
+    """Return what is wrong with the outcome of a command with ``--json``; None if it obeys the contract."""
     if "Traceback" in err or "internal error" in err + out:
         return f"exit {code}: {err.strip()[-300:]}"
     if code not in EXIT_CODES:

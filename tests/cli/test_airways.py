@@ -1,4 +1,4 @@
-"""``carina airways`` and ``carina export``, as a person runs them."""
+"""The commands ``carina airways`` and ``carina export``."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_airways_of_thin_slices_states_no_shares(carina, case):
     assert report["badges"] == []
 
 
-def test_airways_says_what_it_found_and_writes_tree_and_lumen(carina, case, tmp_path):
+def test_airways_reports_its_result_and_writes_tree_and_lumen(carina, case, tmp_path):
     tree, lumen = tmp_path / "t.json", tmp_path / "lumen.nii.gz"
     found = carina("airways", case / "ct.nii.gz", "-o", tree, "--mask", lumen, "--json")
     assert found.code == 0
@@ -59,13 +59,13 @@ def test_airways_says_what_it_found_and_writes_tree_and_lumen(carina, case, tmp_
     words = carina("airways", case / "ct.nii.gz")
     assert "Trachea" in words.out
     assert "mm wide" in words.out
-    # A bronchus that side branches cut in pieces is one row.
+    # A bronchus that its side branches divide into pieces is one row.
     heads = {row["row"] for row in report["branches"]}
     assert sum("mm long" in line for line in words.out.splitlines()) == len(heads)
     assert all(report["branches"][0].keys() == row.keys() for row in report["branches"])
 
 
-def test_a_lumen_from_another_tool_takes_the_place_of_the_automatic_one(carina, case, tmp_path):
+def test_lumen_of_another_tool_replaces_the_automatic_one(carina, case, tmp_path):
     written = tmp_path / "lumen.nrrd"
     found = carina("airways", case / "ct.nii.gz", "--from-mask", case / "lumen.nii.gz", "--mask", written, "--json")
     assert found.code == 0
@@ -74,7 +74,7 @@ def test_a_lumen_from_another_tool_takes_the_place_of_the_automatic_one(carina, 
     assert np.array_equal(inside, truth != 0)
 
 
-def test_a_mask_on_another_grid_is_refused_before_the_search(carina, case, tmp_path):
+def test_mask_on_another_grid_is_refused_before_the_search(carina, case, tmp_path):
     other = sitk.ReadImage(str(case / "lumen.nii.gz"))
     other.SetSpacing((1.0, 1.0, 1.0))
     sitk.WriteImage(other, str(tmp_path / "other.nii.gz"))
@@ -84,7 +84,7 @@ def test_a_mask_on_another_grid_is_refused_before_the_search(carina, case, tmp_p
     assert carina("airways", case / "ct.nii.gz", "--label", "2").code == 2
 
 
-def test_no_airway_is_exit_4_with_the_reason_and_what_to_do(carina, tmp_path):
+def test_ct_without_airways_exits_4_with_reason_and_remedy(carina, tmp_path):
     image = sitk.GetImageFromArray(np.random.default_rng(0).integers(-100, 100, (20, 40, 40), dtype=np.int16))
     sitk.WriteImage(image, str(tmp_path / "block.nrrd"))
     ended = carina("airways", tmp_path / "block.nrrd", "-o", tmp_path / "t.json", "--json")
@@ -101,7 +101,7 @@ def test_export_writes_every_format(carina, case, tmp_path, name):
     assert (tmp_path / name).stat().st_size > 500
 
 
-def test_export_of_a_given_tree_does_not_search_again(carina, case, tmp_path):
+def test_export_of_a_given_tree_does_not_search(carina, case, tmp_path):
     truth = case / "truth.json"
     ended = carina("export", case / "ct.nii.gz", "--tree", truth, "-o", tmp_path / "t.swc", "--json")
     assert ended.code == 0
@@ -115,7 +115,7 @@ def test_export_of_a_given_tree_does_not_search_again(carina, case, tmp_path):
     assert "another patient" in ended.json()["error"]["message"]
 
 
-def test_an_unknown_suffix_is_refused_with_those_that_are_known(carina, case, tmp_path):
+def test_unknown_suffix_is_refused_with_the_known_ones(carina, case, tmp_path):
     ended = carina("export", case / "ct.nii.gz", "-o", tmp_path / "a.txt", "--json")
     assert ended.code == 2
     assert ".glb" in ended.json()["error"]["message"]
@@ -123,7 +123,7 @@ def test_an_unknown_suffix_is_refused_with_those_that_are_known(carina, case, tm
 
 @pytest.fixture(scope="module")
 def lung_case(tmp_path_factory):
-    """A small CT in which ways lead from two airways into plain lung, and its lumen as a mask."""
+    """Return a small CT with two paths from an airway into plain lung, and its lumen as a mask file."""
     folder = tmp_path_factory.mktemp("lung")
     volume, airways = open_ended_volume(), edit_case().airways
     image = sitk.GetImageFromArray(volume.hu_zyx)
@@ -141,7 +141,7 @@ def point(lps):
     return ",".join(f"{v:.3f}" for v in lps)
 
 
-def test_a_branch_without_evidence_is_exit_4_with_its_way_and_the_rest_is_written(carina, lung_case, tmp_path):
+def test_branch_without_evidence_exits_4_and_the_others_are_written(carina, lung_case, tmp_path):
     tree = tmp_path / "t.json"
     ended = carina(*lung_case, "--add-branch", point(in_plain_lung()), "-o", tree, "--json")
     assert ended.code == 4
@@ -157,7 +157,7 @@ def test_a_branch_without_evidence_is_exit_4_with_its_way_and_the_rest_is_writte
     assert report["drawn_mm"] == 0.0
 
 
-def test_diameters_are_those_that_are_measured_with_their_errors(carina, lung_case):
+def test_diameters_are_the_measured_ones_with_their_errors(carina, lung_case):
     volume = open_volume(lung_case[1])
     root = np.array([float(part) for part in lung_case[-1].split(",")])
     airways = find_airways(volume, root_lps=root, lumen_zyx=edit_case().airways.lumen_zyx)
@@ -171,7 +171,7 @@ def test_diameters_are_those_that_are_measured_with_their_errors(carina, lung_ca
     assert f"{rows[0]['lumen_mm']:.1f} mm wide" in carina(*lung_case).out
 
 
-def test_a_branch_that_is_drawn_all_the_same_is_labelled_everywhere(carina, lung_case, tmp_path):
+def test_branch_added_without_evidence_is_labelled_in_every_output(carina, lung_case, tmp_path):
     tree, lumen, lines = tmp_path / "t.json", tmp_path / "l.nrrd", tmp_path / "t.swc"
     arguments = [*lung_case, "--add-branch", point(in_plain_lung()), "--even-without-evidence", "-o", tree]
     ended = carina(*arguments, "--mask", lumen, "--json")
@@ -190,7 +190,7 @@ def test_a_branch_that_is_drawn_all_the_same_is_labelled_everywhere(carina, lung
     header = sitk.ReadImage(str(lumen))
     assert any("drawn by hand" in header.GetMetaData(key) for key in header.GetMetaDataKeys())
     assert "drawn by hand: the CT shows no airway here" in carina(*arguments).out
-    # Other verbs that take this tree say it, too.
+    # Other commands that read this tree report the branch too.
     exported = carina("export", lung_case[1], "--tree", tree, "-o", lines)
     assert exported.code == 0
     assert "drawn by hand" in lines.read_text()
@@ -211,7 +211,7 @@ def test_a_branch_that_is_drawn_all_the_same_is_labelled_everywhere(carina, lung
     assert seen.json()["drawn_mm"] > 2.0
 
 
-def test_an_added_branch_must_lie_in_the_scan_and_the_option_for_the_others_needs_one(carina, lung_case):
+def test_added_branch_outside_the_scan_and_option_without_a_branch_are_refused(carina, lung_case):
     outside = carina(*lung_case, "--add-branch", "0,0,9000", "--json")
     assert outside.code == 2
     assert outside.json()["error"]["code"] == "track.outside-volume"

@@ -1,4 +1,4 @@
-"""``carina render`` along a route, of an X-ray and of thick slices, as a person runs it."""
+"""The command ``carina render`` for views along a route, X-ray views and thick slices."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ FAR = "-100,0,20"  # more than 5 mm from every airway
 
 @pytest.fixture(scope="module")
 def tree(phantom_folder, tmp_path_factory):
-    """The phantom's exact tree as a file."""
+    """Write the phantom's exact tree to a file and return its path."""
     file = tmp_path_factory.mktemp("tree") / "tree.json"
     truth = json.loads((phantom_folder / "truth.json").read_text())
     file.write_text(json.dumps({**truth, "format": "carina-tree"}))
@@ -26,7 +26,7 @@ def picture(path):
 
 
 @pytest.mark.parametrize("view", ["straightened", "curved"])
-def test_a_view_along_the_way_to_a_branch_or_a_point(carina, ct, tree, tmp_path, view):
+def test_view_along_the_route_to_a_branch_or_a_point(carina, ct, tree, tmp_path, view):
     branches = json.loads(tree.read_text())["branches"]
     deepest = max(branches, key=lambda b: b["generation"])
     for to in (branches[1]["name"] or "1", str(deepest["id"]), RMB):
@@ -39,21 +39,21 @@ def test_a_view_along_the_way_to_a_branch_or_a_point(carina, ct, tree, tmp_path,
         assert found["path_mm"] > 20
         rgb = picture(output)
         assert rgb.shape == (400, 300, 3)
-        # The axis stands at the left, in the accent colour.
+        # The axis is at the left edge, in the accent colour.
         assert (rgb[:, 3:12] == (79, 211, 230)).all(axis=2).sum() > 200
-        # The airway runs down the middle of a straightened picture, air among tissue.
+        # In a straightened picture, the airway is the dark column in the middle.
         if view == "straightened":
             assert np.median(rgb[100:300, 148:152]) < 110
 
 
-def test_without_a_tree_the_scan_gives_one(carina, ct, tmp_path):
+def test_airways_are_searched_for_if_no_tree_is_given(carina, ct, tmp_path):
     output = tmp_path / "x.png"
     ended = carina("render", ct, "--view", "straightened", f"--to={RMB}", "--turn", "90", "-o", output)
     assert ended.code == 0, ended.err
     assert picture(output).std() > 20
 
 
-def test_what_cannot_be_reached_is_said(carina, ct, tree, tmp_path):
+def test_unreachable_target_is_reported(carina, ct, tree, tmp_path):
     output = tmp_path / "x.png"
     for more in ([], ["--tree", tree]):
         ended = carina("render", ct, "--view", "straightened", *more, f"--to={FAR}", "-o", output)
@@ -69,7 +69,7 @@ def test_what_cannot_be_reached_is_said(carina, ct, tree, tmp_path):
     assert not output.exists()
 
 
-def test_a_radiograph_from_a_c_arm_has_its_letters(carina, ct, tmp_path):
+def test_c_arm_radiograph_has_orientation_letters(carina, ct, tmp_path):
     frontal, lateral = tmp_path / "a.png", tmp_path / "b.png"
     assert carina("render", ct, "--view", "drr", "--size", "200x200", "-o", frontal).code == 0
     turned = ["--carm-primary", "-90", "--carm-secondary", "10", "--tone", "fluoroscopy"]
@@ -79,7 +79,7 @@ def test_a_radiograph_from_a_c_arm_has_its_letters(carina, ct, tmp_path):
     assert (first != second).mean() > 0.5
 
 
-def test_thick_slices_show_airways_by_their_minimum(carina, ct, tmp_path):
+def test_thick_slices_show_airways_by_minimum_intensity(carina, ct, tmp_path):
     means = {}
     for slab in ("0", "20,max", "20,min", "20"):
         output = tmp_path / "x.png"

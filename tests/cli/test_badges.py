@@ -1,4 +1,4 @@
-"""A scan that opens with a doubt: every command says it, and repeats it in what it makes."""
+"""Badges of a doubtful scan or tree: every command reports them and stores them in its output files."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from carina.render import read_png_badges
 
 CODES = ["import.not-numbers"]
 FOUND_CODES = [*CODES, "track.thick-slices"]
-"""With the note of a search: the phantom's voxels are 2.5 mm."""
+"""Codes after a search for airways, which adds a badge because the phantom has 2.5 mm slices."""
 
 
 @pytest.fixture(scope="module")
 def doubted(phantom_folder, tmp_path_factory):
-    """The phantom as floats, with three voxels that hold no number."""
+    """Return the phantom as floats with three NaN voxels, which causes a badge on import."""
     image = sitk.ReadImage(str(phantom_folder / "ct.nii.gz"))
     values = sitk.GetArrayFromImage(image).astype(np.float32)
     values[0, 0, :3] = np.nan
@@ -31,7 +31,7 @@ def doubted(phantom_folder, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def tree(phantom_folder, tmp_path_factory):
-    """The phantom's exact tree, written with a doubt of its own."""
+    """Return the phantom's exact tree, written with a badge of its own."""
     truth = json.loads((phantom_folder / "truth.json").read_text())
     badge = {"code": "track.search-stopped", "words": "the search was stopped"}
     file = tmp_path_factory.mktemp("tree") / "tree.json"
@@ -40,7 +40,7 @@ def tree(phantom_folder, tmp_path_factory):
 
 
 def told(ended, codes=CODES):
-    """Checks that a command said its doubts, once each, on stderr and in its JSON."""
+    """Assert that a command reports each badge once on stderr and in its JSON, and return the badges."""
     assert ended.code == 0, ended.err
     badges = ended.json()["badges"]
     assert [badge["code"] for badge in badges] == codes
@@ -49,7 +49,7 @@ def told(ended, codes=CODES):
     return badges
 
 
-def test_info_says_the_doubt_and_strict_leaves_with_3(carina, doubted, ct):
+def test_info_reports_the_badge_and_strict_exits_with_3(carina, doubted, ct):
     ended = carina("info", doubted, "--json")
     said = ended.json()
     assert [note["code"] for note in said["notes"]] == CODES
@@ -62,7 +62,7 @@ def test_info_says_the_doubt_and_strict_leaves_with_3(carina, doubted, ct):
     assert "import.not-numbers" in strict.err
 
 
-def test_airways_and_export_repeat_it_and_strict_refuses(carina, doubted, tmp_path):
+def test_airways_and_export_repeat_the_badge_and_strict_refuses(carina, doubted, tmp_path):
     file = tmp_path / "t.json"
     told(carina("airways", doubted, "-o", file, "--mask", tmp_path / "m.nrrd", "--json"), FOUND_CODES)
     assert [note.code for note in read_badges(file)] == FOUND_CODES
@@ -76,14 +76,14 @@ def test_airways_and_export_repeat_it_and_strict_refuses(carina, doubted, tmp_pa
     assert not (tmp_path / "never.swc").exists()
 
 
-def test_the_doubt_of_a_tree_goes_on_with_it(carina, ct, doubted, tree, tmp_path):
+def test_badge_of_a_tree_is_copied_to_its_exports(carina, ct, doubted, tree, tmp_path):
     told(carina("export", ct, "--tree", tree, "-o", tmp_path / "t.vtp", "--json"), ["track.search-stopped"])
     both = carina("export", doubted, "--tree", tree, "-o", tmp_path / "t.json", "--json")
     told(both, [*CODES, "track.search-stopped"])
     assert [note.code for note in read_badges(tmp_path / "t.json")] == [*CODES, "track.search-stopped"]
 
 
-def test_a_picture_and_a_track_repeat_it(carina, doubted, phantom_folder, tmp_path):
+def test_picture_and_tracked_path_repeat_the_badges(carina, doubted, phantom_folder, tmp_path):
     picture = tmp_path / "a.png"
     told(carina("render", doubted, "--view", "axial", "--at", "0,0,0", "--size", "64x48", "-o", picture, "--json"))
     assert [note.code for note in read_png_badges(picture)] == CODES
@@ -98,7 +98,7 @@ def test_a_picture_and_a_track_repeat_it(carina, doubted, phantom_folder, tmp_pa
     assert [note.code for note in read_badges(file)] == FOUND_CODES
 
 
-def test_a_flight_repeats_it(carina, doubted, tree, tmp_path):
+def test_video_repeats_the_badges(carina, doubted, tree, tmp_path):
     pytest.importorskip("av", reason="PyAV is not installed")
     ended = carina(
         "fly", doubted, "--tree", tree, "--to", "1", "-o", tmp_path / "a.mp4", "--size", "32x32", "--rate", "4",

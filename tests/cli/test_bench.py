@@ -1,4 +1,4 @@
-"""What of the benchmarks can be tested without the peers: refusals, clocks, gates, the scene."""
+"""Parts of the benchmarks that need no other program: refusals, timing, limits and the compared scene."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from carina_bench.scene import STEP_VOX, TRANSFER, opacity_table
 from carina_bench.worker import run_section
 
 
-def test_without_the_extra_the_command_says_what_to_install_and_exits_1(carina, monkeypatch, tmp_path):
+def test_missing_extra_exits_1_with_the_installation_command(carina, monkeypatch, tmp_path):
     found = importlib.util.find_spec
     missing = {"vtk", "numba"}
     monkeypatch.setattr(machine.importlib.util, "find_spec", lambda name: None if name in missing else found(name))
@@ -33,13 +33,13 @@ def test_without_the_extra_the_command_says_what_to_install_and_exits_1(carina, 
     assert not (tmp_path / "out").exists()
 
 
-def test_an_unknown_section_exits_2_and_names_the_known_ones(carina, tmp_path):
+def test_unknown_section_exits_2_and_lists_the_known_ones(carina, tmp_path):
     ended = carina("bench", "render", "--only", "everything", "--json", "-o", tmp_path / "out")
     assert ended.code == 2
     assert "frames" in ended.json()["error"]["message"]
 
 
-def test_in_a_wheel_the_verb_says_where_the_benchmarks_are(carina, monkeypatch, tmp_path):
+def test_bench_from_a_wheel_states_where_the_benchmarks_are(carina, monkeypatch, tmp_path):
     monkeypatch.setattr(verb, "find_spec", lambda _name: None)
     monkeypatch.setattr(verb.carina, "__file__", str(tmp_path / "site-packages" / "carina" / "__init__.py"))
     ended = carina("bench", "render", "--quick", "--json")
@@ -48,8 +48,8 @@ def test_in_a_wheel_the_verb_says_where_the_benchmarks_are(carina, monkeypatch, 
     assert "benchmarks/" in ended.err and "checkout" in ended.err
 
 
-def test_in_a_checkout_the_verb_finds_them_from_any_folder(tmp_path):
-    # A process of its own: the one of the tests has the folder in its path already.
+def test_bench_in_a_checkout_runs_from_any_folder(tmp_path):
+    # Run a separate process, because the import path of the test process already has the folder.
     command = [sys.executable, "-m", "carina.cli", "bench", "isoregion", "--only", "nothing", "--json"]
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     ended = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
@@ -57,7 +57,7 @@ def test_in_a_checkout_the_verb_finds_them_from_any_folder(tmp_path):
     assert "map" in json.loads(ended.stdout)["error"]["message"]
 
 
-def test_functions_take_turns_and_the_first_round_does_not_count():
+def test_functions_alternate_and_the_first_round_is_not_counted():
     calls = []
     times = take_turns({name: lambda n=name: calls.append(n) for name in "abc"}, 3)
     assert calls[:3] == ["a", "b", "c"]
@@ -73,7 +73,7 @@ def test_ratios_are_taken_within_a_round():
 @pytest.mark.parametrize(
     ("figure", "better", "passed"), [(9.0, "higher", True), (8.99, "higher", False), (9.1, "lower", False)]
 )
-def test_a_gate_is_passed_at_its_limit(figure, better, passed):
+def test_gate_is_passed_at_its_limit(figure, better, passed):
     gate = Gate("frame", figure, 9.0, better)
     assert gate.passed is passed
     assert ("MISSED" in gate.line()) is not passed
@@ -87,8 +87,8 @@ def test_pictures_are_compared_per_pixel(tmp_path):
     assert (tmp_path / save(tmp_path, "picture", b)).is_file()
 
 
-def test_the_baselines_table_is_the_cores():
-    # Written apart from it; they may differ by the rounding of f32.
+def test_opacity_table_of_the_baseline_equals_that_of_the_core():
+    # The two implementations are independent; they may differ by the rounding of float32.
     from carina import _core
 
     step_mm = STEP_VOX * 0.7
@@ -98,21 +98,21 @@ def test_the_baselines_table_is_the_cores():
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-7)
 
 
-def test_a_section_that_fails_ends_with_its_own_error(tmp_path):
+def test_failed_section_ends_with_its_own_error(tmp_path):
     request = {"cases": [str(tmp_path / "no-such-ct")], "poses": 2, "repeats": 1, "folder": str(tmp_path)}
     with pytest.raises(CarinaError, match="no-such-ct") as caught:
         run_section("render:small_frames", request, threads=1)
     assert caught.value.exit_code == 3
 
 
-def test_a_section_runs_in_a_process_of_its_own(tmp_path):
+def test_section_runs_in_a_separate_process(tmp_path):
     request = {"cases": ["patient"], "poses": 2, "repeats": 1, "folder": str(tmp_path)}
     rows = run_section("render:small_frames", request, threads=2)
     assert rows[0]["case"] == "patient"
     assert rows[0]["frames_per_s"] > 0
 
 
-def test_projections_are_measured_judged_and_told(tmp_path):
+def test_projections_are_measured_compared_with_limits_and_reported(tmp_path):
     request = {"cases": ["patient"], "repeats": 2, "folder": str(tmp_path)}
     rows = run_section("isoregion:projections", request, threads=1)
     section = SECTIONS["isoregion"]["projections"]
@@ -123,7 +123,7 @@ def test_projections_are_measured_judged_and_told(tmp_path):
     assert "patient" in line and "numpy" in line
 
 
-def test_the_server_is_started_looked_at_and_its_peak_read(tmp_path):
+def test_server_is_started_viewed_and_its_peak_memory_read(tmp_path):
     (row,) = run_section("memory:server_memory", {"cases": ["patient"], "folder": str(tmp_path)})
     assert set(row["views_seen"]) >= {"airway", "tree", "tri-plane", "xray-axial"}
     if sys.platform == "linux":
@@ -131,7 +131,7 @@ def test_the_server_is_started_looked_at_and_its_peak_read(tmp_path):
         assert "times the volume" in SECTIONS["isoregion"]["memory"].words([row])[0]
 
 
-def test_the_time_that_the_host_takes_only_grows():
+def test_time_taken_by_the_host_never_decreases():
     first = machine.stolen_s()
     if first is None:
         pytest.skip("this system does not report the time that its host takes")

@@ -1,4 +1,4 @@
-"""Blind reading: the key tells where the back is in a turned picture, and readers are scored by the clock."""
+"""Blind reading of pictures: the key states where posterior is, and readers are scored in clock hours."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from carina.errors import UsageError
 from carina_bench import blind
 
 
-def test_the_back_is_below_in_an_upright_picture_and_goes_round_with_the_scope():
+def test_posterior_is_below_in_an_upright_picture_and_turns_with_the_scope():
     upright = carina.Pose.looking((0, 0, 0), (0, 0, -1))
     assert blind.back_hour(upright) == pytest.approx(6.0)
-    # The scope turned clockwise, as its holder sees it: the picture turns the other way.
+    # The scope is turned clockwise as seen by its operator, so the picture turns counterclockwise.
     assert blind.back_hour(blind.turned(upright, np.pi / 2)) == pytest.approx(3.0)
-    # An oblique view: 1 mm to the back is so far to the right, and so far down.
+    # In an oblique view, project a step of 1 mm to posterior into the picture to get the expected hour.
     oblique = blind.turned(carina.Pose.looking((0, 0, 0), (0.5, 0.2, -1.0)), 1.0)
     right, down = oblique.lps_from_camera[1, :2]
     assert blind.back_hour(oblique) == pytest.approx(np.degrees(np.arctan2(right, -down)) / 30.0 % 12.0)
 
 
-def test_hours_are_scored_round_the_clock_and_none_may_lack(tmp_path, capsys):
+def test_hours_are_scored_modulo_12_and_missing_answers_are_refused(tmp_path, capsys):
     key = {
         "00": {"decorated": True, "hour": 11.5},
         "01": {"decorated": True, "hour": 6.0},
@@ -40,7 +40,7 @@ def test_hours_are_scored_round_the_clock_and_none_may_lack(tmp_path, capsys):
         blind.scores(key, {"00": 0.5, "01": 6.2})
 
 
-def test_pictures_hold_no_pose_and_each_has_an_answer(tmp_path):
+def test_pictures_contain_no_pose_and_each_has_an_answer(tmp_path):
     num = blind.draw(tmp_path, ["patient"], seed=3)
     key = json.loads((tmp_path / "key.json").read_text())
     assert sorted(key) == [f"{n:02d}" for n in range(num)]

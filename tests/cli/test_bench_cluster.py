@@ -1,4 +1,7 @@
-"""``carina bench cluster``: tables beside the paper's rows, and plots; costs of rows are given here, not measured."""
+"""The command ``carina bench cluster``: tables beside the paper's rows, and plots.
+
+The cost of each row is given by the tests and not measured.
+"""
 
 from __future__ import annotations
 
@@ -13,13 +16,13 @@ from carina_bench import cluster
 
 @pytest.fixture
 def measured(monkeypatch):
-    """A picture of 100 ms whose middle rows cost twice as much."""
+    """Replace the measurement by a picture of 100 ms whose middle rows cost twice as much."""
     profile = np.ones(cluster.SIDE)
     profile[128:384] = 2.0
     monkeypatch.setattr(cluster, "_measure", lambda *_: cluster._Cost(0.1, profile / profile.mean()))
 
 
-def test_the_simulation_prints_the_papers_tables_beside_its_own_and_draws_them(carina, tmp_path, measured):
+def test_simulation_prints_and_draws_its_tables_beside_those_of_the_paper(carina, tmp_path, measured):
     ended = carina("bench", "cluster", "--only", "simulation", "--quick", "-o", tmp_path)
     assert ended.code == 0, ended.err
     assert "not a measurement" in ended.out
@@ -36,7 +39,7 @@ def test_the_simulation_prints_the_papers_tables_beside_its_own_and_draws_them(c
     }
     assert [row["renderers"] for row in found["table_2"]] == [16] * 4
     rates = {row["scheme"]: row["fps"] for row in found["table_1"] if (row["renderers"], row["machine"]) == (8, "here")}
-    # Rows differ in cost, and the network takes a millisecond: each of the paper's means is worth something.
+    # Rows differ in cost and the network takes 1 ms, so each measure of the paper increases the rate.
     assert all(rates["all"] > rates[name] for name in schemes - {"all"})
     assert rates["none of them"] < 0.8 * rates["all"]
     for name in ("frame-rate.svg", "speed-up.svg"):
@@ -44,18 +47,18 @@ def test_the_simulation_prints_the_papers_tables_beside_its_own_and_draws_them(c
         assert "head, paper" in words and "lung, simulated" in words
 
 
-def test_an_unknown_section_is_refused(carina, tmp_path):
+def test_unknown_section_is_refused(carina, tmp_path):
     ended = carina("bench", "cluster", "--only", "magic", "-o", tmp_path)
     assert ended.code == 2 and "sleeping" in ended.err
 
 
-def test_the_papers_network_is_fitted_on_2_and_8_machines_and_checked_on_4_and_16(carina, tmp_path):
+def test_network_model_is_fitted_on_2_and_8_machines_and_checked_on_4_and_16(carina, tmp_path):
     ended = carina("bench", "cluster", "--only", "network", "-o", tmp_path)
     assert ended.code == 0, ended.err
     assert ended.out.count("4 (checked)") == ended.out.count("16 (checked)") == 4
     rows = json.loads((tmp_path / "cluster.json").read_text())["network"]
     assert {row["renderers"] for row in rows if row["fitted"]} == {2, 8}
-    # An exact law is found again; one row of each grid is far off, and is told.
+    # The fit recovers an exact law; one row of each grid deviates strongly and must be reported.
     assert cluster.serial_share([(2, 1 / 0.55), (8, 1 / 0.2125)]) == pytest.approx(0.1)
     head = {row["renderers"]: row for row in rows if (row["grid"][:4], row["of"]) == ("head", "speed-up")}
     assert head[2]["serial_share"] == pytest.approx(0.098, abs=0.001)
@@ -63,7 +66,7 @@ def test_the_papers_network_is_fitted_on_2_and_8_machines_and_checked_on_4_and_1
     assert head[16]["off_percent"] < -40.0
 
 
-def test_a_section_that_fails_loses_no_other(carina, tmp_path, measured, monkeypatch):
+def test_failed_section_does_not_affect_the_others(carina, tmp_path, measured, monkeypatch):
     def broken(*_):
         raise RuntimeError("no head answered")
 
@@ -78,7 +81,7 @@ def test_a_section_that_fails_loses_no_other(carina, tmp_path, measured, monkeyp
     assert "network" in found and "simulation" not in found
 
 
-def test_each_section_is_printed_and_written_as_it_ends(monkeypatch, tmp_path, capsys):
+def test_each_section_is_printed_and_written_when_it_ends(monkeypatch, tmp_path, capsys):
     seen = []
 
     def second(*_):

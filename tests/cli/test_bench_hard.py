@@ -1,4 +1,4 @@
-"""The hard cases of ``carina bench track``: kernels, slices, terminal airways, fine vessels and what is measured."""
+"""The hard cases of ``carina bench track``: kernels, slices, terminal airways, fine vessels and their figures."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ QUIET = PaintOptions(noise_hu=0.0, kernel="rimmed-medium")
 
 
 class Lung:
-    """Lung without a border and without vessels."""
+    """Scene of lung without a border and without vessels."""
 
     def in_lung(self, points: np.ndarray, margin_mm: float, *, num: int = 26) -> np.ndarray:
         return np.ones(len(points), np.bool_)
@@ -39,7 +39,7 @@ def empty(size: int, *tubes: Tube) -> Scene:
 
 
 def a_tip(radius_mm: float = 1.1) -> Tube:
-    """A trunk that ends in the middle of a cube of 40 mm."""
+    """Return a tube that ends in the middle of a cube of 40 mm."""
     points = np.array([20.0, 20.0, 39.0]) + np.linspace(0.0, -18.0, 37)[:, None] * [0.0, 0.0, 1.0]
     return Tube(points, np.full(37, radius_mm), id=0)
 
@@ -52,7 +52,7 @@ def grown(seed: int, share_per_mm2: float = 10.0) -> list[Tube]:
     ("name", "least", "most"), [("soft", -60.0, 0.0), ("medium", 3.0, 15.0), ("sharp", 15.0, 200.0)]
 )
 @pytest.mark.parametrize("voxel", [0.5, 0.6, 0.7])
-def test_each_kernel_lays_a_rim_of_its_depth_beside_vessels(name, least, most, voxel):
+def test_each_kernel_adds_an_edge_of_its_depth_beside_vessels(name, least, most, voxel):
     size = 72
     turns = np.linspace(0.0, 2.0 * math.pi, 9)[:-1]
     middle = 0.5 * size * voxel
@@ -73,17 +73,17 @@ def test_each_kernel_lays_a_rim_of_its_depth_beside_vessels(name, least, most, v
 @pytest.mark.parametrize(
     "slices", [Slices(1.0), Slices(1.5), Slices(3.0), Slices(5.0), Slices(3.0, 2.0), Slices(2.0, is_resampled=True)]
 )
-def test_slices_keep_the_mean_of_a_constant_and_of_a_slope(slices):
+def test_slices_preserve_a_constant_and_a_linear_slope(slices):
     weights, first_mm, step_mm = slice_weights(100, 0.7, slices)
     np.testing.assert_allclose(weights.sum(axis=1), 1.0, atol=1e-12)
-    # A slope along z reads at each slice's middle what it is there.
+    # A slope along z has its exact value at the middle of each slice.
     at_mm = first_mm + step_mm * np.arange(len(weights))
     np.testing.assert_allclose(weights @ (0.7 * np.arange(100)), at_mm, atol=0.18)
     assert step_mm == slices.distance_mm
     assert at_mm[-1] <= 0.7 * 99.5
 
 
-def test_reconstructed_slices_keep_the_sum_and_resampled_ones_show_thin_slices():
+def test_reconstructed_slices_keep_the_sum_and_resampled_slices_show_thin_slices():
     thin = np.zeros((60, 2, 2), np.float32)
     thin[23] = 100.0
     weights, _, step = slice_weights(60, 0.5, Slices(3.0))
@@ -91,10 +91,10 @@ def test_reconstructed_slices_keep_the_sum_and_resampled_ones_show_thin_slices()
     assert step == 3.0 and len(thick) == 10
     assert float(thick[:, 0, 0].sum()) * 3.0 == pytest.approx(100.0 * 0.5)
     weights, _, _ = slice_weights(60, 0.5, Slices(1.0, is_resampled=True))
-    assert sliced(thin, weights)[:, 0, 0].max() == 0.0  # the bright slice lies between two of them
+    assert sliced(thin, weights)[:, 0, 0].max() == 0.0  # the bright slice is between two of the resampled slices
 
 
-def test_overlapping_slices_show_one_structure_in_two_slices():
+def test_overlapping_slices_show_one_structure_twice():
     thin = np.zeros((60, 1, 1), np.float32)
     thin[30] = 100.0
     apart, _, _ = slice_weights(60, 0.5, Slices(3.0))
@@ -104,7 +104,7 @@ def test_overlapping_slices_show_one_structure_in_two_slices():
 
 
 @pytest.mark.parametrize("slices", [Slices(0.7), Slices(2.0), Slices(3.0, 1.0)])
-def test_noise_has_the_asked_deviation_and_is_shared_by_slices_that_overlap(slices):
+def test_noise_has_the_requested_deviation_and_is_correlated_in_overlapping_slices(slices):
     weights, _, _ = slice_weights(40, 0.7, slices)
     values = np.full((len(weights), 64, 64), -300, np.float32)
     hu = noisy_slices(values, weights, QUIET.scanner(), VOXEL, 30.0, (1, 7)) + 300.0
@@ -114,7 +114,7 @@ def test_noise_has_the_asked_deviation_and_is_shared_by_slices_that_overlap(slic
 
 
 @pytest.mark.parametrize("direction", [(0, 0, 1), (1, 0, 0), (1, 2, 3)])
-def test_a_fine_vessel_looks_like_a_tube_of_its_radius(direction):
+def test_fine_vessel_has_the_profile_of_a_tube_of_its_radius(direction):
     size, radius = 30, 0.4
     along = np.array(direction) / np.linalg.norm(direction)
     points = (0.5 * (size - 1) + np.array([0.3, 0.1, 0.2])) * VOXEL + np.linspace(-5.0, 5.0, 21)[:, None] * along
@@ -122,7 +122,7 @@ def test_a_fine_vessel_looks_like_a_tube_of_its_radius(direction):
     said: list[str] = []
     as_tube = scanned(empty(size, tube), QUIET, said.append).values_zyx
     as_line = scanned(replace(empty(size), fine_vessels=(FineVessel(points, radius),)), QUIET, said.append).values_zyx
-    # A tube's ends are round: half a ball more at each.
+    # The ends of a tube are hemispheres, which add half a ball at each end.
     rise = as_tube.max() - LUNG
     assert rise > 200.0
     middle = size // 2
@@ -132,7 +132,7 @@ def test_a_fine_vessel_looks_like_a_tube_of_its_radius(direction):
     assert volume_mm3 == pytest.approx(math.pi * radius**2 * 10.0, rel=0.02)
 
 
-def test_a_fine_vessel_adds_nothing_inside_a_vessel_of_the_masks():
+def test_fine_vessel_adds_nothing_inside_a_vessel_mask():
     scene = empty(20)
     axes = scanned(scene, QUIET, lambda _step: None)
     values = axes.values_zyx.copy()
@@ -142,7 +142,7 @@ def test_a_fine_vessel_adds_nothing_inside_a_vessel_of_the_masks():
     np.testing.assert_array_equal(values, axes.values_zyx)
 
 
-def test_fine_vessels_keep_clear_of_airways_and_some_run_beside_them():
+def test_fine_vessels_do_not_touch_airways_and_some_are_close_to_them():
     pytest.importorskip("scipy")
     trunk = replace(a_tip(0.8), generation=4)
     places = np.random.default_rng(0).uniform(2.0, 38.0, (400, 3))
@@ -158,7 +158,7 @@ def test_fine_vessels_keep_clear_of_airways_and_some_run_beside_them():
     assert sum(gap < 1.5 for gap in gaps) >= 5
 
 
-def test_terminal_airways_narrow_by_the_rule_and_keep_clear_of_each_other():
+def test_terminal_airways_taper_by_the_rule_and_do_not_touch_each_other():
     found = grown(5)
     every = {tube.id: tube for tube in (a_tip(), *found)}
     assert len(found) >= 8 and len(every) == len(found) + 1
@@ -189,21 +189,21 @@ def direction(points: np.ndarray) -> np.ndarray:
     return way / np.linalg.norm(way)
 
 
-def test_the_share_of_airways_that_grow_follows_their_radius():
+def test_share_of_growing_airways_depends_on_their_radius():
     counts = [sum(len(grown(seed, share)) for seed in range(12)) for share in (0.0, 0.3, 10.0)]
     assert counts[0] == 0 and 0 < counts[1] < 0.4 * counts[2]
 
 
-def test_true_places_of_terminal_airways_are_dark_and_their_walls_are_brighter():
+def test_terminal_airway_centres_are_dark_and_their_walls_are_brighter():
     tubes = [a_tip(), *grown(5)]
-    # The blur of the medium kernel and of wider voxels hides lumens of 0.45 mm even without noise.
+    # The blur of the medium kernel or of wider voxels hides lumens of 0.45 mm even without noise.
     scene = Scene(np.full((134,) * 3, LUNG, np.int16), np.diag([0.3, 0.3, 0.3, 1.0]), tuple(tubes))
     made = paint(scene, replace(QUIET, kernel="sharp", slice_sigma_mm=0.2))
     num_compared = 0
     for tube in made.airways[1:]:
         middle = len(tube.points) // 2 + tube.true_from // 2
         if tube.points[middle].min() < 2.0 or tube.points[middle].max() > 38.0:
-            continue  # beyond the scene
+            continue  # outside the scene
         num_compared += 1
         at, course = tube.points[middle], direction(tube.points[middle - 1 : middle + 2])
         side = np.cross(course, [0.3, 0.8, 0.5])
@@ -226,8 +226,8 @@ def hu_at(volume, points: np.ndarray) -> np.ndarray:
     return result
 
 
-def test_true_radii_are_those_of_the_painted_lumen():
-    """The lumen's share of voxels adds up to the true area along a terminal airway."""
+def test_true_radii_equal_those_of_the_painted_lumen():
+    """The lumen's partial volumes sum to the true area along a terminal airway."""
     for radius in (0.45, 0.7):
         points = np.array([[9.1, 9.3, -3.0], [9.1, 9.3, 21.0]])
         tube = Tube(points, np.full(2, radius), thickness_mm=0.25)
@@ -236,7 +236,7 @@ def test_true_radii_are_those_of_the_painted_lumen():
         np.testing.assert_allclose(area, math.pi * radius**2, rtol=0.03)
 
 
-def test_the_same_seed_grows_and_paints_the_same_and_another_seed_does_not():
+def test_equal_seeds_give_equal_volumes_and_other_seeds_do_not():
     one, again, other = grown(5), grown(5), grown(6)
     assert len(one) == len(again)
     assert all(np.array_equal(a.points, b.points) for a, b in zip(one, again, strict=True))
@@ -246,7 +246,7 @@ def test_the_same_seed_grows_and_paints_the_same_and_another_seed_does_not():
     assert np.array_equal(volumes[0], volumes[1]) and not np.array_equal(volumes[0], volumes[2])
 
 
-def test_a_painted_volume_is_painted_once_and_read_from_the_folder_again(tmp_path):
+def test_painted_volume_is_stored_and_read_again(tmp_path):
     calls = []
 
     def paint_thin() -> Scanned:
@@ -262,7 +262,7 @@ def test_a_painted_volume_is_painted_once_and_read_from_the_folder_again(tmp_pat
     np.testing.assert_array_equal(first.lps_from_ijk, exact.lps_from_ijk)
 
 
-def test_slices_lie_where_the_truth_is():
+def test_slice_positions_match_the_truth():
     tip = a_tip(2.0)
     points = np.array([[3.0, 12.0, 8.0], [30.0, 12.0, 16.0]])
     thin = scanned(empty(60, replace(tip, points=points, radius_mm=np.full(2, 2.0))), OPTIONS, lambda _step: None)
@@ -273,7 +273,7 @@ def test_slices_lie_where_the_truth_is():
         assert truth.lumen_zyx[k, j, i].mean() > 0.9
 
 
-def test_detection_is_measured_by_class_of_radius():
+def test_detection_rate_is_computed_by_class_of_radius():
     size = 40
     hu = np.zeros((size,) * 3, np.int16)
     thin = Scanned(hu.astype(np.float32), np.diag([VOXEL, VOXEL, VOXEL, 1.0]), (), hu.astype(np.uint8))
@@ -291,21 +291,21 @@ def test_detection_is_measured_by_class_of_radius():
     assert len(done.missed[0].points) == 0 and done.missed[1].points[:, 0].min() > 10.0
 
 
-def test_precision_counts_a_voxel_beside_the_lumen_as_right():
+def test_precision_accepts_a_voxel_adjacent_to_the_lumen():
     touched = np.zeros((7, 7, 7), np.bool_)
     touched[3, 3, 3] = True
     found = touched.copy()
-    found[2, 2, 2] = True  # touches it by a corner
+    found[2, 2, 2] = True  # adjacent to the lumen by a corner
     assert track_hard.within_a_voxel(found, touched) == 1.0
     found[1, 3, 3] = True
     assert track_hard.within_a_voxel(found, touched) == pytest.approx(2 / 3)
 
 
-def test_the_cases_of_the_part_are_those_that_can_be_painted():
+def test_cases_of_the_part_can_be_painted():
     assert track.PARTS["hard"].cases == track_hard.CASES
 
 
-def test_the_part_runs_only_where_it_is_named(carina, monkeypatch, tmp_path):
+def test_hard_part_runs_only_if_it_is_named(carina, monkeypatch, tmp_path):
     monkeypatch.setattr(track, "built_parts", lambda: ["speed", "hard"])
     monkeypatch.setattr(track, "run_section", lambda _function, request, threads: [])
     all_parts = carina("bench", "track", "--json", "-o", tmp_path / "all").json()["parts"]
@@ -314,7 +314,7 @@ def test_the_part_runs_only_where_it_is_named(carina, monkeypatch, tmp_path):
     assert list(named.json()["parts"]) == ["hard"]
 
 
-def test_means_of_patients_are_judged_by_the_aims():
+def test_means_over_patients_are_compared_with_the_aims():
     rows = [
         {"condition": "medium 0.7mm", "td": td, "bd": 0.96, "precision": 0.99, "false_branches": num}
         for td, num in ((0.99, 0), (0.95, 4))

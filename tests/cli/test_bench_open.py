@@ -1,4 +1,4 @@
-"""What of the benchmark of opening holds on any machine: what is measured, and what is gated."""
+"""The benchmark of opening, on a small chest: its measurements and limits."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import json
 from carina_bench import opening
 
 
-def test_a_small_chest_is_opened_from_slices_and_from_the_cache_and_both_are_equal(monkeypatch, capsys, tmp_path):
+def test_small_chest_is_opened_from_slices_and_from_the_cache_with_equal_results(monkeypatch, capsys, tmp_path):
     small = {"spacing_mm": [6.0, 7.0, 5.0], "repeats": 1}
-    # In this process, and small: the figures do not matter here.
+    # Run in this process with a small chest; the durations are not checked here.
     monkeypatch.setattr(opening, "run_section", lambda _name, _request: opening.measure(small))
     assert opening.report(folder=tmp_path, quick=True, as_json=False) == 0
     document = json.loads((tmp_path / "open.json").read_text())

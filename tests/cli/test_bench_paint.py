@@ -1,4 +1,4 @@
-"""The painter of ``carina bench track``: contrast of lumens of one or two voxels, no beads, noise, kernels, slices."""
+"""The painter of ``carina bench track``: contrast of thin lumens, continuity, noise, kernels and slices."""
 
 from __future__ import annotations
 
@@ -14,12 +14,15 @@ from carina_bench.paint_tubes import Tube, wall_mm
 VOXEL = 0.55
 LUNG = -860
 QUIET = PaintOptions(noise_hu=0.0)
-# The same blur in all directions, so that one formula holds for all of them.
+# Equal blur in all directions, so that one formula is valid for all directions.
 EVEN = replace(QUIET, slice_sigma_mm=KERNELS["medium"].sigma_mm)
 
 
 def share_of_disc(radius: float, off: np.ndarray | float, sigma: float) -> np.ndarray:
-    """Share of a long round tube in a Gaussian blur, ``off`` from its axis: 1 - exp(-r^2 / 2 s^2) on it."""
+    """Return the share of a long round tube after a Gaussian blur, at the distance ``off`` from its axis.
+
+    On the axis the share is 1 - exp(-r^2 / 2 s^2).
+    """
     t = (np.arange(400) + 0.5) * radius / 400
     rho = np.atleast_1d(np.asarray(off, float))[:, None]
     ring = t * np.exp(-((t - rho) ** 2) / (2 * sigma**2)) * scaled_bessel(t * rho / sigma**2) / sigma**2
@@ -31,14 +34,17 @@ def scaled_bessel(x: np.ndarray) -> np.ndarray:
 
 
 def predicted(radius: float, off: np.ndarray | float, sigma: float) -> np.ndarray:
-    """HU near the axis: lumen, ring of wall, lung. A voxel's own width blurs by a variance of h^2 / 12."""
+    """Return the expected HU of lumen, wall and lung at the distance ``off`` from the axis.
+
+    A voxel of width h adds a blur variance of h^2 / 12.
+    """
     wide = math.sqrt(sigma**2 + VOXEL**2 / 12.0)
     lumen, outer = (share_of_disc(r, off, wide) for r in (radius, radius + float(wall_mm(np.array(radius)))))
     return -1000.0 * lumen + 20.0 * (outer - lumen) + LUNG * (1.0 - outer)
 
 
 def straight(diameter_vox: float, offset_vox: tuple[float, ...], direction: tuple[float, ...], size: int = 26):
-    """A scene with one tube past its middle, the point and the direction of its axis."""
+    """Return a scene with one tube near its middle, and a point and the direction of the tube's axis."""
     middle = (0.5 * (size - 1) + np.array(offset_vox)) * VOXEL
     along = np.array(direction) / np.linalg.norm(direction)
     points = middle + np.linspace(-size, size, 41)[:, None] * along
@@ -51,7 +57,7 @@ def empty(size: int, *tubes: Tube) -> Scene:
 
 
 def from_axis(painted, middle: np.ndarray, along: np.ndarray, reach_mm: float = 4.5):
-    """Distances (n,) from the axis and HU (n,) of the voxels beside its middle, and where along it they lie."""
+    """Return the distances (n,) from the axis, HU (n,) and positions along the axis of the voxels near the middle."""
     places = painted.volume.to_lps(np.argwhere(painted.volume.hu_zyx > -9999)[:, ::-1].astype(float)) - middle
     at = places @ along
     off = np.linalg.norm(places - at[:, None] * along, axis=1)
@@ -59,7 +65,7 @@ def from_axis(painted, middle: np.ndarray, along: np.ndarray, reach_mm: float = 
     return off[near], painted.volume.hu_zyx.ravel()[near].astype(float), at[near]
 
 
-def test_the_formula_of_a_blurred_disc_is_the_integral():
+def test_formula_of_the_blurred_disc_equals_the_integral():
     for radius in (0.2, 0.55, 1.3):
         assert share_of_disc(radius, 0.0, 0.43)[0] == pytest.approx(
             1 - math.exp(-(radius**2) / (2 * 0.43**2)), abs=1e-4
@@ -78,7 +84,7 @@ def test_the_formula_of_a_blurred_disc_is_the_integral():
         ((0.0, 0.25, 0.0), (-3, 1, 1)),
     ],
 )
-def test_a_thin_lumen_is_as_dark_as_the_blur_predicts(diameter_vox, offset_vox, direction):
+def test_thin_lumen_has_the_contrast_that_the_blur_predicts(diameter_vox, offset_vox, direction):
     scene, middle, along = straight(diameter_vox, offset_vox, direction)
     off, hu, _ = from_axis(paint(scene, EVEN), middle, along)
     told = predicted(0.5 * diameter_vox * VOXEL, off, EVEN.scanner().sigma_mm)
@@ -88,7 +94,7 @@ def test_a_thin_lumen_is_as_dark_as_the_blur_predicts(diameter_vox, offset_vox, 
 
 
 @pytest.mark.parametrize("kernel", ["soft", "medium", "sharp"])
-def test_each_kernel_shows_a_lumen_along_z_as_its_formula_says(kernel):
+def test_each_kernel_shows_a_lumen_along_z_as_its_formula_predicts(kernel):
     scene, middle, along = straight(2.0, (0.5, 0.5, 0.0), (0, 0, 1))
     options = replace(QUIET, kernel=kernel)
     off, hu, _ = from_axis(paint(scene, options), middle, along)
@@ -96,14 +102,14 @@ def test_each_kernel_shows_a_lumen_along_z_as_its_formula_says(kernel):
     told = predicted(VOXEL, off, one.sigma_mm)
     gain = one.gain(VOXEL)
     told = told + gain * (told - predicted(VOXEL, off, math.hypot(one.sigma_mm, one.surround_mm)))
-    # What raises edges raises the formula's own error, a box taken for a Gaussian, too.
+    # Edge enhancement increases the formula's own error, including that of a box approximated by a Gaussian.
     assert np.abs(hu - told).max() <= (15.0 if kernel == "sharp" else 10.0)
 
 
-def test_a_tube_of_one_voxel_is_no_string_of_beads():
-    """On the axis of a bent tube values vary by what the distance of voxels from it explains, and 25 HU beside it.
+def test_tube_one_voxel_wide_has_no_beads():
+    """On the axis of a bent tube, values vary by the effect of the voxel distance plus at most 25 HU.
 
-    A lumen that is painted voxel by voxel varies by hundreds.
+    A lumen that is painted voxel by voxel varies by hundreds of HU.
     """
     turn = np.linspace(0.0, 1.6, 200)
     points = np.stack([9.0 + 7.0 * np.cos(turn), 2.0 + 7.0 * np.sin(turn), 3.0 + 8.0 * turn], axis=1)
@@ -117,7 +123,7 @@ def test_a_tube_of_one_voxel_is_no_string_of_beads():
     assert hu.max() < -400.0 and np.ptp(hu) < 120.0
 
 
-def test_the_wall_in_the_image_has_the_thickness_that_was_asked():
+def test_wall_in_the_image_has_the_requested_thickness():
     for radius in (0.8, 1.6, 3.0):
         scene, *_ = straight(2 * radius / VOXEL, (0.2, 0.3, 0.0), (0, 0, 1), size=24)
         scene = replace(scene, hu_zyx=np.full_like(scene.hu_zyx, -1000))
@@ -139,11 +145,11 @@ def test_the_wall_in_the_image_has_the_thickness_that_was_asked():
         (1.45, 0.5, 0.8),
     ],
 )
-def test_walls_are_as_thick_as_anatomy_has_them(radius_mm, thinnest, thickest):
+def test_wall_thickness_follows_anatomy(radius_mm, thinnest, thickest):
     assert thinnest <= float(wall_mm(np.array(radius_mm))) <= thickest
 
 
-def test_the_cover_is_the_lumens_volume():
+def test_sum_of_partial_volumes_is_the_volume_of_the_lumen():
     scene, _, _ = straight(1.5, (0.3, 0.1, 0.0), (0, 0, 1))
     cover = paint(scene, QUIET).cover_zyx
     area = cover.sum(axis=(1, 2)) / 255.0 * VOXEL**2
@@ -152,13 +158,13 @@ def test_the_cover_is_the_lumens_volume():
 
 @pytest.mark.parametrize("kernel", ["soft", "medium", "sharp"])
 @pytest.mark.parametrize("noise_hu", [15.0, 90.0])
-def test_noise_has_the_standard_deviation_that_was_asked(kernel, noise_hu):
+def test_noise_has_the_requested_standard_deviation(kernel, noise_hu):
     scene = Scene(np.full((6, 120, 140), -300, np.int16), np.diag([VOXEL, VOXEL, 0.7, 1.0]), ())
     hu = paint(scene, PaintOptions(kernel=kernel, noise_hu=noise_hu)).volume.hu_zyx.astype(float)
     assert hu.std() == pytest.approx(noise_hu, rel=0.05)
 
 
-def test_the_noise_of_a_sharper_kernel_is_finer():
+def test_noise_of_a_sharper_kernel_is_finer():
     scene = Scene(np.full((6, 120, 140), -300, np.int16), np.diag([VOXEL, VOXEL, 0.7, 1.0]), ())
     likeness = []
     for kernel in ("soft", "medium", "sharp"):
@@ -168,8 +174,8 @@ def test_the_noise_of_a_sharper_kernel_is_finer():
 
 
 @pytest.mark.parametrize("voxel", [0.3, 0.55, 0.7])
-def test_an_edge_runs_over_by_the_share_that_was_asked(voxel):
-    """An edge oblique to the grid shows all places between voxels: the side of a tube far wider than the image."""
+def test_edge_overshoots_by_the_requested_share(voxel):
+    """An edge oblique to the grid samples all positions between voxels: the side of a tube far wider than the image."""
     size, radius = 32, 400.0
     middle = np.array([0.5 * (size - 1) * voxel - radius * 0.9, 0.5 * (size - 1) * voxel - radius * 0.4359, 0.0])
     points = middle + np.array([[0.0, 0.0, -4.0], [0.0, 0.0, 6.0]])
@@ -185,9 +191,9 @@ def test_an_edge_runs_over_by_the_share_that_was_asked(voxel):
 
 
 @pytest.mark.parametrize("slice_mm", [0.5, 1.5, 3.0, 5.0])
-def test_slices_are_as_thick_and_as_far_apart_as_was_asked(slice_mm):
+def test_slices_have_the_requested_thickness_and_distance(slice_mm):
     hu = np.full((60, 8, 8), LUNG, np.int16)
-    hu[29] += 1000  # half a millimetre of tissue
+    hu[29] += 1000  # 0.5 mm of tissue
     scene = Scene(hu, np.diag([VOXEL, VOXEL, 0.5, 1.0]), ())
     made = paint(scene, replace(QUIET, slice_mm=slice_mm, slice_sigma_mm=1e-4)).volume
     assert made.spacing_mm[2] == pytest.approx(slice_mm)
@@ -197,14 +203,14 @@ def test_slices_are_as_thick_and_as_far_apart_as_was_asked(slice_mm):
     assert abs(seen - 29 * 0.5) <= 0.5 * slice_mm + 1e-6
 
 
-def test_the_same_seed_gives_the_same_volume_and_another_does_not():
+def test_equal_seeds_give_equal_volumes_and_other_seeds_do_not():
     scene, *_ = straight(1.5, (0.3, 0.1, 0.0), (1, 2, 3))
     one, again, other = (paint(scene, PaintOptions(seed=seed)).volume.hu_zyx for seed in (4, 4, 5))
     assert np.array_equal(one, again)
     assert not np.array_equal(one, other)
 
 
-def test_a_fork_is_open_and_its_branches_are_separate_beyond_it():
+def test_bifurcation_is_open_and_its_branches_are_separate_beyond_it():
     top, fork = np.array([9.0, 9.0, 17.0]), np.array([9.0, 9.0, 9.0])
     tips = [fork + 9.0 * np.array([side * 0.6, 0.0, -0.8]) for side in (-1, 1)]
     tubes = [
@@ -219,7 +225,7 @@ def test_a_fork_is_open_and_its_branches_are_separate_beyond_it():
     assert hu.hu_zyx[between[2], between[1], between[0]] > -870
 
 
-def test_breathing_moves_the_truth_along_with_the_image():
+def test_breathing_moves_truth_and_image_together():
     scene, *_ = straight(3.0, (0.0, 0.0, 0.0), (1, 0, 0.4))
     made = paint(scene, replace(QUIET, breathing_mm=3.0, breathing_period_mm=30.0))
     points = made.airways[0].points
@@ -227,11 +233,11 @@ def test_breathing_moves_the_truth_along_with_the_image():
     ijk = np.rint(made.volume.to_ijk(points)).astype(int)
     i, j, k = ijk[((ijk >= 3) & (ijk < 23)).all(axis=1)].T
     assert len(k) > 5
-    assert made.volume.hu_zyx[k, j, i].max() < -780  # -1000 blurred at 3 voxels across
+    assert made.volume.hu_zyx[k, j, i].max() < -780  # -1000 HU after the blur of a lumen 3 voxels wide
     assert (made.cover_zyx[k, j, i] > 200).all()
 
 
-def test_fluid_lies_in_the_lower_half_and_a_plug_closes_the_lumen():
+def test_fluid_is_in_the_lower_half_and_a_plug_closes_the_lumen():
     scene, middle, _ = straight(10.0, (0.0, 0.0, 0.0), (0, 0, 1), size=18)
     front, back = (middle + np.array([0.0, y, 0.0]) for y in (-1.6, 1.6))
 
@@ -246,7 +252,7 @@ def test_fluid_lies_in_the_lower_half_and_a_plug_closes_the_lumen():
     assert seen(1.0) == pytest.approx([15, 15], abs=8)
 
 
-def test_a_mask_becomes_tubes_as_wide_as_it_is():
+def test_mask_becomes_tubes_of_equal_width():
     pytest.importorskip("skimage")
     pytest.importorskip("scipy")
     from carina_bench.paint_scene import tubes_of_mask
@@ -264,5 +270,5 @@ def test_a_mask_becomes_tubes_as_wide_as_it_is():
     assert len(tubes) == 3 and [tube.parent for tube in tubes] == [None, 0, 0]
     assert float(np.median(tubes[0].radius_mm)) == pytest.approx(radii[0], abs=0.25 * VOXEL)
     for tube in tubes[1:]:
-        # Cut across z the leaning tubes are round; across themselves a little narrower.
+        # Perpendicular to z the oblique tubes are round; perpendicular to their own axis they are slightly narrower.
         assert float(np.median(tube.radius_mm)) == pytest.approx(radii[1] * 0.93, abs=0.3 * VOXEL)

@@ -1,4 +1,4 @@
-"""What of the benchmark of saving holds on any machine: both flights have pictures, and one of them is saved."""
+"""The benchmark of saving: the flights with and without saving have pictures, and one of them is saved."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import json
 from carina_bench import saving
 
 
-def test_a_short_flight_is_flown_with_and_without_saving(monkeypatch, capsys, tmp_path):
+def test_short_flight_is_measured_with_and_without_saving(monkeypatch, capsys, tmp_path):
     small = {"spacing_mm": 3.0, "seconds": 1.0, "turns": 1}
     monkeypatch.setattr(saving, "run_section", lambda _name, _request: saving.measure(small))
     assert saving.report(folder=tmp_path, quick=True, as_json=False) == 0

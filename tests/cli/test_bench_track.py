@@ -1,4 +1,4 @@
-"""The frame of ``carina bench track``: parts that are there, parts that are not, limits, the report."""
+"""Structure of ``carina bench track``: available and missing parts, limits and the report."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from made import made_phantom
 ROW = {"what": "paths", "case": "phantom", "figure": 9.0, "limit": 8.0, "unit": "x", "median": 9.0, "min": 8.5}
 
 
-def test_a_row_is_judged_by_its_limit_and_told():
+def test_row_is_compared_with_its_limit_and_reported():
     assert track.gate_of(ROW).passed
     assert not track.gate_of({**ROW, "better": "lower"}).passed
     assert track.gate_of({"what": "memory", "figure": 5.0}) is None
@@ -26,30 +26,30 @@ def test_a_row_is_judged_by_its_limit_and_told():
     assert "paths, phantom: 9 x" in line and "min 8.5" in line and "limit >= 8: met" in line
 
 
-def test_a_figure_that_was_not_taken_is_missed_and_says_so():
+def test_missing_figure_counts_as_missed_and_is_reported():
     row = {**ROW, "figure": None, "note": "no data"}
     assert not track.gate_of(row).passed
     assert "not measured" in track.line_of(row) and "MISSED" in track.line_of(row) and "no data" in track.line_of(row)
 
 
-def test_the_cases_of_quality_are_those_that_it_paints():
+def test_quality_cases_are_those_that_it_paints():
     assert track.PARTS["quality"].cases == track_quality.CASES
 
 
-def test_an_unknown_case_exits_2_and_names_the_known_ones(carina, tmp_path):
+def test_unknown_case_exits_2_and_lists_the_known_ones(carina, tmp_path):
     ended = carina("bench", "track", "--only", "quality", "--case", "sharper", "--json", "-o", tmp_path / "out")
     assert ended.code == 2
     assert "sharp-25" in ended.json()["error"]["message"]
 
 
-def test_a_found_branch_outside_every_true_lumen_is_false():
+def test_found_branch_outside_every_true_lumen_is_false():
     pytest.importorskip("scipy")
     phantom = made_phantom(seed=1, spacing_mm=1.5, generations=4, noise_hu=0.0)
     truth = truth_of_phantom(phantom.truth, phantom.lumen_zyx, phantom.volume)
     airways = find_airways(phantom.volume, progress=False)
     whole = track_quality.figures(phantom.volume, truth, airways)
     assert whole["false_branches"] == 0 and whole["precision"] > 0.99
-    # Without its last airways the truth makes what was found of them false.
+    # Without the last generation in the truth, branches found there are false.
     deepest = max(branch.generation for branch in truth.branches)
     short = replace(truth, branches=tuple(b for b in truth.branches if b.generation < deepest))
     lumen = phantom.lumen_zyx != 0
@@ -62,14 +62,14 @@ def test_a_found_branch_outside_every_true_lumen_is_false():
     assert less["false_branches"] >= 1 and less["precision"] < whole["precision"]
 
 
-def test_an_unknown_part_exits_2_and_names_the_known_ones(carina, tmp_path):
+def test_unknown_part_exits_2_and_lists_the_known_ones(carina, tmp_path):
     ended = carina("bench", "track", "--only", "everything", "--json", "-o", tmp_path / "out")
     assert ended.code == 2
     assert "speed" in ended.json()["error"]["message"]
     assert not (tmp_path / "out").exists()
 
 
-def test_a_part_that_is_not_built_is_left_out_and_said(carina, monkeypatch, tmp_path):
+def test_missing_part_is_skipped_with_a_message(carina, monkeypatch, tmp_path):
     monkeypatch.setattr(track, "built_parts", lambda: ["speed"])
     monkeypatch.setattr(track, "run_section", lambda _function, request, threads: [{**ROW, "what": request["part"]}])
     ended = carina("bench", "track", "--json", "-o", tmp_path / "out")
@@ -85,7 +85,7 @@ def test_a_part_that_is_not_built_is_left_out_and_said(carina, monkeypatch, tmp_
 
 
 @pytest.mark.parametrize("named", [False, True])
-def test_a_part_without_its_peer_is_left_out_unless_it_was_asked_for(carina, monkeypatch, tmp_path, named):
+def test_part_without_its_other_program_is_skipped_unless_requested(carina, monkeypatch, tmp_path, named):
     def refuse(*_arguments, **_options):
         error = CarinaError("dijkstra3d is not installed", code="machine.extra")
         raise error
@@ -101,7 +101,7 @@ def test_a_part_without_its_peer_is_left_out_unless_it_was_asked_for(carina, mon
         assert "dijkstra3d" in ended.json()["parts"]["speed"]["left_out"]
 
 
-def test_lobes_are_judged_by_masks_one_of_which_is_a_nifti_named_gz(tmp_path):
+def test_lobes_are_compared_with_masks_including_a_nifti_with_suffix_gz(tmp_path):
     phantom = made_phantom(seed=1, spacing_mm=1.5, generations=4, noise_hu=0.0)
     lumen, truth = phantom.lumen_zyx, AirwayTree.from_json(phantom.truth)
     lobes = branch_side_and_lobe(name_tree(truth))
@@ -130,7 +130,7 @@ def test_lobes_are_judged_by_masks_one_of_which_is_a_nifti_named_gz(tmp_path):
     assert lengths["right"] > 500
     assert lengths["wrong"] < 0.05 * lengths["right"]
 
-    # Masks of the other side: what was right is wrong.
+    # With exchanged masks of the two sides, correct lobes count as wrong.
     for lobe, other in (("RUL", "LUL"), ("RLL", "LLL")):
         write(lobe, near == other)
         write(other, near == lobe)

@@ -1,4 +1,4 @@
-"""Case files on the command line: what they hold, and verbs that go on from the edited tree."""
+"""Case files on the command line: their content, and commands that continue from the edited tree."""
 
 from __future__ import annotations
 
@@ -30,7 +30,10 @@ from own_folders import own_folders
 
 @pytest.fixture(scope="session")
 def made_case(tmp_path_factory):
-    """A case with a renamed branch, a branch removed, a target, two key frames, a look; with its CT beside it."""
+    """Return a folder with a CT and a case, and its tree.
+
+    The case has a renamed and a removed branch, a target, two key frames and view settings.
+    """
     folder = tmp_path_factory.mktemp("case")
     write_phantom(made_phantom(spacing_mm=3.0, generations=3), folder / "scans")
     with package.Case.open(folder / "scans" / "ct.nii.gz") as case:
@@ -57,7 +60,7 @@ def made_case(tmp_path_factory):
 
 @pytest.fixture
 def case(made_case, tmp_path):
-    """A copy of its own."""
+    """Return the path of a copy of the case that the test may change."""
     folder = tmp_path / "work"
     shutil.copytree(made_case[0], folder)
     return folder / "lunch.carina"
@@ -71,7 +74,7 @@ def nothing_is_searched_for(monkeypatch):
     monkeypatch.setattr(package, "find_airways", searched, raising=False)
 
 
-def test_info_tells_what_a_case_holds_without_its_scan(carina, case, made_case):
+def test_info_lists_the_content_of_a_case_without_its_scan(carina, case, made_case):
     shutil.rmtree(case.parent / "scans")
     held = carina("case", "info", case, "--json").json()
     assert held["source"]["path"] == "scans/ct.nii.gz"
@@ -87,7 +90,7 @@ def test_info_tells_what_a_case_holds_without_its_scan(carina, case, made_case):
     assert "6 changes, 1 undone" in said
 
 
-def test_history_is_told_in_words_with_times(carina, case):
+def test_history_lists_labels_and_times(carina, case):
     steps = carina("case", "history", case, "--json").json()["steps"]
     assert [step["holds"] for step in steps] == [True] * 6 + [False]
     assert steps[0]["label"].startswith("rename")
@@ -96,7 +99,7 @@ def test_history_is_told_in_words_with_times(carina, case):
     assert "(undone)" in carina("case", "history", case).out
 
 
-def test_the_edited_tree_is_told_exported_and_tracked_in(carina, case, made_case, tmp_path):
+def test_edited_tree_is_reported_exported_and_used_for_tracking(carina, case, made_case, tmp_path):
     tree = made_case[1]
     found = carina("airways", case, "-o", tmp_path / "tree.json", "--json").json()
     assert found["num_branches"] == len(tree)
@@ -109,7 +112,7 @@ def test_the_edited_tree_is_told_exported_and_tracked_in(carina, case, made_case
     assert row["length_mm"] == pytest.approx(tree.route_to(tree.named("near the tumour").id).length_mm, abs=6.0)
 
 
-def test_a_case_is_flown_through_its_key_frames_and_to_its_targets(carina, case, tmp_path):
+def test_flight_follows_the_key_frames_and_targets_of_a_case(carina, case, tmp_path):
     keys = ("--size", "48x48", "--rate", "2", "--step-vox", "2", "--json")
     quick = (*keys, "--speed", "60", "--pause", "0")
     along = carina("fly", case, "--keys", "all", "-o", tmp_path / "a.mp4", *keys).json()
@@ -124,7 +127,7 @@ def test_a_case_is_flown_through_its_key_frames_and_to_its_targets(carina, case,
     assert "key-1, key-2" in none.err
 
 
-def test_a_picture_is_taken_where_the_tip_was_left_with_the_look_of_the_case(carina, case, tmp_path):
+def test_picture_uses_the_tip_position_and_view_settings_of_the_case(carina, case, tmp_path):
     small = ("--size", "40x40", "--step-vox", "2", "--json")
     shown = carina("render", case, "-o", tmp_path / "a.png", *small).json()
     with CaseFile.open(case, read_only=True) as file:
@@ -136,15 +139,15 @@ def test_a_picture_is_taken_where_the_tip_was_left_with_the_look_of_the_case(car
     assert (tmp_path / "a.png").read_bytes() != (tmp_path / "b.png").read_bytes()
 
 
-def test_info_of_a_case_tells_of_its_scan_too(carina, case):
+def test_info_of_a_case_includes_its_scan(carina, case):
     told = carina("info", case, "--json").json()
     assert told["shape_zyx"] == told["case"]["source"]["shape_zyx"]
 
 
-# ---------------------------------------------------------------- the scan of a case
+# Scan of a case
 
 
-def test_a_scan_that_moved_is_asked_for_and_found_where_it_is(carina, case, tmp_path):
+def test_moved_scan_is_reported_and_its_new_path_accepted(carina, case, tmp_path):
     (case.parent / "scans").rename(tmp_path / "elsewhere")
     gone = carina("airways", case, "--json")
     assert gone.code == 3
@@ -153,7 +156,7 @@ def test_a_scan_that_moved_is_asked_for_and_found_where_it_is(carina, case, tmp_
     assert carina("airways", case, "--ct", tmp_path / "elsewhere" / "ct.nii.gz").code == 0
 
 
-def test_another_scan_is_refused_wherever_it_is(carina, case, tmp_path):
+def test_another_scan_is_refused_at_any_path(carina, case, tmp_path):
     write_phantom(made_phantom(seed=3, spacing_mm=3.0, generations=3), tmp_path / "other")
     given = carina("airways", case, "--ct", tmp_path / "other" / "ct.nii.gz")
     assert given.code == 3
@@ -162,7 +165,7 @@ def test_another_scan_is_refused_wherever_it_is(carina, case, tmp_path):
     assert "a different CT" in carina("airways", case).err
 
 
-def test_a_scan_that_is_gone_comes_from_the_cache_or_from_the_case(carina, case, tmp_path):
+def test_missing_scan_is_read_from_the_cache_or_from_the_case(carina, case, tmp_path):
     from carina.config import load_settings
 
     scan = case.parent / "scans" / "ct.nii.gz"
@@ -190,7 +193,7 @@ def test_a_scan_that_is_gone_comes_from_the_cache_or_from_the_case(carina, case,
         ["case", "forget", ""],
     ],
 )
-def test_what_does_not_go_together_is_refused_before_the_work(carina, case, ct, tmp_path, arguments):
+def test_inconsistent_arguments_are_refused_before_the_work(carina, case, ct, tmp_path, arguments):
     names = {"CT": ct, "CASE": case}
     given = [names.get(one, tmp_path / one if one.startswith("OUT") else one) for one in arguments]
     ended = carina(*given)
@@ -198,7 +201,7 @@ def test_what_does_not_go_together_is_refused_before_the_work(carina, case, ct, 
     assert ended.err
 
 
-def test_a_file_that_is_no_case_is_refused(carina, tmp_path):
+def test_file_that_is_not_a_case_is_refused(carina, tmp_path):
     file = tmp_path / "words.carina"
     file.write_text("these are words")
     for verb in (["case", "info"], ["case", "history"], ["info"], ["airways"]):
@@ -207,7 +210,7 @@ def test_a_file_that_is_no_case_is_refused(carina, tmp_path):
         assert "words.carina" in ended.err
 
 
-def test_a_whole_case_is_migrated_and_rescued_into_new_files(carina, case, tmp_path):
+def test_undamaged_case_is_migrated_and_rescued_into_new_files(carina, case, tmp_path):
     before = case.read_bytes()
     assert carina("case", "migrate", case, "-o", tmp_path / "new.carina").code == 0
     assert carina("case", "rescue", case, "-o", tmp_path / "whole.carina", "--json").json()["lost"] == []
@@ -216,10 +219,10 @@ def test_a_whole_case_is_migrated_and_rescued_into_new_files(carina, case, tmp_p
     assert case.read_bytes() == before
 
 
-# ---------------------------------------------------------------- cases of this machine
+# Cases stored on this computer
 
 
-def test_kept_cases_are_listed_and_forgotten(carina, tmp_path):
+def test_stored_cases_are_listed_and_deleted(carina, tmp_path):
     from carina.config import load_settings
 
     assert carina("case", "list", "--json").json() == {"cases": []}
@@ -246,7 +249,7 @@ def test_kept_cases_are_listed_and_forgotten(carina, tmp_path):
     assert not list(Path(load_settings().cases_dir).rglob("*.carina"))
 
 
-def test_the_cached_scan_goes_with_the_last_case_of_it(carina, ct):
+def test_cached_scan_is_deleted_with_its_last_case(carina, ct):
     from carina.config import load_settings
 
     settings = load_settings()
@@ -266,7 +269,7 @@ def test_the_cached_scan_goes_with_the_last_case_of_it(carina, ct):
     assert not cache.sizes()
 
 
-def test_help_of_every_verb_has_an_example(carina):
+def test_help_of_every_case_command_has_an_example(carina):
     for verb in ("info", "history", "list", "forget", "pack", "migrate", "rescue"):
         assert f"Example: carina case {verb}" in " ".join(carina("case", verb, "--help").out.split())
     assert json.dumps(carina("case", "--help").code) == "0"
@@ -274,7 +277,7 @@ def test_help_of_every_verb_has_an_example(carina):
 
 @pytest.fixture
 def recorded(case):
-    """A case with a flight of two seconds."""
+    """Return a case with a recorded flight of two seconds."""
     volume = open_volume(case.parent / "scans" / "ct.nii.gz")
     pilot = Pilot(Navigator(Pose.looking(tuple(volume.centre_lps), (0.0, 0.0, -1.0)), volume=volume))
     with CaseFile.open(case) as file, file.record("Flight 1", begun_s=3.0) as sink:
@@ -286,7 +289,7 @@ def recorded(case):
     return case
 
 
-def test_a_recording_of_a_case_is_flown_and_handed_on_as_a_file(carina, recorded, tmp_path):
+def test_recording_of_a_case_is_replayed_and_exported_as_a_file(carina, recorded, tmp_path):
     assert carina("case", "info", recorded, "--json").json()["recordings"][0]["name"] == "Flight 1"
     quick = ("--size", "48x48", "--rate", "2", "--step-vox", "2", "--json")
     ends = [
@@ -305,7 +308,7 @@ def test_a_recording_of_a_case_is_flown_and_handed_on_as_a_file(carina, recorded
         assert "no recording 'Flight 7'; its recordings: Flight 1 (1)" in missing.err
 
 
-def test_what_a_window_has_open_is_read_as_it_was_saved_last(carina, case, live_case):
+def test_case_open_in_a_window_is_read_as_last_saved(carina, case, live_case):
     assert [step["label"] for step in carina("case", "history", case, "--json").json()["steps"]][-1] == "renamed since"
     told = carina("case", "info", case)
     assert "is open in Carina; its last saved state is used" in told.err
@@ -316,7 +319,7 @@ def test_what_a_window_has_open_is_read_as_it_was_saved_last(carina, case, live_
 
 @pytest.fixture
 def live_case(case, monkeypatch, tmp_path):
-    """Return a case as a window has it: with one step more than its copy."""
+    """Return the live case of a window, which has one more step than its copy."""
     for name, folder in own_folders(tmp_path / "home").items():
         monkeypatch.setenv(name, folder)
     records = CaseRecords(load_settings().cases_dir, lambda: 1_800_000_000.0)

@@ -1,4 +1,4 @@
-"""The id that ``carina case list`` prints names a stored case in every command that takes a case."""
+"""Case IDs that ``carina case list`` prints, accepted by every command that reads a case."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def worked(tmp_path_factory):
 
 @pytest.fixture
 def stored(carina, worked):
-    """Return the records of this machine, with one case."""
+    """Return the case records of this computer, with one case."""
     folder, volume, moment = worked
     records = CaseRecords(load_settings().cases_dir, lambda: 1.7e9)
     with pytest.MonkeyPatch.context() as patch:
@@ -95,8 +95,8 @@ def test_commands_read_a_stored_case_by_its_id(carina, stored, tmp_path):
             assert file.summary().targets == ("Target 1",)
 
 
-def test_every_command_with_a_path_of_a_case_accepts_an_id():
-    """Found in the parser itself, so that a new command is not forgotten."""
+def test_every_command_with_a_case_argument_accepts_an_id():
+    """The list of commands is read from the parser, so that it includes new commands."""
     root = get_command(app)
     paths = {}
     for group in (root, root.commands["case"]):
@@ -113,7 +113,7 @@ def test_every_command_with_a_path_of_a_case_accepts_an_id():
         assert "id of a stored case" in parameter.help, name
 
 
-def test_a_case_that_another_window_has_open_is_read_and_not_changed(carina, stored):
+def test_case_open_in_another_window_is_read_and_not_changed(carina, stored):
     held = stored.hold(stored.find(ID))
     with CaseFile.open(held.path) as live:
         before = held.path.read_bytes()
@@ -125,7 +125,7 @@ def test_a_case_that_another_window_has_open_is_read_and_not_changed(carina, sto
     held.release()
 
 
-def test_a_file_or_folder_of_that_name_wins(carina, stored, tmp_path, monkeypatch):
+def test_file_or_folder_of_that_name_has_precedence(carina, stored, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / ID).mkdir()
     assert path_or_case(Path(ID)) == Path(ID)
@@ -139,18 +139,18 @@ def test_a_file_or_folder_of_that_name_wins(carina, stored, tmp_path, monkeypatc
     assert path_or_case(Path(ID)) == Path(ID)
 
 
-def test_an_unknown_id_is_refused_with_its_reason(carina, stored):
+def test_unknown_id_is_refused_with_its_reason(carina, stored):
     ended = carina("case", "info", "deadbeef", "--json")
     assert (ended.code, ended.json()["error"]["code"]) == (2, "case.unknown")
     assert "neither a file or folder nor the id of a case on this machine" in ended.err
     assert "carina case list" in ended.err
-    # What cannot be an id is a path, as before.
+    # A text that cannot be an ID is treated as a path.
     assert carina("info", "missing/deadbeef").code == 3
     assert carina("info", "deadbeef.carina").code != 2
     assert carina("info", ID[: MIN_ID_CHARS - 1]).code == 3
 
 
-def test_an_ambiguous_beginning_is_refused_and_a_whole_id_is_not(stored, monkeypatch):
+def test_ambiguous_beginning_of_an_id_is_refused_and_a_whole_id_is_not(stored, monkeypatch):
     volume = made_phantom(spacing_mm=3.0, generations=3).volume
     for other in ("abcd1234ffffffff", ID[:12]):
         held = stored.begin("cd" * 32, None, case_id=other)
@@ -160,7 +160,7 @@ def test_an_ambiguous_beginning_is_refused_and_a_whole_id_is_not(stored, monkeyp
         stored_case(Path("abcd1234"))
     assert refusal.value.code == "case.unknown"
     assert stored_case(Path("abcd1234f")).case_id == "abcd1234ffffffff"
-    # The whole id of one case is also the beginning of another's.
+    # The whole ID of one case is the beginning of another ID.
     assert stored_case(Path(ID[:12])).case_id == ID[:12]
 
 

@@ -1,4 +1,4 @@
-"""A case that is handed on holds no name, number, date or text of its CT, packed with it or not."""
+"""Privacy of exported cases: no name, number, date or text of the CT, with or without the packed scan."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ ENCODINGS = ("utf-8", "latin-1", "utf-16-le", "utf-16-be")
 
 
 def write_ct(folder: Path, chest) -> None:
-    """Slices as a scanner writes them, with a person in every tag that has room for one."""
+    """Write slices with patient data in every tag that can contain text."""
     folder.mkdir(parents=True)
     volume = chest.volume
     matrix = volume.lps_from_ijk
@@ -82,7 +82,7 @@ def write_ct(folder: Path, chest) -> None:
 
 
 def contents_of(path: Path):
-    """All bytes of a file, what its blobs inflate to, and its texts as they are read."""
+    """Return all bytes of a file, the inflated content of its blobs, and its decoded texts."""
     yield path.read_bytes()
     with contextlib.closing(sqlite3.connect(path)) as case:
         for (table,) in case.execute("SELECT name FROM sqlite_master WHERE type = 'table'").fetchall():
@@ -108,7 +108,7 @@ def told_in(path: Path) -> set[str]:
 
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory):
-    """A case of a person's CT, worked on, saved beside the CT's folder and far from it."""
+    """Return a case of a patient's CT, saved beside the folder of the CT and in another folder."""
     root = tmp_path_factory.mktemp("privacy")
     person = root / "Müller, Gudrun 1961-04-05"
     chest = made_phantom(spacing_mm=3.0, generations=3)
@@ -126,7 +126,7 @@ def saved(tmp_path_factory):
     return root, person
 
 
-def test_what_is_looked_for_is_found_where_it_is(saved, tmp_path):
+def test_search_detects_patient_data_in_slices_and_compressed_blobs(saved, tmp_path):
     _, person = saved
     assert {"Müller", "KIS-4711", "19610405", UID} <= {
         secret for needle, secret in needles().items() if needle in next((person / "ct").iterdir()).read_bytes()
@@ -138,11 +138,11 @@ def test_what_is_looked_for_is_found_where_it_is(saved, tmp_path):
     assert told_in(tmp_path / "told.db") == {"Müller"}
 
 
-def test_a_named_case_tells_nobody_of_whom_it_is(saved):
+def test_named_case_contains_no_patient_data(saved):
     assert told_in(saved[1] / "beside.carina") == set()
 
 
-def test_a_packed_case_tells_nobody_of_whom_it_is(saved, carina, tmp_path):
+def test_packed_case_contains_no_patient_data(saved, carina, tmp_path):
     root, person = saved
     for name, path in (("one", person / "beside.carina"), ("other", root / "far.carina")):
         packed = tmp_path / f"{name}.carina"

@@ -1,4 +1,4 @@
-"""``carina cluster`` and ``carina open --cluster`` as a person types them."""
+"""The commands ``carina cluster`` and ``carina open --cluster``."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def _run(tmp_path, *arguments: str, timeout: float = 600.0) -> subprocess.Comple
 
 
 def _began(pid: int) -> str | None:
-    """When a process began, or None where there is none."""
+    """Return the start time of a process, or None if it does not exist."""
     from carina.cluster.node import _parents
 
     found = _parents().get(pid)
@@ -59,14 +59,14 @@ def _began(pid: int) -> str | None:
         (["open", "--cluster", "127.0.0.2:1"], 1, "no token"),
     ],
 )
-def test_what_cannot_be_done_is_said_before_anything_is_started(carina, arguments, code, words):
+def test_invalid_cluster_arguments_are_refused_before_anything_starts(carina, arguments, code, words):
     done = carina(*arguments, "--json")
     assert done.code == code, done.err
     assert words in done.json()["error"]["message"]
 
 
 class StubNode:
-    """A machine's part in a cluster, by a script: each begins as the next line says."""
+    """Stand-in for a cluster node; each new instance follows the next line of a script."""
 
     address, ip = "10.0.0.1:6379", "10.0.0.2"
 
@@ -90,7 +90,7 @@ class StubNode:
 
 
 def _join(monkeypatch, tmp_path, *script: str) -> tuple[list[StubNode], list[float]]:
-    """What ``carina cluster join`` makes of such a link: its nodes and its pauses."""
+    """Run ``carina cluster join`` with stub nodes; return the nodes and the pauses between attempts in s."""
     made: list[StubNode] = []
     pauses_s: list[float] = []
     monkeypatch.setattr(cluster, "check_available", lambda: None)
@@ -105,7 +105,7 @@ def _join(monkeypatch, tmp_path, *script: str) -> tuple[list[StubNode], list[flo
     return made, pauses_s
 
 
-def test_a_machine_that_was_in_the_cluster_joins_again_however_long_the_link_is_cut(monkeypatch, tmp_path, capsys):
+def test_machine_that_was_in_the_cluster_rejoins_after_any_interruption(monkeypatch, tmp_path, capsys):
     made, pauses_s = _join(monkeypatch, tmp_path, "dropped", *["no answer"] * 5, "dropped", "until Ctrl-C")
     assert len(made) == 8
     assert pauses_s == [1.0, 2.0, 5.0, 10.0, 10.0, 10.0, 10.0]
@@ -116,12 +116,12 @@ def test_a_machine_that_was_in_the_cluster_joins_again_however_long_the_link_is_
     assert told.err.endswith("left the cluster\n")
 
 
-def test_a_machine_that_never_got_into_the_cluster_says_why_and_ends(monkeypatch, tmp_path):
+def test_machine_that_cannot_join_the_cluster_exits_with_the_reason(monkeypatch, tmp_path):
     with pytest.raises(ClusterError, match="no answer"):
         _join(monkeypatch, tmp_path, "no answer")
 
 
-def test_a_cluster_of_one_machine_says_that_its_ports_are_open_before_it_opens_them(monkeypatch, tmp_path, capsys):
+def test_local_cluster_warns_about_its_open_ports_before_it_opens_them(monkeypatch, tmp_path, capsys):
     told = ""
 
     def node(*_: object, **__: object) -> None:
@@ -146,7 +146,7 @@ def test_a_cluster_of_one_machine_says_that_its_ports_are_open_before_it_opens_t
 @needs_ray
 @pytest.mark.ray
 @pytest.mark.slow
-def test_a_cluster_is_started_looked_at_used_and_left_without_a_trace(tmp_path):
+def test_cluster_is_started_inspected_used_and_stopped_without_remains(tmp_path):
     with socket.socket() as probe:
         probe.bind(("127.0.0.2", 0))
         port = probe.getsockname()[1]

@@ -1,4 +1,4 @@
-"""What other people's scripts rely on (docs/contracts.md): exit codes, one JSON object, nothing half written."""
+"""The contract with scripts (docs/contracts.md): exit codes, one JSON object, no partial files."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def store(path, values, spacing=(1.0, 1.0, 1.0)):
     return path
 
 
-# ---------------------------------------------------------------- arguments
+# Arguments
 
 
 @pytest.mark.parametrize(
@@ -140,7 +140,7 @@ def store(path, values, spacing=(1.0, 1.0, 1.0)):
     ],
     ids=" ".join,
 )
-def test_a_wrong_argument_exits_2_in_words_and_writes_nothing(carina, ct, tmp_path, monkeypatch, arguments):
+def test_invalid_argument_exits_2_with_a_message_and_writes_nothing(carina, ct, tmp_path, monkeypatch, arguments):
     monkeypatch.chdir(tmp_path)
     before = sorted(tmp_path.iterdir())
     ended = carina(*(word.replace("CT", str(ct)) for word in arguments), "--json")
@@ -151,13 +151,13 @@ def test_a_wrong_argument_exits_2_in_words_and_writes_nothing(carina, ct, tmp_pa
     assert sorted(tmp_path.iterdir()) == before
 
 
-def test_a_wrong_log_level_exits_2_in_words(carina, monkeypatch):
+def test_invalid_log_level_exits_2_with_a_message(carina, monkeypatch):
     monkeypatch.setenv("CARINA_LOG_LEVEL", "LOUD")
     ended = carina("doctor", "--json")
     assert (ended.code, ended.json()["error"]["code"]) == (2, "usage.log-level")
 
 
-def test_help_of_every_verb_has_an_example_and_exits_0(carina):
+def test_help_of_every_command_has_an_example_and_exits_0(carina):
     verbs = ("open", "demo", "info", "track", "render", "isoregion", "phantom", "doctor")
     for verb in (*verbs, "bench render", "bench isoregion", "bench track"):
         ended = carina(*verb.split(), "--help")
@@ -166,7 +166,7 @@ def test_help_of_every_verb_has_an_example_and_exits_0(carina):
     assert carina("--version").out.startswith("carina ")
 
 
-# ---------------------------------------------------------------- files
+# Input files
 
 
 @pytest.mark.parametrize(
@@ -180,7 +180,7 @@ def test_help_of_every_verb_has_an_example_and_exits_0(carina):
         ("folder", "folder"),
     ],
 )
-def test_a_file_that_is_none_exits_3_and_is_named(carina, tmp_path, name, content):
+def test_invalid_file_exits_3_and_is_named(carina, tmp_path, name, content):
     path = tmp_path / name
     if content == "folder":
         path.mkdir()
@@ -228,7 +228,7 @@ def test_a_file_that_is_none_exits_3_and_is_named(carina, tmp_path, name, conten
         b"[" * 100_000,
     ],
 )
-def test_a_transfer_file_that_is_none_exits_3_before_the_ct_is_read(carina, tmp_path, content):
+def test_invalid_transfer_file_exits_3_before_the_ct_is_read(carina, tmp_path, content):
     file = tmp_path / "transfer.json"
     if content is not None:
         file.write_bytes(content)
@@ -250,7 +250,7 @@ def test_a_transfer_file_that_is_none_exits_3_before_the_ct_is_read(carina, tmp_
         b'{"image_width": 64, "image_height": 64, "K": [[50, 0, 32], [0, 50, 32], [0, 0, 1]], "D": [-3, 0, 0, 0]}',
     ],
 )
-def test_a_calibration_that_is_none_exits_3_before_the_ct_is_read(carina, tmp_path, content):
+def test_invalid_calibration_exits_3_before_the_ct_is_read(carina, tmp_path, content):
     file = tmp_path / "lens.yml"
     if content is not None:
         file.write_bytes(content)
@@ -259,7 +259,7 @@ def test_a_calibration_that_is_none_exits_3_before_the_ct_is_read(carina, tmp_pa
     assert "lens.yml" in ended.json()["error"]["message"]
 
 
-def test_a_picture_through_a_scope_and_through_a_calibration(carina, ct, tmp_path):
+def test_picture_through_a_scope_and_with_a_calibration(carina, ct, tmp_path):
     seen = {}
     lens = tmp_path / "lens.json"
     lens.write_text('{"image_size": [96, 72], "K": [[60, 0, 47.5], [0, 60, 35.5], [0, 0, 1]], "D": [-0.1, 0, 0, 0]}')
@@ -272,17 +272,17 @@ def test_a_picture_through_a_scope_and_through_a_calibration(carina, ct, tmp_pat
         assert ended.code == 0, ended.err
         seen[name] = ended.json()
     assert seen["scope"]["fov_deg"] == 80.0
-    # The camera of a forward-oblique scope looks 35 degrees up, to anterior, from the direction of its shaft.
+    # The camera of a forward-oblique scope is tilted 35 degrees up, to anterior, from the direction of its shaft.
     forward = [row[2] for row in seen["scope"]["lps_from_camera"][:3]]
     assert forward == pytest.approx([0.0, -0.5736, -0.8192], abs=1e-4)
-    # 72 pixels at a focal length of 60, and a barrel.
+    # 72 pixels at a focal length of 60 pixels, with barrel distortion.
     assert 62.0 < seen["calibration"]["fov_deg"] < 66.0
 
 
-# ---------------------------------------------------------------- results
+# Results
 
 
-def test_info_is_one_object_and_doctor_too(carina, ct):
+def test_info_and_doctor_print_one_json_object(carina, ct):
     told = carina("info", ct, "--json")
     assert told.code == 0
     assert told.json()["unit"] == "HU"
@@ -292,7 +292,7 @@ def test_info_is_one_object_and_doctor_too(carina, ct):
     assert facts.code == (1 if facts.json()["problems"] else 0)
 
 
-def test_a_target_that_starts_with_a_minus_sign_is_tracked_and_the_tree_written(carina, ct, tmp_path):
+def test_target_with_a_leading_minus_sign_is_tracked_and_the_tree_written(carina, ct, tmp_path):
     ended = carina("track", ct, "--root", "auto", "--target", RMB, "-o", tmp_path / "tree.json", "--json")
     assert ended.code == 0, ended.err
     (row,) = ended.json()["targets"]
@@ -312,14 +312,14 @@ def test_one_target_without_a_path_exits_4_and_the_others_are_written(carina, ct
     assert json.loads((tmp_path / "tree.json").read_text(encoding="utf-8"))["branches"]
 
 
-def test_a_target_outside_the_volume_among_others_does_not_lose_the_others(carina, ct, tmp_path):
+def test_target_outside_the_volume_does_not_affect_the_others(carina, ct, tmp_path):
     ended = carina("track", ct, "--target", "9999,0,0", "--target", RMB, "-o", tmp_path / "tree.json", "--json")
     assert ended.code in {2, 4}, ended.err
     if ended.code == 4:
         assert (tmp_path / "tree.json").exists()
 
 
-def test_no_path_at_all_exits_4_and_leaves_the_old_file(carina, ct, tmp_path):
+def test_no_path_for_any_target_exits_4_and_leaves_the_old_file(carina, ct, tmp_path):
     (tmp_path / "tree.json").write_text("old", encoding="utf-8")
     ended = carina("track", ct, "--target", FAR, "-o", tmp_path / "tree.json", "--json")
     assert ended.code == 4
@@ -337,11 +337,11 @@ def test_every_view_is_written_from_the_automatic_pose(carina, ct, tmp_path, vie
     assert (told["view"], told["size"]) == (view, [48, 40])
     rgb = sitk.GetArrayFromImage(sitk.ReadImage(str(picture)))
     assert rgb.shape == (40, 48, 3)
-    assert rgb.std() > 1.0  # something is in it
+    assert rgb.std() > 1.0  # the picture is not uniform
     assert [p.name for p in tmp_path.iterdir() if p.name != "home"] == ["x.png"]
 
 
-def test_the_window_of_an_xray_is_the_one_asked_for(carina, ct, tmp_path):
+def test_xray_uses_the_requested_grey_window(carina, ct, tmp_path):
     means = []
     for window in ("4000,-3000", "4000,3000"):
         name = tmp_path / "x.png"
@@ -350,7 +350,7 @@ def test_the_window_of_an_xray_is_the_one_asked_for(carina, ct, tmp_path):
     assert means[0] > means[1] + 20
 
 
-def test_the_surface_of_an_airway_view_is_written_beside_it(carina, ct, tmp_path):
+def test_surface_of_an_airway_view_is_written_beside_the_picture(carina, ct, tmp_path):
     picture, walls = tmp_path / "x.png", tmp_path / "x.npz"
     ended = carina("render", ct, "--size", "24x16", "-o", picture, "--surface", walls, "--json")
     assert (ended.code, ended.json()["surface"]) == (0, str(walls))
@@ -360,7 +360,7 @@ def test_the_surface_of_an_airway_view_is_written_beside_it(carina, ct, tmp_path
         assert 0 < np.nanmin(archive["depth_mm"]) < 20
 
 
-def test_the_automatic_pose_in_a_volume_without_airways_exits_4(carina, tmp_path):
+def test_automatic_pose_in_a_volume_without_airways_exits_4(carina, tmp_path):
     values = np.full((20, 20, 20), 40, np.int16)
     values[5:9] = 900  # a bone
     head = store(tmp_path / "tissue.nii.gz", values)
@@ -371,7 +371,7 @@ def test_the_automatic_pose_in_a_volume_without_airways_exits_4(carina, tmp_path
     assert carina("render", head, "--view", "xray-axial", "--size", "8x8", "-o", tmp_path / "x.png").code == 0
 
 
-def test_a_camera_outside_the_volume_is_said(carina, ct, tmp_path):
+def test_camera_outside_the_volume_is_reported(carina, ct, tmp_path):
     ended = carina(
         "render", ct, "--at", "0,-400,0", "--look", "0,1,0", "--size", "16x16", "-o", tmp_path / "x.png", "--json"
     )
@@ -379,7 +379,7 @@ def test_a_camera_outside_the_volume_is_said(carina, ct, tmp_path):
     assert "outside the volume" in ended.err
 
 
-def test_a_disk_that_is_full_exits_1_in_words_and_keeps_the_old_files(carina, ct, tmp_path, monkeypatch):
+def test_full_disk_exits_1_with_a_message_and_keeps_the_old_files(carina, ct, tmp_path, monkeypatch):
     def full(*_arguments, **_options):
         raise OSError(28, "No space left on device")
 
@@ -402,7 +402,7 @@ def test_a_disk_that_is_full_exits_1_in_words_and_keeps_the_old_files(carina, ct
     assert not (tmp_path / "made").exists() or not list((tmp_path / "made").iterdir())
 
 
-def test_a_fault_of_ours_exits_1_in_words(carina, ct, monkeypatch):
+def test_internal_error_exits_1_with_a_message(carina, ct, monkeypatch):
     def broken(*_arguments, **_options):
         raise ZeroDivisionError("x")
 
@@ -411,13 +411,13 @@ def test_a_fault_of_ours_exits_1_in_words(carina, ct, monkeypatch):
     assert (ended.code, ended.json()["error"]["code"]) == (1, "carina.fault")
 
 
-def test_a_cache_that_cannot_be_written_costs_nothing_but_time(carina, ct, tmp_path, monkeypatch):
+def test_read_only_cache_folder_does_not_prevent_a_command(carina, ct, tmp_path, monkeypatch):
     (tmp_path / "home").write_text("a file in place of the folder", encoding="utf-8")
     assert carina("info", ct).code == 0
     assert carina("render", ct, "--size", "16x16", "-o", tmp_path / "x.png").code == 0
 
 
-# ---------------------------------------------------------------- unlucky volumes
+# Unusual volumes
 
 
 UNLUCKY = {
@@ -436,7 +436,7 @@ UNLUCKY = {
 
 @pytest.mark.parametrize("name", UNLUCKY)
 @pytest.mark.parametrize("suffix", [".nii.gz", ".nrrd", ".mha"])
-def test_an_unlucky_volume_is_answered_or_refused_in_words(carina, tmp_path, name, suffix):
+def test_unusual_volume_gives_a_result_or_a_message(carina, tmp_path, name, suffix):
     values, spacing = UNLUCKY[name]
     path = store(tmp_path / f"case{suffix}", values.astype(np.int16), [float(s) for s in spacing])
     told = carina("info", path, "--json")
@@ -446,7 +446,7 @@ def test_an_unlucky_volume_is_answered_or_refused_in_words(carina, tmp_path, nam
         ended = carina(*arguments, "--json")
         assert ended.code in {0, 2, 3, 4}, ended.err
         assert ended.json()
-    # What shows it does not know which format it came in.
+    # Views do not depend on the file format, so only one format tests all of them.
     for view in VIEWS if suffix == ".mha" else ["airway"]:
         output = tmp_path / "x.png"
         ended = carina("render", path, "--view", view, "--at", "0,0,0", "--size", "16x12", "-o", output, "--json")

@@ -1,4 +1,4 @@
-"""``carina devices``."""
+"""The command ``carina devices``."""
 
 from __future__ import annotations
 
@@ -42,19 +42,19 @@ def test_live_values_of_a_handle_are_shown(capsys):
         ("openigtlink:no-such-machine.invalid:18944", "no machine with this name was found"),
     ],
 )
-def test_a_device_that_says_nothing_is_no_success_and_the_reason_is_in_words(capsys, address, words):
+def test_silent_device_exits_with_an_error_and_its_reason(capsys, address, words):
     assert report([address], seconds=1.0, as_json=True) == 4
     said = json.loads(capsys.readouterr().out)["devices"][0]
     assert said["address"] == address
     assert words in said["words"] and "Errno" not in said["words"]
 
 
-def test_what_does_not_change_is_said_once(capsys):
+def test_unchanged_value_is_printed_once(capsys):
     assert report(["handle:/dev/there-is-none"], seconds=0.9, as_json=False) == 4
     lines = capsys.readouterr().err.splitlines()
     assert lines and len(set(lines)) == len(lines)
 
 
-def test_without_a_name_what_is_found_is_listed(capsys):
+def test_devices_without_a_name_lists_the_found_devices(capsys):
     assert report([], seconds=1.0, as_json=False) == 0
     assert "connect through the window" in capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""Whatever a command writes: a disk that is full, read-only or not there is one sentence, and the former file stays."""
+"""Output of commands on a full, read-only or missing disk: one message, and the former file is unchanged."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FLIGHT = ("--to", "0", "--tree", "TREE", "--size", "32x32", "--rate", "2", "--sp
 
 
 class Full:
-    """A file on a disk that takes so many bytes more."""
+    """File on a disk that accepts a limited number of bytes."""
 
     def __init__(self, file, room: int) -> None:
         self._file, self._room = file, room
@@ -39,7 +39,7 @@ class Full:
 
 @pytest.fixture(scope="module")
 def tree(ct, tmp_path_factory):
-    """The tree of the phantom, found once."""
+    """Return the tree of the phantom, found once."""
     import carina
 
     volume = carina.open_volume(ct)
@@ -65,7 +65,7 @@ def label(verb):
 
 @pytest.fixture
 def run(carina, ct, tree):
-    """Runs a verb with files below a folder."""
+    """Run a command with its output files below a folder."""
 
     def ended(verb, folder):
         places = {"CT": ct, "TREE": tree}
@@ -76,7 +76,7 @@ def run(carina, ct, tree):
 
 
 def written(verb):
-    """The name of the file that is looked at."""
+    """Return the name of the output file that the test inspects."""
     return next((word for word in verb if re.match(r"a\.|kept", word) and word != "other.png"), verb[-1])
 
 
@@ -90,7 +90,7 @@ def check(ended, code):
 
 
 @pytest.mark.parametrize("verb", VERBS, ids=label)
-def test_a_disk_that_fills_up_is_said_and_the_former_file_stays(run, tmp_path, monkeypatch, verb):
+def test_disk_that_becomes_full_is_reported_and_the_former_file_stays(run, tmp_path, monkeypatch, verb):
     if verb[0] == "fly":
         pytest.importorskip("av", reason="PyAV is not installed")
     folder = tmp_path / "results"
@@ -119,7 +119,7 @@ def test_a_disk_that_fills_up_is_said_and_the_former_file_stays(run, tmp_path, m
 @pytest.mark.parametrize(
     ("number", "code"), [(errno.EROFS, "disk.denied"), (errno.EACCES, "disk.denied"), (errno.EIO, "disk.failed")]
 )
-def test_a_disk_that_may_not_be_written_is_said(run, tmp_path, monkeypatch, number, code):
+def test_read_only_disk_is_reported(run, tmp_path, monkeypatch, number, code):
     def begin(_folder, _mode):
         raise OSError(number, os.strerror(number))
 
@@ -127,7 +127,7 @@ def test_a_disk_that_may_not_be_written_is_said(run, tmp_path, monkeypatch, numb
     check(run(("render", "CT", "--view", "axial", "--size", "64x64", "-o", "a.png"), tmp_path), code)
 
 
-def test_a_phantom_that_finds_no_room_leaves_the_former_three_files(carina, tmp_path, monkeypatch):
+def test_phantom_on_a_full_disk_leaves_the_former_three_files(carina, tmp_path, monkeypatch):
     folder = tmp_path / "case"
     folder.mkdir()
     names = ("ct.nii.gz", "lumen.nii.gz", "truth.json")
@@ -145,7 +145,7 @@ def test_a_phantom_that_finds_no_room_leaves_the_former_three_files(carina, tmp_
     assert sorted(p.name for p in folder.iterdir()) == sorted(names)
 
 
-def test_a_folder_in_the_way_and_a_missing_one_are_refused_before_the_work(carina, ct, tmp_path):
+def test_folder_as_output_and_missing_folder_are_refused_before_the_work(carina, ct, tmp_path):
     (tmp_path / "a.png").mkdir()
     for place in (tmp_path / "a.png", tmp_path / "nowhere" / "a.png"):
         ended = carina("render", ct, "--view", "axial", "--size", "16x16", "-o", place, "--json")

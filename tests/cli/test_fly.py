@@ -1,4 +1,4 @@
-"""``carina fly`` as a person runs it: the video has the right size, length and number of frames."""
+"""The command ``carina fly``: size, length and number of frames of the video, and its pictures."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ av = pytest.importorskip("av", reason="PyAV is not installed")
 
 @pytest.fixture(scope="module")
 def tree(phantom_folder, tmp_path_factory):
-    """The phantom's exact tree as a file."""
+    """Write the phantom's exact tree to a file and return its path."""
     file = tmp_path_factory.mktemp("tree") / "tree.json"
     truth = json.loads((phantom_folder / "truth.json").read_text())
     file.write_text(json.dumps({**truth, "format": "carina-tree"}))
@@ -47,12 +47,12 @@ def pixel_format(path):
 
 
 def differs(a, b):
-    """Mean difference of two pictures, of 255."""
+    """Return the mean absolute difference of two pictures, 0 to 255."""
     return np.abs(np.asarray(a, dtype=int) - np.asarray(b, dtype=int)).mean()
 
 
 def still(carina, ct, pose, size, output, *, scope=DEFAULT_SCOPE):
-    """The picture that ``carina render`` makes from there."""
+    """Return the picture that ``carina render`` makes from this pose."""
     look, up = pose.lps_from_camera[:3, 2], -pose.lps_from_camera[:3, 1]
     ended = carina(
         "render", ct, *(f"--{name}=" + ",".join(repr(float(v)) for v in value)
@@ -68,7 +68,7 @@ VIDEOS = [("a.mp4", "h264", (96, 64)), ("odd.mp4", "h264", (81, 63)), ("a.webm",
 
 
 @pytest.mark.parametrize("video", VIDEOS, ids=lambda video: video[0])
-def test_a_flight_along_a_route_has_its_length_size_and_number_of_frames(carina, ct, tree, tmp_path, video):
+def test_flight_along_a_route_has_its_length_size_and_number_of_frames(carina, ct, tree, tmp_path, video):
     name, codec, size = video
     output = tmp_path / name
     ended = carina(
@@ -88,22 +88,22 @@ def test_a_flight_along_a_route_has_its_length_size_and_number_of_frames(carina,
     assert said["size"] == list(even)
     assert pixel_format(output) == "yuv420p"
     assert (f"the video has {even[0]} x {even[1]} pixels instead of" in ended.err) == (even != size)
-    # It is a picture of an airway, in its colours, and it changes.
+    # The picture has the colours of an airway and changes during the flight.
     assert frames[0].std() > 10
     assert frames[0][..., 0].mean() > frames[0][..., 2].mean()
     assert differs(frames[0], frames[len(frames) // 2]) > 1
     source = Opened(api.open_volume(ct), Badges())
     first = way_to(source, "1", tree_file=tree, progress=lambda *_: None).path.pose_at(0.0)
-    # It begins where the route does: what is left is the codec's.
+    # The first frame shows the start of the route; the remaining difference is caused by the codec.
     assert differs(frames[0], frames[-1]) > 8
     assert differs(frames[0], still(carina, ct, first, even, tmp_path / "s.png")) < 4
 
 
-def test_key_frames_are_flown(carina, ct, tree, tmp_path):
+def test_flight_follows_key_frames(carina, ct, tree, tmp_path):
     root = json.loads(tree.read_text())["branches"][0]["points"]
     flight = AutoFlight(api.FlightPath(root), speed_mm_s=50.0, pause_s=0.0)
     poses = {t: flight.pose_at(t).lps_from_camera.copy() for t in (0.0, 0.3, 0.5)}
-    # In between it looks at the wall.
+    # The key frame between the others looks at the wall.
     poses[0.3][:3, :3] @= rotation_from_vector(np.array([0.0, 1.2, 0.0]))
     keys = [{"time_s": t, "lps_from_camera": matrix.tolist()} for t, matrix in poses.items()]
     document = tmp_path / "keys.json"
@@ -121,7 +121,7 @@ def test_key_frames_are_flown(carina, ct, tree, tmp_path):
     assert carina("fly", ct, "--keys", document, "-o", output).code == 3
 
 
-def test_key_frames_of_the_window_are_flown_at_their_speed_as_they_were_seen(carina, ct, tree, tmp_path):
+def test_key_frames_of_the_window_keep_their_speed_and_view_settings(carina, ct, tree, tmp_path):
     volume = api.open_volume(ct)
     root = api.FlightPath(json.loads(tree.read_text())["branches"][0]["points"])
     poses = [root.pose_at(mm) for mm in (0.0, 20.0, 40.0)]
@@ -144,7 +144,7 @@ def test_key_frames_of_the_window_are_flown_at_their_speed_as_they_were_seen(car
     renderer.set_lumen(airways.lumen_zyx, airways.tree)
     first = AirwayView(poses[0], fov_deg=70.0, field=ImageField("none"), width=64, height=64, step_vox=1.0)
     assert differs(pictures[0], renderer.render(first).rgb) < 4
-    # An instrument that the command names has its own picture.
+    # An instrument in the command replaces the field of view of the key frames.
     ended = carina("fly", ct, "--keys", document, "-o", output, *how, "--scope", DEFAULT_SCOPE)
     assert ended.code == 0, ended.err
     assert differs(read_video(output)[0][0], still(carina, ct, poses[0], (64, 64), tmp_path / "s.png")) < 4
@@ -156,7 +156,7 @@ def test_key_frames_of_the_window_are_flown_at_their_speed_as_they_were_seen(car
     assert not (tmp_path / "other.mp4").exists()
 
 
-def test_a_recording_of_another_case_is_refused_and_writes_nothing(carina, ct, tmp_path):
+def test_recording_of_another_case_is_refused_and_writes_nothing(carina, ct, tmp_path):
     bench = small_bench()
     bench.open()
     bench.session.do(RecordFlight(tmp_path / "r.jsonl"))
@@ -168,7 +168,7 @@ def test_a_recording_of_another_case_is_refused_and_writes_nothing(carina, ct, t
     assert not list(tmp_path.glob("*.mp4"))
 
 
-def test_a_recording_of_this_case_becomes_a_video_of_its_length(carina, ct, tmp_path):
+def test_recording_of_this_case_gives_a_video_of_its_length(carina, ct, tmp_path):
     bench = small_bench()
     volume = api.open_volume(ct)
     bench.session.do(OpenVolume(volume))
@@ -198,15 +198,15 @@ def test_a_recording_of_this_case_becomes_a_video_of_its_length(carina, ct, tmp_
     assert differs(frames[0], still(carina, ct, began, (72, 72), tmp_path / "s.png")) < 4
 
 
-def test_a_frame_shows_the_newest_moment_that_is_not_later():
+def test_frame_shows_the_newest_moment_that_is_not_later():
     moments = [ReplayedPose(t, api.Pose(np.eye(4)), {"n": n}) for n, t in enumerate((0.0, 0.1, 0.1, 0.3, 0.5))]
     times = np.array([0.0, 0.05, 0.1, 0.2, 0.3, 0.49, 0.5, 9.0])
     assert [moment.view["n"] for moment in sampled(moments, times)] == [0, 0, 2, 2, 3, 3, 4, 4]
-    # What begins later than the video is shown from the start.
+    # A recording that begins after the start of the video is shown from the start.
     assert sampled(moments[3:], np.array([0.0])) == [moments[3]]
 
 
-def test_a_recording_of_a_held_scope_is_flown_with_its_wall(carina, ct, tmp_path):
+def test_recording_with_wall_contact_is_replayed_with_its_wall(carina, ct, tmp_path):
     def find_airways(volume, *, root_lps, lumen_threshold, progress, cancel):
         return api.find_airways(volume, root_lps=root_lps, progress=progress, cancel=cancel)
 
@@ -248,13 +248,13 @@ def test_a_recording_of_a_held_scope_is_flown_with_its_wall(carina, ct, tmp_path
     [["-o", "x.gif", "--to", "1"], ["-o", "x.mp4"], ["-o", "x.mp4", "--to", "1", "--keys", "k.json"],
      ["-o", "x.mp4", "--to", "1", "--speed", "0"], ["-o", "x.mp4", "--to", "1", "--rate", "1000"]],
 )  # fmt: skip
-def test_what_cannot_be_meant_is_refused_before_the_work(carina, ct, tmp_path, monkeypatch, arguments):
+def test_inconsistent_arguments_are_refused_before_the_work(carina, ct, tmp_path, monkeypatch, arguments):
     monkeypatch.chdir(tmp_path)
     assert carina("fly", ct, *arguments).code == 2
     assert not list(tmp_path.glob("x.*"))
 
 
-def test_a_still_picture_says_where_its_camera_was(carina, ct, tmp_path):
+def test_picture_file_contains_the_pose_of_its_camera(carina, ct, tmp_path):
     output = tmp_path / "p.png"
     ended = carina("render", ct, "--at=0,0,0", "--look=0,0,-1", "--size", "64x48", "-o", output, "--json")
     assert ended.code == 0, ended.err

@@ -1,4 +1,7 @@
-"""``carina fly`` on many machines, and one that was stopped: the same video, each picture made once and in order."""
+"""The command ``carina fly`` on several machines and after an interruption.
+
+The video is the same, and each picture is rendered once and in order.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +37,7 @@ HOW = ["--size", "64x64", "--rate", "10", "--step-vox", "1", "--json"]
 
 @pytest.fixture(scope="module")
 def keys(phantom_folder, tmp_path_factory):
-    """Twelve pictures along the trachea."""
+    """Return key frames for twelve pictures along the trachea."""
     root = json.loads((phantom_folder / "truth.json").read_text())["branches"][0]["points"]
     flight = AutoFlight(api.FlightPath(root), speed_mm_s=50.0, pause_s=0.0)
     file = tmp_path_factory.mktemp("keys") / "keys.json"
@@ -44,20 +47,20 @@ def keys(phantom_folder, tmp_path_factory):
 
 
 def read_video(path):
-    """Its pictures."""
+    """Return the pictures of a video."""
     with av.open(str(path)) as container:
         return [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
 
 
 @pytest.fixture
 def film(carina, ct, keys):
-    """Flies through the key frames."""
+    """Return a function that renders the flight through the key frames."""
     return lambda output, *more: carina("fly", ct, "--keys", keys, "-o", output, *more)
 
 
 @pytest.fixture
 def whole(film, tmp_path):
-    """The video that one machine makes in one go."""
+    """Return the video that one machine makes without an interruption."""
     ended = film(tmp_path / "whole.mp4", *HOW)
     assert ended.code == 0, ended.err
     frames = read_video(tmp_path / "whole.mp4")
@@ -66,7 +69,7 @@ def whole(film, tmp_path):
 
 
 class DyingLane(LocalLane):
-    """A machine that answers some strips and then never again."""
+    """Lane of a machine that answers some strips and then stops answering."""
 
     def __init__(self, name: str, lives: int = 10_000) -> None:
         self.lives = lives
@@ -74,7 +77,7 @@ class DyingLane(LocalLane):
         super().__init__(name=name)
 
     def submit(self, order, done):
-        """Render, as long as it lives."""
+        """Render the strip unless the machine has died."""
         self.lives -= 1
 
         def tell(answer):
@@ -89,7 +92,7 @@ class DyingLane(LocalLane):
 
 @pytest.fixture
 def machines(monkeypatch):
-    """Three machines in place of a cluster's; one of them dies on the way. Those that rendered, afterwards."""
+    """Replace the cluster by three machines, one of which dies, and return the list of those that rendered."""
     lanes = [DyingLane("a"), DyingLane("b", lives=2), DyingLane("c")]
 
     @contextlib.contextmanager
@@ -110,7 +113,7 @@ def machines(monkeypatch):
     return lanes
 
 
-def test_a_flight_on_three_machines_of_which_one_dies_is_that_of_one(film, tmp_path, whole, machines):
+def test_flight_on_three_machines_one_of_which_dies_equals_that_of_one_machine(film, tmp_path, whole, machines):
     output = tmp_path / "many.mp4"
     ended = film(output, *HOW, "--cluster", "10.0.0.5")
     assert ended.code == 0, ended.err
@@ -118,7 +121,7 @@ def test_a_flight_on_three_machines_of_which_one_dies_is_that_of_one(film, tmp_p
     assert sum(len(lane.answered) > 0 for lane in machines) >= 2, "the pictures were spread"
 
 
-def test_a_flight_that_was_stopped_goes_on_behind_its_last_picture(film, tmp_path, whole, machines, monkeypatch):
+def test_interrupted_flight_resumes_after_its_last_picture(film, tmp_path, whole, machines, monkeypatch):
     folder, output = tmp_path / "kept", tmp_path / "v.mp4"
     arguments = [output, *HOW, "--keep", folder]
     keep = KeptFrames.keep
@@ -139,7 +142,7 @@ def test_a_flight_that_was_stopped_goes_on_behind_its_last_picture(film, tmp_pat
         keep(self, number, picture)
 
     monkeypatch.setattr(KeptFrames, "keep", noted)
-    # With or without machines: the pictures are the same.
+    # The pictures are equal with and without other machines.
     ended = film(*arguments)
     assert ended.code == 0, ended.err
     assert ended.json()["num_kept"] == 5
@@ -149,7 +152,7 @@ def test_a_flight_that_was_stopped_goes_on_behind_its_last_picture(film, tmp_pat
     assert made == list(range(12))
 
 
-def test_pictures_of_another_flight_are_not_taken_for_this_one(film, tmp_path):
+def test_stored_pictures_of_another_flight_are_not_used(film, tmp_path):
     folder = tmp_path / "kept"
     base = [tmp_path / "v.mp4", *HOW[2:], "--keep", folder]
     assert film(*base, "--size", "48x48").code == 0
@@ -170,7 +173,7 @@ def test_pictures_of_another_flight_are_not_taken_for_this_one(film, tmp_path):
     assert [path.name for path in other.iterdir()] == ["letter.txt"]
 
 
-def test_all_that_a_picture_depends_on_tells_one_flight_from_another(ct, monkeypatch):
+def test_fingerprint_of_a_flight_includes_all_inputs_of_its_pictures(ct, monkeypatch):
     volume = api.open_volume(ct)
     pose = AutoFlight(api.FlightPath([[0, 0, 1], [0, 0, 0]]), speed_mm_s=10.0, pause_s=0.0).pose_at(0.0)
     frames = [ReplayedPose(0.0, pose, {"shading": True})]
@@ -205,7 +208,7 @@ def test_all_that_a_picture_depends_on_tells_one_flight_from_another(ct, monkeyp
 @needs_ray
 @pytest.mark.ray
 @pytest.mark.slow
-def test_a_flight_on_a_real_cluster_is_that_of_one_machine(ct, keys, tmp_path, whole):
+def test_flight_on_a_real_cluster_equals_that_of_one_machine(ct, keys, tmp_path, whole):
     environment = {**environment_in(tmp_path), "HOME": str(tmp_path)}
     output = tmp_path / "ray.mp4"
     command = [sys.executable, "-m", "carina.cli", "fly", str(ct), "--keys", str(keys), "-o", str(output), *HOW]

@@ -1,4 +1,4 @@
-"""The wall of a recording is made again from what the recording keeps of the airways, or refused."""
+"""Airway wall of a recording: reconstruction from the stored search settings and edits, or a refusal."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from carina.track import CutBranch, edits_to_json
 
 @pytest.fixture
 def searches(monkeypatch):
-    """Airways are the words that say how they came to be; a wall's digest is theirs."""
+    """Replace search, edits and wall by texts that list their inputs, and return the calls of the search."""
     seen = []
 
     def find(volume, *, root_lps=None, lumen_threshold=None, progress):
@@ -29,19 +29,19 @@ def searches(monkeypatch):
     return seen
 
 
-def test_edits_are_made_again_to_airways_found_as_then(searches):
+def test_edits_are_repeated_on_airways_found_with_the_stored_settings(searches):
     edit = CutBranch(3)
     kept = {"digest": f"found [1.0, 2.0, 3.0] -800.0, {edit}", "root_lps": [1.0, 2.0, 3.0], "lumen_threshold": -800.0}
     kept["edits"] = edits_to_json([edit])
     wall = fly._walls(None, None)
     assert wall(kept).of == kept["digest"]
     assert searches == [(None, None), (None, -800.0), ([1.0, 2.0, 3.0], -800.0)]
-    # The same wall is made once.
+    # The same wall is made only once.
     assert wall(kept) is wall(kept)
     assert len(searches) == 3
 
 
-def test_a_search_that_finds_nothing_by_itself_does_not_end_the_others(searches, monkeypatch):
+def test_failed_automatic_search_does_not_prevent_a_search_from_the_root(searches, monkeypatch):
     find = carina.find_airways
 
     def by_root_alone(volume, *, root_lps=None, lumen_threshold=None, progress):
@@ -67,7 +67,7 @@ def test_a_search_that_finds_nothing_by_itself_does_not_end_the_others(searches,
         fly._walls(None, None)({})
 
 
-def test_other_airways_are_refused_in_words(searches):
+def test_different_airways_are_refused_with_a_message(searches):
     with pytest.raises(
         VolumeImportError, match=("the airways that guided the scope in this recording differ")
     ) as refused:
@@ -75,5 +75,5 @@ def test_other_airways_are_refused_in_words(searches):
     assert refused.value.code == "navigate.recording"
 
 
-def test_a_recording_from_before_takes_the_airways_that_are_found(searches):
+def test_recording_without_search_settings_uses_the_found_airways(searches):
     assert fly._walls(None, None)({}).of == "found None None"

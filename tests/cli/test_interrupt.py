@@ -1,4 +1,4 @@
-"""Ctrl-C in each long stage, on a real process: 130 at once, in words, and nothing half written."""
+"""Ctrl-C in each long stage of a real process: exit code 130, a message, and no partial files."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ from carina.cli.console import interruptible
 from own_folders import environment_in
 
 WAIT_S = 120.0
-"""Bound of every wait. One picture below takes minutes: only an answer to Ctrl-C ends within it."""
+"""Time limit of every wait in s.
+
+One picture below takes minutes, so only an interrupted command ends within the limit.
+"""
 
 
 @pytest.mark.parametrize("stage", ["import", "phantom", "picture"])
@@ -51,7 +54,7 @@ def test_ctrl_c_exits_130_and_leaves_no_file(stage, ct, tmp_path):
     assert not list(tmp_path.glob("*.png"))
 
 
-# A shell that starts the tests in the background hands on Ctrl-C as ignored; a person's terminal does not.
+# A shell that starts the tests in the background makes its children ignore Ctrl-C, unlike a terminal.
 STARTED = """
 import signal
 import sys
@@ -71,7 +74,7 @@ main()
 """
 
 
-def test_work_beside_the_main_thread_gives_its_result_or_its_trouble():
+def test_background_work_returns_its_result_or_raises_its_error():
     assert interruptible(lambda: 7) == 7
     with pytest.raises(ZeroDivisionError):
         interruptible(lambda: 1 // 0)

@@ -1,4 +1,4 @@
-"""``carina track`` in a volume that holds no airway: what it finds, and what it says it does not know."""
+"""The command ``carina track`` in a volume without airways: its path, and the figures that are unknown."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from vessel import made_vessel
 
 @pytest.fixture(scope="module")
 def vessel(tmp_path_factory):
-    """A scan, a start and an end as the command line takes them."""
+    """Return a scan, and a start and an end as command-line arguments."""
     volume, _, root, _, end = made_vessel()
     scan = tmp_path_factory.mktemp("vessel") / "vessel.nii.gz"
     write_grid(scan, volume.hu_zyx, volume.lps_from_ijk, what="the scan")
     return scan, *(",".join(f"{v:.3f}" for v in point) for point in (root, end))
 
 
-def test_a_path_through_a_vessel_is_written_and_what_is_not_known_is_said(carina, vessel, tmp_path):
+def test_path_through_a_vessel_is_written_with_its_unknown_figures(carina, vessel, tmp_path):
     scan, root, end = vessel
     tree = tmp_path / "tree.json"
     ended = carina("track", scan, "--cost", "walls", f"--root={root}", f"--target={end}", "-o", tree, "--json")
@@ -28,7 +28,7 @@ def test_a_path_through_a_vessel_is_written_and_what_is_not_known_is_said(carina
     told = ended.json()
     (row,) = told["targets"]
     assert row["problem"] is None
-    # Not known is null, never 0.
+    # An unknown figure is null and never 0.
     assert (row["min_radius_mm"], row["generation"], row["search"]["num_outside"]) == (None, None, None)
     assert row["search"]["value_range"][0] > 1100
     assert "track.no-lumen" in [badge["code"] for badge in told["badges"]]
@@ -39,14 +39,14 @@ def test_a_path_through_a_vessel_is_written_and_what_is_not_known_is_said(carina
     assert "generation" not in said
 
 
-def test_without_a_start_it_says_that_one_is_needed(carina, vessel):
+def test_missing_start_is_reported(carina, vessel):
     scan, _, end = vessel
     ended = carina("track", scan, "--cost", "walls", f"--target={end}")
     assert ended.code == 4
     assert "a start point (root)" in ended.err
 
 
-def test_a_case_without_airways_is_tracked_from_a_start_and_says_that_it_needs_one(carina, vessel, tmp_path):
+def test_case_without_airways_needs_a_start_for_tracking(carina, vessel, tmp_path):
     scan, root, end = vessel
     with Case.open(scan) as opened:
         case = opened.save(tmp_path / "vessel.carina")
@@ -58,7 +58,7 @@ def test_a_case_without_airways_is_tracked_from_a_start_and_says_that_it_needs_o
     assert "--root" in ended.err
 
 
-def test_a_target_outside_the_volume_is_refused(carina, vessel):
+def test_target_outside_the_volume_is_refused(carina, vessel):
     scan, root, _ = vessel
     ended = carina("track", scan, "--cost", "paper", f"--root={root}", "--target=900,0,0")
     assert ended.code == 2

@@ -1,4 +1,4 @@
-"""Names that ``carina open`` cannot pass to the window end the command with a message."""
+"""Path names that ``carina open`` cannot pass to the window: the command ends with a message."""
 
 from __future__ import annotations
 

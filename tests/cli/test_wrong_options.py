@@ -1,4 +1,7 @@
-"""Every option of every command refuses wrong values before the work; options without effect are refused as well."""
+"""Invalid values of every option of every command: they are refused before the work.
+
+Options without effect are refused as well.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +19,10 @@ NEVER = (
     "nan", "inf", "-inf", "1e300", "-1e300", "99999999999999999999", "", " ", "no-such-thing", "1,2", "nan,nan,nan",
     "x" * 5000,
 )  # fmt: skip
-"""Outside every range of numbers, and no name of an output file."""
+"""Values outside every numeric range that are not names of output files either."""
 WORDS = (*NEVER, "-1", "0")
 FEW_WORDS = ("nan", "99999999999999999999", "")
-"""What `make test` tries; the soak test tries all."""
+"""Values that ``make test`` tries; the soak test tries all of them."""
 NUMBER_TYPES = {str(kind) for kind in (int, float, int | None, float | None)}
 SUFFIXED = {"airways", "export", "track", "plan", "render", "isoregion", "fly", "case recording"}
 """Commands whose output selects its format by its suffix."""
@@ -51,18 +54,18 @@ GOOD: dict[str, list[str]] = {
     "render": ["CT", "-o", "picture.png"],
     "track": ["CT", "--target", POINT],
 }
-"""Arguments with which each command begins its work."""
+"""Valid arguments with which each command begins its work."""
 
 
 class WorkBeganError(CarinaError):
-    """The arguments were accepted and the work would begin."""
+    """Error that shows that the arguments were accepted and the work would begin."""
 
     code = "test.work"
     exit_code = 3
 
 
 def all_commands() -> dict[str, Any]:
-    """Return each command with its name, as ``case info``."""
+    """Return each command with its full name, such as ``case info``."""
     group: Any = typer.main.get_command(app)
     found: dict[str, Any] = {}
     for name, command in group.commands.items():
@@ -76,13 +79,13 @@ UNATTENDED = sorted(set(COMMANDS) - {"bench", "cluster join", "cluster start", "
 """Commands without a network, a device or a cluster."""
 
 
-def test_every_command_has_good_arguments() -> None:
+def test_every_command_has_valid_arguments() -> None:
     assert sorted(COMMANDS) == sorted(GOOD)
 
 
 @pytest.fixture
 def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let the work of a command end where it begins."""
+    """Stop every command where its work begins."""
 
     def begin(*_arguments: object, **_options: object) -> None:
         raise WorkBeganError("the work began")
@@ -126,7 +129,7 @@ def wrong_calls(name: str, words: tuple[str, ...]) -> list[tuple[str, list[str],
     "words", [pytest.param(FEW_WORDS, id="few"), pytest.param(WORDS, id="all", marks=pytest.mark.soak)]
 )
 @pytest.mark.parametrize("name", UNATTENDED)
-def test_a_command_refuses_wrong_values_before_the_work(  # noqa: PLR0917 - fixtures and parameters
+def test_command_refuses_invalid_values_before_the_work(  # noqa: PLR0917 - fixtures and parameters
     name: str, words: tuple[str, ...], carina: Any, ct: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     work = tmp_path / "work"
@@ -182,7 +185,7 @@ def test_a_command_refuses_wrong_values_before_the_work(  # noqa: PLR0917 - fixt
     ],
     ids=str,
 )
-def test_an_option_without_effect_is_refused(  # noqa: PLR0917 - fixtures and parameters
+def test_option_without_effect_is_refused(  # noqa: PLR0917 - fixtures and parameters
     carina: Any, ct: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], option: str
 ) -> None:
     monkeypatch.chdir(tmp_path)

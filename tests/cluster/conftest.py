@@ -1,4 +1,4 @@
-"""A small noisy airway, consoles that end with the test, and lanes that fail on demand."""
+"""Fixtures of the cluster tests: a small noisy airway, consoles, and lanes that fail on demand."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from carina.volume import Volume
 
 @dataclass(frozen=True)
 class SmallCase:
-    """A bent tube on an oblique, anisotropic grid, its lumen, and a camera inside."""
+    """Bent tube on an oblique, anisotropic grid, with its lumen and a camera inside."""
 
     volume: Volume
     lumen_zyx: np.ndarray
     pose: Pose
 
     def renderer(self, simd: str | None = None, *, prepared: bool = True) -> Renderer:
-        """One machine's renderer of it."""
+        """Return a renderer of the case, as on a single machine."""
         renderer = Renderer(self.volume, simd=simd)
         renderer.set_lumen(self.lumen_zyx)
         if prepared:
@@ -34,7 +34,7 @@ class SmallCase:
 
 @pytest.fixture(scope="session")
 def case() -> SmallCase:
-    """The same in every run."""
+    """Return the case, equal in every run."""
     shape = (40, 34, 36)
     z, y, x = np.meshgrid(*(np.arange(n, dtype=float) for n in shape), indexing="ij")
     off = np.hypot((x - 17 - 3 * np.sin(z / 9)) * 0.9, (y - 16) * 1.1)
@@ -54,7 +54,7 @@ def case() -> SmallCase:
 
 @pytest.fixture
 def consoles() -> Iterator[Callable[..., Console]]:
-    """Makes consoles and closes them."""
+    """Return a function that creates consoles, and close them after the test."""
     made: list[Console] = []
 
     def make(settings: ClusterSettings | None = None, **options) -> Console:
@@ -68,7 +68,7 @@ def consoles() -> Iterator[Callable[..., Console]]:
 
 @dataclass
 class Trouble:
-    """What a faulty lane does to its answers; tests change it while it runs."""
+    """Faults of a lane's replies, which a test can change while the lane runs."""
 
     drops: bool = False
     raises: BaseException | None = None
@@ -84,7 +84,7 @@ class Trouble:
 
 
 class FaultyLane(LocalLane):
-    """A lane that does what its trouble says."""
+    """Lane with the faults of its ``trouble``."""
 
     def __init__(self, renderer: Renderer, *, name: str) -> None:
         self.trouble = Trouble()
@@ -92,7 +92,7 @@ class FaultyLane(LocalLane):
         super().__init__(renderer, name=name)
 
     def submit(self, order, done):
-        """Render, and then maybe not say so."""
+        """Render a strip and reply as the current faults demand."""
         trouble = self.trouble
         trouble.num_orders += 1
         if trouble.refuses:
@@ -111,7 +111,7 @@ class FaultyLane(LocalLane):
             elif trouble.old_frame:
                 done(replace(answer, frame_id=answer.frame_id - 1, rgb=answer.rgb * 0))
             elif trouble.other_rows:
-                # The same frame and height, but the rows below or above.
+                # The frame and the height are correct, but the rows are shifted by one.
                 shift = 1 if answer.first_row == 0 else -1
                 done(replace(answer, first_row=answer.first_row + shift, rgb=np.roll(answer.rgb, shift, axis=0)))
             elif trouble.holds:
@@ -123,7 +123,7 @@ class FaultyLane(LocalLane):
         super().submit(order, answered)
 
     def release(self) -> None:
-        """Say now what was held back."""
+        """Send all delayed replies."""
         self.trouble.holds = False
         with self._guard:
             held, self.trouble.held = self.trouble.held, []
@@ -133,7 +133,7 @@ class FaultyLane(LocalLane):
 
 @dataclass
 class Cluster:
-    """A console with faulty lanes of one case, and the truth: a renderer that the cluster does not know."""
+    """Console with faulty lanes of one case, and ``truth``, a renderer outside the cluster."""
 
     console: Console
     renderer: ClusterRenderer
@@ -143,7 +143,7 @@ class Cluster:
 
 @pytest.fixture
 def cluster(case, consoles) -> Callable[..., Cluster]:
-    """Makes clusters whose lanes are threads."""
+    """Return a function that creates clusters whose lanes are threads."""
 
     def make(simds=(None, None, None), settings: ClusterSettings | None = None) -> Cluster:
         console = consoles(settings)

@@ -1,7 +1,7 @@
-"""A flight on three machines, each a network namespace; run by test_network.py as root, in the head's namespace.
+"""Flight on three machines in separate network namespaces, started by test_network.py as root in the head's namespace.
 
-Arguments: a folder, the namespaces' prefix. Prints one JSON object. Each machine has a shared memory and a Ray folder
-of its own: several Rays that start in one folder disturb each other.
+The arguments are a folder and the prefix of the namespaces; the output is one JSON object. Each machine has its own
+shared memory and Ray folder, because several Rays that start in one folder disturb each other.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ OWN_FOLDERS = (
 
 
 def own_folders(folder: Path) -> list[str]:
-    """What to put before a command so that it has shared memory and a Ray folder of its own."""
+    """Return the beginning of a command that gives a machine its own shared memory and Ray folder."""
     return ["unshare", "-m", "env", f"RAY_FOLDER={folder / 'ray'}", "sh", "-c", OWN_FOLDERS, "machine"]
 
 
 def link(prefix: str, host: int, state: str) -> None:
-    """Cut a machine's cable, or put it back, at the switch."""
+    """Set a machine's port of the network switch ``up`` or ``down``."""
     subprocess.run(["ip", "-n", f"{prefix}s", "link", "set", f"p{host}", state], check=True, timeout=20)
 
 
 def join(folder: Path, prefix: str, host: int) -> subprocess.Popen[bytes]:
-    """``carina cluster join`` on a machine, as a person or a service runs it."""
+    """Start ``carina cluster join`` on a machine."""
     home = folder / f"home{host}"
     home.mkdir()
     words = (folder / f"join{host}.log").open("wb")
@@ -53,7 +53,7 @@ def join(folder: Path, prefix: str, host: int) -> subprocess.Popen[bytes]:
 
 
 def fly(flight, seconds: float, until=lambda: False) -> list[float]:
-    """Ask for pictures, 25 a second at most; every one must be right. When each was shown."""
+    """Request at most 25 pictures a second, check each one, and return the times at which they were shown in s."""
     began_s = time.monotonic()
     shown = [began_s]
     while time.monotonic() < began_s + seconds and not until():
@@ -65,19 +65,19 @@ def fly(flight, seconds: float, until=lambda: False) -> list[float]:
 
 
 def longest_ms(shown: list[float]) -> float:
-    """The longest time that one picture stood."""
+    """Return the longest time between two pictures in ms."""
     return 1e3 * max(b - a for a, b in itertools.pairwise(shown))
 
 
 def renders(flight, name: str) -> bool:
-    """Whether a machine's strips are in the pictures that are made now."""
+    """Return whether current pictures contain strips of a machine."""
     before = len(flight.console.jobs)
     fly(flight, 0.5)
     return name in {job.lane for job in flight.console.jobs[before:] if job.accepted}
 
 
 def main(folder: Path, prefix: str) -> dict[str, object]:
-    """The whole flight; what came of it."""
+    """Run the whole flight and return its figures."""
     token = make_token(folder / "token")
     node = Node(
         token, head=True, ip=ADDRESSES[0], port=PORT, dedicated=True, temp_dir=folder / "ray", log=folder / "head.log",
@@ -90,7 +90,7 @@ def main(folder: Path, prefix: str) -> dict[str, object]:
         with flying(
             head, SleepingRenderer, num=1, settings=ClusterSettings(), ip=ADDRESSES[0], row_seconds=0.02 / 170
         ) as flight:
-            # Both come during the flight.
+            # The other two machines join during the flight.
             joined = [join(folder, prefix, host) for host in (1, 2)]
             fly(flight, 150.0, until=lambda: len(flight.ready()) == 3)
             wait_for(lambda: len(flight.ready()) == 3, 30.0)
@@ -104,7 +104,7 @@ def main(folder: Path, prefix: str) -> dict[str, object]:
                 link(prefix, host, "up")
                 fly(flight, 60.0, until=lambda: len(flight.ready()) == 3)
                 fly(flight, 1.0)
-            # Long enough that Ray gives the machine up: it has to join anew, which its service does by itself.
+            # The interruption is so long that Ray removes the machine, which must then rejoin by itself.
             link(prefix, 2, "down")
             gone = f"the machine {ADDRESSES[2]} has left the cluster"
             fly(flight, 60.0, until=lambda: gone in flight.console.status().notices)

@@ -1,4 +1,4 @@
-"""A real Ray on loopback for tests: one head, sleeping renderers, no process left at the end."""
+"""Real Ray cluster on loopback for tests: one head and sleeping renderers, without processes left at the end."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ needs_ray = pytest.mark.skipif(
     not sys.platform.startswith("linux") or importlib.util.find_spec("ray") is None,
     reason="needs Linux and Ray (make setup-tests)",
 )
-IP = "127.0.0.2"  # Ray rewrites 127.0.0.1 to the machine's address on the network
+IP = "127.0.0.2"  # Ray replaces 127.0.0.1 by the machine's address on the network
 VIEW = AirwayView(Pose.looking((8.0, 8.0, 8.0), (0.0, 0.0, -1.0)), width=512, height=512)
 
 
@@ -38,7 +38,7 @@ def import_path() -> dict[str, str]:
 
 
 def free_port() -> int:
-    """A port that nobody listens on now."""
+    """Return a port on which no program listens."""
     with socket.socket() as probe:
         probe.bind((IP, 0))
         return int(probe.getsockname()[1])
@@ -46,24 +46,24 @@ def free_port() -> int:
 
 @dataclass
 class Head:
-    """A running head and its token."""
+    """Running head of a Ray cluster, and its token."""
 
     node: Node
     token: Path
     folder: Path
-    """What it keeps, its logs too."""
+    """Folder of the head's files and logs."""
     seen: dict[int, str] = field(default_factory=dict)
-    """All it has started, as far as somebody looked."""
+    """Processes that the head has started, as found by ``look``."""
     left: list[str] = field(default_factory=list)
-    """What of that is alive after the head was stopped, and should not be."""
+    """Processes of ``seen`` that were still alive after the head was stopped, which is a failure."""
 
     def look(self) -> None:
-        """Remember who runs now: whose parent has died is not found any more."""
+        """Store the current child processes, because processes whose parent has died cannot be found later."""
         self.seen |= descendants(self.node.process.pid)
 
 
 def alive(tree: dict[int, str]) -> list[str]:
-    """Names of those that still run; one that is only not waited for by its new parent does not."""
+    """Return the names of processes that still run; zombies do not count."""
     found = []
     for pid, began in tree.items():
         with contextlib.suppress(OSError):
@@ -76,8 +76,11 @@ def alive(tree: dict[int, str]) -> list[str]:
 
 @contextlib.contextmanager
 def running_head(renderers: int) -> Iterator[Head]:
-    """A head with renderers; ended, with all it has started. ``left`` then says who had to be ended here."""
-    # Not pytest's own folder: Ray puts sockets in it, whose paths must be short.
+    """Start a head with renderers and stop it with all its processes.
+
+    Afterwards, ``left`` lists the processes that did not end by themselves.
+    """
+    # Ray puts sockets in this folder, whose paths must be short; the folder of pytest is too long.
     folder = Path(tempfile.mkdtemp(prefix="ray-"))
     token = make_token(folder / "token")
     node = Node(
@@ -99,7 +102,7 @@ def running_head(renderers: int) -> Iterator[Head]:
         yield head
     finally:
         head.look()
-        # Gives Ray's agents 5 s and then ends them; nobody is left to be ended by the rig.
+        # Node.stop waits 5 s for Ray's agents and then kills them, so no process should be left for ``reap``.
         node.stop()
         _running.remove(head)
         head.left = alive(head.seen)
@@ -108,7 +111,7 @@ def running_head(renderers: int) -> Iterator[Head]:
 
 
 def small_volume(size: int = 16) -> Volume:
-    """Noise."""
+    """Return a cubic volume of noise."""
     hu = np.random.default_rng(5).integers(-1000, 200, (size, size, size)).astype(np.int16)
     return Volume(hu, np.eye(4))
 
@@ -118,7 +121,7 @@ _flights: list[Flight] = []
 
 
 def wait_for(what, timeout_s: float = 240.0):
-    """Until something is true; says how the cluster was if not."""
+    """Wait until a function returns a true value and return it; on a timeout, fail with the state of the cluster."""
     end_s = time.monotonic() + timeout_s
     while not (found := what()):
         assert time.monotonic() < end_s, how_it_is()
@@ -127,7 +130,7 @@ def wait_for(what, timeout_s: float = 240.0):
 
 
 def how_it_is() -> str:
-    """What consoles, renderers and Ray's own processes do now, for a test that waited in vain."""
+    """Return the state of consoles, renderers and Ray's processes for the message of a timeout."""
     words = ["nothing came of it"]
     for flight in _flights:
         with contextlib.suppress(Exception):
@@ -164,7 +167,7 @@ def how_it_is() -> str:
 
 @dataclass
 class Flight:
-    """A console with renderers on a Ray, and pictures to ask it for."""
+    """Console with renderers on a Ray cluster, and a renderer that requests pictures from it."""
 
     console: Console
     renderer: ClusterRenderer
@@ -172,7 +175,7 @@ class Flight:
     _truth: tuple | None = None
 
     def ready(self) -> list[str]:
-        """Names of the renderers that can render now."""
+        """Return the names of the renderers that are ready."""
         members = self.console.status().members
         return [m.name for m in members if m.state == "ready" and m.name != "console"]
 
@@ -192,12 +195,12 @@ class Flight:
         return float(theirs.mean())
 
     def lane(self, name: str):
-        """One renderer's lane."""
+        """Return the lane of a renderer."""
         return self.console._members[name].lane
 
     @property
     def content(self) -> int:
-        """The number of what is shown."""
+        """Content number of the scene that is shown."""
         return self.renderer._sent[1]
 
 
@@ -213,7 +216,10 @@ def flying(
     limit: int | None = None,
     **options,
 ) -> Iterator[Flight]:
-    """A console with ``num`` renderers ready, of at most ``limit``: each is a process that takes seconds to start."""
+    """Start a console and wait for ``num`` ready renderers, of at most ``limit``.
+
+    Each renderer is a process that takes seconds to start.
+    """
     from carina.cluster.ray_backend import RayCluster
 
     console = Console(settings, keep_jobs=True)

@@ -1,4 +1,4 @@
-"""Who comes to a cluster gets a lane, and whoever goes gives the machine back: on a Ray that the tests play."""
+"""Members of a cluster: new renderers get a lane, and departing ones release their machine; Ray is simulated."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ HELLO = {
 
 
 class Actor:
-    """A renderer that was asked for: it holds its machine until it is killed, and answers when the test says so."""
+    """Simulated Ray actor of a renderer; it occupies its machine until it is killed, and the test makes it reply."""
 
     def __init__(self, node: str) -> None:
         self.node = node
@@ -36,18 +36,18 @@ class Actor:
         self.ping = SimpleNamespace(options=lambda **_: call)
 
     def says(self, **changes) -> None:
-        """Started: it answers its first question."""
+        """Reply to the first call, which shows that the renderer has started."""
         self.hello.set_result(HELLO | changes)
 
 
 @dataclass
 class PlayedRay:
-    """As much of Ray as the membership needs."""
+    """Simulation of the parts of Ray that the membership uses."""
 
     nodes_there: list[str] = field(default_factory=lambda: ["a"])
     actors: list[Actor] = field(default_factory=list)
     may_start: threading.Event = field(default_factory=threading.Event)
-    """Until then whoever asks for a renderer waits."""
+    """Event for which each request for a renderer waits; set at the start."""
     num_asked: int = 0
 
     def __post_init__(self) -> None:
@@ -94,7 +94,7 @@ def ray(monkeypatch) -> PlayedRay:
 
 @pytest.fixture
 def join(ray, consoles, tmp_path):
-    """A console in that cluster: ``console, cluster``."""
+    """Return a function that connects a console to the simulated cluster and returns both."""
     made = []
 
     def joined(**options) -> tuple[Console, RayCluster]:
@@ -112,14 +112,14 @@ def names(console) -> list[str]:
 
 
 def in_rays_thread(what) -> None:
-    """As Ray calls back: in a thread that may not wait for Ray."""
+    """Call a function in a thread like Ray's callbacks, which must not wait for Ray."""
     thread = threading.Thread(target=what, name="ray's own")
     thread.start()
     thread.join(60.0)
     assert not thread.is_alive()
 
 
-def test_a_renderer_that_starts_gets_a_lane_and_gives_its_machine_back_at_the_end(ray, join):
+def test_started_renderer_gets_a_lane_and_releases_its_machine_on_close(ray, join):
     console, cluster = join()
     [actor] = wait_for(lambda: list(ray.actors))
     assert names(console) == []
@@ -131,18 +131,18 @@ def test_a_renderer_that_starts_gets_a_lane_and_gives_its_machine_back_at_the_en
 
 
 @pytest.mark.parametrize("version", [carina.__version__, "0.0.1"])
-def test_a_renderer_that_was_still_starting_when_all_was_closed_gives_its_machine_back(ray, join, version):
+def test_renderer_still_starting_on_close_releases_its_machine(ray, join, version):
     console, cluster = join()
     [actor] = wait_for(lambda: list(ray.actors))
     cluster.close()
     assert ray.all_given_back(), "the machine is taken as long as anybody holds the renderer"
-    # What it says on its way out comes to nobody.
+    # A reply after the closing is ignored.
     in_rays_thread(lambda: actor.says(version=version))
     assert names(console) == []
     assert console.status().notices == ()
 
 
-def test_a_renderer_that_is_asked_for_while_all_is_closed_is_ended(ray, join):
+def test_renderer_requested_during_close_is_killed(ray, join):
     ray.may_start.clear()
     _, cluster = join()
     wait_for(lambda: ray.num_asked == 1)
@@ -155,7 +155,7 @@ def test_a_renderer_that_is_asked_for_while_all_is_closed_is_ended(ray, join):
     assert len(ray.actors) == 1 and ray.all_given_back()
 
 
-def test_a_machine_that_leaves_while_its_renderer_starts_gets_no_lane(ray, join):
+def test_machine_that_leaves_while_its_renderer_starts_gets_no_lane(ray, join):
     console, _ = join()
     [actor] = wait_for(lambda: list(ray.actors))
     ray.nodes_there.remove("a")
@@ -163,14 +163,14 @@ def test_a_machine_that_leaves_while_its_renderer_starts_gets_no_lane(ray, join)
     in_rays_thread(actor.says)
     wait_for(lambda: "the machine a has left the cluster" in console.status().notices)
     assert names(console) == []
-    # It comes back, and is asked anew.
+    # The machine returns, and a new renderer is requested.
     ray.nodes_there.append("a")
     wait_for(lambda: len(ray.actors) == 2)
     in_rays_thread(ray.actors[1].says)
     wait_for(lambda: names(console) == ["a"])
 
 
-def test_a_machine_of_another_version_is_told_once_and_given_back(ray, join):
+def test_machine_of_another_version_is_reported_once_and_released(ray, join):
     console, _ = join()
     [actor] = wait_for(lambda: list(ray.actors))
     in_rays_thread(lambda: actor.says(version="0.0.1"))
@@ -183,7 +183,7 @@ def test_a_machine_of_another_version_is_told_once_and_given_back(ray, join):
 
 
 @pytest.mark.parametrize("answer", ["fails", "makes no sense"])
-def test_a_renderer_that_cannot_start_is_told_ended_and_asked_for_again(ray, join, monkeypatch, answer):
+def test_renderer_that_cannot_start_is_reported_killed_and_requested_again(ray, join, monkeypatch, answer):
     monkeypatch.setattr(ray_backend, "WAIT_AFTER_FAILURE_S", 0.0)
     console, _ = join()
     [actor] = wait_for(lambda: list(ray.actors))
@@ -199,7 +199,7 @@ def test_a_renderer_that_cannot_start_is_told_ended_and_asked_for_again(ray, joi
     wait_for(lambda: names(console) == ["a"])
 
 
-def test_a_renderer_that_does_not_start_is_told_of_and_still_welcome(ray, join):
+def test_renderer_that_starts_slowly_is_reported_and_used_later(ray, join):
     now_s = [100.0]
     console, _ = join(clock=lambda: now_s[0])
     [actor] = wait_for(lambda: list(ray.actors))
@@ -217,7 +217,7 @@ def test_a_renderer_that_does_not_start_is_told_of_and_still_welcome(ray, join):
     wait_for(lambda: names(console) == ["a"])
 
 
-def test_a_console_that_was_closed_first_ends_nothing_twice_and_leaves_nothing(ray, join):
+def test_console_closed_first_kills_nothing_twice_and_leaves_nothing(ray, join):
     console, cluster = join()
     wait_for(lambda: ray.actors)
     console.close()
@@ -225,7 +225,7 @@ def test_a_console_that_was_closed_first_ends_nothing_twice_and_leaves_nothing(r
     assert ray.all_given_back()
 
 
-def test_a_renderer_that_comes_to_a_closed_console_gives_its_machine_back(ray, join):
+def test_renderer_that_starts_after_the_console_closed_releases_its_machine(ray, join):
     console, _ = join()
     [actor] = wait_for(lambda: list(ray.actors))
     console.close()

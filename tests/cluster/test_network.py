@@ -1,4 +1,4 @@
-"""A cable is cut and put back: three machines as network namespaces (make soak; needs root)."""
+"""Interrupted network links between three machines in network namespaces (make soak; needs root)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def _ip(*words: str) -> bool:
 
 @contextlib.contextmanager
 def _network(prefix: str) -> Iterator[None]:
-    """Namespaces ``<prefix>0`` to ``2``, on a switch in one of its own; the machine's network is not touched."""
+    """Create namespaces ``<prefix>0`` to ``2`` and a switch in another one, apart from the network of the machine."""
     names = [f"{prefix}{n}" for n in range(3)]
     switch = f"{prefix}s"
     try:
@@ -55,8 +55,8 @@ def _can_have_networks() -> bool:
 @pytest.mark.ray
 @needs_ray
 @pytest.mark.skipif(not _can_have_networks(), reason="needs root, and leave to make network namespaces")
-def test_a_cut_cable_costs_a_moment_and_the_machine_serves_again_when_it_is_back():
-    # Short: Ray puts sockets in it.
+def test_interrupted_link_delays_pictures_briefly_and_the_machine_returns():
+    # Ray puts sockets in this folder, whose paths must be short.
     folder = Path(tempfile.mkdtemp(prefix="carina-net-"))
     prefix = f"carina{os.getpid()}n"
     flight = Path(__file__).with_name("network_flight.py")

@@ -1,4 +1,4 @@
-"""Tokens, addresses, versions and what is said where something is missing; no Ray is started."""
+"""Tokens, addresses, versions and messages about missing parts of a cluster node; no Ray is started."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from carina.cluster.ray_backend import RayLane, version_words
 from carina.errors import ClusterError, UsageError
 
 
-def test_a_token_is_made_once_and_is_its_owners_alone(tmp_path):
+def test_token_is_created_once_and_readable_by_its_owner_only(tmp_path):
     made = node.make_token(tmp_path / "deep" / "token")
     text = made.read_text()
     assert made.stat().st_mode & 0o777 == 0o600
@@ -23,14 +23,14 @@ def test_a_token_is_made_once_and_is_its_owners_alone(tmp_path):
     assert text != node.make_token(tmp_path / "other").read_text()
 
 
-def test_a_token_that_others_may_read_is_refused(tmp_path):
+def test_token_readable_by_others_is_refused(tmp_path):
     made = node.make_token(tmp_path / "token")
     made.chmod(0o644)
     with pytest.raises(ClusterError, match="chmod 600"):
         node.check_token(made)
 
 
-def test_without_a_token_the_message_says_how_to_get_it(tmp_path):
+def test_message_about_a_missing_token_states_the_remedy(tmp_path):
     with pytest.raises(ClusterError, match="start --head"):
         node.check_token(tmp_path / "none")
     short = tmp_path / "short"
@@ -39,7 +39,7 @@ def test_without_a_token_the_message_says_how_to_get_it(tmp_path):
         node.check_token(short)
 
 
-def test_without_the_extra_the_message_says_how_to_get_it(monkeypatch):
+def test_message_about_the_missing_extra_states_the_remedy(monkeypatch):
     monkeypatch.setattr(node.importlib.util, "find_spec", lambda name: None)
     monkeypatch.setattr(sys, "platform", "linux")
     with pytest.raises(ClusterError, match=r"install .*'ray>=") as refused:
@@ -47,13 +47,13 @@ def test_without_the_extra_the_message_says_how_to_get_it(monkeypatch):
     assert refused.value.exit_code == 1
 
 
-def test_elsewhere_than_on_linux_the_message_says_so(monkeypatch):
+def test_systems_other_than_linux_are_refused_with_a_message(monkeypatch):
     monkeypatch.setattr(sys, "platform", "darwin")
     with pytest.raises(ClusterError, match="needs Linux"):
         node.check_available()
 
 
-def test_the_environment_never_holds_the_token_and_never_reports(tmp_path):
+def test_environment_contains_no_token_and_disables_usage_reports(tmp_path):
     made = node.make_token(tmp_path / "token")
     environment = node.ray_environment(made)
     assert made.read_text() not in environment.values()
@@ -62,7 +62,7 @@ def test_the_environment_never_holds_the_token_and_never_reports(tmp_path):
     assert node.ray_environment(made, dedicated=True)["RAY_worker_niceness"] == "0"
 
 
-def test_the_kuberay_manifest_sets_what_our_own_machines_get(tmp_path):
+def test_kuberay_manifest_sets_the_same_environment_as_a_node(tmp_path):
     manifest = (Path(__file__).parents[2] / "docs" / "cluster.md").read_text(encoding="utf-8")
     told = dict(re.findall(r"\{name: (RAY_\w+), value: \"?([^\"}]+)\"?\}", manifest))
     ours = node.ray_environment(node.make_token(tmp_path / "token"), dedicated=True)
@@ -72,10 +72,8 @@ def test_the_kuberay_manifest_sets_what_our_own_machines_get(tmp_path):
 @pytest.mark.parametrize(
     ("words", "starts", "told"), [(node.TIMED_OUT, 3, node.TIMED_OUT), ("no such option", 1, "no such option")]
 )
-def test_a_start_that_was_too_slow_is_tried_again_and_one_that_is_refused_is_not(
-    tmp_path, monkeypatch, words, starts, told
-):
-    """A busy machine's helpers miss a limit of Ray's own; a wrong argument stays wrong."""
+def test_start_that_timed_out_is_repeated_and_a_refused_start_is_not(tmp_path, monkeypatch, words, starts, told):
+    """On a busy machine, Ray's helper processes exceed a time limit of Ray; an invalid argument never succeeds."""
     monkeypatch.setattr(node, "check_available", lambda: None)
     log, began = tmp_path / "log", tmp_path / "began"
     program = f"open({str(began)!r}, 'a').write('x'); print({words!r})"
@@ -89,7 +87,7 @@ def test_a_start_that_was_too_slow_is_tried_again_and_one_that_is_refused_is_not
     assert began.read_text() == "x" * starts
 
 
-def test_addresses_have_a_port_or_get_the_usual_one():
+def test_address_without_a_port_has_the_default_port():
     assert node.split_address("10.0.0.5") == ("10.0.0.5", 6379)
     assert node.split_address("desk:7000") == ("desk", 7000)
     for bad in ("", ":7000", "desk:door"):
@@ -107,7 +105,7 @@ FACTS = {"host": "m", "threads": 4, "simd": "avx2", "version": "0.1.0", "pid": 1
         (8 * 2**30, 4 * 2**30, 4 * 2**30, "has only 4.0 GiB of free memory"),
     ],
 )
-def test_a_case_that_does_not_fit_is_told_with_what_is_there_and_what_it_needs(
+def test_case_that_exceeds_the_memory_is_reported_with_available_and_needed_size(
     store_bytes, new_bytes, free_bytes, words
 ):
     lane = RayLane("m", None, None, FACTS, store_bytes)
@@ -116,7 +114,7 @@ def test_a_case_that_does_not_fit_is_told_with_what_is_there_and_what_it_needs(
         lane._check_memory(big, new_bytes, free_bytes)
     assert refused.value.code == "cluster.memory"
     assert "the renderer m is not used" in str(refused.value) and "the case needs 4.0 GiB" in str(refused.value)
-    # A byte less than it keeps, and room beside it.
+    # The store has exactly the needed size, and the free memory exceeds the new size.
     RayLane("m", None, None, FACTS, 4 * 2**30)._check_memory(big, 4 * 2**30, 5 * 2**30)
 
 
@@ -124,7 +122,7 @@ def test_a_case_that_does_not_fit_is_told_with_what_is_there_and_what_it_needs(
     ("console", "renderer", "side"),
     [("0.2.0", "0.1.9", "machine m"), ("0.2.0", "0.10.0", "this console"), ("1.0", "0.9.9", "machine m")],
 )
-def test_versions_that_differ_name_the_older_side(console, renderer, side):
+def test_version_message_names_the_older_side(console, renderer, side):
     words = version_words(console, renderer, "m")
     assert words is not None and words.endswith(f"upgrade the {side}" if side != "this console" else f"upgrade {side}")
     assert version_words("0.2.0", "0.2.0", "m") is None

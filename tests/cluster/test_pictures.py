@@ -1,4 +1,4 @@
-"""Pictures put together from strips are the single machine's, bit for bit; whatever happens to the renderers."""
+"""Pictures assembled from strips: equal bit for bit to those of a single machine, even if renderers fail."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ VIEW_NAMES = (
 
 @pytest.fixture(scope="module")
 def machines(case):
-    """A renderer for each instruction set that this machine has, and one that has no maps."""
+    """Return a renderer for each instruction set of this machine, and one without IsoRegion maps."""
     found = {}
     for simd in SIMD:
         renderer = case.renderer(simd)
@@ -106,7 +106,7 @@ def machines(case):
 
 @pytest.fixture(scope="module")
 def truth(case):
-    """The whole pictures."""
+    """Return the whole pictures of all views."""
     renderer = case.renderer()
     return {name: renderer.render(view).rgb for name, view in _views(case).items()}
 
@@ -119,7 +119,7 @@ def truth(case):
     max_rows=st.one_of(st.none(), st.integers(1, 30)),
     seed=st.integers(0, 99),
 )
-def test_strips_of_any_layout_and_instruction_set_are_the_whole_picture(  # noqa: PLR0917 - Hypothesis's own
+def test_strips_of_any_layout_and_instruction_set_equal_the_whole_picture(  # noqa: PLR0917 - Hypothesis's own
     case, machines, truth, name, shares, min_rows, max_rows, seed
 ):
     view = _views(case)[name]
@@ -132,7 +132,7 @@ def test_strips_of_any_layout_and_instruction_set_are_the_whole_picture(  # noqa
     assert np.array_equal(np.concatenate(parts), truth[name])
 
 
-def test_pictures_that_need_all_their_pixels_are_not_cut(case):
+def test_pictures_that_need_all_their_pixels_are_not_divided(case):
     renderer = case.renderer()
     for view in (DrrView(**SIZE), AirwayView(case.pose, depth_of_field=DepthOfField(2.0, 20.0), **SIZE)):
         assert not can_cut(view)
@@ -148,7 +148,7 @@ def test_rows_outside_the_picture_are_refused(case):
 
 
 @pytest.mark.parametrize("name", VIEW_NAMES)
-def test_a_cluster_gives_the_picture_and_what_belongs_to_it(case, cluster, name):
+def test_cluster_returns_the_picture_with_all_its_metadata(case, cluster, name):
     made = cluster()
     view = _views(case)[name]
     _wait_ready(made)
@@ -166,14 +166,14 @@ def test_a_cluster_gives_the_picture_and_what_belongs_to_it(case, cluster, name)
 
 
 def _wait_ready(made, num: int | None = None) -> None:
-    """Until the lanes have what is shown."""
+    """Wait until the lanes are ready with the current content."""
     made.renderer.prepare()
     num = len(made.lanes) if num is None else num
     _wait(made, lambda: sum(m.state == "ready" for m in made.console.status().members) > num)
 
 
 def _wait(made, what, meanwhile=lambda: time.sleep(0.005)) -> None:
-    """Until something is so; what is done meanwhile may be what brings it about."""
+    """Wait until a condition is true, calling ``meanwhile`` repeatedly, which may bring the condition about."""
     end_s = time.monotonic() + WAIT_S
     while not what():
         assert time.monotonic() < end_s, made.console.status()
@@ -181,7 +181,7 @@ def _wait(made, what, meanwhile=lambda: time.sleep(0.005)) -> None:
 
 
 def _wait_loaded(made) -> None:
-    """Until all lanes hold the newest content, and not only some."""
+    """Wait until all lanes have loaded the newest content."""
 
     def all_have_it() -> bool:
         newest = made.renderer._sent[1]
@@ -195,11 +195,11 @@ def _airway(case, **changes) -> AirwayView:
 
 
 WAIT_S = 120.0
-"""Bound of every wait, for what hangs."""
+"""Time limit of every wait in s."""
 FAST = ClusterSettings(late_floor_s=0.03, first_answer_s=0.5)
 
 
-def test_a_renderer_that_stops_answering_costs_a_moment_and_comes_back_by_itself(case, cluster):
+def test_renderer_that_stops_replying_delays_one_picture_and_returns_by_itself(case, cluster):
     made = cluster(settings=FAST)
     _wait_ready(made)
     expected = made.truth.render(_airway(case)).rgb
@@ -207,7 +207,7 @@ def test_a_renderer_that_stops_answering_costs_a_moment_and_comes_back_by_itself
         made.renderer.render(_airway(case))
     made.lanes[1].trouble.holds = True
     for _ in range(5):
-        # Whole, while its strip is still held back: that is given only below.
+        # The picture is complete although the strip of lane 1 is delayed until ``release`` below.
         future = made.renderer.want(_airway(case))[1]
         assert np.array_equal(future.result(timeout=WAIT_S).rgb, expected)
         assert "away" not in [m.state for m in made.console.status().members], "it is not given up for it"
@@ -223,7 +223,7 @@ def test_a_renderer_that_stops_answering_costs_a_moment_and_comes_back_by_itself
 
 
 @pytest.mark.parametrize("what", ["wrong_shape", "old_frame", "other_rows"])
-def test_wrong_answers_are_never_shown(case, cluster, what):
+def test_wrong_replies_are_never_shown(case, cluster, what):
     made = cluster(settings=FAST)
     _wait_ready(made)
     expected = made.truth.render(_airway(case)).rgb
@@ -244,8 +244,8 @@ def test_wrong_answers_are_never_shown(case, cluster, what):
 
 
 @pytest.mark.parametrize("what", ["wrong_shape", "garbles", "twice", "refuses"])
-def test_no_answer_however_wrong_hangs_a_frame(case, cluster, monkeypatch, what):
-    """Also where nobody looks at answers: what cannot be taken comes from another renderer."""
+def test_no_wrong_reply_blocks_a_frame(case, cluster, monkeypatch, what):
+    """The check of replies is disabled; another renderer must still render an unusable strip."""
     from carina.cluster import console
 
     monkeypatch.setattr(console, "what_is_wrong", lambda answer, order: None)
@@ -270,7 +270,7 @@ def test_no_answer_however_wrong_hangs_a_frame(case, cluster, monkeypatch, what)
     _wait(made, is_told, shows_the_truth)
 
 
-def test_a_picture_that_cannot_be_put_together_is_refused_and_not_waited_for(case, cluster, monkeypatch):
+def test_picture_that_cannot_be_assembled_raises_its_error_at_once(case, cluster, monkeypatch):
     from carina.cluster import frames
 
     made = cluster(settings=FAST)
@@ -282,7 +282,7 @@ def test_a_picture_that_cannot_be_put_together_is_refused_and_not_waited_for(cas
     made.renderer.render(_airway(case))
 
 
-def test_a_renderer_that_keeps_answering_wrongly_is_left_out(case, cluster):
+def test_renderer_with_repeated_wrong_replies_is_excluded(case, cluster):
     made = cluster(simds=(None, None), settings=FAST)
     _wait_ready(made)
     made.lanes[0].trouble.wrong_shape = True
@@ -293,7 +293,7 @@ def test_a_renderer_that_keeps_answering_wrongly_is_left_out(case, cluster):
     assert any("no longer used" in n for n in made.console.status().notices)
 
 
-def test_a_renderer_that_dies_in_mid_frame_loses_no_picture(case, cluster):
+def test_renderer_that_fails_during_a_frame_loses_no_picture(case, cluster):
     made = cluster(settings=FAST)
     _wait_ready(made)
     expected = made.truth.render(_airway(case)).rgb
@@ -309,7 +309,7 @@ def test_a_renderer_that_dies_in_mid_frame_loses_no_picture(case, cluster):
     _wait_ready(made)
 
 
-def test_a_renderer_that_cannot_even_be_asked_to_load_ends_nothing(case, cluster, monkeypatch):
+def test_renderer_that_cannot_receive_a_load_request_affects_no_other(case, cluster, monkeypatch):
     made = cluster(settings=FAST)
     _wait_ready(made)
     expected = made.truth.render(_airway(case)).rgb
@@ -326,7 +326,7 @@ def test_a_renderer_that_cannot_even_be_asked_to_load_ends_nothing(case, cluster
         assert np.array_equal(made.renderer.want(_airway(case))[1].result(timeout=WAIT_S).rgb, expected)
         assert time.monotonic() < end_s
         time.sleep(0.02)
-    # Another transfer function reaches the lanes after it.
+    # The other lanes receive the next transfer function.
     made.renderer.set_transfer(transfer_preset("paper"))
     made.truth.set_transfer(transfer_preset("paper"))
     expected = made.truth.render(_airway(case)).rgb
@@ -336,7 +336,7 @@ def test_a_renderer_that_cannot_even_be_asked_to_load_ends_nothing(case, cluster
     _wait_ready(made)
 
 
-def test_a_renderer_that_can_never_load_is_told_of_once_and_asked_again(case, cluster, monkeypatch):
+def test_renderer_that_cannot_load_is_reported_once_and_tried_again(case, cluster, monkeypatch):
     monkeypatch.setattr(console_module, "RETRY_S", (0.001,))
     made = cluster(settings=FAST)
     _wait_ready(made)
@@ -357,7 +357,7 @@ def test_a_renderer_that_can_never_load_is_told_of_once_and_asked_again(case, cl
     _wait_ready(made)
 
 
-def test_with_no_renderer_left_the_console_renders_alone_and_nothing_fails(case, cluster):
+def test_console_renders_alone_if_no_renderer_is_left(case, cluster):
     made = cluster(simds=(None,), settings=FAST)
     _wait_ready(made)
     expected = made.truth.render(_airway(case)).rgb
@@ -369,7 +369,7 @@ def test_with_no_renderer_left_the_console_renders_alone_and_nothing_fails(case,
     assert made.console.status().alone
 
 
-def test_a_renderer_that_joins_during_a_flight_takes_its_part(case, cluster, consoles):
+def test_renderer_that_joins_during_a_flight_receives_strips(case, cluster, consoles):
     made = cluster(simds=(None,), settings=ClusterSettings(open_frames=2))
     _wait_ready(made)
     views = [_airway(case, fov_deg=60.0 + n) for n in range(4)]
@@ -378,7 +378,7 @@ def test_a_renderer_that_joins_during_a_flight_takes_its_part(case, cluster, con
     late.name = "newcomer"
     under_way, joined_at, num = [], None, 0
     end_s = time.monotonic() + WAIT_S
-    # Two frames are always open: the newcomer comes while strips are out.
+    # Two frames are always in progress, so the new renderer joins while strips are being rendered.
     while joined_at is None or late.trouble.num_orders < 5:
         assert time.monotonic() < end_s, "it gets nothing"
         under_way.append((num % 4, made.renderer.want(views[num % 4])[1]))
@@ -395,7 +395,7 @@ def test_a_renderer_that_joins_during_a_flight_takes_its_part(case, cluster, con
     assert 0.0 < share < 1.0
 
 
-def test_another_transfer_function_is_shown_by_all_or_none(case, cluster):
+def test_transfer_function_is_changed_in_all_strips_together(case, cluster):
     made = cluster(simds=("portable", None))
     _wait_ready(made)
     shown = made.truth.render(_airway(case)).rgb
@@ -415,7 +415,7 @@ def test_another_transfer_function_is_shown_by_all_or_none(case, cluster):
         assert grown == [True, True], "both lanes render what is shown now"
 
 
-def test_many_threads_may_ask_at_once(case, cluster):
+def test_several_threads_may_request_pictures_concurrently(case, cluster):
     made = cluster(settings=ClusterSettings(open_frames=3))
     _wait_ready(made)
     views = [_airway(case, fov_deg=60.0 + n) for n in range(24)]
@@ -425,7 +425,7 @@ def test_many_threads_may_ask_at_once(case, cluster):
             assert np.array_equal(found.rgb, picture)
 
 
-def test_a_picture_can_be_given_up(case, cluster):
+def test_picture_can_be_cancelled(case, cluster):
     made = cluster(simds=(None,), settings=ClusterSettings(first_answer_s=60.0))
     _wait_ready(made)
     made.lanes[0].trouble.holds = True
@@ -437,7 +437,7 @@ def test_a_picture_can_be_given_up(case, cluster):
     made.renderer.render(_airway(case))
 
 
-def test_a_view_that_cannot_be_rendered_is_refused_as_on_one_machine(case, consoles):
+def test_view_that_cannot_be_rendered_is_refused_as_on_one_machine(case, consoles):
     from carina.cluster import LocalLane
     from carina.render import Renderer
 
@@ -450,7 +450,7 @@ def test_a_view_that_cannot_be_rendered_is_refused_as_on_one_machine(case, conso
     assert renderer.render(_airway(case)).rgb.shape == (61, 72, 3)
 
 
-def test_jobs_of_many_pictures_come_in_order_and_go_on_where_they_stopped(case, cluster):
+def test_picture_series_is_in_order_and_can_be_resumed(case, cluster):
     made = cluster(settings=FAST)
     _wait_ready(made)
     views = [_airway(case, fov_deg=50.0 + n) for n in range(12)]
@@ -470,7 +470,7 @@ def test_jobs_of_many_pictures_come_in_order_and_go_on_where_they_stopped(case, 
     assert sum(lane.trouble.num_orders > 0 for lane in made.lanes) >= 2
 
 
-def test_a_parcel_holds_each_large_array_once_and_keeps_its_token(case):
+def test_parcel_contains_each_large_array_once_and_reuses_it(case):
     renderer = case.renderer()
     parcels = Parcels()
     first = parcels.pack(renderer.volume, renderer.scene)
@@ -483,7 +483,7 @@ def test_a_parcel_holds_each_large_array_once_and_keeps_its_token(case):
     assert scene.maps is not None and scene.maps.values is scene.values
 
 
-def test_no_name_and_no_path_of_the_case_travels(case):
+def test_parcel_contains_no_name_and_no_path_of_the_case(case):
     from carina.volume import Note, Volume, VolumeSource
 
     named = VolumeSource(format="dicom", title="SECRET^NAME", notes=(Note("import.lossy", "SECRET"),))
@@ -493,7 +493,7 @@ def test_no_name_and_no_path_of_the_case_travels(case):
     assert b"SECRET" not in Parcels().pack(volume, Renderer(volume).scene).skeleton
 
 
-def test_a_host_renders_what_it_holds_and_nothing_else(case):
+def test_host_renders_only_the_content_that_it_has_loaded(case):
     renderer = case.renderer()
     parcel = Parcels().pack(renderer.volume, renderer.scene)
     host = RendererHost(simd="portable")
@@ -517,7 +517,7 @@ def test_a_host_renders_what_it_holds_and_nothing_else(case):
 
 
 @pytest.mark.parametrize("name", VIEW_NAMES)
-def test_every_view_travels(case, name):
+def test_every_view_can_be_pickled(case, name):
     view = _views(case)[name]
     there = pickle.loads(pickle.dumps(view, protocol=5))
     renderer = case.renderer()

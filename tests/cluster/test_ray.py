@@ -1,4 +1,4 @@
-"""The cluster on a real Ray, on loopback: the picture is right and comes in time whatever happens to a renderer."""
+"""The cluster on a real Ray on loopback: pictures are correct and in time despite failing renderers."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ pytestmark = [
     pytest.mark.ray,
     pytest.mark.slow,
     needs_ray,
-    # Ray's own threads and sockets warn; what they say is not ours to mend.
+    # Warnings of Ray's own threads and sockets cannot be fixed in Carina.
     pytest.mark.filterwarnings("ignore"),
 ]
-# Machines under test are busy: fewer false alarms than at a desk.
+# A longer limit for late strips, because machines that run tests are busy.
 SETTINGS = ClusterSettings(late_floor_s=0.08)
 
 
 @pytest.fixture(scope="module")
 def head():
-    """One Ray for all tests; connected once."""
+    """Start one Ray for all tests and connect to it once."""
     with running_head(renderers=4) as head:
         from carina.cluster.ray_backend import _import_ray
 
@@ -46,9 +46,10 @@ def head():
 
 @pytest.fixture(scope="module")
 def flight(head):
-    """Four stand-ins, 40 ms for a quarter of a picture; one flight for all faults: renderers start slowly.
+    """Start a flight with four sleeping renderers that take 40 ms for a quarter of a picture.
 
-    Tests that come before the ones with renderers of their own; each leaves it whole.
+    All tests of faults share this flight, because renderers start slowly; each test must restore it. The tests with
+    their own renderers come later.
     """
     with flying(head, SleepingRenderer, num=4, settings=SETTINGS, row_seconds=0.04 / 128) as flight:
         _fly(flight, 1.0)
@@ -57,14 +58,14 @@ def flight(head):
 
 @pytest.fixture
 def whole(flight):
-    """The flight with all four renderers; whoever was hurt before has come back."""
+    """Return the flight after all four renderers have recovered."""
     wait_for(lambda: len(flight.ready()) == 4)
     _fly(flight, 0.5)
     return flight
 
 
 def _fly(flight, seconds: float, until=lambda: True, rate_hz: float = 25.0) -> None:
-    """Ask for pictures at a rate, and until something is so; every one must be right."""
+    """Request pictures at a rate for a time and until a condition is true, and check each one."""
     began_s = time.monotonic()
     while time.monotonic() < began_s + seconds or not until():
         assert time.monotonic() < began_s + 120.0, how_it_is()
@@ -75,7 +76,10 @@ def _fly(flight, seconds: float, until=lambda: True, rate_hz: float = 25.0) -> N
 
 
 def _strike(flight, name: str, what: signal.Signals, after_s: float = 0.01) -> list[int]:
-    """Hit a renderer that long after it was given a strip, while that is out; the number of the frame, once done."""
+    """Send a signal to a renderer while it renders a strip, ``after_s`` after the order.
+
+    The returned list receives the number of the frame when the signal has been sent.
+    """
     lane, struck, guard = flight.lane(name), [], threading.Lock()
     pid, submit = lane.facts.pid, lane.submit
 
@@ -87,7 +91,7 @@ def _strike(flight, name: str, what: signal.Signals, after_s: float = 0.01) -> l
             done(answer)
 
         def strike():
-            # On a busy machine the timer may come after the answer: then the next strip's.
+            # On a busy machine the timer may fire after the reply; then the next strip is used.
             with guard:
                 if not struck and not answered.is_set():
                     os.kill(pid, what)
@@ -102,14 +106,14 @@ def _strike(flight, name: str, what: signal.Signals, after_s: float = 0.01) -> l
 
 
 def _made_by(flight, frame_id: int) -> set[str]:
-    """Who made a frame."""
+    """Return the names of the lanes that rendered a frame."""
     return {job.lane for job in flight.console.jobs if job.frame_id == frame_id and job.accepted}
 
 
 def _is_done_without(flight, struck: list[int], name: str) -> bool:
-    """Whether the frame in which a renderer was hit, and one from then on that several others share, did without it.
+    """Return whether the frame of the struck renderer and a later frame of at least two lanes were made without it.
 
-    Where the others are late too, as on a machine that does ten things, the console makes the frame itself.
+    If the other lanes are late too, as on a busy machine, the console renders the frame itself.
     """
     if not struck or not _made_by(flight, struck[0]):
         return False
@@ -118,7 +122,7 @@ def _is_done_without(flight, struck: list[int], name: str) -> bool:
     return any(name not in lanes and len(lanes) >= 2 for lanes in (_made_by(flight, frame) for frame in since))
 
 
-def test_a_renderer_killed_in_mid_frame_costs_a_moment_and_comes_back_with_the_volume(whole):
+def test_renderer_killed_during_a_frame_is_replaced_and_loads_the_volume_again(whole):
     flight = whole
     name = flight.ready()[1]
     pid = flight.lane(name).facts.pid
@@ -132,13 +136,13 @@ def test_a_renderer_killed_in_mid_frame_costs_a_moment_and_comes_back_with_the_v
     assert len(told) == 1
 
 
-def test_a_renderer_that_is_stopped_is_late_and_goes_on_when_it_wakes(whole):
+def test_stopped_renderer_is_late_and_continues_after_it_wakes(whole):
     flight = whole
     name = flight.ready()[2]
     pid = flight.lane(name).facts.pid
     struck = _strike(flight, name, signal.SIGSTOP)
     try:
-        # It stays stopped, and Ray does not tell: whatever is shown meanwhile was not waited for.
+        # Ray does not report a stopped process, so every picture shown meanwhile did not wait for it.
         _fly(flight, 1.5, lambda: _is_done_without(flight, struck, name) and name not in flight.ready())
         assert sum(f"{name} is late" in n for n in flight.console.status().notices) == 1
     finally:
@@ -147,14 +151,14 @@ def test_a_renderer_that_is_stopped_is_late_and_goes_on_when_it_wakes(whole):
     _fly(flight, 0.3)
 
 
-def test_a_renderer_ten_times_slower_gets_a_tenth_of_a_share(whole):
+def test_renderer_ten_times_slower_gets_a_small_share(whole):
     flight = whole
     name = flight.ready()[0]
     flight.cluster.ray.get(flight.lane(name)._handle.misbehave.remote(factor=10.0))
 
     def has_little() -> bool:
         [member] = [m for m in flight.console.status().members if m.name == name]
-        # Ideal is 1 / 31; the transport's millisecond weighs more in small strips.
+        # The ideal share is 1 / 31; the transport time of 1 ms has more weight in small strips.
         return member.share < 0.12
 
     _fly(flight, 4.0, has_little)
@@ -162,9 +166,9 @@ def test_a_renderer_ten_times_slower_gets_a_tenth_of_a_share(whole):
 
 
 @pytest.mark.parametrize(("trouble", "words"), [("size", "of shape"), ("frame", "of frame"), ("rows", "from row")])
-def test_wrong_answers_are_told_and_never_shown(whole, trouble, words):
+def test_wrong_replies_are_reported_and_never_shown(whole, trouble, words):
     flight = whole
-    # One renderer each: five wrong answers end one.
+    # Each fault uses another renderer, because five wrong replies exclude a renderer.
     name = flight.ready()[["size", "frame", "rows"].index(trouble)]
     flight.cluster.ray.get(flight.lane(name)._handle.misbehave.remote(trouble))
     try:
@@ -178,18 +182,18 @@ def test_wrong_answers_are_told_and_never_shown(whole, trouble, words):
         flight.cluster.ray.get(flight.lane(name)._handle.misbehave.remote())
 
 
-def test_a_cluster_that_is_closed_leaves_the_machines_to_the_next(head, flight):
+def test_closed_cluster_releases_its_machines(head, flight):
     flight.cluster.close()
     assert flight.ready() == []
     picture = flight.renderer.render(VIEW)
     assert picture.stats.method != "stand-in", "this machine renders alone"
-    # One that goes while its renderers are only starting leaves them, too: nobody else would ever get one.
+    # A console that closes while its renderers are starting must release them too.
     with flying(head, SleepingRenderer, num=0) as hasty:
         wait_for(lambda: len(hasty.cluster._renderers) == 4)
     wait_for(lambda: hasty.cluster.ray.available_resources().get("renderer") == 4)
 
 
-def test_real_renderers_give_the_single_machines_picture_and_follow_its_content(head, case):
+def test_real_renderers_give_the_picture_of_a_single_machine_and_follow_its_content(head, case):
     with flying(head, RendererHost, num=3, limit=3, volume=case.volume, settings=SETTINGS) as flight:
         truth = case.renderer()
         flight.renderer.set_lumen(case.lumen_zyx)
@@ -211,7 +215,7 @@ def test_real_renderers_give_the_single_machines_picture_and_follow_its_content(
             wait_for(spread)
 
 
-def test_another_version_of_carina_is_told_which_side_to_upgrade(head):
+def test_message_about_another_version_names_the_side_to_upgrade(head):
     with flying(head, SleepingRenderer, num=0, limit=1, version="0.0.1") as flight:
         [notice, *_] = wait_for(lambda: flight.console.status().notices)
         assert "runs Carina 0.0.1" in notice and "upgrade the machine" in notice
@@ -222,7 +226,7 @@ def test_another_version_of_carina_is_told_which_side_to_upgrade(head):
         assert "upgrade this console" in flight.console.status().notices[0]
 
 
-def test_a_volume_larger_than_a_members_memory_is_told_and_rendered_by_others(head):
+def test_volume_larger_than_the_memory_of_a_member_is_reported_and_rendered_elsewhere(head):
     with flying(head, SleepingRenderer, num=0, limit=1, volume=small_volume(64), memory_bytes=1000) as flight:
         notice = wait_for(lambda: [n for n in flight.console.status().notices if "free memory" in n])[0]
         assert "is not used" in notice
@@ -243,10 +247,10 @@ except ClusterError as refused:
 """
 
 
-def test_a_wrong_token_is_refused(head, tmp_path):
+def test_wrong_token_is_refused(head, tmp_path):
     wrong = make_token(tmp_path / "token")
     command = [sys.executable, "-W", "ignore", "-c", REFUSED, head.node.address, str(wrong), IP]
-    # Ray itself asks twenty times, a second apart.
+    # By default Ray tries twenty times at intervals of 1 s.
     environment = {**os.environ, "RAY_NUM_REDIS_GET_RETRIES": "2"}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=600, check=False)
     assert "refused: the cluster at" in done.stdout, done.stdout + done.stderr[-2000:]

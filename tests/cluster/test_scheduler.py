@@ -1,4 +1,4 @@
-"""The scheduler on simulated clocks: shares, deadlines, buffers, membership."""
+"""The strip scheduler on simulated clocks: shares, deadlines, buffers and membership."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ def test_each_row_is_in_exactly_one_strip(num_rows, shares, min_rows, max_rows):
     assert min(heights.values()) >= min(min_rows, num_rows)
 
 
-def test_heights_follow_the_shares():
+def test_strip_heights_follow_the_shares():
     pieces = cut_rows(512, {"a": 0.3, "b": 0.1, "c": 0.6}, min_rows=4)
     assert [(lane, end - first) for lane, first, end in pieces] == [("a", 154), ("b", 51), ("c", 307)]
 
 
-def test_no_lane_and_no_row_are_refused():
+def test_missing_lane_and_missing_row_are_refused():
     with pytest.raises(UsageError, match="0 renderers"):
         cut_rows(5, {}, min_rows=1)
     with pytest.raises(UsageError, match="0 image rows"):
@@ -51,7 +51,7 @@ def test_no_lane_and_no_row_are_refused():
 
 
 def _settled(power: float, num: int = 400) -> list[float]:
-    """Shares after many epochs where the time taken is that of the strip to this power of its height."""
+    """Return the shares after many epochs in which the reported time is the cost times height ** ``power``."""
     shares = Shares(ClusterSettings())
     cost = {0: 3.0, 1: 1.0, 2: 1.0, 3: 1.0}
     for lane in cost:
@@ -63,12 +63,12 @@ def _settled(power: float, num: int = 400) -> list[float]:
 
 def test_time_per_row_settles_at_the_true_shares_and_raw_time_does_not():
     assert _settled(0.0)[0] == pytest.approx(0.1, abs=1e-6)
-    # The departure from the printed formula is this difference: 1/sqrt(3) against three lanes of 1.
+    # With raw strip times, as in the printed formula, the slow lane settles at 1/sqrt(3) against three lanes of 1.
     assert _settled(1.0)[0] == pytest.approx(0.5774 / 3.5774, abs=1e-3)
 
 
 @given(st.lists(st.tuples(st.sampled_from(["join", "leave", "epoch"]), st.integers(0, 5), st.floats(0.01, 99.0))))
-def test_shares_sum_to_one_whatever_happens(events):
+def test_shares_sum_to_one_after_any_events(events):
     shares = Shares(ClusterSettings())
     for what, lane, seconds in events:
         if what == "join":
@@ -84,13 +84,13 @@ def test_shares_sum_to_one_whatever_happens(events):
 FLIGHT = ClusterSettings(in_flight=2, open_frames=3)
 
 
-def test_one_slow_renderer_of_four_gets_its_true_share_and_the_cluster_its_speed():
+def test_slow_renderer_of_four_gets_its_true_share_and_the_rate_is_near_ideal():
     slow = SimulatedRenderer(3 * ROW_S)
     renderers = [SimulatedRenderer(ROW_S)] * 3 + [slow]
     result = SimulatedCluster(renderers, FLIGHT).run(400, 512)
     for lane, share in {0: 0.3, 1: 0.3, 2: 0.3, 3: 0.1}.items():
         assert result.shares[29][lane] == pytest.approx(share, abs=0.03)
-    # Ideal: all rows by four renderers of speeds 1, 1, 1, 1/3.
+    # Ideal: four renderers of the speeds 1, 1, 1 and 1/3 share all rows.
     ideal = 1.0 / (512 * ROW_S / (3 + 1 / 3))
     assert result.fps(skip=30) >= 0.85 * ideal
 
@@ -100,7 +100,7 @@ def test_four_equal_renderers_reach_nine_tenths_of_ideal():
     assert result.fps(skip=30) >= 0.9 / 0.005
 
 
-def test_pre_assignment_and_buffers_are_what_fills_the_pipeline():
+def test_pre_assignment_and_buffers_each_increase_the_rate():
     def fps(**settings):
         return SimulatedCluster([SimulatedRenderer(ROW_S)] * 4, ClusterSettings(**settings)).run(200, 512).fps(skip=20)
 
@@ -110,26 +110,26 @@ def test_pre_assignment_and_buffers_are_what_fills_the_pipeline():
 
 
 @pytest.mark.parametrize(("frame_s", "most_open"), [(0.588, 1), (0.06, 1), (0.02, 3)])
-def test_where_one_lane_does_all_a_frame_that_takes_long_is_alone(frame_s, most_open):
+def test_long_frames_of_a_single_lane_are_not_pipelined(frame_s, most_open):
     settings = ClusterSettings(open_frames=3)
     alone = SimulatedCluster([SimulatedRenderer(frame_s / 512)], settings).run(60, 512)
-    # Its own time and the way there and back; quick frames are pipelined, since the way is a good part of them.
+    # The frame's own time and the transport; quick frames are pipelined, because transport is a large part of them.
     assert alone.response_s[-1] == pytest.approx(most_open * frame_s, abs=0.01 * (1 + frame_s))
     assert alone.fps(skip=5) > (0.85 if most_open == 1 else 0.98) / frame_s
-    # Two share the work and the buffers.
+    # Two lanes share the work and use the buffers.
     both = SimulatedCluster([SimulatedRenderer(frame_s / 512)] * 2, settings).run(60, 512)
     assert both.fps(skip=5) > 1.9 / frame_s
 
 
-def test_without_balancing_the_slow_renderer_sets_the_pace():
+def test_slow_renderer_limits_the_rate_without_balancing():
     renderers = [SimulatedRenderer(ROW_S)] * 3 + [SimulatedRenderer(3 * ROW_S)]
     without = SimulatedCluster(renderers, ClusterSettings(balances=False)).run(100, 512)
     assert without.shares[-1] == dict.fromkeys(range(4), 0.25)
     assert without.fps(skip=30) < 0.6 * SimulatedCluster(renderers).run(100, 512).fps(skip=30)
 
 
-def test_a_renderer_that_becomes_ten_times_slower_loses_its_share():
-    """Its answers come when others have long completed the frame; they count all the same."""
+def test_renderer_that_becomes_ten_times_slower_loses_its_share():
+    """Its replies arrive long after other lanes have completed the frame, but they still update its share."""
     rig = _flying("a", "b", "c", "d", settings=ClusterSettings(open_frames=1), warm=20)
     now_s, due = 1.0, []
     free_s = dict.fromkeys("abcd", 0.0)
@@ -155,7 +155,7 @@ def test_a_renderer_that_becomes_ten_times_slower_loses_its_share():
 
 
 class Rig:
-    """A scheduler, and what was issued and not yet answered."""
+    """Scheduler with the lists of strips that were issued and not yet answered, and of other actions."""
 
     def __init__(self, settings: ClusterSettings | None = None) -> None:
         self.scheduler = StripScheduler(settings)
@@ -179,7 +179,7 @@ class Rig:
 
 
 def _flying(*lanes, settings=None, warm=3) -> Rig:
-    """A rig whose lanes have rendered some frames, 10 ms a strip."""
+    """Return a rig whose lanes have rendered some frames at 10 ms per strip."""
     rig = Rig(settings or ClusterSettings(open_frames=1))
     for lane in lanes:
         rig.scheduler.join(lane, 0.0)
@@ -193,13 +193,13 @@ def _flying(*lanes, settings=None, warm=3) -> Rig:
     return rig
 
 
-def test_a_late_strip_goes_to_another_lane_and_the_first_answer_wins():
+def test_late_strip_is_issued_to_another_lane_and_the_first_reply_is_used():
     rig = _flying("a", "b")
     rig.scheduler.want(1, 100, 0.0)
     rig.take()
     [of_a], [of_b] = rig.of("a"), rig.of("b")
     assert rig.answer(of_b, 0.01)
-    assert rig.scheduler.deadline_s == pytest.approx(0.05)  # three times 10 ms is below the floor
+    assert rig.scheduler.deadline_s == pytest.approx(0.05)  # three times 10 ms is below the minimum
     rig.scheduler.tick(0.051)
     rig.take()
     assert rig.rest == [LaneLate("a")]
@@ -207,19 +207,19 @@ def test_a_late_strip_goes_to_another_lane_and_the_first_answer_wins():
     assert (again.first_row, again.end_row, again.again) == (of_a.first_row, of_a.end_row, True)
     assert rig.answer(again, 0.061)
     assert rig.rest[-1] == FrameDone(1)
-    # Late, but the lane is well again.
+    # The late reply is not used, but the lane counts as recovered.
     assert not rig.answer(of_a, 0.3, seconds=0.3)
     assert rig.rest[-1] == LaneBack("a")
 
 
-def test_whoever_has_just_come_holds_the_picture_up_no_longer_than_the_others_pace_tells():
+def test_deadline_of_a_new_lane_follows_the_rate_of_the_others():
     rig = _flying("a", "b", warm=20)
     rig.scheduler.join("c", 0.0)
     rig.scheduler.want(1, 99, 0.0)
     rig.take()
     for name in ("a", "b"):
         rig.answer(rig.of(name)[0], 0.01)
-    # 33 rows take the others 7 ms; nine times that is below four times the least.
+    # The others take 7 ms for 33 rows; nine times 7 ms is below four times the minimum.
     assert rig.scheduler.deadline_s == pytest.approx(0.2)
     alone = Rig(ClusterSettings(open_frames=1))
     alone.scheduler.join("a", 0.0)
@@ -228,7 +228,7 @@ def test_whoever_has_just_come_holds_the_picture_up_no_longer_than_the_others_pa
     assert alone.scheduler.deadline_s == pytest.approx(2.0), "nobody knows what such a picture takes"
 
 
-def test_an_answer_is_wanted_as_long_as_its_rows_are_missing():
+def test_reply_is_wanted_while_its_rows_are_missing():
     rig = _flying("a", "b")
     rig.scheduler.want(1, 100, 0.0)
     rig.take()
@@ -243,7 +243,7 @@ def test_an_answer_is_wanted_as_long_as_its_rows_are_missing():
     assert not rig.scheduler.wants("a", of_a.task_id)
 
 
-def test_a_late_lane_gets_nothing_until_it_answers():
+def test_late_lane_gets_no_strip_until_it_replies():
     rig = _flying("a", "b")
     rig.scheduler.want(1, 100, 0.0)
     rig.take()
@@ -257,7 +257,7 @@ def test_a_late_lane_gets_nothing_until_it_answers():
     assert (task.first_row, task.end_row) == (0, 100)
 
 
-def test_a_strip_that_two_lanes_owe_goes_to_a_third():
+def test_strip_overdue_on_two_lanes_is_issued_to_a_third():
     rig = _flying("a", "b", "c")
     rig.scheduler.want(1, 99, 0.0)
     rig.take()
@@ -270,7 +270,7 @@ def test_a_strip_that_two_lanes_owe_goes_to_a_third():
     assert FrameDone(1) in rig.rest
 
 
-def test_with_no_lane_left_the_console_renders_and_goes_back_when_one_returns():
+def test_console_renders_while_no_lane_is_available_and_stops_when_one_returns():
     rig = Rig(ClusterSettings(open_frames=1))
     rig.scheduler.join("console", 0.0, reserve=True)
     rig.scheduler.join("a", 0.0, content=1)
@@ -284,7 +284,7 @@ def test_with_no_lane_left_the_console_renders_and_goes_back_when_one_returns():
     assert [t.lane for t in rig.issued] == ["console"]
     assert rig.answer(rig.issued[0], 0.5)
     rig.scheduler.join("a", 0.6, content=2)
-    rig.scheduler.want(2, 100, 0.7, content=1)  # the lane shows something else
+    rig.scheduler.want(2, 100, 0.7, content=1)  # the lane has loaded another content
     rig.take()
     assert [t.lane for t in rig.issued] == ["console"]
     rig.answer(rig.issued[0], 0.8)
@@ -294,7 +294,7 @@ def test_with_no_lane_left_the_console_renders_and_goes_back_when_one_returns():
     assert [t.lane for t in rig.issued] == ["a"]
 
 
-def test_a_frame_without_any_lane_waits_for_one():
+def test_frame_without_any_lane_waits_for_one():
     rig = Rig()
     rig.scheduler.want(1, 100, 0.0)
     assert rig.take() == []
@@ -303,7 +303,7 @@ def test_a_frame_without_any_lane_waits_for_one():
     assert [t.lane for t in rig.issued] == ["a"]
 
 
-def test_a_lane_that_joins_in_mid_flight_gets_the_mean_share_of_the_next_frame():
+def test_lane_that_joins_during_a_flight_gets_the_mean_share_of_the_next_frame():
     rig = _flying("a", "b", "c")
     rig.scheduler.want(1, 120, 0.0)
     rig.scheduler.join("d", 0.001)
@@ -317,7 +317,7 @@ def test_a_lane_that_joins_in_mid_flight_gets_the_mean_share_of_the_next_frame()
     assert task.end_row - task.first_row == 30
 
 
-def test_of_waiting_frames_of_a_stream_only_the_newest_is_rendered():
+def test_only_the_newest_waiting_frame_of_a_stream_is_rendered():
     rig = _flying("a", settings=ClusterSettings(in_flight=1, open_frames=1))
     for frame_id in (1, 2, 3):
         rig.scheduler.want(frame_id, 10, 0.0, stream="airway")
@@ -327,7 +327,7 @@ def test_of_waiting_frames_of_a_stream_only_the_newest_is_rendered():
     assert rig.issued[0].frame_id == 3
 
 
-def test_a_complete_frame_drops_the_older_ones_of_its_stream():
+def test_complete_frame_drops_the_older_frames_of_its_stream():
     rig = _flying("a", "b", settings=ClusterSettings(open_frames=2))
     rig.scheduler.want(1, 10, 0.0, stream="airway")
     rig.scheduler.want(2, 10, 0.0, stream="airway")
@@ -338,7 +338,7 @@ def test_a_complete_frame_drops_the_older_ones_of_its_stream():
     assert not rig.answer(rig.issued[0], 0.02), "no row of a dropped frame is wanted"
 
 
-def test_a_dropped_frame_frees_its_buffer():
+def test_dropped_frame_releases_its_buffer():
     rig = _flying("a", settings=ClusterSettings(in_flight=4, open_frames=1))
     rig.scheduler.want(1, 10, 0.0)
     rig.scheduler.want(2, 10, 0.0)
@@ -348,7 +348,7 @@ def test_a_dropped_frame_frees_its_buffer():
     assert rig.rest == [FrameDropped(1)]
 
 
-def test_whole_frames_go_to_one_lane_each_as_many_as_lanes_can_hold():
+def test_whole_frames_are_issued_to_one_lane_each_up_to_the_lane_capacity():
     rig = _flying("a", "b", settings=ClusterSettings(in_flight=2, open_frames=1))
     for frame_id in range(10):
         rig.scheduler.want(frame_id, 100, 0.0, whole=True)
@@ -357,7 +357,7 @@ def test_whole_frames_go_to_one_lane_each_as_many_as_lanes_can_hold():
     assert {(t.first_row, t.end_row) for t in rig.issued} == {(0, 100)}
 
 
-def test_a_frame_that_is_under_way_cannot_be_wanted_again():
+def test_frame_in_progress_cannot_be_requested_again():
     rig = _flying("a")
     rig.scheduler.want(1, 10, 0.0)
     with pytest.raises(UsageError, match="already being rendered"):
@@ -375,7 +375,7 @@ EVENTS = st.lists(
 
 
 @given(EVENTS, st.integers(1, 3), st.integers(1, 3), st.booleans(), st.one_of(st.none(), st.integers(3, 20)))
-def test_no_strip_is_missing_or_doubled_under_any_order_of_events(events, in_flight, open_frames, reserve, max_rows):
+def test_no_strip_is_missing_or_doubled_in_any_order_of_events(events, in_flight, open_frames, reserve, max_rows):
     settings = ClusterSettings(in_flight=in_flight, open_frames=open_frames)
     scheduler = StripScheduler(settings)
     frame_ids = itertools.count()
@@ -439,7 +439,7 @@ def test_no_strip_is_missing_or_doubled_under_any_order_of_events(events, in_fli
                 del out[task.task_id]
                 scheduler.failed(task.lane, task.task_id, now_s)
         check()
-    # Nobody fails any more, and there is a lane for every content: all that is wanted gets done.
+    # No lane fails any more and each content has a lane, so every requested frame must be completed.
     for n, shown in enumerate((0, 1)):
         scheduler.join(("rescue", n), now_s, content=shown)
     check()

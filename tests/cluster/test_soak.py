@@ -1,4 +1,4 @@
-"""Ten minutes of flight with a member killed every 20 s (make soak)."""
+"""Soak tests of a cluster: a flight of ten minutes with a member killed every 20 s, and a lost head (make soak)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def _resident_bytes() -> int:
 def test_ten_minutes_of_flight_with_a_member_killed_every_20_seconds():
     with running_head(renderers=4) as head:
         with flying(head, SleepingRenderer, num=4, settings=ClusterSettings(), row_seconds=0.004 / 128) as flight:
-            # Jobs would grow with the flight; the timeline is not wanted here.
+            # The list of jobs would grow with the flight and is not used here.
             flight.console.jobs = None
             began_s = time.monotonic()
             killed, due, frames, resident, shown_s, gaps, stood_in, theirs = 0, 1, 0, [], time.monotonic(), [], 0, []
@@ -50,13 +50,13 @@ def test_ten_minutes_of_flight_with_a_member_killed_every_20_seconds():
                 theirs.append(flight.check(picture))
                 time.sleep(max(0.0, 1 / 30 - (time.monotonic() - began_s - now_s)))
             wait_for(lambda: len(flight.ready()) == 4)
-        # The first minutes fill caches; from then on nothing may grow.
+        # The first minutes fill caches; afterwards the memory must not grow.
         settled = resident[len(resident) // 3 :]
         print(f"{frames} frames, {killed} kills, worst gap {max(gaps):.3f} s, resident {resident[0]} to {resident[-1]}")
         print(f"{stood_in} pictures with rows of the renderers, {sum(theirs) / frames:.4f} of all rows")
         assert killed >= SECONDS // KILL_EVERY_S - 1
         assert max(gaps) < 2
-        # The console helps where a renderer is dead; it must not have flown alone.
+        # The console renders strips of dead renderers, but must not have rendered most of the flight.
         assert stood_in > 0.9 * frames
         assert sum(theirs) > 0.9 * frames
         assert max(settled) - min(settled) < 50 * 2**20
@@ -68,8 +68,8 @@ def test_ten_minutes_of_flight_with_a_member_killed_every_20_seconds():
 @pytest.mark.ray
 @needs_ray
 @pytest.mark.filterwarnings("ignore")
-def test_with_the_head_gone_the_console_renders_alone_and_goes_on():
-    """Ray ends a program whose head is gone for 60 s, unless it is told to wait."""
+def test_console_renders_alone_after_the_head_is_lost():
+    """By default, Ray ends a program 60 s after its head is lost."""
     with running_head(renderers=2) as head, flying(head, SleepingRenderer, num=2, row_seconds=0.004 / 256) as flight:
         assert flight.check(flight.renderer.render(VIEW)) == 1.0
         head.look()

@@ -1,4 +1,4 @@
-"""Resolve names in backticks of the documents: files, Python, TypeScript and Rust names, options, commands."""
+"""Resolver of names in backticks in the documents: files, Python, TypeScript and Rust names, options, commands."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ SPAN = re.compile(r"(?<!`)`([^`\n]+)`(?!`)")
 IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 SUFFIXES = ("py", "pyi", "rs", "ts", "tsx", "md", "json", "jsonl", "toml", "html", "css", "wgsl", "yml", "sh", "lock")
 FOREIGN = re.compile(r"(pip|uv|ray|ruff|git|cargo|docker|systemctl|npm|ssh|scp)\b")
-"""Programs of others."""
+"""Commands of other programs."""
 CODE = (".py", ".pyi", ".rs", ".ts", ".tsx", ".mjs", ".wgsl", ".c")
 
 
 @dataclass(frozen=True, slots=True)
 class Named:
-    """One name in backticks."""
+    """Name in backticks, with its document and line."""
 
     document: str
     line: int
@@ -149,7 +149,7 @@ def make_targets() -> frozenset[str]:
 
 
 def is_path(text: str) -> bool:
-    """Whether a name has the form of a file or a folder of the repository."""
+    """Return whether a name has the form of a file or a folder of the repository."""
     if not re.fullmatch(r"[\w.@-]+(/[\w.@-]+)*/?", text):
         return False
     return text.rpartition(".")[2] in SUFFIXES or text.partition("/")[0] in {
@@ -159,24 +159,24 @@ def is_path(text: str) -> bool:
 
 
 def path_problem(text: str, document: str) -> str | None:
-    """Return what is wrong with a name of the form of a path."""
+    """Return what is wrong with a name that has the form of a path, or None."""
     name = text.rstrip("/")
     places = {name, f"{Path(document).parent.as_posix()}/{name}".removeprefix("./")}
     if places & set(tracked_files()) or places & folders():
         return None
     if any(file.endswith("/" + name) for file in tracked_files()) or any(one.endswith("/" + name) for one in folders()):
         return None
-    # A file that Carina writes or reads: its name is a text of the source code.
+    # The name of a file that Carina writes or reads occurs as a text in the source code.
     if "/" not in name and (name in all_source() or name.rpartition(".")[0].isupper()):
         return None
-    # A decision by its number: docs/decisions/0125.
+    # A decision may be named by its number: docs/decisions/0125.
     if any(file.startswith(name + "-") for file in tracked_files()):
         return None
     return "no such file or folder"
 
 
 def dotted_problem(text: str) -> str | None:
-    """Return what is wrong with a dotted name such as ``carina.track.wall_field`` or ``Session.do``."""
+    """Return what is wrong with a dotted name such as ``carina.track.wall_field`` or ``Session.do``, or None."""
     parts = text.split(".")
     homes = [defined().get(part) for part in parts]
     missing = [part for part, files in zip(parts, homes, strict=True) if not files]
@@ -194,7 +194,7 @@ def dotted_problem(text: str) -> str | None:
 
 
 def _has_member(file: str, name: str) -> bool:
-    """Whether a file, or a file that it imports from its own package, has an identifier."""
+    """Return whether a file, or a file that it imports from its own package, has an identifier."""
     return bool(re.search(rf"\b{name}\b", code_of(file)))
 
 
@@ -215,7 +215,7 @@ def _import_problem(parts: list[str]) -> str | None:
 
 @cache
 def quoted_options() -> frozenset[str]:
-    """Return every option that stands in quotes in the source code: those of the tools and the benchmarks."""
+    """Return every option that is quoted in the source code of the tools and the benchmarks."""
     return frozenset(re.findall(r"[\"'](--[a-z][a-z-]+)[\"']", all_source()))
 
 
@@ -242,11 +242,11 @@ ALLOWED = {
     "center_px": "field of wire version 1",
     "num_centers": "key of earlier versions",
 }
-"""Names in backticks that are not names of this repository, each with what it is."""
+"""Names in backticks that are not names of this repository, each with its meaning."""
 
 
 def problem(named: Named) -> str | None:
-    """Return why a name in backticks cannot be resolved; None if it is right, or not a name."""
+    """Return why a name in backticks cannot be resolved; None if it is correct, or not a name."""
     text = named.text
     if text in ALLOWED:
         return None

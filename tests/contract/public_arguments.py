@@ -1,4 +1,4 @@
-"""Valid arguments for every public function, class and method, and the list of them found by introspection."""
+"""Valid arguments for every public function, class and method, and the introspection that lists them."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ VALUE_CLASSES: tuple[type, ...] = (
     AirwayView, AutoFlight, Branch, CutPlaneView, DepthOfField, DrrView, ImageField, Lens, Light, NeedleErrors, Note,
     PathFrames, PathView, ScoreWeights, Slab, SliceView, TreeView, TriPlaneView, XrayView,
 )  # fmt: skip
-"""Classes of arguments of public functions, beside those that ``carina`` exports."""
+"""Classes that are arguments of public functions and are not exported by ``carina`` itself."""
 
 
 class Things:
-    """One small chest and all that public functions make of it, each made when it is first used."""
+    """Small chest and the results of public functions on it, each computed on first use."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -102,7 +102,7 @@ class Things:
         return self.path.pose_at(20.0)
 
     def navigator(self) -> carina.Navigator:
-        """Return a tip that flies along the path."""
+        """Return a navigator whose tip follows the path."""
         made = carina.Navigator(self.pose, volume=self.volume)
         made.set_path(self.path)
         made.go_to(20.0)
@@ -170,13 +170,13 @@ class Things:
 
 @dataclass(frozen=True, slots=True)
 class Good:
-    """A call that succeeds."""
+    """Valid call of a public function."""
 
     arguments: Callable[[Things], dict[str, Any]]
     owner: Callable[[Things], Any] | None = None
-    """Makes the object of a method; None for functions, classes and class methods."""
+    """Function that makes the object of a method; None for functions, classes and class methods."""
     state: Callable[[Any], Any] | None = None
-    """Reads what the call changes in the object."""
+    """Function that reads the state of the object that the call changes."""
 
 
 BOX = ((-20.0, -20.0, -20.0), (20.0, 20.0, 20.0))
@@ -424,7 +424,7 @@ def class_named(name: str) -> type:
 
 
 def called(name: str, things: Things) -> tuple[Callable[..., Any], dict[str, Any], Callable[[], Any] | None]:
-    """Return what a name of :data:`GOOD` calls, its arguments, and the function that reads the state afterwards."""
+    """Return the callable of a name of :data:`GOOD`, its arguments and the function that reads the changed state."""
     good = GOOD[name]
     arguments = good.arguments(things)
     owner_name, _, method = name.partition(".")

@@ -1,4 +1,7 @@
-"""Licences outside the list, advisories and checks that did not run fail, unless they are accepted until a day."""
+"""Audit of dependencies: licences, advisories and checks that did not run.
+
+Each finding fails the audit unless it is accepted until a date.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,7 @@ TODAY = datetime.date(2026, 6, 1)
 def audit():
     spec = importlib.util.spec_from_file_location("audit", ROOT / "tools" / "audit.py")
     module = importlib.util.module_from_spec(spec)
-    sys.modules["audit"] = module  # its dataclasses look there
+    sys.modules["audit"] = module  # dataclasses look up their module there
     spec.loader.exec_module(module)
     yield module
     del sys.modules["audit"]
@@ -58,18 +61,18 @@ EXPRESSIONS = [
 
 
 @pytest.mark.parametrize(("expression", "good"), EXPRESSIONS)
-def test_an_expression_is_kept_by_the_allowed_licences_or_not(audit, allowed, expression, good):
+def test_licence_expression_is_judged_by_the_allowed_licences(audit, allowed, expression, good):
     assert audit.licence_allowed(expression, allowed.licences) is good
 
 
-def test_this_repository_has_only_licences_of_the_list(audit):
+def test_repository_has_only_allowed_licences(audit):
     own = audit.read_allowed(ROOT / "tools" / "audit.toml")
     for result in (audit.npm_licences(ROOT, own), audit.python_licences(ROOT, own), audit.rust_licences(ROOT, own)):
         assert result.bad == []
         assert result.num_seen > 10, result
 
 
-def test_a_package_without_a_licence_is_bad_until_somebody_has_looked(audit, allowed, tmp_path):
+def test_package_without_a_licence_is_a_finding_until_it_is_reviewed(audit, allowed, tmp_path):
     (tmp_path / "web").mkdir()
     lock = {"packages": {"": {}, "node_modules/a": {"license": "MIT"}, "node_modules/b": {}, "node_modules/x/c": {}}}
     (tmp_path / "web" / "package-lock.json").write_text(json.dumps(lock), encoding="utf-8")
@@ -79,9 +82,7 @@ def test_a_package_without_a_licence_is_bad_until_somebody_has_looked(audit, all
     assert audit.npm_licences(tmp_path, known).lines() == ["licences, npm: 3 looked at, all good"]
 
 
-def test_python_packages_are_judged_by_expression_classifier_or_text_and_missing_ones_are_said(
-    audit, allowed, tmp_path
-):
+def test_python_licence_is_read_from_expression_classifier_or_text(audit, allowed, tmp_path):
     (tmp_path / "requirements.lock").write_text("a==1 \\\n  --hash=x\nb[x]==2\nc==3\nd==4\n", encoding="utf-8")
     (tmp_path / "requirements-cluster.lock").write_text("gone==5 ; sys_platform == 'x'\n", encoding="utf-8")
 
@@ -110,7 +111,7 @@ def answers(text, *, error="", code=0):
     return lambda *_command, **_options: SimpleNamespace(stdout=text, stderr=error, returncode=code)
 
 
-def test_no_tool_no_network_and_no_answer_are_said_and_are_not_good(audit, allowed, monkeypatch):
+def test_missing_tool_network_or_answer_is_a_reported_gap(audit, allowed, monkeypatch):
     def silent(*command, **_options):
         raise subprocess.TimeoutExpired(command, 1)
 
@@ -127,7 +128,7 @@ def test_no_tool_no_network_and_no_answer_are_said_and_are_not_good(audit, allow
             assert "good" not in "\n".join(result.lines())
 
 
-def test_what_pip_audit_skipped_is_not_good(audit, allowed, monkeypatch):
+def test_package_skipped_by_pip_audit_is_a_gap(audit, allowed, monkeypatch):
     monkeypatch.setattr(audit.shutil, "which", lambda tool: tool)
     rows = [{"name": "a", "skip_reason": "not found"}, {"name": "b", "vulns": []}]
     result = audit.python_advisories(ROOT, allowed, TODAY, answers(json.dumps({"dependencies": rows})))
@@ -157,7 +158,7 @@ REPORTS = {
 
 
 @pytest.mark.parametrize("look", REPORTS)
-def test_a_real_advisory_is_bad_unless_it_is_excepted_and_the_exception_ends(audit, allowed, monkeypatch, look):
+def test_advisory_is_a_finding_unless_it_is_excepted_and_exceptions_expire(audit, allowed, monkeypatch, look):
     monkeypatch.setattr(audit.shutil, "which", lambda tool: tool)
     run = answers(json.dumps(REPORTS[look]), code=1)
     asked = getattr(audit, look)
@@ -169,7 +170,7 @@ def test_a_real_advisory_is_bad_unless_it_is_excepted_and_the_exception_ends(aud
     assert "ended on 2026-06-01" in ended
 
 
-def test_an_exception_without_a_reason_or_an_end_is_refused(audit, tmp_path):
+def test_exception_without_a_reason_or_an_end_is_refused(audit, tmp_path):
     path = tmp_path / "audit.toml"
     for text in (
         '[[advisories]]\nid = "X"\nuntil = 2026-01-01\n',
@@ -183,7 +184,7 @@ def test_an_exception_without_a_reason_or_an_end_is_refused(audit, tmp_path):
             audit.read_allowed(path)
 
 
-def test_a_gap_of_an_unknown_check_is_refused(audit, tmp_path):
+def test_gap_of_an_unknown_check_is_refused(audit, tmp_path):
     path = tmp_path / "audit.toml"
     path.write_text('[[gaps]]\ncheck = "advisories"\nreason = "y"\nuntil = 2026-01-01\n', encoding="utf-8")
     with pytest.raises(SystemExit, match="is no check"):
@@ -191,7 +192,7 @@ def test_a_gap_of_an_unknown_check_is_refused(audit, tmp_path):
 
 
 def audit_without_tools(audit, allowed, monkeypatch, *, gap_until=None) -> int:
-    """Run the audit on a machine that can read no database; accept the gaps until a day if one is given."""
+    """Run the audit without readable databases; accept the gaps until a date if one is given."""
     gaps = {} if gap_until is None else {name: audit.Gap("closed network", gap_until) for name in audit.CHECKS}
     monkeypatch.setattr(audit, "read_allowed", lambda _path: audit.Allowed(allowed.licences, {}, {}, gaps))
     for check in audit.CHECKS:
@@ -201,12 +202,12 @@ def audit_without_tools(audit, allowed, monkeypatch, *, gap_until=None) -> int:
     return audit.main()
 
 
-def test_a_database_that_was_not_read_fails_the_audit(audit, allowed, monkeypatch, capsys):
+def test_unread_database_fails_the_audit(audit, allowed, monkeypatch, capsys):
     assert audit_without_tools(audit, allowed, monkeypatch) == 1
     assert capsys.readouterr().out.count("NOT looked at: no tool; make the check possible, or accept the gap") == 3
 
 
-def test_an_accepted_gap_passes_until_its_last_day_and_is_printed_with_its_reason(audit, allowed, monkeypatch, capsys):
+def test_accepted_gap_passes_until_its_last_day_and_is_printed_with_its_reason(audit, allowed, monkeypatch, capsys):
     today = datetime.datetime.now(tz=datetime.UTC).date()
     assert audit_without_tools(audit, allowed, monkeypatch, gap_until=today) == 0
     assert capsys.readouterr().out.count(f"accepted until {today}: no tool (closed network)") == 3
@@ -215,7 +216,7 @@ def test_an_accepted_gap_passes_until_its_last_day_and_is_printed_with_its_reaso
     assert capsys.readouterr().out.count(f"audit.toml accepted this gap until {yesterday}") == 3
 
 
-def test_a_result_with_an_accepted_gap_is_not_called_complete(audit, allowed):
+def test_result_with_an_accepted_gap_is_not_called_complete(audit, allowed):
     result = audit.Result("licences, Python", num_seen=3, unseen=["1 package"])
     gap = audit.Gap("another system", TODAY)
     audit.judge_gaps([result], audit.Allowed(allowed.licences, {}, {}, {"licences, Python": gap}), TODAY)

@@ -1,4 +1,4 @@
-"""After a bare ``import carina`` every part and public name is there and listed, and nothing slow is loaded before."""
+"""A bare ``import carina``: every part and public name is available and listed, and nothing slow is loaded."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import carina
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = {page.stem for page in (ROOT / "docs" / "api").glob("*.md")}
-# Packages that depend on Carina are documented beside it, and are no part of it.
+# Packages that depend on Carina are documented beside it and are not part of it.
 DOCUMENTED = sorted(PAGES - {path.name for path in ROOT.glob("packages/*/python/*")})
 
 
@@ -26,7 +26,7 @@ def test_dir_lists_every_documented_part_and_every_public_name() -> None:
     assert not [name for name in listed if name.startswith("_") and name != "__version__"]
 
 
-def test_every_listed_name_is_there_after_a_bare_import() -> None:
+def test_every_listed_name_is_available_after_a_bare_import() -> None:
     code = "import carina; print(*(name for name in dir(carina) if getattr(carina, name, None) is None))"
     assert printed(code) == ""
     assert printed("import carina; print(carina.track.lumen_mesh.__name__, carina.errors.UsageError.code)") == (
@@ -34,12 +34,12 @@ def test_every_listed_name_is_there_after_a_bare_import() -> None:
     )
 
 
-def test_an_unknown_name_is_no_attribute() -> None:
+def test_unknown_name_raises_an_attribute_error() -> None:
     assert not hasattr(carina, "no_such_part")
     assert not hasattr(carina, "_web")
 
 
-def test_a_bare_import_loads_no_part_and_no_library() -> None:
+def test_bare_import_loads_no_part_and_no_library() -> None:
     code = "import sys, carina; print(*sorted(n for n in sys.modules if n.startswith(('carina', 'numpy', 'msgspec'))))"
     assert printed(code).split() == ["carina", "carina.version"]
     assert "carina.track" not in printed("import sys, carina; dir(carina); print(*sys.modules)").split()

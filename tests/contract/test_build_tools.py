@@ -1,4 +1,4 @@
-"""`make run` names the tools that it needs, asks before it downloads one, and installs what runs and nothing else."""
+"""The target `make run`: it names missing tools, asks before a download, and installs only what Carina needs to run."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ VERSIONS = {
     "cc": "cc 14.2",
 }
 WITHIN_S = 60
-"""A script that waits for an answer would wait for ever."""
+"""Time limit in s for a script, which would block for ever if it waited for an answer."""
 
 
 @pytest.fixture
@@ -61,7 +61,7 @@ def check(environment: dict[str, str], *installed: Path) -> subprocess.Completed
 
 
 def check_at_a_terminal(environment: dict[str, str], answer: str, script: Path = SCRIPT) -> tuple[int, str]:
-    """Run the script at a terminal, and type an answer at its question; return the exit code and what it printed."""
+    """Run the script in a terminal and answer its question; return the exit code and the output."""
     ours, its = pty.openpty()
     with subprocess.Popen([script], env=environment, stdin=its, stdout=its, stderr=its, start_new_session=True) as ran:
         os.close(its)
@@ -69,7 +69,7 @@ def check_at_a_terminal(environment: dict[str, str], answer: str, script: Path =
         while True:
             try:
                 part = os.read(ours, 4096)
-            except OSError:  # Linux ends the output of a closed terminal with EIO.
+            except OSError:  # Linux reports EIO at the end of the output of a closed terminal.
                 break
             if not part:
                 break
@@ -90,7 +90,7 @@ def needed() -> dict[str, str]:
     return {"Python": python, "Rust": rust, "Node": node}
 
 
-def test_a_first_build_names_the_versions_that_the_project_files_declare(machine):
+def test_first_build_names_the_versions_that_the_project_files_declare(machine):
     ended = check(machine())
     assert ended.returncode == 0, ended.stderr
     first = ended.stdout.splitlines()[0]
@@ -100,7 +100,7 @@ def test_a_first_build_names_the_versions_that_the_project_files_declare(machine
     assert re.search(r"Compiles: Rust crates and the web UI, about \d+ to \d+ min", ended.stdout)
 
 
-def test_a_later_build_prints_nothing(machine, tmp_path):
+def test_later_build_prints_nothing(machine, tmp_path):
     (tmp_path / "installed").touch()
     ended = check(machine(), tmp_path / "installed", tmp_path / "absent")
     assert (ended.returncode, ended.stdout, ended.stderr) == (0, "", "")
@@ -120,7 +120,7 @@ def test_a_later_build_prints_nothing(machine, tmp_path):
         ("cargo", None, "Rust 1.89 or newer is missing"),
     ],
 )
-def test_a_missing_or_old_tool_is_named_with_its_remedy_and_nothing_is_downloaded(
+def test_missing_or_old_tool_is_reported_with_its_remedy_and_nothing_is_downloaded(
     machine, tmp_path, tool, version, problem
 ):
     environment = machine(**{tool: version})
@@ -132,7 +132,7 @@ def test_a_missing_or_old_tool_is_named_with_its_remedy_and_nothing_is_downloade
     assert not (tmp_path / "ran").exists()
 
 
-def test_a_python_without_venv_is_refused_where_uv_is_missing(machine):
+def test_python_without_venv_is_refused_if_uv_is_missing(machine):
     environment = machine(uv=None)
     python = Path(environment["PATH"]) / "python3"
     python.write_text('#!/bin/sh\n[ "$1" = --version ] && echo Python 3.12.1\n')
@@ -141,14 +141,14 @@ def test_a_python_without_venv_is_refused_where_uv_is_missing(machine):
     assert "apt install python3-venv" in ended.stderr
 
 
-def test_rust_is_not_downloaded_without_a_yes(machine, tmp_path):
+def test_rust_is_not_downloaded_without_consent(machine, tmp_path):
     code, shown = check_at_a_terminal(machine(cargo=None), "")
     assert code == 1, shown
     assert not (tmp_path / "ran").exists()
 
 
-def test_rust_is_downloaded_into_the_folder_after_a_yes(machine, tmp_path):
-    """In a copy of the files that the script reads."""
+def test_rust_is_downloaded_into_the_folder_after_consent(machine, tmp_path):
+    """Run in a copy of the files that the script reads."""
     copy = tmp_path / "copy"
     for name in ("tools/check_build_tools.sh", "Cargo.toml", "pyproject.toml", "web/package.json"):
         (copy / name).parent.mkdir(parents=True, exist_ok=True)
@@ -166,7 +166,7 @@ def dry_run(*arguments: str) -> list[str]:
     """Return the commands that make would run in a folder without a build."""
     absent = [f"{name}=build/absent-{name}" for name in ("STAMP", "RUN_STAMP", "WEB_TOOLS", "WEB_LIBRARIES")]
     command = ["make", "-n", "UV=uv", *absent, *arguments]
-    # The tests run below make, whose flags a second make would follow: it prints the folder first.
+    # Without the variables of an outer make, which would change the output of this one.
     environment = {name: value for name, value in os.environ.items() if not name.startswith(("MAKE", "MFLAGS"))}
     ended = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=True)
     return ended.stdout.splitlines()
@@ -194,7 +194,7 @@ def locked(name: str) -> set[str]:
     return set(re.findall(r"^[\w.-]+==.*(?:\n    --hash.*)+", text, re.MULTILINE))
 
 
-def test_what_runs_is_locked_to_the_versions_of_the_tests():
+def test_runtime_packages_are_locked_to_the_versions_of_the_tests():
     run, tests = locked("requirements-run.lock"), locked("requirements.lock")
     assert 15 < len(run) < len(tests)
     assert run < tests
@@ -204,20 +204,20 @@ def test_what_runs_is_locked_to_the_versions_of_the_tests():
     assert {re.split("[>=<]", one)[0].lower() for one in project["dependencies"]} <= names
 
 
-def test_no_tool_chain_is_fetched_by_maturin_or_uv():
+def test_maturin_and_uv_download_no_tool_chain():
     text = (ROOT / "Makefile").read_text()
     assert "export MATURIN_NO_INSTALL_RUST := 1" in text
     assert "export UV_PYTHON_DOWNLOADS := never" in text
 
 
 @pytest.mark.parametrize("document", ["README.md", "CONTRIBUTING.md", "docs/getting-started.md"])
-def test_a_document_names_the_needed_versions(document):
+def test_document_names_the_needed_versions(document):
     text = " ".join((ROOT / document).read_text(encoding="utf-8").split())
     for tool, version in needed().items():
         assert re.search(rf"{tool} {re.escape(version)}\b", text), f"{tool} {version}"
 
 
-def test_the_progress_of_an_installation_names_each_crate_and_the_time():
+def test_progress_of_an_installation_names_each_crate_and_the_time():
     lines = [
         "DEBUG   vite v8.3.8 building client\n",
         "DEBUG    Compiling libm v0.2.15\n",

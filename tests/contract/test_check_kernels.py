@@ -1,4 +1,4 @@
-"""What ``tools/check_kernels.py`` finds in a disassembly."""
+"""Findings of ``tools/check_kernels.py`` in a disassembly."""
 
 from check_kernels import lost_kernels
 
@@ -17,5 +17,5 @@ DISASSEMBLY = """
 """
 
 
-def test_a_closure_without_the_instruction_set_is_named_and_what_asks_the_processor_is_not() -> None:
+def test_closure_without_the_instruction_set_is_reported_and_cpu_detection_is_not() -> None:
     assert lost_kernels(DISASSEMBLY) == {"carina_raycast::packet::lighting::lit::{{closure}}": 2}

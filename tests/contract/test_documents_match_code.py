@@ -1,4 +1,4 @@
-"""Versions, exit codes, messages, close codes and names in the documents are those of the code."""
+"""Agreement of the documents with the code: versions, exit codes, messages, close codes and names."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from carina.version import WIRE_VERSION
 
 CONTRACTS = (ROOT / "docs" / "contracts.md").read_text(encoding="utf-8")
 PROTOCOL = (ROOT / "protocol" / "README.md").read_text(encoding="utf-8")
-# CHANGELOG.md and the decisions state the versions of their time.
+# CHANGELOG.md and the decisions are excluded, because they state versions of the past.
 ALL_DOCUMENTS = [
     *documents(),
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "web/README.md", "benchmarks/README.md")),
@@ -26,16 +26,16 @@ ALL_DOCUMENTS = [
 
 
 def subclasses(base: type[CarinaError]) -> set[type[CarinaError]]:
-    """Return a class and all classes below it."""
+    """Return a class and all its subclasses."""
     return {base}.union(*(subclasses(one) for one in base.__subclasses__()))
 
 
-def test_the_page_of_the_wire_names_the_wire_version() -> None:
+def test_wire_page_names_the_wire_version() -> None:
     assert PROTOCOL.splitlines()[0].endswith(f"(version {WIRE_VERSION})")
 
 
 @pytest.mark.parametrize("document", ALL_DOCUMENTS, ids=lambda path: f"{path.parent.name}-{path.name}")
-def test_a_document_that_states_the_wire_version_states_that_of_the_code(document: Path) -> None:
+def test_wire_version_in_a_document_is_that_of_the_code(document: Path) -> None:
     text = document.read_text(encoding="utf-8")
     assert {int(one) for one in re.findall(r"[Ww]ire version (\d+)", text)} <= {WIRE_VERSION}
     if document.parent.name == "protocol":
@@ -44,14 +44,14 @@ def test_a_document_that_states_the_wire_version_states_that_of_the_code(documen
 
 
 @pytest.mark.parametrize("document", ALL_DOCUMENTS, ids=lambda path: f"{path.parent.name}-{path.name}")
-def test_the_newest_schema_of_case_files_in_a_document_is_that_of_the_code(document: Path) -> None:
+def test_newest_case_schema_in_a_document_is_that_of_the_code(document: Path) -> None:
     stated = [int(one) for one in re.findall(r"\bschema (\d+)\b", document.read_text(encoding="utf-8"))]
     describes = document.name in {"case-file.md", "contracts.md", "conventions.md"}
     assert stated or not describes
     assert not stated or max(stated) == SCHEMA
 
 
-def test_the_pages_about_the_cluster_name_the_versions_of_ray_that_are_locked() -> None:
+def test_cluster_pages_name_the_locked_versions_of_ray() -> None:
     [locked] = re.findall(
         r"^ray(?:\[[^]]*\])?==([\d.]+)", (ROOT / "requirements-cluster.lock").read_text(), re.MULTILINE
     )
@@ -60,7 +60,7 @@ def test_the_pages_about_the_cluster_name_the_versions_of_ray_that_are_locked() 
     assert {whole or f"{part}.{locked.rpartition('.')[2]}" for whole, part in stated} == {locked}
 
 
-def test_the_contract_lists_the_exit_codes_of_all_errors() -> None:
+def test_contract_lists_the_exit_codes_of_all_errors() -> None:
     table = {int(code) for code in re.findall(r"^\| (\d+) \|", CONTRACTS, re.MULTILINE)}
     raised = {cls.exit_code for cls in subclasses(CarinaError) if cls.__module__.startswith("carina.")}
     assert raised | {0} <= table
@@ -70,7 +70,7 @@ def test_the_contract_lists_the_exit_codes_of_all_errors() -> None:
 def format_versions() -> dict[str, int]:
     """Return the newest version of each JSON format that the package writes.
 
-    A module names both (``FORMAT``, ``VERSION``), or writes them into a dictionary.
+    A module defines both as constants (``FORMAT``, ``VERSION``) or writes them into a dictionary.
     """
     found: dict[str, int] = {}
     for path in sorted((ROOT / "python" / "carina").rglob("*.py")):
@@ -111,7 +111,7 @@ def value_of(node: ast.expr | None, constants: dict[str, object]) -> object:
     return None
 
 
-def test_the_formats_of_the_package_are_found() -> None:
+def test_formats_of_the_package_are_found() -> None:
     found = format_versions()
     assert {"carina-tree", "carina-transfer", "carina-keys", "carina-recording", "carina-plan", "carina-pose"} <= set(
         found
@@ -128,7 +128,7 @@ def test_format_versions_in_a_document_are_those_of_the_code(document: Path) -> 
     assert newest == {name: found.get(name) for name in newest}
 
 
-def test_the_page_of_the_wire_names_every_close_code() -> None:
+def test_wire_page_names_every_close_code() -> None:
     stated = {int(code) for code in re.findall(r"^\| (\d{4})", PROTOCOL, re.MULTILINE)}
     assert set(wire.CLOSE_CODES.values()) <= stated
     assert stated - {1001} <= set(wire.CLOSE_CODES.values())
@@ -151,7 +151,7 @@ def test_error_codes_in_the_contract_exist_in_the_code() -> None:
         assert f"'{code}'" in source, code
 
 
-def test_a_row_of_the_architecture_names_the_file_that_defines_the_function() -> None:
+def test_architecture_table_names_the_file_that_defines_each_function() -> None:
     text = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| \d+ \| `([\w.]+)`, `([\w./]+)`", text, re.MULTILINE)
     assert len(rows) > 8
@@ -190,5 +190,5 @@ def test_names_in_a_document_exist(document: Path) -> None:
         "make nonsense",
     ],
 )
-def test_a_wrong_name_is_found(text: str) -> None:
+def test_wrong_name_is_found(text: str) -> None:
     assert problem(Named("ARCHITECTURE.md", 1, text)) is not None

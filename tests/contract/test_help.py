@@ -1,4 +1,4 @@
-"""``help(carina)`` is one page that names every public object."""
+"""The page of ``help(carina)``, which names every public object."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ def test_help_of_the_package_is_one_page() -> None:
     assert len(pydoc.plain(pydoc.render_doc(carina)).splitlines()) < 100
 
 
-def test_the_contents_in_the_docstring_name_every_public_object() -> None:
+def test_package_docstring_names_every_public_object() -> None:
     assert [name for name in carina.__all__ if name != "__version__" and name not in (carina.__doc__ or "")] == []
 
 
-def test_a_star_import_gives_every_public_object() -> None:
+def test_star_import_gives_every_public_object() -> None:
     namespace: dict[str, object] = {}
     exec("from carina import *", namespace)
     assert set(carina.__all__) <= set(namespace)

@@ -1,4 +1,4 @@
-"""Commands in messages add packages to this installation, and none asks a package index for `carina`."""
+"""Installation commands in messages: they extend this installation and never request `carina` from an index."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "Makefile", ".ci/run", 
 
 
 def message_files() -> list[Path]:
-    """Return every file whose text a user can read, without `docs/words`, which repeats messages."""
+    """Return every file with text that a user can read, except `docs/words`, which repeats messages."""
     found = [ROOT / name for name in PAGES]
     for folder, suffixes in SOURCES.items():
         found += [
@@ -44,7 +44,7 @@ def message_files() -> list[Path]:
 
 
 def test_no_message_installs_carina_from_a_package_index() -> None:
-    """The name is not registered there: anybody could register it."""
+    """The name `carina` is not registered at the index, so anybody could register it."""
     files = message_files()
     assert len(files) > 800
     unsafe = re.compile(
@@ -60,7 +60,7 @@ def test_no_message_installs_carina_from_a_package_index() -> None:
     assert not wrong, "\n".join(wrong)
 
 
-def test_one_module_writes_the_command_that_installs_packages() -> None:
+def test_only_one_module_writes_installation_commands() -> None:
     command = re.compile(r"pip install|\buv add\b")
     source = [path for path in message_files() if path.is_relative_to(ROOT / "python") or "web" in path.parts]
     found = [path for path in source if command.search(path.read_text(encoding="utf-8"))]
@@ -68,7 +68,7 @@ def test_one_module_writes_the_command_that_installs_packages() -> None:
     assert {path.name for path in found} <= {"installation.py"}
 
 
-def test_the_extras_are_those_of_the_project_file() -> None:
+def test_extras_are_those_of_the_project_file() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     declared = {
         extra: tuple(requirement.partition(";")[0] for requirement in requirements)
@@ -83,32 +83,32 @@ def without(monkeypatch: pytest.MonkeyPatch, *, pip: bool, uv: str | None) -> No
     monkeypatch.setattr(installation.shutil, "which", lambda name, path=None: uv if path is None else None)
 
 
-def test_an_environment_with_pip_installs_by_its_own_python(monkeypatch) -> None:
+def test_environment_with_pip_uses_the_pip_of_its_python(monkeypatch) -> None:
     without(monkeypatch, pip=True, uv="/usr/bin/uv")
     words = shlex.split(install_command("segno>=1.6"))
     assert words == [sys.executable, "-m", "pip", "install", "segno>=1.6"]
 
 
-def test_an_environment_of_uv_installs_by_uv(monkeypatch) -> None:
+def test_environment_of_uv_uses_uv(monkeypatch) -> None:
     without(monkeypatch, pip=False, uv="/usr/bin/uv")
     words = shlex.split(extra_command("report"))
     assert words == ["/usr/bin/uv", "pip", "install", "--python", sys.executable, "reportlab>=4.2"]
 
 
-def test_an_environment_without_pip_and_uv_installs_pip_first(monkeypatch) -> None:
+def test_environment_without_pip_and_uv_installs_pip_first(monkeypatch) -> None:
     without(monkeypatch, pip=False, uv=None)
     first, second = extra_command("video").split(" && ")
     assert shlex.split(first) == [sys.executable, "-m", "ensurepip"]
     assert shlex.split(second) == [sys.executable, "-m", "pip", "install", "av>=14"]
 
 
-def test_a_version_is_no_redirection_for_the_shell_of_windows(monkeypatch) -> None:
+def test_version_condition_is_quoted_for_the_windows_shell(monkeypatch) -> None:
     without(monkeypatch, pip=True, uv=None)
     monkeypatch.setattr(installation.os, "name", "nt")
     assert install_command("ray>=2.60,<2.61").endswith(' -m pip install "ray>=2.60,<2.61"')
 
 
-def test_a_checkout_is_built_again_by_a_target_of_its_makefile() -> None:
+def test_checkout_is_rebuilt_by_a_makefile_target() -> None:
     words = shlex.split(rebuild().removeprefix("run: "))
     assert words[:2] == ["make", "-C"]
     target = words[3]
@@ -126,7 +126,7 @@ def test_a_checkout_is_built_again_by_a_target_of_its_makefile() -> None:
         (None, "from the file or folder from which it was installed"),
     ],
 )
-def test_an_installed_wheel_is_installed_again_from_its_origin(monkeypatch, record, expected) -> None:
+def test_installed_wheel_is_reinstalled_from_its_origin(monkeypatch, record, expected) -> None:
     class Distribution:
         def read_text(self, _name: str) -> str | None:
             return record
@@ -137,7 +137,7 @@ def test_an_installed_wheel_is_installed_again_from_its_origin(monkeypatch, reco
     assert "install carina" not in rebuild()
 
 
-def test_a_command_of_carina_has_its_path_unless_the_shell_finds_it(monkeypatch, tmp_path) -> None:
+def test_carina_command_has_its_full_path_unless_the_shell_finds_it(monkeypatch, tmp_path) -> None:
     own, other = tmp_path / "own", tmp_path / "other"
     for folder in (own, other):
         folder.mkdir()
@@ -152,7 +152,7 @@ def test_a_command_of_carina_has_its_path_unless_the_shell_finds_it(monkeypatch,
 
 
 def test_commands_of_carina_in_messages_exist() -> None:
-    """A verb of `carina`, and of `carina case` and `carina cluster`."""
+    """Checks the commands of `carina`, `carina case` and `carina cluster`."""
     commands = typer.main.get_command(app)
     wrong = []
     for path in message_files():

@@ -1,4 +1,4 @@
-"""The checks of imports and of limits, on sources that break them."""
+"""The checks of imports and size limits, on sources that violate them."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ def test_imports_in_the_order_of_the_folders_are_accepted():
     assert check_folders(FOLDERS, below) == []
 
 
-def test_an_import_against_the_order_of_the_folders_is_refused():
+def test_import_against_the_order_of_the_folders_is_refused():
     found = check_folders(FOLDERS, [one("names/shape.py", "edit/way.py")])
     assert found == ["python/carina/track/names/shape.py:3: track.names imports track.edit; it may import ['tree']"]
 
 
-def test_folders_in_a_circle_without_a_row_or_without_files_are_refused():
+def test_folder_cycles_and_folders_without_a_row_or_files_are_refused():
     rules = dict(FOLDERS["track"])
     del rules["surface"]
     rules |= {"tree": frozenset({"names"}), "attic": frozenset()}
@@ -80,7 +80,7 @@ def classes_of(files: dict[str, str]) -> list[tuple[str, ast.ClassDef]]:
     ]
 
 
-def test_a_view_is_named_by_a_string_a_key_or_the_first_word_of_its_family():
+def test_view_is_recognised_as_a_string_a_key_or_the_first_word_of_its_family():
     files = {
         "python/carina/a.py": 'x = {"drr": 1}  # not "axial"\n',
         "python/carina/b.py": 'x = name.startswith("xray-")\n',
@@ -96,7 +96,7 @@ def test_a_view_is_named_by_a_string_a_key_or_the_first_word_of_its_family():
     assert naming["axial"] == []
 
 
-def test_record_classes_repeat_another_by_names_and_types_of_their_fields():
+def test_record_classes_with_equal_field_names_and_types_are_found():
     files = {
         "python/carina/a.py": (
             "@dataclass(frozen=True)\nclass Steer:\n    x: float\n    y: float\n    z: float\n"
@@ -130,7 +130,7 @@ def test_inherited_methods_and_attributes_set_on_self_are_counted():
 
 
 def limits_exceeded_by(more: int) -> list[str]:
-    """Return the findings in sources that exceed every limit by a number."""
+    """Return the findings in sources that exceed every limit by the given number."""
     record = "@dataclass\nclass {}:\n    a: int\n    b: int\n"
     methods = "".join(f"    def m{n}(self): ...\n" for n in range(15 + more))
     files = {f"python/carina/render/view{n}.py": "x = 'drr'\ny = 'tree'\n" for n in range(4 + more)}
@@ -140,14 +140,14 @@ def limits_exceeded_by(more: int) -> list[str]:
     return check_limits(files)
 
 
-def test_a_limit_is_refused_only_when_it_is_exceeded():
+def test_limit_is_refused_only_if_it_is_exceeded():
     assert limits_exceeded_by(0) == []
     found = limits_exceeded_by(1)
     assert [text.split(" ")[0] for text in found] == ["5", "6", "Session", "OpenCase"]
     assert "'drr'" in found[0] and "Twin5" in found[1] and "16" in found[2] and "23" in found[3]
 
 
-def test_an_attribute_without_a_type_and_a_missing_class_are_refused():
+def test_attribute_without_a_type_and_missing_class_are_refused():
     found = check_limits({"python/carina/session/case.py": "class OpenCase:\n    wall: Any\nclass Case:\n    x: int\n"})
     assert found == [
         "no class Session in python/carina: correct the limits in tools/check_layers.py",

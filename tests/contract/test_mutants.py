@@ -1,4 +1,4 @@
-"""The script that makes mutants changes one thing at a time, what is meant, and the same for a seed."""
+"""The generator of mutants (tools/mutants.py): one change per mutant, and equal mutants for equal seeds."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def f(é: int, n: Literal[-1], words: list[str]) -> bool:
 '''
 
 
-def test_each_kind_of_change_is_made_where_it_decides_and_nowhere_else(tmp_path):
+def test_each_kind_of_change_is_made_in_decisions_only(tmp_path):
     path = tmp_path / "code.py"
     path.write_text(CODE, encoding="utf-8")
     made = sorted(mutants.mutants_of(path), key=lambda mutant: (mutant.line, mutant.column))
@@ -45,12 +45,12 @@ def test_each_kind_of_change_is_made_where_it_decides_and_nowhere_else(tmp_path)
         assert len(changed) == 1, mutant
 
 
-def test_a_bound_moves_by_one_in_its_last_digit():
+def test_bound_changes_by_one_in_its_last_digit():
     numbers = ("3", "1_000", "3.0", "0.25", "1e-9", "2.5e3")
     assert [mutants.moved(number) for number in numbers] == ["4", "1001", "4.0", "0.26", "2e-9", "2.6e3"]
 
 
-def test_a_seed_draws_the_same_mutants_of_every_kind_and_all_can_be_read():
+def test_equal_seeds_draw_equal_mutants_of_every_kind_that_can_be_parsed():
     drawn = mutants.draw(["session"], 1, 40)
     assert drawn == mutants.draw(["session"], 1, 40) != mutants.draw(["session"], 2, 40)
     assert len(set(drawn)) == 40

@@ -1,4 +1,4 @@
-"""Messages name only options that their command has."""
+"""Options named in messages: each one exists in the command that prints the message."""
 
 from __future__ import annotations
 
@@ -53,12 +53,12 @@ PRINTED_BY: dict[str, tuple[str, ...]] = {
     "volume/mask_files.py --label": ("airways", "export"),
     "volume/mask_files.py --resample": ("airways", "export", "plan"),
 }
-"""The commands that print the messages of a module, or its messages with one option."""
+"""Commands that print the messages of a module, or only its messages with one option."""
 
 
 @functools.cache
 def options() -> dict[str, set[str]]:
-    """Options of each command."""
+    """Return the options of each command."""
     found: dict[str, set[str]] = {}
 
     def walk(command, name):
@@ -72,7 +72,10 @@ def options() -> dict[str, set[str]]:
 
 @functools.cache
 def named() -> list[tuple[str, str, int]]:
-    """Options in texts of the package: module, option, line. Docstrings and definitions of options are left out."""
+    """Return the options in texts of the package as (module, option, line).
+
+    Docstrings and definitions of options are left out.
+    """
     found = []
     for path in sorted(SOURCE.rglob("*.py")):
         module = path.relative_to(SOURCE).as_posix()
@@ -92,13 +95,13 @@ def named() -> list[tuple[str, str, int]]:
     return found
 
 
-def test_every_option_that_a_message_names_is_one_of_the_commands_that_print_it():
+def test_every_option_in_a_message_exists_in_the_commands_that_print_it():
     known = options()
     wrong = []
     for module, option, line in named():
         commands = PRINTED_BY.get(f"{module} {option}", PRINTED_BY.get(module))
         if commands is None and module.startswith("cli/app"):
-            # The commands themselves: their parsing of an option names this option.
+            # The modules cli/app* define the options, so an option of any command is accepted.
             if not any(option in own for own in known.values()):
                 wrong.append(f"{module}:{line} names {option}, which no command has")
             continue
@@ -112,7 +115,7 @@ def test_every_option_that_a_message_names_is_one_of_the_commands_that_print_it(
     assert not wrong, "\n".join(wrong)
 
 
-def test_the_table_names_messages_and_commands_that_exist():
+def test_table_names_existing_messages_and_commands():
     known, places = options(), {(module, option) for module, option, _ in named()}
     modules = {module for module, _ in places}
     for key, commands in PRINTED_BY.items():
@@ -129,7 +132,7 @@ def test_help_texts_name_options_of_their_own_command():
             walk(part, f"{name} {word}".strip())
         texts = [command.help or "", *(getattr(part, "help", None) or "" for part in command.params)]
         for text in texts:
-            # A text may send the user to another command.
+            # A text may refer the user to another command.
             commands = {name, *(other for other in options() if f"carina {other} " in text)}
             own = {"--help"}.union(*(options()[one] for one in commands))
             wrong.extend(f"{name}: {one}" for one in OPTION.findall(text) if one not in own)
@@ -146,5 +149,5 @@ def test_help_texts_name_options_of_their_own_command():
         ("it contains the labels 1 (lung), 2 (node)", "it contains the labels 1 (lung), 2 (node)"),
     ],
 )
-def test_the_window_shows_messages_without_options(message, expected):
+def test_window_shows_messages_without_options(message, expected):
     assert without_options(message) == expected

@@ -1,4 +1,4 @@
-"""Every number that comes from outside has bounds, which are looked at before it is used: on the wire and in files."""
+"""Bounds of numbers from outside, on the wire and in files, which are checked before a number is used."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ EVIL = [
 
 
 def numbers_of(kind: inspect.Type):
-    """Each number in a field's type, and whether it has a range."""
+    """Yield for each number in a field's type whether it has a finite range."""
     match kind:
         case inspect.IntType() | inspect.FloatType():
             yield kind.ge is not None and kind.le is not None and np.isfinite([kind.ge, kind.le]).all()
@@ -77,7 +77,7 @@ def test_every_number_that_a_client_sends_has_a_range(cls):
 
 
 def evil_texts(document: Any):
-    """The document with each of its values replaced by each evil one, as text."""
+    """Yield the document as text with each of its values replaced by each value of ``EVIL``."""
     mark = "@@evil@@"
 
     def places(value, path=()):
@@ -86,7 +86,7 @@ def evil_texts(document: Any):
             for key, entry in value.items():
                 yield from places(entry, (*path, key))
         elif isinstance(value, list):
-            # Of a long list the first and the last.
+            # In a long list, only the first and the last element are replaced.
             for n in {0, len(value) - 1} if value else ():
                 yield from places(value[n], (*path, n))
 
@@ -107,7 +107,7 @@ SAMPLES = [p for kind in PARSERS for p in sorted((PROTOCOL / "valid" / kind).glo
 
 
 @pytest.mark.parametrize("path", SAMPLES, ids=lambda path: f"{path.parent.name}/{path.stem}")
-def test_evil_numbers_are_refused_in_words_or_taken_and_nothing_else(path):
+def test_extreme_values_in_a_message_are_refused_with_a_message_or_accepted(path):
     parse = PARSERS[path.parent.name]
     for text in evil_texts(json.loads(path.read_bytes())):
         try:
@@ -116,13 +116,13 @@ def test_evil_numbers_are_refused_in_words_or_taken_and_nothing_else(path):
             assert len(str(trouble)) < 500  # noqa: PT017, it may also be taken
 
 
-def test_a_huge_integer_in_a_phones_hello_is_refused_before_its_token_is_read():
+def test_huge_integer_in_a_phone_hello_is_refused_before_its_token_is_read():
     for number in ("9" * 400, "1e400", str(2**63)):
         with pytest.raises(ProtocolError):
             wire.parse_phone_message(f'{{"type":"phone_hello","wire_version":{number},"token":"x"}}')
 
 
-def test_an_object_that_others_read_has_no_endless_depth_and_no_endless_numbers():
+def test_nested_document_with_excessive_depth_or_number_is_refused():
     for inside in ("[" * MAX_DEPTH + "]" * MAX_DEPTH, "9" * 400, "1e999"):
         with pytest.raises(ProtocolError):
             wire.parse_client_message(f'{{"type":"set_transfer","preset":null,"document":{{"points":{inside}}}}}')
@@ -175,12 +175,12 @@ def is_json(text):
 
 
 @pytest.mark.parametrize("kind", FILES)
-def test_evil_numbers_in_a_file_are_refused_in_words_or_taken_and_nothing_else(kind, tmp_path):
+def test_extreme_values_in_a_file_are_refused_with_a_message_or_accepted(kind, tmp_path):
     document, read = FILES[kind]
     path = tmp_path / "file.json"
     for text in evil_texts(document):
         path.write_text(text, encoding="utf-8")
         if kind == "edits" and not is_json(text):
-            continue  # it is given what json.loads has read
+            continue  # the reader receives only results of json.loads
         with contextlib.suppress(CarinaError):
             read(path)

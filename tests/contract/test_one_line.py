@@ -1,4 +1,4 @@
-"""What a notebook or a log prints of any public value is one short line; the values themselves stay in the values."""
+"""Text of public values in notebooks and logs: ``repr`` is one short line; notebooks show pictures and tables."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ UNEVEN = -0.12345678901234567
 
 
 def public_classes() -> dict[str, type]:
-    """All classes that Carina and its parts hand out, by part and name; without what is only a shape of others."""
+    """Return all public classes of Carina and its parts by part and name, without protocols and errors."""
     found = {}
     for part in ("", *PARTS):
         module = importlib.import_module(f"carina.{part}".rstrip("."))
@@ -56,16 +56,16 @@ def public_classes() -> dict[str, type]:
 
 
 def is_value(cls: type) -> bool:
-    """Whether it is made of named fields."""
+    """Return whether a class has named fields."""
     return dataclasses.is_dataclass(cls) or issubclass(cls, msgspec.Struct)
 
 
 def worst(cls: type) -> object:
-    """A value of a class whose fields take much room when they are written out."""
+    """Return a value of a class whose fields are as long as possible in text form."""
     if issubclass(cls, msgspec.Struct):
         told = {field.name: largest(str(field.type)) for field in msgspec.structs.fields(cls)}
         if hasattr(cls, "__post_init__"):
-            # It looks at its fields when it is made: a twin does not, and shows itself in the same way.
+            # The class checks its fields, so a class with the same fields and the same ``__repr__`` replaces it.
             assert cls.__repr__ is FrozenValue.__repr__
             cls = msgspec.defstruct(cls.__name__, [(name, Any) for name in told], bases=(FrozenValue,), frozen=True)
         return cls(**told)
@@ -76,7 +76,7 @@ def worst(cls: type) -> object:
 
 
 def largest(kind: str) -> object:
-    """A value of an annotation that takes much room when it is written out."""
+    """Return a value for an annotation that is as long as possible in text form."""
     if re.search(r"NDArray|Points|Floats", kind):
         return np.full((900, 3), UNEVEN)
     if kind.startswith("dict"):
@@ -94,7 +94,7 @@ def largest(kind: str) -> object:
     return Note("code", LONG_WORDS) if "Literal" not in kind else "a choice"
 
 
-# Lines that are written by hand, and what they say of a small phantom.
+# Classes with a ``__repr__`` of their own, and the beginning of its text for a small phantom.
 WRITTEN = {
     ".Airways": "Airways(AirwayTree(",
     ".AirwayTree": "AirwayTree(",
@@ -111,15 +111,15 @@ WRITTEN = {
 }
 
 
-def test_every_public_class_says_what_it_is() -> None:
+def test_every_public_class_defines_a_repr() -> None:
     assert len(public_classes()) > 200
-    # The compiled classes that a part hands on as they are, such as a CancelToken, hold nothing to tell of.
+    # Compiled classes that a part re-exports, such as CancelToken, have no content to show.
     python = {n: c for n, c in public_classes().items() if not c.__module__.startswith("carina._core")}
     assert [name for name, cls in python.items() if cls.__repr__ is object.__repr__] == []
 
 
 @pytest.mark.parametrize("name", sorted(n for n, c in public_classes().items() if n not in WRITTEN and is_value(c)))
-def test_a_public_value_is_one_short_line_whatever_it_holds(name: str) -> None:
+def test_repr_of_a_public_value_is_one_short_line_for_any_content(name: str) -> None:
     text = repr(worst(public_classes()[name]))
     assert "\n" not in text, text
     assert len(text) <= MAX_CHARS, f"{len(text)} characters: {text}"
@@ -127,7 +127,7 @@ def test_a_public_value_is_one_short_line_whatever_it_holds(name: str) -> None:
 
 @dataclass(frozen=True)
 class Shown:
-    """What a person gets in their hands on the way from a CT to a picture."""
+    """Public values on the way from a CT to a picture."""
 
     phantom: Phantom
     airways: carina.Airways
@@ -163,7 +163,7 @@ def shown() -> Shown:
     )
 
 
-def test_real_values_say_in_one_line_what_they_are(shown: Shown) -> None:
+def test_repr_of_real_values_is_one_line(shown: Shown) -> None:
     values = [getattr(shown, field.name) for field in dataclasses.fields(shown)]
     values += [shown.phantom.volume, shown.airways.tree, shown.airways.tracker, *shown.airways.tree.branches]
     values += [shown.path.pose_at(30.0), carina.Navigator(shown.path.pose_at(30.0), volume=shown.phantom.volume)]
@@ -178,7 +178,7 @@ def test_real_values_say_in_one_line_what_they_are(shown: Shown) -> None:
             assert text.startswith(begin)
 
 
-def test_what_works_says_in_one_line_how_it_does(shown: Shown, tmp_path: Path) -> None:
+def test_repr_of_working_objects_is_one_line_with_their_state(shown: Shown, tmp_path: Path) -> None:
     name = "very/" * 30
     navigator = carina.Navigator(shown.path.pose_at(30.0), volume=shown.phantom.volume)
     pilot = Pilot(navigator)
@@ -210,7 +210,7 @@ def test_what_works_says_in_one_line_how_it_does(shown: Shown, tmp_path: Path) -
     session.close()
 
 
-def test_a_line_leaves_out_defaults_tells_arrays_by_shape_and_ends_in_dots() -> None:
+def test_repr_omits_defaults_shows_array_shapes_and_ends_with_an_ellipsis() -> None:
     @one_line
     @dataclass(frozen=True, slots=True)
     class Kept:
@@ -233,7 +233,7 @@ def test_a_line_leaves_out_defaults_tells_arrays_by_shape_and_ends_in_dots() -> 
     assert as_words(object()) == "<object>"
 
 
-# ---------------------------------------------------------------- notebooks
+# Notebooks
 
 
 def pictures_in(page: str) -> list[np.ndarray]:
@@ -249,12 +249,12 @@ def decoded(png: bytes) -> np.ndarray:
         return sitk.GetArrayFromImage(sitk.ReadImage(str(file)))
 
 
-def test_a_picture_draws_itself(shown: Shown) -> None:
+def test_notebook_shows_a_picture(shown: Shown) -> None:
     assert np.array_equal(decoded(shown.picture._repr_png_()), shown.picture.rgb)
 
 
 def lying() -> Volume:
-    """Oblique and uneven: air, with a bright block at the patient's right, at the front and at the head."""
+    """Return an oblique anisotropic volume of air with a bright block at the patient's right, anterior and superior."""
     values = np.full((20, 24, 30), -1000, dtype=np.int16)
     spacing = np.array([2.0, 2.5, 3.0])
     a = np.deg2rad(8.0)
@@ -271,7 +271,7 @@ def lying() -> Volume:
     return Volume(values, matrix, source=source)
 
 
-def test_slices_of_a_volume_show_right_on_the_left_the_front_on_the_left_and_the_head_above() -> None:
+def test_volume_slices_show_right_and_anterior_on_the_left_and_the_head_above() -> None:
     found = lying()
     axial, coronal, sagittal = middle_slices(
         _all_bright_through_the_middle(found), found.lps_from_ijk, (1500.0, -600.0), height_px=120
@@ -284,14 +284,14 @@ def test_slices_of_a_volume_show_right_on_the_left_the_front_on_the_left_and_the
 
 
 def _all_bright_through_the_middle(found: Volume) -> np.ndarray:
-    """A block of the right, front, upper part that reaches just over the middle, so that all three slices cut it."""
+    """Return values with a bright block that reaches beyond the middle, so that all three slices cut it."""
     values = np.full(found.shape_zyx, -1000, dtype=np.int16)
     nz, ny, nx = values.shape
     values[nz // 2 - 1 :, : ny // 2 + 1, : nx // 2 + 1] = 400
     return values
 
 
-def test_a_volume_draws_three_slices_with_window_and_badges_and_names_nobody() -> None:
+def test_notebook_shows_three_slices_with_window_and_badges_and_no_patient_name() -> None:
     page = lying()._repr_html_()
     ElementTree.fromstring(page.replace("<br>", "<br/>").replace('#000">', '#000"/>'))
     slices = pictures_in(page)
@@ -306,7 +306,7 @@ def test_a_volume_draws_three_slices_with_window_and_badges_and_names_nobody() -
     assert "scans" not in page
 
 
-def test_a_volume_that_is_not_in_hu_says_so_and_is_shown_by_its_own_values() -> None:
+def test_volume_without_hu_states_this_and_is_shown_by_its_own_values() -> None:
     values = np.arange(8 * 9 * 10, dtype=np.int16).reshape(8, 9, 10)
     page = Volume(values, np.eye(4), is_hu=False, not_hu_reason="8-bit data")._repr_html_()
     assert "! not HU: 8-bit data" in page
@@ -333,7 +333,7 @@ def tree_of_two(name: str | None = "RB1", kind: str = "tracked") -> AirwayTree:
     return AirwayTree((trachea, right), notes=(Note("track.doubt", "the mask leaks", badge=True),))
 
 
-def test_a_tree_is_drawn_from_the_front_with_a_table_of_its_branches() -> None:
+def test_notebook_shows_a_tree_from_the_front_with_a_table_of_its_branches() -> None:
     page = tree_of_two("<b>mine</b>", "manual")._repr_html_()
     root = ElementTree.fromstring(page.replace("<br>", "<br/>"))
     svg = "{http://www.w3.org/2000/svg}"
@@ -354,7 +354,7 @@ def test_a_tree_is_drawn_from_the_front_with_a_table_of_its_branches() -> None:
     assert "! the mask leaks" in words
 
 
-def test_a_large_tree_lists_its_first_branches_only(shown: Shown) -> None:
+def test_large_tree_lists_only_its_first_branches(shown: Shown) -> None:
     page = shown.airways._repr_html_()
     root = ElementTree.fromstring(page.replace("<br>", "<br/>"))
     assert len(list(root.iter("tr"))) == 1 + 12
@@ -364,7 +364,7 @@ def test_a_large_tree_lists_its_first_branches_only(shown: Shown) -> None:
 
 
 def classes_of(part: str) -> dict[str, type]:
-    """The classes that ``carina`` (no part) or a part of it hands out, without errors and protocols."""
+    """Return the public classes of ``carina`` (empty part) or of one of its parts, without errors and protocols."""
     module = importlib.import_module(f"carina.{part}" if part else "carina")
     classes = {name: getattr(module, name) for name in module.__all__}
     return {
@@ -378,6 +378,6 @@ def classes_of(part: str) -> dict[str, type]:
 
 
 @pytest.mark.parametrize("part", ["", "volume", "render", "track", "phantom", "export", "cluster", "commands"])
-def test_no_public_class_shows_itself_as_an_address_in_memory(part: str) -> None:
+def test_no_public_class_shows_a_memory_address(part: str) -> None:
     silent = [name for name, value in classes_of(part).items() if value.__repr__ is object.__repr__]
     assert silent == []

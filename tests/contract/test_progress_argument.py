@@ -1,4 +1,4 @@
-"""The argument ``progress`` has one meaning in every public function: False, True or ``f(what, fraction)``."""
+"""The argument ``progress`` of public functions, which has one meaning: False, True or ``f(what, fraction)``."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def functions_with_progress() -> Iterator[tuple[str, Callable[..., Any]]]:
 FUNCTIONS = dict(functions_with_progress())
 
 
-def test_every_part_that_works_for_long_has_functions_with_progress() -> None:
+def test_every_part_with_long_work_has_functions_with_progress() -> None:
     assert {name.partition(".")[0] for name in FUNCTIONS} >= {"volume", "render", "track", "plan", "export", "phantom"}
     assert {"track.measure_tree", "track.wall_field", "phantom.generate_phantom", "plan.plan_route"} <= set(FUNCTIONS)
 
@@ -47,7 +47,7 @@ def test_progress_has_the_same_type_and_the_same_refusal_in_every_public_functio
     called = FUNCTIONS[name]
     parameter = inspect.signature(called).parameters["progress"]
     assert (parameter.annotation, parameter.default) == ("ProgressChoice", None)
-    # The choice is checked before the other arguments, so that nothing else is needed here.
+    # The choice is checked before the other arguments, so they need not be valid here.
     with pytest.raises(UsageError, match="progress: expected True, False, None or a function that takes a string and"):
         called(*([None] if "self" in inspect.signature(called).parameters else []), progress=3)
 
@@ -66,7 +66,7 @@ def test_long_functions_accept_every_choice_of_progress(choice: object) -> None:
     ]
     for call in calls:
         call()
-    # A step that takes a few milliseconds reports no share.
+    # A step of a few milliseconds reports no fraction.
     assert ({"generating the phantom", "measuring the airways"} <= {what for what, _ in seen}) == (choice == "function")
     assert all(isinstance(what, str) and (share is None or 0.0 <= share <= 1.0) for what, share in seen)
 
@@ -118,9 +118,7 @@ def outer(progress: Any = None) -> None:
 
 
 @pytest.mark.parametrize(("choice", "num"), [(None, 1), (True, 1), (False, 0), (lambda _what, _share: None, 0)])
-def test_a_function_that_another_calls_shows_no_bar_of_its_own(
-    choice: Any, num: int, counted: type[CountedBar]
-) -> None:
+def test_function_called_by_another_shows_no_bar_of_its_own(choice: Any, num: int, counted: type[CountedBar]) -> None:
     outer(progress=choice)
     assert counted.made == num
     counted.made = 0
@@ -128,7 +126,7 @@ def test_a_function_that_another_calls_shows_no_bar_of_its_own(
     assert counted.made == num
 
 
-def test_no_bar_is_shown_without_bars_unless_a_call_requests_one(counted: type[CountedBar]) -> None:
+def test_without_bars_shows_a_bar_only_if_a_call_requests_one(counted: type[CountedBar]) -> None:
     with without_bars():
         inner()
         assert counted.made == 0

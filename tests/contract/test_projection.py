@@ -1,6 +1,6 @@
-"""Where points fall through each lens: one file of random points that Python made and TypeScript must agree with.
+"""Projection of points through each lens: one file of random points from Python with which TypeScript must agree.
 
-``web/src/state/projection.test.ts`` reads the same file. ``make golden`` alone writes it anew.
+``web/src/state/projection.test.ts`` reads the same file. Only ``make golden`` rewrites it.
 """
 
 from __future__ import annotations
@@ -45,21 +45,21 @@ def make() -> list[dict[str, object]]:
             fov_deg=optics.fov_deg,
             optics=None if name.startswith("pinhole") else optics,
         )
-        # In all directions, at distances from 2 to 60 mm; half of them ahead.
+        # The points are in all directions at 2 to 60 mm, half of them in front of the camera.
         directions = rng.normal(size=(60, 3))
         directions[::2] += 2.0 * pose.forward_lps
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        # Neither side decides within a degree of where a lens ends and TypeScript cuts lines.
+        # Points within one degree of the edge of a lens or of the angle at which TypeScript cuts lines are excluded.
         angle = np.degrees(np.arccos(directions @ pose.forward_lps))
         ends = (optics.limit_deg, 120.0, 90.0)
         directions = directions[np.all([np.abs(angle - end) > 1.0 for end in ends], axis=0)]
         distances = rng.uniform(2.0, 60.0, len(directions))
-        # TypeScript draws nothing that is nearer than half a millimetre to the plane of a pinhole.
+        # TypeScript draws no point nearer than 0.5 mm to the plane of a pinhole.
         clear = np.abs(directions @ pose.forward_lps * distances) > 1.0
         directions, distances = directions[clear], distances[clear]
         points = pose.position_lps + directions * distances[:, None]
         seen = [picture.pixel_of(p) for p in points]
-        # TypeScript cuts lines farther aside.
+        # TypeScript cuts lines at larger angles.
         ahead = directions @ pose.forward_lps > math.cos(math.radians(120.0))
         made.append(
             {
@@ -76,7 +76,7 @@ def make() -> list[dict[str, object]]:
     return made
 
 
-def test_golden_points_are_what_python_computes():
+def test_golden_points_equal_those_computed_by_python():
     made = json.loads(json.dumps(make()))
     if os.environ.get("CARINA_GOLDEN") == "rewrite":
         FILE.write_text(json.dumps(made, indent=1) + "\n", encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Every public function, constructor and method refuses wrong values: no raw exception and no nonsense result."""
+"""Wrong values for every public function, constructor and method: each is refused with a Carina error."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from wrong_values import NEVER_VALID, SELDOM_VALID, call_problem, must_be_refuse
 
 CALLS = list(dict.fromkeys(public_calls()))
 SLOW = {"find_airways", "plan_route", "edit_airways", "wall_field", "Case.open", "track_paths"}
-"""Functions whose accepted calls take a second: without the soak mark, only values that must be refused."""
+"""Functions whose accepted calls take about a second: without the soak mark, only refused values are tested."""
 VALID: dict[tuple[str, str], set[str]] = {
-    # The end of a lumen from a file has no value.
+    # A lumen that was read from a file has no threshold, so NaN is valid.
     ("Airways", "threshold"): {"nan"},
 }
 """Values that one argument accepts though its type or :data:`NEVER_VALID` excludes them, each with its reason."""
@@ -26,14 +26,14 @@ def things(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Things]:
     made.close()
 
 
-def test_every_public_function_has_good_arguments() -> None:
+def test_every_public_function_has_valid_arguments() -> None:
     missing = sorted(set(CALLS) - GOOD.keys())
     assert not missing, f"add arguments with which the call succeeds to tests/contract/public_arguments.py: {missing}"
     assert not sorted(GOOD.keys() - set(CALLS)), "functions in GOOD that are not public"
 
 
 @pytest.mark.parametrize("name", CALLS)
-def test_a_call_with_good_arguments_succeeds(name: str, things: Things) -> None:
+def test_call_with_valid_arguments_succeeds(name: str, things: Things) -> None:
     call, arguments, state = called(name, things)
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(things.folder)
@@ -62,7 +62,7 @@ def problems(name: str, things: Things, *, accepted: bool) -> Iterator[str]:
 
 
 @pytest.mark.parametrize("name", CALLS)
-def test_a_public_function_refuses_wrong_values(
+def test_public_function_refuses_wrong_values(
     name: str, things: Things, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path_factory.mktemp("work"))
@@ -72,7 +72,7 @@ def test_a_public_function_refuses_wrong_values(
 
 @pytest.mark.soak
 @pytest.mark.parametrize("name", sorted(SLOW))
-def test_a_slow_public_function_refuses_wrong_values(
+def test_slow_public_function_refuses_wrong_values(
     name: str, things: Things, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path_factory.mktemp("work"))

@@ -1,4 +1,4 @@
-"""What a wrong type meets at a public door, and who gets a bar: somebody who looks, and nobody else."""
+"""Refusal of wrong types by public functions, and the progress bar in terminals and notebooks."""
 
 from __future__ import annotations
 
@@ -76,28 +76,26 @@ POSE = carina.Pose.looking((5.5, 5.5, 5.5), (0, 0, -1))
         ),
     ],
 )
-def test_a_wrong_type_is_refused_with_what_was_expected_what_was_found_and_what_to_do(
-    call: Callable[[], object], words: str
-) -> None:
+def test_wrong_type_is_refused_with_expected_type_found_type_and_remedy(call: Callable[[], object], words: str) -> None:
     with pytest.raises(UsageError) as refused:
         call()
     assert str(refused.value) == words
     assert refused.value.code in {"usage", "usage.type"}
 
 
-def test_a_view_by_another_kind_of_value_is_refused() -> None:
+def test_view_of_another_type_is_refused() -> None:
     with pytest.raises(UsageError, match=r"render_view: view: expected AirwayView or .*; found Pose; or pass one of"):
         carina.render_view(CT, view=POSE)
 
 
 @pytest.mark.parametrize("options", [{"pose": POSE}, {}, {"pose": POSE, "fov_deg": 90.0}])
-def test_an_unknown_name_of_a_view_is_refused_with_the_names_of_all_views(options: dict[str, object]) -> None:
+def test_unknown_view_name_is_refused_with_the_names_of_all_views(options: dict[str, object]) -> None:
     with pytest.raises(UsageError) as refused:
         carina.render_view(CT, view="airwy", **options)
     assert str(refused.value) == f"expected one of the views {', '.join(VIEW_NAMES)}; found 'airwy'"
 
 
-def test_a_view_as_a_value_is_the_same_picture_as_by_its_name() -> None:
+def test_view_object_gives_the_same_picture_as_its_name() -> None:
     size = {"width": 40, "height": 32}
     for view, named in (
         (SliceView("axial", (5.5, 5.5, 5.5), **size), {"view": "axial"}),
@@ -108,7 +106,7 @@ def test_a_view_as_a_value_is_the_same_picture_as_by_its_name() -> None:
         assert np.array_equal(found.rgb, carina.render_view(CT, pose=POSE, **named, **size).rgb)
 
 
-# ---------------------------------------------------------------- progress
+# Progress
 
 
 class Terminal(io.StringIO):
@@ -128,7 +126,7 @@ class NotedBar:
         self.closed = True
 
 
-def test_a_bar_begins_after_half_a_second_is_drawn_ten_times_a_second_and_says_what_is_left() -> None:
+def test_bar_starts_after_half_a_second_is_limited_to_10_hz_and_shows_the_remaining_time() -> None:
     now, bar = [10.0], NotedBar()
     told = Watched(lambda: bar, lambda: now[0])
     for time_s, fraction in ((10.1, 0.1), (10.4, 0.2), (10.6, 0.25), (10.65, 0.3), (11.0, 0.5), (12.0, None)):
@@ -147,7 +145,7 @@ def test_short_work_draws_nothing() -> None:
     assert not made
 
 
-def test_a_bar_is_for_a_terminal_or_a_notebook_and_for_the_main_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bar_is_shown_in_a_terminal_or_notebook_and_in_the_main_thread_only(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delitem(sys.modules, "IPython", raising=False)
     monkeypatch.setattr(sys, "stderr", io.StringIO())
     assert bar_here() is None
@@ -168,7 +166,7 @@ def test_a_bar_is_for_a_terminal_or_a_notebook_and_for_the_main_thread(monkeypat
     assert bar_here() is bars.NotebookBar
 
 
-def test_a_notebook_bar_is_drawn_in_place_and_is_gone_at_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_notebook_bar_is_updated_in_place_and_removed_at_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
     pages = []
     handle = types.SimpleNamespace(update=pages.append)
     module = types.ModuleType("IPython.display")
@@ -185,7 +183,7 @@ def test_a_notebook_bar_is_drawn_in_place_and_is_gone_at_the_end(monkeypatch: py
     ]
 
 
-def test_a_terminal_bar_is_a_line_that_is_gone_at_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_terminal_bar_is_one_line_and_removed_at_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
     screen = Terminal()
     monkeypatch.setattr(sys, "stderr", screen)
     monkeypatch.setenv("TERM", "xterm")
@@ -199,7 +197,7 @@ def test_a_terminal_bar_is_a_line_that_is_gone_at_the_end(monkeypatch: pytest.Mo
 @pytest.mark.parametrize(
     ("choice", "told", "bars_made"), [(None, True, 1), (True, True, 1), (False, False, 0), ("callback", True, 0)]
 )
-def test_a_bar_is_shown_unless_it_is_switched_off_or_another_listens(
+def test_bar_is_shown_unless_it_is_switched_off_or_replaced_by_a_callback(
     choice: object, told: bool, bars_made: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made, heard = [], []
@@ -226,7 +224,7 @@ def test_a_bar_is_shown_unless_it_is_switched_off_or_another_listens(
     assert heard == ([("working", 0.5)] if choice == "callback" else [])
 
 
-def test_a_bar_is_taken_away_when_the_work_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bar_is_removed_if_the_work_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     bar = NotedBar()
     monkeypatch.setattr(bars, "bar_here", lambda: lambda: bar)
     monkeypatch.setattr(bars, "BEGIN_S", 0.0)
@@ -242,7 +240,7 @@ def test_a_bar_is_taken_away_when_the_work_fails(monkeypatch: pytest.MonkeyPatch
     assert bar.closed
 
 
-def test_nothing_is_drawn_where_nobody_looks(capfd: pytest.CaptureFixture[str]) -> None:
+def test_nothing_is_drawn_without_a_terminal(capfd: pytest.CaptureFixture[str]) -> None:
     carina.demo_patient()
     shown = capfd.readouterr()
     assert shown.out == shown.err == ""

@@ -1,4 +1,4 @@
-"""Every example in a docstring runs and prints what it says; every public name of ``carina`` has one."""
+"""Examples in docstrings: each one runs and prints the stated output, and every public name of ``carina`` has one."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from made import found_airways, made_phantom
 
 
 def with_examples() -> list[str]:
-    """Modules whose text has a prompt; found without importing them."""
+    """Return the modules whose text contains a doctest prompt, found without importing them."""
     root = Path(carina.__file__).parent
     names = ["carina"]
     names += [module.name for module in pkgutil.walk_packages([str(root)], "carina.") if "._core" not in module.name]
@@ -29,9 +29,9 @@ def with_examples() -> list[str]:
 
 
 @pytest.mark.parametrize("name", with_examples())
-def test_examples_print_what_they_say(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_examples_print_the_stated_output(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    # Examples share their chests and the airways in them: the same arguments give the same voxels.
+    # Examples share phantoms and their airways: equal arguments give equal voxels.
     monkeypatch.setattr(carina, "generate_phantom", made_phantom, raising=False)
     monkeypatch.setattr(carina, "find_airways", found_airways, raising=False)
     failed, tried = doctest.testmod(importlib.import_module(name), optionflags=doctest.NORMALIZE_WHITESPACE)

@@ -1,4 +1,4 @@
-"""Who needs only a type waits for no reader of DICOM and no server; who starts the workstation waits for no reader."""
+"""Fast imports: types load no DICOM reader and no server, and the start page loads no file reader."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LATE = (
     "urllib.request",
     "xml.etree.ElementTree",
 )
-"""What some command or file needs, and a window that opens does not."""
+"""Modules that only some commands or files need, and that the start of a window must not load."""
 
 START = f"""
 import os, signal, sys
@@ -48,13 +48,13 @@ def test_a_part_is_imported_without_readers_and_servers(part: str) -> None:
     assert ran.stdout.split() == []
 
 
-def test_the_start_page_is_served_without_what_only_some_files_need(tmp_path: Path) -> None:
+def test_start_page_is_served_without_modules_for_some_files_only(tmp_path: Path) -> None:
     environment = environment_in(tmp_path)
     ran = subprocess.run([sys.executable, "-c", START], check=True, capture_output=True, text=True, env=environment)
     assert ran.stdout.split() == []
 
 
-def test_a_grid_file_is_opened_without_the_readers_of_dicom() -> None:
+def test_grid_file_is_opened_without_dicom_readers() -> None:
     code = "import sys, carina; carina.demo_patient(); print('pydicom' in sys.modules)"
     ran = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert ran.stdout.strip() == "False"

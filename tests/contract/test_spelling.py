@@ -1,4 +1,4 @@
-"""Names in Python and keys in JSON have one spelling, ``centre``."""
+"""Spelling of names in Python and keys in JSON: ``centre`` only."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ OTHER_SPELLING = {
 
 
 def names_in(path: Path) -> Iterator[str]:
-    """Yield the identifiers of a module, and its strings that could be keys."""
+    """Yield the identifiers of a module, and its strings that may be keys."""
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value.isidentifier():
             yield node.value
@@ -33,7 +33,7 @@ def names_in(path: Path) -> Iterator[str]:
                 yield found
 
 
-def test_no_name_and_no_key_in_the_package_has_another_spelling() -> None:
+def test_no_name_or_key_in_the_package_has_the_other_spelling() -> None:
     found = {
         (path.relative_to(PACKAGE).as_posix(), name)
         for path in PACKAGE.rglob("*.py")
@@ -54,7 +54,7 @@ def keys_of(document: Any) -> Iterator[str]:
             yield from keys_of(value)
 
 
-def test_the_documents_of_a_phantom_and_of_its_measures_say_centre() -> None:
+def test_documents_of_a_phantom_and_of_its_measures_use_centre() -> None:
     options: dict[str, Any] = {"spacing_mm": 3.0, "generations": 4, "stenosis": True, "nodule": True}
     made = made_phantom(**options)
     truth = set(keys_of(made.truth))

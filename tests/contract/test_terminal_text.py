@@ -1,4 +1,4 @@
-"""What a file contains cannot control the terminal that shows it."""
+"""Removal of control sequences from text of files before it is printed to a terminal."""
 
 from __future__ import annotations
 
@@ -47,12 +47,12 @@ def test_every_control_character_is_removed_from_a_line():
         line.encode()
 
 
-def test_line_breaks_stay_in_messages_and_not_in_lines():
+def test_line_breaks_are_kept_in_messages_and_removed_from_lines():
     assert as_terminal_text("a\n\tb") == "a\n\tb"
     assert as_line("a\n\tb") == "a  b"
 
 
-def test_json_keeps_the_text_and_prints_no_control_character():
+def test_json_keeps_the_text_and_escapes_control_characters():
     for text in ATTACKS:
         dumped = json.dumps({"title": text}, ensure_ascii=False, indent=2)
         escaped = escaped_json(dumped)
@@ -60,7 +60,7 @@ def test_json_keeps_the_text_and_prints_no_control_character():
         assert not set(escaped) & CONTROLS
 
 
-def test_all_ways_of_printing_are_clean(capsys, monkeypatch):
+def test_all_print_functions_remove_control_characters(capsys, monkeypatch):
     for text in ATTACKS:
         say(text)
         show(text, text)
@@ -74,7 +74,7 @@ def test_all_ways_of_printing_are_clean(capsys, monkeypatch):
     assert not set(err.replace("\r\x1b[2K", "")) & CONTROLS
 
 
-def test_the_command_line_prints_through_these_functions_alone():
+def test_command_line_prints_only_through_these_functions():
     found = []
     for path in sorted(Path(carina.cli.__file__).parent.glob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):

@@ -1,4 +1,4 @@
-"""Typed values are read by one module, in which one thread at a time prepares a type."""
+"""Reading of typed values by one module, in which only one thread at a time prepares a type."""
 
 from __future__ import annotations
 
@@ -60,8 +60,8 @@ def reading_calls(path: Path) -> list[str]:
     return found
 
 
-def test_a_type_is_prepared_by_one_thread_at_a_time() -> None:
-    # With msgspec.convert in the place of read_plain, the process ends with a segmentation fault.
+def test_type_is_prepared_by_one_thread_at_a_time() -> None:
+    # With msgspec.convert instead of read_plain, the process ends with a segmentation fault.
     command = [sys.executable, "-X", "faulthandler", "-c", FIRST_USE_IN_FOUR_THREADS]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (0, "read\n"), done.stderr[-2000:]

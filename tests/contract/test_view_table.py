@@ -1,4 +1,4 @@
-"""The table of views agrees with what is spelled out beside it: the types, the wire, the cells of the window."""
+"""Agreement of the table of views with the Python types, the wire and the cells of the window."""
 
 from __future__ import annotations
 
@@ -34,20 +34,20 @@ def names(**wanted):
     }
 
 
-def test_each_view_cell_and_plane_of_the_types_has_one_row_and_no_other_has():
+def test_each_view_cell_and_plane_type_has_exactly_one_row():
     assert len(VIEWS) == 13
     assert sorted(get_args(ViewName)) == sorted(VIEW_NAMES)
     assert list(get_args(CellName)) == list(CELLS)
     assert list(get_args(Plane)) == list(PLANES)
 
 
-def test_views_that_are_zoomed_in_their_plane_or_turned_are_known_as_such():
+def test_types_of_flat_and_orbit_views_match_the_zoom_column():
     assert set(get_args(FlatViewName)) == names(zoom={"slice", "extent"})
     assert set(get_args(OrbitViewName)) == names(zoom={"orbit"})
     assert {row.name for row in VIEWS.values() if row.orbit is not None} == names(zoom={"orbit"})
 
 
-def test_every_cell_has_a_view_and_a_way_to_bring_each_of_them():
+def test_every_cell_has_a_view_and_a_control_for_each_of_its_views():
     for cell in CELLS.values():
         views = [row for row in VIEWS.values() if row.cell == cell.name]
         assert views
@@ -57,25 +57,25 @@ def test_every_cell_has_a_view_and_a_way_to_bring_each_of_them():
             assert all(row.short for row in views)
 
 
-def test_a_brush_needs_an_outline_and_a_plane_the_same_views():
+def test_brush_needs_an_outline_and_a_plane_in_the_same_views():
     assert names(outlined={True}) == names(pick={"plane"}) == set(get_args(FlatViewName))
 
 
-def test_the_views_with_a_part_to_play_can_play_it():
+def test_lead_view_and_finder_view_have_the_required_properties():
     assert VIEWS[LEAD_VIEW].overlay == "airway"
     assert VIEWS[FINDER_VIEW].at_tip
     assert VIEWS[FINDER_VIEW].needs == frozenset()
     assert all(row.needs <= set(get_args(Need)) for row in VIEWS.values())
 
 
-def test_an_unknown_view_is_refused_with_the_names_of_all():
+def test_unknown_view_is_refused_with_the_names_of_all():
     with pytest.raises(UsageError, match=r"airway, axial, .*tri-plane; found 'drone'"):
         view_row("drone")
 
 
 @functools.cache
 def named_strings(path: Path) -> set[str]:
-    """The strings of a file, without comments and docstrings."""
+    """Return the strings of a file, without comments and docstrings."""
     text = path.read_text(encoding="utf-8")
     if path.suffix != ".py":
         text = re.sub(r"/\*.*?\*/|(?<=\s)//[^\n]*", "", text, flags=re.DOTALL)
@@ -94,8 +94,7 @@ PRODUCT = [
     if "_web" not in path.parts
 ]
 TREE_MESSAGE = re.compile(r"case/|server/|session/|cli/|export/|plan/|app/workstation\.ts|state/app-state\.ts")
-"""The airway tree itself is a topic, a message, a table of the case file and an argument of planning, all of the same
-name."""
+"""Files in which ``tree`` also names the airway tree: a topic, a message, a table of the case file, an argument."""
 
 
 @pytest.mark.parametrize("view", VIEW_NAMES)
@@ -107,7 +106,7 @@ def test_at_most_four_files_name_a_view(view):
     assert len(files) <= 4, files
 
 
-def test_nothing_takes_a_view_s_name_apart():
+def test_no_code_parses_the_name_of_a_view():
     for path in PRODUCT:
         found = re.findall(r"(?:startsWith|startswith|removeprefix)\(\"(?:xray|cut|tri)\b[^)]*\)", path.read_text())
         assert found == [], path

@@ -1,4 +1,4 @@
-"""The wire as promised: every sample of protocol/valid is accepted, every one of protocol/invalid refused."""
+"""Messages of the wire: each sample of protocol/valid is accepted, each one of protocol/invalid is refused."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_valid_samples_are_accepted(path):
 
 
 @pytest.mark.parametrize("path", samples("invalid"), ids=label)
-def test_invalid_samples_are_refused_with_a_code_and_a_sentence(path):
+def test_invalid_samples_are_refused_with_a_code_and_a_message(path):
     with pytest.raises(ProtocolError) as refusal:
         PARSERS[path.parent.name](path.read_bytes())
     assert refusal.value.code.startswith("protocol.")
@@ -52,20 +52,20 @@ def test_invalid_samples_are_refused_with_a_code_and_a_sentence(path):
 @pytest.mark.parametrize(
     ("data", "words"), [(b"\0\0\0", "ends within its header"), (b"\0\0\0\0", "before the image data")]
 )
-def test_a_picture_that_is_only_its_length_has_no_payload(data, words):
+def test_picture_with_only_its_length_has_no_payload(data, words):
     with pytest.raises(ProtocolError, match=words):
         wire.parse_picture(data)
 
 
 @pytest.mark.parametrize("path", samples("valid-1"), ids=label)
-def test_commands_in_the_words_of_version_1_are_those_of_now(path):
+def test_commands_with_names_of_version_1_equal_the_present_commands(path):
     old = json.loads(path.read_bytes())
     now = json.loads(wire.encode_message(PARSERS[path.parent.name](path.read_bytes())))
     name, words = OLD_WORDS[old["type"]]
     assert now == {words.get(field, field): value for field, value in old.items()} | {"type": name}
 
 
-def test_an_old_word_beside_its_new_one_is_refused():
+def test_old_field_name_together_with_its_new_name_is_refused():
     with pytest.raises(ProtocolError, match="unknown field: 'mask'"):
         wire.parse_client_message('{"type": "set_mask", "mask": "round", "outline": "octagon"}')
 
@@ -84,18 +84,18 @@ def test_every_message_has_a_valid_sample():
 
 
 @pytest.mark.parametrize("path", [p for p in samples("valid") if p.suffix == ".json"], ids=label)
-def test_reading_and_writing_a_message_gives_it_back(path):
+def test_message_is_unchanged_by_reading_and_writing(path):
     message = PARSERS[path.parent.name](path.read_bytes())
     assert json.loads(wire.encode_message(message)) == json.loads(path.read_bytes())
 
 
-def test_a_program_that_knows_no_evidence_adds_branches_as_before():
+def test_add_branch_without_the_evidence_field_is_accepted_as_before():
     edit = {"kind": "add-branch", "lps": [1.0, 2.0, 3.0]}
     message = wire.parse_client_message(json.dumps({"type": "edit_tree", "edit": edit}))
     assert message.edit == wire.AddBranch((1.0, 2.0, 3.0), even_without_evidence=False)
 
 
-def test_a_program_that_knows_eight_numbers_of_the_controls_sets_them_as_before():
+def test_set_controls_with_the_eight_fields_of_older_programs_is_accepted():
     known = {"gain_mm": 2, "gain_turn": 1, "clutch": "hold", "speed_mm_s": 25, "turn_rad_s": 1}
     controls = {**known, "lever_inverted": False, "filter_on": True, "min_cutoff_hz": 20}
     message = wire.parse_client_message(json.dumps({"type": "set_controls", "controls": controls}))
@@ -103,7 +103,7 @@ def test_a_program_that_knows_eight_numbers_of_the_controls_sets_them_as_before(
 
 
 @pytest.mark.parametrize("path", [p for p in samples("valid") if p.suffix == ".bin"], ids=label)
-def test_reading_and_writing_a_picture_gives_it_back(path):
+def test_picture_is_unchanged_by_reading_and_writing(path):
     header, payload = wire.parse_picture(path.read_bytes())
     assert encode_picture(header, payload) == path.read_bytes()
     if header.codec == "jpeg":
@@ -111,13 +111,13 @@ def test_reading_and_writing_a_picture_gives_it_back(path):
 
 
 @pytest.mark.parametrize("name", generated_files())
-def test_generated_files_have_not_drifted(name):
+def test_generated_files_are_up_to_date(name):
     expected = generated_files()[name]
     found = (REPOSITORY / name).read_text(encoding="utf-8")
     assert found == expected, "run python -m carina.server.wire_types"
 
 
-def test_a_message_with_a_number_that_is_not_finite_is_never_written():
+def test_message_with_a_nonfinite_number_is_never_written():
     status = wire.Status(fps=float("nan"), render_ms=1.0, age_ms=1.0, method="leap", threads=1, simd="")
     with pytest.raises(ValueError, match="not JSON compliant"):
         wire.encode_message(status)
@@ -130,7 +130,7 @@ def test_deep_nesting_is_refused_and_does_not_exhaust_the_stack(depth):
         wire.parse_client_message(text)
 
 
-def test_a_text_over_the_limit_is_refused_before_it_is_parsed():
+def test_text_over_the_limit_is_refused_before_it_is_parsed():
     with pytest.raises(ProtocolError, match="too long") as refusal:
         wire.parse_client_message(" " * 300_000)
     assert refusal.value.code == "protocol.size"

@@ -1,4 +1,4 @@
-"""Wrong values for the arguments of public functions, and the judgement of the outcome of a call with one."""
+"""Wrong values for arguments of public functions, and the check of a call's outcome."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from carina.errors import CarinaError
 from carina.track import TreeMeasures
 
 LIMIT_S = 60.0
-"""Limit of one call. The slowest takes 2 s on an idle machine."""
+"""Time limit of one call in s; the slowest takes 2 s on an idle machine."""
 
 NEVER_VALID: dict[str, Any] = {
     "nan": math.nan,
@@ -35,7 +35,7 @@ NEVER_VALID: dict[str, Any] = {
     "matrix of nan": np.full((4, 4), math.nan),
     "array of objects": np.array([object()]),
 }
-"""No argument accepts these: a call that succeeds has ignored the argument."""
+"""Values that no argument accepts: a call that succeeds has ignored its argument."""
 
 SELDOM_VALID: dict[str, Any] = {
     "huge": 1e300,
@@ -63,10 +63,10 @@ SELDOM_VALID: dict[str, Any] = {
     "two numbers": (1.0, 2.0),
     "empty array": np.zeros((0, 0, 0), dtype=np.uint8),
 }
-"""Valid for some arguments: such a call is refused, or its result is finite."""
+"""Values that only some arguments accept: such a call is refused, or its result is finite."""
 
 NUMBERS = {"huge", "negative huge", "huge whole number", "negative huge whole number"}
-"""Outside the range of every number."""
+"""Values outside the range of every number."""
 NOT_NUMBERS = {
     "True", "empty text", "blank text", "text with NUL", "text", "long text", "empty tuple", "empty list", "empty dict",
     "empty points", "ragged", "point", "huge point", "far point", "two numbers", "empty array",
@@ -75,14 +75,14 @@ NOT_PATHS = {"empty text", "blank text", "text with NUL"}
 
 
 class CallTooLongError(BaseException):
-    """A call that did not end within the limit."""
+    """Error for a call that exceeds the time limit."""
 
 
 @contextmanager
 def time_limit(seconds: float = LIMIT_S) -> Iterator[None]:
-    """Raise :class:`CallTooLongError` in the block after some seconds, where the platform has interval timers.
+    """Raise :class:`CallTooLongError` in the block after some seconds, on platforms with interval timers.
 
-    Compiled code that never returns ends with pytest's own limit (``faulthandler_timeout``).
+    Compiled code that never returns is ended by pytest's own limit (``faulthandler_timeout``).
     """
     if not hasattr(signal, "setitimer") or threading.current_thread() is not threading.main_thread():
         yield
@@ -101,13 +101,13 @@ def time_limit(seconds: float = LIMIT_S) -> Iterator[None]:
 
 
 def is_a(annotation: str, *names: str) -> bool:
-    """Whether an annotation is one of the types or None, and nothing else."""
+    """Return whether an annotation consists only of the given types and None."""
     parts = {part.strip() for part in annotation.split("|")} - {"None"}
     return bool(parts) and parts <= set(names)
 
 
 def must_be_refused(parameter: inspect.Parameter, name: str) -> bool:
-    """Whether the type of a parameter excludes a value of :data:`SELDOM_VALID`."""
+    """Return whether a parameter must refuse the value ``name``, because its type excludes it or it is never valid."""
     if name in NEVER_VALID:
         return True
     annotation = str(parameter.annotation)
@@ -162,7 +162,7 @@ def not_finite(value: Any, place: str = "result", depth: int = 0) -> str | None:
     if depth > 6 or value is None or isinstance(value, str | bytes | bool | int):
         return None
     if isinstance(value, TreeMeasures):
-        # Sections without a figure are NaN by definition; the document has null there.
+        # Sections without a figure are NaN by definition, which the document stores as null.
         value = value.to_json()
     if isinstance(value, float):
         return None if math.isfinite(value) else f"{place} is {value}"

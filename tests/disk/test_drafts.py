@@ -1,4 +1,4 @@
-"""Files are whole or as before; a crash's drafts are swept, those in use are not; what a disk refuses is said."""
+"""Atomic file writing: files are complete or unchanged, abandoned drafts are deleted, and disk errors have messages."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ with drafted(Path(sys.argv[1]), what="the test") as file:
 
 @pytest.fixture
 def small_files():
-    """No file of more than 4 kB can be written while this holds: as a full disk, in the middle of a file."""
+    """Limit files to 4 kB during a test, which simulates a disk that becomes full in the middle of a file."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (4096, before[1]))
     yield
@@ -45,7 +45,7 @@ def small_files():
 
 
 def writing(path):
-    """Another process in the middle of a file."""
+    """Start another process that stops in the middle of writing a file."""
     process = subprocess.Popen(
         [sys.executable, "-c", WRITER, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
@@ -59,7 +59,7 @@ def ended(process):
     process.stdout.close()
 
 
-def test_a_file_is_replaced_whole_and_nothing_else_stays(tmp_path):
+def test_file_is_replaced_completely_and_nothing_else_remains(tmp_path):
     target = tmp_path / "a.txt"
     write_whole(target, b"old", what="the test")
     write_whole(target, b"new", what="the test")
@@ -67,7 +67,7 @@ def test_a_file_is_replaced_whole_and_nothing_else_stays(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["a.txt"]
 
 
-def test_a_killed_writer_leaves_the_old_file_and_its_draft_goes_with_the_next_one_written(tmp_path):
+def test_killed_writer_leaves_the_old_file_and_the_next_write_deletes_its_draft(tmp_path):
     target = tmp_path / "Doe_John.nii.gz"
     target.write_bytes(b"old")
     process = writing(target)
@@ -81,7 +81,7 @@ def test_a_killed_writer_leaves_the_old_file_and_its_draft_goes_with_the_next_on
     assert [p.name for p in tmp_path.iterdir()] == [target.name]
 
 
-def test_a_draft_that_another_process_writes_is_never_swept(tmp_path):
+def test_draft_in_use_by_another_process_is_never_deleted(tmp_path):
     process = writing(tmp_path / "a.bin")
     try:
         assert sweep_drafts(tmp_path, now_s=1e12) == 0
@@ -90,7 +90,7 @@ def test_a_draft_that_another_process_writes_is_never_swept(tmp_path):
     assert (tmp_path / "a.bin").read_bytes() == b"half"
 
 
-def test_two_writers_of_one_file_and_one_who_sweeps_all_the_time_lose_nothing(tmp_path):
+def test_two_concurrent_writers_and_a_constant_sweep_lose_nothing(tmp_path):
     stop = threading.Event()
 
     def sweep():
@@ -114,7 +114,7 @@ def test_two_writers_of_one_file_and_one_who_sweeps_all_the_time_lose_nothing(tm
     assert [p.name for p in tmp_path.iterdir()] == ["a.bin"]
 
 
-def test_what_only_looks_like_a_draft_is_left_alone(tmp_path):
+def test_files_that_resemble_drafts_are_not_deleted(tmp_path):
     (tmp_path / "victim").write_bytes(b"dear")
     name = ".carina-0123456789abcde{}.draft"
     (tmp_path / name.format(0)).symlink_to(tmp_path / "victim")
@@ -127,7 +127,7 @@ def test_what_only_looks_like_a_draft_is_left_alone(tmp_path):
     assert (tmp_path / "victim").read_bytes() == b"dear"
 
 
-def test_where_nothing_can_be_locked_only_old_drafts_go(tmp_path, monkeypatch):
+def test_only_old_drafts_are_deleted_if_locks_are_unavailable(tmp_path, monkeypatch):
     monkeypatch.setattr("carina.disk.drafts.try_lock", lambda _descriptor: None)
     draft = Draft(tmp_path / "a", what="the test")
     now_s = next(p for p in tmp_path.iterdir()).stat().st_mtime
@@ -138,7 +138,7 @@ def test_where_nothing_can_be_locked_only_old_drafts_go(tmp_path, monkeypatch):
     assert sweep_drafts(tmp_path, now_s=now_s + 2 * UNKNOWN_AFTER_S) == 1
 
 
-def test_a_draft_that_somebody_removes_is_said(tmp_path):
+def test_draft_deleted_by_another_program_is_reported(tmp_path):
     with (
         pytest.raises(DiskError, match=("another program removed its temporary file")),
         drafted(tmp_path / "a", what="the test"),
@@ -146,7 +146,7 @@ def test_a_draft_that_somebody_removes_is_said(tmp_path):
         next(tmp_path.iterdir()).unlink()
 
 
-def test_a_file_keeps_its_permissions_and_a_private_one_has_none_for_others(tmp_path):
+def test_file_keeps_its_permissions_and_a_private_file_is_readable_by_its_owner_only(tmp_path):
     target = tmp_path / "a"
     target.write_bytes(b"old")
     target.chmod(0o640)
@@ -158,7 +158,7 @@ def test_a_file_keeps_its_permissions_and_a_private_one_has_none_for_others(tmp_
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no such modes")
 @pytest.mark.parametrize("lasting", [False, True])
-def test_every_private_folder_that_is_made_has_mode_0700(tmp_path, lasting):
+def test_every_created_private_folder_has_mode_0700(tmp_path, lasting):
     before = os.umask(0o022)
     try:
         make_folder(tmp_path / "a" / "b" / "c", what="the test", private=True, lasting=lasting)
@@ -169,7 +169,7 @@ def test_every_private_folder_that_is_made_has_mode_0700(tmp_path, lasting):
     assert modes == {"a": 0o700, "b": 0o700, "c": 0o700, "d": 0o755, "e": 0o755}
 
 
-def test_a_file_in_the_place_of_a_folder_is_refused_and_stays(tmp_path):
+def test_file_in_place_of_a_folder_is_refused_and_unchanged(tmp_path):
     (tmp_path / "a").write_bytes(b"x")
     for place in (tmp_path / "a", tmp_path / "a" / "b"):
         with pytest.raises(DiskError, match="cannot create the folder for the test"):
@@ -178,9 +178,7 @@ def test_a_file_in_the_place_of_a_folder_is_refused_and_stays(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", GRID_SUFFIXES)
-def test_a_mask_that_finds_no_room_leaves_the_former_file_and_no_line_of_a_library(
-    tmp_path, suffix, small_files, capfd
-):
+def test_mask_on_a_full_disk_leaves_the_former_file_and_no_library_message(tmp_path, suffix, small_files, capfd):
     target = tmp_path / f"mask{suffix}"
     target.write_bytes(b"old")
     noise = np.random.default_rng(1).integers(-1000, 1000, (20, 30, 40), dtype=np.int16)
@@ -194,10 +192,10 @@ def test_a_mask_that_finds_no_room_leaves_the_former_file_and_no_line_of_a_libra
 
 @pytest.mark.parametrize("suffix", GRID_SUFFIXES)
 @pytest.mark.parametrize("dtype", [np.uint8, np.int16])
-def test_a_grid_is_written_as_itk_reads_it_in_every_format_and_direction(tmp_path, suffix, dtype, rng):
+def test_grid_is_written_as_itk_reads_it_in_every_format_and_direction(tmp_path, suffix, dtype, rng):
     for number in range(12):
         values = rng.integers(-1000 if dtype is np.int16 else 0, 250, (3, 4, 5)).astype(dtype)
-        turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))  # also mirrored ones
+        turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))  # includes mirrored directions
         matrix = np.eye(4)
         matrix[:3, :3] = turn * np.array([0.5, 0.75, 1.25])
         matrix[:3, 3] = rng.uniform(-300, 300, 3)
@@ -213,7 +211,7 @@ def test_a_grid_is_written_as_itk_reads_it_in_every_format_and_direction(tmp_pat
 
 
 def itk_nifti(values, matrix, folder, *, like):
-    """What ITK writes, with the parts of its header in which both are right: floats rounded, signs of zeros, names."""
+    """Return the NIfTI of ITK; rounding, signed zeros and names in its header are taken from ``like``."""
     image = sitk.GetImageFromArray(values)
     spacing = np.linalg.norm(matrix[:3, :3], axis=0)
     image.SetSpacing(spacing.tolist())
@@ -243,7 +241,7 @@ TROUBLES = [
 
 
 @pytest.mark.parametrize(("number", "code", "words"), TROUBLES)
-def test_each_trouble_has_a_code_and_a_sentence(tmp_path, number, code, words):
+def test_each_disk_error_has_a_code_and_a_message(tmp_path, number, code, words):
     told = disk_trouble(
         OSError(number, os.strerror(number)), "cannot write the tree to", tmp_path / "t", needed_bytes=9
     )
@@ -254,19 +252,19 @@ def test_each_trouble_has_a_code_and_a_sentence(tmp_path, number, code, words):
     assert isinstance(told, CarinaError)
 
 
-def test_a_missing_folder_is_named_as_the_reason(tmp_path):
+def test_missing_folder_is_named_as_the_reason(tmp_path):
     error = disk_trouble(OSError(errno.ENOENT, ""), "cannot write the tree to", tmp_path / "no" / "t")
     assert error.code == "disk.missing"
     assert "there is no such folder; create it, or choose another" in str(error)
 
 
-def test_a_full_disk_says_how_much_is_needed_and_free(tmp_path):
+def test_message_of_a_full_disk_states_needed_and_free_space(tmp_path):
     told = disk_trouble(OSError(errno.ENOSPC, ""), "cannot write the CT to", tmp_path, needed_bytes=3_200_000)
     assert "about 3.2 MB needed" in str(told)
     assert "free)" in str(told)
 
 
-def test_a_folder_a_device_and_a_missing_folder_in_the_way_are_refused(tmp_path):
+def test_folder_device_and_missing_folder_as_target_are_refused(tmp_path):
     (tmp_path / "folder").mkdir()
     (tmp_path / "file").write_bytes(b"")
     os.mkfifo(tmp_path / "pipe")
@@ -286,7 +284,7 @@ def test_a_folder_a_device_and_a_missing_folder_in_the_way_are_refused(tmp_path)
 
 
 @pytest.mark.parametrize("at_byte", [0, 1, 4095, 4096, 4097, 20_000])
-def test_a_disk_that_fills_up_anywhere_in_a_file_keeps_the_former_one(tmp_path, small_files, at_byte):
+def test_disk_that_becomes_full_at_any_byte_leaves_the_former_file(tmp_path, small_files, at_byte):
     target = tmp_path / "a"
     target.write_bytes(b"old")
     fits = at_byte <= 4096
@@ -299,7 +297,7 @@ def test_a_disk_that_fills_up_anywhere_in_a_file_keeps_the_former_one(tmp_path, 
 
 
 @pytest.mark.parametrize("suffix", GRID_SUFFIXES)
-def test_a_note_to_the_reader_is_in_the_file_as_itk_reads_it(tmp_path, suffix):
+def test_note_to_the_reader_is_in_the_file_as_itk_reads_it(tmp_path, suffix):
     note = "2 branches drawn by hand:\n12 mm \u2192 of 300 mm"
     path = write_grid(tmp_path / f"a{suffix}", np.zeros((2, 3, 4), np.uint8), np.eye(4), what="the mask", note=note)
     image = sitk.ReadImage(str(path))

@@ -1,4 +1,4 @@
-"""Moves that never replace a file, on disks without hard links."""
+"""Moves that never replace an existing file, on disks without hard links."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def failing(monkeypatch, source, do):
     monkeypatch.setattr(type(source), "replace", replace)
 
 
-def test_a_failed_move_leaves_no_reservation(files, monkeypatch):
+def test_failed_move_leaves_no_reservation(files, monkeypatch):
     source, target = files
     failing(monkeypatch, source, lambda _target: None)
     with pytest.raises(OSError, match="Input/output"):
@@ -42,7 +42,7 @@ def test_a_failed_move_leaves_no_reservation(files, monkeypatch):
     assert not target.exists()
 
 
-def test_a_move_that_was_done_and_reported_as_failed_keeps_the_content(files, monkeypatch):
+def test_completed_move_reported_as_failed_keeps_the_content(files, monkeypatch):
     source, target = files
     failing(monkeypatch, source, lambda place: os.rename(source, place))  # noqa: PTH104 - Path.replace is replaced
     with pytest.raises(OSError, match="Input/output"):
@@ -50,7 +50,7 @@ def test_a_move_that_was_done_and_reported_as_failed_keeps_the_content(files, mo
     assert target.read_text() == "new"
 
 
-def test_a_failed_move_keeps_what_another_program_wrote_to_the_reserved_name(files, monkeypatch):
+def test_failed_move_keeps_the_file_of_another_program_at_the_reserved_name(files, monkeypatch):
     source, target = files
     failing(monkeypatch, source, lambda place: place.write_text("theirs"))
     with pytest.raises(OSError, match="Input/output"):

@@ -1,4 +1,4 @@
-"""Files that a user names are opened only if they are regular files; pipes, sockets and devices never block."""
+"""Opening of files named by the user: only regular files are opened; pipes, sockets and devices never block."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ FIFO, SOCKET, DEVICE = "a named pipe (FIFO)", "a socket", "a device"
 
 
 class BlockedError(Exception):
-    """Raised in a test whose call waits for a pipe."""
+    """Error for a call that blocks on a pipe."""
 
 
 @pytest.fixture(autouse=True)
 def ends():
-    """Interrupt a call that blocks: without it a failing test would never end."""
+    """Limit the time of a test, because a call that blocks would never return."""
 
     def interrupt(*_arguments):
         raise BlockedError
@@ -47,17 +47,17 @@ def ends():
 
 @pytest.fixture
 def special(tmp_path):
-    """One path of each kind that is not a regular file."""
+    """Return one path of each kind that is not a regular file."""
     os.mkfifo(tmp_path / "pipe")
     with socket.socket(socket.AF_UNIX) as sock:
         here = Path.cwd()
-        os.chdir(tmp_path)  # the path of a socket may have about 100 characters
+        os.chdir(tmp_path)  # the path of a socket is limited to about 100 characters
         sock.bind("socket")
         os.chdir(here)
         yield {FIFO: tmp_path / "pipe", SOCKET: tmp_path / "socket", DEVICE: Path("/dev/zero")}
 
 
-def test_a_regular_file_opens_as_bytes_and_as_text(tmp_path):
+def test_regular_file_opens_as_bytes_and_as_text(tmp_path):
     path = tmp_path / "file"
     path.write_bytes("größer\n".encode())
     (tmp_path / "link").symlink_to(path)
@@ -74,14 +74,14 @@ def test_a_regular_file_opens_as_bytes_and_as_text(tmp_path):
     assert refusal.value.code == "disk.too-large"
 
 
-def test_a_missing_file_is_reported_as_missing(tmp_path):
+def test_missing_file_is_reported_as_missing(tmp_path):
     check_regular(tmp_path / "missing")
     with pytest.raises(FileNotFoundError):
         open_regular(tmp_path / "missing")
 
 
 @pytest.mark.parametrize("kind", [FIFO, SOCKET, DEVICE])
-def test_a_special_file_is_refused_by_its_kind(special, kind):
+def test_special_file_is_refused_with_its_kind(special, kind):
     path = special[kind]
     assert special_kind(path) == kind
     for refuses in (check_regular, open_regular, open_regular_text, lambda p: read_regular_text(p, max_bytes=10)):
@@ -92,13 +92,13 @@ def test_a_special_file_is_refused_by_its_kind(special, kind):
         assert str(refusal.value) == f"{path}: expected a file; found {kind}; choose a file"
 
 
-def test_a_folder_is_refused_where_a_file_is_read(tmp_path):
+def test_folder_is_refused_where_a_file_is_read(tmp_path):
     check_regular(tmp_path)
     with pytest.raises(VolumeImportError, match="found a folder"):
         open_regular(tmp_path)
 
 
-def test_a_pipe_that_takes_the_place_of_a_file_after_the_check_is_refused(tmp_path, monkeypatch):
+def test_pipe_that_replaces_a_file_after_the_check_is_refused(tmp_path, monkeypatch):
     path = tmp_path / "file"
     path.write_bytes(b"content")
     os.mkfifo(tmp_path / "pipe")
@@ -138,18 +138,18 @@ def test_every_reader_of_a_named_file_refuses_a_special_file(special, tmp_path, 
     with pytest.raises(CarinaError) as refusal:
         OPENERS[what](path)
     assert "internal" not in str(refusal.value)
-    if what != "token":  # a cluster command says where a token comes from
+    if what != "token":  # a cluster command states the source of its token
         assert kind in str(refusal.value)
 
 
-def test_a_pipe_among_the_slices_of_a_folder_is_passed_over(special, tmp_path):
+def test_pipe_among_the_slices_of_a_folder_is_skipped(special, tmp_path):
     with pytest.raises(VolumeImportError, match="no DICOM images"):
         open_volume(tmp_path)
 
 
 @pytest.mark.parametrize("kind", [FIFO, SOCKET, DEVICE])
 @pytest.mark.parametrize("packed", ["raw", "gzip"])
-def test_a_header_whose_voxels_are_in_a_special_file_is_refused(special, tmp_path, kind, packed):
+def test_header_whose_voxels_are_in_a_special_file_is_refused(special, tmp_path, kind, packed):
     header = tmp_path / "ct.nhdr"
     (tmp_path / "voxels").symlink_to(special[kind])
     header.write_text(

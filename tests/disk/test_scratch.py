@@ -1,4 +1,4 @@
-"""Temporary folders: for this person alone, and gone even after kill -9; nothing of others is touched."""
+"""Temporary folders: private, deleted even after kill -9, and never mistaken for files of other programs."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ sys.stdin.read()
 
 
 def uploading(folder, script=HOLD):
-    """Another Carina in the middle of something."""
+    """Start another Carina process that uses a temporary folder until it is ended."""
     process = subprocess.Popen(
         [sys.executable, "-c", script],
         env={**os.environ, "TMPDIR": str(folder)},
@@ -63,21 +63,21 @@ def ended(process):
 
 @pytest.fixture
 def temp(tmp_path, monkeypatch):
-    """A temporary folder of one's own."""
+    """Return an empty folder that replaces the system's temporary folder."""
     folder = tmp_path / "temp"
     folder.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(folder))
     return folder
 
 
-def test_an_upload_of_a_killed_carina_is_removed_by_the_next_and_its_name_was_never_there(temp):
+def test_upload_of_a_killed_process_is_removed_by_the_next_and_its_name_is_not_on_disk(temp):
     process = uploading(temp, UPLOAD)
     names = [p.name for p in temp.rglob("*")]
     assert len(names) > 3
     assert not any("Doe" in name or "John" in name for name in names)
     assert {stat.S_IMODE(p.stat().st_mode) for p in temp.rglob("*") if p.is_dir()} == {0o700}
     assert {stat.S_IMODE(p.stat().st_mode) for p in temp.rglob("*") if p.is_file()} == {0o600}
-    # Never one in use by another Carina.
+    # A folder that another process uses is never deleted.
     assert sweep_scratch(temp, now_s=1e12) == 0
     process.send_signal(signal.SIGKILL)
     ended(process)
@@ -86,7 +86,7 @@ def test_an_upload_of_a_killed_carina_is_removed_by_the_next_and_its_name_was_ne
     assert list(temp.iterdir()) == []
 
 
-def test_of_many_killed_and_one_that_lives_the_one_stays(temp):
+def test_only_the_folder_of_the_living_process_remains(temp):
     processes = [uploading(temp) for _ in range(6)]
     for process in processes[1:]:
         process.send_signal(signal.SIGKILL)
@@ -97,7 +97,7 @@ def test_of_many_killed_and_one_that_lives_the_one_stays(temp):
     assert list(temp.iterdir()) == []
 
 
-def test_two_carinas_that_start_at_once_both_sweep_and_neither_fails(temp):
+def test_two_processes_that_start_together_both_sweep_without_errors(temp):
     left = [uploading(temp) for _ in range(4)]
     for process in left:
         process.send_signal(signal.SIGKILL)
@@ -114,13 +114,13 @@ def test_two_carinas_that_start_at_once_both_sweep_and_neither_fails(temp):
     assert list(temp.iterdir()) == []
 
 
-def test_links_files_and_folders_of_others_are_left_alone(temp, tmp_path, monkeypatch):
+def test_links_files_and_folders_of_other_programs_are_not_deleted(temp, tmp_path, monkeypatch):
     victim = tmp_path / "victim"
     victim.mkdir()
     (victim / LOCK).touch()
     (victim / "dear").write_bytes(b"1")
     (temp / f"{PREFIX}abcdefgh").symlink_to(victim)
-    # A lock that is a link, or a pipe on which an open would wait for ever.
+    # The locks are a symbolic link and a pipe; opening the pipe would block.
     linked, piped = temp / f"{PREFIX}linkedlo", temp / f"{PREFIX}pipedloc"
     for folder in (linked, piped):
         folder.mkdir()
@@ -133,7 +133,7 @@ def test_links_files_and_folders_of_others_are_left_alone(temp, tmp_path, monkey
     assert sweep_scratch(temp, now_s=1e12) == 0
     assert sorted(p.name for p in temp.iterdir()) == before
     assert (victim / "dear").read_bytes() == b"1"
-    # Another person's, with a lock that nobody holds.
+    # The folder belongs to another user, and its lock is free.
     foreign = temp / f"{PREFIX}foreign0"
     foreign.mkdir()
     (foreign / LOCK).touch()
@@ -143,7 +143,7 @@ def test_links_files_and_folders_of_others_are_left_alone(temp, tmp_path, monkey
     assert sweep_scratch(temp) == 1
 
 
-def test_links_inside_an_abandoned_folder_are_removed_and_not_followed(temp, tmp_path):
+def test_links_in_an_abandoned_folder_are_removed_and_not_followed(temp, tmp_path):
     (tmp_path / "victim").mkdir()
     (tmp_path / "victim" / "dear").write_bytes(b"1")
     folder = temp / f"{PREFIX}abcdefgh"
@@ -155,7 +155,7 @@ def test_links_inside_an_abandoned_folder_are_removed_and_not_followed(temp, tmp
     assert (tmp_path / "victim" / "dear").read_bytes() == b"1"
 
 
-def test_folders_of_older_carinas_go_after_a_day(temp):
+def test_folders_of_older_versions_are_removed_after_a_day(temp):
     for name in ("carina-upload-abcdefgh", "carina-download-abcdefgh", f"{PREFIX}nolock00", "carina-abcdefgh"):
         (temp / name).mkdir()
         (temp / name / "pixels.dcm").write_bytes(b"1")
@@ -165,7 +165,7 @@ def test_folders_of_older_carinas_go_after_a_day(temp):
     assert list(temp.iterdir()) == []
 
 
-def test_a_temporary_folder_that_somebody_cleans_is_made_anew(temp):
+def test_temporary_folder_deleted_by_another_program_is_created_again(temp):
     first = ScratchFolder()
     for path in sorted(first.path.parent.rglob("*"), reverse=True):
         path.rmdir() if path.is_dir() else path.unlink()
@@ -176,7 +176,7 @@ def test_a_temporary_folder_that_somebody_cleans_is_made_anew(temp):
     second.remove()
 
 
-def test_a_temporary_folder_that_cannot_be_written_refuses_uploads_in_words(tmp_path, monkeypatch):
+def test_upload_is_refused_with_a_message_if_the_temporary_folder_is_read_only(tmp_path, monkeypatch):
     (tmp_path / "file").write_bytes(b"")
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "file"))
     monkeypatch.setattr("carina.disk.scratch._Root._path", None)

@@ -1,4 +1,4 @@
-"""Every example runs as its first lines say and leaves what it promises."""
+"""Examples: each one runs as its first lines state and writes the stated files."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_every_example_is_tested_here():
 
 
 @pytest.mark.slow
-def test_first_airway_saves_a_lit_lumen_in_the_trachea_and_in_a_bronchus(tmp_path):
+def test_first_airway_saves_lit_pictures_of_the_trachea_and_a_bronchus(tmp_path):
     saved = load(EXAMPLES / "01_first_airway" / "first_airway.py").main(None, tmp_path)
     assert [path.name for path in saved] == ["trachea.png", "bronchus.png"]
     for path in saved:
@@ -52,7 +52,7 @@ def test_first_airway_saves_a_lit_lumen_in_the_trachea_and_in_a_bronchus(tmp_pat
 
 
 @pytest.mark.slow
-def test_turns_tells_each_fork_and_saves_its_picture(tmp_path, capsys):
+def test_turns_lists_each_bifurcation_and_saves_its_picture(tmp_path, capsys):
     saved = load(EXAMPLES / "05_turns" / "turns.py").main(tmp_path)
     lines = capsys.readouterr().out.splitlines()
     assert len(saved) == len(lines) - 1 >= 2
@@ -64,13 +64,13 @@ def test_turns_tells_each_fork_and_saves_its_picture(tmp_path, capsys):
 
 @pytest.fixture(scope="module")
 def gallery(tmp_path_factory):
-    """The pictures of the gallery, by name."""
+    """Return the pictures of the gallery by name."""
     saved = load(EXAMPLES / "02_gallery" / "gallery.py").main(None, tmp_path_factory.mktemp("gallery"))
     return {path.stem: sitk.GetArrayFromImage(sitk.ReadImage(str(path))) for path in saved}
 
 
 @pytest.mark.slow
-def test_the_gallery_shows_every_place_and_preset(gallery):
+def test_gallery_shows_every_position_and_preset(gallery):
     seen = {name: rgb.astype(float) for name, rgb in gallery.items()}
     for name in ("trachea", "carina", "main-bronchus", "lobar-fork", "segmental-fork", "small-airway"):
         rgb = seen[name]
@@ -97,7 +97,7 @@ def write_jpeg(rgb: np.ndarray, path: Path) -> None:
 
 
 def same(expected: np.ndarray, found: np.ndarray) -> bool:
-    """Whether two decoded JPEGs show one picture: encoders may round otherwise, but not draw otherwise."""
+    """Return whether two decoded JPEGs show one picture, with a tolerance for the rounding of encoders."""
     if expected.shape != found.shape:
         return False
     off = np.abs(expected.astype(int) - found).max(axis=2)
@@ -105,10 +105,11 @@ def same(expected: np.ndarray, found: np.ndarray) -> bool:
 
 
 @pytest.mark.slow
-def test_golden_gallery_pictures_are_what_the_docs_show(gallery, tmp_path):
+def test_golden_gallery_pictures_equal_those_of_the_docs(gallery, tmp_path):
     rewrite = os.environ.get("CARINA_GOLDEN") == "rewrite"
     for name, rgb in gallery.items():
-        # Both have gone through the encoder, so that its losses, up to 2 grey levels in the mean, hide nothing.
+        # Both pictures have been encoded, so the loss of the encoder (2 grey levels in the mean) does not hide a
+        # difference.
         write_jpeg(rgb, tmp_path / f"{name}.jpg")
         if rewrite:
             shutil.copy(tmp_path / f"{name}.jpg", IN_DOCS / f"{name}.jpg")
@@ -120,13 +121,13 @@ def test_golden_gallery_pictures_are_what_the_docs_show(gallery, tmp_path):
         for folder in (IN_DOCS, tmp_path)
     )
     for name in gallery:
-        # Each is like its own picture and no other: not like the same place with another preset, or without texture.
+        # Each picture must match only itself: not the same position with another preset or without texture.
         alike = [other for other in gallery if same(shown[name], found[other])]
         assert alike == [name], f"docs/pictures/gallery/{name}.jpg is not what is rendered; `make golden` writes it"
 
 
 @pytest.mark.slow
-def test_a_gallery_picture_with_a_changed_look_is_not_taken_for_the_one_of_the_docs(tmp_path):
+def test_gallery_picture_with_a_changed_appearance_does_not_match_the_docs(tmp_path):
     gallery = load(EXAMPLES / "02_gallery" / "gallery.py")
     volume, airways = patient()
     pose = gallery.places(*gallery.way(airways.tree))["carina"]

@@ -1,4 +1,4 @@
-"""The notebook of the examples runs from a CT to a named tree, a picture and a film, and shows each of them."""
+"""The notebook of the examples: it runs from a CT to a named tree, a picture and a video, and shows each of them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def ran(tmp_path_factory: pytest.TempPathFactory):
 
 
 @pytest.mark.slow
-def test_the_notebook_shows_a_volume_a_named_tree_pictures_and_a_film(ran) -> None:
+def test_notebook_shows_a_volume_a_named_tree_pictures_and_a_video(ran) -> None:
     cells, names, folder = ran
     values = [cell.value for cell in cells if cell.value is not None]
     assert [type(value).__name__ for value in values] == [
@@ -46,7 +46,7 @@ def test_the_notebook_shows_a_volume_a_named_tree_pictures_and_a_film(ran) -> No
 
 
 @pytest.mark.slow
-def test_the_page_of_the_notebook_holds_what_was_shown_and_no_path_of_this_machine(ran) -> None:
+def test_notebook_page_contains_its_output_and_no_local_path(ran) -> None:
     cells, _, folder = ran
     page = as_html(cells, "notebook")
     assert page.count("<img ") == 3 + 2, "three slices of the volume, two pictures"
@@ -57,7 +57,7 @@ def test_the_page_of_the_notebook_holds_what_was_shown_and_no_path_of_this_machi
     assert str(Path.home()) not in page
 
 
-def test_a_page_escapes_what_was_printed_and_draws_values_by_what_they_offer() -> None:
+def test_page_escapes_printed_text_and_shows_values_by_their_notebook_methods() -> None:
     class Drawn:
         def _repr_png_(self) -> bytes:
             return b"png"

@@ -1,4 +1,4 @@
-"""A case in doubt says so in every file that is made from it."""
+"""Badges of a doubtful case in every file that is exported from it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def case():
 
 
 def said(path) -> str:
-    """All that a file says in words."""
+    """Return all text of a file."""
     if path.suffix == ".vtp":
         found = ET.parse(path).getroot().find(".//FieldData/Array[@Name='Badges']")
         return "" if found is None else bytes(int(code) for code in found.text.split()).decode()
@@ -44,7 +44,7 @@ def said(path) -> str:
 
 
 @pytest.mark.parametrize("suffix", EXPORT_SUFFIXES)
-def test_every_export_of_a_case_in_doubt_names_the_doubt(case, tmp_path, suffix):
+def test_every_export_of_a_doubtful_case_contains_its_badge(case, tmp_path, suffix):
     volume, airways = case
     healthy = dataclasses.replace(volume, source=VolumeSource(format="array", title="t", notes=(PLAIN,)))
     wanted = "IN DOUBT" if suffix == ".stl" else "import.clipped"
@@ -52,7 +52,7 @@ def test_every_export_of_a_case_in_doubt_names_the_doubt(case, tmp_path, suffix)
     assert wanted not in said(export_airways(tmp_path / f"b{suffix}", healthy, airways))
 
 
-def test_the_files_of_a_case_in_doubt_are_as_they_should_be(case, tmp_path):
+def test_exports_of_a_doubtful_case_are_valid_files(case, tmp_path):
     volume, airways = case
     stl = export_airways(tmp_path / "a.stl", volume, airways).read_bytes()
     assert stl[:80].rstrip().endswith(b"IN DOUBT")
@@ -66,7 +66,7 @@ def test_the_files_of_a_case_in_doubt_are_as_they_should_be(case, tmp_path):
     assert read_badges(export_tree(tmp_path / "u.json", airways.tree)) == ()
 
 
-def test_the_badges_of_a_case_are_those_of_its_volume_and_of_its_airways(case):
+def test_badges_of_a_case_are_those_of_its_volume_and_its_airways(case):
     class Found:
         badges = (STOPPED, CLIPPED)
 
@@ -78,7 +78,7 @@ def test_the_badges_of_a_case_are_those_of_its_volume_and_of_its_airways(case):
     assert badges_of(grey)[0].words == "not HU: it is MR"
 
 
-def test_a_tree_file_with_broken_badges_is_refused(case, tmp_path):
+def test_tree_file_with_invalid_badges_is_refused(case, tmp_path):
     path = export_tree(tmp_path / "t.json", case[1].tree)
     for broken in ([{"code": "x"}], ["x"], 3):
         path.write_text(json.dumps({**json.loads(path.read_text()), "badges": broken}))
@@ -87,7 +87,7 @@ def test_a_tree_file_with_broken_badges_is_refused(case, tmp_path):
         assert caught.value.code == "track.tree-format"
 
 
-def test_a_picture_of_a_case_in_doubt_says_so(demo_picture: Picture, tmp_path):
+def test_picture_of_a_doubtful_case_contains_its_badge(demo_picture: Picture, tmp_path):
     path = demo_picture.save(tmp_path / "p.png", badges=(CLIPPED, STOPPED))
     assert read_png_badges(path) == (CLIPPED, STOPPED)
     assert carina.render.read_png_pose(path) == demo_picture.place()

@@ -1,4 +1,4 @@
-"""The tree, the lumen and its surface in the formats of other tools, read back by readers of their own."""
+"""Tree, lumen and surface in the formats of other tools, read back by independent readers."""
 
 from __future__ import annotations
 
@@ -53,12 +53,12 @@ def tree() -> AirwayTree:
 
 @pytest.fixture
 def drawn_tree(tree) -> AirwayTree:
-    """The same; its last branch was drawn by hand."""
+    """Return the tree with its last branch marked as drawn by hand."""
     *found, last = tree.branches
     return AirwayTree((*found, dataclasses.replace(last, kind="manual")))
 
 
-def test_every_tree_file_says_what_a_person_drew(drawn_tree, tmp_path):
+def test_every_tree_format_marks_branches_drawn_by_hand(drawn_tree, tmp_path):
     length_mm = sum(branch.length_mm for branch in drawn_tree.branches)
     words = f"{drawn_tree.branches[-1].length_mm:.0f} of {length_mm:.0f} mm drawn by hand"
     root = ET.parse(export_tree(tmp_path / "t.vtp", drawn_tree)).getroot()
@@ -71,7 +71,7 @@ def test_every_tree_file_says_what_a_person_drew(drawn_tree, tmp_path):
     assert carina.export.read_tree(export_tree(tmp_path / "t.json", drawn_tree)).branches[-1].kind == "manual"
 
 
-def test_the_lumen_and_its_surface_say_that_a_part_is_drawn(case, tmp_path):
+def test_lumen_and_surface_formats_mark_parts_drawn_by_hand(case, tmp_path):
     volume, airways = case
     *found, last = airways.tree.branches
     tree = dataclasses.replace(airways.tree, branches=(*found, dataclasses.replace(last, kind="manual")))
@@ -96,7 +96,7 @@ def vtp_array(root, path):
     return np.frombuffer(raw[8:], {"Float64": "<f8", "Int64": "<i8", "Int32": "<i4"}[element.get("type")])
 
 
-def test_vtp_holds_every_branch_as_a_line(tree, tmp_path):
+def test_vtp_contains_every_branch_as_a_line(tree, tmp_path):
     root = ET.parse(export_tree(tmp_path / "t.vtp", tree)).getroot()
     points = vtp_array(root, ".//Points/DataArray").reshape(-1, 3)
     ends = vtp_array(root, ".//Lines/DataArray[@Name='offsets']")
@@ -112,7 +112,7 @@ def test_vtp_holds_every_branch_as_a_line(tree, tmp_path):
     assert bytes(int(code) for code in root.find(".//FieldData/Array[@Name='Space']").text.split()) == b"LPS\0"
 
 
-def test_swc_is_one_tree_whose_forks_are_single_nodes(tree, tmp_path):
+def test_swc_is_one_tree_with_single_nodes_at_bifurcations(tree, tmp_path):
     lines = export_tree(tmp_path / "t.swc", tree).read_text().splitlines()
     assert any("LPS" in line for line in lines if line.startswith("#"))
     nodes = [line.split() for line in lines if not line.startswith("#")]
@@ -133,7 +133,7 @@ def test_markups_are_a_curve_per_branch_in_lps(tree, tmp_path):
         assert [p["position"] for p in curve["controlPoints"]] == branch.points.tolist()
 
 
-def test_the_surface_is_closed_and_as_large_as_the_lumen(case):
+def test_surface_is_closed_and_as_large_as_the_lumen(case):
     volume, airways = case
     mesh = lumen_mesh(volume, airways)
     edges = np.concatenate([mesh.triangles[:, [a, (a + 1) % 3]] for a in range(3)]).astype(np.int64)
@@ -145,7 +145,7 @@ def test_the_surface_is_closed_and_as_large_as_the_lumen(case):
     assert mesh.volume_mm3 == pytest.approx(lumen_mm3, rel=0.05)
 
 
-def test_the_surface_of_a_known_tube_has_its_volume():
+def test_surface_of_a_known_tube_has_its_volume():
     phantom, airways = made_phantom(**SMALL_CHEST), made_airways(**SMALL_CHEST)
     truth_mm3 = np.count_nonzero(phantom.lumen_zyx) * np.prod(phantom.volume.spacing_mm)
     assert lumen_mesh(phantom.volume, airways).volume_mm3 == pytest.approx(truth_mm3, rel=0.06)
@@ -193,7 +193,7 @@ def read_glb(raw):
     return points[corners], matrix
 
 
-def test_surfaces_come_back_from_every_format(case, tmp_path):
+def test_surfaces_are_read_back_from_every_format(case, tmp_path):
     mesh = lumen_mesh(*case)
     expected = mesh.vertices_lps[mesh.triangles]
     raw = {suffix: write_mesh(tmp_path / f"s{suffix}", mesh).read_bytes() for suffix in (".stl", ".ply", ".obj")}
@@ -202,19 +202,19 @@ def test_surfaces_come_back_from_every_format(case, tmp_path):
     assert b"LPS" in raw[".stl"][:80]
     for found in (corners, read_ply(raw[".ply"]), read_obj(raw[".obj"])):
         assert np.abs(found - expected).max() < 1e-3
-    # Normals point out of the lumen: away from the middle of a convex piece, and as the corners turn.
+    # Normals point away from the middle of a convex piece, in agreement with the order of the corners.
     across = np.cross(expected[:, 1] - expected[:, 0], expected[:, 2] - expected[:, 0])
     assert (np.einsum("na,na->n", across, normals) > 0.0).mean() > 0.999
     triangles, matrix = read_glb(write_mesh(tmp_path / "s.glb", mesh).read_bytes())
     assert np.abs(triangles - expected).max() < 1e-3
-    # Patient's left, posterior and superior in glTF's frame (+y up, front along +z), in metres.
+    # The expected axes: left, posterior and superior of the patient in glTF (+y up, anterior along +z), in metres.
     assert matrix[:3, :3] @ (1.0, 0.0, 0.0) == pytest.approx([0.001, 0.0, 0.0])
     assert matrix[:3, :3] @ (0.0, 1.0, 0.0) == pytest.approx([0.0, 0.0, -0.001])
     assert matrix[:3, :3] @ (0.0, 0.0, 1.0) == pytest.approx([0.0, 0.001, 0.0])
 
 
 @pytest.mark.parametrize("name", ["m.nii.gz", "m.nii", "m.nrrd", "m.mha"])
-def test_a_mask_comes_back_on_the_same_grid(case, tmp_path, name):
+def test_mask_is_read_back_on_the_same_grid(case, tmp_path, name):
     volume, airways = case
     path = write_mask(tmp_path / name, airways.lumen_zyx, volume)
     assert np.array_equal(open_mask(path, volume).inside_zyx, airways.lumen_zyx)
@@ -225,11 +225,11 @@ def test_a_mask_comes_back_on_the_same_grid(case, tmp_path, name):
     assert [p.name for p in tmp_path.iterdir()] == [name]
 
 
-def test_airways_from_the_written_mask_are_the_same_places(case, tmp_path):
+def test_airways_from_the_written_mask_are_at_the_same_positions(case, tmp_path):
     volume, airways = case
     path = export_airways(tmp_path / "lumen.nrrd", volume, airways)
     inside = open_mask(path, volume).inside_zyx
-    # Up to the half-maximum, as the surface.
+    # The mask ends at the half-maximum, like the surface.
     assert np.array_equal(inside, lumen_mask(volume, airways))
     again = carina.find_airways(volume, lumen_zyx=inside)
     assert again.tree.root.name == "Trachea"
@@ -237,7 +237,7 @@ def test_airways_from_the_written_mask_are_the_same_places(case, tmp_path):
 
 
 def leaning(degrees: float, shape=(40, 3, 40)) -> Volume:
-    """Return a volume of 1 mm voxels whose slices drift sideways."""
+    """Return a volume of 1 mm voxels with sheared slices."""
     matrix = np.eye(4)
     matrix[0, 2], matrix[2, 2] = np.sin(np.radians(degrees)), np.cos(np.radians(degrees))
     return Volume(np.zeros(shape, np.int16), matrix)
@@ -245,7 +245,7 @@ def leaning(degrees: float, shape=(40, 3, 40)) -> Volume:
 
 @pytest.mark.parametrize("suffix", [".nii.gz", ".nii", ".mha", ".nrrd"])
 @pytest.mark.parametrize("degrees", [0.02, 0.1, 0.199])
-def test_a_grid_that_opens_can_be_written_and_read_again_in_every_format(tmp_path, suffix, degrees):
+def test_grid_that_opens_is_written_and_read_again_in_every_format(tmp_path, suffix, degrees):
     volume = leaning(degrees)
     mask = np.zeros(volume.shape_zyx, np.uint8)
     mask[5:30, 1, 2:9] = 1
@@ -256,7 +256,7 @@ def test_a_grid_that_opens_can_be_written_and_read_again_in_every_format(tmp_pat
 
 
 @pytest.mark.parametrize("suffix", [".nii.gz", ".nii", ".mha"])
-def test_a_grid_beyond_the_tolerance_is_refused_with_the_format_that_stores_it(tmp_path, suffix):
+def test_grid_beyond_the_tolerance_is_refused_with_a_format_that_stores_it(tmp_path, suffix):
     volume = leaning(0.3)
     for write in (check_export, lambda path, volume: write_mask(path, np.ones(volume.shape_zyx, np.uint8), volume)):
         with pytest.raises(GeometryError, match=r"meet at 89\.7 instead of 90 degrees.*write it as \.nrrd") as caught:
@@ -265,7 +265,7 @@ def test_a_grid_beyond_the_tolerance_is_refused_with_the_format_that_stores_it(t
     assert not list(tmp_path.iterdir())
 
 
-def test_nrrd_stores_any_grid_as_it_is(tmp_path):
+def test_nrrd_stores_any_grid_unchanged(tmp_path):
     volume = leaning(20)
     path = write_mask(tmp_path / "m.nrrd", np.ones(volume.shape_zyx, np.uint8), volume)
     header = path.read_bytes().partition(b"\n\n")[0].decode()
@@ -275,7 +275,7 @@ def test_nrrd_stores_any_grid_as_it_is(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [".nii.gz", ".nii"])
-def test_an_axis_longer_than_nifti_stores_is_refused_before_the_work(tmp_path, suffix):
+def test_axis_longer_than_nifti_stores_is_refused_before_the_work(tmp_path, suffix):
     longest = Volume(np.zeros((32767, 2, 2), np.int16), np.eye(4))
     check_export(tmp_path / f"m{suffix}", longest)
     longer = Volume(np.zeros((32768, 2, 2), np.int16), np.eye(4))
@@ -285,7 +285,7 @@ def test_an_axis_longer_than_nifti_stores_is_refused_before_the_work(tmp_path, s
         check_export(tmp_path / f"m{other}", longer)
 
 
-def test_a_grid_that_the_format_cannot_store_is_refused_before_the_lumen_is_drawn(case, tmp_path, monkeypatch):
+def test_grid_that_the_format_cannot_store_is_refused_before_the_lumen_is_computed(case, tmp_path, monkeypatch):
     volume, airways = case
     matrix = np.array(volume.lps_from_ijk)
     matrix[:3, 2] += 0.2 * matrix[:3, 0]
@@ -294,7 +294,7 @@ def test_a_grid_that_the_format_cannot_store_is_refused_before_the_lumen_is_draw
         export_airways(tmp_path / "lumen.nii.gz", Volume(volume.hu_zyx, matrix), airways)
 
 
-def test_the_table_has_a_row_for_each_writer_of_surfaces_and_masks_and_asks_for_the_longest_suffix():
+def test_table_has_a_row_for_each_writer_and_uses_the_longest_suffix():
     assert {row.suffix for row in EXPORT_FORMATS if row.kind == "surface"} == set(MESH_SUFFIXES)
     assert {row.suffix for row in EXPORT_FORMATS if row.kind == "lumen"} == set(MASK_SUFFIXES)
     assert len(set(EXPORT_SUFFIXES)) == len(EXPORT_SUFFIXES)

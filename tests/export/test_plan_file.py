@@ -1,4 +1,4 @@
-"""A plan to any file by its suffix, and what each format needs."""
+"""Export of a plan to the format of a file suffix, and the requirements of each format."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_every_format_is_written_under_its_suffix(tmp_path):
     assert pydicom.dcmread(tmp_path / "Plan.SR.DCM").Modality == "SR"
 
 
-def test_what_a_format_needs_is_asked_for_in_words(tmp_path):
+def test_missing_requirement_of_a_format_is_reported(tmp_path):
     plans = {"A": a_plan(), "B": a_plan()}
     with pytest.raises(UsageError, match=r"\.mrk\.json, \.seg\.nrrd, \.seg\.dcm, \.sr\.dcm; found 'p\.json'"):
         export_plan(tmp_path / "p.json", a_plan(), a_tree())
@@ -44,7 +44,7 @@ def test_what_a_format_needs_is_asked_for_in_words(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_all_names_of_the_package_are_there_and_no_reader_of_dicom_is_loaded_before_it_is_asked_for():
+def test_package_lists_all_names_and_loads_dicom_readers_on_first_use():
     assert all(getattr(carina.export, name) is not None for name in carina.export.__all__)
     code = "import sys, carina.export; carina.export.export_plan; print('pydicom' in sys.modules)"
     ran = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)

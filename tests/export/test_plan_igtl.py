@@ -1,4 +1,4 @@
-"""A plan over OpenIGTLink, read by pyigtl where it can and by the protocol's own tables where it cannot."""
+"""Export of a plan by OpenIGTLink, read back by pyigtl or by the tables of the protocol."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def read_by_pyigtl(message: bytes):
 
 
 def read_polydata(message: bytes) -> np.ndarray:
-    """POLYDATA of one line, by the table of its page: ten counts, points, then cells."""
+    """Return the points of a POLYDATA message with one line: ten counts, points, then cells."""
     content = content_of(message)
     counts = struct.unpack_from(">10I", content)
     num_points, num_lines, line_bytes = counts[0], counts[3], counts[4]
@@ -76,7 +76,7 @@ def read_trajectories(message: bytes):
     return list(struct.iter_unpack(">64s32sBB4B3f3ff20s", content))
 
 
-def test_the_names_are_those_a_user_of_slicer_sees_and_no_two_are_alike(messages):
+def test_names_are_those_shown_in_slicer_and_unique(messages):
     names = [fields_of(one)["device_name"] for one in messages]
     assert names == [
         *("CarinaTarget1", "CarinaRoute1", "CarinaNeedle1", "CarinaRoute2", "CarinaNeedle2"),
@@ -85,7 +85,7 @@ def test_the_names_are_those_a_user_of_slicer_sees_and_no_two_are_alike(messages
     assert {fields_of(one)["timestamp"] for one in messages} == {12.5}
 
 
-def test_routes_and_needles_are_lines_in_ras_where_the_plan_has_them(messages):
+def test_routes_and_needles_are_lines_in_ras_at_the_positions_of_the_plan(messages):
     tree = a_tree()
     for number, route in enumerate(a_plan().routes, 1):
         needle = read_polydata(by_name(messages, f"CarinaNeedle{number}"))
@@ -97,7 +97,7 @@ def test_routes_and_needles_are_lines_in_ras_where_the_plan_has_them(messages):
         assert max(np.linalg.norm(whole - point, axis=1).min() for point in way) < 1e-4
 
 
-def test_the_targets_surface_is_triangles_round_its_centre_in_ras(messages):
+def test_target_surface_is_triangles_around_its_centre_in_ras(messages):
     nodule, content = a_plan().nodule, content_of(by_name(messages, "CarinaTarget1"))
     counts = struct.unpack_from(">10I", content)
     assert [counts[n] for n in (1, 2, 3, 4, 7, 8, 9)] == [0] * 7
@@ -120,7 +120,7 @@ def test_pyigtl_reads_the_targets(messages):
     assert found.diameters[0] == pytest.approx(plan.nodule.equivalent_mm, rel=1e-6)
 
 
-def test_trajectories_go_from_the_scopes_tip_to_the_aim(messages):
+def test_trajectories_go_from_the_scope_tip_to_the_aim(messages):
     rows = read_trajectories(by_name(messages, "CarinaNeedles"))
     for row, route, name in zip(
         rows, a_plan().routes, ("Route 1: LB3 to Target", "DOUBTFUL Route 2: branch 9 to Target"), strict=True
@@ -132,21 +132,21 @@ def test_trajectories_go_from_the_scopes_tip_to_the_aim(messages):
     assert rows[0][4:8] != rows[1][4:8]
 
 
-def test_the_words_come_along_with_their_doubts(messages):
+def test_text_of_the_plan_includes_its_doubts(messages):
     words = read_by_pyigtl(by_name(messages, "CarinaPlan")).string
     assert f"DOUBTFUL: {DOUBT}" in words
     assert "CarinaRoute2, CarinaNeedle2: Route 2: branch 9 to Target." in words
     assert "up to 15 mm off" in words
 
 
-def test_in_lps_the_places_are_the_plans_own():
+def test_positions_in_lps_are_those_of_the_plan():
     messages = plan_messages(a_plan(), a_tree(), space="LPS")
     route = a_plan().routes[0]
     needle = read_polydata(by_name(messages, "CarinaNeedle1"))
     assert np.abs(needle - np.array([route.leg.tip_lps, route.leg.aim_lps])).max() < 1e-4
 
 
-def test_several_targets_count_on_and_long_or_foreign_names_fit():
+def test_numbering_continues_over_targets_and_long_or_non_ascii_names_fit():
     plans = {"Nodule Ö " + "x" * 80: a_plan(), "B": a_plan(doubts=())}
     messages = plan_messages(plans, a_tree())
     names = [fields_of(one)["device_name"] for one in messages]
@@ -157,7 +157,7 @@ def test_several_targets_count_on_and_long_or_foreign_names_fit():
     assert "Nodule Ö" in read_by_pyigtl(by_name(messages, "CarinaPlan")).string
 
 
-def test_a_plan_without_a_route_is_a_target_and_a_reason():
+def test_plan_without_a_route_is_a_target_and_a_reason():
     plan = dataclasses.replace(a_plan(), routes=(), why="no route: the nearest airway found is LB3, 40 mm away")
     messages = plan_messages(plan, a_tree())
     assert [fields_of(one)["message_type"] for one in messages] == ["POLYDATA", "POINT", "STRING"]
@@ -174,7 +174,7 @@ def split(data: bytes) -> list[bytes]:
     return found
 
 
-def test_a_server_such_as_slicers_gets_the_whole_plan():
+def test_server_such_as_slicer_receives_the_whole_plan():
     heard: list[bytes] = []
     with socket.create_server(("127.0.0.1", 0)) as server:
 
@@ -193,7 +193,7 @@ def test_a_server_such_as_slicers_gets_the_whole_plan():
     assert [content_of(one) for one in messages] == [content_of(one) for one in plan_messages(a_plan(), a_tree())]
 
 
-def test_nobody_there_is_said_with_what_to_do(monkeypatch):
+def test_missing_receiver_is_reported_with_a_remedy(monkeypatch):
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
     with pytest.raises(CarinaError, match=r"nothing listens there.*OpenIGTLinkIF") as caught:
@@ -222,7 +222,7 @@ def received(peer: socket.socket, num: int) -> list[bytes]:
                 return found
 
 
-def test_whoever_connects_gets_the_plan_and_again_what_is_asked_for():
+def test_client_receives_the_plan_on_connection_and_again_on_request():
     with PlanServer(a_plan(), a_tree(), port=0) as server:
         for _ in range(2):
             with socket.create_connection((server.host, server.port)) as peer:
@@ -240,7 +240,7 @@ def test_whoever_connects_gets_the_plan_and_again_what_is_asked_for():
                 assert received(peer, 1) == [first[6]]
 
 
-def test_pyigtls_client_reads_points_and_words_from_our_server():
+def test_pyigtl_client_reads_points_and_text_from_the_server():
     with PlanServer(a_plan(), a_tree(), port=0) as server:
         client = pyigtl.OpenIGTLinkClient(server.host, server.port)
         try:
@@ -250,7 +250,7 @@ def test_pyigtls_client_reads_points_and_words_from_our_server():
             client.stop()
 
 
-def test_a_peer_that_speaks_something_else_is_left_and_others_are_served():
+def test_client_of_another_protocol_is_dropped_and_others_are_served():
     with PlanServer(a_plan(), a_tree(), port=0) as server, socket.create_connection((server.host, server.port)) as bad:
         received(bad, 8)
         bad.sendall(b"GET / HTTP/1.1\r\n" + b"x" * 100)
@@ -260,7 +260,7 @@ def test_a_peer_that_speaks_something_else_is_left_and_others_are_served():
             assert len(received(good, 8)) == 8
 
 
-def test_a_server_ends_with_its_peers_and_frees_its_port():
+def test_server_shutdown_closes_its_connections_and_releases_its_port():
     server = PlanServer(a_plan(), a_tree(), port=0)
     server.start()
     peer = socket.create_connection((server.host, server.port))
@@ -276,7 +276,7 @@ def test_a_server_ends_with_its_peers_and_frees_its_port():
     PlanServer(a_plan(), a_tree(), port=server.port).stop()
 
 
-def test_too_many_peers_are_turned_away():
+def test_connections_above_the_limit_are_refused():
     with PlanServer(a_plan(), a_tree(), port=0) as server, contextlib.ExitStack() as stack:
         for _ in range(MAX_PEERS):
             received(stack.enter_context(socket.create_connection((server.host, server.port))), 8)
@@ -285,7 +285,7 @@ def test_too_many_peers_are_turned_away():
         assert more.recv(10) == b""
 
 
-def test_numbers_and_words_that_are_none_are_refused():
+def test_invalid_numbers_and_texts_are_refused():
     with pytest.raises(UsageError, match="space"):
         plan_messages(a_plan(), a_tree(), space="XYZ")  # type: ignore[arg-type]
     with pytest.raises(UsageError, match="version"):

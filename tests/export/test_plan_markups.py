@@ -1,4 +1,4 @@
-"""A plan as 3D Slicer reads it: in the right place, by the schema's rules, and with its doubts."""
+"""Export of a plan as 3D Slicer markups: positions, schema and badges."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from carina.export.plan_content import drawn_plans
 from carina.export.plan_markups import write_plan_markups
 from carina.volume import Note
 
-# Of markups-schema-v1.0.3.json: what a key may hold.
+# Allowed values of keys in markups-schema-v1.0.3.json.
 TEXTS = {
     "type",
     "name",
@@ -89,7 +89,7 @@ def places(markup: dict[str, Any]) -> np.ndarray:
     return np.array([point["position"] for point in markup["controlPoints"]])
 
 
-def test_the_file_follows_slicers_schema(written):
+def test_file_follows_the_schema_of_slicer(written):
     assert written["@schema"].endswith("markups-schema-v1.0.3.json#")
     assert [markup["type"] for markup in written["markups"]] == [
         *("Fiducial", "Fiducial", "Fiducial", "Curve", "Line", "Curve", "Line"),
@@ -100,7 +100,7 @@ def test_the_file_follows_slicers_schema(written):
         assert markup["coordinateUnits"] == "mm"
 
 
-def test_targets_scope_positions_needles_and_entries_lie_where_the_plan_has_them(written):
+def test_targets_scope_positions_needles_and_entries_have_the_positions_of_the_plan(written):
     plan = a_plan()
     assert np.array_equal(places(named(written, "Targets")), [plan.nodule.centre_lps])
     assert np.array_equal(places(named(written, "Scope positions")), [r.leg.tip_lps for r in plan.routes])
@@ -110,7 +110,7 @@ def test_targets_scope_positions_needles_and_entries_lie_where_the_plan_has_them
         assert np.array_equal(line, [route.leg.tip_lps, route.leg.aim_lps])
 
 
-def test_a_route_runs_along_the_airways_from_the_trachea_to_the_scopes_tip(written):
+def test_route_follows_the_airways_from_the_trachea_to_the_scope_tip(written):
     tree, plan = a_tree(), a_plan()
     for route, marked in zip(plan.routes, ("Route 1: LB3", "Route 2: branch 9 (DOUBTFUL)"), strict=True):
         curve = places(named(written, marked))
@@ -122,12 +122,12 @@ def test_a_route_runs_along_the_airways_from_the_trachea_to_the_scopes_tip(writt
         whole = tree.route_to(route.branch_id).points_lps
         off = [np.linalg.norm(whole - point, axis=1).min() for point in curve]
         assert max(off) < 1e-9
-        # It never turns back.
+        # The curve never turns back.
         ahead = np.diff(curve, axis=0)
         assert ((ahead[1:] * ahead[:-1]).sum(axis=1) > 0.0).all()
 
 
-def test_a_tip_between_two_points_of_the_smooth_route_is_its_end_and_nothing_turns_back():
+def test_route_ends_at_a_tip_between_two_of_its_points_and_never_turns_back():
     tree, plan = a_tree(), a_plan()
     points = tree.branch(4).points
     for share in (0.1, 0.49, 0.51, 0.9):
@@ -140,7 +140,7 @@ def test_a_tip_between_two_points_of_the_smooth_route_is_its_end_and_nothing_tur
         ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
         turns = (ahead[1:] * ahead[:-1]).sum(axis=1)
         assert (turns > 0.0).all()
-        # And makes no corner there: 0.1 mm beside the line, over 0.7 mm.
+        # The curve has no corner at the tip, which is 0.1 mm beside the line of a 0.7 mm step.
         assert (turns[-3:] > 0.97).all()
 
 
@@ -152,14 +152,14 @@ def test_a_tip_between_two_points_of_the_smooth_route_is_its_end_and_nothing_tur
         (3.14, "Nearest vessel seen 3.1 mm from the needle."),
     ],
 )
-def test_a_vessel_on_the_needles_way_is_said(vessel_mm, words):
+def test_vessel_in_the_needle_path_is_reported(vessel_mm, words):
     plan = a_plan()
     leg = dataclasses.replace(plan.routes[0].leg, vessel_mm=vessel_mm)
     met = dataclasses.replace(plan, routes=(dataclasses.replace(plan.routes[0], leg=leg),))
     assert words in drawn_plans(met, a_tree())[0].routes[0].words
 
 
-def test_doubts_stand_in_the_name_the_colour_and_at_each_place(written):
+def test_doubts_are_in_the_name_the_colour_and_each_position(written):
     sure, doubtful = named(written, "Route 1: LB3"), named(written, "Route 2: branch 9 (DOUBTFUL)")
     red, green, blue = doubtful["display"]["color"]
     assert red > 3.0 * max(green, blue)
@@ -173,7 +173,7 @@ def test_doubts_stand_in_the_name_the_colour_and_at_each_place(written):
         assert "DOUBTFUL" not in first["label"] + first["description"]
 
 
-def test_the_best_route_is_red_too_where_it_is_doubtful(tmp_path):
+def test_doubtful_best_route_is_red_too(tmp_path):
     plan = a_plan()
     turned = dataclasses.replace(plan, routes=plan.routes[::-1])
     document = json.loads(write_plan_markups(tmp_path / "p.mrk.json", turned, a_tree()).read_text())
@@ -182,14 +182,14 @@ def test_the_best_route_is_red_too_where_it_is_doubtful(tmp_path):
         assert red > 3.0 * max(green, blue)
 
 
-def test_a_target_says_its_size_its_error_and_that_it_may_move(written):
+def test_target_states_its_size_its_error_and_its_motion(written):
     words = named(written, "Targets")["controlPoints"][0]["description"]
     for part in ("12.0 x 9.0 mm", "0.57 ml", "90 % within", "pleura", "LB3 lies against it", "up to 15 mm off"):
         assert part in words
     assert "Not a medical device." in words
 
 
-def test_several_targets_are_told_apart_by_name_and_badges_are_kept(tmp_path):
+def test_several_targets_have_different_names_and_badges_are_kept(tmp_path):
     plans = {"Nodule A": a_plan(), "Nodule B": a_plan(doubts=(), aim_lps=(20.0, -3.0, -70.0))}
     badge = Note("import.lossy", "the slices were compressed with loss", badge=True)
     path = write_plan_markups(tmp_path / "p.mrk.json", plans, a_tree(), badges=[badge])
@@ -197,7 +197,7 @@ def test_several_targets_are_told_apart_by_name_and_badges_are_kept(tmp_path):
     points = named(document, "Targets")["controlPoints"]
     assert [point["label"] for point in points] == list(plans)
     assert all("import.lossy" in point["description"] for point in points)
-    # Not twice where the plan says it.
+    # A badge that the plan already states is not repeated.
     noted = dataclasses.replace(a_plan(), notes=(badge.words,))
     again = json.loads(write_plan_markups(tmp_path / "q.mrk.json", noted, a_tree(), badges=[badge]).read_text())
     assert json.dumps(named(again, "Targets")).count("compressed with loss") == 1
@@ -205,14 +205,14 @@ def test_several_targets_are_told_apart_by_name_and_badges_are_kept(tmp_path):
     assert len({markup["name"] for markup in document["markups"]}) == len(document["markups"])
 
 
-def test_a_plan_without_a_route_says_why(tmp_path):
+def test_plan_without_a_route_states_the_reason(tmp_path):
     plan = dataclasses.replace(a_plan(), routes=(), why="no route: the nearest airway found is LB3, 40 mm away")
     document = json.loads(write_plan_markups(tmp_path / "p.mrk.json", plan, a_tree()).read_text())
     (only,) = document["markups"]
     assert "40 mm away" in only["controlPoints"][0]["description"]
 
 
-def test_another_tree_another_suffix_and_no_target_are_refused(tmp_path):
+def test_different_tree_wrong_suffix_and_missing_target_are_refused(tmp_path):
     plan, tree = a_plan(), a_tree()
     moved = tuple(dataclasses.replace(b, points=b.points + np.array([0.0, 6.0, 0.0])) for b in tree.branches)
     with pytest.raises(UsageError, match=r"lies 5\.2 mm from this tree") as caught:

@@ -1,4 +1,4 @@
-"""Measurements as a DICOM report and the plan's PDF as a DICOM document, read back by others."""
+"""Measurements as a DICOM structured report and the plan's PDF as a DICOM document, read back by other libraries."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def groups(data):
     return items(measurements, "Measurement Group")
 
 
-def test_the_report_holds_what_was_measured_and_where(ct, volume, tmp_path):
+def test_report_contains_the_measurements_and_their_positions(ct, volume, tmp_path):
     data = pydicom.dcmread(write_target_report(tmp_path / "r.dcm", nodule(), volume, ct, now=NOW))
     assert (data.Modality, data.ContentTemplateSequence[0].TemplateIdentifier) == ("SR", "1500")
     assert (data.VerificationFlag, data.PreliminaryFlag) == ("UNVERIFIED", "PRELIMINARY")
@@ -75,7 +75,7 @@ def test_the_report_holds_what_was_measured_and_where(ct, volume, tmp_path):
     assert "Not verified by a reader" in comment.TextValue
 
 
-def test_the_image_library_lists_the_slices_that_show_the_target_and_the_evidence_does_too(ct, volume, tmp_path):
+def test_image_library_and_evidence_list_the_slices_that_show_the_target(ct, volume, tmp_path):
     data = pydicom.dcmread(write_target_report(tmp_path / "r.dcm", nodule(), volume, ct))
     (library,) = items(data, "Image Library")
     (listed,) = items(library, "Image Library Group")
@@ -87,11 +87,11 @@ def test_the_image_library_lists_the_slices_that_show_the_target_and_the_evidenc
     assert [one.ReferencedSOPInstanceUID for one in study.ReferencedSeriesSequence[0].ReferencedSOPSequence] == uids
 
 
-def test_a_group_refers_to_its_segment_and_is_tracked_by_the_same_identifier(ct, volume, tmp_path):
+def test_group_refers_to_its_segment_and_has_the_same_tracking_identifier(ct, volume, tmp_path):
     other = ellipsoid([3.0, 3.0, 4.0], (3.0, -3.0, 30.0), step_mm=0.4)
     targets = {"Nodule A": nodule(), "Nodule B": other}
     seg = write_target_seg(tmp_path / "s.dcm", targets, volume, ct)
-    # Only the second is reported.
+    # The report contains only the second target.
     report = write_target_report(tmp_path / "r.dcm", {"Nodule B": other}, volume, ct, segmentation=seg)
     segments, (group,) = pydicom.dcmread(seg), groups(pydicom.dcmread(report))
     referred = items(group, "Referenced Segment")[0].ReferencedSOPSequence[0]
@@ -116,7 +116,7 @@ def test_highdicom_reads_the_report_and_finds_the_measurements(ct, volume, tmp_p
     assert group.referenced_segment.referenced_segment_numbers == [1]
 
 
-def test_a_segmentation_of_another_ct_or_without_the_target_is_refused(ct, volume, tmp_path):
+def test_segmentation_of_another_ct_or_without_the_target_is_refused(ct, volume, tmp_path):
     seg = write_target_seg(tmp_path / "s.dcm", nodule(), volume, ct)
     with pytest.raises(UsageError, match="no segment called 'Nodule B'"):
         write_target_report(tmp_path / "r.dcm", {"Nodule B": nodule()}, volume, ct, segmentation=seg)
@@ -131,7 +131,7 @@ def test_a_segmentation_of_another_ct_or_without_the_target_is_refused(ct, volum
     assert not (tmp_path / "r.dcm").exists()
 
 
-def test_a_target_smaller_than_a_voxel_is_reported_on_the_nearest_slice(ct, volume, tmp_path):
+def test_target_smaller_than_a_voxel_is_reported_on_the_nearest_slice(ct, volume, tmp_path):
     tiny = ellipsoid([0.3, 0.3, 0.3], (-1.7, -3.0, 24.9), step_mm=0.1)
     data = pydicom.dcmread(write_target_report(tmp_path / "r.dcm", tiny, volume, ct))
     listed = items(items(data, "Image Library")[0], "Image Library Group")[0]
@@ -139,14 +139,14 @@ def test_a_target_smaller_than_a_voxel_is_reported_on_the_nearest_slice(ct, volu
     assert only.ReferencedSOPSequence[0].ReferencedSOPInstanceUID == pydicom.dcmread(ct / "IM010").SOPInstanceUID
 
 
-def test_the_report_holds_nothing_of_the_patient_unless_asked_for(ct, volume, tmp_path):
+def test_report_contains_no_patient_data_unless_requested(ct, volume, tmp_path):
     raw = write_target_report(tmp_path / "r.dcm", nodule(), volume, ct).read_bytes()
     assert not any(secret in raw for secret in (b"Secret", b"SECRET-1", b"19010101"))
     data = pydicom.dcmread(write_target_report(tmp_path / "q.dcm", nodule(), volume, ct, identity="from the CT"))
     assert (str(data.PatientName), data.PatientID) == ("Secret^One", "SECRET-1")
 
 
-def test_the_pdf_comes_back_byte_for_byte(tmp_path):
+def test_pdf_is_read_back_byte_for_byte(tmp_path):
     for pdf in (PDF, PDF + b"\n"):
         data = pydicom.dcmread(write_plan_pdf(tmp_path / "p.dcm", pdf, names_patient=False, now=NOW))
         assert data.EncapsulatedDocument[: data.EncapsulatedDocumentLength] == pdf
@@ -157,7 +157,7 @@ def test_the_pdf_comes_back_byte_for_byte(tmp_path):
         assert (data.DocumentTitle, data.ContentDate) == ("Bronchoscopy plan", "20260304")
 
 
-def test_without_an_identity_the_pdf_stands_in_a_study_of_its_own(ct, volume, tmp_path):
+def test_pdf_without_patient_identity_has_its_own_study(ct, volume, tmp_path):
     one = pydicom.dcmread(next(iter(ct.iterdir())))
     data = pydicom.dcmread(write_plan_pdf(tmp_path / "p.dcm", PDF, names_patient=False))
     assert data.StudyInstanceUID != one.StudyInstanceUID
@@ -169,7 +169,7 @@ def test_without_an_identity_the_pdf_stands_in_a_study_of_its_own(ct, volume, tm
     assert (found.PatientID, found.BurnedInAnnotation, found.DocumentTitle) == ("SECRET-1", "YES", "Plan ÄÖ")
 
 
-def test_a_pdf_that_is_none_or_names_whom_it_must_not_is_refused(ct, volume, tmp_path):
+def test_invalid_pdf_and_pdf_with_patient_name_are_refused(ct, volume, tmp_path):
     for pdf in (b"", b"<html>", PDF[:-8], PDF[1:]):
         with pytest.raises(UsageError, match="expected a whole PDF"):
             write_plan_pdf(tmp_path / "p.dcm", pdf, names_patient=False)

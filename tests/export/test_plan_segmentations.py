@@ -1,4 +1,4 @@
-"""A target as a segmentation: for 3D Slicer, and as DICOM that refers to an oblique CT's own images."""
+"""Export of a target as a segmentation for 3D Slicer, and as DICOM that refers to the images of an oblique CT."""
 
 from __future__ import annotations
 
@@ -60,7 +60,10 @@ def written(ct, volume, path, **options):
 
 
 def frame_places(data) -> tuple[np.ndarray, np.ndarray]:
-    """Voxel centres that are set, LPS mm, by the standard's own words (PS3.3 C.7.6.2.1.1); and the frames' bits."""
+    """Return the centres of set voxels (n, 3) in LPS mm, and the bits of the frames.
+
+    The centres follow the definition of PS3.3 C.7.6.2.1.1.
+    """
     bits = np.unpackbits(np.frombuffer(data.PixelData, np.uint8), bitorder="little")
     frames = bits[: data.NumberOfFrames * data.Rows * data.Columns].reshape(-1, data.Rows, data.Columns)
     shared = data.SharedFunctionalGroupsSequence[0]
@@ -74,8 +77,8 @@ def frame_places(data) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(found), frames
 
 
-def test_a_voxel_is_in_the_target_where_at_least_half_of_it_is(volume):
-    # The ellipsoid itself, at many more points than are looked at.
+def test_voxel_belongs_to_the_target_if_at_least_half_of_it_is_inside(volume):
+    # Test the exact ellipsoid at many more points than the implementation uses.
     k, j, i = np.indices(volume.shape_zyx).reshape(3, -1)
     at = np.linspace(-0.5, 0.5, 15)[1::2]
     inner = np.stack(np.meshgrid(at, at, at), axis=-1).reshape(-1, 3)
@@ -91,7 +94,7 @@ def test_a_voxel_is_in_the_target_where_at_least_half_of_it_is(volume):
 
 
 @pytest.mark.parametrize("identity", ["none", "from the CT"])
-def test_the_dicom_segmentation_lies_where_the_nodule_is(ct, volume, tmp_path, identity):
+def test_dicom_segmentation_has_the_position_of_the_nodule(ct, volume, tmp_path, identity):
     data = written(ct, volume, tmp_path / "t.dcm", identity=identity)
     places, _ = frame_places(data)
     k, j, i = np.nonzero(inside_on_grid(nodule(), volume))
@@ -107,17 +110,17 @@ def test_the_dicom_segmentation_lies_where_the_nodule_is(ct, volume, tmp_path, i
     [
         [[1, 0, 0], [0, 0, -1]],  # coronal
         [[0, 1, 0], [0, 0, -1]],  # sagittal
-        [[-1, 0, 0], [0, 1, 0]],  # axial, mirrored: the stack runs towards the feet
+        [[-1, 0, 0], [0, 1, 0]],  # axial, mirrored: the stack is ordered from head to feet
         [[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0]],
     ],
 )
-def test_it_lies_there_however_the_slices_were_cut(axes, tmp_path):
+def test_dicom_segmentation_has_its_position_for_every_slice_orientation(axes, tmp_path):
     row, column = np.array(axes, dtype=float)
     normal = np.cross(row, column)
 
     def cut(dataset, index):
         dataset.ImageOrientationPatient = [float(v) for v in (*row, *column)]
-        # Files in the order of their names, against the normal.
+        # The order of the file names is opposite to the normal.
         dataset.ImagePositionPatient = [f"{v:.8f}" for v in FIRST_LPS - index * STEP_MM[2] * normal]
 
     ct = series(tmp_path / "ct", cut)
@@ -137,7 +140,7 @@ def test_it_lies_there_however_the_slices_were_cut(axes, tmp_path):
 
 
 def centre_of(data) -> list[float]:
-    """The only point of a report."""
+    """Return the only point of a report, in LPS mm."""
     waiting = list(data.ContentSequence)
     while waiting:
         one = waiting.pop()
@@ -147,18 +150,18 @@ def centre_of(data) -> list[float]:
     raise AssertionError("no point")
 
 
-def test_stopped_is_stopped_and_leaves_nothing(ct, volume, tmp_path):
+def test_cancelled_export_leaves_no_file(ct, volume, tmp_path):
     with pytest.raises(CancelledError):
         write_target_seg(tmp_path / "t.dcm", nodule(), volume, ct, cancel=lambda: True)
     assert not list(tmp_path.iterdir())
 
 
-def test_our_own_reader_lays_it_on_the_same_voxels(ct, volume, tmp_path):
+def test_importer_reads_the_segmentation_on_the_same_voxels(ct, volume, tmp_path):
     path = write_target_seg(tmp_path / "t.dcm", nodule(), volume, ct)
     assert np.array_equal(open_mask(path, volume).inside_zyx, inside_on_grid(nodule(), volume))
 
 
-def test_each_frame_refers_to_the_image_that_it_lies_on(ct, volume, tmp_path):
+def test_each_frame_refers_to_the_image_at_its_position(ct, volume, tmp_path):
     data = written(ct, volume, tmp_path / "t.dcm")
     images = {image.SOPInstanceUID: image for image in map(pydicom.dcmread, sorted(ct.iterdir()))}
     sources = []
@@ -177,7 +180,7 @@ def test_each_frame_refers_to_the_image_that_it_lies_on(ct, volume, tmp_path):
     assert data.SeriesInstanceUID != one.SeriesInstanceUID
 
 
-def test_its_segment_says_nodule_of_the_lung_and_how_large_it_was_measured(ct, volume, tmp_path):
+def test_segment_states_nodule_of_the_lung_and_its_measured_size(ct, volume, tmp_path):
     (segment,) = written(ct, volume, tmp_path / "t.dcm").SegmentSequence
     codes = (
         segment.SegmentedPropertyCategoryCodeSequence,
@@ -193,7 +196,7 @@ def test_its_segment_says_nodule_of_the_lung_and_how_large_it_was_measured(ct, v
     assert "0.57 ml" in segment.SegmentDescription
 
 
-def test_nothing_of_the_patient_is_written_unless_asked_for(ct, volume, tmp_path):
+def test_no_patient_data_are_written_unless_requested(ct, volume, tmp_path):
     data = written(ct, volume, tmp_path / "t.dcm")
     raw = (tmp_path / "t.dcm").read_bytes()
     assert not any(secret.encode() in raw for secret in (*SECRETS, "ACC-77", "20250102"))
@@ -201,7 +204,7 @@ def test_nothing_of_the_patient_is_written_unless_asked_for(ct, volume, tmp_path
     assert [data.get(key) for key in ("PatientName", "PatientID", "StudyDate")] == ["", "", ""]
 
 
-def test_the_identity_of_the_ct_is_copied_where_it_is_asked_for(ct, volume, tmp_path):
+def test_identity_of_the_ct_is_copied_on_request(ct, volume, tmp_path):
     data = written(ct, volume, tmp_path / "t.dcm", identity="from the CT")
     assert str(data.PatientName) == "Secret^Öne"
     assert (data.PatientID, data.PatientBirthDate, data.PatientSex) == ("SECRET-1", "19010101", "F")
@@ -211,7 +214,7 @@ def test_the_identity_of_the_ct_is_copied_where_it_is_asked_for(ct, volume, tmp_
     assert b"Secret Hospital" not in (tmp_path / "t.dcm").read_bytes()
 
 
-def test_a_ct_that_was_stripped_of_its_identity_stays_so_in_what_refers_to_it(tmp_path):
+def test_segmentation_of_an_anonymised_ct_is_anonymous(tmp_path):
     def stripped(dataset, index):
         oblique(dataset, index)
         dataset.PatientName = dataset.PatientID = "CASE-12"
@@ -236,9 +239,9 @@ def test_two_targets_are_two_segments_that_may_overlap(ct, volume, tmp_path):
         assert frames[np.array(numbers) == number].sum() == inside_on_grid(one, volume).sum()
 
 
-def test_the_lumen_of_the_airways_can_be_a_segment_beside_the_target(tmp_path):
+def test_lumen_can_be_a_segment_beside_the_target(tmp_path):
     made, airways = made_phantom(**SMALL_CHEST), made_airways(**SMALL_CHEST)
-    # As a DICOM series of the same chest.
+    # Write the same chest as a DICOM series.
     nz = made.volume.shape_zyx[0]
 
     def placed(dataset, index):
@@ -261,7 +264,7 @@ def test_the_lumen_of_the_airways_can_be_a_segment_beside_the_target(tmp_path):
         write_target_seg(tmp_path / "u.dcm", {"Airway lumen": near}, volume, ct, airways=airways)
 
 
-def test_highdicom_reads_the_segmentation_image_by_image(ct, volume, tmp_path):
+def test_highdicom_reads_the_segmentation_of_each_image(ct, volume, tmp_path):
     highdicom = pytest.importorskip("highdicom", reason="highdicom, the independent reader, is not installed")
     found = highdicom.seg.segread(write_target_seg(tmp_path / "t.dcm", nodule(), volume, ct))
     uids = [image.SOPInstanceUID for image in map(pydicom.dcmread, sorted(ct.iterdir()))]
@@ -275,7 +278,7 @@ def test_highdicom_reads_the_segmentation_image_by_image(ct, volume, tmp_path):
     assert np.abs(places.mean(axis=0) - expected.mean(axis=0)).max() < 0.01
 
 
-def test_simpleitk_reads_the_segmentation_where_the_nodule_is(ct, volume, tmp_path):
+def test_simpleitk_reads_the_segmentation_at_the_position_of_the_nodule(ct, volume, tmp_path):
     image = sitk.ReadImage(str(write_target_seg(tmp_path / "t.dcm", nodule(), volume, ct)))
     at = np.argwhere(sitk.GetArrayFromImage(image))[:, ::-1]
     found = np.array([image.TransformContinuousIndexToPhysicalPoint([float(v) for v in one]) for one in at])
@@ -284,11 +287,11 @@ def test_simpleitk_reads_the_segmentation_where_the_nodule_is(ct, volume, tmp_pa
     assert np.abs(found - expected).max() < 0.01
 
 
-def test_another_ct_a_newer_ct_and_a_file_that_is_no_dicom_are_refused(ct, volume, tmp_path):
+def test_another_ct_a_newer_ct_and_a_file_that_is_not_dicom_are_refused(ct, volume, tmp_path):
     out = tmp_path / "out"
     out.mkdir()
     write = functools.partial(write_target_seg, out / "t.dcm", nodule(), volume)
-    # The same geometry, other pixels: a later scan, or another reconstruction.
+    # The same geometry with other pixels: a later scan, or another reconstruction.
     newer = series(tmp_path / "newer", oblique, hu=chest(seed=6))
     with pytest.raises(UsageError, match="none of its series is the CT") as caught:
         write(newer)
@@ -304,7 +307,7 @@ def test_another_ct_a_newer_ct_and_a_file_that_is_no_dicom_are_refused(ct, volum
     assert not list(out.iterdir())
 
 
-def test_of_two_series_in_one_folder_the_one_that_was_planned_on_is_referred_to(ct, volume, tmp_path):
+def test_segmentation_refers_to_the_planned_one_of_two_series(ct, volume, tmp_path):
     folder = tmp_path / "both"
     series(folder, oblique, hu=chest(seed=6), name=lambda n: f"A{n}", number=2, uid="1.2.3.99")
     series(folder, oblique, name=lambda n: f"B{n}", number=3, uid="1.2.3.77")
@@ -314,7 +317,7 @@ def test_of_two_series_in_one_folder_the_one_that_was_planned_on_is_referred_to(
         write_target_seg(tmp_path / "u.dcm", nodule(), volume, folder, series="2")
 
 
-def test_what_cannot_be_referred_to_or_written_is_refused_in_words(ct, volume, tmp_path):
+def test_invalid_references_and_values_are_refused_with_a_message(ct, volume, tmp_path):
     def nameless(dataset, index):
         oblique(dataset, index)
         del dataset.FrameOfReferenceUID
@@ -338,8 +341,8 @@ def test_what_cannot_be_referred_to_or_written_is_refused_in_words(ct, volume, t
         write_target_seg(tmp_path / "missing" / "t.dcm", nodule(), volume, ct)
 
 
-def test_the_segmentation_for_slicer_lies_where_the_nodule_is_to_the_voxel(tmp_path):
-    # In a box that is cut off differently on each axis.
+def test_segmentation_for_slicer_has_the_position_of_the_nodule(tmp_path):
+    # The nodule is in a box that exceeds it by a different number of voxels on each axis.
     rows = np.pad(nodule().inside_zyx, ((2, 0), (5, 0), (9, 0)))
     shifted = nodule().lps_from_ijk.copy()
     shifted[:3, 3] += shifted[:3, :3] @ [-9.0, -5.0, -2.0]
@@ -357,12 +360,12 @@ def test_the_segmentation_for_slicer_lies_where_the_nodule_is_to_the_voxel(tmp_p
     assert fields["Segment0_Extent"] == f"0 {nx - 1} 0 {ny - 1} 0 {nz - 1}"
     assert "SCT^27925004^Nodule" in fields["Segment0_Tags"]
     assert "Not a medical device" in fields["note"]
-    # Cut to the nodule.
+    # The written grid is cropped to the nodule.
     assert nx < nodule().inside_zyx.shape[2] + 1
     assert json.dumps(fields)
 
 
-def test_a_segmentation_for_slicer_without_voxels_name_or_suffix_is_refused(tmp_path):
+def test_segmentation_for_slicer_without_voxels_name_or_suffix_is_refused(tmp_path):
     empty = dataclasses.replace(nodule(), inside_zyx=np.zeros((3, 3, 3), bool))
     with pytest.raises(UsageError, match="no voxel"):
         write_target_nrrd(tmp_path / "a.seg.nrrd", empty)

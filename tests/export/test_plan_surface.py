@@ -1,4 +1,4 @@
-"""A nodule's surface: closed, turned outwards, and where the boundary is."""
+"""Surface of a nodule: closed, oriented outwards and at the boundary."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def is_closed_and_turns_one_way(triangles: np.ndarray) -> bool:
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
-def test_the_surface_of_an_ellipsoid_is_closed_and_has_its_place_and_volume(mirrored):
+def test_surface_of_an_ellipsoid_is_closed_and_has_its_position_and_volume(mirrored):
     nodule = ellipsoid([6.0, 4.5, 5.0], step_mm=0.4)
     place = nodule.lps_from_ijk.copy()
     place[:3, :3] = rotation_from_vector(np.array([0.3, -0.5, 0.9])) @ place[:3, :3]
@@ -32,7 +32,7 @@ def test_the_surface_of_an_ellipsoid_is_closed_and_has_its_place_and_volume(mirr
     mesh = nodule_surface(dataclasses.replace(nodule, lps_from_ijk=place))
     assert is_closed_and_turns_one_way(mesh.triangles)
     assert mesh.volume_mm3 == pytest.approx(nodule.volume_mm3, rel=0.02)
-    # In the ellipsoid's own axes.
+    # Vertices in the coordinates of the ellipsoid's axes.
     own = (mesh.vertices_lps - place[:3, 3]) @ np.linalg.inv(place[:3, :3]).T * 0.4
     off = own - 0.4 * (np.array(nodule.inside_zyx.shape[::-1]) - 1) / 2
     radius = np.linalg.norm(off / [6.0, 4.5, 5.0], axis=1)
@@ -42,7 +42,7 @@ def test_the_surface_of_an_ellipsoid_is_closed_and_has_its_place_and_volume(mirr
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 30))
-def test_any_voxels_at_all_have_a_closed_surface_round_them(seed, num):
+def test_any_set_of_voxels_has_a_closed_surface(seed, num):
     chosen = np.random.default_rng(seed)
     inside = np.zeros((4, 5, 6), bool)
     inside[tuple(chosen.integers(0, inside.shape, (num, 3)).T)] = True
@@ -51,6 +51,6 @@ def test_any_voxels_at_all_have_a_closed_surface_round_them(seed, num):
     assert mesh.volume_mm3 > 0.0
 
 
-def test_no_voxel_has_no_surface():
+def test_empty_mask_has_no_surface():
     with pytest.raises(UsageError, match="no voxel"):
         nodule_surface(dataclasses.replace(ellipsoid([2.0, 2.0, 2.0]), inside_zyx=np.zeros((3, 3, 3), bool)))

@@ -1,4 +1,4 @@
-"""Videos are written whole or not at all, with the permissions of any new file."""
+"""Writing of videos: complete or no file, file permissions, and codec settings."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FRAME = np.zeros((32, 48, 3), dtype=np.uint8)
 
 
 class Full:
-    """A container for whose last bytes there is no room."""
+    """Video container whose last bytes do not fit on the disk."""
 
     def __init__(self, container) -> None:
         self._container = container
@@ -42,7 +42,7 @@ def write_to_full_disk(target, *, reason: Exception | None = None) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".mp4", ".webm"])
-def test_a_full_disk_leaves_the_old_video_and_no_draft(tmp_path, suffix):
+def test_full_disk_leaves_the_old_video_and_no_draft(tmp_path, suffix):
     target = tmp_path / f"a{suffix}"
     target.write_bytes(b"old")
     with pytest.raises(OSError, match="the disk is full"):
@@ -51,13 +51,13 @@ def test_a_full_disk_leaves_the_old_video_and_no_draft(tmp_path, suffix):
     assert [found.name for found in tmp_path.iterdir()] == [target.name]
 
 
-def test_a_video_that_is_given_up_on_a_full_disk_leaves_no_draft_and_keeps_its_reason(tmp_path):
+def test_cancelled_video_on_a_full_disk_leaves_no_draft_and_keeps_its_reason(tmp_path):
     with pytest.raises(KeyError, match="reason"):
         write_to_full_disk(tmp_path / "a.mp4", reason=KeyError("reason"))
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_video_that_cannot_begin_leaves_no_draft(tmp_path, monkeypatch):
+def test_video_that_cannot_start_leaves_no_draft(tmp_path, monkeypatch):
     monkeypatch.setattr(VideoWriter, "_made_stream", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         VideoWriter(tmp_path / "a.mp4", 48, 32)
@@ -66,7 +66,7 @@ def test_a_video_that_cannot_begin_leaves_no_draft(tmp_path, monkeypatch):
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such permissions")
 @pytest.mark.parametrize("mask", [0o022, 0o077, 0o002])
-def test_a_video_has_the_permissions_of_a_new_file(tmp_path, mask):
+def test_video_has_the_permissions_of_a_new_file(tmp_path, mask):
     before = os.umask(mask)
     try:
         with VideoWriter(tmp_path / "a.mp4", 48, 32) as video:
@@ -77,7 +77,7 @@ def test_a_video_has_the_permissions_of_a_new_file(tmp_path, mask):
 
 
 def facts(path):
-    """Codec facts of a video, and its frames as arrays."""
+    """Return the codec properties of a video and its frames as arrays."""
     import av
 
     with av.open(str(path)) as container:
@@ -88,7 +88,7 @@ def facts(path):
 
 
 def picture(width, height, seed):
-    """Return a smooth picture whose last row and column differ from black, so that padding is seen."""
+    """Return a smooth picture whose last row and column are not black, so that padding is visible."""
     y, x = np.mgrid[0:height, 0:width]
     return np.stack([100 + 80 * x / width, 100 + 80 * y / height, np.full(x.shape, 60.0 + seed)], -1).astype(np.uint8)
 
@@ -97,7 +97,7 @@ def picture(width, height, seed):
 @pytest.mark.parametrize(
     ("width", "height"), [(101, 75), (100, 75), (101, 76), (17, 17), (16, 16), (641, 480), (48, 32)]
 )
-def test_a_video_of_any_size_is_even_and_in_the_format_that_players_read(tmp_path, suffix, width, height):
+def test_video_of_any_size_has_even_sides_and_a_format_that_players_read(tmp_path, suffix, width, height):
     path = tmp_path / f"a{suffix}"
     with VideoWriter(path, width, height) as video:
         for n in range(3):
@@ -109,13 +109,13 @@ def test_a_video_of_any_size_is_even_and_in_the_format_that_players_read(tmp_pat
     assert len(frames) == 3
     if suffix == ".mp4":
         assert (name, profile) in {("h264", "High"), ("h264", "Main")}
-    # No black line: the last row and column go on. Compression is within a few grey levels.
+    # The last row and column are repeated instead of a black line; compression changes a few grey levels.
     expected = np.pad(picture(width, height, 2), ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
     assert np.abs(frames[2].astype(int) - expected).max() <= 24
 
 
 @pytest.mark.skipif(not hasattr(os, "pread"), reason="this system cannot read a file at a position")
-def test_the_index_of_an_mp4_is_before_its_pictures(tmp_path):
+def test_index_of_an_mp4_precedes_its_pictures(tmp_path):
     noise = np.random.default_rng(1)
     with VideoWriter(tmp_path / "a.mp4", 320, 240) as video:
         for _ in range(30):
@@ -134,12 +134,12 @@ def test_sizes_that_no_player_shows_are_refused_before_a_file_is_made(tmp_path, 
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_rate_beyond_the_largest_level_is_refused():
+def test_rate_above_the_highest_codec_level_is_refused():
     with pytest.raises(UsageError, match="has no level for 8192 x 4352 pixels at 240 frames per second"):
         VideoWriter("a.mp4", 8192, 4352, rate_hz=240.0)
 
 
-def test_notes_name_the_size_that_is_written_and_sizes_that_few_players_show():
+def test_notes_state_the_written_size_and_sizes_that_few_players_show():
     assert size_notes("a.mp4", 640, 480, rate_hz=30.0) == ()
     assert size_notes("a.mp4", 4096, 2160, rate_hz=60.0) == ()
     (note,) = size_notes("a.webm", 101, 75, rate_hz=30.0)
@@ -149,7 +149,7 @@ def test_notes_name_the_size_that_is_written_and_sizes_that_few_players_show():
     assert len(size_notes("a.mp4", 5121, 2881, rate_hz=30.0)) == 2
 
 
-def test_a_film_of_an_odd_view_is_rendered_at_an_even_size_and_says_so(tmp_path):
+def test_video_of_an_odd_view_is_rendered_at_an_even_size_with_a_note(tmp_path):
     phantom = carina.generate_phantom(spacing_mm=3.0, generations=3)
     path = carina.FlightPath([[0.0, 0.0, 0.0], [0.0, 0.0, -10.0]])
     view = carina.render.AirwayView(path.pose_at(0.0), width=65, height=49)

@@ -1,4 +1,4 @@
-"""A Y of airways on an oblique, anisotropic grid, with the lumen that belongs to it."""
+"""Phantom of a branching airway on an oblique, anisotropic grid, with its lumen."""
 
 from __future__ import annotations
 
@@ -16,7 +16,10 @@ from carina.volume import Volume
 
 @dataclass(frozen=True)
 class Airway:
-    """A phantom: trachea along -z from (0, 0, 40), carina near the origin, a wide right and a narrow left bronchus."""
+    """Phantom of trachea and main bronchi.
+
+    The trachea runs along -z from (0, 0, 40), the carina is near the origin, and the right bronchus is wider.
+    """
 
     volume: Volume
     lumen_zyx: NDArray[np.uint8]
@@ -31,14 +34,14 @@ def _distance_mm(points: NDArray[np.float64], a: tuple[float, ...], b: tuple[flo
 
 @pytest.fixture(scope="session")
 def airway() -> Airway:
-    """The phantom; the same in every run."""
+    """Return the phantom, equal in every run."""
     shape = (48, 62, 70)
     matrix = place(rotation(0.2, -0.15, 0.3), (1.1, 0.9, 1.7), (2.0, 1.0, 5.0), shape)
     grid = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), axis=-1)[..., ::-1].astype(float)
     lps = grid @ matrix[:3, :3].T + matrix[:3, 3]
-    # Depth into the lumen in mm; the edge is blurred over about a voxel, as a scanner does.
+    # Depth inside the lumen in mm; the edge is blurred over about one voxel, as by a scanner.
     depth = np.max([radius - _distance_mm(lps, a, b) for a, b, radius in (TRACHEA, RIGHT, LEFT)], axis=0)
-    # Bone for the X-rays: a spine behind, and one rib on the patient's left.
+    # Bone for the X-ray views: a spine behind the airways, and one rib on the patient's left.
     spine = 4.5 - _distance_mm(lps, (0.0, 24.0, 60.0), (0.0, 24.0, -50.0))
     rib = 2.5 - _distance_mm(lps, (6.0, 22.0, 12.0), (34.0, 10.0, 2.0))
     noise = np.random.default_rng(7).normal(0.0, 12.0, shape)

@@ -1,4 +1,4 @@
-"""Places for test volumes: turned, anisotropic grids."""
+"""Grid transforms for test volumes: rotated and anisotropic."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 
 def rotation(x: float, y: float, z: float) -> NDArray[np.float64]:
-    """Turns about the three axes, radians."""
+    """Return the rotation about the three axes by angles in radians."""
 
     def turn(axis: int, angle: float) -> NDArray[np.float64]:
         a, b = (axis + 1) % 3, (axis + 2) % 3
@@ -25,7 +25,7 @@ def place(
     middle_lps: tuple[float, float, float],
     shape_zyx: tuple[int, int, int],
 ) -> NDArray[np.float64]:
-    """``lps_from_ijk`` of a grid whose middle is at a point."""
+    """Return ``lps_from_ijk`` of a grid with its middle at a point in LPS mm."""
     m = np.eye(4)
     m[:3, :3] = axes * np.array(spacing_mm)
     m[:3, 3] = np.array(middle_lps) - m[:3, :3] @ ((np.array(shape_zyx[::-1]) - 1) / 2)

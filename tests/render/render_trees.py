@@ -1,4 +1,4 @@
-"""The phantom of these tests as lines, and as a tree that a decoration is made from."""
+"""The airway phantom as line segments, and as a tree for the decoration."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ LEFT = ((0.0, 0.0, 0.0), (30.0, 6.0, -26.0), 4.0)
 
 @dataclass(frozen=True)
 class Branch:
-    """A branch as a decoration asks for it."""
+    """Branch with the attributes that the decoration reads."""
 
     id: int
     parent: int | None
@@ -28,13 +28,13 @@ class Branch:
 
 @dataclass(frozen=True)
 class Tree:
-    """A tree as a decoration asks for it."""
+    """Tree with the attributes that the decoration reads."""
 
     branches: tuple[Branch, ...]
 
 
 def straight(number, parent, children, name, line, **more) -> Branch:
-    """A branch from one point to another, of one radius, a point each mm."""
+    """Return a straight branch of constant radius, with a point at each mm."""
     start, end, radius = line
     steps = int(np.linalg.norm(np.subtract(end, start))) + 1
     points = np.linspace(start, end, steps)
@@ -42,7 +42,7 @@ def straight(number, parent, children, name, line, **more) -> Branch:
 
 
 def forked(**trachea) -> Tree:
-    """The tree of the phantom `airway`."""
+    """Return the tree of the fixture ``airway``."""
     return Tree((
         straight(0, None, (1, 2), "Trachea", TRACHEA, **trachea),
         straight(1, 0, (), "RMB", RIGHT),

@@ -1,4 +1,4 @@
-"""How walls look through a scope: exposure, fall-off of light, pale cartilage, gloss; and the file that carries it."""
+"""Appearance of walls through a scope: exposure, light fall-off, cartilage, gloss, and its JSON file."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SIZE = {"width": 90, "height": 90}
 
 
 def tube(radius_mm: float, wall_hu: float = 40.0, ring_hu: float = 40.0) -> Volume:
-    """An airway along z, with rings of 4 mm in its wall every 8 mm."""
+    """Return an airway along z, with rings of 4 mm in its wall every 8 mm."""
     spacing = 0.8
     z, y, x = np.indices((110, 44, 44)) * spacing
     off = np.hypot(y - 17.2, x - 17.2)
@@ -27,7 +27,7 @@ def tube(radius_mm: float, wall_hu: float = 40.0, ring_hu: float = 40.0) -> Volu
 
 
 def look(volume: Volume, *, off_mm: float = 0.0, direction=(0.0, 0.0, 1.0), **changes) -> np.ndarray:
-    """A picture from within the tube, as numbers 0..1."""
+    """Return a picture from inside the tube, with values 0 to 1."""
     appearance = dataclasses.replace(Appearance(), **changes)
     renderer = Renderer(volume, transfer=dataclasses.replace(ENDOSCOPIC, appearance=appearance))
     pose = Pose.looking((17.2 + off_mm, 17.2, 12.0), direction)
@@ -35,24 +35,24 @@ def look(volume: Volume, *, off_mm: float = 0.0, direction=(0.0, 0.0, 1.0), **ch
 
 
 @pytest.mark.parametrize("radius_mm", [1.6, 4.0, 9.0])
-def test_walls_are_bright_and_the_lumen_ahead_is_dark_however_wide_the_airway(radius_mm):
+def test_walls_are_bright_and_the_distant_lumen_is_dark_at_any_airway_width(radius_mm):
     picture = look(tube(radius_mm))
     bright = picture.max(axis=2)
     edge = np.concatenate([bright[:8].ravel(), bright[-8:].ravel()])
     assert 0.35 < np.median(edge) < 0.97
     assert (picture.min(axis=2) > 0.98).mean() < 0.02, "the near wall burns out"
     assert bright[44:46, 44:46].max() < 0.2
-    # Mucosa is red before it is green, and green before it is blue.
+    # Mucosa has more red than green, and more green than blue.
     lit = picture[bright > 0.4]
     assert (lit[:, 0] >= lit[:, 1]).all()
     assert np.mean(lit[:, 1] - lit[:, 2]) > 0
 
 
-def test_a_wall_close_by_lowers_the_exposure_of_the_rest():
+def test_near_wall_lowers_the_exposure_of_the_rest():
     volume = tube(6.0)
     far, near = look(volume), look(volume, off_mm=4.6)
     assert np.percentile(near, 99) < 1.0
-    # The left half of the picture, on the side away from the wall that is close by.
+    # The left half of the picture is opposite the near wall.
     assert near[:, :30].mean() < 0.9 * far[:, :30].mean()
     fixed = look(volume, exposure=20.0), look(volume, exposure=40.0)
     assert fixed[1].mean() > fixed[0].mean()
@@ -65,11 +65,11 @@ def test_light_comes_from_the_guides_and_falls_off():
     assert right[40:50, -8:].mean() > 1.25 * right[40:50, :8].mean()
     middle = look(volume, guides_mm=((0.0, 0.0, 0.0),), **side)
     row = middle[45, 45:, 0]
-    # From the dark end to the edge of the picture it gets lighter all the way; 0.02 for steps of the CT.
+    # Brightness increases from the dark centre to the edge of the picture; 0.02 allows for steps of the CT.
     assert (np.diff(row) > -0.02).all()
 
 
-def test_the_mucosa_is_paler_over_cartilage_and_only_there():
+def test_mucosa_is_paler_over_cartilage_only():
     rings = look(tube(6.0, ring_hu=250.0), texture=0.0, gloss=0.0)
     plain = look(tube(6.0), texture=0.0, gloss=0.0)
     bare = look(tube(6.0, ring_hu=250.0), texture=0.0, gloss=0.0, paleness=0.0)
@@ -83,7 +83,7 @@ def test_the_mucosa_is_paler_over_cartilage_and_only_there():
         assert np.abs(paler).min() < 0.03, "between two"
 
 
-def test_gloss_makes_few_and_small_highlights_that_the_relief_breaks_up():
+def test_gloss_makes_few_small_highlights_that_the_relief_divides():
     volume = tube(6.0)
     direction = (1.0, 0.0, 0.6)
     dull = look(volume, direction=direction, gloss=0.0, texture=0.0, exposure=60.0, specks=0.0)
@@ -94,16 +94,16 @@ def test_gloss_makes_few_and_small_highlights_that_the_relief_breaks_up():
     assert (glossy >= dull - 1 / 255).all(), "gloss adds light and takes none"
 
     def edges(mask):
-        # Across both axes: the highlight of a smooth tube is a long column.
+        # Count edges along both axes, because the highlight of a smooth tube is a long column.
         return sum(np.abs(np.diff(mask.astype(int), axis=axis)).sum() for axis in (0, 1))
 
     matt = look(volume, direction=direction, gloss=0.0, exposure=60.0, specks=0.0)
     assert edges((broken - matt).max(axis=2) > 0.1) > 2.0 * edges(highlight)
 
 
-# In a lumen narrower than the guides stand apart (3.8 mm) the light comes from within the wall.
+# In a lumen narrower than the distance of the light guides (3.8 mm), the light comes from inside the wall.
 @pytest.mark.parametrize("radius_mm", [4.0, 9.0])
-def test_the_exposure_does_not_flatten_so_that_brightness_tells_depth(radius_mm):
+def test_exposure_preserves_the_decrease_of_brightness_with_depth(radius_mm):
     picture = look(tube(radius_mm), specks=0.0, gloss=0.0, texture=0.0)
     bright = picture.max(axis=2)
     rows, columns = np.indices(bright.shape) - 44.5
@@ -118,7 +118,7 @@ def test_the_exposure_does_not_flatten_so_that_brightness_tells_depth(radius_mm)
     assert far < 0.12
 
 
-def test_droplets_glint_at_a_distance_where_a_smooth_film_does_not():
+def test_droplets_reflect_light_at_a_distance_where_a_smooth_film_does_not():
     volume = tube(7.0)
     appearance = {"texture": 1.0, "exposure": 300.0}
     size = {"width": 240, "height": 240}
@@ -141,7 +141,7 @@ def test_droplets_glint_at_a_distance_where_a_smooth_film_does_not():
     assert 0.002 < glints[far].mean() < 0.2, "broken specks"
 
 
-def test_secretions_lie_on_the_posterior_wall_alone():
+def test_secretions_are_on_the_posterior_wall_only():
     volume = tube(7.0)
     picture = {amount: look(volume, specks=0.0, exposure=60.0, secretions=amount) for amount in (0.0, 0.5, 1.0)}
     view = AirwayView(Pose.looking((17.2, 17.2, 12.0), (0.0, 0.0, 1.0)), fov_deg=100.0, **SIZE)
@@ -151,18 +151,18 @@ def test_secretions_lie_on_the_posterior_wall_alone():
     assert 0.0 < changed[0.5][posterior].mean() < changed[1.0][posterior].mean()
 
 
-def test_fog_lies_on_the_lens_and_hides_the_lumen():
+def test_fog_is_on_the_lens_and_hides_the_lumen():
     volume = tube(7.0)
     clear, thin, thick = (look(volume, exposure=60.0, fog=fog, specks=0.0) for fog in (0.0, 0.4, 1.0))
     assert thick.std() < thin.std() < clear.std()
     assert clear[44:46, 44:46].max() < 0.2 < thick[44:46, 44:46].min()
-    # It is the lens's: where the scope is does not matter.
+    # Fog is on the lens, so the position of the scope has no effect on it.
     moved = [look(volume, exposure=60.0, fog=fog, specks=0.0, off_mm=2.0) for fog in (0.0, 1.0)]
     share = [1.0 - (np.ptp(a) / np.ptp(b)) for a, b in ((thick, clear), (moved[1], moved[0]))]
     assert abs(share[0] - share[1]) < 0.1
 
 
-def test_what_is_wet_and_shows_no_ct_is_named_and_off_where_texture_is_off(airway):
+def test_wet_parts_without_ct_data_are_named_and_off_without_texture(airway):
     assert ENDOSCOPIC.appearance.specks == 1.0 and Appearance().specks == 0.0
     every = Appearance(texture=0.0, specks=1.0, secretions=0.3, fog=0.2)
     assert every.decorations == ("specks", "secretions", "fog")
@@ -177,12 +177,12 @@ def test_what_is_wet_and_shows_no_ct_is_named_and_off_where_texture_is_off(airwa
     assert transfer_preset("ct-grey").appearance is None
 
 
-def test_vessels_are_few_and_faint_and_texture_off_leaves_them_out():
+def test_vessels_are_few_and_faint_and_off_without_texture():
     assert ENDOSCOPIC.appearance.vessels == 0.5
     assert Appearance().vessels == 0.0
     assert Appearance.from_json({"texture": 1.0}).vessels == 0.0, "a file from before they were a strength of their own"
     volume = tube(6.0)
-    # Green without highlights: blood takes it away.
+    # The green channel without highlights, because blood absorbs green.
     plain, red = (look(volume, gloss=0.0, texture=0.0, vessels=v, exposure=30.0) for v in (0.0, 1.0))
     assert (red <= plain).all()
     darker = (plain - red)[..., 1] > 0.02
@@ -192,24 +192,24 @@ def test_vessels_are_few_and_faint_and_texture_off_leaves_them_out():
     np.testing.assert_array_equal(renderer.render(view).rgb / 255.0, look(volume, texture=0.0, specks=0.0))
 
 
-def test_without_shading_the_colours_are_those_of_the_transfer_function(airway):
+def test_colours_without_shading_are_those_of_the_transfer_function(airway):
     view = AirwayView(airway.pose, shading=False, **SIZE)
     flat = Renderer(airway.volume).render(view).rgb
     plain = Renderer(airway.volume, transfer=dataclasses.replace(ENDOSCOPIC, appearance=None)).render(view).rgb
     np.testing.assert_array_equal(flat, plain)
 
 
-def test_where_there_is_nothing_to_see_it_is_dark():
+def test_picture_without_a_visible_wall_is_dark():
     volume = Volume(np.full((12, 12, 12), -1000, dtype=np.int16), np.eye(4))
     picture = Renderer(volume).render(AirwayView(Pose.looking((6, 6, 6), (0, 0, 1)), **SIZE)).rgb
     assert picture.max() == 0
     solid = Volume(np.full((12, 12, 12), 40, dtype=np.int16), np.eye(4))
-    # In the middle of tissue, which has no direction to be lit from.
+    # In the middle of tissue the gradient is zero, so there is no direction for the lighting.
     picture = Renderer(solid).render(AirwayView(Pose.looking((6, 6, 6), (0, 0, 1)), **SIZE)).rgb
     assert 40 < picture[:, :, 0].mean() < 250
 
 
-def test_an_appearance_goes_through_a_file_and_a_file_without_one_has_none():
+def test_appearance_is_restored_from_a_file_and_absent_if_the_file_has_none():
     changed = Appearance(guides_mm=((0.0, 1.5, 0.2),), exposure=3.0, texture=0.5, vessels=0.25, pale_hu=(-20.0, 180.0))
     transfer = dataclasses.replace(ENDOSCOPIC, appearance=changed)
     document = transfer.to_json()
@@ -247,7 +247,7 @@ def test_an_appearance_goes_through_a_file_and_a_file_without_one_has_none():
     ],
     ids=str,
 )
-def test_a_broken_appearance_is_refused_in_words(broken):
+def test_invalid_appearance_is_refused_with_a_message(broken):
     document = {**ENDOSCOPIC.to_json(), "appearance": {**Appearance().to_json(), **broken}}
     with pytest.raises(RenderError) as refused:
         TransferFunction.from_json(document)

@@ -1,4 +1,4 @@
-"""The choice between CPU and GPU: what is asked for, what is measured, and the way back. Devices are stand-ins here."""
+"""Choice between CPU and GPU: setting, measurement and fallback, with simulated devices."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ VIEW = AirwayView(Pose.looking((0.0, 0.0, 0.0), (0, 0, 1)), width=128, height=96
 
 
 class StandIn:
-    """A device, what is on it, and both casters; counts and breaks as told."""
+    """Simulated device with both casters; it counts calls and fails on request."""
 
     def __init__(self, *, gpu_ms=2.0, cpu_ms=10.0, off=0):
         self.ms = {"gpu": gpu_ms, "cpu": cpu_ms}
@@ -67,7 +67,7 @@ def a_scene(*, maps=True):
 
 
 class Rig:
-    """A caster over stand-ins; background work waits until it is told to run."""
+    """Caster with a simulated device; background work waits for ``run_work``."""
 
     def __init__(self, stand_in, mode, *, adapters=(CARD, LAVAPIPE), record=None):
         self.device = stand_in
@@ -76,7 +76,7 @@ class Rig:
         self.caster = DeviceCaster(self.backend, stand_in.cast, start=self.work.append, clock=lambda: stand_in.now)
 
     def picture(self, scene, view=VIEW):
-        """As AirwayCaster does it; "cpu" or "gpu"."""
+        """Render a picture as ``AirwayCaster`` does and return the device used: "cpu" or "gpu"."""
         leaps = scene.maps is not None
         picture = self.caster.try_cast(scene, view, leaps=leaps, cast=self.device.cast)
         if picture is None:
@@ -96,7 +96,7 @@ class Rig:
         return who
 
 
-def test_cpu_is_the_default_and_asks_no_driver():
+def test_cpu_is_the_default_and_calls_no_driver():
     def fail():
         raise AssertionError("a driver was loaded")
 
@@ -107,7 +107,7 @@ def test_cpu_is_the_default_and_asks_no_driver():
         Backend("abacus")
 
 
-def test_a_faster_card_is_taken_after_the_first_pictures_and_they_never_wait():
+def test_faster_card_is_used_after_the_first_pictures_without_a_delay():
     rig = Rig(StandIn(), "auto")
     scene = a_scene()
     for _ in range(PICTURES_FIRST + 2):
@@ -122,14 +122,14 @@ def test_a_faster_card_is_taken_after_the_first_pictures_and_they_never_wait():
     assert (round(measurement.gpu_ms, 6), round(measurement.cpu_ms, 6)) == (2.0, 10.0)
 
 
-def test_a_slower_card_is_not_taken():
+def test_slower_card_is_not_used():
     rig = Rig(StandIn(gpu_ms=9.5), "auto")
     assert set(rig.fly(a_scene())) == {"cpu"}
     assert "no faster" in rig.backend.measurements[0].why
     assert rig.caster._resident is None, "its memory is given back"
 
 
-def test_a_card_whose_picture_differs_is_not_taken_however_fast():
+def test_card_with_a_different_picture_is_not_used_at_any_speed():
     allowed = VIEW.width * VIEW.height // 1000
     assert "gpu" in Rig(StandIn(gpu_ms=0.1, off=allowed), "auto").fly(a_scene())
     rig = Rig(StandIn(gpu_ms=0.1, off=allowed + 1), "auto")
@@ -137,20 +137,20 @@ def test_a_card_whose_picture_differs_is_not_taken_however_fast():
     assert "differs" in rig.backend.measurements[0].why
 
 
-def test_an_adapter_in_software_is_never_taken_unasked():
+def test_software_adapter_is_used_only_on_request():
     rig = Rig(StandIn(gpu_ms=0.1), "auto", adapters=(LAVAPIPE,))
     assert set(rig.fly(a_scene())) == {"cpu"}
     assert rig.device.casts.count("gpu") == 0
     assert set(Rig(StandIn(), "gpu", adapters=(LAVAPIPE,)).fly(a_scene())) == {"gpu"}
 
 
-def test_without_a_map_brute_force_is_measured_after_a_while():
+def test_brute_force_is_measured_after_a_while_if_there_is_no_map():
     rig = Rig(StandIn(), "auto")
     who = rig.fly(a_scene(maps=False), PICTURES_WITHOUT_MAP + 2)
     assert who == ["cpu"] * PICTURES_WITHOUT_MAP + ["gpu"] * 2
 
 
-def test_small_or_dark_pictures_decide_nothing():
+def test_small_or_dark_pictures_are_not_measured():
     rig = Rig(StandIn(), "auto")
     small = dataclasses.replace(VIEW, width=64, height=64)
     assert set(rig.fly(a_scene(), view=small)) == {"cpu"}
@@ -161,7 +161,7 @@ def test_small_or_dark_pictures_decide_nothing():
     assert rig.fly(a_scene())[-1] == "gpu"
 
 
-def test_other_values_are_copied_behind_the_pictures_and_a_new_map_without_the_volume():
+def test_new_values_are_uploaded_in_the_background_and_a_new_map_without_the_volume():
     rig = Rig(StandIn(), "auto")
     scene = a_scene()
     rig.fly(scene)
@@ -178,7 +178,7 @@ def test_other_values_are_copied_behind_the_pictures_and_a_new_map_without_the_v
 
 
 @pytest.mark.parametrize("mode", ["auto", "gpu"])
-def test_a_lost_device_costs_no_picture_and_one_message(mode, caplog):
+def test_lost_device_loses_no_picture_and_logs_one_message(mode, caplog):
     rig = Rig(StandIn(), mode, adapters=(CARD,))
     scene = a_scene()
     assert rig.fly(scene)[-1] == "gpu"
@@ -190,7 +190,7 @@ def test_a_lost_device_costs_no_picture_and_one_message(mode, caplog):
     assert "lost" in caplog.text
 
 
-def test_a_volume_that_does_not_fit_leaves_the_device_to_others(caplog):
+def test_volume_too_large_for_the_device_does_not_disable_it_for_others(caplog):
     rig = Rig(StandIn(), "gpu", adapters=(CARD,))
     rig.device.upload_error = RenderError(
         "the volume does not fit in the memory of the graphics device", code="render.gpu-limit"
@@ -203,14 +203,14 @@ def test_a_volume_that_does_not_fit_leaves_the_device_to_others(caplog):
     assert set(rig.fly(a_scene())) == {"gpu"}
 
 
-def test_a_wrong_setting_is_the_callers_and_not_the_devices():
+def test_invalid_setting_is_an_error_of_the_caller_and_keeps_the_device():
     rig = Rig(StandIn(), "gpu")
     rig.device.error = RenderError("rows: expected a range", code="render.setting")
     with pytest.raises(RenderError, match="rows"):
         rig.picture(a_scene())
 
 
-def test_what_was_measured_is_remembered_but_the_picture_is_checked_again(tmp_path):
+def test_measurement_is_stored_but_the_picture_is_compared_again(tmp_path):
     record = tmp_path / "cache" / "backend.json"
     Rig(StandIn(), "auto", record=record).fly(a_scene())
     again = Rig(StandIn(), "auto", record=record)
@@ -224,7 +224,7 @@ def test_what_was_measured_is_remembered_but_the_picture_is_checked_again(tmp_pa
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"format": "carina-backend", "version": 1}', '{"format": 3}'])
-def test_a_damaged_record_is_measured_again(tmp_path, text):
+def test_damaged_record_is_measured_again(tmp_path, text):
     record = tmp_path / "backend.json"
     record.write_text(text)
     rig = Rig(StandIn(), "auto", record=record)
@@ -245,7 +245,7 @@ def test_part_off_counts_pixels_and_not_channels():
     assert part_off(a, b[1:]) == 1.0
 
 
-def test_a_build_without_gpu_says_so_and_renders(airway):
+def test_build_without_gpu_support_reports_it_and_renders(airway):
     if find_adapters() is not None:
         pytest.skip("this build has GPU support")
     with pytest.raises(RenderError, match="not in this build") as caught:

@@ -1,4 +1,4 @@
-"""What cannot be rendered is refused with what was found and what is allowed; odd places are rendered."""
+"""Refusal of invalid input of the renderer with the value found and the allowed range; unusual valid input."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ NAN, INF = float("nan"), float("inf")
 
 @pytest.fixture(scope="module")
 def ball():
-    """A ball of air in tissue, anisotropic, mirrored."""
+    """Return a ball of air in tissue on an anisotropic, mirrored grid."""
     z, y, x = np.mgrid[:20, :22, :24]
     inside = (x - 11.5) ** 2 + (y - 10.5) ** 2 + (z - 9.5) ** 2 < 64
     matrix = np.diag([0.8, 1.1, -1.4, 1.0])
@@ -62,7 +62,7 @@ def refusal(make, error=CarinaError):
         ((0, 0, 0), (0, 0, 1), (0, 1), r"three.*\[0\.0, 1\.0\]"),
     ],
 )
-def test_a_pose_that_is_none_is_refused_with_what_was_found(at, look, up, words):
+def test_value_that_is_not_a_pose_is_refused_with_the_value_found(at, look, up, words):
     assert re.search(words, refusal(lambda: Pose.looking(at, look, up), UsageError))
 
 
@@ -77,7 +77,7 @@ def test_a_pose_that_is_none_is_refused_with_what_was_found(at, look, up, words)
         (np.array([[1, 0.1, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]]), "right angles"),
     ],
 )
-def test_a_matrix_that_is_no_pose_is_refused_with_what_was_found(matrix, words):
+def test_matrix_that_is_not_a_pose_is_refused_with_the_value_found(matrix, words):
     assert re.search(words, refusal(lambda: Pose(matrix), UsageError))
 
 
@@ -93,7 +93,7 @@ VIEWS = {
 
 @pytest.mark.parametrize("view", VIEWS)
 @pytest.mark.parametrize("size", [{"width": 0}, {"height": 0}, {"width": -1}, {"height": 8193}, {"width": 10**9}])
-def test_a_size_out_of_range_is_refused_with_what_was_found(view, size):
+def test_size_out_of_range_is_refused_with_the_value_found(view, size):
     words = refusal(lambda: VIEWS[view](**size), RenderError)
     assert "1 to 8192" in words
     assert str(next(iter(size.values()))) in words
@@ -101,21 +101,21 @@ def test_a_size_out_of_range_is_refused_with_what_was_found(view, size):
 
 @pytest.mark.parametrize("view", ["airway", "tri-plane", "tree"])
 @pytest.mark.parametrize("fov_deg", [0.0, 0.99, 170.01, 180.0, -90.0, NAN, INF])
-def test_a_field_of_view_out_of_range_is_refused_with_what_was_found(view, fov_deg):
+def test_field_of_view_out_of_range_is_refused_with_the_value_found(view, fov_deg):
     words = refusal(lambda: VIEWS[view](fov_deg=fov_deg), RenderError)
     assert "between 1 and 170" in words
     assert f"{fov_deg:g}" in words
 
 
 @pytest.mark.parametrize("step_vox", [0.0, -1.0, 0.009, 101.0, NAN])
-def test_a_ray_step_out_of_range_is_refused_with_what_was_found(step_vox):
+def test_ray_step_out_of_range_is_refused_with_the_value_found(step_vox):
     words = refusal(lambda: AirwayView(pose(), step_vox=step_vox), RenderError)
     assert "between 0.01 and 100" in words
     assert str(step_vox) in words
 
 
 @pytest.mark.parametrize("transparency", [0.0, -1.0, 0.5, NAN])
-def test_a_stop_limit_out_of_range_is_refused_with_what_was_found(transparency):
+def test_stop_limit_out_of_range_is_refused_with_the_value_found(transparency):
     words = refusal(lambda: AirwayView(pose(), stop_transparency=transparency), RenderError)
     assert "between 1/65536 and 1/4" in words
     assert str(transparency) in words
@@ -133,23 +133,23 @@ def test_a_stop_limit_out_of_range_is_refused_with_what_was_found(transparency):
         ([[5, 1, 1, 1, 0], [4, 1, 1, 1, 1]], "increasing order.*4.*after 5"),
     ],
 )
-def test_a_transfer_function_that_is_none_is_refused_with_what_was_found(points, words, tmp_path):
+def test_value_that_is_not_a_transfer_function_is_refused_with_the_value_found(points, words, tmp_path):
     assert re.search(words, refusal(lambda: TransferFunction(points=np.array(points, dtype=float)), RenderError))
     if not re.search("nan|inf", words):
         document = {"format": "carina-transfer", "version": 1, "points": points}
         assert re.search(words, refusal(lambda: TransferFunction.from_json_text(json.dumps(document)), RenderError))
 
 
-def test_a_picture_that_nobody_can_want_is_refused_before_it_is_made(ball):
+def test_picture_of_excessive_size_is_refused_before_it_is_rendered(ball):
     for options in ({"width": 8193}, {"fov_deg": 171.0}, {"step_vox": 0.0}):
         refusal(lambda o=options: render_view(ball, view="airway", pose=pose(ball.centre_lps), **o), RenderError)
 
 
-# ---------------------------------------------------------------- what is odd but right
+# Unusual but valid input
 
 
 @pytest.mark.parametrize("method", ["leap", "brute"])
-def test_a_camera_absurdly_far_away_shows_the_background_at_once(ball, method):
+def test_camera_extremely_far_away_shows_the_background_at_once(ball, method):
     renderer = Renderer(ball)
     renderer.prepare()
     for far in (1e4, 1e7, 1e12, 1e30):
@@ -160,7 +160,7 @@ def test_a_camera_absurdly_far_away_shows_the_background_at_once(ball, method):
         assert renderer.render(towards).rgb.shape == (20, 24, 3)
 
 
-def test_a_camera_on_the_volumes_face_sees_what_one_a_hair_inside_sees(ball):
+def test_camera_on_a_face_of_the_volume_sees_the_same_as_one_just_inside(ball):
     renderer = Renderer(ball)
     renderer.prepare()
     face = ball.to_lps(np.array([-0.5, 10.0, 9.0]))
@@ -170,15 +170,15 @@ def test_a_camera_on_the_volumes_face_sees_what_one_a_hair_inside_sees(ball):
         for hair in (0.0, 1e-7)
     ]
     assert pictures[0].any()
-    # 1e-7 of the way is 1e-6 voxels: at most a rounding.
+    # 1e-7 of the distance is 1e-6 voxels: at most a rounding error.
     assert np.abs(pictures[0] - pictures[1]).max() <= 1
 
 
-def test_rays_that_stop_earlier_take_fewer_samples_and_show_nearly_the_same(ball):
+def test_rays_that_stop_earlier_take_fewer_samples_and_show_almost_the_same(ball):
     renderer = Renderer(ball)
     renderer.prepare()
     at = Pose.looking(ball.centre_lps, (0.3, 0.2, -1.0))
     far, near = (renderer.render(AirwayView(at, width=40, height=30, stop_transparency=t)) for t in (1 / 512, 1 / 64))
     assert near.stats.num_samples < far.stats.num_samples
-    # What lies behind the stop limit: 255/64 levels.
+    # Samples beyond the stop limit contribute at most 255/64 levels.
     assert np.abs(near.rgb.astype(int) - far.rgb.astype(int)).max() <= 4

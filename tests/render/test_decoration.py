@@ -1,4 +1,4 @@
-"""What is fixed to anatomy on a wall: where it lies, where it fades, that it moves nothing and says what it is."""
+"""Decoration of walls by anatomy: position of rings and ridges, fading, unchanged walls, and its notes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ALL = ("texture", "vessels", "rings", "membrane", "hue", "spurs", "specks")
 
 
 def at(decoration: Decoration, point) -> dict[str, float]:
-    """The channels at a point, read between the eight cells round it."""
+    """Return the channels at a point, interpolated between the eight surrounding cells."""
     place = (np.asarray(point, float) - decoration.origin_lps) / decoration.cell_mm
     low = np.floor(place).astype(int)
     part = place - low
@@ -33,17 +33,17 @@ def at(decoration: Decoration, point) -> dict[str, float]:
 
 
 def rings_along(decoration: Decoration, line) -> np.ndarray:
-    """How much of the rings is on the front wall of a branch, each mm."""
+    """Return the strength of the rings on the anterior wall of a branch at each mm."""
     start, end, radius = line
     points = np.linspace(start, end, int(np.linalg.norm(np.subtract(end, start))) + 1)
     return np.array([at(decoration, point - [0.0, radius, 0.0])["rings"] for point in points])
 
 
-def test_a_trachea_has_as_many_rings_as_anatomy_books_count_and_they_follow_it_into_both_bronchi():
+def test_trachea_has_the_anatomical_number_of_rings_which_continue_into_both_bronchi():
     tree = Tree((straight(0, None, (), "Trachea", ((0.0, 0.0, 104.0), (0.0, 0.0, 0.0), 8.5)),))
     found = decoration_of(tree)
     top, end = (at(found, (0.0, -8.5, z))["phase"] for z in (104.0, 0.0))
-    # Gray: sixteen to twenty.
+    # Gray's Anatomy states sixteen to twenty rings.
     assert 16 <= end - top <= 20
     found = decoration_of(forked())
     for start, end, _ in (TRACHEA, RIGHT, LEFT):
@@ -67,16 +67,16 @@ def test_front_back_and_sides_are_those_of_the_patient():
     assert abs(left["back"]) < 0.1
 
 
-def test_rings_fade_where_the_measured_radius_leaves_its_smooth_course():
+def test_rings_fade_where_the_radius_deviates_from_its_smooth_course():
     trachea = straight(0, None, (), "Trachea", ((0.0, 0.0, 100.0), (0.0, 0.0, 0.0), 8.0))
     narrow = trachea.radius.copy()
     narrow[45:60] = 5.0
-    # The top is at 100 mm: what is narrow lies at 55 to 40 mm.
+    # The top is at 100 mm, so the narrow part is at 55 to 40 mm.
     found = rings_along(decoration_of(Tree((dataclasses.replace(trachea, radius=narrow),))), TRACHEA_LONG)
     assert found[40:65].max() < 0.05, "in the stenosis and right before and behind it"
     assert found[5:30].min() > 0.95
     assert found[75:95].min() > 0.95
-    # A trachea that tapers evenly is no stenosis.
+    # A trachea that tapers evenly is not a stenosis.
     tapered = dataclasses.replace(trachea, radius=np.linspace(9.5, 6.5, len(narrow)))
     assert rings_along(decoration_of(Tree((tapered,))), TRACHEA_LONG)[5:95].min() > 0.9
 
@@ -85,14 +85,14 @@ TRACHEA_LONG = ((0.0, 0.0, 100.0), (0.0, 0.0, 0.0), 8.0)
 
 
 @pytest.mark.parametrize("doubt", [{"kind": "bridge"}, {"kind": "manual"}, {"confidence": 0.4}], ids=str)
-def test_a_branch_that_is_doubtful_has_no_rings_and_those_after_it_have(doubt):
+def test_doubtful_branch_has_no_rings_and_the_next_branches_have_rings(doubt):
     sure, found = decoration_of(forked(confidence=0.95)), decoration_of(forked(**doubt))
     assert rings_along(sure, TRACHEA)[5:50].min() > 0.95
     assert rings_along(found, TRACHEA)[5:50].max() < 0.05
     assert rings_along(found, RIGHT)[15:30].min() > 0.8
 
 
-def test_the_ridge_of_a_fork_is_between_its_daughters_and_nowhere_else():
+def test_ridge_of_a_bifurcation_is_only_between_its_daughters():
     found = decoration_of(forked())
     middle = max(at(found, (0.6, 1.5, z))["spur"] for z in np.arange(-20.0, 0.0, 0.5))
     assert middle > 0.5
@@ -100,14 +100,14 @@ def test_the_ridge_of_a_fork_is_between_its_daughters_and_nowhere_else():
         assert at(found, point)["spur"] < 0.1
 
 
-def test_without_a_trachea_by_name_there_is_no_decoration():
+def test_tree_without_a_named_trachea_has_no_decoration():
     assert decoration_of(None) is None
     nameless = straight(0, None, (), None, TRACHEA)
     assert decoration_of(Tree((nameless,))) is None
     assert decoration_of(Tree((straight(0, None, (), "RMB", TRACHEA),))) is None
 
 
-def test_cells_that_are_none_are_refused_in_words():
+def test_invalid_cells_are_refused_with_a_message():
     good = decoration_of(forked())
     for cells in (good.cells[..., :7], good.cells[:1], good.cells.astype(np.float64), np.full_like(good.cells, np.nan)):
         with pytest.raises(GeometryError, match="decoration"):
@@ -117,7 +117,7 @@ def test_cells_that_are_none_are_refused_in_words():
 
 
 def shown(airway, tree=None, *, view=None, simd=None, transfer="endoscopic", **changes):
-    """A picture of the phantom's pose, with a tree or without, with changed parts of the look."""
+    """Return a picture of the phantom with or without a tree, with changed appearance values."""
     chosen = transfer_preset(transfer)
     if changes:
         chosen = dataclasses.replace(chosen, appearance=dataclasses.replace(chosen.appearance, **changes))
@@ -126,7 +126,7 @@ def shown(airway, tree=None, *, view=None, simd=None, transfer="endoscopic", **c
     return renderer.render(AirwayView(airway.pose, fov_deg=100.0, **SIZE) if view is None else view)
 
 
-def test_decoration_moves_no_wall(airway):
+def test_decoration_does_not_change_the_walls(airway):
     view = AirwayView(airway.pose, fov_deg=100.0, **SIZE)
     with_tree, without = Renderer(airway.volume), Renderer(airway.volume)
     with_tree.set_lumen(airway.lumen_zyx, forked())
@@ -138,12 +138,12 @@ def test_decoration_moves_no_wall(airway):
     assert str(with_tree.pick(view, 20, 70)) == str(without.pick(view, 20, 70))
     for one, two in ((with_tree.scene.values, without.scene.values), (with_tree.scene.lumen, without.scene.lumen)):
         np.testing.assert_array_equal(one, two)
-    # Where no wall is, nothing is drawn: not a pixel more or less.
+    # Without a wall nothing is drawn: the same pixels are set with and without decoration.
     seen = [r.render(AirwayView(airway.pose, fov_deg=100.0, **SIZE)).rgb.max(axis=2) > 0 for r in (with_tree, without)]
     np.testing.assert_array_equal(*seen)
 
 
-def test_pictures_are_the_same_on_every_instruction_set_in_strips_and_by_leaps(airway):
+def test_pictures_are_equal_for_every_instruction_set_in_strips_and_by_leaps(airway):
     truth = shown(airway, forked(), simd="portable", view=AirwayView(airway.pose, method="brute", **SIZE)).rgb
     view = AirwayView(airway.pose, **SIZE)
     np.testing.assert_array_equal(shown(airway, forked(), view=view).rgb, truth)
@@ -152,13 +152,13 @@ def test_pictures_are_the_same_on_every_instruction_set_in_strips_and_by_leaps(a
     renderer.prepare()
     strips = [renderer.render(view, rows=rows).rgb for rows in ((0, 7), (7, 50), (50, 96))]
     np.testing.assert_array_equal(np.concatenate(strips), truth)
-    # As it travels to other machines.
+    # Restore the renderer's data as another machine receives them.
     other = Renderer(airway.volume)
     other.adopt_scene(pickle.loads(pickle.dumps(renderer.scene)))
     np.testing.assert_array_equal(other.render(view).rgb, truth)
 
 
-def test_each_part_can_be_switched_off_alone_and_changes_something(airway):
+def test_each_part_can_be_switched_off_separately_and_has_an_effect(airway):
     every = shown(airway, forked())
     assert every.decorated == ALL
     for part in ALL:
@@ -168,7 +168,7 @@ def test_each_part_can_be_switched_off_alone_and_changes_something(airway):
         assert (found.rgb != every.rgb).any(), part
 
 
-def test_texture_off_ct_grey_and_no_tree_leave_it_out_and_the_picture_says_so(airway, tmp_path):
+def test_decoration_is_off_without_texture_or_tree_and_in_ct_grey_with_a_note(airway, tmp_path):
     plain = AirwayView(airway.pose, fov_deg=100.0, texture=False, **SIZE)
     bare = shown(airway, forked(), view=plain)
     assert bare.decorated == ()
@@ -187,12 +187,12 @@ def test_texture_off_ct_grey_and_no_tree_leave_it_out_and_the_picture_says_so(ai
 
 
 def contrast(picture, base) -> np.ndarray:
-    """How much brighter or darker a picture is, in grey levels."""
+    """Return the difference of brightness between two pictures in grey levels."""
     return (picture.rgb.astype(int) - base.rgb)[..., :].mean(axis=2)
 
 
-def test_the_front_shows_rings_and_the_back_folds_along_the_airway(airway):
-    # From within the trachea, level: the picture's lower half is the back.
+def test_anterior_wall_shows_rings_and_posterior_wall_longitudinal_folds(airway):
+    # A level view from inside the trachea: the lower half of the picture is posterior.
     pose = Pose.looking((0.0, 0.0, 48.0), (0.0, 0.0, -1.0), (0.0, -1.0, 0.0))
     view = AirwayView(pose, fov_deg=110.0, width=160, height=160)
     off = dict.fromkeys(("vessels", "hue", "spurs", "texture", "specks"), 0.0)
@@ -202,13 +202,13 @@ def test_the_front_shows_rings_and_the_back_folds_along_the_airway(airway):
     front, back = (slice(0, 60), slice(70, 90)), (slice(100, 160), slice(70, 90))
     assert np.abs(rings[front]).mean() > 4 * np.abs(rings[back]).mean()
     assert np.abs(folds[back]).mean() > 4 * np.abs(folds[front]).mean()
-    # Rings go across the airway: up the picture the light changes to and fro, beside it hardly.
+    # Rings are transverse: brightness alternates along a column of the picture and is almost constant along a row.
     column = rings[0:55, 78:82].mean(axis=1)
     assert (np.diff(np.sign(np.diff(column))) != 0).sum() >= 6
 
 
-def test_rings_fade_on_a_wall_that_the_tree_knows_nothing_of(airway):
-    """A mass that narrows the airway: the tree's radius is that of the airway before it."""
+def test_rings_fade_on_a_wall_that_differs_from_the_tree(airway):
+    """A mass narrows the airway, but the tree has the radius of the airway before the mass."""
     wide = forked()
     too_wide = dataclasses.replace(wide.branches[0], radius=np.full_like(wide.branches[0].radius, 7.0 / 0.55))
     off = dict.fromkeys(("membrane", "vessels", "hue", "spurs", "texture", "specks"), 0.0)
@@ -219,7 +219,7 @@ def test_rings_fade_on_a_wall_that_the_tree_knows_nothing_of(airway):
     assert np.abs(faded).mean() < 0.05
 
 
-def test_files_from_before_have_no_part_that_is_fixed_to_anatomy():
+def test_files_of_older_versions_have_no_decoration():
     old = Appearance.from_json({"texture": 1.0, "vessels": 0.25})
     assert old.decorations == ("texture", "vessels")
     assert old.undecorated().decorations == ()

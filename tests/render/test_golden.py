@@ -1,4 +1,7 @@
-"""Golden images: small pictures of the phantom, compared exactly. Look before you commit what ``make golden`` wrote."""
+"""Golden images: small pictures of the phantom, compared exactly.
+
+Look at every image that ``make golden`` wrote before you commit it.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +37,7 @@ SIZE = {"width": 96, "height": 96}
 AT = (0.5, -1.0, 26.0)
 WAY = FlightPath([(0.0, 0.0, 40.0), (0.0, 0.0, 0.0), (-22.0, 4.0, -34.0)])
 
-# Name: (view of the phantom's pose, transfer function, what a person must see).
+# Name: (view of the phantom, transfer function, what a person must see).
 CASES = {
     "airway-endoscopic": (
         lambda pose: AirwayView(pose, fov_deg=100.0, **SIZE),
@@ -98,7 +101,7 @@ CASES = {
     ),
 }
 
-# Parts of the look that are drawn from the airway tree: where from, what of it, what a person must see.
+# Parts that are drawn from the airway tree; DECORATED has name: (pose, parts, what a person must see).
 DOWN_THE_TRACHEA = Pose.looking((0.0, 0.5, 40.0), (0.0, 0.0, -1.0), (0.0, -1.0, 0.0))
 AT_THE_CARINA = Pose.looking((0.0, 0.0, 12.0), (0.0, 0.0, -1.0), (0.0, -1.0, 0.0))
 DECORATED = {
@@ -121,7 +124,7 @@ DECORATED = {
 
 
 def compare(name: str, found: np.ndarray, seen: str) -> None:
-    """Fail unless the picture equals the golden one; leave expected, found and difference side by side."""
+    """Fail unless the picture equals the golden image; store expected, actual and difference images side by side."""
     path = GOLDEN / f"{name}.png"
     if os.environ.get("CARINA_GOLDEN") == "rewrite":
         GOLDEN.mkdir(parents=True, exist_ok=True)
@@ -136,7 +139,7 @@ def compare(name: str, found: np.ndarray, seen: str) -> None:
     parts = {"expected": expected, "found": found}
     if expected.shape == found.shape:
         difference = np.abs(expected.astype(int) - found)
-        # Stretched, so that one grey level can be seen.
+        # Scaled by 32, so that a difference of one grey level is visible.
         parts["difference"] = np.minimum(difference * 32, 255).astype(np.uint8)
     for part, rgb in parts.items():
         sitk.WriteImage(sitk.GetImageFromArray(rgb, isVector=True), str(OUT / f"{name}.{part}.png"))
@@ -153,7 +156,7 @@ def test_golden_pictures_are_unchanged(name, airway):
 
 
 @pytest.mark.parametrize("name", sorted(DECORATED))
-def test_golden_pictures_of_what_is_fixed_to_anatomy_are_unchanged(name, airway):
+def test_golden_pictures_of_the_decoration_are_unchanged(name, airway):
     pose, parts, seen = DECORATED[name]
     preset = transfer_preset("endoscopic")
     on = {part: getattr(preset.appearance, part) for part in parts}
@@ -163,5 +166,5 @@ def test_golden_pictures_of_what_is_fixed_to_anatomy_are_unchanged(name, airway)
     compare(name, renderer.render(AirwayView(pose, fov_deg=110.0, width=128, height=128)).rgb, seen)
 
 
-def test_golden_images_are_all_of_a_case():
+def test_every_golden_image_has_a_case():
     assert {path.stem for path in GOLDEN.glob("*.png")} == {*CASES, *DECORATED}

@@ -1,4 +1,7 @@
-"""Airway views from a graphics device beside the CPU's. `make test-gpu` runs these on the wheel."""
+"""Airway views rendered on a graphics device, compared with the CPU.
+
+`make test-gpu` runs these tests on the wheel.
+"""
 
 from __future__ import annotations
 
@@ -23,13 +26,13 @@ from carina.volume import Volume
 pytestmark = pytest.mark.gpu
 SIZE = {"width": 96, "height": 72}
 ENDOSCOPIC = transfer_preset("endoscopic")
-# With the light at the tip on every sample, in place of walls lit after casting.
+# This transfer function lights every sample from the tip, instead of walls after the casting.
 TIP_LIT = dataclasses.replace(ENDOSCOPIC, appearance=None)
 
 
 @pytest.fixture(scope="module", autouse=True)
 def adapters():
-    """The adapters of this machine, or a skip that says why there are none."""
+    """Return the adapters of this machine, or skip the test with the reason why there are none."""
     found = find_adapters()
     if not found:
         why = "GPU support is not in this build" if found is None else "there is no graphics adapter"
@@ -51,7 +54,7 @@ def assert_same(cpu, gpu, view, *, method=None):
     expected, found = cpu.render(view), gpu.render(view)
     assert found.stats.method == (f"gpu-{expected.stats.method}" if method is None else method)
     assert part_off(expected.rgb, found.rgb) <= MAX_PART_OFF
-    # A pixel that is far off shows another thing: a wall moved by one sample keeps its colour.
+    # A pixel with a larger difference shows another object: a wall moved by one sample keeps its colour.
     assert np.abs(expected.rgb.astype(int) - found.rgb).max() <= 40
     assert found.stats.num_rays == expected.stats.num_rays
     for count in ("num_samples", "num_skipped", "num_shaded", "num_loads"):
@@ -64,7 +67,7 @@ def assert_same(cpu, gpu, view, *, method=None):
     [ENDOSCOPIC, TIP_LIT, transfer_preset("ct-grey"), transfer_preset("see-through")],
     ids=["endoscopic", "tip-lit", "ct-grey", "see-through"],
 )
-def test_pictures_are_the_cpus_for_every_preset_field_of_view_and_method(airway, transfer):
+def test_gpu_pictures_equal_the_cpu_for_every_preset_field_of_view_and_method(airway, transfer):
     cpu, gpu = both(airway.volume, airway.lumen_zyx, transfer)
     brightest = 0
     for fov_deg in (60.0, 110.0, 170.0):
@@ -76,7 +79,7 @@ def test_pictures_are_the_cpus_for_every_preset_field_of_view_and_method(airway,
 
 
 @pytest.mark.parametrize("lens", [scope_preset("generic").lens, Lens.equidistant()], ids=["generic", "equidistant"])
-def test_a_scopes_lens_outline_and_vignette_give_the_cpus_picture(airway, lens):
+def test_gpu_picture_with_lens_outline_and_vignette_of_a_scope_equals_the_cpu(airway, lens):
     cpu, gpu = both(airway.volume, airway.lumen_zyx)
     field = ImageField("octagon", vignette=0.7)
     for fov_deg in (90.0, 120.0):
@@ -86,7 +89,7 @@ def test_a_scopes_lens_outline_and_vignette_give_the_cpus_picture(airway, lens):
         assert picture.rgb.max() > 60
 
 
-def test_cameras_outside_on_a_voxel_and_along_an_axis_see_the_same(airway):
+def test_gpu_cameras_outside_on_a_voxel_and_along_an_axis_equal_the_cpu(airway):
     cpu, gpu = both(airway.volume)
     centre = airway.volume.centre_lps
     corner = airway.volume.lps_from_ijk[:3, 3]
@@ -101,21 +104,21 @@ def test_cameras_outside_on_a_voxel_and_along_an_axis_see_the_same(airway):
             assert_same(cpu, gpu, AirwayView(Pose.looking(position, direction), step_vox=step_vox, **SIZE))
 
 
-def test_nearest_voxels_come_from_the_device_and_leaps_over_all_classes_from_the_cpu(airway):
+def test_nearest_voxels_use_the_gpu_and_leaps_over_all_classes_use_the_cpu(airway):
     cpu, gpu = both(airway.volume, transfer=transfer_preset("paper"))
     view = AirwayView(airway.pose, **SIZE)
     assert gpu.render(view).stats.method == "leap-all"
     assert_same(cpu, gpu, AirwayView(airway.pose, method="brute", **SIZE), method="gpu-brute")
 
 
-def test_strips_put_together_are_the_whole_picture(airway):
+def test_joined_strips_equal_the_whole_picture(airway):
     _, gpu = both(airway.volume)
     view = AirwayView(airway.pose, **SIZE)
     strips = [gpu.render(view, rows=rows).rgb for rows in ((0, 7), (7, 8), (8, 72))]
     np.testing.assert_array_equal(np.vstack(strips), gpu.render(view).rgb)
 
 
-def test_a_new_wall_or_transfer_function_shows_in_the_next_picture(airway):
+def test_new_wall_or_transfer_function_is_used_in_the_next_picture(airway):
     cpu, gpu = both(airway.volume)
     view = AirwayView(airway.pose, **SIZE)
     before = assert_same(cpu, gpu, view).rgb
@@ -129,7 +132,7 @@ def test_a_new_wall_or_transfer_function_shows_in_the_next_picture(airway):
     assert (assert_same(cpu, gpu, view).rgb != walled).any()
 
 
-def test_walls_cast_on_the_device_are_lit_as_the_cpus(airway):
+def test_walls_cast_on_the_gpu_are_lit_as_on_the_cpu(airway):
     cpu, gpu = both(airway.volume, airway.lumen_zyx)
     view = AirwayView(airway.pose, **SIZE)
     lit = assert_same(cpu, gpu, view, method="gpu-leap")
@@ -144,8 +147,8 @@ def test_walls_cast_on_the_device_are_lit_as_the_cpus(airway):
     np.testing.assert_array_equal(np.vstack(strips), lit.rgb)
 
 
-def test_auto_compares_pictures_of_the_cases_own_transfer_function(airway, adapters):
-    # The software adapter passes for a card here.
+def test_auto_compares_pictures_with_the_transfer_function_of_the_case(airway, adapters):
+    # The software adapter is declared as a card for this test.
     card = dataclasses.replace(adapters[0], kind="discrete")
     renderer = Renderer(airway.volume, backend=Backend("auto", find=lambda: [card]))
     renderer.set_lumen(airway.lumen_zyx)
@@ -170,7 +173,7 @@ def test_auto_compares_pictures_of_the_cases_own_transfer_function(airway, adapt
         assert part_off(picture.rgb, expected.rgb) <= MAX_PART_OFF
 
 
-def test_several_threads_get_their_own_pictures(airway):
+def test_several_threads_receive_their_own_pictures(airway):
     _, gpu = both(airway.volume)
     views = [AirwayView(airway.pose, fov_deg=fov, **SIZE) for fov in (60.0, 90.0, 120.0, 150.0)]
     expected = [gpu.render(view).rgb for view in views]
@@ -187,7 +190,7 @@ def test_several_threads_get_their_own_pictures(airway):
     assert not wrong
 
 
-def test_a_lost_device_leaves_the_cpu_and_one_message(airway, caplog):
+def test_lost_device_causes_a_fallback_to_the_cpu_and_one_message(airway, caplog):
     devices = []
 
     def open_device(index):
@@ -203,14 +206,14 @@ def test_a_lost_device_leaves_the_cpu_and_one_message(airway, caplog):
         devices[-1].lose()
         picture = renderer.render(view)
         if backend.adapters():
-            # Another adapter of this machine takes over at the next picture.
+            # Another adapter of this machine is used for the next picture.
             renderer.render(view)
     np.testing.assert_array_equal(picture.rgb, expected)
     assert renderer.render(view).stats.method == "brute"
     assert len([record for record in caplog.records if record.levelno >= 30]) == 1
 
 
-def test_a_scene_of_another_array_is_refused(airway):
+def test_scene_of_another_array_is_refused(airway):
     gpu = _core.Gpu(0)
     scene = gpu.upload(airway.volume.hu_zyx)
     copied = Volume(airway.volume.hu_zyx.copy(), airway.volume.lps_from_ijk)
@@ -237,7 +240,7 @@ def run_carina(*arguments, **environment):
     return done.stdout
 
 
-def test_doctor_lists_adapters_and_never_takes_one_in_software_unasked(adapters, tmp_path):
+def test_doctor_lists_adapters_and_does_not_choose_a_software_adapter(adapters, tmp_path):
     cache = {"XDG_CACHE_HOME": str(tmp_path)}
     facts = json.loads(run_carina("doctor", "--json", CARINA_BACKEND="auto", **cache))["gpu"]
     assert facts["in_build"]

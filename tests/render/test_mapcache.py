@@ -1,4 +1,4 @@
-"""Maps on disk: found again, checked, bounded, and only where they were slow to build."""
+"""Cache of IsoRegion maps on disk: reuse, checks, size limit, and storage of slow maps only."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from carina.volume import Volume
 
 @pytest.fixture
 def slow(monkeypatch):
-    """As if this machine built maps slowly."""
+    """Make every build of a map count as slow."""
     monkeypatch.setattr(mapcache, "SLOW_NS_PER_VOXEL", 0.0)
 
 
@@ -23,20 +23,20 @@ def view(airway):
     return AirwayView(airway.pose, width=56, height=44)
 
 
-def test_a_map_that_is_quick_to_build_is_not_kept(airway, tmp_path, monkeypatch):
+def test_map_that_is_quick_to_build_is_not_stored(airway, tmp_path, monkeypatch):
     monkeypatch.setattr(mapcache, "SLOW_NS_PER_VOXEL", 1e9)
     renderer = Renderer(airway.volume, cache_dir=tmp_path)
     renderer.prepare()
     renderer.wait_stored()
     assert not list(tmp_path.iterdir())
-    # Nor is the volume read to name a map that cannot be there.
+    # The volume is not read to compute the name of a map that cannot be in the cache.
     monkeypatch.setattr(_core, "content_digest", None)
     Renderer(airway.volume, cache_dir=tmp_path).prepare()
 
 
 @pytest.mark.usefixtures("slow")
 @pytest.mark.parametrize("preset", ["endoscopic", "paper"])
-def test_maps_are_found_on_disk_again_and_built_again_when_damaged(airway, tmp_path, monkeypatch, preset):
+def test_maps_are_read_from_disk_and_rebuilt_if_damaged(airway, tmp_path, monkeypatch, preset):
     folder = tmp_path / "maps"
     transfer = transfer_preset(preset)
 
@@ -67,7 +67,7 @@ def test_maps_are_found_on_disk_again_and_built_again_when_damaged(airway, tmp_p
 
 
 @pytest.mark.usefixtures("slow")
-def test_another_volume_or_other_classes_get_another_map(airway, tmp_path):
+def test_another_volume_or_other_classes_have_another_map(airway, tmp_path):
     hu = airway.volume.hu_zyx
     turned = np.ascontiguousarray(hu.transpose(0, 2, 1))
     for volume, transfer in (
@@ -88,7 +88,7 @@ def small_map(n):
 
 
 @pytest.mark.usefixtures("slow")
-def test_the_cache_stays_below_its_bound_and_clears_what_a_killed_process_left(tmp_path, monkeypatch):
+def test_cache_stays_below_its_limit_and_deletes_files_of_a_killed_process(tmp_path, monkeypatch):
     (tmp_path / "left.part").write_bytes(b"half a map")
     monkeypatch.setattr(mapcache, "_ABANDONED_S", -1.0)
     cache = MapCache(tmp_path, max_bytes=5000)
@@ -102,7 +102,7 @@ def test_the_cache_stays_below_its_bound_and_clears_what_a_killed_process_left(t
 
 
 @pytest.mark.usefixtures("slow")
-def test_a_map_is_in_use_before_it_is_stored(tmp_path, monkeypatch):
+def test_map_is_used_before_it_is_stored(tmp_path, monkeypatch):
     go_on = threading.Event()
     digest = _core.content_digest
 
@@ -120,7 +120,7 @@ def test_a_map_is_in_use_before_it_is_stored(tmp_path, monkeypatch):
 
 
 @pytest.mark.usefixtures("slow")
-def test_an_unwritable_cache_and_one_that_vanishes_cost_no_picture(airway, tmp_path):
+def test_read_only_or_deleted_cache_loses_no_picture(airway, tmp_path):
     blocked = tmp_path / "file"
     blocked.write_text("not a folder")
     renderer = Renderer(airway.volume, cache_dir=blocked)

@@ -1,4 +1,4 @@
-"""The airway view through lenses, masks and scopes."""
+"""The airway view through lenses, outlines and scopes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def renderer(airway):
 
 @pytest.fixture(scope="module")
 def balls():
-    """White balls of 1.5 mm radius in air, on a sheared lattice, and their middles."""
+    """Return a volume of white balls of 1.5 mm radius in air on a sheared lattice, and their centres."""
     spacing = (0.9, 0.7, 1.1)
     shape = (60, 90, 80)
     place = np.diag([*spacing, 1.0])
@@ -48,7 +48,7 @@ def balls():
 
 
 @pytest.mark.parametrize("name", LENSES)
-def test_points_appear_where_the_picture_says(balls, name):
+def test_points_appear_at_their_projected_position(balls, name):
     volume, middles = balls
     white = TransferFunction([[-400, 1, 1, 1, 0], [0, 1, 1, 1, 0.95]])
     renderer = Renderer(volume, transfer=white)
@@ -65,14 +65,14 @@ def test_points_appear_where_the_picture_says(balls, name):
         around = picture.rgb[int(row) - 7 : int(row) + 8, int(column) - 7 : int(column) + 8, 0].astype(float)
         rows, columns = np.indices(around.shape) + 0.5
         at = [(around * v).sum() / around.sum() for v in (columns, rows)]
-        # Half a pixel: a ball is a few pixels wide, cut by the window and stretched by the lens.
+        # Tolerance: a ball is a few pixels wide, cut by the window and stretched by the lens.
         assert at == pytest.approx([column - int(column) + 7, row - int(row) + 7], abs=0.8)
     assert seen >= 6
 
 
 @pytest.mark.parametrize("name", LENSES)
 @pytest.mark.parametrize("outline", ["none", "round", "octagon"])
-def test_leap_brute_and_strips_are_one_picture_through_every_lens(airway, renderer, name, outline):
+def test_leap_brute_force_and_strips_give_one_picture_through_every_lens(airway, renderer, name, outline):
     view = AirwayView(airway.pose, fov_deg=110.0, lens=LENSES[name], field=ImageField(outline, vignette=0.6), **SIZE)
     whole = renderer.render(view)
     assert whole.stats.method == "leap"
@@ -85,25 +85,25 @@ def test_leap_brute_and_strips_are_one_picture_through_every_lens(airway, render
         assert np.array_equal(other.render(view).rgb, whole.rgb)
 
 
-def test_the_pinhole_lens_and_the_pinhole_formula_agree(airway, renderer):
+def test_pinhole_lens_and_pinhole_formula_agree(airway, renderer):
     plain = renderer.render(AirwayView(airway.pose, fov_deg=100.0, **SIZE)).rgb.astype(int)
-    # A vignette of almost nothing takes the way of the lenses.
+    # A vignette of almost zero selects the code path of the lenses.
     lens = renderer.render(AirwayView(airway.pose, fov_deg=100.0, field=ImageField(vignette=1e-9), **SIZE)).rgb
-    # Directions are kept in f32: one level, at few pixels.
+    # Directions are stored as float32: a difference of one level at few pixels.
     off = np.abs(plain - lens)
     assert off.max() <= 2 and (off > 0).mean() < 0.01
 
 
-def test_outside_the_mask_all_is_black_and_inside_nothing_is(airway, renderer):
+def test_picture_is_black_outside_the_outline_and_not_inside(airway, renderer):
     picture = renderer.render(AirwayView.of_scope(scope_preset("generic"), airway.pose, **SIZE)).rgb
     rows, columns = np.indices(picture.shape[:2]) + 0.5
     away = np.hypot(columns - 60, rows - 48)
     assert not picture[away > 48].any()
-    # But for the far end of the lumen, which is dark.
+    # The far end of the lumen is excluded, because it is dark.
     assert picture[(away > 20) & (away < 46)].any(axis=-1).all()
 
 
-def test_a_wide_lens_shows_the_fork_larger_than_a_pinhole_of_the_same_field(airway):
+def test_wide_lens_shows_the_bifurcation_larger_than_a_pinhole_of_the_same_field(airway):
     fork = (-5.0, 1.0, -8.0)
     pose = airway.pose
     place = {}
@@ -114,15 +114,15 @@ def test_a_wide_lens_shows_the_fork_larger_than_a_pinhole_of_the_same_field(airw
     assert place["pinhole"] < place["generic"] < place["equidistant"]
 
 
-def test_a_forward_oblique_scope_looks_up(airway, renderer):
+def test_forward_oblique_scope_looks_up(airway, renderer):
     picture = renderer.render(AirwayView.of_scope(scope_preset("ebus"), airway.pose, **SIZE))
     ahead = airway.pose.position_lps + 20.0 * airway.pose.forward_lps
     column, row = picture.pixel_of(ahead)
     assert column == pytest.approx(60.0) and row > 80.0
 
 
-def test_depth_of_field_blurs_what_is_near_and_leaves_the_rest(airway):
-    # In blocks of voxels, so that there are edges to blur.
+def test_depth_of_field_blurs_near_objects_only(airway):
+    # This transfer function shows voxel blocks, whose edges can be blurred.
     renderer = Renderer(airway.volume, transfer=transfer_preset("paper"))
     view = AirwayView(airway.pose, fov_deg=120.0, lens=LENSES["generic"], field=ImageField("round"), **SIZE)
     plain = renderer.render(view).rgb.astype(int)
@@ -136,17 +136,17 @@ def test_depth_of_field_blurs_what_is_near_and_leaves_the_rest(airway):
     near = (inside & (depth_mm < 9.0))[:, 1:-1]
 
     def roughness(rgb):
-        """How far pixels stand out of their neighbours on the wall that is nearer than the range."""
+        """Return the contrast of neighbouring pixels on the wall nearer than the depth of field."""
         return np.abs(np.diff(rgb[..., 0], n=2, axis=1))[near].mean()
 
     assert roughness(blurred) < 0.7 * roughness(plain)
-    # Outside the outline it stays black, and the outline's edge does not bleed in.
+    # Pixels outside the outline stay black, and its edge is not blurred into the picture.
     assert not blurred[np.hypot(columns - 60, rows - 48) > 48].any()
     with pytest.raises(RenderError, match="whole image"):
         renderer.render(dataclasses.replace(view, depth_of_field=DepthOfField(3.0, 60.0)), rows=(0, 10))
 
 
-def test_surfaces_lie_on_the_rays_of_the_lens(airway, renderer):
+def test_surface_points_are_on_the_rays_of_the_lens(airway, renderer):
     view = AirwayView(airway.pose, fov_deg=120.0, lens=LENSES["equidistant"], field=ImageField("round"), **SIZE)
     surface = renderer.surface(view)
     picture = renderer.render(view)
@@ -166,7 +166,7 @@ def test_surfaces_lie_on_the_rays_of_the_lens(airway, renderer):
         {"lens": Lens.equidistant(), "fov_deg": float("nan")},
     ],
 )
-def test_a_lens_that_does_not_fit_is_refused_before_anything_is_cast(airway, changes):
+def test_incompatible_lens_is_refused_before_casting(airway, changes):
     with pytest.raises(RenderError) as refusal:
         AirwayView(airway.pose, **changes, **SIZE)
     assert refusal.value.code == "render.camera" and refusal.value.exit_code == 2

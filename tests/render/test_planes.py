@@ -1,4 +1,4 @@
-"""Planes, projections and outside views: laterality, scale, and that pixels know where they are."""
+"""Planes, projections and outside views: laterality, scale, and the transform between pixels and LPS."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ MIDDLE = (12.0, -30.0, 55.0)
 
 
 def permutations_of_axes():
-    """Grids whose i, j, k run along any patient axes, either way, and oblique ones."""
+    """Return grids whose i, j, k axes are permuted or reversed patient axes, and oblique grids."""
     eye = np.eye(3)
     yield "identity", eye
     yield "flipped", np.diag([-1.0, -1.0, 1.0])
@@ -48,7 +48,7 @@ GRIDS = [pytest.param(axes, id=name) for name, axes in permutations_of_axes()]
 
 
 def volume_with_blob(axes, point_lps):
-    """Dark, with one bright blob of about 3 mm at a point."""
+    """Return a dark volume with one bright blob of about 3 mm at a point in LPS mm."""
     matrix = place(axes, SPACING, MIDDLE, SHAPE)
     grid = np.stack(np.meshgrid(*(np.arange(n) for n in SHAPE), indexing="ij"), axis=-1)[..., ::-1].astype(float)
     lps = grid @ matrix[:3, :3].T + matrix[:3, 3]
@@ -59,7 +59,7 @@ def volume_with_blob(axes, point_lps):
 
 
 def bright_centre(rgb):
-    """Centre of the bright pixels, (column, row) in corner coordinates."""
+    """Return the centre of the bright pixels as (column, row) in corner coordinates."""
     rows, columns = np.nonzero(rgb[..., 0] > 127)
     assert len(rows) > 0
     return columns.mean() + 0.5, rows.mean() + 0.5
@@ -73,7 +73,7 @@ OFFSETS = {"left": (7.0, 0, 0), "posterior": (0, 7.0, 0), "superior": (0, 0, 7.0
     ("plane", "right", "up"),
     [("axial", "left", "anterior"), ("coronal", "left", "superior"), ("sagittal", "posterior", "superior")],
 )
-def test_slices_and_xrays_show_the_patient_the_radiological_way_round(axes, plane, right, up):
+def test_slices_and_xrays_have_radiological_orientation(axes, plane, right, up):
     for name, offset in OFFSETS.items():
         point = np.array(MIDDLE) + offset
         renderer = Renderer(volume_with_blob(axes, point))
@@ -89,19 +89,19 @@ def test_slices_and_xrays_show_the_patient_the_radiological_way_round(axes, plan
             across, along = (column - middle[0]) * mm_per_px, (row - middle[1]) * mm_per_px
             expected_across = 7.0 if name == right else 0.0
             expected_along = -7.0 if name == up else 7.0 if (name, up) == ("posterior", "anterior") else 0.0
-            # Whole voxels, the largest 2.1 mm. An X-ray of an oblique grid runs along the grid, up to some 20 degrees
-            # off the patient axis, where 7 mm of depth move the blob by 2.6 mm more.
+            # The largest voxel is 2.1 mm. An X-ray of an oblique grid runs along the grid, up to some 20 degrees off
+            # the patient axis, where 7 mm of depth move the blob by 2.6 mm more.
             tolerance_mm = 2.1 if np.abs(axes).max(axis=0).min() == 1.0 else 4.7
             assert abs(across - expected_across) < tolerance_mm
             assert abs(along - expected_along) < tolerance_mm
 
 
 @pytest.mark.parametrize("axes", GRIDS)
-def test_pixels_know_where_they_are(axes):
+def test_pixels_convert_to_their_points_and_back(axes):
     point = np.add(MIDDLE, (5.0, -6.0, 4.0))
     renderer = Renderer(volume_with_blob(axes, point))
     pose = Pose.looking(point, (0.2, 0.3, -1.0))
-    # Aside in its own plane, so that the blob is not in the middle of the cut.
+    # The camera is shifted in its own plane, so that the blob is not in the middle of the cut.
     pose = Pose.looking(point + 4.0 * pose.right_lps, pose.forward_lps)
     views = [
         *(SliceView(plane=p, centre_lps=tuple(point), width=100, height=90) for p in ("axial", "coronal", "sagittal")),
@@ -114,9 +114,9 @@ def test_pixels_know_where_they_are(axes):
         expected = picture.pixel_of(point)
         found = bright_centre(picture.rgb)
         mm_per_px = np.linalg.norm(picture.lps_from_pixel[:3, 0])
-        # The blob is made of whole voxels, the largest 2.1 mm: its drawn centre is within a voxel of its true one.
+        # The blob consists of whole voxels, at most 2.1 mm, so its drawn centre is within a voxel of the true centre.
         assert np.hypot(found[0] - expected[0], found[1] - expected[1]) * mm_per_px < 2.1, view
-        # And back: the pixel's own transform gives the point again, up to the depth.
+        # The transform of the pixel gives the point again, except for its depth.
         column, row = expected
         back = picture.lps_from_pixel @ np.array([column, row, 0.0, 1.0])
         depth = picture.lps_from_pixel[:3, 2]
@@ -134,12 +134,12 @@ def test_planes_show_true_proportions():
         matrix = renderer.render(view).lps_from_pixel
         across, along = np.linalg.norm(matrix[:3, 0]), np.linalg.norm(matrix[:3, 1])
         assert across == pytest.approx(along)
-    # The whole volume fits: 36 x 1.3 = 46.8 mm across, 24 x 2.1 = 50.4 mm down, into 140 x 60.
+    # The whole volume fits: 36 x 1.3 = 46.8 mm wide and 24 x 2.1 = 50.4 mm high, in 140 x 60 pixels.
     matrix = renderer.render(XrayView(axis="coronal", width=140, height=60)).lps_from_pixel
     assert np.linalg.norm(matrix[:3, 1]) == pytest.approx(50.4 / 60)
 
 
-def test_an_xray_is_the_largest_value_along_the_ray():
+def test_xray_is_the_largest_value_along_the_ray():
     rng = np.random.default_rng(11)
     hu = rng.integers(-1000, 1500, SHAPE).astype(np.int16)
     volume = Volume(hu, place(np.eye(3), (1.0, 1.0, 1.0), MIDDLE, SHAPE))
@@ -149,7 +149,7 @@ def test_an_xray_is_the_largest_value_along_the_ray():
     np.testing.assert_allclose(picture.rgb[..., 0], np.minimum(expected, 255), atol=1)
 
 
-def test_an_xray_finds_its_own_window_and_keeps_bone_apart_from_tissue():
+def test_xray_chooses_a_window_that_separates_bone_from_tissue():
     hu = np.full(SHAPE, -1000, dtype=np.int16)
     hu[4:20, 5:25, 5:31] = 40
     hu[8:12, 10:20, 10:20] = 700
@@ -159,20 +159,20 @@ def test_an_xray_finds_its_own_window_and_keeps_bone_apart_from_tissue():
     assert grey[2, 2] < grey[12, 25] < grey[14, 14]
 
 
-def test_the_cut_plane_is_as_wide_as_asked_and_black_outside_the_volume():
+def test_cut_plane_has_the_requested_width_and_is_black_outside_the_volume():
     volume = Volume(np.full(SHAPE, 100, dtype=np.int16), place(np.eye(3), (1.0, 1.0, 1.0), MIDDLE, SHAPE))
     picture = Renderer(volume).render(
         CutPlaneView(Pose.looking(MIDDLE, (0, 0, -1)), width=72, height=72, extent_mm=72.0)
     )
-    # 36 x 30 mm of volume in the middle of 72 x 72 mm, one pixel per mm.
+    # The volume covers 36 x 30 mm in the middle of 72 x 72 mm, at one pixel per mm.
     assert (picture.rgb[..., 0] > 0).sum() == 36 * 30
     assert picture.rgb[36, 36, 0] > 0
     assert picture.rgb[0, 0, 0] == 0
-    # Looking caudally with anterior up, patient right is on the right: lps_from_pixel runs to -x.
+    # In a view caudally with anterior up, the patient's right is on the right: lps_from_pixel runs to -x.
     assert picture.lps_from_pixel[0, 0] == pytest.approx(-1.0)
 
 
-def test_the_three_planes_meet_where_asked_and_the_nearest_hides_the_others():
+def test_three_planes_meet_at_the_point_and_the_nearest_hides_the_others():
     hu = np.zeros(SHAPE, dtype=np.int16)
     hu[:, :, 18:] = 400
     volume = Volume(hu, place(np.eye(3), (1.0, 1.0, 1.0), MIDDLE, SHAPE))
@@ -180,7 +180,7 @@ def test_the_three_planes_meet_where_asked_and_the_nearest_hides_the_others():
     spec = TriPlaneView(MIDDLE, azimuth_deg=0.0, elevation_deg=0.0, width=81, height=81, window_hu=(1000.0, 0.0))
     picture = renderer.render(spec)
     assert picture.pixel_of(MIDDLE) == (pytest.approx(40.5), pytest.approx(40.5))
-    # From the front the coronal plane is met head on: dark on screen left (patient right), bright on screen right.
+    # The coronal plane is perpendicular to the view: dark on screen left (patient right), bright on screen right.
     assert picture.rgb[30, 30, 0] < picture.rgb[30, 50, 0]
     side = renderer.render(TriPlaneView(MIDDLE, azimuth_deg=90.0, elevation_deg=0.0, width=81, height=81))
     assert side.lps_from_camera[0, 3] > MIDDLE[0], "azimuth 90 stands on the patient's left"
@@ -188,7 +188,7 @@ def test_the_three_planes_meet_where_asked_and_the_nearest_hides_the_others():
     assert above.lps_from_camera[2, 3] > MIDDLE[2]
 
 
-def test_the_tree_from_the_front_has_the_patients_left_on_the_right(airway):
+def test_tree_from_the_front_has_the_patients_left_on_the_right(airway):
     renderer = Renderer(airway.volume)
     with pytest.raises(RenderError, match="have not been segmented"):
         renderer.render(TreeView())
@@ -200,7 +200,7 @@ def test_the_tree_from_the_front_has_the_patients_left_on_the_right(airway):
         column, row = picture.pixel_of(point)
         assert drawn[int(row), int(column)], point
     assert picture.pixel_of((15.0, 3.0, -13.0))[0] > picture.pixel_of((-11.0, 2.0, -17.0))[0]
-    # Fitted: it fills a good part of the picture and touches no edge.
+    # The tree fits: it fills a large part of the picture and touches no edge.
     assert 0.03 < drawn.mean() < 0.6
     assert not drawn[[0, -1]].any()
     assert not drawn[:, [0, -1]].any()
@@ -209,7 +209,7 @@ def test_the_tree_from_the_front_has_the_patients_left_on_the_right(airway):
         renderer.render(TreeView())
 
 
-def test_a_branch_one_voxel_thick_is_in_the_tree():
+def test_branch_one_voxel_thick_is_in_the_tree():
     lumen = np.zeros((20, 22, 24), dtype=np.uint8)
     lumen[:, 11, 12] = 1
     volume = Volume(np.zeros(lumen.shape, dtype=np.int16), place(np.eye(3), (1.0, 1.0, 1.0), MIDDLE, lumen.shape))
@@ -220,7 +220,7 @@ def test_a_branch_one_voxel_thick_is_in_the_tree():
     assert (picture.rgb[10:54, column].max(axis=1) > 60).all()
 
 
-def test_marking_the_tip_draws_a_small_cross_there_and_nowhere_else():
+def test_tip_mark_draws_a_small_cross_at_the_tip_only():
     volume = volume_with_blob(np.eye(3), MIDDLE)
     picture = Renderer(volume).render(XrayView(axis="coronal", width=128, height=128))
     point = (MIDDLE[0] + 9.0, MIDDLE[1], MIDDLE[2] - 8.0)
@@ -260,7 +260,7 @@ def test_every_view_of_the_command_line_renders(airway):
 
 
 @pytest.mark.parametrize("axes", GRIDS)
-def test_a_slab_gathers_what_lies_before_and_behind_a_plane(axes):
+def test_slab_combines_values_before_and_behind_a_plane(axes):
     renderer = Renderer(volume_with_blob(axes, np.add(MIDDLE, (0.0, 9.0, 0.0))))
     for view in (
         SliceView("coronal", MIDDLE, width=60, height=60),
@@ -272,12 +272,12 @@ def test_a_slab_gathers_what_lies_before_and_behind_a_plane(axes):
         assert bright_centre(thick.rgb) == pytest.approx(thick.pixel_of(np.add(MIDDLE, (0.0, 9.0, 0.0))), abs=1.5)
         least = renderer.render(dataclasses.replace(view, slab=Slab(20.0, "min")))
         assert least.rgb.max() < 100
-        # No thickness is the plane itself, whichever way it is read.
+        # A slab of zero thickness equals the plane in every mode.
         thin = renderer.render(dataclasses.replace(view, slab=Slab(0.0, "mean")))
         assert np.abs(thin.rgb.astype(int) - renderer.render(view).rgb).max() <= 1
 
 
-def test_odd_windows_and_planes_are_refused():
+def test_invalid_windows_and_planes_are_refused():
     with pytest.raises(RenderError):
         SliceView(plane="oblique", centre_lps=MIDDLE)
     with pytest.raises(RenderError):

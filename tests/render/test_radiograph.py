@@ -1,4 +1,4 @@
-"""Radiographs: laterality at any C-arm angle, magnification, tone, and marks that fall where the X-rays do."""
+"""Radiographs: laterality at any C-arm angle, magnification, grey values, and projection of marks."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ ANGLES = [(0.0, 0.0), (90.0, 0.0), (-30.0, 20.0), (45.0, -35.0), (180.0, 0.0), (
 @pytest.mark.parametrize("axes", GRIDS)
 @pytest.mark.parametrize("parallel", [False, True])
 @pytest.mark.parametrize(("primary", "secondary"), ANGLES)
-def test_a_point_is_marked_where_its_shadow_falls(axes, parallel, primary, secondary):
+def test_point_is_marked_at_its_shadow(axes, parallel, primary, secondary):
     point = np.add(MIDDLE, (7.0, -4.0, 5.0))
     renderer = Renderer(volume_with_blob(axes, point))
     picture = renderer.render(DrrView(primary, secondary, 90, 80, parallel=parallel, window_mm=(8.0, 4.0)))
     found, expected = bright_centre(picture.rgb), picture.pixel_of(point)
-    # The blob is of whole voxels of 2 mm; a pixel is about 0.8 mm.
+    # The blob consists of whole voxels of 2 mm; a pixel is about 0.8 mm.
     assert np.hypot(found[0] - expected[0], found[1] - expected[1]) < 1.6
 
 
 @pytest.mark.parametrize("axes", GRIDS)
-def test_fluoroscopy_shows_patient_right_on_the_left_and_turns_as_dicom_says(axes):
-    """PS3.3 C.8.7.5.1.2: LAO brings the detector over the patient's left, cranial towards the head."""
+def test_fluoroscopy_has_patient_right_on_the_left_and_turns_as_dicom_defines(axes):
+    """PS3.3 C.8.7.5.1.2: LAO moves the detector over the patient's left, cranial moves it towards the head."""
     left, front, head = (np.add(MIDDLE, d) for d in ((7.0, 0, 0), (0, -7.0, 0), (0, 0, 7.0)))
 
     def place_of(point, primary, secondary):
@@ -39,15 +39,15 @@ def test_fluoroscopy_shows_patient_right_on_the_left_and_turns_as_dicom_says(axe
     assert place_of(left, 0, 0)[0] > 4
     assert place_of(head, 0, 0)[1] < -4
     assert abs(place_of(front, 0, 0)[0]) < 2
-    # Seen from the patient's left, the front of the body is on the left.
+    # Seen from the patient's left, anterior is on the left.
     assert place_of(front, 60, 0)[0] < -4
     assert place_of(front, -60, 0)[0] > 4
-    # Seen from above, the front of the body sinks.
+    # Seen from above, anterior moves down.
     assert place_of(front, 0, 50)[1] > 3
     assert place_of(front, 0, -50)[1] < -3
 
 
-def test_letters_are_those_of_fluoroscopy():
+def test_orientation_letters_are_those_of_fluoroscopy():
     volume = volume_with_blob(np.eye(3), MIDDLE)
 
     def edges(primary, secondary):
@@ -66,24 +66,24 @@ def test_letters_are_those_of_fluoroscopy():
     assert (lettered != picture.rgb).sum() < 4 * 3 * 16 * 14
 
 
-def test_what_is_near_the_source_is_magnified_by_the_distances():
+def test_objects_near_the_source_are_magnified_by_the_distances():
     volume = volume_with_blob(np.eye(3), MIDDLE)
     picture = Renderer(volume).render(DrrView(0, 0, 100, 100, sid_mm=1000.0, sod_mm=500.0, mm_per_px=0.5))
     centre = np.array(volume.centre_lps)
 
     def reach(depth_mm):
-        # The source is behind the patient: a point farther back lies nearer to it.
+        # The source is posterior to the patient, so a more posterior point is nearer to it.
         a, b = (picture.pixel_of(np.add(centre, (x, depth_mm, 0.0))) for x in (0.0, 10.0))
         return b[0] - a[0]
 
-    # 10 mm at the centre are 20 px of 0.5 mm; at 100 mm nearer to the source 500 / 400 times as much.
+    # 10 mm at the centre are 20 px of 0.5 mm; 100 mm nearer to the source they are 500 / 400 times as large.
     assert reach(0.0) == pytest.approx(20.0)
     assert reach(100.0) == pytest.approx(25.0)
     assert reach(-100.0) == pytest.approx(20.0 * 500 / 600)
     assert picture.pixel_of(np.add(centre, (0, 600.0, 0))) is None
 
 
-def test_bone_is_white_in_a_radiograph_and_dark_under_fluoroscopy(airway):
+def test_bone_is_white_in_a_radiograph_and_dark_in_fluoroscopy(airway):
     spine = (0.0, 24.0, 10.0)
     hu = airway.volume.hu_zyx
     boneless = Volume(np.where(hu > 300, -450, hu).astype(np.int16), airway.volume.lps_from_ijk)
@@ -94,13 +94,13 @@ def test_bone_is_white_in_a_radiograph_and_dark_under_fluoroscopy(airway):
         assert sign * (int(with_bone.rgb[row, column, 0]) - int(without.rgb[row, column, 0])) > 25
 
 
-def test_a_tip_is_marked_in_a_radiograph(airway):
+def test_tip_is_marked_in_a_radiograph(airway):
     picture = Renderer(airway.volume).render(DrrView(30, 10, 96, 96))
     marked = mark_tip(picture, airway.pose.position_lps)
     assert (marked.rgb != picture.rgb).any()
 
 
-def test_air_alone_is_black_and_numbers_that_are_no_hu_give_a_picture():
+def test_air_is_black_and_values_that_are_not_hu_give_a_picture():
     matrix = np.diag([2.0, 2.0, 2.0, 1.0])
     air = Volume(np.full((8, 9, 10), -1000, dtype=np.int16), matrix)
     assert Renderer(air).render(DrrView(0, 0, 20, 20)).rgb.max() == 0

@@ -1,4 +1,4 @@
-"""The airway view: leaping, strips, maps and their cache, the wall, threads."""
+"""Renderer of airway views: leaping, strips, IsoRegion maps and their cache, the wall, and threads."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_leaping_equals_brute_force_bit_for_bit(airway):
             assert leap.rgb.max() > 60, "a black picture would agree with anything"
 
 
-def test_leap_before_prepare_is_the_same_picture_and_says_brute(airway):
+def test_leap_before_prepare_gives_the_same_picture_and_reports_brute_force(airway):
     renderer = Renderer(airway.volume)
     before = renderer.render(view(airway))
     assert before.stats.method == "brute"
@@ -55,11 +55,11 @@ def test_leaps_over_all_classes_are_within_one_grey_level(airway):
     leap = renderer.render(view(airway, shading=False))
     assert leap.stats.method == "leap-all"
     brute = renderer.render(view(airway, shading=False, method="brute"))
-    # A segment is rounded once, its samples one by one.
+    # A segment is rounded once; single samples are rounded one by one.
     assert np.abs(leap.rgb.astype(int) - brute.rgb).max() <= 1
 
 
-def test_the_papers_mode_takes_nearest_voxels_in_steps_of_one_and_leaps_over_all_bins(airway):
+def test_paper_mode_uses_nearest_voxels_steps_of_one_and_leaps_over_all_bins(airway):
     renderer = Renderer(airway.volume, transfer=transfer_preset("paper"))
     renderer.prepare()
     leap = renderer.render(view(airway))
@@ -67,11 +67,11 @@ def test_the_papers_mode_takes_nearest_voxels_in_steps_of_one_and_leaps_over_all
     assert leap.stats.method == "leap-all"
     assert np.abs(leap.rgb.astype(int) - brute.rgb).max() <= 1
     whole_steps = Renderer(airway.volume, transfer=transfer_preset("ct-grey")).render(view(airway, step_vox=1.0))
-    # The step is one voxel whatever the view says: about as many samples as another transfer function in steps of one.
+    # The paper mode always has steps of one voxel: about as many samples as another transfer function in such steps.
     assert brute.stats.num_samples < 1.5 * whole_steps.stats.num_samples
 
 
-def test_strips_put_together_are_the_whole_picture(airway):
+def test_joined_strips_equal_the_whole_picture(airway):
     renderer = Renderer(airway.volume)
     renderer.prepare()
     whole = renderer.render(view(airway)).rgb
@@ -82,14 +82,14 @@ def test_strips_put_together_are_the_whole_picture(airway):
         renderer.render(view(airway), rows=(10, 45))
 
 
-def test_the_instruction_set_does_not_change_the_picture(airway):
+def test_instruction_set_does_not_change_the_picture(airway):
     pictures = [Renderer(airway.volume, simd=name).render(view(airway)).rgb for name in ("portable", None)]
     np.testing.assert_array_equal(*pictures)
     with pytest.raises(UsageError, match=r"simd: expected one of portable"):
         Renderer(airway.volume, simd="abacus").render(view(airway))
 
 
-def test_a_camera_outside_the_volume_sees_it_and_one_turned_away_sees_nothing(airway):
+def test_camera_outside_the_volume_sees_it_only_if_it_faces_it(airway):
     renderer = Renderer(airway.volume)
     renderer.prepare()
     outside = airway.volume.centre_lps + np.array([0.0, -200.0, 0.0])
@@ -99,7 +99,7 @@ def test_a_camera_outside_the_volume_sees_it_and_one_turned_away_sees_nothing(ai
     assert away.rgb.max() == 0
 
 
-def test_the_wall_is_nearer_and_brighter_than_the_deep_lumen(airway):
+def test_wall_is_nearer_and_brighter_than_the_deep_lumen(airway):
     renderer = Renderer(airway.volume)
     picture = renderer.render(view(airway, fov_deg=100.0)).rgb.astype(int)
     edge = picture[:, [0, -1]].sum(axis=2).mean()
@@ -109,12 +109,12 @@ def test_the_wall_is_nearer_and_brighter_than_the_deep_lumen(airway):
     assert renderer.render(view(airway)).rgb[row, column].sum() < 0.5 * edge
 
 
-def test_a_transfer_function_of_the_same_classes_needs_no_new_map(airway, monkeypatch):
+def test_transfer_function_of_the_same_classes_needs_no_new_map(airway, monkeypatch):
     renderer = Renderer(airway.volume)
     renderer.prepare()
     monkeypatch.setattr(_core, "build_cell_map", None)
     renderer.set_transfer(transfer_preset("see-through"))
-    # Clear up to -700 HU, as endoscopic: the same classes, so the same map.
+    # Transparent up to -700 HU like the endoscopic preset: the same classes, so the same map.
     assert renderer.prepared
     renderer.prepare()
     black = TransferFunction(points=np.array([[0.0, 0, 0, 0, 0.0], [1.0, 1, 1, 1, 1.0]]))
@@ -122,7 +122,7 @@ def test_a_transfer_function_of_the_same_classes_needs_no_new_map(airway, monkey
     assert not renderer.prepared
 
 
-def test_pictures_go_on_by_brute_force_while_a_slow_map_is_built(airway, monkeypatch):
+def test_pictures_use_brute_force_while_a_slow_map_is_built(airway, monkeypatch):
     renderer = Renderer(airway.volume)
     expected = renderer.render(view(airway, method="brute")).rgb
     building, go_on = threading.Event(), threading.Event()
@@ -147,7 +147,7 @@ def test_pictures_go_on_by_brute_force_while_a_slow_map_is_built(airway, monkeyp
     np.testing.assert_array_equal(after.rgb, expected)
 
 
-def test_the_map_of_a_transfer_function_that_was_replaced_while_it_was_built_is_not_shown(airway, monkeypatch):
+def test_map_of_a_transfer_function_replaced_during_its_build_is_not_used(airway, monkeypatch):
     renderer = Renderer(airway.volume)
     everything = TransferFunction(points=np.array([[-2000.0, 1, 1, 1, 0.2], [-400.0, 1, 1, 1, 0.9]]))
     build = _core.build_cell_map
@@ -178,11 +178,12 @@ def test_cancelling_stops_and_leaves_the_renderer_usable(airway):
     assert said[-1][1] == 1.0
 
 
-def test_a_picture_under_way_is_given_up_and_the_next_one_is_whole(airway):
+def test_cancelled_picture_does_not_affect_the_next_one(airway):
     renderer = Renderer(airway.volume)
     wanted = view(airway, width=96, height=80, method="brute")
     whole = renderer.render(wanted).rgb
-    long = view(airway, width=2000, height=2000, method="brute", step_vox=0.1)  # minutes, were it not stopped
+    # would take minutes without the cancellation
+    long = view(airway, width=2000, height=2000, method="brute", step_vox=0.1)
     stop = CancelToken()
     timer = threading.Timer(0.05, stop.cancel)
     timer.start()
@@ -194,14 +195,14 @@ def test_a_picture_under_way_is_given_up_and_the_next_one_is_whole(airway):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells of a thread how long it was on a core")
-def test_a_picture_tells_what_its_rays_took_and_a_plane_does_not(airway):
+def test_picture_has_ray_statistics_and_a_plane_has_none(airway):
     renderer = Renderer(airway.volume)
     renderer.prepare()
     wanted = view(airway, width=96, height=80)
     while (stats := renderer.render(wanted).stats).rays_s is None:
-        pass  # a thread that still builds a map has not told its clock yet
+        pass  # a thread that still builds a map may not have reported its time yet
     assert 0.0 < stats.rays_s <= 1.1 * stats.seconds
-    # Four times the rays, beside the same machine: a wait does not count.
+    # Four times as many rays, on the same busy machine: processor time without waits is compared.
     more = renderer.render(view(airway, width=384, height=320)).stats
     assert more.rays_s > 4.0 * stats.rays_s
     plane = SliceView("axial", (0.0, 0.0, 0.0), width=32, height=32)
@@ -237,7 +238,7 @@ def test_pictures_rendered_during_a_change_show_the_state_before_or_after(airway
 
 
 def thin_tube():
-    """An airway in lung whose wall the scan does not show at all: -950 in -850."""
+    """Return an airway in lung whose wall is invisible in the scan: -950 HU in -850 HU."""
     shape = (30, 34, 38)
     z, y, x = np.ogrid[:30, :34, :38]
     lumen = np.broadcast_to((y - 16.3) ** 2 + (x - 18.6) ** 2 < 5.2**2, shape) & (z > 2) & (z < 27)
@@ -245,9 +246,9 @@ def thin_tube():
     return Volume(np.where(lumen, -950, -850).astype(np.int16), matrix), lumen.astype(np.uint8)
 
 
-def test_the_endoscopic_wall_is_closed_where_the_scan_shows_none():
+def test_endoscopic_wall_is_closed_where_the_scan_shows_none():
     volume, lumen = thin_tube()
-    # White light without loss, so that black means a ray that met nothing.
+    # White light without loss, so that black shows a ray that met no wall.
     endoscopic = transfer_preset("endoscopic")
     bright = TransferFunction(points=endoscopic.points, wall=True, light=Light(ambient=1.0, diffuse=0.0))
     at = volume.to_lps(np.array([18.0, 16.0, 14.0]))
@@ -257,11 +258,11 @@ def test_the_endoscopic_wall_is_closed_where_the_scan_shows_none():
     for look in ((0, 0, 1), (0, 0, -1), (1, 0.2, 0), (-0.3, 1, 0.4), (-1, -1, 0)):
         spec = AirwayView(Pose.looking(at, look), fov_deg=120.0, width=64, height=64)
         assert raw.render(spec).rgb.max() == 0
-        # The first stop's red is 0.88 and the wall lets less than a tenth through.
+        # The first stop has a red of 0.88, and less than a tenth passes through the wall.
         assert walled.render(spec).rgb[..., 0].min() > 0.8 * 255
 
 
-def test_the_wall_only_raises_and_leaves_the_lumen_clear(airway):
+def test_added_wall_only_increases_values_and_keeps_the_lumen_clear(airway):
     levels = wall_levels(transfer_preset("endoscopic"))
     assert levels == (-700, -400)
     for volume, lumen in (thin_tube(), (airway.volume, airway.lumen_zyx)):
@@ -274,7 +275,7 @@ def test_the_wall_only_raises_and_leaves_the_lumen_clear(airway):
     np.testing.assert_array_equal(with_wall(volume.hu_zyx, np.zeros_like(lumen), levels), volume.hu_zyx)
 
 
-def test_other_transfer_functions_cast_the_volume_as_it_is():
+def test_other_transfer_functions_cast_the_volume_unchanged():
     volume, lumen = thin_tube()
     spec = AirwayView(Pose.looking(volume.centre_lps, (1, 0, 0)), width=32, height=32)
     for name in ("ct-grey", "paper", "see-through"):
@@ -284,7 +285,7 @@ def test_other_transfer_functions_cast_the_volume_as_it_is():
         np.testing.assert_array_equal(renderer.render(spec).rgb, before)
 
 
-def test_a_lumen_of_another_shape_is_refused(airway):
+def test_lumen_of_another_shape_is_refused(airway):
     with pytest.raises(GeometryError, match="shape"):
         Renderer(airway.volume).set_lumen(airway.lumen_zyx[1:])
 

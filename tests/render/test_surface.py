@@ -1,4 +1,7 @@
-"""First walls in Python: the surface of a picture, one pixel of it, the file. The casters' own tests are in Rust."""
+"""First walls along the rays in Python: the surface of a picture, one pixel, and the file.
+
+Tests of the casters themselves are in Rust.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,7 @@ def renderer(airway):
     return made
 
 
-def test_points_lie_at_their_depth_on_the_ray_of_their_pixel(renderer, airway):
+def test_surface_points_are_at_their_depth_on_the_rays_of_their_pixels(renderer, airway):
     view = AirwayView(airway.pose, fov_deg=100.0, **SIZE)
     surface = renderer.surface(view)
     picture = renderer.render(view)
@@ -30,7 +33,7 @@ def test_points_lie_at_their_depth_on_the_ray_of_their_pixel(renderer, airway):
     assert seen.mean() > 0.9
     for row, column in np.argwhere(seen)[::97]:
         point = surface.position_lps[row, column]
-        # f32 directions: 1e-3 of a pixel.
+        # Directions are float32: an error of 1e-3 of a pixel.
         assert picture.pixel_of(point) == pytest.approx((column + 0.5, row + 0.5), abs=1e-3)
         depth = np.linalg.norm(point - airway.pose.position_lps)
         assert depth == pytest.approx(surface.depth_mm[row, column], abs=1e-3)
@@ -41,16 +44,16 @@ def test_points_lie_at_their_depth_on_the_ray_of_their_pixel(renderer, airway):
     assert (np.isnan(surface.normal_lps).any(axis=2) == ~seen).all()
 
 
-def test_the_walls_lie_where_the_lumen_ends(renderer, airway):
+def test_surface_is_at_the_border_of_the_lumen(renderer, airway):
     surface = renderer.surface(AirwayView(airway.pose, fov_deg=100.0, **SIZE))
     seen = np.isfinite(surface.depth_mm)
     nearest_ijk = np.rint(airway.volume.to_ijk(surface.position_lps[seen])).astype(int)
     near_lumen = grow_one_voxel(airway.lumen_zyx != 0) & grow_one_voxel(airway.lumen_zyx == 0)
-    # The rest are rays that leave by the open top of the trachea.
+    # The other rays leave by the open top of the trachea.
     assert near_lumen[tuple(nearest_ijk.T[::-1])].mean() > 0.98
 
 
-def test_surfaces_are_the_same_after_prepare_and_in_strips(renderer, airway):
+def test_surfaces_are_equal_after_prepare_and_in_strips(renderer, airway):
     view = AirwayView(airway.pose, fov_deg=100.0, **SIZE)
     before = renderer.surface(view)
     renderer.prepare()
@@ -61,7 +64,7 @@ def test_surfaces_are_the_same_after_prepare_and_in_strips(renderer, airway):
         np.testing.assert_array_equal(np.concatenate([getattr(s, name) for s in strips]), getattr(after, name))
 
 
-def test_a_picked_pixel_has_the_numbers_of_the_surface(renderer, airway):
+def test_picked_pixel_has_the_values_of_the_surface(renderer, airway):
     view = AirwayView(airway.pose, fov_deg=100.0, **SIZE)
     surface = renderer.surface(view)
     for column, row in ((0, 0), (28, 22), (55, 43)):
@@ -80,7 +83,7 @@ def test_a_picked_pixel_has_the_numbers_of_the_surface(renderer, airway):
             renderer.pick(view, column, row)
 
 
-def test_a_ray_that_meets_no_wall_has_none(airway):
+def test_ray_that_meets_no_wall_has_no_surface_point(airway):
     everything_clear = carina.TransferFunction(points=np.array([[0.0, 1.0, 1.0, 1.0, 0.0]]))
     renderer = Renderer(airway.volume, transfer=everything_clear)
     view = AirwayView(airway.pose, **SIZE)
@@ -88,7 +91,7 @@ def test_a_ray_that_meets_no_wall_has_none(airway):
     assert renderer.pick(view, 3, 4) is None
 
 
-def test_the_papers_mode_has_walls_too(airway):
+def test_paper_mode_has_surfaces_too(airway):
     renderer = Renderer(airway.volume, transfer=transfer_preset("paper"))
     view = AirwayView(airway.pose, **SIZE)
     surface = renderer.surface(view)
@@ -97,7 +100,7 @@ def test_the_papers_mode_has_walls_too(airway):
     np.testing.assert_array_equal(renderer.surface(view).depth_mm, surface.depth_mm)
 
 
-def test_a_surface_is_saved_whole_and_read_back(airway, tmp_path):
+def test_surface_is_saved_completely_and_read_back(airway, tmp_path):
     surface = carina.render_surface(airway.volume, pose=airway.pose, lumen_zyx=airway.lumen_zyx, **SIZE)
     path = surface.save(tmp_path / "wall.npz")
     assert [p.name for p in tmp_path.iterdir()] == ["wall.npz"]

@@ -1,4 +1,4 @@
-"""The reservation of one thread, which renders no pictures meanwhile."""
+"""Reservation of one rendering thread for other work."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from carina import _core
 from carina.render import picture_threads, reserved_thread
 
 
-def test_a_reservation_takes_one_thread_and_returns_it_after_an_error() -> None:
+def test_reservation_takes_one_thread_and_returns_it_after_an_error() -> None:
     before = picture_threads()
     counted = []
 
@@ -32,7 +32,7 @@ def test_nested_reservations_take_one_thread_together() -> None:
     assert picture_threads() == before
 
 
-def test_a_reservation_ends_with_its_object_and_may_be_released_twice() -> None:
+def test_reservation_ends_with_its_object_and_may_be_released_twice() -> None:
     before = picture_threads()
     first, second = _core.ReservedThread(), _core.ReservedThread()
     first.release()

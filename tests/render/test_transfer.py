@@ -1,4 +1,4 @@
-"""Transfer functions: presets, the JSON format, histograms."""
+"""Transfer functions: presets, the JSON format and histograms."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from carina.volume import Volume
 
 
 @pytest.mark.parametrize("name", sorted(PRESETS))
-def test_presets_survive_their_json(name):
+def test_presets_are_restored_from_their_json(name):
     preset = transfer_preset(name)
     text = json.dumps(preset.to_json(), allow_nan=False)
     back = TransferFunction.from_json_text(text)
@@ -22,7 +22,7 @@ def test_presets_survive_their_json(name):
     np.testing.assert_array_equal(back.points, preset.points)
 
 
-def test_a_plain_document_of_the_design_is_enough_and_unknown_keys_are_left_alone():
+def test_minimal_document_is_valid_and_unknown_keys_are_ignored():
     points = [[0, 1, 1, 1, 0.5]]
     document = {"format": "carina-transfer", "version": 1, "unit": "HU", "reference_mm": 1, "points": points}
     transfer = TransferFunction.from_json({**document, "note": "from a friend"})
@@ -47,33 +47,33 @@ def test_a_plain_document_of_the_design_is_enough_and_unknown_keys_are_left_alon
         {"light": {"reach_mm": "far"}},
     ],
 )
-def test_broken_documents_are_refused(change):
+def test_invalid_documents_are_refused(change):
     document = {"format": "carina-transfer", "version": 1, "points": [[0, 1, 1, 1, 0.5]]}
     with pytest.raises(RenderError) as refused:
         TransferFunction.from_json({**document, **change})
     assert refused.value.exit_code == 2
 
 
-def test_text_that_is_no_json_object_is_refused():
+def test_text_that_is_not_a_json_object_is_refused():
     for text in ("{", "[1]"):
         with pytest.raises(RenderError):
             TransferFunction.from_json_text(text)
 
 
-def test_an_unknown_preset_is_a_usage_error_that_names_the_known_ones():
+def test_unknown_preset_is_a_usage_error_that_lists_the_known_ones():
     with pytest.raises(UsageError, match="endoscopic"):
         transfer_preset("rainbow")
 
 
 @pytest.mark.parametrize(("dark", "bright", "noise"), [(20, 180, 6), (-950, 40, 25), (300, 1400, 60)])
-def test_the_histogram_puts_the_wall_between_dark_and_bright(dark, bright, noise):
+def test_histogram_puts_the_wall_between_dark_and_bright(dark, bright, noise):
     rng = np.random.default_rng(3)
     shape = (20, 22, 24)
     air = rng.random(shape) < 0.3
     values = np.where(air, dark, bright) + rng.normal(0, noise, shape)
     volume = Volume(np.rint(values).astype(np.int16), np.eye(4), is_hu=False, not_hu_reason="test")
     transfer, threshold = transfer_from_histogram(volume)
-    # The two peaks lie at least 8 standard deviations from the middle; Otsu's threshold is between them.
+    # The two peaks are at least 8 standard deviations from the middle; Otsu's threshold is between them.
     assert dark + 3 * noise < threshold < bright - 3 * noise
     assert ((volume.hu_zyx < threshold) == air).mean() > 0.999
     assert transfer.unit == "raw"
@@ -82,6 +82,6 @@ def test_the_histogram_puts_the_wall_between_dark_and_bright(dark, bright, noise
     assert clear[4] == 0.0
 
 
-def test_a_volume_of_one_value_has_no_threshold():
+def test_volume_of_one_value_has_no_threshold():
     with pytest.raises(RenderError, match="nothing to distinguish"):
         transfer_from_histogram(Volume(np.full((3, 4, 5), 7, dtype=np.int16), np.eye(4)))

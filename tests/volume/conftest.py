@@ -1,4 +1,4 @@
-"""DICOM series as scanners write them, and as they should not."""
+"""Fixtures that write DICOM series, correct or with a defect in chosen slices."""
 
 from __future__ import annotations
 
@@ -10,24 +10,27 @@ import pytest
 from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian, generate_uid
 
-# Oblique: no axis is parallel to x, y or z, and every spacing differs, so swapped axes or signs cannot pass.
+# The directions are oblique and every spacing differs, so a test with swapped axes or signs fails.
 ROW_LPS = np.array([0.8, 0.6, 0.0])
 COLUMN_LPS = np.array([-0.36, 0.48, -0.8])
 NORMAL_LPS = np.cross(ROW_LPS, COLUMN_LPS)
 ORIGIN_LPS = np.array([-31.5, 12.25, 140.0])
-ROW_MM, COLUMN_MM, GAP_MM = 0.9, 0.7, 1.25  # distance of rows, of columns, of slices
+ROW_MM, COLUMN_MM, GAP_MM = 0.9, 0.7, 1.25  # distance of rows, columns and slices
 ROWS, COLUMNS, SLICES = 11, 13, 9
 
 
 def stored_values(index: int) -> np.ndarray:
-    """Different in every voxel of a slice."""
+    """Return stored pixel values that differ in every pixel of a slice and between slices."""
     grid = np.arange(ROWS * COLUMNS, dtype=np.int16).reshape(ROWS, COLUMNS)
     return (grid * 8 + index * 17).astype(np.int16)
 
 
 @pytest.fixture
 def write_series(tmp_path: Path) -> Callable[..., Path]:
-    """A factory: writes one CT series into a folder and returns the folder. ``edit(dataset, index)`` breaks it."""
+    """Return a function that writes one CT series into a folder and returns the folder.
+
+    Its argument ``edit(dataset, index)`` changes a slice before it is written.
+    """
 
     def write(
         folder: str = "scan",
@@ -60,7 +63,8 @@ def write_series(tmp_path: Path) -> Callable[..., Path]:
             dataset.ImageType = ["ORIGINAL", "PRIMARY", "AXIAL"]
             dataset.SeriesNumber = number
             dataset.SeriesDescription = description
-            dataset.SliceThickness = 5.0  # a lie that must not matter
+            # differs from the distance of the slices on purpose: the importer must not use it
+            dataset.SliceThickness = 5.0
             dataset.Rows, dataset.Columns = ROWS, COLUMNS
             dataset.PixelSpacing = [ROW_MM, COLUMN_MM]
             dataset.ImageOrientationPatient = [*ROW_LPS, *COLUMN_LPS]
@@ -83,7 +87,7 @@ def write_series(tmp_path: Path) -> Callable[..., Path]:
 
 @pytest.fixture
 def expected_lps_from_ijk() -> np.ndarray:
-    """The grid of an unbroken series."""
+    """Return ``lps_from_ijk`` of the series that ``write_series`` writes without an edit."""
     matrix = np.eye(4)
     matrix[:3, 0] = ROW_LPS * COLUMN_MM
     matrix[:3, 1] = COLUMN_LPS * ROW_MM
@@ -94,5 +98,5 @@ def expected_lps_from_ijk() -> np.ndarray:
 
 @pytest.fixture
 def expected_hu_zyx() -> np.ndarray:
-    """The values of an unbroken series."""
+    """Return the HU values [z, y, x] of the series that ``write_series`` writes without an edit."""
     return np.stack([stored_values(index) - 1024 for index in range(SLICES)]).astype(np.int16)

@@ -1,9 +1,9 @@
-"""The corpus of generated inputs: files as they should be and as they should not, each with the answer it must get.
+"""Corpus of generated input files, each with the answer that the importer must give.
 
-One table for the tests (``test_corpus.py``) and for the page ``docs/import-answers.md``. ``corpus_dicom.py`` and
-``corpus_grids.py`` hold the entries; nothing in them comes from a patient.
+``test_corpus.py`` and the page ``docs/import-answers.md`` use this table. ``corpus_dicom.py`` and ``corpus_grids.py``
+contain the entries; no entry contains data of a patient.
 
-``python tests/volume/corpus.py`` writes the tables of the page anew.
+``python tests/volume/corpus.py`` rewrites the tables of the page.
 """
 
 from __future__ import annotations
@@ -26,31 +26,31 @@ _SOURCES = ("corpus_dicom", "corpus_grids")
 
 @dataclass(frozen=True)
 class Input:
-    """One input, how it is made, and what Carina must answer."""
+    """One input file or folder: how it is made, and the answer that the importer must give."""
 
     name: str
-    """What it is, as a person would say it: a cell of the page."""
+    """Description of the input in plain words: a cell of the page."""
     family: str
-    """Heading on the page."""
+    """Heading of the page under which the input is listed."""
     make: Callable[[Path], Path]
-    """Writes it into an empty folder and returns the path to open."""
+    """Function that writes the input into an empty folder and returns the path to open."""
     expected: str
-    """The code of the refusal, or ``opens``."""
+    """Error code of the refusal, or ``opens``."""
     notes: tuple[str, ...] = ()
-    """The codes of all notes that must be there; no other may be."""
+    """Codes of all notes that the importer must give; any other note is a failure."""
     is_hu: bool = True
     do: str = ""
-    """The remedy; empty if the input needs none."""
+    """Remedy that the page shows; empty if the input needs none."""
     voxels: Callable[[], np.ndarray] | None = None
-    """The exact values [z, y, x] of an input that opens."""
+    """Function that returns the exact HU values [z, y, x] of an input that opens."""
     series: int | None = None
-    """How many series ``carina info`` lists, where that is the point."""
+    """Number of series that ``carina info`` lists, for inputs that test the listing."""
     names: tuple[str, ...] = ()
-    """Words that the refusal or the notes must hold, such as names of files."""
+    """Words that the refusal or the notes must contain, such as names of files."""
 
 
 def all_inputs() -> tuple[Input, ...]:
-    """Every input, by source and in the order in which they stand there."""
+    """Return every input, by source module and in the order of its list."""
     found: list[Input] = []
     for source in _SOURCES:
         if (Path(__file__).parent / f"{source}.py").exists():
@@ -92,7 +92,7 @@ _BEGIN, _END = "<!-- tables: begin -->", "<!-- tables: end -->"
 
 
 def page_with_tables(page: str) -> str:
-    """The page with its tables as they should be."""
+    """Return the page with its tables replaced by the generated ones."""
     return re.sub(f"{_BEGIN}.*{_END}", lambda _: f"{_BEGIN}\n\n{tables()}\n\n{_END}", page, flags=re.DOTALL)
 
 

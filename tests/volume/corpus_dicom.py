@@ -1,4 +1,4 @@
-"""DICOM series of the corpus: what their rescale tags say, and which images are one series."""
+"""DICOM series of the corpus that test rescale tags and the division of images into series."""
 # ruff: noqa: E501 (a table: one input a line)
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ CHOOSE = "choose with `--series` if another one is wanted"
 CHECK = "look whether it is the right scan"
 WHOLE = {"expected": "opens", "voxels": chest}
 SECOND = chest(seed=6)
-"""Another scan of the same chest: the same anatomy, other noise."""
+"""HU values of a second scan: the same anatomy with other noise."""
 
 
 def _tags(change: Callable[[int], dict[str, Any]]) -> Make:
-    """A series with tags changed in each slice; None takes a tag out."""
+    """Return the maker of a series whose slices have the tags of ``change(index)``; the value None removes a tag."""
 
     def edit(dataset: Dataset, index: int) -> None:
         for keyword, value in change(index).items():
@@ -54,7 +54,7 @@ NAMED = ("IM004", "IM009", "IM011", "3 of its 20 slices")
 
 
 def _lettered(keyword: str, text: str) -> Make:
-    """A number of one slice written as something that is none; pydicom would not let us set it."""
+    """Return the maker of a series in which one slice has a text instead of a number, which pydicom does not check."""
 
     def edit(dataset: Dataset, index: int) -> None:
         if index == 4:
@@ -195,7 +195,10 @@ def _two(
     both: dict[str, Any] | None = None,
     keep_first: Callable[[int], bool] = lambda index: True,
 ) -> Make:
-    """Two scans in one folder; the second differs in tags and lies ``shift_mm`` higher (half-way by default)."""
+    """Return the maker of a folder with two scans.
+
+    The second scan differs in tags and is ``shift_mm`` higher (default: half of the slice distance).
+    """
 
     def make(folder: Path) -> Path:
         def edit(mine: dict[str, Any]) -> Edit:
@@ -234,7 +237,7 @@ TWO = "DICOM: several in one"
 
 
 def _short(index: int) -> bool:
-    """The second scan is two slices shorter: the first is the larger one."""
+    """Return whether a slice belongs to a second scan of 18 slices, which is smaller than the first scan of 20."""
     return index < 18
 
 
@@ -249,7 +252,7 @@ def _coronal_too(folder: Path) -> Path:
 
 
 def _four_patients(folder: Path) -> Path:
-    """No UID of a series at all: only the patients tell."""
+    """Write slices of two patients without a series UID; only the patient tags differ."""
 
     def edit(dataset: Dataset, index: int) -> None:
         del dataset.SeriesInstanceUID

@@ -1,4 +1,4 @@
-"""DICOM files of the corpus: files that cannot be used, and pixels that contradict what is said of them."""
+"""DICOM files of the corpus that cannot be used, or whose pixel data contradict their header."""
 # ruff: noqa: E501 (a table: one input a line)
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ UNREAD = {"expected": "opens", "notes": ("import.files-unread",), "do": COPY}
 
 
 def _spoil(*at: int, change: Callable[[bytes], bytes], name: Callable[[int], str] = lambda i: f"IM{i:03d}") -> Make:
-    """A sound series of which some files are spoilt afterwards."""
+    """Return the maker of a correct series of which some files are damaged after writing."""
 
     def make(folder: Path) -> Path:
         series(folder, name=name)
@@ -143,12 +143,12 @@ def _with(at: Callable[[bytes], int], new: bytes) -> Callable[[bytes], bytes]:
 
 
 def _depth(frame: bytes) -> int:
-    """Where a JPEG 2000 stream says how deep its numbers are, and whether they have a sign."""
+    """Return the position of the byte in a JPEG 2000 stream that states bit depth and sign."""
     return frame.index(b"\xff\x4f\xff\x51") + 42
 
 
 def _noise_of(folder: Path) -> Path:
-    """One slice of a sound stream with another picture in it, as a decoder makes of a damaged one."""
+    """Write a JPEG 2000 series in which one slice contains noise, as a decoder returns it for a damaged stream."""
 
     def edit(dataset: Dataset, index: int) -> None:
         if index == 7:
@@ -197,7 +197,7 @@ def _noisy() -> np.ndarray:
 
 
 def _flipped(frame: bytes) -> bytes:
-    """Change a bit near the end, in the finest details."""
+    """Return the frame with one changed bit near its end, which affects the finest details."""
     return frame[:-200] + bytes([frame[-200] ^ 4]) + frame[-199:]
 
 

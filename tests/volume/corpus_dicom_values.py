@@ -17,7 +17,7 @@ __all__ = ["MODALITY_LUT", "OUTSIDE", "PADDING", "ringed", "with_lut"]
 Make = Callable[[Path], Path]
 _Y, _X = np.mgrid[:SIDE, :SIDE]
 OUTSIDE = (_X - 15.5) ** 2 + (_Y - 15.5) ** 2 > 17.5**2
-"""Pixels outside the reconstructed circle."""
+"""Mask of the pixels outside the reconstructed circle."""
 METAL = (slice(14, 16), slice(10, 12))
 PADDED, LUT = "DICOM: padding", "DICOM: Modality LUT"
 LOOK = "look at the edge of the slices"
@@ -37,7 +37,7 @@ def ringed(
     pack: bool = False,
     **tags: Any,
 ) -> Make:
-    """Return the maker of a series with a ring of one stored value round the picture.
+    """Return the maker of a series with a ring of one stored value around the picture.
 
     ``also`` is the value of every second pixel of the ring, ``metal`` a stored value within the body.
     """
@@ -120,7 +120,7 @@ PADDING = [
 def with_lut(
     *, at: Callable[[int], bool] = lambda index: True, rescale: bool, unit: str = "HU", damage: bool = False
 ) -> Make:
-    """Return the maker of a series whose stored numbers are 4095 - (HU + 1024), with a table that turns them round."""
+    """Return the maker of a series whose stored numbers are 4095 - (HU + 1024), with a Modality LUT."""
 
     def edit(dataset: Dataset, index: int) -> None:
         if not at(index):

@@ -1,4 +1,4 @@
-"""Grid files of the corpus: NIfTI, NRRD and MetaImage, healthy and wrong in one place each."""
+"""Grid files of the corpus: NIfTI, NRRD and MetaImage, correct or with one defect."""
 
 from __future__ import annotations
 
@@ -43,7 +43,10 @@ def _form(name: str, kind: str = "<i2") -> Make:
 
 
 def _lines(*changes: tuple[str, str]) -> Callable[[list[str]], None]:
-    """Changes lines by how they begin; an empty beginning appends in front of the last one."""
+    """Return an edit that replaces the header lines that begin with the given texts.
+
+    An empty beginning inserts the new line before the last line; an empty new line removes the old one.
+    """
 
     def edit(lines: list[str]) -> None:
         for old, new in changes:
@@ -128,7 +131,7 @@ def _ras(lines: list[str]) -> None:
 
 
 def _skewed(degrees: float) -> np.ndarray:
-    """Return the transform of the grid, with the second axis turned towards the first one."""
+    """Return ``lps_from_ijk`` of the grid with the second axis turned towards the first one by an angle."""
     matrix = LPS_FROM_IJK.copy()
     angle = np.radians(degrees)
     first, second = (matrix[:3, axis] / np.linalg.norm(matrix[:3, axis]) for axis in (0, 1))
@@ -137,14 +140,14 @@ def _skewed(degrees: float) -> np.ndarray:
 
 
 def _pixdim(axis: int, value: float) -> Make:
-    """Return the maker of a NIfTI with a qform alone, and one number of its pixdim."""
+    """Return the maker of a NIfTI file with a qform and no sform, in which one number of pixdim is changed."""
     return _edited(
         lambda folder: with_qform(folder, LPS_FROM_IJK), lambda data: struct.pack_into("<f", data, 76 + 4 * axis, value)
     )
 
 
 def _packed(make: Make, pack: Callable[[bytes], bytes] = gzip.compress) -> Make:
-    """Return the maker of a file that gzip packs as a whole under its plain name."""
+    """Return the maker of a file that is compressed as a whole and keeps its name without ``.gz``."""
 
     def again(folder: Path) -> Path:
         path = make(folder)

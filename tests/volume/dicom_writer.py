@@ -1,4 +1,4 @@
-"""DICOM series of a small made-up chest, written slice by slice, so that each can be edited in one place."""
+"""Writer of DICOM series of a small synthetic chest; each slice can be changed before it is written."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Edit = Callable[[Dataset, int], None]
 
 @cache
 def chest(num_slices: int = NUM_SLICES, *, noise_hu: float = 15.0, seed: int = 5) -> np.ndarray:
-    """[z, y, x] int16 HU: a body with two lungs, windpipe and spine, which change slowly from slice to slice."""
+    """Return int16 HU [z, y, x] of a body with two lungs, trachea and spine, which change slowly between slices."""
     z, y, x = np.mgrid[:num_slices, :SIDE, :SIDE].astype(np.float64)
     x, y, z = (x - 15.5) / 15.5, (y - 15.5) / 15.5, z / NUM_SLICES
     hu = np.full(z.shape, -1000.0)
@@ -51,7 +51,7 @@ def series(
     gap_mm: float = GAP_MM,
     syntax: str = ExplicitVRLittleEndian,
 ) -> Path:
-    """Write a series into the folder: one file a slice, HU + 1024 as unsigned 16-bit numbers.
+    """Write a series into the folder, one file for each slice, stored as HU + 1024 in unsigned 16-bit numbers.
 
     ``edit(dataset, index)`` changes a slice before it is written.
     """
@@ -92,7 +92,7 @@ def series(
 
 
 def packed(dataset: Dataset, folder: Path, kind: str) -> None:
-    """Compress the pixels of a slice without loss: ``JPEG2000`` or ``JPEG``."""
+    """Compress the pixels of a slice without loss, as ``JPEG2000`` or ``JPEG``."""
     words = np.frombuffer(dataset.PixelData, "<u2").reshape(1, dataset.Rows, dataset.Columns)
     path = folder / "packed.tmp.dcm"
     writer = sitk.ImageFileWriter()

@@ -1,4 +1,4 @@
-"""NIfTI, NRRD and MetaImage files byte by byte, so that each can be wrong in one place only."""
+"""Writers of NIfTI, NRRD and MetaImage files byte by byte, so that a test can change one value of a header."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ __all__ = ["AIR", "FORMS", "LPS_FROM_IJK", "SHAPE_ZYX", "bgzip", "chest", "metai
 
 SHAPE_ZYX = (12, 20, 24)
 AIR = 3
-"""Voxels of air round the body on each side of a slice."""
-# Oblique, and each spacing differs: swapped axes or signs cannot pass.
+"""Number of air voxels around the body on each side of a slice."""
+# The direction is oblique and each spacing differs, so a test with swapped axes or signs fails.
 SPACING_MM = (0.7, 0.9, 1.25)
 DIRECTIONS = np.reshape((0.8, -0.36, -0.48, 0.6, 0.48, 0.64, 0.0, -0.8, 0.6), (3, 3))
 LPS_FROM_IJK = np.eye(4)
@@ -30,7 +30,7 @@ _MET_KINDS = {"i2": "SHORT", "u2": "USHORT", "i4": "INT", "i8": "LONG_LONG", "f4
 
 
 def chest() -> np.ndarray:
-    """Air round a box of tissue with two lungs and some bone, in HU; rows and slices differ."""
+    """Return HU [z, y, x] of a box of tissue in air, with two lungs and some bone; rows and slices differ."""
     values = np.full(SHAPE_ZYX, -1000, dtype=np.int16)
     inner = values[:, AIR:-AIR, AIR:-AIR]
     inner[...] = np.arange(inner.size).reshape(inner.shape) % 97 - 20
@@ -41,7 +41,7 @@ def chest() -> np.ndarray:
 
 
 def bgzip(data: bytes, piece: int = 700) -> bytes:
-    """Packed as many members one after another."""
+    """Return the data compressed as several gzip members of ``piece`` bytes each."""
     return b"".join(gzip.compress(data[at : at + piece]) for at in range(0, len(data), piece))
 
 
@@ -64,7 +64,7 @@ def nifti_bytes(
     datatype: int | None = None,
     bits: int | None = None,
 ) -> tuple[bytes, bytes]:
-    """The 348 bytes of the header, and the values."""
+    """Return the 348 bytes of a NIfTI header and the bytes of the values."""
     order, kind = _order(values), values.dtype.str[1:]
     ras = _RAS @ lps_from_ijk
     spacing = np.linalg.norm(ras[:3, :3], axis=0)
@@ -85,7 +85,7 @@ def nifti_bytes(
 
 
 def nifti(folder: Path, values: np.ndarray, *, behind: bytes = b"", name: str = "ct.nii", **options: Any) -> Path:
-    """A single file, with zeros between header and values; ``behind`` follows the values."""
+    """Write a NIfTI file in one piece, with zeros between header and values; ``behind`` is appended."""
     header, numbers = nifti_bytes(values, **options)
     gap = bytes(max(0, int(options.get("offset", 352)) - 348)) if np.isfinite(options.get("offset", 352)) else b""
     path = folder / name
@@ -136,7 +136,7 @@ def nrrd(
     begin: bytes = b"",
     pack: Callable[[bytes], bytes] | None = None,
 ) -> Path:
-    """An NRRD; ``edit`` changes its lines."""
+    """Write an NRRD file; ``edit`` changes its header lines."""
     lines = [
         "NRRD0004",
         "# made by a test",
@@ -175,7 +175,7 @@ def metaimage(
     edit: Callable[[list[str]], None] | None = None,
     newline: str = "\n",
 ) -> Path:
-    """A MetaImage; ``edit`` changes its lines."""
+    """Write a MetaImage file; ``edit`` changes its header lines."""
     data = zlib.compress(values.tobytes()) if compressed else values.tobytes()
     lines = [
         "ObjectType = Image",
@@ -215,4 +215,4 @@ FORMS: dict[str, Callable[[Path, np.ndarray], Path]] = {
     "metaimage compressed": lambda folder, values: metaimage(folder, values, compressed=True),
     "metaimage detached": lambda folder, values: metaimage(folder, values, data_file="ct.raw"),
 }
-"""One array in every form that a grid file has."""
+"""Writers of one array in every supported form of a grid file, by name."""

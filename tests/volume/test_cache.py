@@ -1,4 +1,4 @@
-"""A CT from the cache cannot be told from one that was read from its files, or is not taken from the cache."""
+"""Cache of opened CTs: equal results with and without the cache, detection of changes and damage, and limits."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ DAY_S = 86_400.0
 
 
 class Clock:
-    """Seconds since 1970, well after the files were written."""
+    """Clock in seconds since 1970; its start is 100 s later than the real time, so all files are old enough."""
 
     def __init__(self) -> None:
         self.now_s = time.time() + 100.0
@@ -57,7 +57,7 @@ def clock() -> Clock:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Where the cache is."""
+    """Return the folder of the cache."""
     return tmp_path / "cache" / "volumes"
 
 
@@ -67,7 +67,7 @@ def kept(folder: Path, clock: Clock) -> VolumeCache:
 
 
 def chest_file(folder: Path, seed: int = 0, name: str = "ct.nrrd") -> Path:
-    """A CT of its own for every seed."""
+    """Write a CT as NRRD, with different voxels for each seed."""
     values = grid_writers.chest()
     values[0, 0, :8] -= np.arange(8, dtype=np.int16) * seed
     folder.mkdir(exist_ok=True)
@@ -77,7 +77,7 @@ def chest_file(folder: Path, seed: int = 0, name: str = "ct.nrrd") -> Path:
 
 
 def keep(kept: VolumeCache, path: Path, series: str | None = None) -> str:
-    """Open from the files and keep."""
+    """Open the CT from its files, store it in the cache and return its digest."""
     opened = kept.open(path, series=series)
     assert not opened.from_cache
     kept.keep(opened)
@@ -89,7 +89,7 @@ def files(folder: Path, suffix: str = "") -> list[Path]:
 
 
 def assert_equal(found: Volume, expected: Volume) -> None:
-    """In every field, those that are found when first asked for included."""
+    """Assert that two volumes are equal in every field, including the ones that are computed on first use."""
     for field in dataclasses.fields(Volume):
         a, b = getattr(found, field.name), getattr(expected, field.name)
         if isinstance(b, np.ndarray):
@@ -107,7 +107,7 @@ def assert_equal(found: Volume, expected: Volume) -> None:
 
 
 def two_series(folder: Path) -> Path:
-    """With another series beside it and a file that cannot be used: both are said in notes."""
+    """Write a folder with two series and an unusable file, which cause notes on import."""
     dicom_writer.series(folder, number=3)
     dicom_writer.series(folder, hu=dicom_writer.chest(6), number=4, name=lambda index: f"other{index}")
     (folder / "IM900").write_bytes(b"")
@@ -126,7 +126,7 @@ SOURCES: dict[str, Callable[[Path], Path]] = {
 
 
 @pytest.mark.parametrize("source", SOURCES)
-def test_a_ct_from_the_cache_equals_the_one_from_its_files_in_every_field(source, kept, tmp_path):
+def test_ct_from_the_cache_equals_the_ct_from_its_files_in_every_field(source, kept, tmp_path):
     path = SOURCES[source](tmp_path)
     digest = keep(kept, path)
     opened = kept.open(path)
@@ -137,14 +137,14 @@ def test_a_ct_from_the_cache_equals_the_one_from_its_files_in_every_field(source
     assert_equal(opened.volume, open_volume(path))
 
 
-def test_a_citation_comes_back(kept, tmp_path):
+def test_citation_is_restored_from_the_cache(kept, tmp_path):
     patient = demo_patient()
     source = CtSource.of(chest_file(tmp_path))
     assert kept.put(patient, source)
     assert_equal(kept.get(source.path), patient)
 
 
-def test_what_was_found_of_a_volume_is_not_found_again(kept, tmp_path, monkeypatch):
+def test_quality_range_and_digest_are_restored_and_not_computed_again(kept, tmp_path, monkeypatch):
     path = chest_file(tmp_path)
     keep(kept, path)
     expected = open_volume(path)
@@ -156,7 +156,7 @@ def test_what_was_found_of_a_volume_is_not_found_again(kept, tmp_path, monkeypat
     assert (quality.quality_gate(found), found.value_range, ct_digest(found)) == judged
 
 
-def test_a_series_is_kept_beside_the_one_that_is_opened_without_a_choice(kept, tmp_path):
+def test_chosen_series_is_cached_beside_the_default_series(kept, tmp_path):
     path = two_series(tmp_path / "scan")
     keep(kept, path)
     assert kept.get(path, series="4") is None
@@ -166,7 +166,7 @@ def test_a_series_is_kept_beside_the_one_that_is_opened_without_a_choice(kept, t
 
 
 @pytest.mark.skipif(os.name != "posix", reason="modes of POSIX")
-def test_files_are_for_this_person_alone_and_their_names_tell_nothing(kept, folder, tmp_path):
+def test_cache_files_are_private_and_their_names_contain_no_patient_data(kept, folder, tmp_path):
     path = two_series(tmp_path / "DOE_JOHN")
     keep(kept, path)
     found = files(folder)
@@ -195,7 +195,7 @@ CHANGES: dict[str, Callable[[Path], object]] = {
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_whatever_changes_in_a_folder_is_noticed(change, kept, tmp_path):
+def test_each_kind_of_change_in_a_folder_is_detected(change, kept, tmp_path):
     path = two_series(tmp_path / "scan")
     digest = keep(kept, path)
     assert kept.find(path).state == "unchanged"
@@ -205,18 +205,18 @@ def test_whatever_changes_in_a_folder_is_noticed(change, kept, tmp_path):
     assert kept.get(path) is None
     opened = kept.open(path)
     assert not opened.from_cache
-    # What was kept may still be shown while the digests are compared.
+    # The cached volume may still be shown while the digests are compared.
     assert ct_digest(found.load()) == digest
 
 
-def test_a_changed_file_of_values_beside_its_header_is_noticed(kept, tmp_path):
+def test_changed_data_file_of_a_detached_header_is_detected(kept, tmp_path):
     path = grid_writers.FORMS["nrrd detached"](tmp_path, grid_writers.chest())
     keep(kept, path)
     touch(tmp_path / "ct.raw")
     assert kept.find(path).state == "changed"
 
 
-def test_a_file_of_values_that_would_be_read_first_is_noticed(kept, tmp_path):
+def test_new_data_file_that_has_precedence_is_detected(kept, tmp_path):
     path = grid_writers.FORMS["nifti pair"](tmp_path, grid_writers.chest())
     (tmp_path / "ct.img").rename(tmp_path / "ct.IMG")
     keep(kept, path)
@@ -224,7 +224,7 @@ def test_a_file_of_values_that_would_be_read_first_is_noticed(kept, tmp_path):
     assert kept.find(path).state == "changed"
 
 
-def test_a_source_that_is_gone_is_missing_and_opening_it_says_so(kept, tmp_path):
+def test_missing_source_is_reported_and_opening_it_fails(kept, tmp_path):
     path = chest_file(tmp_path)
     digest = keep(kept, path)
     path.unlink()
@@ -234,7 +234,7 @@ def test_a_source_that_is_gone_is_missing_and_opening_it_says_so(kept, tmp_path)
         kept.open(path)
 
 
-def test_a_file_that_was_written_a_moment_ago_is_not_kept(kept, clock, folder, tmp_path):
+def test_file_written_less_than_two_seconds_ago_is_not_cached(kept, clock, folder, tmp_path):
     path = chest_file(tmp_path)
     clock.now_s = path.stat().st_mtime + 1.5
     keep(kept, path)
@@ -244,7 +244,7 @@ def test_a_file_that_was_written_a_moment_ago_is_not_kept(kept, clock, folder, t
     assert kept.find(path) is not None
 
 
-def test_files_that_change_while_they_are_read_are_not_kept(kept, tmp_path):
+def test_files_that_change_while_they_are_read_are_not_cached(kept, tmp_path):
     path = chest_file(tmp_path)
     opened = kept.open(path)
     touch(path)
@@ -252,7 +252,7 @@ def test_files_that_change_while_they_are_read_are_not_kept(kept, tmp_path):
     assert kept.find(path) is None
 
 
-def test_a_moved_ct_shares_its_voxels_and_one_of_other_axes_does_not(kept, folder, clock, tmp_path):
+def test_moved_ct_shares_its_voxel_file_and_a_ct_with_other_axes_does_not(kept, folder, clock, tmp_path):
     path = chest_file(tmp_path)
     digest = keep(kept, path)
     moved = path.rename(tmp_path / "moved.nrrd")
@@ -295,7 +295,7 @@ def damage(file: Path, where: str) -> None:
         *("first byte", "version", "header's length", "header", "first voxel", "last"),
     ],
 )
-def test_a_damaged_file_of_voxels_is_removed_and_the_source_is_read(where, kept, folder, tmp_path, caplog):
+def test_damaged_voxel_file_is_removed_and_the_source_is_read(where, kept, folder, tmp_path, caplog):
     path = chest_file(tmp_path)
     expected = keep(kept, path)
     (voxels,) = files(folder, SUFFIX)
@@ -311,7 +311,7 @@ def test_a_damaged_file_of_voxels_is_removed_and_the_source_is_read(where, kept,
     assert_equal(kept.get(path), open_volume(path))
 
 
-def test_a_file_that_is_cut_while_it_is_read_is_an_error_and_no_signal(kept, folder, tmp_path, monkeypatch):
+def test_voxel_file_truncated_while_it_is_read_is_not_used(kept, folder, tmp_path, monkeypatch):
     path = chest_file(tmp_path)
     keep(kept, path)
     (voxels,) = files(folder, SUFFIX)
@@ -326,7 +326,7 @@ def test_a_file_that_is_cut_while_it_is_read_is_an_error_and_no_signal(kept, fol
 
 
 @pytest.mark.parametrize("where", ["emptied", "first byte", "longer"])
-def test_damaged_facts_are_never_used(where, kept, folder, tmp_path):
+def test_damaged_source_record_is_not_used_and_is_removed(where, kept, folder, tmp_path):
     path = chest_file(tmp_path)
     keep(kept, path)
     (source,) = files(folder, ".source")
@@ -336,7 +336,7 @@ def test_damaged_facts_are_never_used(where, kept, folder, tmp_path):
     assert not source.exists()
 
 
-def test_every_byte_of_the_facts_is_checked(kept, folder, tmp_path):
+def test_change_of_a_byte_of_a_source_record_is_detected(kept, folder, tmp_path):
     path = chest_file(tmp_path)
     keep(kept, path)
     (source,) = files(folder, ".source")
@@ -348,7 +348,7 @@ def test_every_byte_of_the_facts_is_checked(kept, folder, tmp_path):
     assert kept.find(path) is not None
 
 
-def test_voxels_under_the_name_of_another_ct_are_not_used(kept, folder, tmp_path):
+def test_voxel_file_with_the_name_of_another_ct_is_not_used(kept, folder, tmp_path):
     one, other = chest_file(tmp_path, 1, "a.nrrd"), chest_file(tmp_path, 2, "b.nrrd")
     keep(kept, one)
     (voxels,) = files(folder, SUFFIX)
@@ -360,7 +360,7 @@ def test_voxels_under_the_name_of_another_ct_are_not_used(kept, folder, tmp_path
     assert kept.get(one) is None
 
 
-def test_what_another_carina_has_kept_is_read_again_from_the_source(kept, folder, tmp_path, monkeypatch):
+def test_record_of_another_carina_version_is_replaced_and_its_voxels_are_reused(kept, folder, tmp_path, monkeypatch):
     path = chest_file(tmp_path)
     digest = keep(kept, path)
     (voxels,) = files(folder, SUFFIX)
@@ -370,16 +370,16 @@ def test_what_another_carina_has_kept_is_read_again_from_the_source(kept, folder
     assert kept.find_digest(digest) is None
     keep(kept, path)
     assert kept.find(path) is not None
-    # The voxels are the same: they are not written again.
+    # The voxels are the same, so their file is not written again.
     assert voxels.stat().st_ino == before
 
 
-def test_the_code_that_opens_a_volume_says_which_carina_it_is():
+def test_version_of_the_import_code_is_a_stable_digest():
     assert cache._made_by() == cache._made_by()
     assert len(cache._made_by()) == 32
 
 
-def test_the_ct_used_longest_ago_makes_room(folder, clock, tmp_path):
+def test_least_recently_used_ct_is_removed_when_the_cache_is_full(folder, clock, tmp_path):
     paths = [chest_file(tmp_path, seed, f"{seed}.nrrd") for seed in range(3)]
     one = 2 * grid_writers.chest().size + 4096
     kept = VolumeCache(folder, max_bytes=2 * one, clock=clock)
@@ -387,7 +387,7 @@ def test_the_ct_used_longest_ago_makes_room(folder, clock, tmp_path):
         clock.now_s += 10
         keep(kept, path)
     clock.now_s += 10
-    assert kept.get(paths[0]) is not None  # used: now the other is the oldest
+    assert kept.get(paths[0]) is not None  # the second CT is now the least recently used one
     clock.now_s += 10
     keep(kept, paths[2])
     assert [kept.find(path) is not None for path in paths] == [True, False, True]
@@ -396,7 +396,7 @@ def test_the_ct_used_longest_ago_makes_room(folder, clock, tmp_path):
     assert [size.last_used_s for size in kept.sizes()] == sorted((s.last_used_s for s in kept.sizes()), reverse=True)
 
 
-def test_a_ct_larger_than_the_bound_is_not_kept_and_costs_no_other(folder, clock, tmp_path):
+def test_ct_larger_than_the_limit_is_not_cached_and_evicts_no_other(folder, clock, tmp_path):
     path = chest_file(tmp_path)
     keep(VolumeCache(folder, max_bytes=1 << 30, clock=clock), path)
     small = VolumeCache(folder, max_bytes=2 * grid_writers.chest().size - 1, clock=clock)
@@ -406,7 +406,7 @@ def test_a_ct_larger_than_the_bound_is_not_kept_and_costs_no_other(folder, clock
     assert small.find(path) is not None
 
 
-def test_the_bound_is_a_tenth_of_the_free_disk_and_what_is_held_counts_as_free(folder, clock, monkeypatch):
+def test_limit_is_a_tenth_of_the_free_space_plus_the_size_of_the_cache(folder, clock, monkeypatch):
     usage = shutil.disk_usage(".")
     monkeypatch.setattr(cache.shutil, "disk_usage", lambda _: usage._replace(free=900))
     assert VolumeCache(folder)._bound(100) == 100
@@ -414,7 +414,7 @@ def test_the_bound_is_a_tenth_of_the_free_disk_and_what_is_held_counts_as_free(f
     assert VolumeCache(folder)._bound(100) == cache.MAX_BYTES
 
 
-def test_a_ct_that_was_not_used_for_long_is_removed(kept, folder, clock, tmp_path):
+def test_ct_unused_for_a_long_time_is_removed(kept, folder, clock, tmp_path):
     paths = [chest_file(tmp_path, seed, f"{seed}.nrrd") for seed in range(2)]
     for path in paths:
         keep(kept, path)
@@ -425,7 +425,7 @@ def test_a_ct_that_was_not_used_for_long_is_removed(kept, folder, clock, tmp_pat
     assert [kept.find(path) is not None for path in paths] == [False, True]
 
 
-def test_a_cache_is_emptied_and_switched_off_and_on_while_it_is_used(kept, folder, clock, tmp_path):
+def test_cache_can_be_emptied_and_switched_off_and_on_while_in_use(kept, folder, clock, tmp_path):
     path = chest_file(tmp_path)
     keep(kept, path)
     assert kept.empty() > 0
@@ -444,7 +444,7 @@ def test_a_cache_is_emptied_and_switched_off_and_on_while_it_is_used(kept, folde
     assert not never.can_be_on
 
 
-def test_a_cache_that_is_off_keeps_nothing_and_a_sweep_empties_it(kept, folder, clock, tmp_path):
+def test_disabled_cache_stores_nothing_and_a_sweep_empties_it(kept, folder, clock, tmp_path):
     path = chest_file(tmp_path)
     keep(kept, path)
     off = VolumeCache(folder, max_bytes=0, clock=clock)
@@ -456,7 +456,7 @@ def test_a_cache_that_is_off_keeps_nothing_and_a_sweep_empties_it(kept, folder, 
     assert files(folder) == []
 
 
-def test_a_forgotten_ct_leaves_nothing_of_any_of_its_sources(kept, folder, tmp_path):
+def test_forget_removes_a_ct_and_the_records_of_all_its_sources(kept, folder, tmp_path):
     path = chest_file(tmp_path)
     digest = keep(kept, path)
     keep(kept, Path(shutil.copy(path, tmp_path / "copy.nrrd")))
@@ -468,7 +468,7 @@ def test_a_forgotten_ct_leaves_nothing_of_any_of_its_sources(kept, folder, tmp_p
     assert kept.forget(digest) == 0
 
 
-def test_a_ct_forgotten_while_it_is_written_is_not_there_afterwards(kept, folder, tmp_path):
+def test_ct_forgotten_while_it_is_written_is_not_stored(kept, folder, tmp_path):
     path = chest_file(tmp_path)
     opened = kept.open(path)
     digest = ct_digest(opened.volume)
@@ -480,11 +480,11 @@ def test_a_ct_forgotten_while_it_is_written_is_not_there_afterwards(kept, folder
 
     assert not kept.put(opened.volume, opened.source, cancel=forget_now)
     assert files(folder) == []
-    # Who opens it once more wants it again.
+    # A later request stores the CT again.
     assert kept.put(opened.volume, opened.source)
 
 
-def test_a_full_disk_costs_the_cache_and_nothing_else(kept, folder, tmp_path, monkeypatch, caplog):
+def test_full_disk_is_logged_and_the_ct_still_opens(kept, folder, tmp_path, monkeypatch, caplog):
     def full(*_arguments, **_options):
         raise disk_trouble(OSError(errno.ENOSPC, "full"), "cannot write the cached CT to", folder)
 
@@ -497,7 +497,7 @@ def test_a_full_disk_costs_the_cache_and_nothing_else(kept, folder, tmp_path, mo
 
 
 @pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may write everywhere")
-def test_a_folder_that_cannot_be_written_is_no_trouble(tmp_path, clock):
+def test_read_only_cache_folder_does_not_prevent_opening(tmp_path, clock):
     closed = tmp_path / "closed"
     closed.mkdir(mode=0o500)
     kept = VolumeCache(closed / "volumes", clock=clock)
@@ -505,7 +505,7 @@ def test_a_folder_that_cannot_be_written_is_no_trouble(tmp_path, clock):
     assert kept.sizes() == ()
 
 
-def test_an_opening_from_the_cache_tells_how_far_it_is_and_can_be_stopped(kept, tmp_path):
+def test_opening_from_the_cache_reports_progress_and_can_be_cancelled(kept, tmp_path):
     path = chest_file(tmp_path)
     keep(kept, path)
     said: list[tuple[str, float | None]] = []
@@ -517,7 +517,7 @@ def test_an_opening_from_the_cache_tells_how_far_it_is_and_can_be_stopped(kept, 
         kept.keep(kept.open(chest_file(tmp_path, 1, "b.nrrd")), cancel=lambda: True)
 
 
-def test_files_of_others_are_left_alone(kept, folder, tmp_path):
+def test_sweep_and_forget_leave_files_of_other_programs(kept, folder, tmp_path):
     path = chest_file(tmp_path)
     digest = keep(kept, path)
     for name in ("mine.txt", f"mine{SUFFIX}", f"{digest}{SUFFIX}.txt"):
@@ -529,7 +529,7 @@ def test_files_of_others_are_left_alone(kept, folder, tmp_path):
     assert path.exists()
 
 
-def test_one_process_sweeps_at_a_time(kept, folder, tmp_path):
+def test_sweep_does_nothing_while_another_process_sweeps(kept, folder, tmp_path):
     keep(kept, chest_file(tmp_path))
     descriptor = os.open(folder / "lock", os.O_RDWR)
     try:
@@ -542,19 +542,19 @@ def test_one_process_sweeps_at_a_time(kept, folder, tmp_path):
     assert off.sweep() > 0
 
 
-def test_what_a_killed_process_has_left_is_swept(kept, folder, clock, tmp_path):
+def test_sweep_removes_voxel_files_without_a_source_record_after_two_hours(kept, folder, clock, tmp_path):
     path = chest_file(tmp_path)
     keep(kept, path)
     (source,) = files(folder, ".source")
     source.unlink()
     kept.sweep()
-    assert len(files(folder, SUFFIX)) == 1  # its source may be written in this moment
+    assert len(files(folder, SUFFIX)) == 1  # another process may be writing the source record
     clock.now_s += 2 * 3600
     kept.sweep()
     assert files(folder) == []
 
 
-def test_a_ct_is_kept_beside_other_work(kept, tmp_path):
+def test_ct_is_cached_in_the_background(kept, tmp_path):
     path = chest_file(tmp_path)
     opened = kept.open_and_keep(path)
     kept.wait_kept()
@@ -562,7 +562,7 @@ def test_a_ct_is_kept_beside_other_work(kept, tmp_path):
     assert_equal(kept.open_and_keep(path), opened)
 
 
-def test_what_is_being_kept_when_carina_ends_is_given_up(kept, folder, tmp_path, monkeypatch):
+def test_close_cancels_a_pending_write_to_the_cache(kept, folder, tmp_path, monkeypatch):
     begun, ended = threading.Event(), threading.Event()
     draft = cache.draft_voxel_file
 
@@ -606,7 +606,7 @@ print("whole")
 """
 
 
-def test_processes_that_share_a_cache_see_whole_volumes_or_none(folder, tmp_path):
+def test_processes_that_share_a_cache_read_whole_volumes_or_none(folder, tmp_path):
     paths = [chest_file(tmp_path, seed, f"{seed}.nrrd") for seed in range(3)]
     orders = [paths, paths[::-1]]
     running = [

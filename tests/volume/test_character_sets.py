@@ -27,7 +27,7 @@ def _set_raw(dataset, keyword: str, value: bytes, vr: str) -> None:
 
 
 def _named(folder, name: bytes, character_set: str | None, *, keyword: str = "PatientName", vr: str = "PN"):
-    """Write three slices whose text has these bytes."""
+    """Write three slices whose patient name and other texts consist of the given bytes."""
 
     def edit(dataset, index):
         if character_set is not None:
@@ -35,7 +35,7 @@ def _named(folder, name: bytes, character_set: str | None, *, keyword: str = "Pa
         _set_raw(dataset, keyword, name, vr)
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # pydicom warns of the set that it writes
+        warnings.simplefilter("ignore")  # pydicom warns about the invalid character set
         return series(folder, edit, hu=chest()[:3])
 
 
@@ -77,7 +77,7 @@ def _exported(folder) -> str:
 
 
 @pytest.mark.parametrize("case", KNOWN)
-def test_the_patients_name_reaches_other_files_as_it_is(tmp_path, case):
+def test_patient_name_is_exported_unchanged(tmp_path, case):
     name, encoding, character_set = KNOWN[case]
     assert _exported(_named(tmp_path, name.encode(encoding), character_set)) == name
 
@@ -97,7 +97,7 @@ def test_the_patients_name_reaches_other_files_as_it_is(tmp_path, case):
         ),
     ],
 )
-def test_names_with_escape_sequences_stay_right(tmp_path, name, raw, character_set):
+def test_names_with_escape_sequences_are_decoded(tmp_path, name, raw, character_set):
     assert _exported(_named(tmp_path, raw, character_set)) == name
 
 
@@ -113,25 +113,26 @@ DOUBTFUL = {
 
 
 @pytest.mark.parametrize("case", DOUBTFUL)
-def test_a_doubtful_name_is_not_written(tmp_path, case):
+def test_doubtful_name_is_not_exported(tmp_path, case):
     folder = _named(tmp_path, *DOUBTFUL[case])
     with pytest.raises(UsageError, match="PatientName") as caught:
         _exported(folder)
     assert caught.value.code == "plan.identity"
-    assert "M" not in str(caught.value).replace("SpecificCharacterSet", "").split("PatientName")[0]  # no name in it
+    # the message contains no part of the name
+    assert "M" not in str(caught.value).replace("SpecificCharacterSet", "").split("PatientName")[0]
     images = ct_images(folder, open_volume(folder))
     data = new_object("1.2.3", images, identity="none", modality="SEG", series_number=5, series_words="x")
     assert data.PatientName == ""
 
 
-def test_latin_1_that_is_declared_as_utf_8_is_doubtful(tmp_path):
+def test_latin_1_declared_as_utf_8_is_doubtful(tmp_path):
     folder = _named(tmp_path, b"Mxller^Jurg", "ISO_IR 192")
     path = folder / "IM001"
     path.write_bytes(path.read_bytes().replace(b"Mxller", b"M\xfcller"))
     assert doubtful_texts(read_dataset(path, pixels=True)) == {"PatientName"}
 
 
-def test_a_doubtful_description_is_left_out_and_the_name_written(tmp_path):
+def test_doubtful_description_is_omitted_and_the_name_is_exported(tmp_path):
     folder = _named(tmp_path, "Lungen-Übersicht".encode("latin_1"), None, keyword="StudyDescription", vr="LO")
     images = ct_images(folder, open_volume(folder))
     assert images.doubtful == {"StudyDescription"}
@@ -140,7 +141,7 @@ def test_a_doubtful_description_is_left_out_and_the_name_written(tmp_path):
     assert str(data.PatientName) == "Secret^One"
 
 
-def test_a_name_in_two_character_sets_is_one_patient(tmp_path):
+def test_one_name_in_two_character_sets_is_one_patient(tmp_path):
     def edit(dataset, index):
         encoding, name = (("ISO_IR 100", "latin_1"), ("ISO_IR 192", "utf_8"), ("", "utf_8"))[index % 3]
         _set_raw(dataset, "SpecificCharacterSet", encoding.encode(), "CS")
@@ -151,12 +152,12 @@ def test_a_name_in_two_character_sets_is_one_patient(tmp_path):
     np.testing.assert_array_equal(volume.hu_zyx, chest())
 
 
-def test_the_title_of_a_series_in_undeclared_utf_8_is_readable(tmp_path):
+def test_series_title_in_undeclared_utf_8_is_decoded(tmp_path):
     folder = _named(tmp_path, "Lungen-Übersicht".encode(), None, keyword="SeriesDescription", vr="LO")
     assert open_volume(folder).source.title == "Lungen-Übersicht"
 
 
-def test_texts_in_sequences_follow_the_settled_set(tmp_path):
+def test_texts_in_sequences_use_the_character_set_of_the_file(tmp_path):
     def edit(dataset, index):
         from pydicom.dataset import Dataset
 
@@ -189,7 +190,7 @@ def test_names_of_character_sets(text, name):
     assert character_set_name(text) == name
 
 
-def test_a_header_with_a_damaged_character_set_is_read(tmp_path):
+def test_header_with_a_damaged_character_set_is_read(tmp_path):
     folder = _named(tmp_path, b"Secret^One", "ISO_IR 100")
     path = folder / "IM001"
     path.write_bytes(path.read_bytes().replace(b"ISO_IR 100", b"\\\xff\\\\\xfe(\n\\  "))

@@ -1,4 +1,4 @@
-"""Every refusal and every note has a code of its own, and the page says what each means and what a person can do."""
+"""Codes of refusals and notes of the import: each is unique and listed with its meaning and remedy on the page."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ SEARCH = sorted(Path(carina.track.__file__).parent.rglob("*.py"))
 
 
 def rows() -> list[dict[str, str]]:
-    """The page's table of codes."""
+    """Return the rows of the table of codes on the page."""
     part = PAGE.read_text(encoding="utf-8").split("## Codes")[1]
     return [match.groupdict() for match in ROW.finditer(part)]
 
 
 def nodes(kind: type) -> list:
-    """All places of a kind in the sources of the import."""
+    """Return all syntax nodes of a kind in the source files of the import."""
     return [node for path in SOURCES for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, kind)]
 
 
 def raised() -> set[str]:
-    """Every code that the import can give, wherever it stands."""
+    """Return every string in the source files of the import that has the form of a code."""
     found = {node.value for node in nodes(ast.Constant) if isinstance(node.value, str)}
     return {text for text in found if CODE.fullmatch(text)}
 
 
 def noted() -> dict[str, set[str]]:
-    """The codes of notes, and whether they are badges, as far as the source says it at once."""
+    """Return the codes of notes, each with the badge flags that the source states as literals."""
     found: dict[str, set[str]] = {}
     for node in nodes(ast.Call):
         if getattr(node.func, "id", "") not in ("Note", "Doubt") or not isinstance(node.args[0], ast.Constant):
@@ -57,7 +57,7 @@ def test_every_code_of_the_import_is_on_the_page():
     assert raised() - documented == set()
 
 
-def test_codes_and_their_meanings_are_told_apart():
+def test_codes_and_their_meanings_are_unique():
     assert len({row["code"] for row in rows()}) == len(rows())
     assert len({row["means"] for row in rows()}) == len(rows())
 
@@ -68,11 +68,11 @@ def test_every_refusal_and_every_badge_has_a_remedy():
     assert [row["code"] for row in short if row["do"] not in numbers] == []
 
 
-def test_a_remedy_that_has_a_number_is_not_repeated():
+def test_numbered_remedy_is_not_repeated_on_the_page():
     assert [row["code"] for row in rows() if row["do"].rstrip(".").lower() in repeated_advice()] == []
 
 
-def test_the_page_tells_refusals_notes_and_badges_apart_as_the_code_does():
+def test_page_marks_refusals_notes_and_badges_as_the_code_does():
     kinds = {row["code"]: row["kind"] for row in rows()}
     assert noted()
     for code, found in noted().items():
@@ -81,7 +81,7 @@ def test_the_page_tells_refusals_notes_and_badges_apart_as_the_code_does():
 
 
 @pytest.mark.parametrize("kind", ["refusal", "note"])
-def test_the_corpus_shows_only_codes_of_that_kind(kind):
+def test_corpus_uses_each_code_as_its_kind(kind):
     kinds = {row["code"]: row["kind"] for row in rows()}
     shown = {entry.expected for entry in all_inputs()} - {"opens"}
     if kind == "note":

@@ -1,4 +1,4 @@
-"""Settings are read from the environment in one place."""
+"""Settings that are read from environment variables."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ def test_an_unknown_backend_is_refused():
 
 
 @pytest.mark.parametrize(("text", "num_bytes"), [("", None), ("0", 0), (" 2.5 ", 2_500_000_000)])
-def test_opened_cts_take_what_a_person_allows(text, num_bytes):
+def test_limits_of_opened_cts_follow_the_environment(text, num_bytes):
     assert load_settings({"CARINA_CACHE_GB": text}).volume_cache_bytes == num_bytes
 
 
 @pytest.mark.parametrize("text", ["much", "-1", "nan", "inf"])
-def test_a_size_that_is_none_is_refused(text):
+def test_invalid_size_is_refused(text):
     with pytest.raises(UsageError, match="gigabytes"):
         load_settings({"CARINA_CACHE_GB": text})

@@ -1,4 +1,4 @@
-"""Every input of the corpus gets the answer of the table, and the page shows that table."""
+"""Answers of the importer to every input of the corpus, and the page that lists them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ INPUTS = all_inputs()
 
 
 @pytest.mark.parametrize("entry", INPUTS, ids=[f"{entry.family}: {entry.name}" for entry in INPUTS])
-def test_each_input_gets_the_answer_of_the_table(tmp_path, capfd, entry: Input):
+def test_each_corpus_input_gets_its_expected_answer(tmp_path, capfd, entry: Input):
     path = entry.make(tmp_path)
     if entry.expected != "opens":
         with pytest.raises(VolumeImportError) as caught:
@@ -32,18 +32,18 @@ def test_each_input_gets_the_answer_of_the_table(tmp_path, capfd, entry: Input):
             assert 1 + len(volume.source.other_series) == entry.series
     for name in entry.names:
         assert name in words
-    assert capfd.readouterr().err == ""  # a decoder's own words are for us, not for the person
+    assert capfd.readouterr().err == ""  # messages of a decoder must not reach the user's terminal
 
 
-def test_every_refusal_tells_what_a_person_can_do():
+def test_every_refusal_has_a_remedy():
     assert [entry.name for entry in INPUTS if entry.expected != "opens" and not entry.do] == []
 
 
-def test_names_are_told_apart():
+def test_names_of_corpus_inputs_are_unique():
     names = [(entry.family, entry.name) for entry in INPUTS]
     assert len(names) == len(set(names))
 
 
-def test_the_page_shows_the_table():
+def test_page_contains_the_generated_tables():
     page = PAGE.read_text(encoding="utf-8")
     assert page == page_with_tables(page), "run python tests/volume/corpus.py"

@@ -1,4 +1,4 @@
-"""Damage in compressed slices: each damaged slice is reported, and no intact one."""
+"""Detection of damaged compressed slices: each damaged slice is reported, and no intact slice."""
 
 from __future__ import annotations
 
@@ -55,8 +55,11 @@ def _damaged(frame: bytes, rng: np.random.Generator, kind: str) -> bytes:
 
 @needs_av
 @pytest.mark.parametrize("kind", ["noise", "zeros", "ones", "bit"])
-def test_no_damage_above_20_hu_is_silent(compressed, tmp_path, rng, kind):
-    """15 slices of each kind of damage; a refusal, a doubt of the first decoder or the second decoder reports each."""
+def test_damage_above_20_hu_is_always_reported(compressed, tmp_path, rng, kind):
+    """Check 15 slices of each kind of damage.
+
+    A refusal, a doubt of the first decoder or the second decoder reports each.
+    """
     silent = []
     for index in range(15):
         source = compressed / f"IM{index % NUM:03d}"
@@ -69,7 +72,7 @@ def test_no_damage_above_20_hu_is_silent(compressed, tmp_path, rng, kind):
         problem = j2k_problem(_frame(path))
         try:
             worst = np.abs(read_slice(header) - clean).max()
-        except OSError:  # VolumeImportError: refused
+        except OSError:  # a VolumeImportError is a refusal
             continue
         if problem is None and worst > 20:
             silent.append((index, worst))
@@ -114,7 +117,7 @@ def test_a_stream_that_the_second_decoder_does_not_support_has_no_problem(compre
 
 
 @needs_av
-def test_the_level_of_reports_is_restored(compressed):
+def test_log_level_is_restored(compressed):
     import av.logging
 
     before = av.logging.get_level()
@@ -122,7 +125,7 @@ def test_the_level_of_reports_is_restored(compressed):
     assert av.logging.get_level() == before
 
 
-def test_without_pyav_a_note_states_that_damage_may_stay_unseen(compressed, monkeypatch):
+def test_note_states_that_damage_may_be_missed_without_pyav(compressed, monkeypatch):
     monkeypatch.setattr(second_decoder, "has_second_decoder", lambda: False)
     volume = open_volume(compressed)
     assert volume.is_hu
@@ -131,8 +134,8 @@ def test_without_pyav_a_note_states_that_damage_may_stay_unseen(compressed, monk
     assert "carina doctor" in note.words
 
 
-def test_checks_that_did_not_start_are_dropped(compressed, monkeypatch):
-    """A cancelled import waits for the slices in work alone."""
+def test_cancelled_import_drops_checks_that_have_not_started(compressed, monkeypatch):
+    """A cancelled import waits only for the slices that are being checked."""
     headers = [read_header(path)[0] for path in sorted(compressed.iterdir())] * 5
     checked, gate = [], threading.Event()
 

@@ -1,4 +1,4 @@
-"""One changed byte in the headers of DICOM files: an answer or a refusal, never another exception."""
+"""DICOM headers with one changed byte: the file is read or refused, and no other exception occurs."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def _read_image(path: Path) -> None:
     try:
         header, _ = read_header(path)
     except ValueError:
-        return  # the answer to a file that is no DICOM
+        return  # the expected answer for a file that is not DICOM
     if header is not None and header.problem is None and header.rows * header.columns < 1 << 20:
         from carina.volume.dicom_pixels import decode_slice
 
@@ -71,12 +71,12 @@ READERS: dict[str, Callable[[Path], object]] = {
 
 
 @pytest.mark.parametrize("kind", READERS)
-def test_a_changed_byte_gives_an_answer_or_a_refusal(files, tmp_path, rng, kind):
+def test_changed_header_byte_gives_a_result_or_a_refusal(files, tmp_path, rng, kind):
     whole = files[kind].read_bytes()
     path = tmp_path / "damaged.dcm"
     refusals = []
     with warnings.catch_warnings():
-        warnings.simplefilter("error")  # a warning may quote the file
+        warnings.simplefilter("error")  # a warning could contain text of the file
         for data in _flips(whole, rng):
             path.write_bytes(data)
             try:
@@ -91,8 +91,8 @@ def test_a_changed_byte_gives_an_answer_or_a_refusal(files, tmp_path, rng, kind)
     assert max(len(str(error)) for error in refusals) <= 600
 
 
-def test_a_flipped_vr_letter_of_a_segmentation_leaves_with_3(files, tmp_path):
-    """The bytes of SegmentNumber are read as text after the change of US to UQ."""
+def test_flipped_vr_letter_of_a_segmentation_exits_with_status_3(files, tmp_path):
+    """The change of US to UQ makes the bytes of SegmentNumber text."""
     whole = files["SEG"].read_bytes()
     at = whole.index(b"\x62\x00\x04\x00US") + 5
     damaged = tmp_path / "seg.dcm"
@@ -104,7 +104,7 @@ def test_a_flipped_vr_letter_of_a_segmentation_leaves_with_3(files, tmp_path):
 
 
 def test_a_series_with_a_damaged_header_opens_or_is_refused(files, tmp_path, rng):
-    """Through the front door: the folder with one damaged slice."""
+    """Open the whole folder with one damaged slice by the public function."""
     folder = tmp_path / "ct"
     series(folder, hu=chest()[:4])
     path = folder / "IM001"
@@ -120,8 +120,8 @@ def test_a_series_with_a_damaged_header_opens_or_is_refused(files, tmp_path, rng
     assert all(code.startswith("import.") for code in codes)
 
 
-def test_pixel_data_that_became_a_number_is_refused(tmp_path):
-    """PixelData of VR US and two bytes is the number 65535, of which ``bytes`` would make 65535 zeros."""
+def test_pixel_data_with_a_numeric_vr_is_refused(tmp_path):
+    """PixelData of VR US and two bytes is the number 65535; ``bytes(65535)`` would return 65535 zeros."""
     folder = series(tmp_path, hu=chest()[:3])
     path = folder / "IM001"
     whole = path.read_bytes()

@@ -1,4 +1,4 @@
-"""DICOM folders: geometry from the tags of every slice, and refusals by name."""
+"""Import of DICOM folders: geometry from the tags of every slice, and refusals with code and file name."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def move(dataset: Dataset, offset_lps: np.ndarray) -> None:
 
 
 def frame(dataset: Dataset) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Directions of the image's row, column and normal."""
+    """Return the directions of the image's rows, columns and normal as unit vectors in LPS."""
     row, column = np.array(dataset.ImageOrientationPatient, dtype=np.float64).reshape(2, 3)
     return row, column, np.cross(row, column)
 
@@ -44,11 +44,9 @@ def refusal(path: Path) -> VolumeImportError:
     return caught.value
 
 
-def test_an_oblique_anisotropic_series_has_the_positions_of_its_tags(
-    write_series, expected_lps_from_ijk, expected_hu_zyx
-):
+def test_oblique_anisotropic_series_has_the_positions_of_its_tags(write_series, expected_lps_from_ijk, expected_hu_zyx):
     volume = open_volume(write_series())
-    # Tags are decimal text with nine decimals here: 1e-8 mm is their rounding over the whole grid.
+    # Tags have nine decimals; 1e-8 mm is their rounding error over the whole grid.
     np.testing.assert_allclose(volume.lps_from_ijk, expected_lps_from_ijk, rtol=0, atol=1e-8)
     np.testing.assert_array_equal(volume.hu_zyx, expected_hu_zyx)
     assert volume.is_hu
@@ -56,14 +54,14 @@ def test_an_oblique_anisotropic_series_has_the_positions_of_its_tags(
 
 
 @pytest.mark.parametrize("order", ["reversed", "shuffled"])
-def test_file_names_do_not_decide_the_order_of_slices(write_series, expected_lps_from_ijk, expected_hu_zyx, order):
+def test_order_of_slices_does_not_depend_on_file_names(write_series, expected_lps_from_ijk, expected_hu_zyx, order):
     names = {"reversed": lambda i: f"IM{100 - i}", "shuffled": lambda i: f"{(i * 5 + 3) % SLICES}.dcm"}[order]
     volume = open_volume(write_series(name=names))
     np.testing.assert_allclose(volume.lps_from_ijk, expected_lps_from_ijk, rtol=0, atol=1e-8)
     np.testing.assert_array_equal(volume.hu_zyx, expected_hu_zyx)
 
 
-def test_one_file_stands_for_its_series(write_series, expected_hu_zyx):
+def test_path_of_one_slice_opens_its_series(write_series, expected_hu_zyx):
     folder = write_series(name=lambda i: f"{i}.dcm")
     write_series("scan", number=4, name=lambda i: f"other{i}.dcm", num_slices=12)
     np.testing.assert_array_equal(open_volume(folder / "4.dcm").hu_zyx, expected_hu_zyx)
@@ -74,7 +72,7 @@ def test_uncompressed_transfer_syntaxes_give_the_same_voxels(write_series, expec
     np.testing.assert_array_equal(open_volume(write_series(syntax=syntax)).hu_zyx, expected_hu_zyx)
 
 
-def test_big_endian_pixels_are_swapped(write_series, expected_hu_zyx):
+def test_big_endian_pixels_are_converted(write_series, expected_hu_zyx):
     def swap(dataset, index):
         dataset.PixelData = np.frombuffer(dataset.PixelData, "<i2").astype(">i2").tobytes()
 
@@ -82,7 +80,7 @@ def test_big_endian_pixels_are_swapped(write_series, expected_hu_zyx):
     np.testing.assert_array_equal(open_volume(folder).hu_zyx, expected_hu_zyx)
 
 
-def test_slope_and_intercept_of_each_slice_count(write_series, expected_hu_zyx):
+def test_slope_and_intercept_of_each_slice_are_applied(write_series, expected_hu_zyx):
     slopes = [1.0, -1.0, 0.5, 2.5, 1.0, 1.0, 0.25, 1.0, -0.5]
     stored_zyx = [
         np.rint((hu - (-1000 + index)) / slopes[index]).astype(np.int16) for index, hu in enumerate(expected_hu_zyx)
@@ -99,25 +97,25 @@ def test_slope_and_intercept_of_each_slice_count(write_series, expected_hu_zyx):
     assert volume.is_hu
 
 
-def test_bits_above_the_used_ones_are_ignored(write_series):
+def test_bits_above_bits_stored_are_ignored(write_series):
     def twelve_bits(dataset, index):
         dataset.BitsStored, dataset.HighBit = 12, 11
         values = np.full((dataset.Rows, dataset.Columns), 0xF801 if index % 2 else 0x57FF, dtype=np.uint16)
         dataset.PixelData = values.tobytes()
 
     volume = open_volume(write_series(edit=twelve_bits))
-    # 0x57FF -> 0x7FF -> 2047; 0xF801 -> 0x801 -> -2047 in 12 bits; both less 1024.
+    # 0x57FF -> 0x7FF -> 2047; 0xF801 -> 0x801 -> -2047 in 12 bits; 1024 is subtracted from both.
     assert set(np.unique(volume.hu_zyx[0])) == {2047 - 1024}
     assert set(np.unique(volume.hu_zyx[1])) == {-2047 - 1024}
 
 
-def test_values_outside_int16_are_clipped_and_said(write_series):
+def test_values_outside_int16_are_clipped_with_a_note(write_series):
     volume = open_volume(write_series(edit=lambda d, i: setattr(d, "RescaleSlope", 100)))
     assert int(volume.hu_zyx.max()) == 32767
     assert any("outside -32768 to 32767" in warning for warning in volume.source.warnings)
 
 
-def test_a_missing_slice_is_named_with_its_gap(write_series):
+def test_missing_slice_is_reported_with_its_gap(write_series):
     folder = write_series()
     (folder / "IM004").unlink()
     error = refusal(folder)
@@ -138,7 +136,7 @@ def test_slowly_drifting_gaps_are_refused(write_series):
 
 
 @pytest.mark.parametrize(("off_mm", "good"), [(0.11, True), (0.14, False)])
-def test_one_slice_may_lie_a_tenth_of_the_gap_off_the_grid(write_series, off_mm, good):
+def test_one_slice_may_be_a_tenth_of_the_gap_off_the_grid(write_series, off_mm, good):
     # Tolerance: 0.1 * 1.25 mm = 0.125 mm.
     folder = write_series(edit=lambda d, i: move(d, frame(d)[2] * (off_mm if i == 4 else 0.0)))
     if good:
@@ -154,7 +152,7 @@ def test_positions_rounded_to_a_tenth_of_a_millimetre_pass(write_series):
     assert open_volume(write_series(edit=round_positions)).shape_zyx[0] == SLICES
 
 
-def test_a_second_slice_at_the_same_place_is_refused(write_series):
+def test_two_different_slices_at_one_position_are_refused(write_series):
     folder = write_series()
     twin = bytearray((folder / "IM002").read_bytes())
     twin[-1] ^= 1
@@ -164,7 +162,7 @@ def test_a_second_slice_at_the_same_place_is_refused(write_series):
     assert "IM002 and IM002 copy" in str(error)
 
 
-def test_a_copy_of_a_slice_counts_once_and_stands_for_it(write_series, expected_hu_zyx):
+def test_copy_of_a_slice_is_used_once_and_its_path_opens_the_series(write_series, expected_hu_zyx):
     folder = write_series()
     shutil.copy(folder / "IM002", folder / "IM002 copy")
     for path in (folder, folder / "IM002 copy"):
@@ -175,7 +173,7 @@ def test_a_copy_of_a_slice_counts_once_and_stands_for_it(write_series, expected_
 
 @pytest.mark.parametrize(("tilt_deg", "good"), [(0.0, True), (0.15, True), (0.6, False), (16.5, False)])
 def test_gantry_tilt_is_refused_and_near_zero_tilt_is_not(write_series, expected_lps_from_ijk, tilt_deg, good):
-    # Tolerance 0.2 degrees, or 0.1 mm over the height; this stack is 10 mm high, where 0.6 degrees make 0.105 mm.
+    # The tolerance is 0.2 degrees, or 0.1 mm over the height; 0.6 degrees over this 10 mm stack are 0.105 mm.
     lean_mm = GAP_MM * np.tan(np.radians(tilt_deg))
     folder = write_series(edit=lambda d, i: move(d, frame(d)[1] * lean_mm * i))
     if not good:
@@ -183,7 +181,7 @@ def test_gantry_tilt_is_refused_and_near_zero_tilt_is_not(write_series, expected
         assert error.code == "import.geometry.tilt"
         assert f"{tilt_deg:.1f} degrees" in str(error)
         return
-    # The lean stays in the transform, so that every slice is where its tag says.
+    # The transform keeps the tilt, so that every slice has the position of its tag.
     expected = expected_lps_from_ijk.copy()
     expected[:3, 2] += lean_mm * expected[:3, 1] / 0.9
     np.testing.assert_allclose(open_volume(folder).lps_from_ijk, expected, rtol=0, atol=1e-8)
@@ -229,7 +227,7 @@ def test_mixed_series_are_refused(write_series, edit, words):
     assert "IM005" in str(error)
 
 
-def test_one_slice_alone_is_refused(write_series):
+def test_single_slice_is_refused(write_series):
     assert refusal(write_series(num_slices=1)).code == "import.single-slice"
 
 
@@ -245,7 +243,7 @@ def test_one_slice_alone_is_refused(write_series):
         ("RescaleSlope", 0, "RescaleSlope is 0"),
     ],
 )
-def test_missing_and_useless_tags_are_refused_by_name(write_series, keyword, value, words):
+def test_missing_and_invalid_tags_are_refused_by_name(write_series, keyword, value, words):
     def edit(dataset, index):
         if index == 3:
             if value is None:
@@ -265,7 +263,7 @@ def test_multi_frame_images_are_refused_by_name(write_series):
     assert "7 frames" in str(error)
 
 
-def test_a_truncated_slice_is_named(write_series):
+def test_truncated_slice_is_reported_by_name(write_series):
     folder = write_series()
     last = folder / "IM008"
     last.write_bytes(last.read_bytes()[:-100])
@@ -274,7 +272,7 @@ def test_a_truncated_slice_is_named(write_series):
     assert "IM008" in str(error)
 
 
-def test_a_header_that_claims_more_pixels_than_the_file_holds_is_refused(write_series):
+def test_header_that_claims_more_pixels_than_the_file_contains_is_refused(write_series):
     def lie(dataset, index):
         dataset.Rows = dataset.Columns = 8000
 
@@ -283,14 +281,14 @@ def test_a_header_that_claims_more_pixels_than_the_file_holds_is_refused(write_s
     assert "128000000 bytes" in str(error)
 
 
-def test_a_header_that_claims_an_absurd_size_is_refused(write_series):
+def test_header_that_claims_an_enormous_size_is_refused(write_series):
     def lie(dataset, index):
         dataset.Rows = dataset.Columns = 60000
 
     assert refusal(write_series(edit=lie)).code == "import.header"
 
 
-def test_damaged_compressed_pixels_are_named_without_the_words_of_the_library(write_series, capfd):
+def test_damaged_compressed_pixels_are_reported_without_text_of_the_library(write_series, capfd):
     def damage(dataset, index):
         dataset.PixelData = encapsulate([b"\xff\xd8\xff\xf7 this is no picture "])
         dataset["PixelData"].VR = "OB"
@@ -306,7 +304,7 @@ def _jpeg_ls_header(rows: int, columns: int) -> bytes:
     return b"\xff\xd8\xff\xf7\x00\x0b\x10" + rows.to_bytes(2) + columns.to_bytes(2) + b"\x01\x01\x11\x00"
 
 
-def test_a_compressed_stream_that_claims_another_size_is_refused_before_it_is_decoded(write_series):
+def test_compressed_stream_of_another_size_is_refused_before_decoding(write_series):
     import resource
 
     def lie(dataset, index):
@@ -317,7 +315,7 @@ def test_a_compressed_stream_that_claims_another_size_is_refused_before_it_is_de
     error = refusal(write_series(edit=lie, syntax=JPEGLSLossless))
     assert error.code == "import.truncated"
     assert "65000 x 65000" in str(error)
-    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000  # kB; the claim is 8 million
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000  # kB; the header claims 8 million
 
 
 def test_an_unknown_compression_is_refused_by_name(write_series):
@@ -328,7 +326,7 @@ def test_an_unknown_compression_is_refused_by_name(write_series):
     assert refusal(write_series(edit=video, syntax=MPEG2MPML)).code == "import.not-supported"
 
 
-def test_files_that_are_not_images_are_passed_over(write_series, expected_hu_zyx):
+def test_files_that_are_not_images_are_skipped(write_series, expected_hu_zyx):
     folder = write_series()
     (folder / "report.pdf").write_bytes(b"%PDF-1.4 nothing here" * 20)
     (folder / "DIRFILE").write_bytes(b"\0" * 128 + b"DICM" + b"\x02\x00\x00\x00UL\x04\x00" + b"\xff" * 50)
@@ -347,7 +345,7 @@ def test_files_that_are_not_images_are_passed_over(write_series, expected_hu_zyx
         ("notes.txt", b"no image", "not an image volume"),
     ],
 )
-def test_other_files_are_refused_by_what_they_are(tmp_path, name, data, words):
+def test_other_file_types_are_refused_by_their_type(tmp_path, name, data, words):
     (tmp_path / name).write_bytes(data)
     error = refusal(tmp_path / name)
     assert error.code == "import.not-an-image"
@@ -366,7 +364,7 @@ def test_a_missing_path_is_refused(tmp_path):
     assert refusal(tmp_path / "nowhere").code == "import.not-found"
 
 
-def test_a_deflated_bomb_is_passed_over_without_being_unpacked(write_series, tmp_path, expected_hu_zyx):
+def test_deflated_bomb_is_skipped_without_being_inflated(write_series, tmp_path, expected_hu_zyx):
     import tracemalloc
     import zlib
 
@@ -382,7 +380,7 @@ def test_a_deflated_bomb_is_passed_over_without_being_unpacked(write_series, tmp
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     np.testing.assert_array_equal(volume.hu_zyx, expected_hu_zyx)
-    assert peak < 50e6  # the bomb holds 300 MB
+    assert peak < 50e6  # the bomb inflates to 300 MB
 
 
 @pytest.mark.parametrize(
@@ -397,11 +395,11 @@ def test_a_deflated_bomb_is_passed_over_without_being_unpacked(write_series, tmp
         ({}, None),
     ],
 )
-def test_the_date_of_a_scan_is_its_acquisitions_else_its_studys_and_is_not_shown(write_series, dates, found):
+def test_scan_date_is_the_acquisition_date_else_the_study_date_and_is_not_shown(write_series, dates, found):
     def edit(dataset, _index):
         for keyword, value in dates.items():
             element = DataElement(keyword, dictionary_VR(keyword), None)
-            element._value = value  # as it stands in a file, checked by nobody
+            element._value = value  # as a file may contain it: pydicom checks only values that are assigned normally
             dataset.add(element)
 
     volume = open_volume(write_series(edit=edit))

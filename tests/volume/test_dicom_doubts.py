@@ -1,4 +1,4 @@
-"""What the corpus cannot show as a file: rights, other threads, healthy pictures of every kind, lists and texts."""
+"""DICOM import cases that are not files of the corpus: permissions, threads, intact pictures, lists and texts."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SECRETS = ("Secret", "SECRET", "1.2.3.98", "1.2.3.4.5")
 
 
 def _deny(monkeypatch, *names: str) -> None:
-    """Open fails as it does without permission; the user that runs the tests may read everything."""
+    """Make opening these files fail as without permission, because root may read every file."""
     whole = Path.open
 
     def refuse(path: Path, *args, **kwargs):
@@ -34,7 +34,7 @@ def _deny(monkeypatch, *names: str) -> None:
     monkeypatch.setattr(Path, "open", refuse)
 
 
-def test_files_that_may_not_be_read_are_counted_and_named(tmp_path, monkeypatch):
+def test_files_without_read_permission_are_counted_and_named(tmp_path, monkeypatch):
     series(tmp_path)
     (tmp_path / "notes.txt").write_text("not a slice")
     _deny(monkeypatch, "IM018", "IM019", "notes.txt")
@@ -81,7 +81,7 @@ def test_a_folder_that_cannot_be_opened_is_counted(tmp_path, monkeypatch):
     assert "1 (a folder that cannot be opened)" in volume.source.warnings[0]
 
 
-def test_an_inspection_says_what_could_not_be_used_and_strict_leaves_with_3(tmp_path, capsys):
+def test_inspection_lists_unusable_files_and_strict_exits_with_status_3(tmp_path, capsys):
     series(tmp_path)
     (tmp_path / "IM019").write_bytes(b"")
     assert [note.code for note in inspect_path(tmp_path).notes] == ["import.files-unread"]
@@ -89,7 +89,7 @@ def test_an_inspection_says_what_could_not_be_used_and_strict_leaves_with_3(tmp_
     assert "IM019 (empty)" in capsys.readouterr().out
 
 
-def test_no_note_or_label_holds_a_name_or_a_uid(tmp_path):
+def test_no_note_or_label_contains_a_name_or_a_uid(tmp_path):
     def two_patients(dataset, index):
         if index >= 12:
             dataset.PatientID, dataset.PatientName = "SECRET-2", "Secret^Two"
@@ -123,13 +123,13 @@ def test_each_part_of_a_series_can_be_chosen_by_its_key(tmp_path):
     np.testing.assert_array_equal(open_volume(tmp_path / "J4").hu_zyx, second)
 
 
-def test_a_single_file_of_a_damaged_series_still_tells_of_the_others(tmp_path):
+def test_path_of_one_file_of_a_damaged_series_lists_the_other_series(tmp_path):
     series(tmp_path)
     (tmp_path / "IM000").write_bytes(b"")
     assert [note.code for note in open_volume(tmp_path / "IM007").source.notes] == ["import.files-unread"]
 
 
-def test_a_refusal_of_mixed_rescale_leaves_the_series_out_and_takes_another_ct(tmp_path):
+def test_series_with_mixed_rescale_is_refused_and_another_ct_is_opened(tmp_path):
     def drop(dataset, index):
         if index == 3:
             del dataset.RescaleIntercept
@@ -144,7 +144,7 @@ def test_a_refusal_of_mixed_rescale_leaves_the_series_out_and_takes_another_ct(t
     assert caught.value.code == "import.rescale-mixed"
 
 
-def test_what_another_thread_writes_while_a_decoder_runs_is_not_lost(capfd):
+def test_output_of_another_thread_during_decoding_is_not_lost(capfd):
     with decoder_words() as heard:
         os.write(2, b"Corrupt JPEG data: premature end of data segment\n")
         other = threading.Thread(target=lambda: os.write(2, b"server: a line of the log\n"))
@@ -155,8 +155,8 @@ def test_what_another_thread_writes_while_a_decoder_runs_is_not_lost(capfd):
     assert capfd.readouterr().err == "server: a line of the log\n"
 
 
-def test_a_decoder_that_mutters_ends_hu(tmp_path, monkeypatch):
-    """The decoder's own words are enough, also where the stream looks whole."""
+def test_decoder_warning_removes_the_hu_status(tmp_path, monkeypatch):
+    """A warning of the decoder is sufficient, even if the stream seems complete."""
     series(tmp_path, lambda dataset, index: packed(dataset, tmp_path, "JPEG2000"))
     import carina.volume.dicom_pixels as pixels
 
@@ -175,7 +175,7 @@ def test_a_decoder_that_mutters_ends_hu(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("noise_hu", [0, 5, 25, 90, 200])
 @pytest.mark.parametrize("offset", [0, 1024, 8192])
-def test_healthy_pictures_of_any_noise_are_in_order(rng, noise_hu, offset):
+def test_intact_pictures_of_any_noise_level_have_no_problem(rng, noise_hu, offset):
     hu = chest(noise_hu=float(noise_hu)) if noise_hu else chest(noise_hu=1e-9)
     signed = (hu.astype(np.int32) + offset).astype(np.int16)
     assert _byte_order_doubts(signed[5].view(np.uint16), lambda some: some.view(np.int16).astype(np.int32)) == ()
@@ -187,7 +187,7 @@ def test_healthy_pictures_of_any_noise_are_in_order(rng, noise_hu, offset):
     assert odd_slices(finer.astype(np.int16), compressed=True, slice_mm=1.0) == []
 
 
-def test_pure_noise_and_numbers_of_one_byte_tell_nothing_of_their_order(rng):
+def test_pure_noise_and_8_bit_values_are_never_reported(rng):
     for words in (
         rng.integers(0, 1 << 16, (64, 64)).astype(np.uint16),
         rng.integers(0, 256, (64, 64)).astype(np.uint16),
@@ -198,22 +198,22 @@ def test_pure_noise_and_numbers_of_one_byte_tell_nothing_of_their_order(rng):
 
 
 @pytest.mark.parametrize("at", [0, 9, 19])
-def test_a_slice_of_another_scale_is_odd_in_mid_stack_alone(at):
+def test_slice_of_another_scale_is_reported_only_inside_the_stack(at):
     values = chest().copy()
     values[at] += 1024
-    # At an end there is one neighbour only, and an end may differ.
+    # An end slice has only one neighbour and may differ from it.
     assert odd_slices(values, compressed=False, slice_mm=1.0) == ([at] if 0 < at < 19 else [])
 
 
 @pytest.mark.parametrize(("slice_mm", "odd"), [(2.0, [9]), (10.0, [])])
-def test_what_thick_slices_may_show_alone_is_no_damage(slice_mm, odd):
+def test_structure_in_one_thick_slice_is_not_reported_as_damage(slice_mm, odd):
     values = np.full((20, 128, 128), -850, dtype=np.int16)
-    values[9, 40:46, :40] = 30  # a vessel of 5 mm that runs in the plane
+    values[9, 40:46, :40] = 30  # a vessel 5 mm wide that runs within the slice
     assert odd_slices(values, compressed=True, slice_mm=slice_mm) == odd
     assert odd_slices(values, compressed=False, slice_mm=slice_mm) == []
 
 
-def test_an_rle_frame_must_unpack_to_the_pixels_exactly():
+def test_rle_frame_must_unpack_to_the_exact_number_of_pixels():
     header = (1).to_bytes(4, "little") + (64).to_bytes(4, "little") + bytes(56)
     assert rle_problem(header + b"\x03\x01\x02\x03\x04\xfd\x09", 8) is None
     assert rle_problem(header + b"\x03\x01\x02\x03\x04\xfd\x09\x00", 8) is None  # padded to an even length
@@ -229,8 +229,7 @@ def _outcome(path: Path) -> str:
         return error.code
 
 
-def test_random_damage_never_crashes_the_reader(tmp_path, rng):
-    """Whatever bytes of a compressed slice change, there is a volume or a refusal."""
+def test_random_damage_gives_a_volume_or_a_refusal(tmp_path, rng):
     series(tmp_path, lambda dataset, index: packed(dataset, tmp_path, "JPEG2000"), hu=chest()[:3])
     path = tmp_path / "IM001"
     whole = path.read_bytes()
@@ -242,7 +241,7 @@ def test_random_damage_never_crashes_the_reader(tmp_path, rng):
         assert _outcome(tmp_path).startswith(("Volume(", "import."))
 
 
-def test_a_repacked_stream_is_the_same_picture(tmp_path):
+def test_recompressed_stream_decodes_to_the_same_picture(tmp_path):
     def both(dataset, index):
         packed(dataset, tmp_path, "JPEG")
         repack(dataset, lambda frame: frame)
@@ -250,7 +249,7 @@ def test_a_repacked_stream_is_the_same_picture(tmp_path):
     np.testing.assert_array_equal(open_volume(series(tmp_path, both)).hu_zyx, chest())
 
 
-def test_a_lossless_jpeg_stream_holds_one_code_for_each_pixel(tmp_path):
+def test_lossless_jpeg_stream_has_one_code_for_each_pixel(tmp_path):
     frames: list[bytes] = []
 
     def pack(dataset, index):
@@ -267,5 +266,5 @@ def test_a_lossless_jpeg_stream_holds_one_code_for_each_pixel(tmp_path):
         lossless_jpeg_problem(frame[:at] + bytes([frame[at] ^ 0x5A]) + frame[at + 1 :]) is not None
         for at in range(start, end - 20, 7)
     )
-    # One wrong byte is seen where it changes the number of codes: in about a third of all places.
+    # A wrong byte is detected if it changes the number of codes: at about a third of all positions.
     assert found > 0.2 * len(range(start, end - 20, 7))

@@ -1,4 +1,4 @@
-"""One CT has one digest in every file format, order of axes and direction; another CT has another, and is refused."""
+"""Digest of a CT: equal in every file format and axis order, different for another CT, which a case refuses."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ ORDERS = [(axes, flips) for axes in permutations(range(3)) for flips in product(
 
 
 def turned(volume: Volume, axes_ijk, flips) -> Volume:
-    """The same voxels at the same places, with another order and direction of the file's axes."""
+    """Return a volume with the same voxels at the same positions, with other order and direction of its array axes."""
     values = volume.hu_zyx.transpose([2 - axes_ijk[2 - n] for n in range(3)])
     old_from_new = np.zeros((4, 4))
     old_from_new[3, 3] = 1.0
@@ -43,12 +43,12 @@ def turned(volume: Volume, axes_ijk, flips) -> Volume:
 
 
 def numbered(shape_zyx=(3, 4, 5), lps_from_ijk: np.ndarray = LPS_FROM_IJK) -> Volume:
-    """A different value in every voxel."""
+    """Return a volume with a different value in every voxel."""
     return Volume(np.arange(np.prod(shape_zyx), dtype=np.int16).reshape(shape_zyx), lps_from_ijk)
 
 
 def about(axis: int, degrees: float) -> np.ndarray:
-    """4x4 turn about x, y or z with voxels of three sizes."""
+    """Return the 4x4 rotation about x, y or z, combined with three different spacings."""
     matrix, (a, b) = np.eye(4), [n for n in range(3) if n != axis]
     cos, sin = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     matrix[a, a], matrix[a, b], matrix[b, a], matrix[b, b] = cos, -sin, sin, cos
@@ -57,19 +57,19 @@ def about(axis: int, degrees: float) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def chest() -> Volume:
-    """What all forms of a grid file hold."""
+    """Return the volume that all forms of a grid file contain."""
     return Volume(grid_writers.chest(), LPS_FROM_IJK)
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_every_form_of_a_grid_file_has_the_digest_and_the_geometry_of_its_array(form, chest, tmp_path):
+def test_every_grid_file_form_gives_the_digest_and_geometry_of_its_array(form, chest, tmp_path):
     opened = open_volume(FORMS[form](tmp_path, grid_writers.chest()))
     assert ct_digest(opened) == ct_digest(chest)
     assert same_geometry(opened, chest)
 
 
 @pytest.mark.parametrize(("axes", "flips"), [((0, 1, 2), (False,) * 3), ((2, 0, 1), (True, False, True))])
-def test_a_dicom_series_and_what_it_is_exported_to_have_one_digest_and_one_geometry(axes, flips, tmp_path):
+def test_dicom_series_and_its_exports_have_equal_digest_and_geometry(axes, flips, tmp_path):
     series = open_volume(dicom_writer.series(tmp_path / "series"))
     stored = turned(series, axes, flips)
     for suffix in (".nii", ".nii.gz", ".nrrd", ".mha"):
@@ -80,13 +80,13 @@ def test_a_dicom_series_and_what_it_is_exported_to_have_one_digest_and_one_geome
         refuse_other_ct(opened, ct_digest(series), canonical_geometry(series))
 
 
-def test_the_slices_of_a_series_may_be_read_in_any_order_of_their_files(tmp_path):
+def test_digest_does_not_depend_on_the_file_order_of_the_slices(tmp_path):
     there = open_volume(dicom_writer.series(tmp_path / "a"))
     back = open_volume(dicom_writer.series(tmp_path / "b", name=lambda index: f"{99 - index:03d}"))
     assert ct_digest(there) == ct_digest(back)
 
 
-def test_values_that_are_rounded_on_import_have_one_digest_in_every_format(tmp_path):
+def test_values_rounded_on_import_have_one_digest_in_every_format(tmp_path):
     whole = grid_writers.chest()
     broken = (whole + np.float32(0.25)).astype("<f4")
     for write in (grid_writers.nifti, grid_writers.nrrd, grid_writers.metaimage):
@@ -94,7 +94,7 @@ def test_values_that_are_rounded_on_import_have_one_digest_in_every_format(tmp_p
 
 
 @pytest.mark.parametrize("lps_from_ijk", [np.diag([0.7, 0.8, 1.25, 1.0]), LPS_FROM_IJK, about(1, -31.0)])
-def test_order_and_direction_of_the_axes_change_neither_digest_nor_geometry(lps_from_ijk):
+def test_axis_order_and_direction_change_neither_digest_nor_geometry(lps_from_ijk):
     volume = numbered(lps_from_ijk=lps_from_ijk)
     for axes, flips in ORDERS:
         other = turned(volume, axes, flips)
@@ -106,7 +106,7 @@ def test_order_and_direction_of_the_axes_change_neither_digest_nor_geometry(lps_
 
 @pytest.mark.parametrize("degrees", [-45.0, 45.0, 135.0])
 @pytest.mark.parametrize("axis", range(3))
-def test_a_scan_tilted_by_45_degrees_does_not_depend_on_the_last_bit_of_its_header(axis, degrees):
+def test_digest_at_45_degrees_tilt_does_not_depend_on_the_last_bit_of_the_header(axis, degrees):
     volume = numbered(lps_from_ijk=about(axis, degrees))
     nudges = np.random.default_rng(1)
     for axes, flips in ORDERS:
@@ -116,14 +116,14 @@ def test_a_scan_tilted_by_45_degrees_does_not_depend_on_the_last_bit_of_its_head
         assert ct_digest(Volume(other.hu_zyx, header)) == ct_digest(volume)
 
 
-def test_the_digest_is_sha256_of_what_itk_calls_lps(chest):
+def test_digest_is_the_sha256_of_the_volume_in_itk_lps_orientation(chest):
     image = sitk.GetImageFromArray(chest.hu_zyx)
     image.SetDirection(grid_writers.DIRECTIONS.ravel())
     values = sitk.GetArrayFromImage(sitk.DICOMOrient(image, "LPS"))
     assert ct_digest(chest) == hashlib.sha256(values.astype("<i2").tobytes()).hexdigest()
 
 
-def test_what_is_canonical_stays_as_it_is():
+def test_canonical_volume_is_returned_unchanged():
     canonical = canonical_geometry(numbered())
     again = canonical_geometry(canonical)
     assert again.shape_zyx == canonical.shape_zyx
@@ -131,40 +131,40 @@ def test_what_is_canonical_stays_as_it_is():
 
 
 @pytest.mark.parametrize("shape_zyx", [(1, 4, 5), (3, 1, 5), (3, 4, 1), (1, 1, 5), (1, 1, 1)])
-def test_axes_of_one_voxel_may_lie_anywhere_in_the_order(shape_zyx):
+def test_axes_of_one_voxel_may_be_anywhere_in_the_order(shape_zyx):
     volume = numbered(shape_zyx)
     for axes, flips in ORDERS:
         assert ct_digest(turned(volume, axes, flips)) == ct_digest(volume)
         assert same_geometry(turned(volume, axes, flips), volume)
 
 
-def test_one_other_voxel_makes_another_digest():
+def test_one_changed_voxel_changes_the_digest():
     values = numbered().hu_zyx.copy()
     values[-1, -1, -1] += 1
     assert ct_digest(Volume(values, LPS_FROM_IJK)) != ct_digest(numbered())
 
 
-def test_a_mirrored_chest_is_another_ct():
+def test_mirrored_chest_has_another_digest():
     volume = numbered()
     mirrored = Volume(np.ascontiguousarray(volume.hu_zyx[:, :, ::-1]), LPS_FROM_IJK)
     assert ct_digest(mirrored) != ct_digest(volume)
 
 
 @pytest.mark.parametrize(("moved_mm", "same"), [(0.0009, True), (0.0011, False)])
-def test_places_are_compared_within_a_thousandth_of_a_millimetre(moved_mm, same):
+def test_positions_are_compared_within_a_thousandth_of_a_millimetre(moved_mm, same):
     moved = LPS_FROM_IJK.copy()
     moved[2, 3] += moved_mm
     assert same_geometry(numbered(), numbered(lps_from_ijk=moved)) is same
 
 
-def test_a_corner_far_from_the_origin_is_compared_too():
+def test_far_corner_is_compared_too():
     longer = LPS_FROM_IJK.copy()
     longer[:3, 2] *= 1 + 1e-5
     assert same_geometry(numbered((3, 4, 5)), numbered((3, 4, 5), longer))
     assert not same_geometry(numbered((300, 4, 5)), numbered((300, 4, 5), longer))
 
 
-def test_slabs_do_not_show_in_the_digest_and_a_second_volume_is_never_made(monkeypatch):
+def test_digest_by_slabs_equals_the_whole_and_copies_no_volume(monkeypatch):
     volume = turned(numbered((40, 60, 50)), (2, 1, 0), (True, False, False))
     expected = ct_digest(volume)
     monkeypatch.setattr(digest, "_SLAB_BYTES", 7000)
@@ -177,18 +177,18 @@ def test_slabs_do_not_show_in_the_digest_and_a_second_volume_is_never_made(monke
         tracemalloc.stop()
 
 
-def test_a_digest_is_given_up_when_nobody_wants_it():
+def test_cancelled_digest_stops():
     with pytest.raises(CancelledError):
         ct_digest(numbered(), cancel=lambda: True)
 
 
 def case_of(volume: Volume) -> tuple[str, SimpleNamespace]:
-    """What a case keeps of its CT."""
+    """Return the digest and the geometry of a CT as a case stores them."""
     kept = canonical_geometry(volume)
     return ct_digest(volume), SimpleNamespace(shape_zyx=kept.shape_zyx, lps_from_ijk=kept.lps_from_ijk)
 
 
-def test_another_ct_is_refused_with_what_is_other():
+def test_another_ct_is_refused_with_the_difference():
     values = numbered().hu_zyx.copy()
     values[0, 0, 0] = 7
     with pytest.raises(VolumeImportError, match="its voxel values differ") as caught:
@@ -204,7 +204,7 @@ def test_another_ct_is_refused_with_what_is_other():
     assert caught.value.code == "import.other-geometry"
 
 
-def test_equal_bytes_in_another_shape_are_another_ct():
+def test_equal_bytes_in_another_shape_have_another_digest():
     flat = Volume(np.zeros((2, 3, 4), dtype=np.int16), LPS_FROM_IJK)
     tall = Volume(np.zeros((4, 3, 2), dtype=np.int16), LPS_FROM_IJK)
     assert ct_digest(flat) == ct_digest(tall)
@@ -212,7 +212,7 @@ def test_equal_bytes_in_another_shape_are_another_ct():
         refuse_other_ct(tall, *case_of(flat))
 
 
-def test_a_digest_is_found_once(monkeypatch):
+def test_digest_is_computed_once(monkeypatch):
     volume = numbered()
     found = ct_digest(volume)
     monkeypatch.setattr(digest, "canonical_axes", None)

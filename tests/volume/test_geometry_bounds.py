@@ -1,4 +1,4 @@
-"""Every numeric bound of the geometry checks: a value just inside opens, a value just outside is refused."""
+"""Numeric limits of the geometry checks: a value just inside opens, a value just outside is refused."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ INSIDE, OUTSIDE = 1 - 1e-6, 1 + 1e-6
 def stack(
     positions: np.ndarray, *, spacing=(0.7, 0.7), side=512, row=(1.0, 0.0, 0.0), column=(0.0, 1.0, 0.0)
 ) -> list[SimpleNamespace]:
-    """Return slices at these positions, with the header values that the geometry check reads."""
+    """Return slices at these positions, as objects with the header values that the geometry check reads."""
     return [
         SimpleNamespace(
             path=Path(f"IM{n:03d}"),
@@ -38,7 +38,7 @@ def stack(
 
 
 def heights(*gaps: float) -> np.ndarray:
-    """Return the positions on a straight stack with these gaps."""
+    """Return positions (n, 3) in LPS mm of a straight stack along z with these gaps in mm."""
     z = np.concatenate([[0.0], np.cumsum(gaps)])
     return np.stack([np.zeros_like(z), np.zeros_like(z), z], axis=1) + ORIGIN_LPS
 
@@ -52,14 +52,14 @@ def answer(slices: list[SimpleNamespace]) -> str:
 
 
 def one_gap(expected: float, share: float) -> list[SimpleNamespace]:
-    """Return twenty even gaps, one of them ``share`` of the limit for a doubled slice."""
+    """Return slices with twenty gaps, one of which is ``share`` times the limit for slices at one position."""
     gaps = [expected] * 20
     gaps[10] = max(0.01, 0.02 * expected) * share
     return stack(heights(*gaps))
 
 
 def longer_gap(expected: float, share: float, tolerance: float, sign: int = 1) -> list[SimpleNamespace]:
-    """Return gaps of which one is off by twice the tolerance, and its neighbour makes up for the difference."""
+    """Return slices of which one gap is off by twice the tolerance and the neighbouring gap compensates for it."""
     gaps = np.full(400, expected)
     gaps[200] += sign * 2 * tolerance * share
     gaps[201] -= sign * 2 * tolerance * share
@@ -70,28 +70,28 @@ def longer_gap(expected: float, share: float, tolerance: float, sign: int = 1) -
 
 
 def one_off(expected: float, off_mm: float) -> list[SimpleNamespace]:
-    """Return a stack with one slice away from its place along the normal."""
+    """Return a stack with one slice shifted along the normal."""
     positions = heights(*[expected] * 20)
     positions[10, 2] += off_mm
     return stack(positions)
 
 
 def sideways(shift_mm: float, spacing: tuple[float, float], axis: int = 0) -> list[SimpleNamespace]:
-    """Return a stack with one slice away from its place across the normal."""
+    """Return a stack with one slice shifted perpendicular to the normal."""
     positions = heights(*[1.0] * 20)
     positions[10, axis] += shift_mm
     return stack(positions, spacing=spacing)
 
 
 def tilted(degrees: float, num_slices: int, gap: float = 1.0, axis: int = 0) -> list[SimpleNamespace]:
-    """Return a stack that leans by an angle."""
+    """Return a stack that is tilted by an angle."""
     positions = heights(*[gap] * (num_slices - 1))
     positions[:, axis] += (positions[:, 2] - ORIGIN_LPS[2]) * math.tan(math.radians(degrees))
     return stack(positions)
 
 
 def lean(lean_mm: float, height_mm: float = 4.0) -> list[SimpleNamespace]:
-    """Return five slices that lean by a distance (more than 0.2 degrees)."""
+    """Return five slices, the stack tilted by a distance (more than 0.2 degrees)."""
     positions = heights(*[height_mm / 4] * 4)
     positions[:, 0] += np.linspace(0, lean_mm, 5)
     return stack(positions)
@@ -100,7 +100,8 @@ def lean(lean_mm: float, height_mm: float = 4.0) -> list[SimpleNamespace]:
 def turned(shift_mm: float, which: str) -> list[SimpleNamespace]:
     """Return a stack whose last slice has a turned direction, so that its far corner moves by a distance."""
     slices = stack(heights(*[1.0] * 5))
-    angle = 2 * math.asin(shift_mm / math.hypot(512 * 0.7, 512 * 0.7) / 2)  # a chord
+    # the far corner moves along a chord around the first corner
+    angle = 2 * math.asin(shift_mm / math.hypot(512 * 0.7, 512 * 0.7) / 2)
     c, s = math.cos(angle), math.sin(angle)
     if which == "row":
         slices[-1].row_lps = (c, 0.0, s)
@@ -110,7 +111,7 @@ def turned(shift_mm: float, which: str) -> list[SimpleNamespace]:
 
 
 def stretched(shift_mm: float, axis: int) -> list[SimpleNamespace]:
-    """Return a stack whose last slice has larger or smaller pixels, so that its far edge moves by a distance."""
+    """Return a stack whose last slice has another pixel size, so that its far edge moves by a distance."""
     slices = stack(heights(*[1.0] * 5))
     spacing = [0.7, 0.7]
     spacing[axis] += shift_mm / 512
@@ -126,27 +127,27 @@ def resized(rows: int, columns: int) -> list[SimpleNamespace]:
 
 
 BOUNDS = {
-    # Slices at the position of another one: 0.01 mm, or 2 % of the gap.
+    # Two slices at one position: limit of 0.01 mm, or 2 % of the gap.
     "doubled, 2 % of 1.25 mm": (lambda share: one_gap(1.25, share), "duplicate", "irregular"),
     "doubled, 0.01 mm at 0.4 mm": (lambda share: one_gap(0.4, share), "duplicate", "irregular"),
-    # Off the grid: a tenth of the gap, at least 0.06 and at most 0.3 mm.
+    # A slice off the grid: limit of a tenth of the gap, at least 0.06 and at most 0.3 mm.
     "off by a tenth of 1 mm": (lambda share: one_off(1.0, 0.1 * share), "opens", "irregular"),
     "off by 0.06 mm at 0.5 mm": (lambda share: one_off(0.5, 0.06 * share), "opens", "irregular"),
     "off by 0.3 mm at 5 mm": (lambda share: one_off(5.0, 0.3 * share), "opens", "irregular"),
     "off by -0.3 mm at 5 mm": (lambda share: one_off(5.0, -0.3 * share), "opens", "irregular"),
-    # A gap: twice that.
+    # One gap: twice the limit of a slice off the grid.
     "gap longer by a fifth of 1 mm": (lambda share: longer_gap(1.0, share, 0.1), "opens", "irregular"),
     "gap shorter by a fifth of 1 mm": (lambda share: longer_gap(1.0, share, 0.1, -1), "opens", "irregular"),
     "gap longer by 0.6 mm at 5 mm": (lambda share: longer_gap(5.0, share, 0.3), "opens", "irregular"),
-    # Across the normal: 0.1 mm, or a tenth of the smaller pixel side.
+    # Shift perpendicular to the normal: limit of 0.1 mm, or a tenth of the smaller pixel side.
     "sideways 0.1 mm at 0.7 mm pixels": (lambda share: sideways(0.1 * share, (0.7, 0.7)), "opens", "shifted"),
     "sideways -0.1 mm along y": (lambda share: sideways(-0.1 * share, (0.7, 0.7), axis=1), "opens", "shifted"),
     "sideways 0.15 mm at 1.5 mm pixels": (lambda share: sideways(0.15 * share, (1.5, 2.0)), "opens", "shifted"),
-    # Lean: 0.2 degrees, or 0.1 mm over the height.
+    # Tilt: limit of 0.2 degrees, or 0.1 mm over the height.
     "leaning 0.2 degrees over 299 mm": (lambda share: tilted(0.2 * share, 300), "opens", "tilt"),
     "leaning -0.2 degrees along y": (lambda share: tilted(-0.2 * share, 300, axis=1), "opens", "tilt"),
     "leaning 0.1 mm over 4 mm": (lambda share: lean(0.1 * share), "opens", "tilt"),
-    # Far corner of the image: 0.1 mm.
+    # Position of the far corner of the image: limit of 0.1 mm.
     "rows turned": (lambda share: turned(0.1 * share, "row"), "opens", "mixed"),
     "columns turned": (lambda share: turned(0.1 * share, "column"), "opens", "mixed"),
     "pixels larger along x": (lambda share: stretched(0.1 * share, 0), "opens", "mixed"),
@@ -157,18 +158,18 @@ BOUNDS = {
 
 
 @pytest.mark.parametrize("name", BOUNDS)
-def test_each_bound_of_a_series_decides_between_just_inside_and_just_outside(name):
+def test_each_limit_of_a_series_separates_values_inside_and_outside(name):
     make, inside, outside = BOUNDS[name]
     assert answer(make(INSIDE)) == inside
     assert answer(make(OUTSIDE)) == outside
 
 
 def test_a_slice_shifted_by_a_third_of_a_millimetre_is_refused_in_a_straight_stack():
-    # The stack does not lean: neither the angle nor the distance of the tilt check decides.
+    # The stack is not tilted, so neither limit of the tilt check applies.
     assert answer(sideways(0.3, (0.7, 0.7))) == "shifted"
 
 
-def test_a_large_angle_alone_or_a_large_distance_alone_is_no_tilt():
+def test_large_angle_alone_or_large_distance_alone_is_no_tilt():
     assert answer(lean(0.09, height_mm=2.0)) == "opens"  # 2.6 degrees, 0.09 mm
     assert answer(tilted(0.19, 300)) == "opens"  # 0.99 mm, 0.19 degrees
     assert answer(tilted(0.3, 300)) == "tilt"
@@ -177,12 +178,12 @@ def test_a_large_angle_alone_or_a_large_distance_alone_is_no_tilt():
 @pytest.mark.parametrize(
     ("rows", "columns", "expected"), [(512, 512, "opens"), (511, 512, "mixed"), (512, 513, "mixed")]
 )
-def test_one_other_side_is_another_size(rows, columns, expected):
+def test_one_different_side_is_another_size(rows, columns, expected):
     assert answer(resized(rows, columns)) == expected
 
 
 @pytest.mark.parametrize(("count", "expected"), [(1, "single-slice"), (2, "opens"), (3, "opens")])
-def test_a_stack_has_two_slices(count, expected):
+def test_stack_needs_two_slices(count, expected):
     assert answer(stack(heights(*[1.0] * (count - 1)))) == expected
 
 
@@ -194,7 +195,7 @@ def test_missing_slices_are_counted(missing, words):
         grid_from_slices(stack(heights(*gaps)), what="reading a series")
 
 
-def test_a_stack_has_the_place_of_its_slices_and_keeps_its_lean():
+def test_transform_has_the_positions_of_the_slices_and_keeps_the_tilt():
     slices = stack(heights(*[1.25] * 8), spacing=(0.7, 0.9))
     for n, one in enumerate(slices):
         one.position_lps = tuple(ORIGIN_LPS + n * np.array([0.002, -0.001, 1.25]))
@@ -205,7 +206,7 @@ def test_a_stack_has_the_place_of_its_slices_and_keeps_its_lean():
     np.testing.assert_allclose(lps_from_ijk, expected, rtol=0, atol=1e-12)
 
 
-def test_a_gap_that_is_not_a_whole_number_of_slices_is_not_called_a_missing_slice():
+def test_gap_of_a_fractional_number_of_slices_is_not_a_missing_slice():
     gaps = [1.0] * 20
     gaps[7] = 2.5
     with pytest.raises(VolumeImportError, match=r"found 2\.50 mm") as caught:
@@ -256,7 +257,7 @@ def header(shape=(3, 3, 3), matrix=None, components=1) -> GridHeader:
         (header(matrix=np.diag([1, np.inf, 1, 1])), "import.geometry.spacing"),
     ],
 )
-def test_each_bound_of_a_grid_header(given, code):
+def test_each_limit_of_a_grid_header_separates_values_inside_and_outside(given, code):
     if code is None:
         check_grid_header(given.data_path, given)
         return
@@ -267,9 +268,9 @@ def test_each_bound_of_a_grid_header(given, code):
 
 @pytest.mark.parametrize(
     ("widest_mm", "generation"),
-    # Weibel's diameters; 1.5 mm is the least visible one.
+    # Limits are the airway diameters of Weibel; 1.54 mm (generation 9) is the last one above the visible 1.5 mm.
     [(0.5, 9), (1.54, 9), (1.541, 8), (1.86, 8), (1.861, 7), (2.3, 7), (2.301, 6), (18.0, 0), (30.0, 0)],
 )
-def test_the_trusted_generation_changes_at_each_diameter(widest_mm, generation):
+def test_trusted_generation_changes_at_each_diameter(widest_mm, generation):
     assert trusted_generation((0.5, 0.5, widest_mm)) == generation
     assert trusted_generation((widest_mm, 0.5, 0.5)) == generation

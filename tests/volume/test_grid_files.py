@@ -1,4 +1,4 @@
-"""NIfTI, NRRD and MetaImage: positions, lying headers, and files that do not say where left is."""
+"""Import of NIfTI, NRRD and MetaImage: positions, false headers, and files without a patient orientation."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from carina.volume.demo import CASE_PATH
 
 SIZE_IJK = (13, 11, 9)
 SPACING_MM = (0.7, 0.9, 1.25)
-DIRECTION = (0.8, -0.36, -0.48, 0.6, 0.48, 0.64, 0.0, -0.8, 0.6)  # row-major, columns are the axes
+DIRECTION = (0.8, -0.36, -0.48, 0.6, 0.48, 0.64, 0.0, -0.8, 0.6)  # row-major; the columns are the axes
 ORIGIN_LPS = (-31.5, 12.25, 140.0)
 SUFFIXES = ["nii", "nii.gz", "nrrd", "nhdr", "mha", "mhd"]
 
 
 def hu_like() -> np.ndarray:
-    """Air outside, tissue inside, every voxel its own value."""
+    """Return values with air outside and tissue inside, different in every voxel."""
     values = np.arange(np.prod(SIZE_IJK)).reshape(SIZE_IJK[::-1]) % 100 - 1000
     values[3:6, 3:8, 3:10] = np.arange(3 * 5 * 7).reshape(3, 5, 7) - 20
     return values.astype(np.int16)
@@ -54,25 +54,25 @@ def refusal(path: Path) -> VolumeImportError:
 
 @pytest.mark.parametrize("compress", [False, True])
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_an_oblique_anisotropic_grid_keeps_its_positions_and_values(tmp_path, suffix, compress):
+def test_oblique_anisotropic_grid_keeps_its_positions_and_values(tmp_path, suffix, compress):
     volume = open_volume(write(tmp_path / f"ct.{suffix}", compress=compress))
     expected = np.eye(4)
     expected[:3, :3] = np.reshape(DIRECTION, (3, 3)) * SPACING_MM
     expected[:3, 3] = ORIGIN_LPS
-    # NIfTI keeps its transform as float32: 140 mm then has a rounding of 1e-5 mm.
+    # NIfTI stores its transform as float32: the rounding error of 140 mm is 1e-5 mm.
     np.testing.assert_allclose(volume.lps_from_ijk, expected, rtol=0, atol=2e-5)
     np.testing.assert_array_equal(volume.hu_zyx, hu_like())
     assert volume.is_hu, volume.not_hu_reason
     np.testing.assert_array_equal(inspect_path(tmp_path / f"ct.{suffix}").lps_from_ijk, volume.lps_from_ijk)
 
 
-def test_a_series_is_not_to_be_chosen_in_a_file_of_one_volume():
+def test_series_choice_for_a_single_volume_file_is_refused():
     for look in (open_volume, inspect_path):
         with pytest.raises(UsageError, match="no series 'lung'"):
             look(CASE_PATH, series="lung")
 
 
-def test_a_format_is_known_by_its_bytes_and_not_by_its_name(tmp_path):
+def test_format_is_detected_from_the_bytes_and_not_from_the_name(tmp_path):
     path = write(tmp_path / "ct.nii.gz")
     renamed = path.rename(tmp_path / "airways.gz")
     np.testing.assert_array_equal(open_volume(renamed).hu_zyx, hu_like())
@@ -80,7 +80,7 @@ def test_a_format_is_known_by_its_bytes_and_not_by_its_name(tmp_path):
     np.testing.assert_array_equal(open_volume(bare).hu_zyx, hu_like())
 
 
-def test_a_right_anterior_superior_nrrd_lands_in_lps(tmp_path):
+def test_right_anterior_superior_nrrd_is_converted_to_lps(tmp_path):
     write(tmp_path / "ct.nrrd")
     data = (tmp_path / "ct.nrrd").read_bytes().replace(b"left-posterior-superior", b"right-anterior-superior")
     (tmp_path / "ras.nrrd").write_bytes(data)
@@ -105,13 +105,13 @@ def nifti(
     return bytes(header)
 
 
-def test_a_hand_written_nifti_in_metres_is_read_in_millimetres(tmp_path):
+def test_nifti_in_metres_is_read_in_millimetres(tmp_path):
     rows = np.array([[-0.7, 0, 0, 5], [0, -0.9, 0, 6], [0, 0, 1.25, 7]]) / 1000
     values = (np.arange(120) - 60).astype("<i2").tobytes()
     path = tmp_path / "metres.nii"
     path.write_bytes(nifti(rows=rows, units=1, pixdim=(1, 0.0007, 0.0009, 0.00125, 1, 1, 1, 1)) + values)
     volume = open_volume(path)
-    # float32 of 0.001 mm steps: 1e-5 mm is its rounding.
+    # float32 with steps of 0.001 mm: the rounding error is 1e-5 mm.
     np.testing.assert_allclose(volume.to_lps(np.zeros(3)), [-5, -6, 7], rtol=0, atol=1e-5)
     np.testing.assert_allclose(volume.spacing_mm, (0.7, 0.9, 1.25), rtol=0, atol=1e-5)
 
@@ -126,7 +126,8 @@ SHEARED = [[-0.7, 0, 0, 5], [0, -0.9, 0, 6], [0, 0.4, 1.25, 7]]
         ({"rows": SHEARED, "qform": 1}, "import.geometry.sheared"),
         ({"sform": 0, "qform": 0}, "import.geometry.orientation-unknown"),
         ({"magic": b"\0\0\0\0"}, "import.geometry.orientation-unknown"),
-        ({"qform": 1}, "import.geometry.ambiguous"),  # the quaternion is zero: identity, not the sform
+        # the quaternion is zero: the identity, which differs from the sform
+        ({"qform": 1}, "import.geometry.ambiguous"),
         ({"rows": np.zeros((3, 4))}, "import.geometry.spacing"),
         ({"rows": np.full((3, 4), np.nan)}, "import.geometry.spacing"),
         ({"shape": (4, 5, 6, 7), "dim0": 4}, "import.not-3d"),
@@ -140,7 +141,7 @@ SHEARED = [[-0.7, 0, 0, 5], [0, -0.9, 0, 6], [0, 0.4, 1.25, 7]]
         ({"shape": (32000, 32000, 32000)}, "import.too-large"),
     ],
 )
-def test_nifti_headers_that_cannot_be_trusted_are_refused(tmp_path, options, code):
+def test_invalid_nifti_headers_are_refused(tmp_path, options, code):
     path = tmp_path / "odd.nii"
     path.write_bytes(nifti(**options) + (np.arange(120) * 30).astype("<i2").tobytes())
     assert refusal(path).code == code
@@ -176,7 +177,7 @@ def _edit_text(path: Path, old: bytes, new: bytes) -> Path:
         ("mhd", b"ElementDataFile = ct.raw", b"ElementDataFile = LIST", "import.not-supported"),
     ],
 )
-def test_text_headers_that_cannot_be_trusted_are_refused(tmp_path, suffix, old, new, code):
+def test_invalid_text_headers_are_refused(tmp_path, suffix, old, new, code):
     assert refusal(_edit_text(write(tmp_path / f"ct.{suffix}"), old, new)).code == code
 
 
@@ -195,30 +196,30 @@ def test_every_truncated_file_is_refused(tmp_path, suffix, compress):
     path = tmp_path / f"cut.{suffix}"
     for keep in (10, 200, len(whole) // 2, len(whole) - 40, len(whole) - 1):
         path.write_bytes(whole[:keep])
-        # A gzip stream without its last byte has all voxels but no complete check sum: that is damage too.
+        # A gzip stream without its last byte has all voxels but no complete check sum, so it counts as damaged.
         assert refusal(path).code in ("import.truncated", "import.header", "import.not-an-image")
 
 
-def test_a_damaged_compressed_stream_is_refused(tmp_path):
+def test_damaged_compressed_stream_is_refused(tmp_path):
     whole = bytearray(write(tmp_path / "ct.nii.gz").read_bytes())
     whole[len(whole) // 2] ^= 0xFF
     (tmp_path / "ct.nii.gz").write_bytes(bytes(whole))
     assert refusal(tmp_path / "ct.nii.gz").code == "import.truncated"
 
 
-def test_a_compressed_header_that_claims_far_more_than_it_packs_takes_no_memory(tmp_path):
+def test_compressed_header_that_claims_an_enormous_size_takes_no_memory(tmp_path):
     import resource
 
-    # 1 GB claimed, 200 kB of data that is hard to pack: the ratio alone would allow it.
+    # The header claims 1 GB and the file has 200 kB of incompressible data: the ratio alone would be accepted.
     noise = os.urandom(1_000_000)
     path = tmp_path / "bomb.nii.gz"
     path.write_bytes(gzip.compress(nifti(shape=(800, 800, 800)) + noise))
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     assert refusal(path).code == "import.truncated"
-    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000  # kB; the claim is a million
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000  # kB; the header claims a million
 
 
-def test_a_stream_that_unpacks_to_far_more_than_claimed_is_refused(tmp_path):
+def test_stream_that_inflates_to_more_than_the_header_claims_is_refused(tmp_path):
     packer = zlib.compressobj(9, zlib.DEFLATED, zlib.MAX_WBITS | 16)
     packed = packer.compress(nifti() + bytes(240))
     packed += b"".join(packer.compress(bytes(1 << 20)) for _ in range(100)) + packer.flush()
@@ -227,7 +228,7 @@ def test_a_stream_that_unpacks_to_far_more_than_claimed_is_refused(tmp_path):
     assert refusal(path).code == "import.truncated"
 
 
-def test_4d_and_colour_files_of_the_library_are_refused(tmp_path):
+def test_4d_and_colour_files_are_refused(tmp_path):
     four = sitk.GetImageFromArray(np.zeros((2, 9, 11, 13), dtype=np.int16), isVector=False)
     colour = sitk.GetImageFromArray(np.zeros((9, 11, 13, 3), dtype=np.uint8), isVector=True)
     for suffix in ("nii", "nrrd", "mha"):
@@ -237,11 +238,11 @@ def test_4d_and_colour_files_of_the_library_are_refused(tmp_path):
         assert refusal(tmp_path / f"colour.{suffix}").code in ("import.not-3d", "import.not-supported")
 
 
-def test_a_volume_of_one_value_is_refused(tmp_path):
+def test_volume_of_one_value_is_refused(tmp_path):
     assert refusal(write(tmp_path / "empty.nrrd", np.zeros(SIZE_IJK[::-1], dtype=np.int16))).code == "import.values"
 
 
-def test_numbers_that_are_not_finite_become_the_lowest_and_are_counted(tmp_path):
+def test_nonfinite_values_become_the_lowest_value_and_are_counted(tmp_path):
     values = hu_like().astype(np.float32)
     values[0, 0, :3] = np.nan
     volume = open_volume(write(tmp_path / "ct.nrrd", values))
@@ -251,7 +252,7 @@ def test_numbers_that_are_not_finite_become_the_lowest_and_are_counted(tmp_path)
 
 
 @pytest.mark.parametrize("suffix", ["nii.gz", "nrrd", "mha"])
-def test_cancel_stops_a_file_at_every_step(tmp_path, suffix):
+def test_cancel_stops_the_import_at_every_step(tmp_path, suffix):
     path = write(tmp_path / f"ct.{suffix}", compress=True)
     seen: list[str] = []
     open_volume(path, progress=lambda what, fraction: seen.append(what))
@@ -262,7 +263,7 @@ def test_cancel_stops_a_file_at_every_step(tmp_path, suffix):
             open_volume(path, cancel=lambda asked=asked, stop_at=stop_at: next(asked) >= stop_at)
 
 
-def test_the_library_writes_nothing_to_the_terminal(tmp_path, capfd):
+def test_import_library_writes_nothing_to_the_terminal(tmp_path, capfd):
     path = write(tmp_path / "ct.mha")
     open_volume(path)
     path.write_bytes(path.read_bytes()[:-50])

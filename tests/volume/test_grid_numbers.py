@@ -1,4 +1,4 @@
-"""The same array gives the same voxels whatever file it stands in, and numbers that are none follow one rule."""
+"""Voxel values of grid files: equal in every format, with one rule for values that are not finite."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ KINDS = ["<f4", ">f4", "<f8", ">f8"]
 
 
 def with_gaps(rng: np.random.Generator, num: int) -> np.ndarray:
-    """A small chest of floats with NaN, infinities, large and small numbers in it."""
+    """Return a small chest of floats with ``num`` voxels each of NaN, +infinity and -infinity."""
     values = grids.chest().astype(np.float64)
     at = rng.choice(values.size, 3 * num, replace=False)
     values.reshape(-1)[at] = np.repeat([np.nan, np.inf, -np.inf], num)
@@ -26,14 +26,14 @@ def with_gaps(rng: np.random.Generator, num: int) -> np.ndarray:
 
 
 def ruled(values: np.ndarray) -> np.ndarray:
-    """The rule, in the plainest words."""
+    """Return the expected int16: +infinity becomes the highest finite value, NaN and -infinity the lowest."""
     finite = values[np.isfinite(values)]
     out = np.where(values == np.inf, finite.max(), values)
     return np.where(np.isfinite(out), out, finite.min()).astype(np.int16)
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_an_array_with_nan_and_infinities_gives_the_very_same_voxels_in_every_format(tmp_path, rng, form):
+def test_array_with_nan_and_infinities_gives_equal_voxels_in_every_format(tmp_path, rng, form):
     for number, (kind, num) in enumerate(itertools.product(KINDS, (1, 5))):
         values = with_gaps(rng, num)
         folder = tmp_path / str(number)
@@ -49,7 +49,7 @@ def test_an_array_with_nan_and_infinities_gives_the_very_same_voxels_in_every_fo
 
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("kind", ["<i2", ">i2", "<i4", "<f4", ">f8", "<i8"])
-def test_a_whole_array_gives_the_very_same_voxels_in_every_format(tmp_path, form, kind):
+def test_integer_array_gives_equal_voxels_in_every_format(tmp_path, form, kind):
     volume = open_volume(grids.FORMS[form](tmp_path, grids.chest().astype(kind)))
     np.testing.assert_array_equal(volume.hu_zyx, grids.chest())
     np.testing.assert_allclose(volume.lps_from_ijk, grids.LPS_FROM_IJK, rtol=0, atol=2e-5)
@@ -58,7 +58,7 @@ def test_a_whole_array_gives_the_very_same_voxels_in_every_format(tmp_path, form
 
 
 def lost(num: int) -> np.ndarray:
-    """A chest without the numbers of so many voxels in the middle of its lung."""
+    """Return a chest in which the given number of lung voxels is NaN."""
     values = grids.chest().astype(np.float32)
     lung = np.flatnonzero(values == -860)
     values.reshape(-1)[lung[:num]] = np.nan
@@ -66,17 +66,17 @@ def lost(num: int) -> np.ndarray:
 
 
 def num_body() -> int:
-    """Voxels of the box that is the phantom's body."""
+    """Return the number of voxels in the box of the body."""
     return int(np.prod([n - 2 * grids.AIR for n in grids.SHAPE_ZYX[1:]])) * grids.SHAPE_ZYX[0]
 
 
-def test_more_than_a_hundredth_of_the_body_without_numbers_is_no_longer_hu():
+def test_hu_status_is_lost_above_one_percent_of_nan_in_the_body():
     border = int(MAX_DOUBTFUL_SHARE * num_body())
     assert to_int16(lost(border)).doubt is None
     assert "1.0 % of the voxels in the body are not finite" in (to_int16(lost(border + 1)).doubt or "")
 
 
-def test_padding_round_the_patient_that_is_nan_costs_no_hu(tmp_path):
+def test_nan_padding_around_the_patient_keeps_the_hu_status(tmp_path):
     values = grids.chest().astype(np.float32)
     values[:, : grids.AIR] = np.nan
     values[:, :, -grids.AIR :] = np.nan
@@ -85,13 +85,13 @@ def test_padding_round_the_patient_that_is_nan_costs_no_hu(tmp_path):
     assert volume.source.notes[0].badge
 
 
-def test_slices_lost_in_the_middle_are_lost_body():
+def test_nan_slices_inside_the_body_count_as_body():
     values = grids.chest().astype(np.float32)
     values[5] = np.nan
     assert "of the voxels in the body" in (to_int16(values).doubt or "")
 
 
-def test_more_than_a_hundredth_of_clipped_voxels_is_no_longer_hu():
+def test_hu_status_is_lost_above_one_percent_of_clipped_voxels():
     values = grids.chest().astype(np.int32)
     values[0, 0, :3] = 70_000
     assert to_int16(values).doubt is None
@@ -101,14 +101,14 @@ def test_more_than_a_hundredth_of_clipped_voxels_is_no_longer_hu():
     assert to_int16(values).notes[0].code == "import.clipped"
 
 
-def test_the_array_that_was_given_is_not_changed():
+def test_input_array_is_not_changed():
     values = lost(7)
     before = values.copy()
     to_int16(values)
     np.testing.assert_array_equal(values, before)
 
 
-def test_every_byte_cut_from_a_file_of_several_gzip_members_is_noticed(tmp_path):
+def test_each_byte_cut_from_a_file_of_several_gzip_members_is_detected(tmp_path):
     whole = grids.nifti(tmp_path, grids.chest()).read_bytes()
     packed = b"".join(gzip.compress(whole[at : at + 700]) for at in range(0, len(whole), 700))
     path = tmp_path / "many.nii.gz"
@@ -121,7 +121,7 @@ def test_every_byte_cut_from_a_file_of_several_gzip_members_is_noticed(tmp_path)
         assert caught.value.code == "import.truncated"
 
 
-def test_a_mask_that_is_not_all_numbers_is_refused_in_every_format(tmp_path):
+def test_mask_with_nonfinite_values_is_refused_in_every_format(tmp_path):
     values = (grids.chest() == -860).astype(np.float32)
     values[2, 9, 9] = np.nan
     scan = open_volume(grids.nifti(tmp_path, grids.chest()))
@@ -144,7 +144,7 @@ def test_a_mask_that_is_not_all_numbers_is_refused_in_every_format(tmp_path):
         ("metaimage detached", ("CT.MHD", "head")),
     ],
 )
-def test_the_name_of_a_file_says_nothing(tmp_path, form, names):
+def test_format_does_not_depend_on_the_file_name(tmp_path, form, names):
     for number, name in enumerate(names):
         folder = tmp_path / str(number)
         folder.mkdir()
@@ -158,7 +158,7 @@ def test_the_name_of_a_file_says_nothing(tmp_path, form, names):
 
 
 @pytest.mark.parametrize("form", ["nifti", "nrrd", "metaimage", "nifti gzip"])
-def test_no_byte_of_a_header_makes_a_fault_or_a_word_of_a_library(tmp_path, capfd, rng, form):
+def test_changed_header_byte_causes_no_crash_and_no_library_message(tmp_path, capfd, rng, form):
     path = grids.FORMS[form](tmp_path, grids.chest())
     whole = path.read_bytes()
     ends = {"nifti": lambda: 348, "nrrd": lambda: whole.index(b"\n\n"), "metaimage": lambda: whole.index(b"LOCAL")}
@@ -183,7 +183,7 @@ def test_no_byte_of_a_header_makes_a_fault_or_a_word_of_a_library(tmp_path, capf
     assert capfd.readouterr().err == ""
 
 
-def test_a_mask_says_what_is_doubtful_about_its_file(tmp_path):
+def test_mask_reports_the_doubts_about_its_file(tmp_path):
     scan = open_volume(grids.nifti(tmp_path, grids.chest(), lps_from_ijk=np.eye(4)))
     values = (grids.chest() == -860).astype(np.int16)
     path = grids.nifti(tmp_path, values, lps_from_ijk=np.eye(4), name="mask.nii", behind=values.tobytes())

@@ -1,4 +1,4 @@
-"""Files packed by gzip under any name, and text headers whose values do not follow the format."""
+"""Gzip files under any name, and text headers whose values violate the format."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def refusal(path) -> VolumeImportError:
 
 @pytest.mark.parametrize("form", ["nifti", "nrrd", "nrrd gzip", "metaimage", "metaimage compressed"])
 @pytest.mark.parametrize("kept_name", [True, False])
-def test_a_file_packed_as_a_whole_opens_under_its_plain_name(tmp_path, form, kept_name):
+def test_gzip_file_opens_without_the_gz_suffix(tmp_path, form, kept_name):
     path = grids.FORMS[form](tmp_path, grids.chest())
     packed = path if kept_name else path.with_name(f"{path.name}.gz")
     packed.write_bytes(gzip.compress(path.read_bytes()))
@@ -39,7 +39,7 @@ def test_a_file_packed_as_a_whole_opens_under_its_plain_name(tmp_path, form, kep
 
 
 @pytest.mark.parametrize("packed", [True, False])
-def test_the_values_of_a_pair_may_be_packed_under_the_plain_name(tmp_path, packed):
+def test_gzip_values_of_a_pair_open_without_the_gz_suffix(tmp_path, packed):
     path = grids.FORMS["nifti pair"](tmp_path, grids.chest())
     values = path.with_suffix(".img")
     if packed:
@@ -47,28 +47,28 @@ def test_the_values_of_a_pair_may_be_packed_under_the_plain_name(tmp_path, packe
     np.testing.assert_array_equal(open_volume(path).hu_zyx, grids.chest())
 
 
-def test_values_that_begin_like_gzip_are_not_unpacked(tmp_path):
+def test_values_that_begin_like_gzip_are_not_inflated(tmp_path):
     values = grids.chest()
     values[0, 0, :2] = np.frombuffer(b"\x1f\x8b\x08\x00", "<i2")
     np.testing.assert_array_equal(open_volume(grids.FORMS["nifti pair"](tmp_path, values)).hu_zyx, values)
 
 
 @pytest.mark.parametrize("form", ["nrrd gzip", "metaimage compressed", "nrrd", "metaimage"])
-def test_a_packed_file_that_is_cut_is_refused(tmp_path, form):
+def test_truncated_gzip_file_is_refused(tmp_path, form):
     path = grids.FORMS[form](tmp_path, grids.chest())
     packed = gzip.compress(path.read_bytes())
     path.write_bytes(packed[:-20])
     assert refusal(path).code == "import.truncated"
 
 
-def test_raw_values_that_are_packed_are_refused_with_the_reason(tmp_path):
+def test_gzip_values_declared_as_raw_are_refused_with_the_reason(tmp_path):
     path = grids.FORMS["nrrd detached"](tmp_path, grids.chest())
     raw = tmp_path / "ct.raw"
     raw.write_bytes(gzip.compress(raw.read_bytes()))
     assert "look compressed by gzip although the header does not state it" in str(refusal(path))
 
 
-def test_data_at_the_end_of_a_packed_file_is_refused_with_a_remedy(tmp_path):
+def test_data_after_a_gzip_stream_are_refused_with_a_remedy(tmp_path):
     path = grids.nrrd(tmp_path, grids.chest(), edit=lambda lines: lines.append("byte skip: -1"))
     path.write_bytes(gzip.compress(path.read_bytes()))
     error = refusal(path)
@@ -87,7 +87,7 @@ def test_data_at_the_end_of_a_packed_file_is_refused_with_a_remedy(tmp_path):
         (lambda _: gzip.compress(b"text, not an image"), "not an image volume"),
     ],
 )
-def test_other_packings_are_named_with_a_remedy(tmp_path, pack, words):
+def test_other_compressions_are_named_with_a_remedy(tmp_path, pack, words):
     path = grids.nifti(tmp_path, grids.chest())
     path.write_bytes(pack(path.read_bytes()))
     error = refusal(path)
@@ -95,7 +95,7 @@ def test_other_packings_are_named_with_a_remedy(tmp_path, pack, words):
     assert words in str(error)
 
 
-def test_a_packed_archive_is_named(tmp_path):
+def test_compressed_archive_is_named(tmp_path):
     path = tmp_path / "scan.tar.gz"
     with tarfile.open(path, "w:gz") as archive:
         archive.add(grids.nifti(tmp_path, grids.chest()), "ct.nii")
@@ -103,7 +103,7 @@ def test_a_packed_archive_is_named(tmp_path):
 
 
 def line(begin: str, new: str):
-    """Replace the line that begins so."""
+    """Return an edit that replaces the header line with the given beginning."""
 
     def edit(lines):
         lines[next(n for n, text in enumerate(lines) if text.startswith(begin))] = new
@@ -133,7 +133,7 @@ def line(begin: str, new: str):
         (grids.nrrd, "type", "xtype: short", "its nrrd header has no field 'type'"),
     ],
 )  # fmt: skip
-def test_a_value_that_does_not_follow_the_format_is_shown(tmp_path, write, begin, new, words):
+def test_value_that_violates_the_format_is_shown(tmp_path, write, begin, new, words):
     error = refusal(write(tmp_path, grids.chest(), edit=line(begin, new)))
     assert error.code == "import.header"
     assert words in str(error)
@@ -162,13 +162,13 @@ LONG = "x\x1b" * 5_000
         (grids.metaimage, "CompressedData", f"DistanceUnits = {LONG}"),
     ],
 )
-def test_a_value_of_ten_thousand_characters_is_shortened(tmp_path, write, begin, new):
+def test_value_of_ten_thousand_characters_is_shortened(tmp_path, write, begin, new):
     words = str(refusal(write(tmp_path, grids.chest(), edit=line(begin, new))))
     assert "x\\x1b" in words or "1" in words
 
 
 @pytest.mark.parametrize("form", ["nrrd", "metaimage"])
-def test_a_long_note_of_another_program_does_not_matter(tmp_path, form):
+def test_long_note_of_another_program_is_accepted(tmp_path, form):
     new = {"nrrd": f"note:={'word ' * 2_000}", "metaimage": f"Comment = {'word ' * 2_000}"}[form]
     write = {"nrrd": grids.nrrd, "metaimage": grids.metaimage}[form]
     path = write(tmp_path, grids.chest(), edit=lambda lines: lines.insert(5, new))

@@ -1,4 +1,4 @@
-"""Which numbers are Hounsfield units, and how others become int16."""
+"""Decision whether voxel values are Hounsfield units, and conversion of other values to int16."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from carina.volume.hu import judge_dicom, judge_values, to_int16
 
 
 def chest(rng: np.random.Generator) -> np.ndarray:
-    """A fifth outside air, a fifth lung, the rest tissue with a little bone, all with noise."""
+    """Return noisy values: a fifth outside air, a fifth lung, the rest tissue with some bone."""
     means = rng.choice([-1000, -850, -80, 40, 400], p=[0.2, 0.2, 0.2, 0.35, 0.05], size=(20, 30, 40))
     return (means + rng.normal(0, 25, means.shape)).round().astype(np.int16)
 
 
-def test_a_chest_is_hu(rng):
+def test_chest_is_recognised_as_hu(rng):
     assert judge_values(chest(rng)).is_hu
 
 
-def test_a_crop_without_outside_air_and_padding_is_hu(rng):
+def test_crop_without_outside_air_and_with_padding_is_hu(rng):
     values = chest(rng)
     values[values < -950] = -850
     values[:2] = -2000
@@ -35,7 +35,7 @@ def test_a_crop_without_outside_air_and_padding_is_hu(rng):
         ("mask", "8 bits"),
     ],
 )
-def test_other_scales_are_not_hu_and_the_reason_is_said(rng, name, words):
+def test_other_scales_are_not_hu_and_the_reason_is_stated(rng, name, words):
     values = chest(rng)
     values = {
         "missing offset": np.clip(values, -1024, None) + 1024,
@@ -49,7 +49,7 @@ def test_other_scales_are_not_hu_and_the_reason_is_said(rng, name, words):
     assert words in (verdict.reason or "")
 
 
-def test_tagged_ct_is_believed_even_without_air():
+def test_tagged_ct_without_air_is_hu():
     values = np.linspace(-80, 400, 5000).astype(np.int16).reshape(10, 20, 25)
     assert judge_dicom(values, modality="CT", has_rescale=True, rescale_type="HU", bits_stored=12).is_hu
     assert not judge_dicom(values, modality="CT", has_rescale=True, rescale_type="US", bits_stored=12).is_hu
@@ -57,7 +57,7 @@ def test_tagged_ct_is_believed_even_without_air():
     assert not judge_dicom(values, modality="PT", has_rescale=True, rescale_type="HU", bits_stored=12).is_hu
 
 
-def test_whole_numbers_that_fit_are_kept(rng):
+def test_integers_within_int16_are_unchanged(rng):
     values = chest(rng)
     for kind in (np.int16, np.int32, np.float32, np.float64):
         converted = to_int16(values.astype(kind))
@@ -65,14 +65,14 @@ def test_whole_numbers_that_fit_are_kept(rng):
         assert converted.stretched is None
 
 
-def test_broken_hu_numbers_are_rounded(rng):
+def test_fractional_hu_values_are_rounded(rng):
     values = chest(rng) + 0.3
     converted = to_int16(values)
     np.testing.assert_array_equal(converted.values, np.rint(values))
     assert converted.stretched is None
 
 
-def test_hu_with_a_metal_peak_outside_int16_is_clipped_and_said(rng):
+def test_hu_with_metal_outside_int16_is_clipped_with_a_note(rng):
     values = chest(rng).astype(np.int32)
     values[0, 0, 0] = 70_000
     converted = to_int16(values)
@@ -81,13 +81,13 @@ def test_hu_with_a_metal_peak_outside_int16_is_clipped_and_said(rng):
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (-3.5, 4.25), (0.0, 60_000.0)])
-def test_other_numbers_are_stretched_in_order(low, high):
+def test_other_numbers_are_stretched_in_their_order(low, high):
     values = np.linspace(low, high, 1000).reshape(10, 10, 10)
     converted = to_int16(values)
     assert converted.stretched is not None
     assert (int(converted.values.min()), int(converted.values.max())) == (0, 4095)
     assert (np.diff(converted.values.reshape(-1)) >= 0).all()
-    # Half a step of the 4095: rounding only.
+    # The tolerance is half a step of the 4095: rounding only.
     np.testing.assert_allclose(
         converted.values / 4095 * (high - low) + low, values, rtol=0, atol=0.51 * (high - low) / 4095
     )

@@ -1,4 +1,4 @@
-"""Label maps whose labels were stored with fractions by a scaled or a floating-point format."""
+"""Label maps whose labels became fractions in a scaled or a floating-point format."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ def scan(tmp_path):
 
 
 def label_map(top: int) -> np.ndarray:
-    """All labels from 0 to ``top``, many voxels each."""
+    """Return a label map with all labels from 0 to ``top``, with many voxels each."""
     return (np.arange(np.prod(grids.SHAPE_ZYX)) % (top + 1)).reshape(grids.SHAPE_ZYX)
 
 
 def scaled(folder: Path, labels: np.ndarray, kind: str, intercept: float = 0.0, step: float | None = None) -> Path:
-    """Store labels as nibabel does: as whole multiples of a step that spreads them over the integer type."""
+    """Write labels as nibabel does: as multiples of a step that spreads them over the range of the integer type."""
     largest = np.iinfo(kind).max
     step = float(np.float32((labels.max() - intercept) / largest)) if step is None else step
     numbers = np.rint((labels - intercept) / step).astype(kind)
@@ -39,7 +39,7 @@ def check_labels(path: Path, scan, labels: np.ndarray) -> None:
 
 @pytest.mark.parametrize("kind", ["u1", "<i2", ">i2"])
 @pytest.mark.parametrize("top", [1, 3, 4, 7, 12, 25])
-def test_labels_that_a_step_has_moved_are_read_exactly(tmp_path, scan, kind, top):
+def test_labels_scaled_by_a_step_are_read_exactly(tmp_path, scan, kind, top):
     check_labels(scaled(tmp_path, label_map(top), kind), scan, label_map(top))
 
 
@@ -57,7 +57,7 @@ def test_negative_labels_are_read_exactly(tmp_path, scan):
 
 @pytest.mark.parametrize("form", ["nrrd", "nrrd gzip", "metaimage", "metaimage compressed", "nifti"])
 @pytest.mark.parametrize("kind", ["<f4", "<f8"])
-def test_the_same_labels_as_floating_point_numbers_are_read_in_every_format(tmp_path, scan, form, kind):
+def test_labels_as_floats_are_read_in_every_format(tmp_path, scan, form, kind):
     labels = label_map(12)
     step = 12 / 255
     values = (np.rint(labels / step) * step).astype(kind)
@@ -65,13 +65,13 @@ def test_the_same_labels_as_floating_point_numbers_are_read_in_every_format(tmp_
     check_labels(grids.FORMS[form](tmp_path, values), scan, labels)
 
 
-def test_labels_that_are_just_below_a_whole_number_are_read(tmp_path, scan):
+def test_labels_just_below_an_integer_are_read(tmp_path, scan):
     labels = label_map(1)
     check_labels(grids.nrrd(tmp_path, labels.astype("<f4") * np.float32(0.99999994)), scan, labels)
 
 
 def probabilities() -> np.ndarray:
-    """Mostly 0 and 1, with all values in between at the edge."""
+    """Return values that are mostly 0 and 1, with fractions at the edge between them."""
     ramp = np.clip(np.linspace(-3, 4, int(np.prod(grids.SHAPE_ZYX))), 0, 1)
     return ramp.reshape(grids.SHAPE_ZYX)
 
@@ -90,28 +90,28 @@ def test_a_probability_map_is_refused_in_every_format(tmp_path, scan, form):
 
 
 @pytest.mark.parametrize("kind", ["u1", "<i2"])
-def test_a_probability_map_that_is_stored_in_steps_is_refused(tmp_path, scan, kind):
+def test_probability_map_stored_in_steps_is_refused(tmp_path, scan, kind):
     words = refused(scaled(tmp_path, probabilities(), kind), scan)
     assert "further from a whole number than half a step" in words
 
 
 @pytest.mark.parametrize("step", [0.5, 0.25, 1 / 3])
-def test_a_probability_map_of_few_coarse_steps_is_refused(tmp_path, scan, step):
+def test_probability_map_of_few_coarse_steps_is_refused(tmp_path, scan, step):
     numbers = (label_map(3) % round(1 / step + 1)).astype("<i2")
     refused(grids.nifti(tmp_path, numbers, scale=(step, 0.0), name="mask.nii"), scan)
 
 
-def test_an_image_with_a_step_above_one_is_refused(tmp_path, scan):
+def test_image_with_a_step_above_one_is_refused(tmp_path, scan):
     refused(grids.nifti(tmp_path, label_map(200).astype("<i2"), scale=(1.3, 0.0), name="mask.nii"), scan)
 
 
-def test_a_hard_edged_probability_map_near_whole_numbers_is_refused(tmp_path, scan):
+def test_sharp_probability_map_near_integers_is_refused(tmp_path, scan):
     values = label_map(1) + np.linspace(-0.04, 0.04, label_map(1).size).reshape(label_map(1).shape)
     refused(grids.nrrd(tmp_path, values.astype("<f4")), scan)
 
 
 @pytest.mark.parametrize(("error", "opens"), [(0.049, True), (0.05, True), (0.051, False)])
-def test_a_single_value_per_label_may_be_off_by_a_twentieth(tmp_path, scan, error, opens):
+def test_one_value_per_label_may_differ_by_a_twentieth(tmp_path, scan, error, opens):
     path = grids.nrrd(tmp_path, label_map(1) * (1 - error))
     if opens:
         check_labels(path, scan, label_map(1))
@@ -120,8 +120,8 @@ def test_a_single_value_per_label_may_be_off_by_a_twentieth(tmp_path, scan, erro
 
 
 @pytest.mark.parametrize(("steps", "opens"), [(24, False), (25, True), (26, False)])
-def test_half_a_step_is_the_bound_for_stored_steps(tmp_path, scan, steps, opens):
-    # Multiples of 0.04: 25 steps are exactly 1, a step more or less is off by a whole step.
+def test_stored_steps_may_differ_by_half_a_step(tmp_path, scan, steps, opens):
+    # In multiples of 0.04, 25 steps are exactly 1; one step more or fewer is off by a whole step.
     path = grids.nifti(tmp_path, (label_map(1) * steps).astype("<i2"), scale=(0.04, 0.0), name="mask.nii")
     if opens:
         check_labels(path, scan, label_map(1))
@@ -129,7 +129,7 @@ def test_half_a_step_is_the_bound_for_stored_steps(tmp_path, scan, steps, opens)
         refused(path, scan)
 
 
-def test_a_value_just_inside_and_just_outside_half_a_step(tmp_path, scan):
+def test_limit_of_half_a_step_separates_values_inside_and_outside(tmp_path, scan):
     for intercept, opens in ((0.0499, True), (0.0501, False)):
         path = grids.nifti(tmp_path, (label_map(1) * 10).astype("<i2"), scale=(0.1, intercept), name="mask.nii")
         if opens:

@@ -1,4 +1,4 @@
-"""Masks of other tools, placed by their geometry."""
+"""Import of masks from files, placed in the scan by their geometry."""
 
 from __future__ import annotations
 
@@ -50,15 +50,15 @@ def write(path, array_zyx, lps_from_ijk):
 
 
 @pytest.mark.parametrize("name", ["m.nii.gz", "m.nrrd", "m.mha"])
-def test_a_mask_on_the_scans_grid_is_taken_as_it_is(volume, inside, tmp_path, name):
+def test_mask_on_the_grid_of_the_scan_is_unchanged(volume, inside, tmp_path, name):
     mask = open_mask(write(tmp_path / name, inside, oblique()), volume)
     assert np.array_equal(mask.inside_zyx, inside)
     assert mask.notes == ()
 
 
-def test_flipped_and_exchanged_axes_are_placed_by_geometry(volume, inside, tmp_path):
+def test_flipped_and_permuted_axes_are_placed_by_geometry(volume, inside, tmp_path):
     matrix = oblique()
-    # The array [x, z, y] with y running backwards, and the transform that says so.
+    # The array is [x, z, y] with y reversed, and the transform states this order.
     turned = np.ascontiguousarray(inside.transpose(2, 0, 1)[:, :, ::-1])
     other = np.eye(4)
     other[:3, 0], other[:3, 1], other[:3, 2] = -matrix[:3, 1], matrix[:3, 2], matrix[:3, 0]
@@ -67,7 +67,7 @@ def test_flipped_and_exchanged_axes_are_placed_by_geometry(volume, inside, tmp_p
     assert np.array_equal(mask.inside_zyx, inside)
 
 
-def test_a_mask_of_a_part_of_the_scan_is_placed_in_it(volume, inside, tmp_path):
+def test_mask_of_a_part_of_the_scan_is_placed_in_the_scan(volume, inside, tmp_path):
     part = oblique()
     part[:3, 3] = volume.to_lps(np.array([2.0, 1.0, 1.0]))
     mask = open_mask(write(tmp_path / "m.mha", inside[1:5, 1:8, 2:9], part), volume)
@@ -75,7 +75,7 @@ def test_a_mask_of_a_part_of_the_scan_is_placed_in_it(volume, inside, tmp_path):
     assert "only part of the scan" in mask.notes[0]
 
 
-def test_a_mask_that_reaches_out_of_the_scan_is_refused(volume, tmp_path):
+def test_mask_that_exceeds_the_scan_is_refused(volume, tmp_path):
     shifted = oblique()
     shifted[:3, 3] = volume.to_lps(np.array([3.0, 0.0, 0.0]))
     path = write(tmp_path / "m.mha", np.ones(SHAPE, np.uint8), shifted)
@@ -85,7 +85,7 @@ def test_a_mask_that_reaches_out_of_the_scan_is_refused(volume, tmp_path):
 
 
 @pytest.mark.parametrize("change", ["spacing", "origin", "turn"])
-def test_another_grid_is_refused_with_both_grids_and_taken_when_asked(volume, inside, tmp_path, change):
+def test_other_grid_is_refused_with_both_grids_and_resampled_on_request(volume, inside, tmp_path, change):
     other = oblique()
     if change == "spacing":
         other[:3, 0] *= 1.5
@@ -105,7 +105,7 @@ def test_another_grid_is_refused_with_both_grids_and_taken_when_asked(volume, in
             open_mask(path, volume, resample=True)
         return
     mask = open_mask(path, volume, resample=True)
-    # Each voxel of the scan has the value of the mask's nearest voxel.
+    # Each voxel of the scan has the value of the nearest voxel of the mask.
     from_volume = np.linalg.inv(other) @ oblique()
     for k, j, i in np.ndindex(SHAPE):
         x, y, z = np.floor((from_volume @ (i, j, k, 1.0))[:3] + 0.5).astype(int)
@@ -114,7 +114,7 @@ def test_another_grid_is_refused_with_both_grids_and_taken_when_asked(volume, in
     assert "nearest" in mask.notes[0]
 
 
-def test_of_several_labels_one_must_be_chosen(volume, inside, tmp_path):
+def test_one_of_several_labels_must_be_chosen(volume, inside, tmp_path):
     labels = inside.copy()
     labels[4, 6, 8] = 7
     path = write(tmp_path / "m.nrrd", labels, oblique())
@@ -131,22 +131,22 @@ def test_of_several_labels_one_must_be_chosen(volume, inside, tmp_path):
         (np.zeros(SHAPE, np.uint8), "it is empty"),
         (np.linspace(0.0, 1.0, 480, dtype=np.float32).reshape(SHAPE), "probability map"),
         (np.arange(480 * 4, dtype=np.int16).reshape(24, 8, 10), "different values"),
-        # In 32 bits these two structures would be one, and no browser can name them.
+        # In 32 bits these two structures would be one, and a browser cannot represent their numbers.
         (np.arange(480, dtype=np.float64).reshape(SHAPE) % 3 * 2.0**40, "not labels"),
         (np.arange(480, dtype=np.uint32).reshape(SHAPE) % 3 * np.uint32(2**30), "not labels"),
     ],
 )
-def test_what_is_no_mask_is_refused(tmp_path, values, words):
+def test_files_that_are_not_masks_are_refused(tmp_path, values, words):
     volume = Volume(np.zeros(values.shape, dtype=np.int16), oblique())
     with pytest.raises(VolumeImportError, match=words):
         open_mask(write(tmp_path / "m.nrrd", values, oblique()), volume)
 
 
-def test_how_much_lies_in_the_scan_is_told_without_the_places_of_all_voxels(volume):
+def test_share_of_the_mask_inside_the_scan_is_reported_with_little_memory(volume):
     inside = np.random.default_rng(2).random((40, 90, 80)) < 0.4
     inside[30:] = True
     place = oblique()
-    # The volume's own corner, and most of the mask beyond it.
+    # The mask covers one corner of the volume; most of the mask is outside.
     place[:3, 3] -= place[:3, :3] @ (40.0, 45.0, 20.0)
     ijk = volume.to_ijk(np.argwhere(inside)[:, ::-1] @ place[:3, :3].T + place[:3, 3])
     truth = ((ijk >= -0.5) & (ijk < np.array(volume.shape_zyx[::-1]) - 0.5)).all(axis=1).mean()
@@ -162,18 +162,18 @@ def test_how_much_lies_in_the_scan_is_told_without_the_places_of_all_voxels(volu
     assert mask_files._share_inside(few, oblique(), volume) == 1.0
 
 
-def test_a_missing_file_and_a_folder_are_refused(volume, tmp_path):
+def test_missing_file_and_folder_are_refused(volume, tmp_path):
     with pytest.raises(VolumeImportError, match="no such file"):
         open_mask(tmp_path / "nothing.nrrd", volume)
     with pytest.raises(VolumeImportError, match="expected one NIfTI"):
         open_mask(tmp_path, volume)
 
 
-# ------------------------------------------------------------ DICOM SEG
+# DICOM SEG
 
 
 def segmentation(path, labels_zyx, lps_from_ijk, *, shuffled=True, change=None):
-    """A SEG as other tools write it: one frame per segment and plane that is not empty, in any order."""
+    """Write a SEG as other tools do: one frame for each segment and non-empty plane, in any order."""
     spacing = np.linalg.norm(lps_from_ijk[:3, :3], axis=0)
     direction = lps_from_ijk[:3, :3] / spacing
     frames, groups = [], Sequence()
@@ -241,7 +241,7 @@ def test_segments_have_names(volume, inside, tmp_path):
 
 
 @pytest.mark.filterwarnings("ignore:The value length")
-def test_segments_names_are_text_that_can_be_shown(volume, inside, tmp_path):
+def test_segment_names_are_converted_to_printable_text(volume, inside, tmp_path):
     labels = inside.copy()
     labels[4, 6, 8] = 2
 
@@ -300,7 +300,7 @@ def _many(data):
         (_segment_of_none, "refer to segments"),
     ],
 )
-def test_a_broken_segmentation_is_refused(volume, inside, tmp_path, change, words):
+def test_damaged_segmentation_is_refused(volume, inside, tmp_path, change, words):
     path = segmentation(tmp_path / "seg.dcm", inside, oblique(), shuffled=False, change=change)
     with pytest.raises(VolumeImportError, match=words):
         open_mask(path, volume)

@@ -1,4 +1,4 @@
-"""What a volume refuses to be."""
+"""Limits of the class Volume."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ VALUES = np.zeros((3, 4, 5), dtype=np.int16)
 
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("spacing_mm", [0.0099, 100.1, 1e-6, 1e6])
-def test_no_volume_has_voxels_closer_than_a_hundredth_or_farther_than_100_mm(axis, spacing_mm):
+def test_voxel_spacing_below_a_hundredth_or_above_100_mm_is_refused(axis, spacing_mm):
     matrix = np.eye(4)
     matrix[axis, axis] = spacing_mm
     with pytest.raises(GeometryError, match=r"between 0.01 and 100 mm") as caught:
@@ -22,5 +22,5 @@ def test_no_volume_has_voxels_closer_than_a_hundredth_or_farther_than_100_mm(axi
 
 
 @pytest.mark.parametrize("spacing_mm", [0.01, 100.0, np.float64(np.float32(0.01)), np.float64(np.float32(100.0))])
-def test_both_ends_are_a_volume(spacing_mm):
+def test_voxel_spacing_at_both_limits_is_accepted(spacing_mm):
     assert Volume(VALUES, np.diag([spacing_mm, -spacing_mm, spacing_mm, 1.0])).spacing_mm[0] == spacing_mm

@@ -1,4 +1,4 @@
-"""Padding round the picture: which pixels are padding, which are tissue, and what padding becomes."""
+"""Padding around the picture: its detection, its distinction from tissue, and its replacement."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ BITS = {"bits_allocated": 16, "bits_stored": 16, "high_bit": 15}
         (-2000, -3000, True, ((-3000, -2000),)),
     ],
 )
-def test_the_bits_of_the_tag_are_read_in_the_form_of_the_pixels(value, limit, signed, expected):
+def test_padding_tag_bits_are_read_in_the_pixel_representation(value, limit, signed, expected):
     assert padding_ranges(value, limit, signed=signed, **BITS) == expected
 
 
-def test_a_tag_beyond_the_used_bits_marks_what_the_pixels_keep_of_it():
+def test_padding_tag_beyond_bits_stored_is_reduced_to_the_stored_bits():
     bits = {"bits_allocated": 16, "bits_stored": 12, "high_bit": 11}
     assert padding_ranges(63536, None, signed=False, **bits) == ((63536, 63536), (2096, 2096))
-    # A range whose ends wrap round differently has no form in 12 bits.
+    # A range whose two ends wrap differently cannot be represented in 12 bits.
     assert padding_ranges(63536, 60000, signed=False, **bits) == ((60000, 63536),)
 
 
@@ -44,10 +44,10 @@ def _plane() -> np.ndarray:
     return chest()[5].astype(np.int32)
 
 
-def test_a_value_in_the_tissue_range_is_padding_only_at_the_edge_of_the_slice():
+def test_padding_value_in_the_tissue_range_counts_only_at_the_edge_of_the_slice():
     plane = _plane()
     plane[OUTSIDE] = 40
-    plane[12:17, 2:6] = 40  # 20 equal pixels of muscle, which do not touch the edge
+    plane[12:17, 2:6] = 40  # 20 equal pixels of muscle that do not touch the edge
     found = find_padding(plane, plane, ((40, 40),))
     assert found is not None
     np.testing.assert_array_equal(found.inside, OUTSIDE)
@@ -55,7 +55,7 @@ def test_a_value_in_the_tissue_range_is_padding_only_at_the_edge_of_the_slice():
     assert found.num_kept >= 20
 
 
-def test_small_regions_at_the_edge_are_noise():
+def test_small_regions_at_the_edge_are_not_padding():
     plane = _plane()
     plane[0, 3:18] = 40  # 15 pixels
     assert find_padding(plane, plane, ((40, 40),)) is None
@@ -65,7 +65,7 @@ def test_small_regions_at_the_edge_are_noise():
     assert np.count_nonzero(found.inside) == 16
 
 
-def test_a_value_beyond_the_extended_scale_is_padding_everywhere_and_one_below_is_not():
+def test_value_above_the_extended_scale_is_padding_everywhere_and_a_low_value_is_not():
     for value, count in ((30_710, 0), (30_711, 4)):
         plane = _plane()
         plane[14:16, 14:16] = value
@@ -74,14 +74,14 @@ def test_a_value_beyond_the_extended_scale_is_padding_everywhere_and_one_below_i
 
 
 @pytest.mark.parametrize(("value", "is_padding"), [(-1000, False), (-999, True)])
-def test_padding_at_the_level_of_air_stays(value, is_padding):
+def test_padding_at_the_level_of_air_is_unchanged(value, is_padding):
     plane = np.maximum(_plane(), -1020)
     plane[OUTSIDE] = value
     assert (find_padding(plane, plane, ((value, value),)) is not None) == is_padding
 
 
 @pytest.mark.parametrize(("value", "is_padding"), [(1999, False), (2000, True)])
-def test_equal_corners_of_a_high_value_are_padding_without_a_tag(value, is_padding):
+def test_equal_high_values_in_all_corners_are_padding_without_a_tag(value, is_padding):
     plane = _plane()
     plane[OUTSIDE] = value
     assert (find_padding(plane, plane, ()) is not None) == is_padding
@@ -89,15 +89,15 @@ def test_equal_corners_of_a_high_value_are_padding_without_a_tag(value, is_paddi
     assert find_padding(plane, plane, ()) is None
 
 
-def test_padding_of_numbers_that_lost_their_offset_does_not_make_them_hu(tmp_path):
-    """Values that are 1024 too high stay recognisable: padding becomes their lowest value and not -1024."""
+def test_padding_of_values_without_their_offset_does_not_make_them_hu(tmp_path):
+    """The values are 1024 too high and must stay recognisable: padding becomes their lowest value, not -1024."""
     make = ringed(63536, tag=63536, RescaleIntercept=0)
     volume = open_volume(make(tmp_path))
     assert not volume.is_hu
     assert volume.value_range[0] == 0
 
 
-def test_a_note_of_a_possible_tissue_value_is_a_badge(tmp_path):
+def test_note_of_a_possible_tissue_value_is_a_badge(tmp_path):
     notes = open_volume(ringed(1024, tag=1024)(tmp_path / "tissue")).source.notes
     assert [(note.code, note.badge) for note in notes] == [("import.padding", True)]
     notes = open_volume(ringed(63536, tag=63536)(tmp_path / "impossible")).source.notes
@@ -106,8 +106,8 @@ def test_a_note_of_a_possible_tissue_value_is_a_badge(tmp_path):
     assert notes[0].words.startswith(f"{share:.2g} % of the voxels are marked as padding")
 
 
-def test_a_tag_of_text_or_bytes_marks_padding_too(tmp_path):
-    """Some writers give PixelPaddingValue the representation OW or DS."""
+def test_padding_tag_of_text_or_bytes_is_read(tmp_path):
+    """Some writers give PixelPaddingValue the value representation OW or DS."""
     for vr, value in (("OW", np.array([63536], "<u2").tobytes()), ("DS", "63536")):
         folder = tmp_path / vr
         make = ringed(63536)
@@ -128,8 +128,8 @@ def _marked(dataset: Dataset, index: int, vr: str, value: object) -> None:
 
 
 @pytest.mark.parametrize(("ring", "becomes"), [(32767, None), (3071, None), (-3024, -3024), (-2000, -2000)])
-def test_a_nifti_with_a_ring_of_one_value(tmp_path, ring, becomes):
-    """NIfTI has no padding tag: a high value in all eight corners is padding, a low value stays."""
+def test_nifti_padding_is_detected_by_its_corners(tmp_path, ring, becomes):
+    """NIfTI has no padding tag: a high value in all eight corners is padding, a low value is not."""
     values = chest().copy()
     values[:, OUTSIDE] = ring
     volume = open_volume(nifti(tmp_path, values))
@@ -140,7 +140,7 @@ def test_a_nifti_with_a_ring_of_one_value(tmp_path, ring, becomes):
     assert [note.code for note in volume.source.notes] == (["import.padding"] if becomes is None else [])
 
 
-def test_metal_within_a_volume_without_tags_stays():
+def test_metal_inside_a_volume_without_tags_is_unchanged():
     values = chest().copy()
     values[:, OUTSIDE] = 3071
     values[9, 14:16, 14:16] = 3071
@@ -150,8 +150,8 @@ def test_metal_within_a_volume_without_tags_stays():
     assert without_corner_padding(chest())[0] is chest()
 
 
-def test_the_simulated_radiograph_is_not_black(tmp_path):
-    """The brightest voxel along each ray is bone or metal, never padding."""
+def test_simulated_radiograph_is_not_black(tmp_path):
+    """The brightest voxel along each ray is bone or metal and never padding."""
     volume = open_volume(ringed(63536, tag=63536)(tmp_path))
     assert isinstance(volume, Volume)
     assert volume.hu_zyx.max() == chest()[:, ~OUTSIDE].max()
@@ -164,14 +164,14 @@ def _lut_item(descriptor: list[int], data: bytes) -> Dataset:
     return item
 
 
-def test_numbers_outside_a_table_get_its_first_and_last_entry():
+def test_values_outside_a_lut_get_its_first_and_last_entry():
     lut = read_modality_lut(
         _lut_item([3, 0xFFFE, 16], np.array([7, 8, 9], "<u2").tobytes()), signed=True, little_endian=True
     )
     np.testing.assert_array_equal(lut.values(np.array([-9, -2, -1, 0, 50], np.int32)), [7, 7, 8, 9, 9])
 
 
-def test_a_table_of_bytes_and_a_table_of_all_numbers():
+def test_lut_of_bytes_and_lut_of_all_values_are_read():
     lut = read_modality_lut(_lut_item([4, 0, 8], bytes([1, 2, 3, 4])), signed=False, little_endian=True)
     np.testing.assert_array_equal(lut.values(np.array([0, 3], np.int32)), [1, 4])
     every = np.arange(1 << 16)[::-1].astype(">u2")
@@ -179,7 +179,7 @@ def test_a_table_of_bytes_and_a_table_of_all_numbers():
     np.testing.assert_array_equal(lut.values(np.array([0, 65535], np.int32)), [65535, 0])
 
 
-def test_a_table_that_repeats_the_rescale_is_no_contradiction(tmp_path):
+def test_lut_that_repeats_the_rescale_is_no_contradiction(tmp_path):
     def edit(dataset: Dataset, index: int) -> None:
         item = _lut_item([4096, 0, 16], np.arange(4096).astype("<u2").tobytes())
         dataset.ModalityLUTSequence, dataset.RescaleIntercept = [item], 0

@@ -1,4 +1,4 @@
-"""Text of files and file names in messages: one line, short, and accepted by every encoder."""
+"""Text and file names from files, converted for messages: one line, short, and valid in every encoding."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_every_error_message_can_be_printed(kind):
     assert message == r"reading l\xe9\x0a"
 
 
-def test_a_short_value_is_shown_whole_and_a_long_one_with_its_length():
+def test_short_value_is_shown_whole_and_long_value_with_its_length():
     assert shown_value("0,7 0,8 2") == "'0,7 0,8 2'"
     assert shown_value("x" * MAX_VALUE_CHARS) == f"'{'x' * MAX_VALUE_CHARS}'"
     long = shown_value("begin" + "x" * 10_000 + "end")

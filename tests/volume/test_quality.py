@@ -1,4 +1,4 @@
-"""The quality gate: spacing, lungs, cuts, padding."""
+"""Quality gate of a CT: spacing, lung volume, cut lungs and padding."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ SPACING_MM = np.array([2.2, 2.0, 2.6])
 
 
 def body(shape_zyx=(90, 110, 130), *, lungs=True, flip=False) -> Volume:
-    """An elliptic body in air on a couch, with two ellipsoid lungs of together 3.1 litres."""
+    """Return an elliptic body in air on a couch, with two ellipsoid lungs of 3.1 litres in total."""
     z, y, x = np.indices(shape_zyx, dtype=np.float64)
     z, y, x = ((a - (n - 1) / 2) * s for a, n, s in zip((z, y, x), shape_zyx, SPACING_MM[::-1], strict=True))
     hu = np.full(shape_zyx, -1000.0)
     hu[(x / 130) ** 2 + (y / 90) ** 2 < 1] = 40
-    hu[(y > 98) & (y < 106)] = -940  # couch foam: as dark as emphysema
+    hu[(y > 98) & (y < 106)] = -940  # couch foam has the density of emphysema
     if lungs:
         for side in (-1, 1):
             hu[((x - side * 62) / 50) ** 2 + (y / 70) ** 2 + (z / 106) ** 2 < 1] = -850
@@ -36,33 +36,33 @@ def codes(volume: Volume) -> list[str]:
     ("spacing_mm", "generation"),
     [((0.6, 0.6, 0.6), 9), ((0.7, 0.7, 1.25), 9), ((0.7, 0.7, 2.0), 7), ((0.7, 0.7, 3.0), 5), ((0.8, 0.8, 5.0), 3)],
 )
-def test_the_trusted_generation_follows_the_widest_spacing(spacing_mm, generation):
+def test_trusted_generation_follows_the_widest_spacing(spacing_mm, generation):
     assert trusted_generation(spacing_mm) == generation
 
 
-def test_whole_lungs_are_found_and_not_called_cut():
+def test_whole_lungs_are_found_and_not_reported_as_cut():
     quality = quality_gate(body())
-    # Two ellipsoids: 2 * 4/3 pi * 5.0 * 7.0 * 10.6 cm; the coarse grid and the opening cost a few percent of it.
+    # Two ellipsoids: 2 * 4/3 pi * 5.0 * 7.0 * 10.6 cm; the coarse grid and the opening remove a few percent.
     assert quality.lung_litres == pytest.approx(3.11, rel=0.08)
     assert [finding.code for finding in quality.findings] == ["spacing"]
     assert "2.6 mm" in quality.findings[0].words
 
 
 @pytest.mark.parametrize(("flip", "face"), [(False, "top"), (True, "bottom")])
-def test_cut_lungs_are_named_by_the_patient_s_directions(flip, face):
+def test_cut_lungs_are_reported_by_patient_direction(flip, face):
     whole = body(flip=flip)
     cut = Volume(np.ascontiguousarray(whole.hu_zyx[:55]), whole.lps_from_ijk)
     finding = next(finding for finding in quality_gate(cut).findings if finding.code == "cut")
     assert f"cut off at the {face} of" in finding.words
 
 
-def test_a_crop_inside_the_body_still_has_lungs():
+def test_crop_inside_the_body_has_lungs():
     whole = body()
     crop = Volume(np.ascontiguousarray(whole.hu_zyx[:, 25:85, 15:115]), whole.lps_from_ijk)
     assert quality_gate(crop).lung_litres == pytest.approx(3.11, rel=0.15)
 
 
-def test_a_body_without_lungs_is_no_chest():
+def test_body_without_lungs_is_no_chest():
     assert "no-lungs" in codes(body(lungs=False))
 
 
@@ -73,13 +73,13 @@ def test_padding_is_reported():
     assert "padding" in codes(Volume(hu, volume.lps_from_ijk))
 
 
-def test_thick_slices_are_uneven_and_masks_are_no_scans():
+def test_thick_slices_are_reported_as_uneven_and_masks_as_no_scans():
     volume = body()
     assert "uneven" in codes(Volume(volume.hu_zyx, np.diag([0.7, 0.7, 3.0, 1.0])))
     mask = Volume((volume.hu_zyx < -500).astype(np.int16), volume.lps_from_ijk, is_hu=False, not_hu_reason="0 to 1")
     assert codes(mask)[:2] == ["not-hu", "mask"]
 
 
-def test_a_tiny_volume_is_judged_without_a_fault():
+def test_tiny_volume_is_judged_without_an_error():
     quality = quality_gate(Volume(np.array([[[-1000, 0]], [[40, 3]]], dtype=np.int16), np.diag([5.0, 0.5, 0.7, 1.0])))
     assert quality.to_json()["findings"]

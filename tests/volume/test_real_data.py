@@ -1,4 +1,4 @@
-"""Real and odd files: each is read right or refused clearly."""
+"""Real scans and unusual files from public collections: each is read correctly or refused with its reason."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from carina.volume.watch import Watch
 pytestmark = pytest.mark.data
 
 
-def test_the_patient_reads_as_the_library_reads_it(patient_dicom):
+def test_patient_ct_has_the_values_of_the_reference_library(patient_dicom):
     started = time.process_time()
     volume = open_volume(patient_dicom)
     seconds = time.process_time() - started
-    assert seconds < 6  # of the processor; 0.4 to 0.8 s were seen
+    assert seconds < 6  # processor time; 0.4 to 0.8 s were measured
     reader = sitk.ImageSeriesReader()
     reader.SetFileNames(reader.GetGDCMSeriesFileNames(str(patient_dicom)))
     image = reader.Execute()
@@ -34,9 +34,9 @@ def test_the_patient_reads_as_the_library_reads_it(patient_dicom):
     assert "slices are 3.0 mm apart: beyond about generation 5, airways may be missed or measured inaccurately" in words
 
 
-def test_the_bundled_patient_is_a_lossless_crop_at_the_same_place(patient_dicom):
+def test_bundled_patient_is_a_lossless_crop_at_the_same_position(patient_dicom):
     whole, crop = open_volume(patient_dicom), demo_patient()
-    # The corner is found from positions alone, so a crop that moved cannot pass.
+    # The corner is computed from positions alone, so a moved crop fails.
     corner = whole.to_ijk(crop.to_lps(np.zeros(3)))
     i, j, k = np.rint(corner).astype(int)
     np.testing.assert_allclose(corner, [i, j, k], rtol=0, atol=1e-9)
@@ -45,10 +45,10 @@ def test_the_bundled_patient_is_a_lossless_crop_at_the_same_place(patient_dicom)
     np.testing.assert_array_equal(crop.lps_from_ijk[:3, :3], whole.lps_from_ijk[:3, :3])
 
 
-def test_the_bundled_patient_holds_all_airways_of_the_reference(patient_dicom):
+def test_bundled_patient_contains_all_airways_of_the_reference(patient_dicom):
     mask = sitk.ReadImage(str(patient_dicom.parent / "airway_ground_truth" / "github_demo_seg.nii.gz"))
     inside = np.argwhere(sitk.GetArrayFromImage(mask) > 0)[:, ::-1].astype(np.float64)
-    lps = inside * mask.GetSpacing() + mask.GetOrigin()  # its axes are parallel to the patient's
+    lps = inside * mask.GetSpacing() + mask.GetOrigin()  # the axes of the mask are parallel to the axes of LPS
     crop = demo_patient()
     ijk = crop.to_ijk(lps)
     assert (ijk > 4).all(axis=0)[:2].all()
@@ -56,12 +56,12 @@ def test_the_bundled_patient_holds_all_airways_of_the_reference(patient_dicom):
     assert (ijk < np.array(crop.shape_zyx[::-1])).all()
 
 
-def test_the_second_patient_opens(data_dir, tmp_path):
+def test_second_patient_opens(data_dir, tmp_path):
     import tarfile
 
     with tarfile.open(data_dir / "ct" / "QIN-LSC-0064.tar.xz") as archive:
         for member in archive:
-            # Only the files' own names: the "data" filter is younger than the oldest Python 3.11.
+            # Only names of files are used: the "data" filter of tarfile is missing in early releases of Python 3.11.
             if member.isfile():
                 (tmp_path / member.name.replace("/", "_")).write_bytes(archive.extractfile(member).read())
     volume = open_volume(tmp_path)
@@ -102,7 +102,7 @@ def test_the_second_patient_opens(data_dir, tmp_path):
         ("PROVENANCE.txt", "import.not-an-image", "PROVENANCE.txt"),
     ],
 )
-def test_odd_dicom_is_refused_with_its_reason(data_dir, capfd, path, code, words):
+def test_unusual_dicom_is_refused_with_its_reason(data_dir, capfd, path, code, words):
     with pytest.raises(VolumeImportError) as caught:
         open_volume(data_dir / "odd" / "dicom" / path)
     assert caught.value.code == code
@@ -117,18 +117,18 @@ def _outcome(path: Path) -> str:
         return error.code
 
 
-def test_no_odd_dicom_file_causes_anything_but_a_volume_or_a_refusal(data_dir):
+def test_each_unusual_dicom_file_gives_a_volume_or_a_refusal(data_dir):
     paths = sorted((data_dir / "odd" / "dicom").rglob("*"))
     outcomes = {path.name: _outcome(path) for path in paths}
     assert all(outcome.startswith(("Volume(", "import.")) for outcome in outcomes.values())
-    # Only the JPEG2000 series makes a volume: its folder, and each of its 20 files.
+    # Only the JPEG 2000 series gives a volume: its folder, and each of its 20 files.
     assert sum(outcome.startswith("Volume(") for outcome in outcomes.values()) == 21
 
 
-def test_a_jpeg2000_series_with_overlapping_slices_opens(data_dir):
+def test_jpeg2000_series_with_overlapping_slices_opens(data_dir):
     volume = open_volume(data_dir / "odd" / "dicom" / "totalseg_example_ct_dicom_j2k")
     assert volume.shape_zyx == (20, 512, 512)
-    # The slices are 3 mm thick and 2 mm apart: the distance counts.
+    # The slices are 3 mm thick and 2 mm apart; the distance is the spacing.
     assert volume.spacing_mm == pytest.approx((0.9766, 0.9766, 2.0), abs=1e-4)
     assert volume.is_hu
     assert int(volume.hu_zyx.min()) == -1024
@@ -152,8 +152,8 @@ def test_every_lossless_transfer_syntax_gives_the_same_slice(data_dir, syntax):
 @pytest.mark.parametrize(
     ("syntax", "mean_hu"), [("JPEG2000Transfer", 3), ("LSLossy", 3), ("Process2_4", 6), ("Process1Tr", 25)]
 )
-def test_lossy_transfer_syntaxes_come_close(data_dir, syntax, mean_hu):
-    # Measured: 0.5 to 4 HU where 12 bits cover 8000 values in steps of 2; Process1 has 8 bits, steps of 32 HU.
+def test_lossy_transfer_syntaxes_are_within_tolerance(data_dir, syntax, mean_hu):
+    # The error is 0.5 to 4 HU where 12 bits cover 8000 values in steps of 2; Process1 has 8 bits, steps of 32 HU.
     headers = read_headers(
         data_dir / "odd" / "dicom" / "cornerstone3D_transfer_syntaxes", recursive=False, watch=Watch()
     )
@@ -166,7 +166,7 @@ def _orientations(folder: Path) -> list[Path]:
     return sorted((folder / "odd" / "nifti" / "niivue_orientations").glob("*.nii.gz"))
 
 
-def test_all_48_orientations_put_the_same_values_at_the_same_places(data_dir, rng):
+def test_all_48_orientations_give_equal_values_at_equal_positions(data_dir, rng):
     paths = _orientations(data_dir)
     assert len(paths) == 48
     reference = open_volume(paths[0])
@@ -178,11 +178,11 @@ def test_all_48_orientations_put_the_same_values_at_the_same_places(data_dir, rn
         volume = open_volume(path)
         there = volume.to_ijk(lps)
         nearest = np.rint(there).astype(int)
-        np.testing.assert_allclose(there, nearest, rtol=0, atol=1e-3, err_msg=path.name)  # float32 headers
+        np.testing.assert_allclose(there, nearest, rtol=0, atol=1e-3, err_msg=path.name)  # the headers are float32
         np.testing.assert_array_equal(
             volume.hu_zyx[nearest[:, 2], nearest[:, 1], nearest[:, 0]], expected, err_msg=path.name
         )
-        # The files are named by where their axes point, in RAS letters; ours are L and P for the same.
+        # The file names state where the axes point, in RAS letters; Carina uses L and P for the same letters.
         assert inspect_path(path).axes == path.name[:3]
 
 
@@ -194,7 +194,7 @@ def test_all_48_orientations_put_the_same_values_at_the_same_places(data_dir, rn
         ("PROVENANCE.txt", "import.not-an-image"),
     ],
 )
-def test_odd_grids_are_refused(data_dir, name, code):
+def test_unusual_grids_are_refused(data_dir, name, code):
     with pytest.raises(VolumeImportError) as caught:
         open_volume(data_dir / "odd" / "nifti" / name)
     assert caught.value.code == code
@@ -210,34 +210,34 @@ def test_odd_grids_are_refused(data_dir, name, code):
         ("odd/nifti/niivue_mha.mha", False),
     ],
 )
-def test_grids_are_known_as_hu_or_not(data_dir, path, is_hu):
+def test_hu_status_of_grids_is_as_expected(data_dir, path, is_hu):
     volume = open_volume(data_dir / path)
     assert volume.is_hu is is_hu
     assert (volume.not_hu_reason is None) is is_hu
 
 
-def test_the_oblique_head_keeps_its_thirty_degrees(data_dir):
+def test_oblique_head_keeps_its_thirty_degrees(data_dir):
     volume = open_volume(data_dir / "ct" / "head_and_lidc2_8bit" / "headsq_64x64x93_int16.mha")
     i_lps = volume.lps_from_ijk[:3, 0] / 3.2
     np.testing.assert_allclose(
         i_lps, [np.cos(np.pi / 6), np.sin(np.pi / 6), 0], rtol=0, atol=5e-5
-    )  # written with three digits
+    )  # the header has three digits
 
 
-def test_a_coarse_ct_is_told_to_be_coarse(data_dir):
+def test_coarse_ct_is_reported_as_coarse(data_dir):
     volume = open_volume(data_dir / "ct" / "coarse_3mm_nifti" / "example_ct.nii.gz")
     assert any(
         finding.code == "spacing" and "generation 5" in finding.words for finding in quality_gate(volume).findings
     )
 
 
-def test_a_nifti_named_gz_opens(data_dir):
+def test_nifti_with_the_suffix_gz_opens(data_dir):
     volume = open_volume(data_dir / "masks" / "thin_slice_lobes" / "Patient1" / "BronchialTree.gz")
     assert volume.shape_zyx == (587, 512, 512)
 
 
 @pytest.mark.parametrize("value", ["absent", "empty"])
-def test_three_slices_of_the_patient_without_rescale_are_refused_by_name(patient_dicom, tmp_path, value):
+def test_three_slices_without_rescale_are_refused_by_name(patient_dicom, tmp_path, value):
     import pydicom
 
     for path in patient_dicom.iterdir():

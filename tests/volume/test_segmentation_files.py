@@ -1,4 +1,4 @@
-"""DICOM segmentations as highdicom writes them: every type, overlaps, frames left out, and grids unlike the CT's."""
+"""DICOM segmentations of highdicom: every type, overlaps, omitted frames, and grids unlike the CT's grid."""
 
 from __future__ import annotations
 
@@ -21,7 +21,10 @@ from carina.volume import MaskGridError, MaskLabelError, Volume
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning:highdicom", "ignore::UserWarning:pydicom")
 
 SHAPE_ZYX, SPACING_MM = (12, 19, 22), (0.8, 0.7, 1.5)
-"""Rows times columns is no multiple of eight: frames begin inside bytes."""
+"""Shape and spacing of the CT.
+
+Rows times columns is no multiple of eight, so frames begin inside bytes.
+"""
 
 
 @functools.cache
@@ -95,7 +98,7 @@ def inside(path, **options):
     return mask.inside_zyx.astype(bool), mask.notes
 
 
-def test_a_segment_opens_although_other_segments_overlap_it(tmp_path):
+def test_segment_opens_although_other_segments_overlap_it(tmp_path):
     volume, _, ball, lung, _ = scene()
     path = write(tmp_path / "s.dcm", np.stack([lung, ball], -1), labels=("lung", "nodule"))
     assert np.array_equal(inside(path, label=1)[0], lung)
@@ -112,7 +115,7 @@ def test_a_segment_opens_although_other_segments_overlap_it(tmp_path):
 
 
 @pytest.mark.parametrize("omit", [True, False])
-def test_a_label_map_opens_and_a_segment_is_chosen_by_number_or_name(tmp_path, omit):
+def test_label_map_segment_is_chosen_by_number_or_name(tmp_path, omit):
     volume, _, ball, lung, _ = scene()
     numbers = lung.astype(np.uint8)
     numbers[ball] = 2
@@ -125,11 +128,11 @@ def test_a_label_map_opens_and_a_segment_is_chosen_by_number_or_name(tmp_path, o
     assert target.nodule.volume_mm3 == pytest.approx(ball.sum() * np.prod(SPACING_MM))
     with pytest.raises(MaskLabelError) as error:
         open_mask(path, volume)
-    # The background that highdicom describes is no structure.
+    # The background that highdicom describes is not listed as a structure.
     assert [(label.number, label.name) for label in error.value.labels] == [(1, "lung"), (2, "nodule")]
 
 
-def test_a_label_map_may_have_large_numbers_and_another_background(tmp_path):
+def test_label_map_may_have_large_numbers_and_another_background(tmp_path):
     ball = scene()[2]
 
     def change(data):
@@ -143,13 +146,13 @@ def test_a_label_map_may_have_large_numbers_and_another_background(tmp_path):
     assert np.array_equal(inside(path)[0], ball)
 
 
-def test_fractions_are_taken_from_a_half_on_with_a_note(tmp_path):
+def test_fractions_of_a_half_and_above_are_set_with_a_note(tmp_path):
     _, _, ball, _, off = scene()
     share = np.clip(0.5 + (4.0 - off) / 3.0, 0.0, 1.0).astype(np.float32)
     for kind, word in (("PROBABILITY", "probabilities"), ("OCCUPANCY", "occupancies")):
         path = write(tmp_path / "s.dcm", share, kind="FRACTIONAL", fractional_type=kind)
         found, notes = inside(path)
-        # 255 steps: voxels within 0.2 % of a half may fall on either side.
+        # Fractions have 255 steps: voxels within 0.4 % of a half may be on either side.
         assert not (found ^ ball)[np.abs(share - 0.5) > 0.004].any()
         assert notes[0] == f"the segmentation: it contains {word}; voxels of 50 % or more count as inside"
     path = write(tmp_path / "s.dcm", ball.astype(np.float32), kind="FRACTIONAL", fractional_type="OCCUPANCY")
@@ -162,7 +165,7 @@ def test_fractions_are_taken_from_a_half_on_with_a_note(tmp_path):
 
 
 def reverse(data):
-    """Store the frames in the other order."""
+    """Store the frames of the segmentation in reverse order."""
     size = data.Rows * data.Columns
     num = int(data.NumberOfFrames)
     bits = np.unpackbits(np.frombuffer(data.PixelData, np.uint8), bitorder="little")[: num * size].reshape(num, size)
@@ -207,7 +210,7 @@ def test_frames_may_be_in_any_order(tmp_path):
     assert np.array_equal(inside(path, label=1)[0], lung)
 
 
-def test_positions_decide_where_the_distance_of_planes_contradicts_them(tmp_path):
+def test_positions_have_precedence_over_the_stated_distance_of_planes(tmp_path):
     ball = scene()[2]
     path = write(tmp_path / "s.dcm", ball, change=lambda data: measures(data, SpacingBetweenSlices=4.0))
     found, notes = inside(path)
@@ -245,7 +248,7 @@ def test_an_empty_segment_is_named_as_empty(tmp_path):
 
 
 def coarse_slices():
-    """Slices of the same region with other pixels and every second position."""
+    """Return the slices of every second position, with other pixel sizes."""
     found = []
     for data in scene()[1][::2]:
         other = copy.deepcopy(data)
@@ -256,7 +259,7 @@ def coarse_slices():
     return found
 
 
-def test_a_segmentation_on_a_coarser_grid_is_refused_and_can_be_resampled(tmp_path):
+def test_segmentation_on_a_coarser_grid_is_refused_or_resampled_on_request(tmp_path):
     volume, _, ball, _, _ = scene()
     coarse = ball[::2, ::2, ::2]
     path = write(tmp_path / "s.dcm", coarse, slices=coarse_slices(), omit_empty_frames=False)
@@ -272,7 +275,7 @@ def test_other_orientations_of_the_planes_are_placed_exactly(tmp_path):
     flipped = []
     for data in slices[::-1]:
         other = copy.deepcopy(data)
-        # Rows run the other way, so that the planes' normal does, too.
+        # The rows are reversed, so the normal of the planes is reversed too.
         step = np.array([float(v) for v in data.ImageOrientationPatient[:3]])
         first = np.array([float(v) for v in data.ImagePositionPatient])
         other.ImagePositionPatient = [float(v) for v in first + step * SPACING_MM[0] * (SHAPE_ZYX[2] - 1)]

@@ -1,4 +1,4 @@
-"""Several series in one folder, what their numbers mean, and manners: progress, cancel, no patient data."""
+"""Folders with several series: choice of the CT, HU status, progress, cancellation and privacy."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def _scout(dataset, index):
     dataset.ImageOrientationPatient = [1, 0, 0, 0, 0, -1]
 
 
-def test_the_scout_is_left_aside_and_named(write_series, expected_hu_zyx):
+def test_scout_series_is_skipped_and_named(write_series, expected_hu_zyx):
     folder = write_series()
     write_series("scan", edit=_scout, num_slices=1, number=1, description="Topogram", name=lambda i: "scout")
     volume = open_volume(folder)
@@ -29,14 +29,14 @@ def test_the_scout_is_left_aside_and_named(write_series, expected_hu_zyx):
     assert any("several series" in words and "Topogram" in words for words in volume.source.warnings)
 
 
-def test_a_scout_in_the_same_series_is_left_aside(write_series, expected_hu_zyx):
+def test_scout_in_the_same_series_is_skipped(write_series, expected_hu_zyx):
     uid = generate_uid()
     folder = write_series(series_uid=uid)
     write_series("scan", edit=_scout, num_slices=1, series_uid=uid, name=lambda i: "scout")
     np.testing.assert_array_equal(open_volume(folder).hu_zyx, expected_hu_zyx)
 
 
-def test_the_largest_chest_ct_is_taken_and_others_can_be_chosen(write_series):
+def test_largest_chest_ct_is_opened_and_others_can_be_chosen(write_series):
     folder = write_series(number=2, num_slices=5)
     write_series("scan", number=7, name=lambda i: f"B{i}")
     write_series(
@@ -52,13 +52,13 @@ def test_the_largest_chest_ct_is_taken_and_others_can_be_chosen(write_series):
         open_volume(folder, series="9")
 
 
-def test_text_of_the_chest_outweighs_a_few_more_slices(write_series):
+def test_chest_in_the_description_outweighs_a_few_more_slices(write_series):
     folder = write_series(number=1, description="Lung 1.0", num_slices=7)
     write_series("scan", number=2, description="Abdomen", name=lambda i: f"B{i}")
     assert open_volume(folder).source.title == "Lung 1.0"
 
 
-def test_another_series_takes_the_place_of_a_refused_one_only_if_it_covers_half_of_it(write_series):
+def test_other_series_replaces_a_refused_one_only_if_it_covers_half_of_it(write_series):
     def gap(dataset, index):
         if index >= 5:
             dataset.ImagePositionPatient = [-31.5 - 3.0 * index, 12.25, 140.0]
@@ -72,11 +72,11 @@ def test_another_series_takes_the_place_of_a_refused_one_only_if_it_covers_half_
         "scan", number=3, num_slices=25, name=lambda i: f"C{i}", edit=lambda d, i: setattr(d, "Modality", "MR")
     )
     with pytest.raises(VolumeImportError):
-        open_volume(folder)  # an MR series is no substitute
+        open_volume(folder)  # an MR series does not replace a CT
     assert open_volume(folder, series="2").shape_zyx[0] == 2
 
 
-def test_a_whole_series_replaces_a_refused_one_and_a_warning_says_so(write_series):
+def test_whole_series_replaces_a_refused_one_with_a_warning(write_series):
     folder = write_series(number=1)
     (folder / "IM004").unlink()
     write_series("scan", number=2, num_slices=6, name=lambda i: f"B{i}")
@@ -86,7 +86,7 @@ def test_a_whole_series_replaces_a_refused_one_and_a_warning_says_so(write_serie
     assert any("the largest series was refused" in words and "irregular" in words for words in volume.source.warnings)
 
 
-def test_an_inspection_reports_what_would_be_refused(write_series):
+def test_inspection_reports_what_would_be_refused(write_series):
     folder = write_series()
     (folder / "IM004").unlink()
     found = inspect_path(folder)
@@ -94,11 +94,11 @@ def test_an_inspection_reports_what_would_be_refused(write_series):
     assert found.to_json()["series"][0]["num_slices"] == SLICES - 1
 
 
-def test_an_inspection_gives_the_geometry_without_the_pixels(write_series, expected_lps_from_ijk):
+def test_inspection_gives_the_geometry_without_reading_pixels(write_series, expected_lps_from_ijk):
     folder = write_series(edit=lambda d, i: setattr(d, "PixelData", b""))
     found = inspect_path(folder)
     np.testing.assert_allclose(found.lps_from_ijk, expected_lps_from_ijk, rtol=0, atol=1e-8)
-    assert found.axes == "lip"  # to the left, inferior, posterior, all more than 1 degree oblique
+    assert found.axes == "lip"  # left, inferior, posterior; all axes are more than 1 degree oblique
 
 
 def test_mr_series_are_not_hu(write_series):
@@ -107,7 +107,7 @@ def test_mr_series_are_not_hu(write_series):
     assert "MR" in (volume.not_hu_reason or "")
 
 
-def test_eight_bit_series_are_not_hu(write_series):
+def test_8_bit_series_is_not_hu(write_series):
     def eight_bits(dataset, index):
         dataset.BitsAllocated = dataset.BitsStored = 8
         dataset.HighBit, dataset.PixelRepresentation = 7, 0
@@ -119,7 +119,7 @@ def test_eight_bit_series_are_not_hu(write_series):
     assert "8 bits" in (volume.not_hu_reason or "")
 
 
-def test_a_ct_without_rescale_tags_is_not_taken_for_hu(write_series):
+def test_ct_without_rescale_tags_is_not_hu(write_series):
     def drop(dataset, index):
         del dataset.RescaleSlope, dataset.RescaleIntercept
 
@@ -128,7 +128,7 @@ def test_a_ct_without_rescale_tags_is_not_taken_for_hu(write_series):
     assert "no rescale tags" in (volume.not_hu_reason or "")
 
 
-def test_nothing_of_the_patient_leaves_the_importer(write_series, caplog, capfd):
+def test_import_exposes_no_patient_data(write_series, caplog, capfd):
     uid = generate_uid()
     caplog.set_level(logging.DEBUG)
 
@@ -146,7 +146,7 @@ def test_nothing_of_the_patient_leaves_the_importer(write_series, caplog, capfd)
         assert secret not in text
 
 
-def test_progress_rises_and_cancel_stops_at_every_step(write_series):
+def test_progress_increases_and_cancel_stops_at_every_step(write_series):
     folder = write_series()
     seen: list[tuple[str, float | None]] = []
     open_volume(folder, progress=lambda what, fraction: seen.append((what, fraction)))
@@ -154,15 +154,15 @@ def test_progress_rises_and_cancel_stops_at_every_step(write_series):
     assert len(slices) == SLICES + 1
     assert slices == sorted(slices)
     assert slices[-1] == 1.0
-    # Cancelled at its n-th question, for every n: always CancelledError, never a half-read volume.
+    # Cancel at each call in turn: always CancelledError, never an incomplete volume.
     for stop_at in range(len(seen)):
         asked = iter(range(len(seen) + 1))
         with pytest.raises(CancelledError):
             open_volume(folder, cancel=lambda asked=asked, stop_at=stop_at: next(asked) >= stop_at)
 
 
-def test_messages_are_bounded_when_every_image_is_its_own_series(tmp_path, write_series):
-    """Each image has its own study; the folder looks like many series of one image."""
+def test_messages_are_bounded_if_every_image_is_its_own_series(tmp_path, write_series):
+    """Each image has its own study, so the folder seems to contain many series of one image."""
     names = [f"{'long-name-' * 18}{index:03d}.dcm" for index in range(40)]
     folder = write_series(
         num_slices=40,
@@ -177,13 +177,13 @@ def test_messages_are_bounded_when_every_image_is_its_own_series(tmp_path, write
     inspection = inspect_path(folder)
     assert inspection.refused is not None
     assert len(inspection.refused) <= 600
-    assert len(inspection.series) == 40  # --json lists them all
+    assert len(inspection.series) == 40  # --json lists all series
     with pytest.raises(UsageError) as usage:
         open_volume(folder, series="99")
     assert len(str(usage.value)) <= 600
 
 
-def test_a_bounded_message_keeps_its_beginning_and_its_remedy():
+def test_bounded_message_keeps_its_beginning_and_its_remedy():
     message = f"reading scan: {'x' * 5000}; export the series again"
     short = bounded_message(message)
     assert len(short) == MAX_MESSAGE_CHARS
@@ -194,14 +194,14 @@ def test_a_bounded_message_keeps_its_beginning_and_its_remedy():
     assert bounded_name("n" * 200).count("n") == 56
 
 
-def test_the_thickness_of_the_slices_is_stored_where_all_state_the_same(write_series, expected_lps_from_ijk):
+def test_slice_thickness_is_stored_if_all_slices_state_the_same(write_series, expected_lps_from_ijk):
     volume = open_volume(write_series())
     assert volume.source.slice_thickness_mm == 5.0
     np.testing.assert_allclose(volume.lps_from_ijk, expected_lps_from_ijk)
 
 
 @pytest.mark.parametrize("thickness", ["", "0", "-2", "500", None])
-def test_an_impossible_or_missing_thickness_is_not_known(write_series, thickness):
+def test_impossible_or_missing_thickness_is_unknown(write_series, thickness):
     def edit(dataset, _index):
         if thickness is None:
             del dataset.SliceThickness
@@ -211,7 +211,7 @@ def test_an_impossible_or_missing_thickness_is_not_known(write_series, thickness
     assert open_volume(write_series(edit=edit)).source.slice_thickness_mm is None
 
 
-def test_slices_of_two_thicknesses_have_none(write_series):
+def test_slices_of_two_thicknesses_have_no_thickness(write_series):
     def edit(dataset, index):
         dataset.SliceThickness = 5.0 if index else 2.5
 

@@ -1,4 +1,4 @@
-"""Masks that take memory only where they are set."""
+"""Masks that occupy memory only on pages with set voxels."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LARGE = (64, 1024, 1024)
 
 
 def resident_bytes(mask):
-    """How much memory the system has given to what a mask lies in; its neighbour may be there, too."""
+    """Return the resident bytes of the memory mapping of a mask; it may include an adjacent mapping."""
     at = mask.__array_interface__["data"][0]
     found = None
     for line in Path("/proc/self/smaps").read_text().splitlines():
@@ -31,7 +31,7 @@ def resident_bytes(mask):
 
 
 @given(arrays(np.uint8, st.tuples(*[st.integers(1, 9)] * 3), elements=st.sampled_from([0, 1, 255])))
-def test_a_copy_is_set_where_the_mask_is_and_cannot_be_written(mask):
+def test_copy_equals_the_mask_and_is_read_only(mask):
     before = mask.copy()
     copy = sparse_mask(mask)
     assert copy.dtype == np.uint8
@@ -42,7 +42,7 @@ def test_a_copy_is_set_where_the_mask_is_and_cannot_be_written(mask):
         copy[0, 0, 0] = 1
 
 
-def test_a_mask_in_any_order_of_its_axes_is_copied_as_it_is_seen():
+def test_mask_in_any_memory_order_is_copied_by_its_indices():
     mask = np.zeros((3, 4, 5), bool)
     mask[2, 0, 4] = mask[1, 3, 0] = True
     seen = mask.transpose(2, 0, 1)[::-1]
@@ -50,7 +50,7 @@ def test_a_mask_in_any_order_of_its_axes_is_copied_as_it_is_seen():
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the system tells its memory in /proc")
-def test_pages_that_are_not_set_take_no_memory_when_the_mask_is_read():
+def test_reading_a_mask_allocates_no_unset_pages():
     empty = empty_mask(LARGE)
     before = resident_bytes(empty)
     assert not empty.any()
@@ -59,5 +59,5 @@ def test_pages_that_are_not_set_take_no_memory_when_the_mask_is_read():
     mask[:, 500:504, 600:640] = 1
     copy = sparse_mask(mask)
     assert copy.sum() == mask.sum()
-    # 64 pieces of 4 rows of a KB: a page each, or two.
+    # 64 blocks of 4 rows of 1 kB: one or two pages each.
     assert resident_bytes(copy) <= before + 64 * 2 * 4096
