@@ -1,4 +1,4 @@
-"""A scope that was held when a case was closed is laid again only where the tip still is."""
+"""Restoring a held scope when a case is opened again: only if the tip has not moved since."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ AIRWAYS = object()
     ],
     ids=["as it was", "another mode", "moved", "other airways"],
 )
-def test_a_tip_that_was_moved_meanwhile_stays_where_it_is(mode, moved_mm, airways, is_due):
+def test_restored_scope_does_not_move_a_tip_that_was_moved_meanwhile(mode, moved_mm, airways, is_due):
     def pose(x):
         matrix = np.eye(4)
         matrix[0, 3] = x
