@@ -95,7 +95,7 @@ def test_the_layers_round_a_target_are_stopped_asked_for_again_and_switched_off_
     assert workstation.faults == []
 
 
-def test_the_drive_of_a_verdict_is_kept_as_a_flight_and_flown(server, workstation):
+def test_drive_of_a_verdict_is_stored_as_a_flight_and_flown(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     page = workstation.page

@@ -245,7 +245,7 @@ def test_one_too_many_is_refused_in_words_and_a_place_that_is_left_can_be_taken_
         windows[1].send(wire.AskStorage())
 
 
-def test_another_case_begins_anew_for_all(two):
+def test_opening_another_case_resets_the_sight_of_all_windows(two):
     first, second = two
     begun = newest(second, wire.State).sight
     first.send(wire.SetTexture(on=False))
