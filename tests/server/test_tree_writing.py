@@ -70,7 +70,7 @@ def test_tree_that_arrives_at_the_end_of_the_encoding_is_encoded_before_its_rout
 
 
 def test_route_requested_before_its_tree_is_encoded_is_sent_with_it(monkeypatch):
-    """If the mark of the old tree matched the new document, the route would be announced once and never again."""
+    """The document has a new tree that is not encoded yet: a route announced now would not be announced again."""
     writing = Writing(monkeypatch)
     outbox = Outbox()
 
