@@ -32,7 +32,7 @@ def shown(workstation):
 
 
 def work(workstation):
-    """Change the outline, go to another branch, fly along it, and undo one step."""
+    """Choose another branch as the route, change the outline, undo that change, and move along the route."""
     workstation.page.get_by_test_id("list-airways").click()
     rows = workstation.page.get_by_role("row")
     rows.nth(3).click()

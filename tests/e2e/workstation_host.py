@@ -48,7 +48,7 @@ from made import found_airways, made_value
 STARTS_S = 120.0
 OPENS_S = 600.0
 PER_PIXEL_S = 0.4 / (150 * 150)
-"""Seconds per pixel of a slow airway view: the coarsest picture (150 x 150) takes 0.4 s, too slow for 5 a second."""
+"""Seconds per pixel of a slow airway view; the coarsest picture in a cell of 600 px then takes 0.4 s."""
 MOST_KEPT_BYTES = 1 << 20
 
 # The package exports a function with the name of the module.

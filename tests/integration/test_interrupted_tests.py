@@ -46,7 +46,7 @@ def test_runs_until_it_is_interrupted(n, tmp_path):
 
 
 START = "import os, signal, sys; signal.signal(signal.SIGINT, signal.SIG_DFL); os.execvp(sys.argv[1], sys.argv[1:])"
-"""Command prefix that restores SIGINT: a shell starts background processes with SIGINT ignored, and passes that on."""
+"""Program that restores SIGINT and runs a command: a shell starts background processes with SIGINT ignored."""
 
 
 def wait_for(state: Callable[[], bool], what: str) -> None:
@@ -77,7 +77,7 @@ def test_an_interrupted_run_leaves_no_process_and_no_file(tmp_path, options, int
 
 @pytest.fixture
 def ci(tmp_path):
-    """Return a function that provides stand-ins for the environment of CI, without the apt of this machine."""
+    """Return a function that creates stand-in commands for CI and returns its environment, which has no apt."""
     commands, temporary = tmp_path / "bin", tmp_path / "tmp"
     commands.mkdir()
     temporary.mkdir()

@@ -95,7 +95,7 @@ def oblique(image):
 
 @pytest.fixture(scope="module")
 def reference(phantom):
-    """Return pictures, tree and path of the phantom in its original orientation."""
+    """Return airways, paths and pictures of the phantom in its original orientation."""
     return seen(phantom, phantom.volume)
 
 
@@ -105,7 +105,7 @@ def reference(phantom):
     ids=" as ".join,
 )
 def found(request, phantom, image, tmp_path_factory):
-    """Return pictures, tree and path of the chest after it was stored in another orientation."""
+    """Return airways, paths and pictures of the chest after it was stored in another orientation."""
     how, suffix = request.param
     path = tmp_path_factory.mktemp("stored") / f"case{suffix}"
     sitk.WriteImage(stored(image, how), str(path))
@@ -118,7 +118,7 @@ def camera(phantom):
 
 
 def seen(phantom, volume):
-    """Return the results that are compared."""
+    """Return airways, paths and pictures of a volume, which the tests compare."""
     airways = carina.find_airways(volume)
     renderer = Renderer(volume)
     at = tuple(float(v) for v in middle_of(phantom, "RMB"))

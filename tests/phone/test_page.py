@@ -550,9 +550,7 @@ def test_last_click_decides_whether_the_page_is_open_in_any_order_of_threads(pho
 def test_page_is_off_until_the_user_enables_it_and_a_failure_states_its_reason(web):
     bench = small_bench()
     bench.open()
-    page = PhoneSwitch(
-        bench.session, web, address="203.0.113.250"
-    )  # an address of no computer, reserved for documentation
+    page = PhoneSwitch(bench.session, web, address="203.0.113.250")  # reserved for documentation: no computer has it
     sent: list[object] = []
     desk = DeviceDesk(bench.session, sent.append, phone=page)
     assert page.info() is None

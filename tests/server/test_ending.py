@@ -26,7 +26,7 @@ REQUEST = b"GET / HTTP/1.1\r\nHost: %s\r\n\r\n"
 
 @pytest.fixture
 def said(caplog):
-    """Return a function that reads the log messages of the library that look like errors."""
+    """Return a function that lists the log messages of uvicorn at level WARNING or above."""
     with caplog.at_level(logging.WARNING):
         yield lambda: [record.getMessage() for record in caplog.records if record.name.startswith("uvicorn")]
 

@@ -30,7 +30,7 @@ def test_upload_to_a_disk_that_refuses_it_is_refused_with_a_message(live, monkey
     assert "the disk is full" in answer.json()["message"]
 
 
-def test_exported_airways_are_a_temporary_file(live, tmp_path, monkeypatch):
+def test_exported_airways_need_the_cookie_and_leave_no_file_on_the_server(live, tmp_path, monkeypatch):
     made = []
 
     def export(path, volume, airways):

@@ -359,7 +359,7 @@ class Workstations:
             self.kill()
 
 
-# ---------------------------------------------------------------- who may join
+# ---------------------------------------------------------------- access control
 
 
 def test_connection_details_are_private_and_removed_with_the_case(ct):

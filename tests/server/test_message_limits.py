@@ -1,4 +1,4 @@
-"""What one client may send: an observer who floods the connection is disconnected, and others keep their turn."""
+"""What one client may send: an observer who floods the connection is disconnected, and other clients are still served."""
 
 from __future__ import annotations
 

@@ -66,7 +66,7 @@ def test_begin_uses_the_given_id_unless_another_case_is_shown_by_its_alias(recor
         held.release()
 
 
-def test_begin_uses_no_alias_of_a_forgotten_case(records):
+def test_begin_uses_no_alias_of_a_deleted_case(records):
     held = records.begin("ab" * 32, None, case_id="00112233aabbccdd")
     held.path.write_bytes(b"the case")
     held.release()

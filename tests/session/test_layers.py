@@ -28,7 +28,7 @@ def ball(middle_ijk: tuple[float, float, float], radius: float) -> np.ndarray:
 
 
 def axial(mm_per_px: float, column: float = 0.0, row: float = 0.0, z: float = -180.0) -> np.ndarray:
-    """Return a slice whose first pixel is at the origin of the masks, moved by ``pixels``."""
+    """Return the matrix of an axial slice: its first pixel is at the corner of the masks, moved by whole pixels."""
     matrix = np.diag([mm_per_px, mm_per_px, 1.0, 1.0])
     matrix[:3, 3] = (-10.0 + mm_per_px * column, 30.0 + mm_per_px * row, z)
     return matrix

@@ -150,7 +150,7 @@ def test_short_branch_has_its_stop_in_the_middle_and_stops_are_in_order():
     assert stops == (30.0, 42.0, 44.0)
 
 
-def test_route_states_the_widest_fitting_instrument_and_not_only_the_lumen():
+def test_route_has_the_distance_to_the_wall_besides_the_radius_of_the_lumen():
     along = np.linspace(0.0, 40.0, 41)
     points = np.stack([0 * along, 0 * along, -along], axis=1)
     flat = np.where(np.abs(along - 20.0) < 5.0, 1.0, 3.0)

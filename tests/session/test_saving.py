@@ -491,7 +491,7 @@ def test_suggested_names_differ_between_cases_and_contain_no_patient_data(tmp_pa
     assert not any("1951" in name or "name" in name.lower() for name in names)
 
 
-# ---------------------------------------------------------------- several windows, and clocks
+# ---------------------------------------------------------------- several windows, and changes of the clock
 
 
 def test_windows_that_open_one_ct_at_the_same_time_are_notified_of_each_other(desk, tmp_path):

@@ -99,7 +99,7 @@ def test_lumen_limits_the_tip_and_contact_is_counted(bench):
     assert wall.distance_mm([info.pose.position_lps])[0] > -0.1
 
 
-def test_scope_that_is_too_thick_names_an_instrument_that_would_pass(bench):
+def test_scope_that_is_too_thick_reports_the_diameter_that_would_pass(bench):
     session = bench.session
     session.do(SetScope("therapeutic"))
     session.do(GoTo(5.0))
