@@ -80,7 +80,7 @@ class FaultyDisk:
         fault
             An errno, or the value that stalls.
         after
-            Number of changes, counted from now, before the fault begins.
+            Number of the change, counted from now, at which the fault begins.
         folder
             Folder whose changes are counted and fail.
         """
@@ -126,7 +126,7 @@ class _File:
     synced: bytes = b""
     content: bytearray = field(default_factory=bytearray)
     since: list[tuple[int, bytes]] = field(default_factory=list)
-    """Writes (offset, data) and truncations (negative code of the new length, no data) since the last fsync."""
+    """Writes (offset, data) and truncations (-1 - new length, no data) since the last fsync."""
 
 
 class Durable:

@@ -117,7 +117,7 @@ def test_drawn_outline_on_a_zoomed_slice_is_within_half_a_voxel_of_the_lumen(ser
         assert np.abs(normal / np.linalg.norm(normal)).max() < 0.98, "the plane is oblique"
     assert len(places) > 300
 
-    # Half a voxel, and the half width of the line with the edge of its last pixel.
+    # Tolerance: half a voxel, and the half width of the line with the edge of its last pixel.
     mm_per_px = float(np.linalg.norm(columns[:, 0]))
     spacing = 1.0 / np.linalg.norm(ijk_from_lps[:3, :3], axis=1)
     reach = 0.5 + 1.5 * mm_per_px / spacing

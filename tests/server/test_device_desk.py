@@ -197,7 +197,7 @@ def test_handle_is_connected_listed_and_disconnected(desk):
 
 
 @pytest.mark.parametrize("option", ["", "?silence=30"])
-def test_tracker_is_disconnected_by_its_shown_name_in_any_spelling_of_the_address(desk, option):
+def test_tracker_with_or_without_options_is_disconnected_by_its_shown_name(desk, option):
     made, _, _ = desk
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]

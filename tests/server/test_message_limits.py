@@ -1,4 +1,4 @@
-"""What one client may send: an observer who floods the connection is disconnected, and other clients are still served."""
+"""Limits of messages per client: an observer who floods the connection is disconnected, and others are served."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def test_observers_take_a_limited_share_of_the_time_while_the_user_is_served(num
     loop.run_until_complete(run())
     loop.close()
     assert done["user"] == 120
-    # 5 % of two seconds, and the messages of the first turn.
+    # Expected: 5 % of two seconds, and the messages of the first turn.
     assert 50 * num_observers <= done["observers"] <= 130 * num_observers
 
 

@@ -53,7 +53,7 @@ def test_mask_outline_is_half_way_between_voxels_at_every_zoom(place):
     assert (lines.layer, lines.part, lines.complete) == ("lobes", "RUL", True)
     points = np.column_stack([drawn(lines), np.zeros(len(drawn(lines))), np.ones(len(drawn(lines)))]) @ place.T
     away = np.linalg.norm(points[:, :3] - (MATRIX @ (10, 12, 10, 1))[:3], axis=1)
-    # Half a voxel's diagonal, and the rounding of the lines.
+    # Tolerance: half a voxel's diagonal, and the rounding of the lines.
     assert away.min() > 12.0 - 1.8
     assert away.max() < 12.0 + 1.8
     # The outline is closed, also if the picture shows only a part of it.

@@ -89,7 +89,7 @@ def test_opening_ends_at_the_start_of_a_route_to_the_deepest_tip_on_the_right():
     assert (pose.branch.name, pose.branch.generation, pose.lumen_mm) == ("Trachea", 0, None)
     np.testing.assert_allclose(
         pose.pose.position_lps, small_lps(BRANCHES_IJK[0][1][0]), atol=0.6
-    )  # Half a smoothed voxel.
+    )  # Tolerance: half a smoothed voxel.
     assert bench.renderers[-1].lumen is snapshot.document.airways.lumen_zyx
     assert bench.renderers[-1].prepared == 2  # Once for the raw volume, and once with the wall of the lumen.
     assert snapshot.undo_label is None

@@ -152,7 +152,7 @@ def test_curved_picture_has_the_lines_of_its_rows():
                 np.array([np.interp(row, told.row, [p[a] for p in points]) for a in range(3)])
                 for points in (told.start_lps, told.step_lps)
             )
-            # A tenth of a pixel, because the path bends a little between two rows with lines.
+            # Tolerance: a tenth of a pixel, because the path bends a little between two rows with lines.
             np.testing.assert_allclose(start + column * step, lines.lps_of(column, row), atol=0.1 * lines.mm_per_px)
     assert picture_lines(None) is None
     # The lines of the tallest picture that a client may request still fit into a header.
