@@ -135,7 +135,7 @@ def test_headset_shows_the_airway_and_its_controller_flies_is_lost_and_returns(s
     assert workstation.faults == []
 
 
-def test_missing_headset_support_of_the_browser_is_reported(server, workstation):
+def test_devices_that_the_browser_does_not_support_are_listed(server, workstation):
     page = workstation.page
     page.add_init_script(
         """

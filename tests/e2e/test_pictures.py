@@ -34,7 +34,7 @@ def test_picture_of_the_window_is_up_to_date(shot, server, workstation):
     assert workstation.faults == []
 
 
-def test_every_picture_in_a_document_has_a_maker_and_a_patient_a_citation():
+def test_every_picture_in_a_document_has_a_source_and_pictures_of_a_patient_a_citation():
     made = {shot.path: shot for shot in SHOTS}
     shown = set()
     for document in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]:
@@ -61,7 +61,7 @@ STAMP: dict[str, Any] = {
 }
 
 
-def test_stamp_names_changes_and_ignores_invisible_ones():
+def test_stamp_comparison_names_visible_changes_only():
     def told(**change: Any) -> list[str]:
         return changes(STAMP, {**copy.deepcopy(STAMP), **change})
 

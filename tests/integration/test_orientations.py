@@ -152,8 +152,8 @@ def test_right_main_bronchus_is_on_the_right_of_the_patient(phantom, found):
 
 def test_same_target_has_the_same_path_in_mm(found, reference):
     how, seen_here = found
-    # Tolerance: one voxel; on the rotated grid two, one for the path and one for the resampling: the trachea is 9 voxels
-    # wide, and the cost is flat in its middle.
+    # Tolerance: one voxel; on the rotated grid two, one for the path and one for the resampling: the trachea is 9
+    # voxels wide, and the cost is flat in its middle.
     voxel_mm = float(np.linalg.norm(SPACING_MM)) * (2 if how == "oblique" else 1)
     for name, path in seen_here["paths"].items():
         same = reference["paths"][name]

@@ -115,7 +115,7 @@ def flooded(live, window, calls, *, num_sent, rate_hz=1000):
             stop.wait(0.002)
 
     def read():
-        # This client ends with the window whose last message it may be waiting for.
+        # The thread may wait for a message when the connection of the window closes.
         with contextlib.suppress(ConnectionClosed):
             while not stop.is_set():
                 window.next()

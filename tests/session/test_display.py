@@ -72,7 +72,7 @@ def test_change_after_the_user_stopped_the_preparation_is_prepared():
     assert renderer.transfer is bench.session.snapshot().document.transfer
 
 
-def test_failed_preparation_is_repeated_at_the_next_change():
+def test_change_after_a_failed_preparation_is_prepared():
     bench = small_bench()
     bench.open()
     renderer = bench.renderers[-1]

@@ -78,7 +78,7 @@ def opened(chest: Phantom) -> Iterator[carina.Case]:
 
 @pytest.fixture
 def case(opened: carina.Case) -> Iterator[carina.Case]:
-    """Restore the case to the state after opening before each test."""
+    """Return the opened case; after the test all its changes are undone."""
     yield opened
     while opened.history():
         opened.undo()
