@@ -339,7 +339,7 @@ def test_silent_connections_do_not_block_a_phone_and_are_closed(phone, monkeypat
         wait_for(lambda: phone.page.info().rate_hz > 0)
 
 
-def test_vanished_phone_is_disconnected_after_a_silence(phone, monkeypatch, caplog):
+def test_request_timeout_of_a_closed_connection_logs_no_error(phone, monkeypatch, caplog):
     monkeypatch.setattr("carina.server.impatient.FIRST_REQUEST_WITHIN_S", 0.5)
     for token in (None, "wrong"):
         with contextlib.ExitStack() as stack:

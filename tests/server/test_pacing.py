@@ -155,7 +155,7 @@ def test_waiting_for_a_core_does_not_reduce_the_resolution(seed):
     assert widths[0] >= 0.6 * quiet.sent[-1][1].width
 
 
-def test_permanent_load_changes_the_level_and_it_recovers_after_the_load():
+def test_sustained_load_changes_the_level_which_recovers_after_the_load():
     # Another program uses half of the cores from second 15 to 18.
     machine = Machine(0.06, shared=lambda now_s: 2.0 if 15.0 <= now_s < 18.0 else 1.0)
     simulation = Simulation(machine)

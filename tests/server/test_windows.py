@@ -95,7 +95,7 @@ def test_pictures_have_the_size_and_sight_of_their_window_and_a_hidden_view_gets
     assert (picture.width, picture.height) == (200, 150)
     assert {p.view for p in second.pictures[begun:]} == {"axial"}
     first.until(lambda m: isinstance(m, wire.PictureHeader) and m.view == "airway" and m.pose_id >= picture.pose_id)
-    # Another sight requests a new picture for this window only.
+    # A change of the first window's sight requests no picture for the second window.
     second.send(wire.Layout(()))
     settle(second)
     begun = len(second.pictures)
@@ -210,12 +210,12 @@ def test_handled_message_is_not_sent_before_results_at_any_order_of_the_sender(l
 
 def test_window_that_does_not_read_delays_no_other(two):
     first, second = two
-    # This window acknowledges and reads nothing.
+    # The second window acknowledges and reads nothing.
     for n in range(200):
         first.send(wire.GoTo(10.0 + n / 10.0))
     pose = first.until(lambda m: isinstance(m, wire.Pose) and m.path_mm == pytest.approx(29.9))
     first.until(lambda m: isinstance(m, wire.PictureHeader) and m.view == "airway" and m.pose_id == pose.pose_id)
-    # Later it reads only the newest messages.
+    # The second window later reads only the newest messages.
     second.until(lambda m: isinstance(m, wire.Pose) and m.pose_id == pose.pose_id)
 
 
