@@ -124,7 +124,7 @@ def test_place_without_a_possible_edit_is_answered_with_the_reason(pointing, pla
     assert (preview.lines, preview.length_mm, preview.has_evidence) == ((), None, False)
 
 
-def test_fault_in_a_preview_is_answered_and_the_next_question_too(pointing, monkeypatch):
+def test_fault_in_a_preview_is_reported_and_the_next_question_is_answered(pointing, monkeypatch):
     monkeypatch.setattr(pointing.session, "ask", lambda _question: 1 / 0)
     assert "internal error in Carina (ZeroDivisionError)" in ask(pointing, 1, lps=(0.0, 0.0, 0.0)).problem
     monkeypatch.undo()

@@ -138,7 +138,7 @@ def test_edit_that_keeps_the_lumen_does_not_prepare_the_renderer_again(bench):
     assert bench.renderers[-1].prepared > prepared
 
 
-def test_lumen_undone_during_preparation_is_prepared_again(bench):
+def test_lumen_restored_after_a_stopped_preparation_is_prepared_again(bench):
     renderer = bench.renderers[-1]
     prepared = renderer.prepared
 

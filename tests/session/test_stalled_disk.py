@@ -174,7 +174,7 @@ def test_silent_share_delays_only_its_own_copy(desk, tmp_path):
 
 @pytest.fixture
 def stalled_share(desk, tmp_path, monkeypatch):
-    """Provide the named file while its update waits for a share, and the event that lets the update go on."""
+    """Provide the named file while its update waits for a share, and the event that lets the update continue."""
     share, goes_on, has_begun = tmp_path / "share.carina", threading.Event(), threading.Event()
     write_copy = MemoryFile.write_copy
 
