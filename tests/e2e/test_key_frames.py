@@ -1,4 +1,4 @@
-"""Key frames in the browser: added, flown, interrupted, undone, saved, opened again and exported as a film."""
+"""Key frames in the browser: added, flown, interrupted, undone, saved to a file and opened again."""
 
 from __future__ import annotations
 

@@ -134,7 +134,7 @@ def test_plane_of_the_tri_plane_view_is_dragged_and_the_background_orbits(server
     assert workstation.faults == []
 
 
-def test_slice_zooms_about_the_cursor_and_is_labelled_when_it_is_thick(server, workstation):
+def test_slice_zooms_about_the_cursor_and_shows_a_thick_slab(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.wait_picture("axial")
