@@ -182,7 +182,7 @@ def test_open_connection_is_asked_once_to_close_and_is_not_aborted_if_it_does():
 
 
 def test_second_interrupt_ends_the_application_without_an_error(said):
-    """uvicorn alone would cancel the application after a second interrupt and print a traceback."""
+    """By itself, uvicorn would cancel the application after a second interrupt and print a traceback."""
     ended = []
 
     @contextlib.asynccontextmanager
