@@ -1,8 +1,8 @@
-"""An encrypted WebSocket for tests that wait for their messages in turn.
+"""Encrypted WebSocket client for tests, which reads and writes in one event loop.
 
-The library's own client of this kind reads its connection in one thread and writes it in another, which OpenSSL does
-not allow and Python 3.11 does not prevent: once in some hundred connections what the server says after the handshake
-(TLS 1.3 gives tickets there) meets the request and is taken for the end. A loop reads and writes in one thread.
+The synchronous client of the ``websockets`` library reads in one thread and writes in another. OpenSSL does not allow
+both at once, and Python 3.11 does not prevent it: in about one of a hundred connections a TLS 1.3 session ticket that
+the server sends after the handshake collides with the request, and the client reports the end of the connection.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ __all__ = ["EncryptedSocket", "connected"]
 
 
 class EncryptedSocket:
-    """One connection, as :mod:`websockets.sync.client` gives it.
+    """One encrypted connection, with the methods of :mod:`websockets.sync.client`.
 
     Parameters
     ----------
     loop
-        In which it lives, in a thread of its own.
+        Event loop of the connection, which runs in a thread of its own.
     connection
-        The library's.
+        Asynchronous connection of the library.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, connection: ClientConnection) -> None:
@@ -35,7 +35,7 @@ class EncryptedSocket:
         self._connection = connection
 
     def send(self, message: str | bytes) -> None:
-        """Send one."""
+        """Send one message."""
         _await(self._loop, self._connection.send(message))
 
     def ping(self, data: bytes, num: int) -> None:
@@ -53,28 +53,28 @@ class EncryptedSocket:
             await self._connection.ping(data + n.to_bytes(4, "big"))
 
     def recv(self, timeout: float | None = None) -> str | bytes:
-        """The next message.
+        """Return the next message.
 
         Raises
         ------
         TimeoutError
-            If there is none within ``timeout`` seconds.
+            If no message arrives within ``timeout`` seconds.
         ConnectionClosed
-            If none will come.
+            If the connection is closed.
         """
         return _await(self._loop, asyncio.wait_for(self._connection.recv(), timeout))
 
 
 @contextlib.contextmanager
 def connected(uri: str, *, origin: str, context: ssl.SSLContext, within_s: float) -> Iterator[EncryptedSocket]:
-    """A connection to ``uri`` (``wss://…``), closed at the end.
+    """Connect to ``uri`` (``wss://…``) and close the connection at the end of the block.
 
     Raises
     ------
     InvalidHandshake
-        If the server refuses it.
+        If the server refuses the connection.
     OSError
-        If nobody listens.
+        If no server listens.
     """
     loop = asyncio.new_event_loop()
     thread = threading.Thread(target=loop.run_forever, name="encrypted client")

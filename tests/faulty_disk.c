@@ -1,8 +1,9 @@
-/* A disk that fails on command, for tests: preloaded, so that what ships is what is tested.
+/* Library that simulates disk faults in tests. It is preloaded, so that the tested program is the one that ships.
 
-   What changes files below a folder is counted. At a number that the test gives it stalls until the test lets it go on,
-   or fails with an error. What was done is written to a log, from which `faulty_disk.py` makes what a power cut leaves.
-   The test and this share one page of memory (struct control). */
+   The library counts the operations that change files below a folder. From the operation whose number the test sets, the
+   operations stall until the test ends the fault, or fail with an error. A log records all operations; `faulty_disk.py`
+   computes from the log the files that remain after a power cut. The test and the library share one page of memory
+   (struct control). */
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <errno.h>
@@ -20,7 +21,7 @@
 
 struct control {
     int64_t count;   /* changes so far */
-    int64_t at;      /* the one at which the fault begins; negative: none */
+    int64_t at;      /* number of the change at which the fault begins; negative: no fault */
     int32_t fault;   /* an errno, or STALL */
     int32_t active;
     int32_t waiting; /* threads that are stalled */
@@ -62,7 +63,7 @@ static int path_of(int fd, char *path, size_t size) {
     return control && is_ours(path) && !strstr(path, " (deleted)");
 }
 
-/* 0 to go on, -1 with errno. `kind` is what a full disk still does: 1 takes room, 0 does not. */
+/* Return 0 to continue, or -1 with errno. A full disk (ENOSPC) still does operations with takes_room 0. */
 static int gate(int takes_room) {
     int64_t n = __atomic_add_fetch(&control->count, 1, __ATOMIC_SEQ_CST);
     if (control->at >= 0 && n >= control->at) __atomic_store_n(&control->active, 1, __ATOMIC_SEQ_CST);

@@ -1,4 +1,4 @@
-"""A disk that stalls, fails or loses its power when a test says so, below what ships (``faulty_disk.c``)."""
+"""Disk that stalls, fails or loses its power on command: a preloaded library (``faulty_disk.c``) below the program."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ def has_compiler() -> bool:
 
 
 class FaultyDisk:
-    """What happens to the changes below a folder, in all processes that were started with :attr:`environment`.
+    """Faults of the file operations below a folder, in all processes that were started with :attr:`environment`.
 
     Parameters
     ----------
     folder
-        Of the test: the layer is compiled there.
+        Temporary folder of the test, in which the library is compiled.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -73,35 +73,45 @@ class FaultyDisk:
         self.environment = {"LD_PRELOAD": str(library), "CARINA_FAULTY_DISK": str(page)}
 
     def begin(self, fault: int, after: int, folder: Path) -> None:
-        """From the change of this number on, counted from now, those below the folder fail or stall."""
+        """Start a fault at a future change of a file below ``folder``.
+
+        Parameters
+        ----------
+        fault
+            An errno, or the value that stalls.
+        after
+            Number of the change, counted from now, at which the fault begins.
+        folder
+            Folder whose changes are counted and fail.
+        """
         self.heal()
         self._control.folder = str(folder).encode()
         self._control.fault = fault
-        self._control.waiting = 0  # of a process that was killed while it waited
+        self._control.waiting = 0  # A killed process may have left a positive count.
         self._control.at = self._control.count + after
 
     def heal(self) -> None:
-        """The disk is well again, and what was stalled goes on."""
+        """End the fault and let stalled operations continue."""
         self._control.at = NEVER
         self._control.active = 0
 
     @property
     def is_faulty(self) -> bool:
-        """The fault has been met."""
+        """Whether the fault has begun."""
         return bool(self._control.active)
 
     @property
     def is_stalled(self) -> bool:
-        """Somebody waits for the disk."""
+        """Whether a thread waits for the disk."""
         return self._control.waiting > 0
 
     @property
     def count(self) -> int:
-        """Changes so far."""
+        """Number of changes so far."""
         return int(self._control.count)
 
     def record(self, folder: Path) -> Durable:
-        """Write down from now on what is changed below a folder: what lies there is on the disk."""
+        """Record all changes below a folder from now on; the present content counts as written to the disk."""
         self._log.write_bytes(b"")
         self._control.folder = str(folder).encode()
         self._control.logs = 1
@@ -116,19 +126,22 @@ class _File:
     synced: bytes = b""
     content: bytearray = field(default_factory=bytearray)
     since: list[tuple[int, bytes]] = field(default_factory=list)
-    """Writes (place, data) and cuts (new length, nothing) since the last fsync."""
+    """Writes (offset, data) and truncations (-1 - new length, no data) since the last fsync."""
 
 
 class Durable:
-    """What of a folder survives a power cut: content by ``fsync`` of the file, names by ``fsync`` of their folder."""
+    """Content of a folder that survives a power cut.
+
+    The content of a file survives if the file was synchronised with ``fsync``, its name if its folder was.
+    """
 
     def __init__(self, folder: Path, log: Path) -> None:
         self._folder, self._log = folder, log
         self._names: dict[str, _File | None] = {}
-        """What programs see; None is a folder."""
+        """Files as programs see them, by path; None is a folder."""
         self._before: dict[str, _File | None] = {}
         self._moves: list[tuple[bool, list[tuple[str, _File | bool | None]]]] = []
-        """Changes of names in their order: on the disk or not, and what stands where then; False is nothing."""
+        """Changes of names in order: whether each is on the disk, and its new entries; False is a deleted name."""
 
     @classmethod
     def of(cls, folder: Path, log: Path) -> Durable:
@@ -140,10 +153,10 @@ class Durable:
         return made
 
     def read(self) -> None:
-        """Follow all that was done."""
+        """Apply the recorded changes."""
         for op, path, other, offset, data in _entries(self._log.read_bytes()):
             if path.endswith("-shm"):
-                continue  # shared memory, which SQLite makes anew
+                continue  # Shared memory, which SQLite creates again.
             self._do(op, path, other, offset, data)
 
     def _do(self, op: int, path: str, other: str, offset: int, data: bytes) -> None:
@@ -175,7 +188,11 @@ class Durable:
         self._moves.append((False, move))
 
     def restore(self, rng: random.Random | None = None) -> None:
-        """Have the folder as it is after the cut: without all that was not on the disk, or with any part of it."""
+        """Restore the folder to a state after the power cut.
+
+        Without ``rng`` every change that was not synchronised is lost; with ``rng`` a random part of these changes
+        survives.
+        """
         names = dict(self._before)
         reached = 0 if rng is None else rng.randint(0, len(self._moves))
         for n, (done, move) in enumerate(self._moves):
@@ -223,7 +240,7 @@ def _entries(log: bytes) -> Iterator[tuple[int, str, str, int, bytes]]:
         place += head.size
         end = place + length + other + size
         if end > len(log):
-            return  # the process ended while it wrote this
+            return  # The process ended while it wrote this entry.
         texts = log[place : place + length + other].decode()
         yield op, texts[:length], texts[length:], offset, log[end - size : end]
         place = end

@@ -1,4 +1,4 @@
-"""A workstation that keeps its cases on one disk, in memory: it is started, killed and started again."""
+"""Workstation for tests that stores its cases in memory and can be started, killed and started again."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from small_case import Background, Clock, SmallRenderer, small_parts
 
 
 class Wall:
-    """The time of day, in seconds since 1970."""
+    """Clock of the time of day, in seconds since 1970."""
 
     def __init__(self) -> None:
         self.now_s = 1_800_000_000.0
@@ -24,14 +24,14 @@ class Wall:
 
 
 def put_text(path: Path, text: str, placement: Any) -> None:
-    """Write a draft and have it placed, as a real case file does."""
+    """Write a draft and move it to its place, as a case file does."""
     draft = path.with_name(path.name + ".draft")
     draft.write_text(text)
     (placement or Path.replace)(draft, path)
 
 
 class MemoryFile:
-    """What a case file does, kept in memory by its path."""
+    """Case file that is stored in memory, by its path."""
 
     kept: dict[str, tuple[str, Any]] = {}  # noqa: RUF012 - one disk
 
@@ -79,14 +79,14 @@ class MemoryFile:
 
 
 class Desk:
-    """A workstation that is started, killed and started again over one disk."""
+    """Workstation that is started, killed and started again with the same stored cases."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.wall = folder, Wall()
         self.digest = "one CT"
         self.files: list[MemoryFile] = []
         self.written: dict[str, Any] = {}
-        """Moments that were written whole, past the live file."""
+        """States of cases that were written as whole files, without a live file, by path."""
         self.store: Any = None
 
     def start(self) -> Session:
@@ -117,7 +117,7 @@ class Desk:
         return self.session
 
     def kept_files(self, files: KeptFiles) -> KeptFiles:
-        """For desks with more."""
+        """Return the factories of case files; subclasses replace them."""
         return files
 
     def open(self, path: str = "case") -> None:
@@ -128,7 +128,7 @@ class Desk:
         assert self.session._saving.write_now()
 
     def kill(self) -> None:
-        """Nothing more is written; the system gives the lock back."""
+        """Simulate a kill: nothing more is written, and the locks are released as the operating system would do."""
         kept = self.session._saving._kept
         assert kept is not None
         if kept.held is not None:

@@ -1,8 +1,9 @@
-"""What is slow to make and the same for many tests: made once by whoever needs it first, then read by all workers.
+"""Cache of phantoms, airways and other test data that are slow to compute, shared by all test processes.
 
-A phantom takes seconds to make and a moment to read. It lies in pytest's cache folder under a digest of its options, of
-the compiled core and of the sources that make it: what was made by other code is never read, and goes with the first
-phantom that is made by this one. What a test asks for twice in one process is the same object; all of it is read-only.
+A phantom takes seconds to generate and milliseconds to read. It is stored in pytest's cache folder under a digest of
+its options, of the compiled core and of the sources that generate it. Data of other code versions are never read, and
+are deleted when the first phantom of the present version is stored. Within one process a repeated request returns the
+same object. All arrays are read-only.
 """
 
 from __future__ import annotations
@@ -34,21 +35,21 @@ from run_cleanup import run_name
 
 ROOT = Path(__file__).resolve().parents[1]
 SEARCH = carina.find_airways
-"""The search itself: tests put what was found here in its place, and one that called itself would wait for itself."""
+"""The real search. Tests replace ``carina.find_airways`` by the cache; the cache must not call itself."""
 CACHE = ROOT / ".pytest_cache" / "d" / "made"
-"""Where pytest's own plugins keep theirs; ``pytest --cache-clear`` empties it."""
+"""Folder of the cache, beside the caches of pytest's plugins; ``pytest --cache-clear`` empties it."""
 
 
-# Chests that several files look at. All the generations there are, fine enough for the named segments.
+# Options of chests that several test files use: all generations, fine enough for named segments.
 MASKED_CHEST: dict[str, Any] = {"seed": 1, "spacing_mm": 1.1, "noise_hu": 25.0}
 OTHER_CHEST: dict[str, Any] = {"seed": 2, "spacing_mm": 1.1}
-# The central airways alone.
+# Options of a chest with the central airways only.
 SMALL_CHEST: dict[str, Any] = {"seed": 4, "spacing_mm": 1.2, "generations": 4}
 
 
 @cache
 def digest_of_the_code() -> str:
-    """Of everything that has a say in a phantom's voxels, its place and its truth."""
+    """Return a digest of the code that determines the voxels, the geometry and the ground truth of a phantom."""
     found = hashlib.sha256(f"{sys.version} numpy {np.__version__}".encode())
     for module in (_core, phantom, model, sys.modules[__name__]):
         assert module.__file__ is not None
@@ -57,7 +58,7 @@ def digest_of_the_code() -> str:
 
 
 def made_phantom(**options: Any) -> Phantom:
-    """:func:`carina.phantom.generate_phantom` with these options, read from the cache where it was made before."""
+    """Return :func:`carina.phantom.generate_phantom` with these options, from the cache if it is stored there."""
     return _phantom(json.dumps(options, sort_keys=True))
 
 
@@ -69,9 +70,9 @@ def _phantom(options: str) -> Phantom:
         with alone(name):
             if not folder.exists():
                 keep(phantom.generate_phantom(**json.loads(options)), folder)
-    except OSError:  # a checkout that cannot be written: costs time only
+    except OSError:  # A checkout that cannot be written: the phantom is generated each time.
         return phantom.generate_phantom(**json.loads(options))
-    # Mapped, not read: the workers share the memory.
+    # Memory-mapped, so that the workers share the memory.
     values, lumen = (np.asarray(np.load(folder / f"{part}.npy", mmap_mode="r")) for part in ("ct", "lumen"))
     with (folder / "rest.pickle").open("rb") as file:
         rest = pickle.load(file)
@@ -81,7 +82,7 @@ def _phantom(options: str) -> Phantom:
 
 
 def keep(made: Phantom, folder: Path) -> None:
-    """Write beside its place and rename, so that a run that is stopped leaves nothing half done."""
+    """Write a phantom to a draft folder and rename it, so that an interrupted run leaves no incomplete phantom."""
     assert made.lumen_distance_mm is None
     for other in CACHE.iterdir():
         if other.is_dir() and other != folder.parent:
@@ -99,7 +100,7 @@ def keep(made: Phantom, folder: Path) -> None:
 
 @cache
 def digest_of_the_package() -> str:
-    """Of everything that has a say in what the package finds."""
+    """Return a digest of all code that determines the results of the package."""
     found = hashlib.sha256(digest_of_the_code().encode())
     package = Path(carina.__file__).parent
     for path in sorted(package.rglob("*.py")):
@@ -108,7 +109,7 @@ def digest_of_the_package() -> str:
 
 
 def made_value(name: str, make: Callable[[], Any]) -> Any:
-    """What ``make`` gives, pickled under this name for as long as no line of the package changes."""
+    """Return the result of ``make``, pickled under this name until the code of the package changes."""
     folder = CACHE / digest_of_the_code()
     path = folder / f"{name}, {digest_of_the_package()}.pickle"
     try:
@@ -121,13 +122,13 @@ def made_value(name: str, make: Callable[[], Any]) -> Any:
                 draft.write_bytes(pickle.dumps(make()))
                 draft.rename(path)
             return pickle.loads(path.read_bytes())
-    except OSError:  # a checkout that cannot be written: costs time only
+    except OSError:  # A checkout that cannot be written: the value is computed each time.
         return make()
 
 
 @contextlib.contextmanager
 def alone(name: str) -> Iterator[None]:
-    """One process at a time makes what has this name; the others wait. Without locks of files they all make it."""
+    """Allow one process at a time in the block of this name; without file locks all processes enter."""
     CACHE.mkdir(parents=True, exist_ok=True)
     try:
         import fcntl
@@ -140,16 +141,16 @@ def alone(name: str) -> Iterator[None]:
 
 
 def kept_airways(name: str, volume: Volume) -> Airways:
-    """What is found in a volume, searched by whoever needs it first; the others put it together again.
+    """Return the airways of a volume from the cache; the first process that needs them searches for them.
 
-    Their tracker, which no file holds, is calculated anew where paths are first asked for, as that of a case is.
+    The path tracker is not stored. It is computed again when the first path is requested, as for an opened case.
     """
     searched: list[Airways] = []
 
     def search() -> tuple[dict[str, Any], Any]:
         found = SEARCH(volume)
         searched.append(found)
-        # A field of these holds locks and compiled parts; the rest are values.
+        # The tracker and the evidence hold locks and compiled objects; the other fields are values.
         told = {one.name: getattr(found, one.name) for one in dataclasses.fields(found)}
         del told["tracker"], told["evidence"]
         told["tree"] = (found.tree.branches, found.tree.notes)
@@ -180,7 +181,7 @@ _FOUND: dict[str, Airways] = {}
 
 
 def found_airways(volume: Volume) -> Airways:
-    """The airways of a volume, the same object for all with the same voxels in the same place."""
+    """Return the airways of a volume: the same object for all volumes with equal voxels and geometry."""
     place = hashlib.sha256(volume.lps_from_ijk.tobytes() + repr((volume.shape_zyx, volume.is_hu)).encode()).hexdigest()
     name = f"airways of {ct_digest(volume)[:16]}-{place[:8]}"
     if name not in _FOUND:
@@ -195,12 +196,12 @@ def _airways(options: str) -> Airways:
 
 
 def made_airways(**options: Any) -> Airways:
-    """The airways that are found in :func:`made_phantom`, searched once for all workers."""
+    """Return the airways of :func:`made_phantom`, searched once for all workers."""
     return _airways(json.dumps(options, sort_keys=True))
 
 
 @cache
 def patient() -> tuple[Volume, Airways]:
-    """The bundled CT and its airways, searched once for all workers."""
+    """Return the bundled CT and its airways, searched once for all workers."""
     volume = carina.demo_patient()
     return volume, kept_airways("airways of the patient", volume)

@@ -1,4 +1,4 @@
-"""The environment of a Carina that a test starts, in which the person's own folders are temporary."""
+"""Environment for a Carina process in a test, with temporary user folders."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ KINDS = ("CACHE", "CONFIG", "DATA", "STATE")
 
 
 def own_folders(home: Path) -> dict[str, str]:
-    """What ``platformdirs`` reads, below ``home``."""
+    """Return the environment variables that ``platformdirs`` reads, with folders below ``home``."""
     return {f"XDG_{kind}_HOME": str(home / kind.lower()) for kind in KINDS}
 
 
 def environment_in(home: Path) -> dict[str, str]:
-    """This process's environment, with own folders."""
+    """Return the environment of the test process with user folders below ``home``."""
     return {**os.environ, **own_folders(home)}

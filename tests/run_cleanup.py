@@ -1,10 +1,11 @@
-"""Cleanup at the end of a test run: no process and no temporary file stays, also after Ctrl-C.
+"""Cleanup at the end of a test run: no process and no temporary file remains, also after Ctrl-C.
 
-The process that the user started gives the run a temporary folder, which all its processes inherit as ``TMPDIR``, and
-whose name marks them (``CARINA_TEST_RUN``). At the end it kills every marked process, then deletes the folder. pytest's
-own ``tmp_path`` folders, which pytest keeps for three runs, are deleted after an interrupt alone.
+The process that the user started gives the run a temporary folder. All its child processes inherit the folder as
+``TMPDIR``, and the name of the folder marks them (``CARINA_TEST_RUN``). At the end the run kills every marked process,
+then deletes the folder. pytest's own ``tmp_path`` folders, which pytest keeps for three runs, are deleted only after an
+interrupt.
 
-Processes are found in ``/proc``; elsewhere than on Linux only the folder is deleted.
+Processes are found in ``/proc``; on systems other than Linux only the folder is deleted.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ import pytest
 
 MARK = "CARINA_TEST_RUN"
 WITHIN_S = 10.0
-"""Time for killed processes to disappear."""
+"""Time for killed processes to disappear, in seconds."""
 
 
 def marked_processes(folder: str) -> dict[int, str]:
@@ -52,7 +53,7 @@ def kill_marked(folder: str) -> list[str]:
 
 
 def remove_kept_folder(kept: Path) -> None:
-    """Delete the ``tmp_path`` folders of a run, and pytest's folders above that are empty then."""
+    """Delete the ``tmp_path`` folders of a run and their parent folders of pytest that are then empty."""
     newest = kept.parent / "pytest-current"
     if newest.is_symlink() and newest.resolve() == kept.resolve():
         newest.unlink()
@@ -62,7 +63,7 @@ def remove_kept_folder(kept: Path) -> None:
 
 
 def run_name() -> str:
-    """Return the name of this run, by which files outside its temporary folder are marked as drafts."""
+    """Return the name of this run, which marks drafts outside its temporary folder."""
     return Path(os.environ.get(MARK, "no-run")).name
 
 
@@ -74,12 +75,12 @@ def remove_drafts(cache: Path, run: str) -> None:
 
 
 class Interrupts:
-    """Counter of SIGINT; pytest's own hook is not called if the user interrupts twice."""
+    """Counter of SIGINT; pytest does not call its own hook if the user interrupts twice."""
 
     def __init__(self) -> None:
         self.num = 0
         is_main = threading.current_thread() is threading.main_thread()
-        # A thread cannot set signals; a shell starts background processes with SIGINT ignored.
+        # Only the main thread can set signal handlers. A shell starts background processes with SIGINT ignored.
         if is_main and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
             signal.signal(signal.SIGINT, self._count)
 
@@ -100,7 +101,7 @@ def clean_up(config: pytest.Config, folder: str, interrupts: Interrupts) -> None
     shutil.rmtree(folder, ignore_errors=True)
     remove_drafts(config.rootpath / ".pytest_cache" / "d" / "made", Path(folder).name)
     if interrupts.num and config.option.basetemp is None:
-        # xdist reads the same attribute; there is no public one.
+        # pytest has no public attribute for this folder; xdist reads the same one.
         remove_kept_folder(config._tmp_path_factory.getbasetemp())
     for command in [] if interrupts.num else killed:
         print(f"left running by the tests, killed: {command[:160]}", file=sys.stderr)
@@ -108,14 +109,14 @@ def clean_up(config: pytest.Config, folder: str, interrupts: Interrupts) -> None
 
 @pytest.hookimpl(trylast=True)
 def pytest_configure(config: pytest.Config) -> None:
-    """Give the run its folder; workers of xdist inherit the folder of the run.
+    """Create the temporary folder of the run; workers of xdist inherit it.
 
-    Cleanups run in reverse order: this one, which is added last, still finds pytest's own folders.
+    Cleanups run in reverse order. This one is added last, so that pytest's own folders still exist when it runs.
     """
     if hasattr(config, "workerinput"):
         return
     os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", tempfile.gettempdir())
-    # A short name: Ray puts sockets below it, and the address of a socket has at most 107 bytes.
+    # A short name: Ray creates sockets below the folder, and the address of a socket has at most 107 bytes.
     folder = tempfile.mkdtemp(prefix="ct-")
     os.environ["TMPDIR"] = os.environ[MARK] = folder
     tempfile.tempdir = None

@@ -1,4 +1,4 @@
-"""A device at the other end of a pseudo-terminal, as a serial port would have it; and what it misbehaves by."""
+"""Simulated serial devices: a pseudo-terminal that sends records, fails or is unplugged."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["PseudoPort", "wait_for"]
 
 
 class PseudoPort:
-    """Both ends of a pseudo-terminal; ``path`` is the serial port's name."""
+    """Both ends of a pseudo-terminal; ``path`` is the name of the serial port."""
 
     def __init__(self) -> None:
         self.master, self._slave = pty.openpty()
@@ -26,14 +26,14 @@ class PseudoPort:
         os.write(self.master, data)
 
     def heard(self) -> bytes:
-        """What the host sent so far."""
+        """Return the bytes that the host has sent so far."""
         os.set_blocking(self.master, False)
         with contextlib.suppress(BlockingIOError, OSError):
             return os.read(self.master, 4096)
         return b""
 
     def unplug(self) -> None:
-        """The port is gone: reads at the host fail."""
+        """Close the device end, so that reads of the host fail."""
         for end in (self.master, self._slave):
             with contextlib.suppress(OSError):
                 os.close(end)
@@ -41,7 +41,7 @@ class PseudoPort:
 
 @contextlib.contextmanager
 def sending(records: Callable[[int], bytes], port: PseudoPort, *, rate_hz: float = 120.0) -> Iterator[None]:
-    """Sends record after record until the block ends."""
+    """Send record after record until the block ends."""
     ended = threading.Event()
 
     def run() -> None:
@@ -61,7 +61,7 @@ def sending(records: Callable[[int], bytes], port: PseudoPort, *, rate_hz: float
 
 
 WAIT_S = 120.0
-"""Bound of every wait, for what hangs."""
+"""Upper limit of every wait, in seconds, so that a hanging test fails."""
 
 
 def wait_for(what: Callable[[], object], seconds: float = WAIT_S) -> object:

@@ -1,4 +1,4 @@
-"""A renderer, a hand and a client that take simulated time, for tests of the frame pump's judgement."""
+"""Simulation of renderer, hand and client in simulated time, for tests of the scheduler of the frame pump."""
 
 from __future__ import annotations
 
@@ -22,32 +22,32 @@ ALL_VIEWS = {
 
 @dataclass
 class Machine:
-    """What a picture costs: so much for each picture, ray and sample of a ray; nobody outside knows."""
+    """Cost model of a renderer: fixed costs per picture, per ray and per sample; unknown to the scheduler."""
 
     full_s: float
-    """A full airway picture of 800 x 640 pixels."""
+    """Time of a full airway picture of 800 x 640 pixels, in seconds."""
     each_s: float = 0.001
     samples: float = 0.5
-    """Part of a full picture's time that goes to samples."""
+    """Fraction of the time of a full picture that is proportional to the number of samples."""
     slices_s: float = 0.002
-    """A slice at full size."""
+    """Time of a slice of 300 x 250 pixels, in seconds."""
     slowed: Callable[[float], float] = lambda _now_s: 1.0
     waits_s: Callable[[], float] = lambda: 0.0
-    """For a core that another program has, before each picture."""
+    """Function that returns the wait for a core before a picture, in seconds."""
     shared: Callable[[float], float] = lambda _now_s: 1.0
-    """How many times as long everything takes because other programs have the cores for a part of the time."""
+    """Function that returns the factor by which other programs on the cores slow everything down at a given time."""
     counts: bool = True
-    """Whether the rays' processor time is told, as it is on Linux."""
+    """Whether the renderer reports the processor time of its rays, as on Linux."""
 
     def cost(self, order: RenderOrder, now_s: float) -> tuple[float, float | None]:
-        """What a picture takes, and what of it its rays take where nothing else wants a core."""
+        """Return the time of a picture, and the processor time of its rays or None, in seconds."""
         slowed = self.slowed(now_s)
         rays_s = self._rays_s(order) * slowed
         seconds = (self.each_s * slowed + rays_s) * self.shared(now_s) + self.waits_s()
         return seconds, rays_s if self.counts else None
 
     def seconds(self, order: RenderOrder, now_s: float) -> float:
-        """What a picture takes."""
+        """Return the time of a picture in seconds."""
         return self.cost(order, now_s)[0]
 
     def _rays_s(self, order: RenderOrder) -> float:
@@ -60,7 +60,7 @@ class Machine:
 
 @dataclass
 class Simulation:
-    """Plays pump, renderer and client against a scheduler; a hand moves the tip ``hand_per_s`` times a second."""
+    """Simulated pump, renderer and client for one scheduler; a hand moves the tip ``hand_per_s`` times a second."""
 
     machine: Machine
     layout: dict[str, tuple[int, int]] = field(default_factory=lambda: dict(AIRWAY))
@@ -71,7 +71,7 @@ class Simulation:
     pose: int = 0
     sent: list[tuple[float, RenderOrder]] = field(default_factory=list)
     probes: list[tuple[float, float]] = field(default_factory=list)
-    """When a probe began, and what it took."""
+    """Start and duration of each probe, in seconds."""
     spent_s: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -81,7 +81,7 @@ class Simulation:
         self._frame_id = 0
 
     def fly(self, seconds: float, *, moves: bool = True) -> list[tuple[float, RenderOrder]]:
-        """What was sent while the hand moved (or rested) for so long."""
+        """Return the pictures that were sent during this time, while the hand moved or rested."""
         first, end_s = len(self.sent), self.now_s + seconds
         start_s, start_pose = self.now_s, self.pose
         while self.now_s < end_s:
@@ -106,7 +106,7 @@ class Simulation:
         return self.sent[first:]
 
     def rest(self, seconds: float) -> list[tuple[float, RenderOrder]]:
-        """What was sent while the hand rested."""
+        """Return the pictures that were sent while the hand rested."""
         return self.fly(seconds, moves=False)
 
     def _render(self, order: RenderOrder) -> None:
@@ -123,23 +123,23 @@ class Simulation:
 
 
 def airway(sent: list[tuple[float, RenderOrder]]) -> list[tuple[float, RenderOrder]]:
-    """The airway pictures of what was sent."""
+    """Return the airway pictures among the sent ones."""
     return [entry for entry in sent if entry[1].view == "airway"]
 
 
 def rate_hz(sent: list[tuple[float, RenderOrder]]) -> float:
-    """Airway pictures per second."""
+    """Return the number of airway pictures per second."""
     times = [time_s for time_s, _ in airway(sent)]
     return (len(times) - 1) / (times[-1] - times[0])
 
 
 def num_changes(sent: list[tuple[float, RenderOrder]]) -> int:
-    """How often the level changed."""
+    """Return how often the level changed."""
     levels = [order.level for _, order in airway(sent)]
     return sum(a != b for a, b in itertools.pairwise(levels))
 
 
 def num_coarser(sent: list[tuple[float, RenderOrder]]) -> int:
-    """How often the level changed to a coarser one."""
+    """Return how often the level changed to a coarser one."""
     levels = [order.level for _, order in airway(sent)]
     return sum(a < b for a, b in itertools.pairwise(levels))

@@ -1,6 +1,7 @@
-"""A small case for tests of the session and the server: real volume, real navigation, everything slow replaced.
+"""Small case for tests of the session and the server: real volume and navigation, stand-ins for all slow parts.
 
-The grid is anisotropic and oblique; the airways are a trachea that forks to the right (two generations) and the left.
+The grid is anisotropic and oblique. The airways are a trachea that divides into a right branch with two generations and
+a left branch.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ SHAPE_ZYX = (40, 28, 32)
 
 
 def oblique_matrix() -> np.ndarray:
-    """Voxel steps turned by 7 degrees about z and 4 degrees about x."""
+    """Return a matrix whose voxel steps are rotated by 7 degrees about z and 4 degrees about x."""
     a, b = np.deg2rad(7.0), np.deg2rad(4.0)
     about_z = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
     about_x = np.array([[1, 0, 0], [0, np.cos(b), -np.sin(b)], [0, np.sin(b), np.cos(b)]])
@@ -34,7 +35,7 @@ def oblique_matrix() -> np.ndarray:
 
 
 def small_volume(*, title: str = "Thorax 1.5", is_hu: bool = True) -> Volume:
-    """Tissue with air along the branches."""
+    """Return a volume of tissue with air along the branches."""
     values = np.full(SHAPE_ZYX, 40 if is_hu else 200, dtype=np.int16)
     values[small_lumen() != 0] = -980 if is_hu else 10
     return Volume(
@@ -73,7 +74,7 @@ def small_lumen() -> np.ndarray:
 
 
 def small_lps(ijk: tuple[float, float, float]) -> tuple[float, float, float]:
-    """A place in the small volume, from voxels."""
+    """Return the LPS point (mm) of voxel coordinates of the small volume."""
     x, y, z = (float(v) for v in small_volume().to_lps(np.array(ijk)))
     return x, y, z
 
@@ -84,7 +85,7 @@ OUTSIDE_LUMEN = small_lps((28.0, 3.0, 30.0))
 
 
 def small_tree(matrix: np.ndarray) -> AirwayTree:
-    """The branches of :data:`BRANCHES_IJK`; children begin with their parent's last point, bit for bit."""
+    """Return the tree of :data:`BRANCHES_IJK`; a child begins exactly at the last point of its parent."""
     generation = {0: 0, 1: 1, 2: 1, 3: 2}
     names = {0: "Trachea", 1: "RMB", 2: "LMB", 3: None}
     branches: dict[int, Branch] = {}
@@ -108,7 +109,7 @@ def small_tree(matrix: np.ndarray) -> AirwayTree:
 
 @dataclass
 class SmallTracker:
-    """Paths end at the tip of the nearest branch, within the snapping distance."""
+    """Tracker whose paths end at the tip of the nearest branch, within the snapping distance."""
 
     tree: AirwayTree
 
@@ -168,7 +169,7 @@ class SmallTracker:
 
 
 def small_airways(volume: Volume, *, root_lps: Any = None, note: str = "three branches") -> Any:
-    """Airways of :func:`small_volume`."""
+    """Return the airways of :func:`small_volume`."""
     tree = small_tree(volume.lps_from_ijk)
     return SimpleNamespace(
         lumen_zyx=small_lumen(),
@@ -186,7 +187,7 @@ def small_airways(volume: Volume, *, root_lps: Any = None, note: str = "three br
 
 @dataclass
 class SmallRenderer:
-    """Grey pictures of the asked size; notes what it was asked."""
+    """Renderer that returns grey pictures of the requested size and records the requests."""
 
     volume: Volume
     transfer: Any
@@ -195,11 +196,11 @@ class SmallRenderer:
     prepared: int = 0
     on_render: Callable[[Any], None] = lambda _view: None
     hit: Any = None
-    """What a pick finds."""
+    """Result of a pick."""
     grey: int = 90
-    """Of its pictures."""
+    """Grey level of the pictures."""
     rays_s: float | None = None
-    """What it says that the rays of a picture took."""
+    """Reported processor time of the rays of a picture, in seconds, or None."""
     picks: list[Any] = field(default_factory=list)
     on_prepare: Callable[[], None] = lambda: None
 
@@ -239,7 +240,7 @@ class SmallRenderer:
 
 
 class Background:
-    """Runs submitted work when the test says so, in the test's own thread."""
+    """Queue of submitted work that a test runs explicitly, in the test's own thread."""
 
     def __init__(self) -> None:
         self.waiting: list[Callable[[], None]] = []
@@ -256,7 +257,7 @@ class Background:
 
 
 class Clock:
-    """Seconds that pass when the test says so."""
+    """Clock that a test advances, in seconds."""
 
     def __init__(self) -> None:
         self.now_s = 100.0
@@ -269,12 +270,12 @@ class Clock:
 
 
 def small_transfer(name: str = "endoscopic", unit: str = "HU") -> Any:
-    """Stands for a transfer function."""
+    """Return a stand-in for a transfer function."""
     return SimpleNamespace(name=name, unit=unit, to_json=lambda: {"format": "carina-transfer", "version": 1})
 
 
 def small_parts(**replaced: Any) -> Parts:
-    """Parts that answer at once; the path ``bad`` is refused, ``other`` has another title."""
+    """Return stand-ins that answer at once; the path ``bad`` is refused, ``other`` has another title."""
     transfers = {name: small_transfer(name) for name in ("endoscopic", "ct-grey")}
 
     def open_volume(path: str, progress: Any, cancel: Any) -> Volume:
@@ -308,7 +309,7 @@ def small_parts(**replaced: Any) -> Parts:
 
 @dataclass
 class Bench:
-    """A session, its hand-driven background and clock, and all it said."""
+    """A session with its manually driven background and clock, and all its events."""
 
     session: Session
     background: Background
@@ -325,7 +326,7 @@ class Bench:
 
 
 def small_bench(*, store: Any = None, **replaced: Any) -> Bench:
-    """A session over the small parts."""
+    """Return a bench with a session over the small parts."""
     background, clock = Background(), Clock()
     renderers: list[SmallRenderer] = []
 

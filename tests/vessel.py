@@ -1,4 +1,4 @@
-"""A volume that holds no airway: a bright vessel in dull tissue, oblique, with steps that differ on each axis."""
+"""Test volume without airways: a bright vessel in dark tissue on an oblique, anisotropic grid."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ from carina.volume.model import Volume
 
 
 def made_vessel():
-    """A bright vessel that bends by 90 degrees in dull, noisy tissue, as in MR: values, geometry and ends (LPS)."""
+    """Return a bright vessel with a bend of 90 degrees in noisy, darker tissue, as in MR.
+
+    The result contains values, geometry and the end points (LPS).
+    """
     rng = np.random.default_rng(5)
     k, j, i = np.indices((26, 44, 38))
     x, y, z = 0.9 * i, 0.7 * j, 1.4 * k

@@ -1,4 +1,7 @@
-"""A real browser, its pages and a host of real workstations for each worker; a page remembers every error it logged."""
+"""Fixtures of the browser tests: one browser and one host of real workstations for each worker.
+
+Every page records the errors that its scripts log.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,7 @@ FAILED = pytest.StashKey[bool]()
 
 
 class Shared:
-    """One browser and one host of workstations for as long as tests come that want them."""
+    """Browser, host of workstations and pages that the browser tests of a worker share."""
 
     def __init__(self) -> None:
         self._open = ExitStack()
@@ -27,7 +30,7 @@ class Shared:
         self._pages: dict[tuple[str, ...], Workstation] = {}
 
     def browser(self, path: str) -> Any:
-        """The running one, or a new one."""
+        """Return the running browser, or start one."""
         if self._browser is None:
             sync_api.expect.set_options(timeout=PICTURE_MS)
             playwright = self._open.enter_context(sync_api.sync_playwright())
@@ -36,7 +39,7 @@ class Shared:
         return self._browser
 
     def host(self, factory: pytest.TempPathFactory) -> Host:
-        """The running one, or a new one."""
+        """Return the running host, or start one."""
         if self._host is None:
             self._host = Host(factory.mktemp("host"))
             self._open.callback(self._end, self._host)
@@ -46,23 +49,26 @@ class Shared:
         assert host.end() == 0
 
     def page(self, browser: Any, scripts: tuple[str, ...]) -> Workstation:
-        """One that an earlier test left as it was, or a new one.
+        """Return a page that an earlier test left unchanged, or a new page.
 
-        A new one compiles the client anew, in a process of its own: two thirds of what it costs to open a case.
+        A new page compiles the client again, in a process of its own; that is two thirds of the time of opening a case.
         """
         station = self._pages.pop(scripts, None)
         return open_page(browser, scripts) if station is None else station
 
     def give_back(self, station: Workstation, scripts: tuple[str, ...]) -> None:
-        """For the next test that wants these scripts; what was changed for good is closed."""
+        """Keep the page for the next test with the same scripts; close a page that the test changed permanently."""
         if scripts not in self._pages and station.leave():
             self._pages[scripts] = station
         else:
             station.page.context.close()
 
     def close(self) -> None:
-        """Playwright keeps an event loop in this thread, which the tests of other folders must find free; and the host
-        half a gigabyte."""
+        """Close browser, host and pages.
+
+        Playwright keeps an event loop in this thread, which tests of other folders need; and the host uses half a
+        gigabyte of memory.
+        """
         self._browser = self._host = None
         self._pages.clear()
         self._open.close()
@@ -73,7 +79,7 @@ SHARED = Shared()
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item) -> Any:
-    """Tell the fixtures whether their test failed."""
+    """Record for the fixtures whether their test failed."""
     report = yield
     item.stash[FAILED] = item.stash.get(FAILED, False) or report.failed
     return report
@@ -81,7 +87,7 @@ def pytest_runtest_makereport(item: pytest.Item) -> Any:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> Any:
-    """Close what is shared after the last test that wants it."""
+    """Close the shared browser and host after the last browser test."""
     try:
         return (yield)
     finally:
@@ -91,7 +97,7 @@ def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> 
 
 @pytest.fixture
 def browser() -> Any:
-    """One browser a worker; tests make contexts of it."""
+    """Return the browser of the worker; tests create contexts in it."""
     path = find_browser()
     if path is None:
         pytest.skip("needs a Chromium or Chrome (Debian package: chromium)")
@@ -100,19 +106,19 @@ def browser() -> Any:
 
 @pytest.fixture
 def host(tmp_path_factory: pytest.TempPathFactory) -> Host:
-    """The process in which this worker's workstations run, one at a time."""
+    """Return the process in which the workstations of this worker run, one at a time."""
     return SHARED.host(tmp_path_factory)
 
 
 @pytest.fixture
 def opens() -> dict[str, Any]:
-    """What the workstation opens, and with which options: ``Host.open``."""
+    """Return what the workstation opens, with options: the arguments of ``Host.open``."""
     return {"demo": "phantom"}
 
 
 @pytest.fixture
 def server(host: Host, opens: dict[str, Any]) -> Iterator[Server]:
-    """A workstation as new as after ``carina demo phantom``, or what ``opens`` tells."""
+    """Return a new workstation, as after ``carina demo phantom`` or with the arguments of ``opens``."""
     running = host.open(**opens)
     yield running
     host.close(running)
@@ -121,13 +127,13 @@ def server(host: Host, opens: dict[str, Any]) -> Iterator[Server]:
 
 @pytest.fixture
 def has_failed(request: pytest.FixtureRequest) -> Callable[[], bool]:
-    """Tells, on the way back, whether the test failed."""
+    """Return a function that states, during the teardown, whether the test failed."""
     return lambda: request.node.stash.get(FAILED, False)
 
 
 @pytest.fixture
 def scripts() -> tuple[str, ...]:
-    """What runs in the page before the client does."""
+    """Return the scripts that run in the page before the client."""
     return ()
 
 
@@ -135,7 +141,7 @@ def scripts() -> tuple[str, ...]:
 def workstation(
     browser: Any, scripts: tuple[str, ...], request: pytest.FixtureRequest, has_failed: Callable[[], bool]
 ) -> Iterator[Workstation]:
-    """A page that shows nothing yet, knows no workstation and holds no cookie."""
+    """Return an empty page without a workstation and without a cookie."""
     station = SHARED.page(browser, scripts)
     yield station
     if has_failed():

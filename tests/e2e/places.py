@@ -1,4 +1,4 @@
-"""Where things of the case show on the page, and pictures that show what they are asked for."""
+"""Positions of anatomy on the page in page coordinates, and waits for the pictures that show them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ PREVIEWED = """() => {
 
 
 def place_on_tree(workstation, branch_id, part=0.5):
-    """Where a place of a branch shows in the picture of the tree from outside, in page coordinates."""
+    """Return the position of a point of a branch in the external view of the tree, in page coordinates."""
     return workstation.page.evaluate(
         """([id, part]) => {
             const state = window.__carina.state;
@@ -31,20 +31,20 @@ def place_on_tree(workstation, branch_id, part=0.5):
 
 
 def named(workstation, name):
-    """The id of a branch of that name."""
+    """Return the id of the branch with this name."""
     return workstation.page.evaluate(
         "(name) => [...window.__carina.state.tree.byId.values()].find((n) => n.branch.name === name).branch.id", name
     )
 
 
 def show_slices_at(workstation, lps):
-    """Crosshair to a point that is typed, until the slices show it."""
+    """Type a point as the crosshair, and wait until the slices show it."""
     workstation.page.keyboard.press("n")
     workstation.page.keyboard.press("Escape")
     field = workstation.page.locator("[data-testid=coordinates] input")
     field.fill(", ".join(f"{v:.3f}" for v in lps))
     workstation.page.locator(".coordinates").get_by_role("button", name="Show").click()
-    # Each slice is a picture of its own, and comes by itself.
+    # Each slice is a separate picture, and arrives separately.
     workstation.wait_for(
         """(lps) => [['sagittal', 0], ['coronal', 1], ['axial', 2]].every(([view, axis]) => {
             const shown = [...document.querySelectorAll('canvas[data-view]')]
@@ -59,7 +59,7 @@ def show_slices_at(workstation, lps):
 
 
 def place_in_slice(workstation, view, lps):
-    """Where a point shows in a slice, in page coordinates."""
+    """Return the position of a point in a slice, in page coordinates."""
     return workstation.page.evaluate(
         """([view, lps]) => {
             const { lps_from_pixel: m, width, height } = window.__carina.state.frames[view];
@@ -76,7 +76,7 @@ def place_in_slice(workstation, view, lps):
 
 
 def place_in_tri_plane(workstation, lps):
-    """Where a point shows in the tri-plane view, in page coordinates."""
+    """Return the position of a point in the tri-plane view, in page coordinates."""
     return workstation.page.evaluate(
         """(p) => {
             const { lps_from_camera: m, fov_deg, width, height } = window.__carina.state.frames['tri-plane'];
@@ -92,12 +92,12 @@ def place_in_tri_plane(workstation, lps):
 
 
 def tree_is_shown(workstation):
-    """Wait for the final picture of the tree from outside."""
+    """Wait for the final picture of the external view of the tree."""
     workstation.wait_for("() => document.querySelector('canvas[data-view=tree]')?.dataset.full === 'true'")
 
 
 def all_points(workstation):
-    """Every point of the tree, as text."""
+    """Return every point of the tree as text."""
     points = workstation.page.evaluate(
         "() => [...window.__carina.state.tree.byId.values()].flatMap((node) => node.branch.points)"
     )
@@ -105,26 +105,26 @@ def all_points(workstation):
 
 
 def extent_mm(workstation, view):
-    """Width of the picture that a view shows, mm."""
+    """Return the width of the picture that a view shows, in mm."""
     header = workstation.state(f"frames['{view}']")
     matrix = np.reshape(header["lps_from_pixel"], (4, 4))
     return float(np.linalg.norm(matrix[:3, 0])) * header["width"]
 
 
 def middle_lps(workstation, view):
-    """The point in the middle of the picture that a view shows."""
+    """Return the LPS point in the middle of the picture that a view shows."""
     header = workstation.state(f"frames['{view}']")
     matrix = np.reshape(header["lps_from_pixel"], (4, 4))
     return (matrix @ (header["width"] / 2, header["height"] / 2, 0.0, 1.0))[:3]
 
 
 def host(workstation, view):
-    """Where a view's picture takes clicks, CSS px."""
+    """Return the rectangle in which the picture of a view takes clicks, in CSS px."""
     return workstation.page.locator(f".picture-host:has(canvas[data-view={view}])").bounding_box()
 
 
 def drag(workstation, view, start, end, button="left"):
-    """Drag between two places of a view, given as parts of its sides."""
+    """Drag between two places of a view, given as fractions of its width and height."""
     box, mouse = host(workstation, view), workstation.page.mouse
     mouse.move(box["x"] + start[0] * box["width"], box["y"] + start[1] * box["height"])
     mouse.down(button=button)

@@ -1,4 +1,4 @@
-"""Real servers in child processes: ``carina`` as a person starts it, and a host of many workstations."""
+"""Real servers in child processes: ``carina`` as a user starts it, and a host of many workstations."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from typing import Any
 from own_folders import own_folders
 
 STOP_S = 120.0
-"""Longer than a server needs to end, on whatever machine."""
+"""Upper limit for the shutdown of a server on any machine, in seconds."""
 HOST = Path(__file__).parent / "workstation_host.py"
 
 
 class Child:
-    """A Python program with its output as a pipe, and its log read as it comes."""
+    """Child process that runs a Python program, with a pipe for its output and a thread that reads its log."""
 
     def __init__(self, arguments: list[str], home: Path) -> None:
         own = own_folders(home)
-        # What was computed is shared: it is none of the person's.
+        # The cache of computed data is shared; it is not a folder of the user.
         del own["XDG_CACHE_HOME"]
         environment = {**os.environ, **own}
         self.process = subprocess.Popen(
@@ -52,7 +52,7 @@ class Child:
                 self.said.notify_all()
 
     def wait(self) -> int:
-        """Wait for its end, however it was told; kill it only if it does not leave."""
+        """Wait for the end of the process, and return its exit code; kill the process if it does not end in time."""
         try:
             code = self.process.wait(timeout=STOP_S)
         except subprocess.TimeoutExpired:
@@ -67,19 +67,19 @@ class Child:
 
 @dataclass
 class Server:
-    """A running workstation."""
+    """Running workstation."""
 
     child: Child
     url: str
     number: int = 0
-    """Which one it is of its host."""
+    """Number of the workstation in its host."""
     begins: int = 0
-    """First line of the log that it may have written."""
+    """Index of the first log line that this workstation may have written."""
     cookies: list[dict[str, object]] = field(default_factory=list)
-    """What the first page got for the token."""
+    """Cookies that the first page received in exchange for the token."""
 
     def errors(self) -> list[str]:
-        """Log lines that report a fault."""
+        """Return the log lines that report an error."""
         log = self.child.log[self.begins :]
         return [line for line in log if "ERROR" in line or "Traceback" in line or "CRITICAL" in line]
 
@@ -99,13 +99,16 @@ def start_server(arguments: list[str], home: Path) -> Server:
 
 
 def stop_server(server: Server) -> int:
-    """Ctrl-C, as a person would."""
+    """Send SIGINT, as a user does with Ctrl-C, and return the exit code."""
     server.child.process.send_signal(signal.SIGINT)
     return server.child.wait()
 
 
 class Host:
-    """The process of ``workstation_host.py``: a fresh workstation costs a tenth of a new process and its search."""
+    """Process of ``workstation_host.py``.
+
+    A new workstation in it takes a tenth of the time of a new process with its search for airways.
+    """
 
     def __init__(self, home: Path) -> None:
         self._homes = (home / f"config-{n}" for n in itertools.count(1))
@@ -120,19 +123,19 @@ class Host:
         return answer
 
     def open(self, **options: Any) -> Server:
-        """A new workstation, with settings of its own."""
+        """Open a new workstation with its own settings."""
         begins = len(self._child.log)
         answer = self._ask({"open": {"home": str(next(self._homes)), "demo": None, "path": None, **options}})
         return Server(self._child, answer["url"], answer["number"], begins)
 
     def close(self, server: Server) -> None:
-        """End it, and wait for the last word of its log."""
+        """Close a workstation, and wait for its last log line."""
         self._ask({"close": server.number})
         last = f"workstation {server.number} is closed"
         with self._child.said:
             assert self._child.said.wait_for(lambda: last in self._child.log, STOP_S), "its log does not end"
 
     def end(self) -> int:
-        """No more orders: the process leaves."""
+        """Close the input, so that the process ends, and return its exit code."""
         self._child.input.close()
         return self._child.wait()

@@ -1,4 +1,4 @@
-"""Lobes and segments that were not found stand in the list of airways, each with its reason and a way to look."""
+"""List of lobes and segments that were not found, each with its reason and a button that shows the place."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ LOST = {
 
 @pytest.fixture
 def opens(tmp_path):
-    """A chest with mucus in its middle lobe bronchus, and in a segment of the left upper lobe."""
+    """Return a chest with mucus in its middle lobe bronchus and in a segment of the left upper lobe."""
     volume, whole = made_phantom(**CHEST).volume, made_airways(**CHEST)
     for name in ("RML", "LB3"):
         volume = plugged(volume, named(whole, name), 6.0)
-    # As NIfTI the spacing would be rounded, which is enough to change which bronchi of the left upper lobe have names.
+    # NIfTI would round the spacing, which is enough to change the names of bronchi of the left upper lobe.
     path = tmp_path / "ct.nrrd"
     write_grid(path, volume.hu_zyx, volume.lps_from_ijk, what="a chest with mucus")
     return {"path": str(path)}
 
 
-def test_what_was_not_found_is_listed_with_its_reason_and_leads_to_where_the_airway_ends(server, workstation):
+def test_missing_airway_is_listed_with_its_reason_and_shows_where_the_airway_ends(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     listed = workstation.page.get_by_test_id("absent")

@@ -1,4 +1,4 @@
-"""Pointing at the airway tree and mending it: the way to the cursor, branches linked in all views, edits and undo."""
+"""Tools on the airway tree in the browser: path to the cursor, branches linked in all views, edits and undo."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ DRAWN = "() => [...window.__carina.state.tree.byId.values()].some((node) => node
 
 
 def lung_point(workstation):
-    """A point beside the tree to which a way leads that the CT shows no wall along: the server is asked for it."""
+    """Return a point beside the tree whose path crosses places without a visible wall; the server computes the path."""
     return workstation.page.evaluate(
         """async () => {
             const socket = window.__socket;
@@ -51,7 +51,7 @@ def lung_point(workstation):
     )
 
 
-def test_the_way_to_the_cursor_is_drawn_with_its_length_and_a_click_makes_it_a_target(server, workstation):
+def test_path_to_the_cursor_is_drawn_with_its_length_and_a_click_makes_it_a_target(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     tree_is_shown(workstation)
@@ -66,7 +66,7 @@ def test_the_way_to_the_cursor_is_drawn_with_its_length_and_a_click_makes_it_a_t
     )
     assert answer["problem"] is None
     assert answer["min_diameter_mm"] > 5.0
-    # It ends in the left main bronchus, on the way to its end.
+    # The path ends in the left main bronchus, on the way to its end.
     assert max(abs(a - b) for a, b in zip(answer["points_lps"][-1], lmb, strict=True)) < 40.0
     workstation.picture("live-path")
     assert workstation.overlay("coronal") != before, "the way is drawn in the slices, too"
@@ -82,7 +82,7 @@ def test_the_way_to_the_cursor_is_drawn_with_its_length_and_a_click_makes_it_a_t
     assert workstation.faults == []
 
 
-def test_in_the_airway_view_the_way_leads_to_the_lumen_in_front_of_the_wall(server, workstation):
+def test_path_in_the_airway_view_leads_to_the_lumen_in_front_of_the_wall(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.go_to(20.0)
@@ -99,14 +99,14 @@ def test_in_the_airway_view_the_way_leads_to_the_lumen_in_front_of_the_wall(serv
     assert workstation.faults == []
 
 
-def test_a_branch_is_cut_undone_cut_again_and_added_by_a_click(server, workstation):
+def test_branch_is_cut_undone_cut_again_and_added_by_a_click(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     tree_is_shown(workstation)
     whole = workstation.state("tree.byId.size")
     lmb = named(workstation, "LMB")
     end = workstation.page.evaluate("(id) => window.__carina.state.tree.byId.get(id).branch.points.at(-1)", lmb)
-    # The left lung, from the middle of its main bronchus on: amber before the click.
+    # The left lung, from the middle of its main bronchus on, is amber before the click.
     workstation.page.keyboard.press("k")
     x, y = place_on_tree(workstation, lmb)
     workstation.page.mouse.move(x, y)
@@ -147,12 +147,12 @@ def test_a_branch_is_cut_undone_cut_again_and_added_by_a_click(server, workstati
     assert workstation.faults == []
 
 
-def test_a_branch_without_evidence_is_shown_dashed_asked_about_and_drawn_by_hand(server, workstation):
+def test_branch_without_evidence_is_dashed_confirmed_and_added_as_drawn_by_hand(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     tree_is_shown(workstation)
     whole = workstation.state("tree.byId.size")
-    # Lung beside the end of a branch, to which a way leads that has no wall.
+    # Lung beside the end of a branch; the path to it has no visible wall.
     lps = lung_point(workstation)
     show_slices_at(workstation, lps)
     workstation.page.keyboard.press("j")
@@ -172,7 +172,7 @@ def test_a_branch_without_evidence_is_shown_dashed_asked_about_and_drawn_by_hand
     assert asked["line"] == shown["lines"][0], "the question is about the way that was shown"
     assert workstation.state("messages.length") == 0, "a question is no error"
     workstation.picture("without-evidence-the-question")
-    # Esc leaves the tree as it is, and the tool in the hand.
+    # Esc leaves the tree unchanged and keeps the tool active.
     workstation.page.keyboard.press("Escape")
     expect(question).to_have_count(0)
     assert workstation.state("ui.armed") == "add"
@@ -191,7 +191,7 @@ def test_a_branch_without_evidence_is_shown_dashed_asked_about_and_drawn_by_hand
     assert drawn["doubtful_mm"] > 0
     workstation.page.keyboard.press("Escape")
 
-    # In the list, its panel and the route it is called what it is.
+    # The list, its panel and the route call the branch drawn by hand.
     workstation.page.get_by_role("searchbox", name="Search branches").fill("by hand")
     row = workstation.page.locator(f"[data-branch='{drawn['id']}']")
     expect(row).to_contain_text("drawn by hand")
@@ -209,7 +209,7 @@ def test_a_branch_without_evidence_is_shown_dashed_asked_about_and_drawn_by_hand
     assert workstation.faults == []
 
 
-def test_where_there_is_no_way_the_reason_stands_at_the_cursor(server, workstation):
+def test_reason_is_shown_at_the_cursor_if_there_is_no_path(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.page.keyboard.press("n")
@@ -222,7 +222,7 @@ def test_where_there_is_no_way_the_reason_stands_at_the_cursor(server, workstati
     assert workstation.faults == []
 
 
-def test_a_branch_that_is_pointed_at_shows_in_the_list_and_in_all_pictures(server, workstation):
+def test_hovered_branch_is_highlighted_in_the_list_and_in_all_pictures(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     tree_is_shown(workstation)
@@ -237,7 +237,7 @@ def test_a_branch_that_is_pointed_at_shows_in_the_list_and_in_all_pictures(serve
         )
     workstation.picture("hovered-in-the-list")
 
-    # The other way round: from the tree's picture to the list.
+    # The reverse: from the picture of the tree to the list.
     rmb = named(workstation, "RMB")
     x, y = place_on_tree(workstation, rmb)
     workstation.page.mouse.move(x, y)
@@ -249,11 +249,11 @@ def test_a_branch_that_is_pointed_at_shows_in_the_list_and_in_all_pictures(serve
         return of.evaluate("(row) => getComputedStyle(row).backgroundColor")
 
     assert background(row) != background(other)
-    # A click there flies to it, as a click in the list does.
+    # A click there flies to the branch, as a click in the list does.
     workstation.page.mouse.click(x, y)
     workstation.wait_for("(id) => window.__carina.state.route?.spans.at(-1).branch_id === id", rmb)
 
-    # A double click makes the picture large, and chooses nothing.
+    # A double click enlarges the picture and chooses no branch.
     undo = workstation.state("can_undo")
     workstation.page.mouse.dblclick(*place_on_tree(workstation, lmb))
     workstation.wait_for("() => window.__carina.state.ui.full === 'outside'")
@@ -266,7 +266,7 @@ def test_a_branch_that_is_pointed_at_shows_in_the_list_and_in_all_pictures(serve
     assert workstation.faults == []
 
 
-def test_a_branch_is_renamed_in_place_and_the_name_is_undone(server, workstation):
+def test_branch_is_renamed_in_place_and_the_name_is_undone(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     tip = workstation.deepest_tip(1.0)
@@ -289,7 +289,7 @@ def test_a_branch_is_renamed_in_place_and_the_name_is_undone(server, workstation
     )
     assert title.inner_text() != "Upper left, odd one"
 
-    # Esc leaves the name as it was; the keys fly again afterwards.
+    # Esc keeps the old name; afterwards the keys fly again.
     workstation.page.keyboard.press("F2")
     field.press("Escape")
     expect(field).to_have_count(0)
@@ -299,7 +299,7 @@ def test_a_branch_is_renamed_in_place_and_the_name_is_undone(server, workstation
     assert workstation.faults == []
 
 
-def test_the_list_is_searched(server, workstation):
+def test_branch_list_is_searched(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.page.keyboard.press("/")

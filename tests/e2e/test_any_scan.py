@@ -1,4 +1,4 @@
-"""A scan without airways in the window: start and target by click, a path by the paper's costs, flown to its end."""
+"""Scan without airways in the browser: start and target by click, a path by the paper's costs, and a flight."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FAILED_SEARCH = "window.__carina.state.session?.airways === 'failed' && window._
 
 @pytest.fixture(scope="module")
 def vessel(tmp_path_factory):
-    """A scan as a person has it, its bend of vessel, and places in it: start, corner, end (LPS)."""
+    """Return a scan file with a bent vessel, and the places start, corner and end in it (LPS)."""
     volume, inside, root, corner, end = made_vessel()
     scan = tmp_path_factory.mktemp("vessel") / "vessel.nii.gz"
     write_grid(scan, volume.hu_zyx, volume.lps_from_ijk, what="the scan")
@@ -31,7 +31,7 @@ def opens(vessel):
 
 @pytest.fixture
 def opened(server, workstation):
-    """A page with the scan open, in which no airways were found."""
+    """Return a page with the scan open, in which no airways were found."""
     workstation.open(server)
     workstation.wait_for(FAILED_SEARCH)
     workstation.page.get_by_role("button", name="Target", exact=True).click()
@@ -45,11 +45,11 @@ def mark(workstation, tool, lps):
     workstation.page.mouse.click(*place_in_slice(workstation, "axial", lps))
 
 
-def test_a_start_and_a_target_that_are_clicked_are_joined_by_a_path_that_can_be_flown(opened, vessel):
+def test_clicked_start_and_target_are_joined_by_a_path_that_can_be_flown(opened, vessel):
     _, volume, inside, root, _, end = vessel
     page = opened.page
     page.get_by_role("radio", name="Walls").click()
-    # What is missing next is in the hand at once.
+    # The tool for the missing start is active at once.
     assert opened.state("ui.armed") == "start"
     page.keyboard.press("Escape")
     mark(opened, "start", root)
@@ -80,7 +80,7 @@ def test_a_start_and_a_target_that_are_clicked_are_joined_by_a_path_that_can_be_
     opened.picture("any-scan-flown")
 
 
-def test_without_a_start_it_says_what_is_missing_and_undo_takes_a_path_back(opened, vessel):
+def test_missing_start_is_reported_and_undo_removes_a_path(opened, vessel):
     _, _, _, root, corner, _ = vessel
     page = opened.page
     page.get_by_role("radio", name="Paper").click()
@@ -110,7 +110,7 @@ def test_start_and_target_are_clicked_in_the_three_dimensional_views(opened, ves
     opened.wait_for("window.__carina.state.ui.pathStart !== null")
     assert np.linalg.norm(np.subtract(opened.state("ui.pathStart"), root)) < 1.5
     page.locator("[data-testid=arm-target]").click()
-    # In the airway view: where the vessel's wall is seen, a voxel before it.
+    # The point in the airway view is a voxel in front of the visible wall of the vessel.
     opened.click_airway(0.72, 0.5)
     opened.wait_for("window.__carina.state.session.targets.length === 1")
     assert opened.state("session.targets[0].problem") is None
@@ -121,17 +121,17 @@ def test_start_and_target_are_clicked_in_the_three_dimensional_views(opened, ves
 
 @pytest.mark.data
 class TestTheHead:
-    """headsq: oblique, not HU, voxels of 3.2 mm."""
+    """Path in headsq: oblique, not in HU, voxels of 3.2 mm."""
 
     @pytest.fixture
     def vessel(self, data_dir):
         return (data_dir / "ct" / "head_and_lidc2_8bit" / "headsq_64x64x93_int16.mha",)
 
-    def test_a_path_through_the_nose_is_drawn_and_flown(self, opened):
+    def test_path_through_the_nose_is_drawn_and_flown(self, opened):
         page = opened.page
         page.get_by_role("radio", name="Walls").click()
         page.keyboard.press("Escape")
-        # Looked at: the nasopharynx, and air in front of it.
+        # Checked by eye: the nasopharynx, and air in front of it.
         mark(opened, "start", [18.822, 140.192, 48.0])
         mark(opened, "target", [-6.234, 151.590, 48.0])
         opened.wait_for("window.__carina.state.route !== null")

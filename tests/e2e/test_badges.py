@@ -1,4 +1,4 @@
-"""A scan that opens with a doubt: the window keeps it in sight beside the title and says it first in the step Check."""
+"""Quality warnings of a scan: a badge beside the title, and the first entry of the step Check."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ WORDS = "5 voxels are not finite (NaN or infinite)"
 
 @pytest.fixture
 def opens(tmp_path):
-    """The phantom as floats, with five voxels that hold no number; a coarse one is enough to be opened."""
+    """Return the phantom as coarse floats, with five voxels that are NaN."""
     volume = demo_phantom().volume
     values = volume.hu_zyx[::2, ::2, ::2].astype(np.float32)
     values[0, 0, :5] = np.nan
@@ -28,7 +28,7 @@ def opens(tmp_path):
     return {"path": str(tmp_path / "ct.nrrd")}
 
 
-def test_a_doubt_stays_beside_the_title_and_leads_to_the_step_check(server, workstation):
+def test_quality_warning_stays_beside_the_title_and_leads_to_the_step_check(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     page = workstation.page

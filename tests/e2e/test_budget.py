@@ -1,4 +1,4 @@
-"""The frame budget as a person meets it: a steady flight, and the view finder where the airway view is too slow."""
+"""Frame budget in the browser: a steady frame rate, and the view finder while the airway view is too slow."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ STANDS_IN = "document.querySelector('[data-testid=view-finder]')"
 
 @pytest.fixture
 def slow_file(tmp_path) -> Path:
-    """While it exists, the airway view is slow."""
+    """Return the path of a file; while the file exists, the airway view is slow."""
     return tmp_path / "slow"
 
 
 @pytest.fixture
 def opens(slow_file):
-    """With an airway view that can be slowed down."""
+    """Return options for an airway view that can be slowed down."""
     return {"demo": "phantom", "slow_file": str(slow_file)}
 
 
-def test_while_flying_the_status_says_how_fast_and_how_fine_and_at_rest_the_picture_is_full(server, workstation):
+def test_status_shows_rate_and_resolution_while_flying_and_the_picture_is_full_at_rest(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.wait_still()
@@ -34,7 +34,7 @@ def test_while_flying_the_status_says_how_fast_and_how_fine_and_at_rest_the_pict
     expect(status).to_contain_text("full resolution")
     workstation.hold("w", 1500)
     workstation.page.keyboard.down("w")
-    # The words follow the picture by a refresh of the screen.
+    # The text follows the picture by one refresh of the screen.
     frame = "window.__carina.state.frames.airway"
     words = f"{frame}.width < {workstation.wanted_width()} ? 'reduced: ' : 'full resolution'"
     while_flying, frame = workstation.once(
@@ -44,7 +44,7 @@ def test_while_flying_the_status_says_how_fast_and_how_fine_and_at_rest_the_pict
     workstation.picture("budget-flying")
     workstation.page.keyboard.up("w")
     rate = int(re.search(r"frames (\d+)/s", while_flying)[1])
-    # A hand's input comes 60 times a second; how near the pictures come to it is the machine's and its load's affair.
+    # The hand's input comes 60 times a second; the rate of pictures below that depends on the machine and its load.
     assert 1 <= rate <= 70
     assert re.search(r"latency \d+ ms|updating", while_flying)
     assert not frame["full"]
@@ -53,7 +53,7 @@ def test_while_flying_the_status_says_how_fast_and_how_fine_and_at_rest_the_pict
     assert workstation.faults == []
 
 
-def test_another_rate_can_be_asked_for(server, workstation):
+def test_another_rate_can_be_requested(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.page.locator(".status-bar .pace button").click()
@@ -69,9 +69,7 @@ def test_another_rate_can_be_asked_for(server, workstation):
     assert workstation.faults == []
 
 
-def test_where_the_airway_view_is_too_slow_the_labelled_cut_plane_stands_in_until_it_recovers(
-    server, workstation, slow_file
-):
+def test_labelled_cut_plane_replaces_a_slow_airway_view_until_it_recovers(server, workstation, slow_file):
     workstation.open(server)
     workstation.wait_ready()
     assert workstation.page.evaluate(f"() => {STANDS_IN}") is None
@@ -88,10 +86,10 @@ def test_where_the_airway_view_is_too_slow_the_labelled_cut_plane_stands_in_unti
     assert "Viewfinder: cut-plane" in label
     assert "viewfinder" in status
     assert (frame["view"], frame["stands_for"], frame["full"]) == ("cut-plane", "airway", False)
-    # It follows the hand, picture after picture, where the airway view could not.
+    # The cut-plane follows the hand in every picture, which the airway view could not.
     workstation.fly_until("window.__shown.filter((view) => view === 'cut-plane').length >= 8", 120.0)
 
-    # At rest the airway view comes, however long it takes, and the label goes.
+    # At rest the airway view arrives, however long it takes, and the label disappears.
     workstation.wait_still()
     assert workstation.page.evaluate(f"() => {STANDS_IN}") is None
     assert workstation.state("frames.airway.view") == "airway"
@@ -99,7 +97,7 @@ def test_where_the_airway_view_is_too_slow_the_labelled_cut_plane_stands_in_unti
     slow_file.unlink()
     workstation.fly_until(f"!{STANDS_IN} && window.__carina.state.frames.airway.full === false", 120.0)
     workstation.watch_stand_ins()
-    # One after the other, as soon as the machine is as quick as the view needs.
+    # Several airway pictures in a row, as soon as the machine is as fast as the view needs.
     workstation.fly_until("window.__shown.slice(-4).join() === 'airway,airway,airway,airway'", 120.0)
     workstation.wait_still()
     assert workstation.faults == []

@@ -1,4 +1,4 @@
-"""What a person did is there again: after closing, after a crash, and in a file of its own."""
+"""Restoring of work in the browser: after closing, after a crash, and from a named case file."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def shown(workstation):
 
 
 def work(workstation):
-    """Look with another outline, go to another branch, along it, and take one step back."""
+    """Choose another branch as the route, change the outline, undo that change, and move along the route."""
     workstation.page.get_by_test_id("list-airways").click()
     rows = workstation.page.get_by_role("row")
     rows.nth(3).click()
@@ -46,7 +46,7 @@ def work(workstation):
 
 
 def wait_saved(workstation, home):
-    """Change how thick slices are, and wait until that is on the disk: then all before is, too."""
+    """Change the slab thickness, and wait until that change, and so all earlier ones, is saved."""
 
     def written_s():
         return max((json.loads(path.read_text())["used_s"] or 0.0 for path in home.rglob("record.json")), default=0.0)
@@ -57,7 +57,7 @@ def wait_saved(workstation, home):
     while written_s() <= since_s:
         assert time.time() < since_s + PICTURE_MS / 1e3, "the change is not on the disk"
         workstation.page.wait_for_timeout(50)
-    # A write that began before the key may have ended after it: the one with the change follows within 1.5 s.
+    # A write that began before the key press may end after it; the write with the change follows within 1.5 s.
     last_s = 0.0
     while written_s() > last_s:
         last_s = written_s()
@@ -74,7 +74,7 @@ def opens(home):
     return {"demo": "phantom", "home": home}
 
 
-def test_a_case_that_is_closed_and_opened_again_is_as_it_was(host, workstation, home):
+def test_closed_case_is_restored_when_it_is_opened_again(host, workstation, home):
     first = host.open(demo="phantom", home=home)
     workstation.open(first)
     workstation.wait_ready()
@@ -98,7 +98,7 @@ def test_a_case_that_is_closed_and_opened_again_is_as_it_was(host, workstation, 
         workstation.faults.clear()
 
 
-def test_a_case_is_saved_under_a_name_and_the_top_bar_says_where(server, workstation, tmp_path):
+def test_case_is_saved_under_a_name_that_the_top_bar_shows(server, workstation, tmp_path):
     workstation.open(server)
     workstation.wait_ready()
     work(workstation)
@@ -106,19 +106,19 @@ def test_a_case_is_saved_under_a_name_and_the_top_bar_says_where(server, worksta
     workstation.page.keyboard.press("Control+s")
     workstation.page.get_by_test_id("save-path").fill(str(tmp_path / "copies" / "mine"))
     workstation.page.get_by_test_id("save-now").click()
-    # A folder that is not there is no place: the person says where, and is told.
+    # A folder that does not exist is refused with a message, and the user chooses another.
     workstation.page.get_by_text("copies").first.wait_for()
     workstation.page.get_by_test_id("saved").click()
     workstation.page.get_by_test_id("save-path").fill(str(tmp_path / "mine"))
     workstation.page.get_by_test_id("save-now").click()
-    # The place is known at once; the copy is told of when it lies there.
+    # The top bar shows the path at once, and the saved copy when it is written.
     workstation.page.get_by_test_id("saved").filter(has_text="copy from").wait_for()
     assert workstation.state("session.saving.copy_name") == "mine.carina"
     with CaseFile.open(tmp_path / "mine.carina", read_only=True) as case:
         assert [step.label for step in case.history()] == steps
 
 
-def test_a_named_file_that_was_changed_elsewhere_is_written_only_as_its_user_decides(server, workstation, tmp_path):
+def test_named_file_changed_elsewhere_is_written_only_as_its_user_decides(server, workstation, tmp_path):
     workstation.open(server)
     workstation.wait_ready()
     work(workstation)
@@ -141,7 +141,7 @@ def test_a_named_file_that_was_changed_elsewhere_is_written_only_as_its_user_dec
     page.get_by_test_id("save-beside").click()
     page.get_by_test_id("saved").filter(has_text="copy from").wait_for()
     assert workstation.state("session.saving.copy_name") == "team (2).carina"
-    # Another version of the case, by a copy of the file that was edited elsewhere.
+    # Another version of the case, from a copy of the file that was edited elsewhere.
     with CaseFile.open(path.with_name("team (2).carina"), read_only=True) as case:
         case.write_copy(path.with_name("theirs.carina"))
     path.with_name("theirs.carina").replace(path.with_name("team (2).carina"))
@@ -157,7 +157,7 @@ def test_a_named_file_that_was_changed_elsewhere_is_written_only_as_its_user_dec
 
 
 @pytest.mark.slow
-def test_a_case_whose_carina_was_killed_is_as_it_was_two_seconds_before(workstation, tmp_path):
+def test_case_of_a_killed_carina_is_restored_to_two_seconds_before(workstation, tmp_path):
     first = start_server(["demo", "phantom"], tmp_path)
     workstation.open(first)
     workstation.wait_ready()
@@ -175,7 +175,7 @@ def test_a_case_whose_carina_was_killed_is_as_it_was_two_seconds_before(workstat
     workstation.faults.clear()
 
 
-def test_a_case_is_continued_from_the_list_begun_anew_forgotten_and_brought_back(server, workstation):
+def test_case_is_continued_from_the_list_restarted_deleted_and_restored(server, workstation):
     page = workstation.page
     workstation.open(server)
     workstation.wait_ready()
@@ -221,7 +221,7 @@ def test_a_case_is_continued_from_the_list_begun_anew_forgotten_and_brought_back
     assert listed("stored").count() == 1
     page.get_by_test_id("restore-case").click()
     page.get_by_test_id("forgotten").wait_for(state="detached")
-    # The button that was pressed has gone, and for a moment nothing has the focus.
+    # The pressed button has disappeared, and for a moment no element has the focus.
     page.evaluate(
         """() => {
             document.activeElement.blur();
@@ -236,7 +236,7 @@ def test_a_case_is_continued_from_the_list_begun_anew_forgotten_and_brought_back
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux" or not has_compiler(), reason="needs Linux and a C compiler")
-def test_a_person_whose_disk_is_full_is_told_flies_on_and_saves_elsewhere(workstation, tmp_path, monkeypatch):
+def test_full_disk_is_reported_flying_continues_and_the_case_is_saved_elsewhere(workstation, tmp_path, monkeypatch):
     page, stick = workstation.page, tmp_path / "stick"
     stick.mkdir()
     disk = FaultyDisk(tmp_path)
@@ -276,7 +276,7 @@ def test_a_person_whose_disk_is_full_is_told_flies_on_and_saves_elsewhere(workst
     workstation.faults.clear()
 
 
-def test_a_case_whose_ct_has_moved_asks_for_it_refuses_another_and_goes_on(host, workstation, home, tmp_path):
+def test_case_whose_ct_has_moved_asks_for_it_refuses_another_and_continues(host, workstation, home, tmp_path):
     page = workstation.page
     chest, other = (made_phantom(spacing_mm=3.0, generations=n).volume for n in (3, 4))
     ct, moved = tmp_path / "ct.nii.gz", tmp_path / "moved.nii.gz"
@@ -295,7 +295,7 @@ def test_a_case_whose_ct_has_moved_asks_for_it_refuses_another_and_goes_on(host,
         recent.get_by_role("button").first.click()
         workstation.wait_for("window.__carina.state.messages.some(({ code }) => code === 'case.no-ct')")
         workstation.picture("ct-gone")
-        # Another CT has come into its place.
+        # Another CT has replaced the original one.
         write_grid(ct, other.hu_zyx, other.lps_from_ijk, what="another phantom")
         recent.get_by_role("button").first.click()
         workstation.wait_for("window.__carina.state.messages.some(({ code }) => code === 'case.other-ct')")
@@ -310,7 +310,7 @@ def test_a_case_whose_ct_has_moved_asks_for_it_refuses_another_and_goes_on(host,
         workstation.faults.clear()
 
 
-def test_a_dropped_case_asks_for_its_ct_waits_for_it_and_has_no_place_of_its_own(host, workstation, home, tmp_path):
+def test_dropped_case_asks_for_its_ct_waits_for_it_and_has_no_path(host, workstation, home, tmp_path):
     page = workstation.page
     chest = made_phantom(spacing_mm=3.0, generations=3).volume
     ct, given = tmp_path / "ct.nii.gz", tmp_path / "given.carina"

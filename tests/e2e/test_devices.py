@@ -1,4 +1,4 @@
-"""Devices in the hand fly the phantom, are lost and come back: mocked ones of the browser, a serial port, a network."""
+"""Input devices that fly, are lost and return: mocked browser devices, a serial port, a network tracker."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from workstation import PICTURE_MS
 
 pytestmark = pytest.mark.browser
 
-# The browser's API with a pad that the test moves; what it shakes is noted.
+# The Gamepad API with a pad that the test moves; vibrations are recorded.
 MOCK = """
 window.testPad = null; window.testRumble = [];
 const pad = (axes, pressed) => ({
@@ -33,7 +33,7 @@ def hold(workstation, axes, pressed=()) -> None:
     workstation.page.evaluate("([axes, pressed]) => window.holdPad(axes, pressed)", [list(axes), list(pressed)])
 
 
-def test_a_gamepad_flies_changes_the_mode_is_shown_and_may_be_pulled_out(server, workstation):
+def test_gamepad_flies_shows_mode_changes_and_may_be_unplugged(server, workstation):
     workstation.page.add_init_script(MOCK)
     workstation.open(server)
     workstation.wait_ready()
@@ -52,11 +52,11 @@ def test_a_gamepad_flies_changes_the_mode_is_shown_and_may_be_pulled_out(server,
     assert workstation.frame_answers("airway", newest)
     assert workstation.pixels("airway") != pixels
 
-    # Y: the next way to move; A: on to the next fork.
+    # Y: the next steering mode; A: on to the next fork.
     hold(workstation, (0, 0, 0, 0), [3])
     workstation.page.wait_for_function("() => window.__carina.state.pose.mode === 'free'")
     hold(workstation, (0, 0, 0, 0))
-    # Free, and full speed sideways: into the wall, which is felt.
+    # Free mode, at full speed sideways into the wall: the pad vibrates.
     hold(workstation, (0, -1, 1, 0))
     workstation.page.wait_for_function("() => window.testRumble.length > 0")
 
@@ -67,7 +67,7 @@ def test_a_gamepad_flies_changes_the_mode_is_shown_and_may_be_pulled_out(server,
     workstation.let_pass(300)
     assert workstation.state("pose.pose_id") == stopped
 
-    # Plugged in again: what was held when it came presses nothing, and it flies.
+    # Plugged in again: buttons that were held at that moment have no effect, and the pad flies.
     hold(workstation, (0, 0, 0, 0), [3])
     workstation.let_pass(200)
     assert workstation.state("pose.mode") == "free"
@@ -77,7 +77,7 @@ def test_a_gamepad_flies_changes_the_mode_is_shown_and_may_be_pulled_out(server,
     assert workstation.faults == []
 
 
-# WebHID with two devices that the test moves: as each describes itself to a browser.
+# WebHID with two devices that the test moves, described as real ones describe themselves to a browser.
 HID_MOCK = """
 class Device extends EventTarget {
   constructor(vendorId, productName, collections) {
@@ -116,7 +116,7 @@ def hid_report(workstation, name: str, report_id: int, data: bytes) -> None:
     workstation.page.evaluate("([n, id, b]) => window.testHid[n].report(id, b)", [name, report_id, list(data)])
 
 
-def test_a_spacemouse_and_a_handle_at_usb_fly_are_pulled_out_and_come_back(server, workstation):
+def test_spacemouse_and_usb_handle_fly_are_unplugged_and_return(server, workstation):
     page = workstation.page
     page.add_init_script(HID_MOCK)
     workstation.open(server)
@@ -128,11 +128,11 @@ def test_a_spacemouse_and_a_handle_at_usb_fly_are_pulled_out_and_come_back(serve
     page.wait_for_function("() => window.testHid.mouse.opened")
 
     def push_the_cap() -> None:
-        """Push the cap from far inside the route until the tip has moved back."""
-        # Pushing towards the hand pulls the tip back. At the start of the route it could not move.
+        """Push the cap of the SpaceMouse from far along the route until the tip has moved back."""
+        # A push towards the hand pulls the tip back. At the start of the route the tip could not move.
         workstation.go_to(30.0)
         workstation.wait_still()
-        # Like a real one, it reports for as long as it is pushed: a device that is silent for 250 ms has let go.
+        # Like a real device, it reports while it is pushed: a device that is silent for 250 ms counts as released.
         moved = page.evaluate(
             """async ([pushed, fromMm, limitMs]) => {
                 const end = performance.now() + limitMs;
@@ -161,15 +161,18 @@ def test_a_spacemouse_and_a_handle_at_usb_fly_are_pulled_out_and_come_back(serve
     clock = itertools.count(1000, 20)
 
     def push_the_handle(from_mm: float, by_mm: float) -> None:
-        """The shaft goes in, and the tip as far. A device that says nothing for a quarter of a second has let go: where
-        the machine is so busy, the tip goes less far, never farther, and the hand comes again."""
+        """Insert the shaft, and wait until the tip has moved as far.
+
+        A device that is silent for 250 ms counts as released: on a busy machine the tip moves less far, never farther,
+        and the push is repeated.
+        """
         begin_mm = workstation.state("pose.path_mm")
         for attempt in range(30):
             if attempt > 0:
                 workstation.go_to(begin_mm)
                 workstation.wait_still()
-            # The hand goes back while its handle says nothing, and its clock goes on meanwhile, as a real one's does:
-            # within a quarter of a second of that clock the way back would be drawn back by the tip, too.
+            # The hand returns while its handle is silent and its clock continues, as with a real one. Within 250 ms of
+            # that clock the tip would move back, too.
             list(itertools.islice(clock, 50))
             before_mm = workstation.state("pose.path_mm")
             shaft = [round(100 * (from_mm + by_mm * n / 40)) for n in range(41)]
@@ -195,10 +198,10 @@ def test_a_spacemouse_and_a_handle_at_usb_fly_are_pulled_out_and_come_back(serve
     page.wait_for_function("() => !window.__carina.state.devices.devices.some(d => d.holds)")
     page.evaluate("() => window.plug('handle', 'connect')")
     page.wait_for_function("() => window.testHid.handle.opened")
-    # It was moved by 30 cm meanwhile: that moves nothing.
+    # The handle was moved by 30 cm meanwhile, which does not move the tip.
     push_the_handle(200.0, 10.0)
     workstation.picture("devices-hid")
-    # Half a report, and a lever beyond its end: told once, and it flies on.
+    # Half a report, and a lever beyond its end: reported once, and the handle continues to work.
     hid_report(workstation, "handle", 1, b"\x00\x01")
     hid_report(workstation, "handle", 1, struct.pack("<Iiihb", next(clock), 21000, 0, 9000, 0))
     page.get_by_text("do not match its HID descriptor").wait_for()
@@ -206,7 +209,7 @@ def test_a_spacemouse_and_a_handle_at_usb_fly_are_pulled_out_and_come_back(serve
     assert workstation.faults == []
 
 
-def test_a_tracker_in_the_network_flies_is_calibrated_lost_and_found_again(server, workstation):
+def test_network_tracker_flies_is_calibrated_lost_and_found_again(server, workstation):
     from carina.navigate.devices import IgtlServer
 
     page = workstation.page
@@ -214,13 +217,13 @@ def test_a_tracker_in_the_network_flies_is_calibrated_lost_and_found_again(serve
     workstation.wait_ready()
     page.keyboard.press(";")
     page.wait_for_selector("[data-testid=device-panel]")
-    # Whatever a gamepad chose in the tests before: along the path its trembling to the side moves nothing.
+    # Relative control, whatever earlier tests chose: along the path the sideways tremor moves nothing.
     page.get_by_test_id("control-relative").click()
     place = np.eye(4)
     began = time.monotonic()
 
     def pose() -> np.ndarray:
-        # It trembles, as every tracker does.
+        # The position trembles, as with every tracker.
         moved = place.copy()
         moved[0, 3] += 0.2 * math.sin(40.0 * (time.monotonic() - began))
         return moved
@@ -238,9 +241,9 @@ def test_a_tracker_in_the_network_flies_is_calibrated_lost_and_found_again(serve
         corners = [(0.0, 0.0, 0.0), (40.0, 0.0, 0.0), (0.0, 40.0, 0.0)]
         for n, corner in enumerate(corners):
             place[:3, 3] = corner
-            x, y = -corner[0], -corner[1]  # the window's numbers are LPS or RAS, as the tracker says them
+            x, y = -corner[0], -corner[1]  # the window shows LPS or RAS, as the tracker reports
             page.wait_for_function(
-                # What spoke in the tests before stands in the list, too.
+                # The list also contains devices of earlier tests.
                 "([x, y]) => { const all = window.__carina.state.devices.devices;"
                 " const at = all.find((each) => each.position_mm !== null)?.position_mm ?? [9e9, 9e9];"
                 " return Math.abs(Math.abs(at[0]) - Math.abs(x)) < 1 && Math.abs(Math.abs(at[1]) - Math.abs(y)) < 1; }",
@@ -263,7 +266,7 @@ def test_a_tracker_in_the_network_flies_is_calibrated_lost_and_found_again(serve
     try:
         page.wait_for_function("() => window.__carina.state.devices.sources[0].state === 'live'")
         page.wait_for_function(f"() => window.__carina.state.pose.pose_id > {stopped}")
-        # The calibration goes on where it was.
+        # The calibration continues at the same step.
         expect(page.locator("details.calibration")).to_have_attribute("open", "")
         expect(page.locator(".calibration p.numbers")).to_have_count(len(corners))
     finally:
@@ -273,7 +276,7 @@ def test_a_tracker_in_the_network_flies_is_calibrated_lost_and_found_again(serve
     assert workstation.faults == []
 
 
-def test_the_mouse_is_locked_looks_around_and_is_let_go(server, workstation):
+def test_locked_mouse_looks_around_and_is_released(server, workstation):
     page = workstation.page
     workstation.open(server)
     workstation.wait_ready()
@@ -299,7 +302,7 @@ def test_the_mouse_is_locked_looks_around_and_is_let_go(server, workstation):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="there are no pseudo-terminals on Windows")
-def test_a_scope_handle_is_connected_in_the_panel_flies_and_is_recorded(server, workstation):
+def test_scope_handle_is_connected_in_the_panel_flies_and_is_recorded(server, workstation):
     from carina.navigate.devices.scope_handle import format_line
     from simulated_serial import PseudoPort, sending
 

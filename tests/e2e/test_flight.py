@@ -1,4 +1,4 @@
-"""The whole product: a real server, a real browser, a flight along a path in the phantom."""
+"""The complete product: a real server, a real browser, and a flight along a path in the phantom."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MOVING_VIEWS = ("airway", "cut-plane", "axial", "coronal", "sagittal")
 
 @pytest.fixture(scope="module")
 def server(tmp_path_factory) -> Iterator[Server]:
-    """``carina demo phantom``, as a person starts it."""
+    """Run ``carina demo phantom``, as a user starts it."""
     running = start_server(["demo", "phantom"], tmp_path_factory.mktemp("home"))
     yield running
     code = stop_server(running)
@@ -24,7 +24,7 @@ def server(tmp_path_factory) -> Iterator[Server]:
     assert running.errors() == []
 
 
-def test_a_flight_along_the_path_moves_every_view_and_each_picture_answers_the_newest_pose(server, workstation):
+def test_flight_along_the_path_moves_every_view_and_each_picture_answers_the_newest_pose(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.picture("flight-start")
@@ -46,13 +46,13 @@ def test_a_flight_along_the_path_moves_every_view_and_each_picture_answers_the_n
     assert workstation.faults == []
 
 
-def test_pictures_never_go_back_to_an_older_pose(server, workstation):
+def test_pictures_never_return_to_an_older_pose(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.watch_pose_ids("airway")
     workstation.hold("w", 800)
     workstation.hold("s", 800)
-    # Until several pictures were shown.
+    # Continue until several pictures were shown.
     workstation.fly_until("window.__poses.length >= 10", 120.0)
     workstation.wait_still()
     shown = workstation.watched_pose_ids()
@@ -67,14 +67,14 @@ def test_one_key_leaves_the_path_and_returns_without_a_jump(server, workstation)
     workstation.page.keyboard.press("m")
     workstation.page.wait_for_function("() => window.__carina.state.pose.mode === 'free'")
     after = workstation.state("pose.lps_from_camera")
-    # 1e-9: the pose is kept, not recomputed; JSON carries doubles exactly.
+    # 1e-9: the pose is kept, not recomputed; JSON transfers doubles exactly.
     assert max(abs(a - b) for a, b in zip(before, after, strict=True)) < 1e-9
     workstation.page.keyboard.press("m")
     workstation.page.wait_for_function("() => window.__carina.state.pose.mode === 'path'")
     assert workstation.faults == []
 
 
-def test_the_x_ray_and_external_views_show_the_tip(server, workstation):
+def test_x_ray_and_external_views_show_the_tip(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     shown = workstation.shown_views()
@@ -89,7 +89,7 @@ def test_the_x_ray_and_external_views_show_the_tip(server, workstation):
     assert workstation.faults == []
 
 
-def test_the_keyboard_card_opens_on_its_key(server, workstation):
+def test_keyboard_card_opens_by_its_key(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.page.keyboard.press("?")
@@ -100,7 +100,7 @@ def test_the_keyboard_card_opens_on_its_key(server, workstation):
     assert workstation.faults == []
 
 
-def test_space_flies_to_the_look_out_in_front_of_the_carina_and_both_ways_on_are_named(server, workstation):
+def test_space_flies_to_the_stop_before_the_carina_and_both_branches_are_labelled(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.go_to(0.0)
@@ -118,7 +118,7 @@ def test_space_flies_to_the_look_out_in_front_of_the_carina_and_both_ways_on_are
     assert workstation.faults == []
 
 
-def test_the_voxel_under_the_cursor_is_told_with_its_place(server, workstation):
+def test_value_and_position_of_the_voxel_under_the_cursor_are_shown(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.page.locator("canvas[data-view=axial]").hover()
@@ -130,7 +130,7 @@ def test_the_voxel_under_the_cursor_is_told_with_its_place(server, workstation):
     assert workstation.faults == []
 
 
-def test_the_rehearsal_says_how_far_the_scope_fits(server, workstation):
+def test_rehearsal_states_how_far_the_scope_fits(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     page = workstation.page
@@ -146,7 +146,7 @@ def test_the_rehearsal_says_how_far_the_scope_fits(server, workstation):
     assert workstation.faults == []
 
 
-def test_a_long_refusal_can_be_read_to_its_end(server, workstation):
+def test_long_refusal_can_be_scrolled_to_its_end(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     page = workstation.page
@@ -166,7 +166,7 @@ def test_a_long_refusal_can_be_read_to_its_end(server, workstation):
     assert workstation.faults == []
 
 
-def test_the_airways_are_taken_away_as_a_file(server, workstation):
+def test_airways_are_downloaded_as_a_file(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.wait_for("() => window.__carina.state.tree !== null")

@@ -1,4 +1,4 @@
-"""Recorded flights in the window: recorded, named, there again when the case is opened, taken away and deleted."""
+"""Recorded flights in the browser: recorded, named, restored when the case is opened, downloaded and deleted."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def home(tmp_path):
 
 
 def record(workstation, num, *, leaves=0):
-    """Fly forward while it is recorded."""
+    """Fly forward during a recording."""
     page = workstation.page
     page.get_by_test_id("record").click()
     workstation.wait_for(f"window.__carina.state.flights.length === {num}")
@@ -31,7 +31,7 @@ def names(workstation):
     return [flight["name"] for flight in workstation.state("flights")]
 
 
-def test_flights_are_recorded_named_there_again_taken_away_and_deleted(host, workstation, home, tmp_path):
+def test_flights_are_recorded_named_restored_downloaded_and_deleted(host, workstation, home, tmp_path):
     first = host.open(demo="phantom", home=home)
     workstation.open(first)
     workstation.wait_ready()
@@ -65,7 +65,7 @@ def test_flights_are_recorded_named_there_again_taken_away_and_deleted(host, wor
     assert taken.length_s == pytest.approx(workstation.state("flights")[0]["length_s"], abs=1e-5)
     before = workstation.state("flights")
 
-    # It is flown again in its own time, and a hand takes over at once.
+    # The replay takes the recorded time, and a movement of the user interrupts it at once.
     length_s = before[1]["length_s"]
     rows.nth(1).get_by_test_id("flight-play").click()
     workstation.wait_for("window.__carina.state.pose.flight?.number === 1 && window.__carina.state.replaying.atS > 0.3")
@@ -90,7 +90,7 @@ def test_flights_are_recorded_named_there_again_taken_away_and_deleted(host, wor
         assert [(f["number"], f["name"], f["words"]) for f in found] == [
             (f["number"], f["name"], f["words"]) for f in before
         ]
-        # It is asked before a flight goes for good.
+        # Permanent deletion of a flight needs a confirmation.
         rows.nth(1).get_by_test_id("flight-more").click()
         page.get_by_test_id("flight-remove").click()
         page.get_by_text("This cannot be undone").wait_for()

@@ -1,4 +1,4 @@
-"""Double clicks, tools and rows of the list cause one action in every picture, by mouse, finger and pen."""
+"""Double clicks, tools and rows of the list: one action for each gesture, by mouse, finger and pen."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from workstation import open_page
 
 pytestmark = pytest.mark.browser
 
-# What a tool would do is written down and kept from the server: the tree stays as it is, and every action is seen.
+# Actions of tools are recorded and not sent to the server: the tree stays unchanged, and every action is visible.
 KEEP_DEEDS = """
 window.__actions = [];
 window.WebSocket = class extends WebSocket {
@@ -36,7 +36,7 @@ TOOLS = {
     "reroot": "Shift+B",
 }
 POINT_TOOLS = ("target", "root", "add", "bridge", "reroot")
-# Each picture, and the cell that it lies in.
+# Each picture, and the cell that shows it.
 PICTURES = {
     "airway": "airway",
     "axial": "axial",
@@ -54,7 +54,7 @@ SWITCHED = {"straightened": "v", "curved": "v", "drr": "x", "tri-plane": "t"}
 
 
 def prepare(workstation, server) -> None:
-    """The case open, slices in the middle of the left main bronchus, and actions intercepted."""
+    """Open the case, show slices in the middle of the left main bronchus, and intercept the actions."""
     workstation.open(server)
     workstation.wait_ready()
     tree_is_shown(workstation)
@@ -66,20 +66,20 @@ def prepare(workstation, server) -> None:
 
 @pytest.fixture
 def scripts():
-    """Every page of these tests intercepts the actions."""
+    """Return the script that intercepts the actions in every page of these tests."""
     return (KEEP_DEEDS,)
 
 
 @pytest.fixture
 def ready(server, workstation):
-    """A page of its own."""
+    """Return a prepared page for one test."""
     prepare(workstation, server)
     yield workstation
     assert workstation.faults == []
 
 
 class SharedPage:
-    """One page for tests that leave it as they found it: a test that did not, or failed, costs the next a new one."""
+    """One page for tests that restore its state; if a test did not or failed, the next test gets a new page."""
 
     def __init__(self) -> None:
         self._open = ExitStack()
@@ -87,7 +87,7 @@ class SharedPage:
         self._first = None
 
     def at_first(self, browser, host):
-        """The page as it was in the beginning."""
+        """Return the page in its initial state."""
         if self.workstation is None or not self._is_back():
             self.close()
             server = host.open(demo="phantom")
@@ -106,7 +106,7 @@ class SharedPage:
         return self.workstation.shown_views(), self.workstation.page.evaluate(CHOSEN)
 
     def _is_back(self) -> bool:
-        """Put away what may be in the hand, show the first pictures again, and look whether that was all."""
+        """Release the tool, show the first pictures again, and return whether the page is in its initial state."""
         page, views = self.workstation.page, self._first[0]
         put_away(self.workstation)
         for view, key in (("cut-plane", "v"), ("xray-coronal", "x"), ("tree", "t")):
@@ -128,7 +128,7 @@ class SharedPage:
 
 @pytest.fixture(scope="module")
 def shared_page():
-    """Holds the page that the tests of ``undone`` share."""
+    """Return the holder of the page that the tests of ``undone`` share."""
     holder = SharedPage()
     yield holder
     holder.close()
@@ -136,7 +136,7 @@ def shared_page():
 
 @pytest.fixture
 def undone(shared_page, browser, host, request, has_failed):
-    """As ``ready``, for tests that change nothing that lasts."""
+    """Return the shared page, for tests that make no lasting change."""
     workstation = shared_page.at_first(browser, host)
     yield workstation
     faults = list(workstation.faults)
@@ -147,14 +147,14 @@ def undone(shared_page, browser, host, request, has_failed):
 
 
 def show(workstation, view) -> None:
-    """Until the picture is on the screen, by the key that goes on to the next one of its cell."""
+    """Press the key that switches the pictures of a cell until the picture is on the screen."""
     if view in SWITCHED:
         workstation.turn_to(view, SWITCHED[view])
     workstation.wait_for("(view) => window.__carina.state.frames[view] !== undefined", view)
 
 
 def middle_of(workstation, view) -> tuple[float, float]:
-    """Where the left main bronchus shows where that is known, else the picture's middle; in page coordinates."""
+    """Return the position of the left main bronchus if known, else the picture's middle; page coordinates."""
     if view == "tree":
         return tuple(place_on_tree(workstation, named(workstation, "LMB")))
     if view in {"axial", "coronal", "sagittal"}:
@@ -185,14 +185,14 @@ CHOSEN = """() => {
 
 
 @pytest.mark.parametrize("view", PICTURES)
-def test_a_double_click_without_a_tool_makes_the_picture_large_and_chooses_nothing(undone, view):
+def test_double_click_without_a_tool_enlarges_the_picture_and_chooses_nothing(undone, view):
     show(undone, view)
     undone.settle()
     before = undone.page.evaluate(CHOSEN)
     x, y = middle_of(undone, view)
     undone.page.mouse.dblclick(x, y)
     undone.wait_for("(cell) => window.__carina.state.ui.full === cell", PICTURES[view])
-    # Longer than a click waits for a second one: nothing comes after it either.
+    # Longer than a click waits for a second one: no action follows later either.
     undone.let_pass(400)
     undone.settle()
     assert undone.page.evaluate(CHOSEN) == before
@@ -205,7 +205,7 @@ def test_a_double_click_without_a_tool_makes_the_picture_large_and_chooses_nothi
 
 
 def does_it(view, tool) -> bool:
-    """Whether the tool certainly finds something where these tests click."""
+    """Return whether the tool certainly finds an object where these tests click."""
     if view in {"axial", "coronal", "sagittal"}:
         return tool != "fork"
     if view == "tree":
@@ -214,14 +214,14 @@ def does_it(view, tool) -> bool:
 
 
 @pytest.mark.parametrize("view", PICTURES)
-def test_a_double_click_with_a_tool_does_it_once_and_the_picture_stays_as_large_as_it_is(undone, view):
+def test_double_click_with_a_tool_acts_once_and_keeps_the_picture_size(undone, view):
     show(undone, view)
     x, y = middle_of(undone, view)
     for tool in TOOLS:
         arm(undone, tool)
         undone.page.mouse.dblclick(x, y)
         if does_it(view, tool):
-            # In the airway view the server is asked for the wall first.
+            # In the airway view the page first requests the wall point from the server.
             undone.wait_for("() => window.__actions.length > 0")
         undone.settle()
         done = actions(undone)
@@ -241,7 +241,7 @@ def test_enter_in_a_slice_uses_the_tool_at_the_crosshair_also_on_the_branch_ther
     for tool, expected in (("cut", f'"branch_id":{lmb}'), ("bridge", '"kind":"bridge"')):
         arm(ready, tool)
         picture.focus()
-        # Held, so that it repeats: one gesture all the same.
+        # The key is held, so that it repeats: it still counts as one gesture.
         for _ in range(3):
             ready.page.keyboard.down("Enter")
         ready.page.keyboard.up("Enter")
@@ -253,11 +253,11 @@ def test_enter_in_a_slice_uses_the_tool_at_the_crosshair_also_on_the_branch_ther
 
 
 @pytest.mark.parametrize("by", ["touch", "pen"])
-def test_a_double_tap_is_told_from_two_taps_by_finger_and_pen_too(ready, by):
+def test_double_tap_is_distinguished_from_two_taps_by_finger_and_pen(ready, by):
     client = ready.page.context.new_cdp_session(ready.page)
 
     def tap(x, y, at_s):
-        # Stamped: between two calls a busy machine may take longer than a hand between two taps.
+        # The events have timestamps: between two calls a busy machine may need longer than a hand between two taps.
         if by == "touch":
             points = [{"x": x, "y": y}]
             client.send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": points, "timestamp": at_s})
@@ -268,8 +268,8 @@ def test_a_double_tap_is_told_from_two_taps_by_finger_and_pen_too(ready, by):
             client.send("Input.dispatchMouseEvent", {**event, "timestamp": at_s + after_s})
 
     def tap_twice(first, second):
-        # The browser answers a touch once the page has drawn a frame after it was loaded, and events have happened
-        # when they arrive: both taps are in the past.
+        # The browser answers a touch only after the page has drawn a frame since loading. Both taps have timestamps in
+        # the past.
         ready.refreshes(2)
         at_s = time.time() - 0.2
         tap(*first, at_s)
@@ -281,7 +281,7 @@ def test_a_double_tap_is_told_from_two_taps_by_finger_and_pen_too(ready, by):
     ready.settle()
     assert len(actions(ready)) == 1
     assert ready.state("ui.full") is None
-    # Elsewhere it is another click, however soon it comes.
+    # A tap at another place is another click, however soon it comes.
     tap(x + 60, y, time.time())
     ready.settle()
     assert len(actions(ready)) == 1
@@ -295,7 +295,7 @@ def test_a_double_tap_is_told_from_two_taps_by_finger_and_pen_too(ready, by):
 
 
 @pytest.mark.parametrize(("tool", "kind"), [("cut", "cut-branch"), ("smooth", "smooth-branch")])
-def test_with_a_tool_a_row_of_the_list_is_the_branch_that_it_acts_on(ready, tool, kind):
+def test_with_a_tool_a_row_of_the_list_selects_the_branch_that_it_acts_on(ready, tool, kind):
     lmb = named(ready, "LMB")
     row = ready.page.locator(f".branch-tree [data-branch='{lmb}']")
     route = ready.state("route.spans.at(-1).branch_id")
@@ -303,7 +303,7 @@ def test_with_a_tool_a_row_of_the_list_is_the_branch_that_it_acts_on(ready, tool
     arm(ready, tool)
     row.hover()
     ready.wait_for("(id) => window.__carina.state.ui.hovered?.branchId === id", lmb)
-    # What it would act on is drawn in the tree and in the slices before the click.
+    # Before the click, the tree and the slices show the branch on which the tool would act.
     ready.wait_for(
         """([tree, slice]) => document.querySelector('[data-overlay=tree]').toDataURL() !== tree
             && document.querySelector('[data-overlay=coronal]').toDataURL() !== slice""",
@@ -321,25 +321,25 @@ def test_with_a_tool_a_row_of_the_list_is_the_branch_that_it_acts_on(ready, tool
     assert tool != "cut" or '"at_mm":0' in done, "a row means the whole branch"
     assert ready.state("route.spans.at(-1).branch_id") == route, "it chooses no route"
 
-    # By keys as well: Enter on the row; and Esc there puts the tool away.
+    # Keys work as well: Enter on the row; Esc there releases the tool.
     ready.page.get_by_role("row").filter(has=ready.page.locator(f"[data-branch='{lmb}']")).focus()
     ready.page.keyboard.press("Enter")
     ready.settle()
     assert f'"branch_id":{lmb}' in actions(ready)[0]
     ready.page.keyboard.press("Escape")
     assert ready.state("ui.armed") is None
-    # Without a tool a row is the route, as before.
+    # Without a tool a row selects the route.
     row.click()
     ready.wait_for("(id) => window.__carina.state.route.spans.at(-1).branch_id === id", lmb)
     assert actions(ready) == []
 
 
-def test_with_move_fork_a_row_takes_hold_of_the_fork_where_its_branch_begins(ready):
+def test_with_move_fork_a_row_selects_the_fork_where_its_branch_begins(ready):
     lmb, trachea = named(ready, "LMB"), named(ready, "Trachea")
     arm(ready, "fork")
     ready.page.locator(f".branch-tree [data-branch='{lmb}']").click()
     ready.wait_for("(id) => window.__carina.state.ui.forkHeld === id", trachea)
-    # Esc lets go of the fork first, then of the tool.
+    # The first Esc releases the fork, the second one the tool.
     ready.page.keyboard.press("Escape")
     assert ready.state("ui.forkHeld") is None
     assert ready.state("ui.armed") == "fork"
@@ -348,7 +348,7 @@ def test_with_move_fork_a_row_takes_hold_of_the_fork_where_its_branch_begins(rea
 
 
 @pytest.mark.parametrize("tool", TOOLS)
-def test_a_tool_in_the_hand_is_seen_in_every_picture_and_its_hint_is_said(undone, tool):
+def test_active_tool_is_shown_in_every_picture_with_its_hint(undone, tool):
     arm(undone, tool)
     page = undone.page
     canvases = page.locator("canvas[data-view]")
@@ -363,7 +363,7 @@ def test_a_tool_in_the_hand_is_seen_in_every_picture_and_its_hint_is_said(undone
         assert ("not-allowed" in cursor) == (x_ray or brush), (view, cursor)
         assert x_ray or brush or "svg" in cursor, (view, cursor)
     undone.picture(f"armed-{tool}")
-    # In the full view as well, and Esc leaves the tool first.
+    # This holds in the full view as well, where the first Esc releases the tool.
     page.locator("[data-cell=axial] header button").last.click()
     undone.wait_for("() => window.__carina.state.ui.full === 'axial'")
     expect(page.locator("[data-cell=axial] [data-testid=tool-tag]")).to_be_visible()
@@ -377,7 +377,7 @@ def test_a_tool_in_the_hand_is_seen_in_every_picture_and_its_hint_is_said(undone
     assert undone.state("ui.full") is None
 
 
-def test_a_tool_is_put_away_from_the_list_the_search_a_right_click_its_tag_and_by_going_to_another_step(ready):
+def test_tool_is_released_by_list_search_right_click_its_tag_and_another_step(ready):
     page = ready.page
     arm(ready, "cut")
     page.locator(".branch-tree [role=row]").first.focus()
@@ -398,7 +398,7 @@ def test_a_tool_is_put_away_from_the_list_the_search_a_right_click_its_tag_and_b
         page.mouse.click(*middle_of(ready, view), button="right")
         assert ready.state("ui.armed") is None, view
 
-    # A drag with the right button is the window / level, and keeps the tool.
+    # A drag with the right button changes window and level, and keeps the tool.
     arm(ready, "bridge")
     x, y = middle_of(ready, "axial")
     page.mouse.move(x, y)

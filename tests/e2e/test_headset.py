@@ -1,4 +1,4 @@
-"""A headset by WebXR, in the emulation of its makers (npm iwer): its controllers fly, and it shows the airway."""
+"""WebXR headset in its manufacturer's emulation (npm iwer): its controllers fly, and it shows the airway."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ INSTALL = """
 window.headset = new IWER.XRDevice(IWER.metaQuest3, {stereoEnabled: true});
 window.headset.installRuntime({forceInstall: true});
 """
-# What the headset shows, 16x8 pixels of both eyes: read in the refresh in which it was drawn.
+# The picture in the headset, 16x8 pixels of both eyes, read in the refresh in which it was drawn.
 SHOWN = """() => new Promise((done) => requestAnimationFrame(() => {
   const small = new OffscreenCanvas(16, 8), ink = small.getContext('2d');
   ink.drawImage(document.querySelector('[data-webxr_runtime] canvas'), 0, 0, 16, 8);
@@ -24,7 +24,7 @@ SHOWN = """() => new Promise((done) => requestAnimationFrame(() => {
 
 @pytest.fixture
 def emulated(workstation):
-    """The page with a headset."""
+    """Return the page with an emulated headset."""
     if not EMULATION.is_file():
         pytest.skip("needs web/node_modules (make test-web)")
     workstation.page.add_init_script(path=EMULATION)
@@ -33,7 +33,7 @@ def emulated(workstation):
 
 
 def controller(workstation, *, at_mm=(0.0, 0.0, 0.0), yaw_rad=0.0, trigger=False) -> None:
-    """The right controller, from 30 cm in front of the head; a yaw to the right is positive."""
+    """Move the right controller relative to 30 cm in front of the head; a yaw to the right is positive."""
     workstation.page.evaluate(
         """([x, y, z, yaw, trigger]) => {
             const hand = window.headset.controllers.right;
@@ -46,8 +46,10 @@ def controller(workstation, *, at_mm=(0.0, 0.0, 0.0), yaw_rad=0.0, trigger=False
 
 
 def stroke(workstation, until: str, *, ahead_mm: float = 0.0, yaw_rad: float = 0.0) -> None:
-    """Move the held hand, take it back free, and again, until something holds: on a busy machine a refresh may take
-    so long that a stroke counts for nothing."""
+    """Move the held hand and return it released, repeatedly, until the condition holds.
+
+    On a busy machine a refresh may take so long that a movement has no effect.
+    """
     for _ in range(30):
         controller(workstation)
         workstation.refreshes(3)
@@ -63,13 +65,13 @@ def stroke(workstation, until: str, *, ahead_mm: float = 0.0, yaw_rad: float = 0
 
 
 def right_and_ahead(before, after) -> tuple[float, float]:
-    """Where the look has gone, in the axes that it had."""
+    """Return how far the view turned to the right and moved ahead, in its earlier axes."""
     forward = [after[2], after[6], after[10]]
     right, ahead = (sum(before[4 * row + axis] * forward[row] for row in range(3)) for axis in (0, 2))
     return right, ahead
 
 
-def test_a_headset_shows_the_airway_and_its_controller_flies_is_lost_and_comes_back(server, emulated):
+def test_headset_shows_the_airway_and_its_controller_flies_is_lost_and_returns(server, emulated):
     workstation, page = emulated, emulated.page
     workstation.open(server)
     workstation.wait_ready()
@@ -85,7 +87,8 @@ def test_a_headset_shows_the_airway_and_its_controller_flies_is_lost_and_comes_b
     )
     assert min(max(left_eye), max(right_eye)) > 30, "both eyes see the airway, not an empty room"
 
-    # Its trigger free, the hand moves nothing; held, the tip does what the hand does: forward, and to the right.
+    # With the trigger released the hand moves nothing; with the trigger held the tip follows the hand forward and to
+    # the right.
     before = workstation.state("pose.lps_from_camera")
     at_mm = workstation.state("pose.path_mm")
     controller(workstation, at_mm=(0, 0, 40))
@@ -108,19 +111,19 @@ def test_a_headset_shows_the_airway_and_its_controller_flies_is_lost_and_comes_b
     turned = page.evaluate(SHOWN)
     assert sum(abs(a - b) for a, b in zip(start, turned, strict=True)) / len(start) > 1.0, "the screen follows"
 
-    # The stick goes back along the path.
+    # The stick moves back along the path.
     page.evaluate("() => window.headset.controllers.right.updateAxes('thumbstick', 0, 1)")
     page.wait_for_function(f"() => window.__carina.state.pose.path_mm < {at_mm + 5}")
     page.evaluate("() => window.headset.controllers.right.updateAxes('thumbstick', 0, 0)")
 
-    # Its battery is empty: nothing holds the tip any more. A new one, and it flies again.
+    # The controller loses its power: the tip stops. A new controller flies again.
     page.evaluate("() => { window.headset.controllers.right.connected = false; }")
     page.wait_for_function("() => !window.__carina.state.devices.devices.some((d) => d.holds)")
     page.evaluate("() => { window.headset.controllers.right.connected = true; }")
     at_mm = workstation.state("pose.path_mm")
     stroke(workstation, f"window.__carina.state.pose.path_mm > {at_mm + 4}", ahead_mm=12.0)
 
-    # Taken off: the window goes on as before, and the headset may be entered again.
+    # The headset is taken off: the window continues, and the headset can be entered again.
     page.evaluate("() => window.headset.activeSession.end()")
     page.wait_for_function("() => window.__carina.state.ui.headset === 'ready'")
     workstation.hold("w", 300)
@@ -132,7 +135,7 @@ def test_a_headset_shows_the_airway_and_its_controller_flies_is_lost_and_comes_b
     assert workstation.faults == []
 
 
-def test_what_this_browser_has_not_is_said(server, workstation):
+def test_devices_that_the_browser_does_not_support_are_listed(server, workstation):
     page = workstation.page
     page.add_init_script(
         """

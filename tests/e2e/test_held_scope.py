@@ -1,4 +1,4 @@
-"""A bronchoscope in the lumen, in a real browser: laid along the route, bent, stopped by the wall, and felt."""
+"""Bronchoscope in the lumen, in the browser: placed on the route, bent, stopped by the wall, with contact feedback."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from test_devices import MOCK, hold
 
 pytestmark = pytest.mark.browser
 
-# The wall's distances are computed once for a case, on two busy cores in a minute or so.
+# The distances to the wall are computed once for a case: about a minute on two busy cores.
 WALL_MS = 900_000
 FLIGHT_MS = 300_000
 
 
-def test_a_scope_is_held_bends_meets_the_wall_and_is_let_go(server, workstation):
+def test_scope_is_placed_bends_meets_the_wall_and_is_released(server, workstation):
     page = workstation.page
     page.add_init_script(MOCK)
     workstation.open(server)
     workstation.wait_ready()
     hold(workstation, (0, 0, 0, 0))
     page.get_by_role("radio", name="Scope").click()
-    # The wall is found first, and that is said with its progress; the picture stays.
+    # The wall is computed first, with shown progress; the picture stays.
     page.get_by_text("preparing the airway wall for the scope").first.wait_for()
     workstation.picture("held-scope-waiting")
     page.wait_for_function("() => window.__carina.state.pose.mode === 'scope'", timeout=WALL_MS)
@@ -36,7 +36,7 @@ def test_a_scope_is_held_bends_meets_the_wall_and_is_let_go(server, workstation)
     assert workstation.state("pose.scope.num_contacts") == 0
     assert workstation.state("pose.inside") is True
 
-    # Forward by the key, and the arrow bends the tip up: the picture answers both.
+    # The key moves the scope forward and the arrow bends the tip up: the picture shows both.
     start_mm, pixels = workstation.state("pose.scope.insertion_mm"), workstation.pixels("airway")
     workstation.hold_until("w", f"() => window.__carina.state.pose.scope.insertion_mm > {start_mm + 8}")
     workstation.hold_until("ArrowUp", "() => window.__carina.state.pose.scope.flexion_rad > 0.2")
@@ -45,7 +45,8 @@ def test_a_scope_is_held_bends_meets_the_wall_and_is_let_go(server, workstation)
     assert workstation.pixels("airway") != pixels
     workstation.picture("held-scope-bent")
 
-    # The gamepad pushes the bent tip on: the wall holds it, the contact is counted and felt, and the lens goes red.
+    # The gamepad pushes the bent tip forward: the wall stops it, the contact is counted, the pad vibrates, and the lens
+    # turns red.
     assert page.evaluate("() => window.testRumble.length") == workstation.state("pose.scope.num_contacts")
     contacts = workstation.state("pose.scope.num_contacts")
     hold(workstation, (0, -1, 0, -1))
@@ -58,7 +59,7 @@ def test_a_scope_is_held_bends_meets_the_wall_and_is_let_go(server, workstation)
     workstation.picture("held-scope-touching")
     assert page.get_by_text("wall contacts").count() >= 1
 
-    # Withdrawn, straightened and let go: the path goes on from there without a jump.
+    # After withdrawing, straightening and releasing, the path continues from this place without a jump.
     hold(workstation, (0, 1, 0, 0))
     page.wait_for_function(f"() => window.__carina.state.pose.scope.insertion_mm < {start_mm + 2}", timeout=FLIGHT_MS)
     hold(workstation, (0, 0, 0, 0))
@@ -70,7 +71,7 @@ def test_a_scope_is_held_bends_meets_the_wall_and_is_let_go(server, workstation)
     assert workstation.state("pose.lps_from_camera") == pytest.approx(before, abs=1e-9)
     workstation.picture("held-scope-let-go")
 
-    # The step Rehearse lays it anew at the start, now that the wall is known at once; and again.
+    # The step Rehearse places the scope at the start again, now with the known wall; and once more.
     page.get_by_role("button", name="Rehearse", exact=True).click()
     for _ in range(2):
         page.get_by_test_id("rehearse").click()

@@ -1,4 +1,4 @@
-"""Key frames in the window: added, flown, taken over by a hand, undone, saved, opened again and filmed."""
+"""Key frames in the browser: added, flown, interrupted, undone, saved to a file and opened again."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ def wait_keys(page, num: int) -> None:
     wait(page, f"window.__carina.state.keyFrames?.frames.length === {num}")
 
 
-def test_three_key_frames_are_flown_taken_over_undone_saved_and_opened_again(server, workstation, tmp_path):
+def test_three_key_frames_are_flown_interrupted_undone_saved_and_opened_again(server, workstation, tmp_path):
     workstation.open(server)
     workstation.wait_ready()
     page = workstation.page
     state = workstation.state
     right, left = workstation.deepest_tip(-1.0), workstation.deepest_tip(1.0)
 
-    # Three views: in the trachea by the key, at the end of a branch on either side by the button.
+    # Three key frames: in the trachea by the key, at the end of a branch on either side by the button.
     workstation.go_to(30.0)
     page.keyboard.press(".")
     wait_keys(page, 1)
@@ -44,7 +44,7 @@ def test_three_key_frames_are_flown_taken_over_undone_saved_and_opened_again(ser
     workstation.wait_still()
     workstation.picture("key-frames")
 
-    # It plays from the start, through every view, and the speed is what was asked for.
+    # The flight starts at the first key frame, passes every one, and has the chosen speed.
     page.get_by_test_id("stop-keys").click()
     wait(page, "window.__carina.state.pose.key_frames_s === 0")
     before = {view: workstation.pixels(view) for view in ("airway", "axial", "coronal", "sagittal", "cut-plane")}
@@ -54,7 +54,7 @@ def test_three_key_frames_are_flown_taken_over_undone_saved_and_opened_again(ser
     assert state("pose.inside")
     workstation.picture("key-frames-flying")
 
-    # A hand takes over at once, and the flight does not throw the tip back.
+    # A movement of the user interrupts the flight at once, and the flight does not move the tip back.
     workstation.hold("s", 300)
     wait(page, "!window.__carina.state.playing.on && window.__carina.state.pose.key_frames_s === null")
     workstation.wait_still()
@@ -65,7 +65,7 @@ def test_three_key_frames_are_flown_taken_over_undone_saved_and_opened_again(ser
         assert workstation.frame_answers(view, newest)
         assert workstation.pixels(view) != pixels, f"{view} did not change"
 
-    # Scrubbed to the end; then a change of the list, undone and done again.
+    # The slider moves to the end; then a change of the list is undone and redone.
     page.get_by_role("slider", name="Time in the flight (seconds)").press("End")
     wait(page, f"Math.abs(window.__carina.state.pose.key_frames_s - {lasts}) < 1e-6")
     third = state("keyFrames.frames")[2]["key_id"]
@@ -87,7 +87,7 @@ def test_three_key_frames_are_flown_taken_over_undone_saved_and_opened_again(ser
     wait(page, f"window.__carina.state.keyFrames.frames[2].key_id === '{third}'")
     assert state("keyFrames.duration_s") == lasts
 
-    # Taken away, it is the same flight; opened again, it takes the list's place as one step.
+    # The downloaded file is the same flight; opening it replaces the list in one undo step.
     with page.expect_download() as waiting:
         page.get_by_test_id("save-keys").click()
     assert waiting.value.suggested_filename == "key-frames.json"
@@ -105,7 +105,7 @@ def test_three_key_frames_are_flown_taken_over_undone_saved_and_opened_again(ser
     assert state("keyFrames.duration_s") == lasts
     assert state("can_undo") == "open key frames"
 
-    # A reload shows them as they are; a file of another case is refused in words and changes nothing.
+    # A reload shows the same key frames; a file of another case is refused with a message and changes nothing.
     page.reload()
     workstation.wait_ready()
     wait_keys(page, 3)
@@ -123,7 +123,7 @@ def test_three_key_frames_are_flown_taken_over_undone_saved_and_opened_again(ser
     assert workstation.faults == []
 
 
-def test_the_flight_by_itself_has_the_speed_that_was_chosen_and_the_reading_says_it(server, workstation):
+def test_automatic_flight_has_the_chosen_speed_and_the_display_shows_it(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     page = workstation.page
@@ -131,10 +131,10 @@ def test_the_flight_by_itself_has_the_speed_that_was_chosen_and_the_reading_says
     wait(page, "window.__carina.state.pose.mode === 'path' && window.__carina.state.pose.path_mm < 2")
     page.get_by_test_id("auto-speed").click()
     page.get_by_role("option", name="5 mm/s").first.click()
-    # The list has gone and gives the keys back: the space bar flies, and does not open it again.
+    # The list is closed and no longer takes the keys: the space bar flies and does not open the list again.
     wait(page, "document.activeElement === document.body")
     page.keyboard.press("Space")
-    # Pictures may come late on a busy machine; the meter goes by poses.
+    # On a busy machine pictures may be late; the speed display uses the poses.
     wait(page, "Math.abs(window.__carina.state.speedMmS - 5) < 1.5")
     page.get_by_test_id("speed").wait_for()
     page.keyboard.press("Space")

@@ -1,5 +1,7 @@
-"""What lies round a target: asked for, stopped and asked for again, switched off and on over the slices; and the drive
-of a verdict, kept as a flight and flown."""
+"""Structures round a target in the browser: requested, stopped, requested again, switched off and on over the slices.
+
+The file also tests the drive of a verdict, which is stored as a flight and flown.
+"""
 
 from __future__ import annotations
 
@@ -10,20 +12,20 @@ from made import made_phantom
 
 pytestmark = pytest.mark.browser
 
-# Coarse: to look at all that lies round a target is the longest job there is.
+# A coarse chest: mapping all structures round a target is the longest job.
 CHEST = {"seed": 4, "spacing_mm": 1.4, "generations": 5, "nodule": True}
 LAYERS = ("vessels", "fissures", "lobes", "stations")
 
 
 @pytest.fixture
 def opens(tmp_path):
-    """A chest with a nodule."""
+    """Return a chest with a nodule."""
     carina.write_phantom(made_phantom(**CHEST), tmp_path)
     return {"path": str(tmp_path / "ct.nii.gz")}
 
 
 def mark_the_nodule(workstation) -> None:
-    """By its coordinates, as they are read from a report."""
+    """Mark the nodule by its coordinates, as they are read from a report."""
     x, y, z = made_phantom(**CHEST).truth["nodule"]["centre_lps"]
     page = workstation.page
     page.get_by_role("button", name="Target", exact=True).first.click()
@@ -34,13 +36,13 @@ def mark_the_nodule(workstation) -> None:
 
 
 def switch(workstation, layer: str) -> None:
-    """A layer off or on, and its lines out of the coronal picture or into it."""
+    """Switch a layer off or on, and wait until its lines are removed from or added to the coronal picture."""
     before = workstation.overlay("coronal")
     workstation.page.get_by_test_id(f"show-{layer}").click()
     workstation.wait_for("(before) => document.querySelector('[data-overlay=coronal]').toDataURL() !== before", before)
 
 
-def test_the_layers_round_a_target_are_stopped_asked_for_again_and_switched_off_and_on(server, workstation):
+def test_layers_round_a_target_are_stopped_requested_again_and_switched_off_and_on(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     page = workstation.page
@@ -53,7 +55,7 @@ def test_the_layers_round_a_target_are_stopped_asked_for_again_and_switched_off_
     workstation.wait_for("window.__carina.state.lungs.standing === 'making'")
     assert ask.is_disabled()
     job = page.get_by_role("progressbar", name="looking at what lies round the target")
-    # Said at once, and gone with the job: what a browser has shown in between a test may come too late for.
+    # The message appears at once and disappears with the job: a check of the test between both may come too late.
     page.evaluate(
         """() => new MutationObserver(() => {
             window.cancelling ||= document.querySelector('.jobs').textContent.includes('Cancelling');
@@ -73,7 +75,7 @@ def test_the_layers_round_a_target_are_stopped_asked_for_again_and_switched_off_
     assert [row.get_attribute("data-testid") for row in rows.all()] == [f"layer-{layer}" for layer in LAYERS]
     assert page.get_by_test_id("parts-lobes").locator("li").all_inner_texts() == ["RUL", "RML", "RLL", "LUL", "LLL"]
     assert "Dashed: less sure" in page.get_by_test_id("lungs-limit").inner_text()
-    # The same vessels as lines round the tree.
+    # The same vessels are lines round the tree.
     assert len(workstation.state("lungs.vessels")) > 20
     bushy = workstation.overlay("tree")
     page.get_by_test_id("show-vessels").click()
@@ -86,7 +88,7 @@ def test_the_layers_round_a_target_are_stopped_asked_for_again_and_switched_off_
     workstation.wait_for("(plain) => document.querySelector('[data-overlay=coronal]').toDataURL() !== plain", plain)
     for layer in ("vessels", "lobes"):
         switch(workstation, layer)
-    # In this slice there may be nothing of these.
+    # In this slice these structures may be absent.
     for layer in ("fissures", "stations"):
         page.get_by_test_id(f"show-{layer}").click()
     workstation.wait_for("(plain) => document.querySelector('[data-overlay=coronal]').toDataURL() === plain", plain)
@@ -95,14 +97,14 @@ def test_the_layers_round_a_target_are_stopped_asked_for_again_and_switched_off_
     assert workstation.faults == []
 
 
-def test_the_drive_of_a_verdict_is_kept_as_a_flight_and_flown(server, workstation):
+def test_drive_of_a_verdict_is_stored_as_a_flight_and_flown(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     page = workstation.page
     mark_the_nodule(workstation)
     page.get_by_test_id("take-route").click()
     workstation.wait_while_working("window.__carina.state.plans.verdicts_standing === 'had'")
-    # The step begins at its top, with the routes side by side.
+    # The step is scrolled to its top, with the routes side by side.
     assert page.locator(".step-body").evaluate("(body) => body.scrollTop") == 0
     scope = next(one["scope"] for one in workstation.state("plans.verdicts") if one["was_driven"])
     keep = page.get_by_test_id(f"keep-drive-{scope}")
@@ -118,7 +120,7 @@ def test_the_drive_of_a_verdict_is_kept_as_a_flight_and_flown(server, workstatio
     page.get_by_test_id("flight-play").click()
     workstation.wait_for("window.__carina.state.replaying.on && window.__carina.state.pose.flight.time_s > 0")
     workstation.picture("layers-drive-flown")
-    # A long drive is not flown to its end: a hand takes over.
+    # A long drive is not flown to its end: a movement of the user interrupts it.
     workstation.hold("s", 100)
     workstation.wait_for("!window.__carina.state.replaying.on && window.__carina.state.pose.flight === null")
     assert workstation.faults == []

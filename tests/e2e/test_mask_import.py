@@ -1,4 +1,4 @@
-"""A mask of another tool in the window: chosen or dropped, asked about, refused where it does not fit, undone."""
+"""Import of a mask of another tool in the browser: chosen or dropped, with questions, refusals and undo."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ pytestmark = pytest.mark.browser
 
 @pytest.fixture(scope="module")
 def masks(tmp_path_factory):
-    """Files as other tools write them: two structures; a coarser grid; the place of another patient."""
+    """Return mask files as other tools write them: two structures; a coarser grid; the position of another patient."""
     made = demo_phantom()
     folder = tmp_path_factory.mktemp("masks")
     spacing = np.array(made.volume.spacing_mm)
@@ -29,7 +29,7 @@ def masks(tmp_path_factory):
         return folder / name
 
     labels = (made.lumen_zyx != 0) * 2
-    # As of who drew no more than the upper airways: the search finds all branches.
+    # The mask contains only the upper airways, while the search finds all branches.
     labels[: len(labels) // 4] = 0
     labels[:3, :3, :3] = 1
     coarse = made.lumen_zyx[::2, ::2, ::2] != 0
@@ -42,7 +42,7 @@ def masks(tmp_path_factory):
 
 @pytest.fixture
 def ready(server, workstation):
-    """A page with the case open."""
+    """Return a page with the case open."""
     workstation.open(server)
     workstation.wait_ready()
     yield workstation
@@ -50,7 +50,7 @@ def ready(server, workstation):
 
 
 def drop(workstation, path, place):
-    """Drag a file from outside over the window and let it go on one of the two places."""
+    """Drag a file from outside over the window, and drop it on one of the two targets."""
     page = workstation.page
     link = page.context.new_cdp_session(page)
     data = {"items": [], "files": [str(path)], "dragOperationsMask": 1}
@@ -68,7 +68,7 @@ def drop(workstation, path, place):
     link.detach()
 
 
-def test_a_chosen_mask_is_asked_which_structure_is_the_airway_taken_and_undone(ready, masks):
+def test_chosen_mask_asks_which_structure_is_the_airway_and_is_undone(ready, masks):
     page = ready.page
     branches = ready.state("tree.byId.size")
     page.get_by_role("button", name="Open", exact=True).click()
@@ -93,13 +93,13 @@ def test_a_chosen_mask_is_asked_which_structure_is_the_airway_taken_and_undone(r
     ready.wait_for(f"window.__carina.state.tree.byId.size === {branches}")
 
 
-def test_a_dropped_mask_on_another_grid_is_resampled_only_when_asked(ready, masks):
+def test_dropped_mask_on_another_grid_is_resampled_only_after_confirmation(ready, masks):
     page = ready.page
     drop(ready, masks["coarse"], "mask")
     page.locator("[data-testid=mask-question]").wait_for()
     ready.picture("mask-grid")
     assert ready.state("airways_from") == "search"
-    # The airways may still be being measured: that job has a button of this name too.
+    # The measurement of the airways may still run: that job has a button of this name, too.
     page.get_by_test_id("mask-question").get_by_role("button", name="Cancel").click()
     ready.wait_for("window.__carina.state.mask_question === null")
     assert (ready.state("airways_from"), ready.state("can_undo")) == ("search", None)
@@ -111,7 +111,7 @@ def test_a_dropped_mask_on_another_grid_is_resampled_only_when_asked(ready, mask
     ready.wait_for("window.__carina.state.airways_from === 'search'")
 
 
-def test_a_mask_of_another_place_is_refused_in_words(ready, masks):
+def test_mask_at_another_position_is_refused_with_a_message(ready, masks):
     drop(ready, masks["elsewhere"], "mask")
     ready.page.get_by_text("none of it lies in the scan").wait_for()
     ready.picture("mask-refused")
@@ -119,7 +119,7 @@ def test_a_mask_of_another_place_is_refused_in_words(ready, masks):
     assert ready.state("airways_from") == "search"
 
 
-def test_a_mask_is_not_taken_for_a_case_that_was_opened_while_it_was_sent(ready, masks, tmp_path):
+def test_mask_is_not_imported_into_a_case_that_was_opened_during_the_upload(ready, masks, tmp_path):
     page = ready.page
     made = demo_phantom().volume
     image = sitk.GetImageFromArray(np.ascontiguousarray(made.hu_zyx[:40]))
@@ -127,7 +127,7 @@ def test_a_mask_is_not_taken_for_a_case_that_was_opened_while_it_was_sent(ready,
     image.SetDirection((made.lps_from_ijk[:3, :3] / np.array(made.spacing_mm)).ravel().tolist())
     image.SetOrigin(made.lps_from_ijk[:3, 3].tolist())
     sitk.WriteImage(image, str(tmp_path / "other.nrrd"))
-    # A file that takes long to be sent.
+    # A file whose upload takes long.
     page.evaluate(
         """() => {
             const send = window.fetch;

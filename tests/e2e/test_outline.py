@@ -1,4 +1,4 @@
-"""What was found, over the CT, in a real browser: the outline on zoomed oblique slices, its key, places to look at."""
+"""Outline of the found lumen over the CT in the browser: on zoomed oblique slices, its key, and places to check."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from made import patient
 
 pytestmark = pytest.mark.browser
 
-# The outline's own colour, in no other mark.
+# The outline's own colour, which no other mark has.
 OUTLINE_PIXELS = """(view) => {
     const canvas = document.querySelector(`[data-overlay=${view}]`);
     const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
@@ -27,12 +27,12 @@ OUTLINE_PIXELS = """(view) => {
 
 @pytest.fixture
 def opens():
-    """``carina demo patient``: voxels of 0.66 x 0.66 x 3 mm, and airways that could not be followed."""
+    """Return the options of ``carina demo patient``: voxels of 0.66 x 0.66 x 3 mm, with airways that have open ends."""
     return {"demo": "patient"}
 
 
 def lumen_of(workstation, folder):
-    """The lumen as the product hands it out, up to the walls: (nz, ny, nx), and ``ijk_from_lps``."""
+    """Return the lumen up to the walls as the product exports it: (nz, ny, nx), and ``ijk_from_lps``."""
     data = workstation.page.evaluate(
         """async () => {
             const bytes = new Uint8Array(await (await fetch('/api/airways.nrrd')).arrayBuffer());
@@ -51,7 +51,7 @@ def lumen_of(workstation, folder):
 
 
 def near_sides(lumen_zyx, ijk, reach):
-    """Whether lumen, and whether anything else, lies within ``reach`` voxels (n, 3) of voxel coordinates (n, 3)."""
+    """Return whether lumen, and whether anything else, is near voxel coordinates (n, 3): within ``reach`` (n, 3)."""
     nearest = np.rint(ijk).astype(int)
     found = np.zeros((2, len(ijk)), dtype=bool)
     shape = np.array(lumen_zyx.shape[::-1])
@@ -68,10 +68,10 @@ def near_sides(lumen_zyx, ijk, reach):
 
 
 def drawn_outline(workstation, view):
-    """Places of the outline's pixels in picture coordinates, and the picture's header."""
+    """Return the positions of the outline's pixels in picture coordinates, and the header of the picture."""
     workstation.page.mouse.move(5, 300)
     workstation.settle()
-    # The picture that is shown, and what is drawn over it, belong together: taken in one moment.
+    # The picture and its overlay are read in the same moment, so that they belong together.
     seen = workstation.page.evaluate(f"() => [({OUTLINE_PIXELS})('{view}'), window.__carina.state.frames['{view}']]")
     drawn, header = seen
     pixels = np.array(drawn["pixels"], dtype=np.float64).reshape(-1, 2) + 0.5
@@ -84,15 +84,16 @@ def to_ijk(places, header, ijk_from_lps):
 
 
 @pytest.mark.parametrize("view", ["cut-plane", "coronal"])
-def test_on_a_zoomed_slice_the_drawn_outline_lies_within_half_a_voxel_of_the_lumen(server, workstation, tmp_path, view):
+def test_drawn_outline_on_a_zoomed_slice_is_within_half_a_voxel_of_the_lumen(server, workstation, tmp_path, view):
     workstation.open(server)
     workstation.wait_ready()
     length = workstation.state("route.length_mm")
-    # On the way into a lobe, where the cut-plane lies oblique to all axes.
+    # A place before a lobe, where the cut-plane is oblique to all axes.
     workstation.go_to(0.7 * length)
     workstation.wait_still()
     written, ijk_from_lps = lumen_of(workstation, tmp_path)
-    # The outline shows the lumen that a brush changes; the file has it up to the half-maximum, a voxel farther at most.
+    # The outline shows the lumen that the brush edits; the exported lumen extends to the half-maximum, at most a voxel
+    # farther.
     lumen = patient()[1].lumen_zyx
     assert not ((lumen != 0) & (written == 0)).any()
     workstation.page.locator(f".cell:has(canvas[data-view={view}]) header button").last.click()
@@ -116,7 +117,7 @@ def test_on_a_zoomed_slice_the_drawn_outline_lies_within_half_a_voxel_of_the_lum
         assert np.abs(normal / np.linalg.norm(normal)).max() < 0.98, "the plane is oblique"
     assert len(places) > 300
 
-    # Half a voxel, and the half width of the line with the edge of its last pixel.
+    # Tolerance: half a voxel, and the half width of the line with the edge of its last pixel.
     mm_per_px = float(np.linalg.norm(columns[:, 0]))
     spacing = 1.0 / np.linalg.norm(ijk_from_lps[:3, :3], axis=1)
     reach = 0.5 + 1.5 * mm_per_px / spacing
@@ -124,7 +125,7 @@ def test_on_a_zoomed_slice_the_drawn_outline_lies_within_half_a_voxel_of_the_lum
     assert lumen_near.all()
     assert other_near.all()
 
-    # Nothing is missing: wherever the mask changes between two pixels, the line passes within a voxel.
+    # The outline is complete: wherever the mask changes between two pixels, the line passes within a voxel.
     rows = np.arange(3.0, header["height"] - 3.0, 4.0)
     spots = np.array([(c, r) for r in rows for c in np.arange(3.0, header["width"] - 3.0)])
     i, j, k = np.clip(np.rint(to_ijk(spots, header, ijk_from_lps)).astype(int), 0, np.array(lumen.shape[::-1]) - 1).T
@@ -132,15 +133,16 @@ def test_on_a_zoomed_slice_the_drawn_outline_lies_within_half_a_voxel_of_the_lum
     changes = spots.reshape(len(rows), -1, 2)[:, 1:][inside[:, 1:] != inside[:, :-1]]
     away_px = np.sqrt(((changes[:, None] - places[None]) ** 2).sum(axis=2).min(axis=1))
     assert len(changes) > 20
-    # The tip's mark and a centreline's dot may cover a stretch: nearly all, not each.
+    # The mark of the tip and the dot of a centreline may cover a part of the line, so that the limit is below 1.
     assert np.mean(away_px * mm_per_px <= spacing.max() + 2 * mm_per_px) > 0.97
     assert workstation.faults == []
 
 
-def test_a_key_and_a_button_hide_the_outline_and_bring_it_back(server, workstation):
+def test_outline_is_hidden_and_shown_by_a_key_and_a_button(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
-    # On the way down the slice cuts the airways at length; at the root it shows a few millimetres of them.
+    # In the middle of the route the slice cuts the airways over a long distance; at the root only over a few
+    # millimetres.
     workstation.go_to(0.5 * workstation.state("route.length_mm"))
     workstation.page.mouse.move(5, 300)
     workstation.wait_for(f"({OUTLINE_PIXELS})('coronal').pixels.length > 50")
@@ -152,7 +154,7 @@ def test_a_key_and_a_button_hide_the_outline_and_bring_it_back(server, workstati
     assert workstation.faults == []
 
 
-def test_a_place_that_could_not_be_followed_brings_the_airway_view_and_all_slices_there(server, workstation):
+def test_open_end_brings_the_airway_view_and_all_slices_to_its_place(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.page.locator("[data-testid=uncertain] summary").click()

@@ -1,4 +1,4 @@
-"""A DICOM folder as a person opens it: first picture, then a flight to a segmental bronchus in each lung."""
+"""DICOM folder in the browser: first picture, then a flight to a segmental bronchus in each lung."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from server_process import Server, start_server, stop_server
 
 pytestmark = [pytest.mark.browser, pytest.mark.data, pytest.mark.slow]
 
-# Segmental bronchi are the third generation or beyond (trachea 0, main 1, lobar 2; the right upper lobe's come at 3).
+# Segmental bronchi are the third generation or beyond (trachea 0, main 1, lobar 2; those of the right upper lobe start
+# at 3).
 SEGMENTAL = 3
 
 
 @pytest.fixture(scope="module")
 def server(patient_dicom, tmp_path_factory) -> Iterator[Server]:
-    """``carina open FOLDER``."""
+    """Run ``carina open FOLDER``."""
     running = start_server(["open", str(patient_dicom)], tmp_path_factory.mktemp("home"))
     yield running
     code = stop_server(running)
@@ -24,7 +25,7 @@ def server(patient_dicom, tmp_path_factory) -> Iterator[Server]:
     assert running.errors() == []
 
 
-def test_a_flight_to_a_segmental_bronchus_in_each_lung(server, workstation):
+def test_flight_to_a_segmental_bronchus_in_each_lung(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     for side, sign in (("right", -1.0), ("left", 1.0)):
@@ -32,7 +33,7 @@ def test_a_flight_to_a_segmental_bronchus_in_each_lung(server, workstation):
         assert tip["generation"] >= SEGMENTAL
         assert sign * tip["end_lps"][0] > 20.0, f"the {side} lung lies at {'-' if sign < 0 else '+'}x in LPS"
         workstation.choose_branch(tip["id"])
-        # Not to the very end: the last millimetres of a tip are a blind wall.
+        # The flight stops before the end: the last millimetres of a tip are a closed wall.
         workstation.go_to(workstation.state("route.length_mm") - 8.0)
         workstation.wait_still()
         workstation.picture(f"patient-{side}")
@@ -44,7 +45,7 @@ def test_a_flight_to_a_segmental_bronchus_in_each_lung(server, workstation):
     assert workstation.faults == []
 
 
-def test_a_flight_through_the_patient_follows_the_hand_and_says_how_well(server, workstation):
+def test_flight_through_the_patient_follows_the_hand_and_reports_the_frame_rate(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.choose_branch(workstation.deepest_tip(-1.0)["id"])
@@ -66,7 +67,8 @@ def test_a_flight_through_the_patient_follows_the_hand_and_says_how_well(server,
     print(f"{seen_hz:.1f} pictures a second, {frame['width']} pixels wide; status: {status!r}")
     if frame["stands_for"] is None:
         rate = int(re.search(r"frames (\d+)/s", status)[1])
-        # What the status says is what was seen; it looks back a second, and the machine's load may change meanwhile.
+        # The reported rate is the shown rate; the report covers the last second, in which the load of the machine may
+        # change.
         assert 0.3 < rate / seen_hz < 3.0
         assert re.search(r"latency \d+ ms|updating", status)
     else:

@@ -1,4 +1,4 @@
-"""A tracked pen in a real browser: its own point is shown and marked, or the tool says that the scope's tip is."""
+"""Tracked pen in the browser: the pen's own point is shown and marked; without registration the scope's tip is used."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from playwright.sync_api import expect
 
 pytestmark = pytest.mark.browser
 
-# The page's own connection, for a pen that this script holds.
+# The connection of the page, for a pen that this script moves.
 SPEAK = """
 window.WebSocket = class extends WebSocket {
   constructor(...options) { super(...options); window.__speak = (text) => super.send(text); }
@@ -19,7 +19,7 @@ window.WebSocket = class extends WebSocket {
 
 
 class HeldPen:
-    """A pen whose tracker stands 100 mm to the left of the patient."""
+    """Pen whose tracker is 100 mm to the left of the patient."""
 
     def __init__(self, workstation):
         self.workstation, self.now_s = workstation, itertools.count(1)
@@ -47,7 +47,7 @@ class HeldPen:
         self.workstation.wait_for("() => window.__carina.state.devices?.devices.some((d) => d.registered)")
 
 
-def test_the_pens_own_point_is_shown_with_its_way_and_marked_and_the_rest_to_the_tip_is_joined(server, workstation):
+def test_registered_pen_point_is_shown_with_its_path_and_marked_and_the_tip_is_joined(server, workstation):
     page = workstation.page
     page.add_init_script(SPEAK)
     workstation.open(server)
@@ -59,7 +59,7 @@ def test_the_pens_own_point_is_shown_with_its_way_and_marked_and_the_rest_to_the
     show_slices_at(workstation, middle)
     pen = HeldPen(workstation)
 
-    # Not registered: it marks the scope's tip, and the tool says so, in the panel and at the foot.
+    # Without registration the pen marks the scope's tip, and the tool states so in its panel and in the footer.
     pen.hold(middle)
     page.keyboard.press("n")
     words = page.locator("[data-testid=pen-words]")
@@ -72,7 +72,7 @@ def test_the_pens_own_point_is_shown_with_its_way_and_marked_and_the_rest_to_the
     expect(words).to_contain_text("pen tip")
     pen.hold(middle)
     workstation.wait_for("(x) => Math.abs(window.__carina.state.pen.lps[0] - x) < 0.01", middle[0])
-    # The way under the pen, also while a mouse lies still over a picture.
+    # The path to the pen is shown, also while the mouse rests over a picture.
     workstation.wait_for("() => (window.__carina.state.livePath?.answer.length_mm ?? 0) > 100")
     answer = workstation.state("livePath.answer")
     assert max(abs(a - b) for a, b in zip(answer["lps"], middle, strict=True)) < 3.0
@@ -87,10 +87,10 @@ def test_the_pens_own_point_is_shown_with_its_way_and_marked_and_the_rest_to_the
     workstation.wait_for("() => window.__carina.state.session.targets.length === 1")
     (target,) = workstation.state("session.targets")
     assert max(abs(a - b) for a, b in zip(target["lps"], middle, strict=True)) < 0.1
-    # Used once it is put down, as after a click.
+    # After one use the tool is released, as after a click.
     workstation.wait_for("() => window.__carina.state.ui.armed === null")
 
-    # Absolute: what is left is shown until it is nothing, and a key joins both.
+    # Absolute mode: the remaining distance is shown until it is zero, and a key joins tip and pen.
     pen.say(type="set_control", control="absolute")
     pen.hold([middle[0] + 1.0, middle[1], middle[2]])
     left = page.locator("[data-testid=pen-offset]")

@@ -1,4 +1,4 @@
-"""A phone in the hand: switched on in the window, its page in a browser that turns, is cut off and comes back."""
+"""Phone as a controller in the browser: enabled in the window; its page turns, is disconnected and reconnects."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ pytest.importorskip("cryptography")
 
 @pytest.fixture
 def opens():
-    """The phone's page is closed at first, and stays on this machine when it is opened."""
+    """Return options: the phone's page is closed at first, and listens only on this computer when it is opened."""
     return {"demo": "phantom", "phone_address": "127.0.0.1"}
 
 
 class Phone:
-    """A page of the size of a phone, with a sensor that the test turns."""
+    """Page of the size of a phone, with an orientation sensor that the test turns."""
 
     def __init__(self, context, url: str) -> None:
         self.context = context
@@ -36,7 +36,7 @@ class Phone:
         self.links.append(link)
 
     def lose_network(self) -> None:
-        """The connection is cut under the page; a new one is let through."""
+        """Cut the connection of the page; a new connection is allowed."""
         self.links[-1].close(code=1001)
 
     def turn(self, alpha: float, beta: float, gamma: float) -> None:
@@ -85,7 +85,7 @@ def switch_on(workstation) -> str:
     return str(workstation.state("devices.phone.url"))
 
 
-def test_a_phone_turns_and_advances_the_tip_is_lost_and_comes_back(server, workstation, phone_of):
+def test_phone_turns_and_advances_the_tip_is_lost_and_returns(server, workstation, phone_of):
     workstation.open(server)
     workstation.wait_ready()
     url = switch_on(workstation)
@@ -108,7 +108,7 @@ def test_a_phone_turns_and_advances_the_tip_is_lost_and_comes_back(server, works
         phone.turn(360.0 - 4.0 * n, 20.0, 0.0)
         pass_in(phone.page, 50)
     assert workstation.state("pose.lps_from_camera") == before
-    # Held: the tip looks to the right with the phone's upper edge (alpha falls), and the picture follows.
+    # Button held: the tip looks to the right with the phone's upper edge (alpha falls), and the picture follows.
     pixels = workstation.pixels("airway")
     phone.press("turn")
     for n in range(12):
@@ -117,7 +117,7 @@ def test_a_phone_turns_and_advances_the_tip_is_lost_and_comes_back(server, works
     workstation.page.wait_for_selector("[data-testid=device][data-holds]")
     phone.says("moves the tip")
     picture_of(phone.page, "phone-held")
-    # Where the look goes, in the axes that it had.
+    # Direction of the movement in the earlier axes of the view.
     right = " + ".join(f"{before[4 * n]} * window.__carina.state.pose.lps_from_camera[{4 * n + 2}]" for n in range(3))
     workstation.page.wait_for_function(f"() => {right} > 0.2")
     workstation.settle()
@@ -139,8 +139,8 @@ def test_a_phone_turns_and_advances_the_tip_is_lost_and_comes_back(server, works
     at_mm = workstation.state("pose.path_mm")
     phone.press("forward")
     workstation.page.wait_for_function(f"() => window.__carina.state.pose.path_mm > {at_mm + 8}")
-    # The connection is cut under the finger: the tip stops, the page says so, comes back by itself, and what is still
-    # held from before does not move the tip.
+    # The connection is cut while the button is pressed: the tip stops, the page reports it and reconnects, and the
+    # button that is still held does not move the tip.
     phone.lose_network()
     phone.says("Trying again")
     phone.says("Connected")
@@ -158,7 +158,7 @@ def test_a_phone_turns_and_advances_the_tip_is_lost_and_comes_back(server, works
     workstation.page.wait_for_function("() => window.__carina.state.pose.mode === 'free'")
     phone.says("relative mode")
 
-    # Closed with its finger down, and opened again by the same link.
+    # The page is closed with its button pressed, and opened again by the same link.
     phone.press("forward")
     pass_in(phone.page, 100)
     phone.page.close()
@@ -180,7 +180,7 @@ def test_a_phone_turns_and_advances_the_tip_is_lost_and_comes_back(server, works
     assert [*phone.faults, *again.faults, *other.faults, *workstation.faults] == []
 
 
-def test_a_page_with_a_wrong_link_is_refused_in_words_and_counted(server, workstation, phone_of):
+def test_page_with_a_wrong_link_is_refused_with_a_message_and_counted(server, workstation, phone_of):
     workstation.open(server)
     workstation.wait_ready()
     url = switch_on(workstation)

@@ -1,4 +1,4 @@
-"""The pictures of the window in the documents show the window of today, and say whose CT it is."""
+"""Pictures in the documents: they show the present window and cite the source of the CT."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from make_pictures import COMMAND, ROOT, SHOTS, at_rest, changes, stamp_in, stam
 
 EMBEDDED = re.compile(r"!\[[^\]]*\]\((?!https?:)([^)]+)\)")
 PATIENT_DOI = "10.7937/K9/TCIA.2015.NPGZYZBZ"
-# A golden test renders the first again (tests/examples), `carina bench cluster` draws the second, and
-# `python -m carina_bench.track_confidence` the third.
+# A golden test renders the first again (tests/examples), `carina bench cluster` draws the second, and `python -m
+# carina_bench.track_confidence` the third.
 MADE_ELSEWHERE = ("docs/pictures/gallery/", "docs/pictures/cluster/", "docs/confidence.svg")
 
 
@@ -24,7 +24,7 @@ def opens() -> dict[str, str]:
 
 @pytest.mark.browser
 @pytest.mark.parametrize("shot", [pytest.param(shot, id=shot.path) for shot in SHOTS])
-def test_a_picture_of_the_window_is_not_stale(shot, server, workstation):
+def test_picture_of_the_window_is_up_to_date(shot, server, workstation):
     stamp = stamp_in((ROOT / shot.path).read_bytes())
     assert stamp is not None, f"{shot.path} has no stamp. Run {COMMAND}"
     workstation.open(server)
@@ -34,7 +34,7 @@ def test_a_picture_of_the_window_is_not_stale(shot, server, workstation):
     assert workstation.faults == []
 
 
-def test_every_picture_in_a_document_has_a_maker_and_a_patient_a_citation():
+def test_every_picture_in_a_document_has_a_source_and_pictures_of_a_patient_a_citation():
     made = {shot.path: shot for shot in SHOTS}
     shown = set()
     for document in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]:
@@ -61,7 +61,7 @@ STAMP: dict[str, Any] = {
 }
 
 
-def test_a_stamp_tells_what_changed_and_bears_what_nobody_sees():
+def test_stamp_comparison_names_visible_changes_only():
     def told(**change: Any) -> list[str]:
         return changes(STAMP, {**copy.deepcopy(STAMP), **change})
 
@@ -82,7 +82,7 @@ def test_a_stamp_tells_what_changed_and_bears_what_nobody_sees():
     assert told(colours={"airway": [100] * 48, "drr": [0] * 48})[0].startswith("views:")
 
 
-def test_a_stamp_lies_in_the_picture_and_leaves_its_pixels():
+def test_stamp_is_stored_in_the_picture_and_keeps_its_pixels():
     header, rest = b"\xff\xe0\x00\x04JF", b"\xff\xda\x00\x02pixels\xff\xd9"
     bare = b"\xff\xd8" + header + rest
     stamped = with_stamp(bare, STAMP)

@@ -1,4 +1,4 @@
-"""From a CT to a printed plan as a newcomer goes: open, click the nodule, take the first route, read, print."""
+"""From a CT to a printed plan in the browser: open, click the nodule, choose the first route, read, print."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ MOST_CLICKS = 6
 
 @pytest.fixture
 def opens(tmp_path):
-    """A chest with a nodule."""
+    """Return a chest with a nodule."""
     carina.write_phantom(made_phantom(**CHEST), tmp_path)
     return {"path": str(tmp_path / "ct.nii.gz")}
 
 
 def scroll_to(workstation, lps) -> None:
-    """Leaf through the axial slices with the wheel until the target's is shown."""
+    """Scroll through the axial slices with the wheel until the slice of the target is shown."""
     canvas = workstation.page.locator("canvas[data-view=axial]")
     box = canvas.bounding_box()
     workstation.page.mouse.move(box["x"] + 0.3 * box["width"], box["y"] + 0.6 * box["height"])
@@ -37,7 +37,7 @@ def scroll_to(workstation, lps) -> None:
 
 
 def place_in_slice(workstation, view: str, lps) -> list[float]:
-    """Where a point shows in a slice, in page coordinates."""
+    """Return the position of a point in a slice, in page coordinates."""
     return workstation.page.evaluate(
         """([view, p]) => {
             const { lps_from_pixel: m, width, height } = window.__carina.state.frames[view];
@@ -51,7 +51,7 @@ def place_in_slice(workstation, view: str, lps) -> list[float]:
     )
 
 
-def test_a_newcomer_comes_from_the_ct_to_the_printed_plan_with_six_clicks(server, workstation):
+def test_printed_plan_needs_six_clicks_from_the_ct(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     page, truth = workstation.page, made_phantom(**CHEST).truth["nodule"]
@@ -67,7 +67,7 @@ def test_a_newcomer_comes_from_the_ct_to_the_printed_plan_with_six_clicks(server
     lesion.wait_for()
     workstation.wait_for("window.__carina.state.plans.targets[0].routes.length > 0")
     assert "solid nodule" in page.get_by_test_id("lesion-size").inner_text().lower()
-    # Nothing teleports: neither the new target nor the plan moved the tip.
+    # The tip does not jump: neither the new target nor the plan moved it.
     assert workstation.state("pose.lps_from_camera") == pose
     workstation.picture("plan-target")
 
@@ -79,7 +79,7 @@ def test_a_newcomer_comes_from_the_ct_to_the_printed_plan_with_six_clicks(server
     routes = workstation.state("plans.targets[0].routes")
     assert page.locator(".routes thead th").count() == 1 + len(routes)
     assert workstation.state("route.needle.ends_lps[1]") == routes[0]["needle"]["ends_lps"][1]
-    # The tip lies in the trachea, which every route has: it stays.
+    # The tip is in the trachea, which is a part of every route, so that it stays.
     assert workstation.state("pose.lps_from_camera")[3::4][:3] == pytest.approx(pose[3::4][:3], abs=0.5)
     workstation.picture("plan-routes")
 

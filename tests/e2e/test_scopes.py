@@ -1,4 +1,4 @@
-"""Looking through other instruments, in a real browser."""
+"""Views through other instruments in the browser."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ pytestmark = pytest.mark.browser
 
 
 def after(workstation, act) -> None:
-    """Do something that changes the airway picture, and wait for the full picture after it."""
+    """Run an action that changes the airway picture, and wait for the next full picture."""
     workstation.wait_still()
     before = workstation.frame("airway")["frame_id"]
     act()
@@ -41,7 +41,7 @@ def press(workstation, key: str) -> None:
     after(workstation, lambda: workstation.page.keyboard.press(key))
 
 
-def test_a_scope_is_chosen_seen_through_and_taken_back(server, workstation):
+def test_scope_is_chosen_shown_and_undone(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.wait_still()
@@ -53,7 +53,7 @@ def test_a_scope_is_chosen_seen_through_and_taken_back(server, workstation):
     workstation.page.get_by_role("option").first.wait_for()
     workstation.picture("scope-menu")
     workstation.page.keyboard.press("Escape")
-    # Late, when the canvas has its size.
+    # Wait until the canvas has its final size.
     workstation.wait_still()
     before = workstation.pixels("airway")
 
@@ -68,7 +68,7 @@ def test_a_scope_is_chosen_seen_through_and_taken_back(server, workstation):
     workstation.picture("scope-ebus")
     pose = workstation.state("pose.lps_from_camera")
     shown = workstation.state("frames.airway.lps_from_camera")
-    # The picture's camera looks 35 degrees up from the tip.
+    # The camera of the picture looks 35 degrees up from the tip.
     cosine = sum(pose[4 * row + 2] * shown[4 * row + 2] for row in range(3))
     assert math.degrees(math.acos(cosine)) == pytest.approx(35.0, abs=0.01)
 
@@ -82,16 +82,16 @@ def test_a_scope_is_chosen_seen_through_and_taken_back(server, workstation):
         press(workstation, "Control+z")
     assert workstation.state("session.look") == first
     off = [abs(a - b) for a, b in zip(workstation.pixels("airway"), before, strict=True)]
-    # JPEGs of the same picture, the last perhaps of the size before the canvas changed.
+    # JPEGs of the same picture; the last may have the size before the canvas changed.
     assert sum(off) / len(off) < 1.0
     assert workstation.faults == []
 
 
-def test_a_click_through_a_wide_lens_marks_the_wall_where_it_was_clicked(server, workstation):
+def test_click_through_a_wide_lens_marks_the_wall_where_it_was_clicked(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.wait_still()
-    # Far from the middle, where a pinhole's formula would be off by a quarter of the picture.
+    # Far from the middle, where the formula of a pinhole camera would be wrong by a quarter of the picture.
     workstation.click_airway(0.8, 0.5)
     workstation.page.wait_for_function("() => window.__carina.state.picks.length > 0")
     lps = workstation.state("picks.at(-1).lps")
@@ -106,20 +106,20 @@ def test_a_click_through_a_wide_lens_marks_the_wall_where_it_was_clicked(server,
     radius = header["lens"]["focal_px"][0] * (angle + k1 * angle**3)
     column = header["width"] / 2 + radius * x / math.hypot(x, y)
     row = header["height"] / 2 + radius * y / math.hypot(x, y)
-    # Of the picture's width: the click is on a whole pixel of the screen.
+    # Fraction of the picture's width: the click is on a whole pixel of the screen.
     assert column / header["width"] == pytest.approx(0.8, abs=0.01)
     assert row / header["height"] == pytest.approx(0.5, abs=0.01)
     assert workstation.faults == []
 
 
-def test_the_fine_texture_is_switched_off_and_on_where_the_look_has_one(server, workstation):
+def test_fine_texture_is_switched_off_and_on_if_the_look_has_one(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     switch = workstation.page.get_by_test_id("texture")
     after(workstation, switch.click)
     workstation.page.wait_for_function("() => window.__carina.state.session.sight.texture === false")
     without = workstation.pixels("airway")
-    # A press closes the words until the mouse comes back.
+    # A press hides the tooltip until the mouse returns.
     workstation.page.mouse.move(400, 500)
     switch.hover()
     workstation.page.mouse.move(*(v + 1 for v in middle(switch)))
@@ -127,7 +127,7 @@ def test_the_fine_texture_is_switched_off_and_on_where_the_look_has_one(server, 
     assert "only what is in the CT" in workstation.page.get_by_role("tooltip").inner_text()
     workstation.picture("texture-off")
 
-    # A switch is no step of undo: it is switched back.
+    # The switch is no undo step: it is switched back.
     after(workstation, switch.click)
     workstation.page.wait_for_function("() => window.__carina.state.session.sight.texture === true")
     off = [abs(a - b) for a, b in zip(workstation.pixels("airway"), without, strict=True)]
@@ -138,7 +138,7 @@ def test_the_fine_texture_is_switched_off_and_on_where_the_look_has_one(server, 
         workstation.page.get_by_role("option").filter(has_text="CT grey").click()
 
     after(workstation, grey)
-    # Grey walls have no texture that could be switched.
+    # Grey walls have no texture to switch.
     switch.wait_for(state="detached")
     press(workstation, "Control+z")
     switch.wait_for()
@@ -146,7 +146,7 @@ def test_the_fine_texture_is_switched_off_and_on_where_the_look_has_one(server, 
 
 
 @pytest.mark.parametrize("width", [1920, 1536, 1440, 1280])
-def test_no_tool_of_the_airway_view_is_cut_off(server, workstation, width):
+def test_no_tool_of_the_airway_view_is_clipped(server, workstation, width):
     workstation.page.set_viewport_size({"width": width, "height": 900})
     workstation.open(server)
     workstation.wait_ready()

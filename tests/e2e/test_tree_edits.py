@@ -1,4 +1,4 @@
-"""Mending the tree by hand in a real browser: brush, smoothing, forks, another root, a bridge; each undone."""
+"""Manual edits of the tree in the browser: brush, smoothing, forks, new root, bridge, and undo of each."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.browser
 
 @pytest.fixture
 def ready(server, workstation):
-    """A page with the case open and its tree shown."""
+    """Return a page with the case open and its tree shown."""
     workstation.open(server)
     workstation.wait_ready()
     tree_is_shown(workstation)
@@ -28,7 +28,7 @@ def ready(server, workstation):
 
 
 def tree_text(workstation):
-    """The whole tree, to tell whether it is another one."""
+    """Return the whole tree as text, to detect changes."""
     return workstation.page.evaluate(TREE_TEXT)
 
 
@@ -36,14 +36,14 @@ TREE_TEXT = "() => JSON.stringify([...window.__carina.state.tree.byId.values()].
 
 
 def wait_for_edit(workstation, words, before):
-    """Until the edit stands under Undo, is done, and the tree is another one than before."""
+    """Wait until the edit is listed under Undo, is complete, and the tree has changed."""
     workstation.wait_for("(words) => (window.__carina.state.can_undo ?? '').startsWith(words)", words)
     workstation.wait_for("() => !window.__carina.state.jobs.some((job) => job.job_id.startsWith('edit'))")
     workstation.wait_for(f"(before) => ({TREE_TEXT})() !== before", before)
 
 
 def undo_to(workstation, before):
-    """Ctrl+Z, until the tree is the one before."""
+    """Press Ctrl+Z until the earlier tree is restored."""
     workstation.page.keyboard.press("Escape")
     workstation.page.keyboard.press("Control+z")
     workstation.wait_for(f"(before) => ({TREE_TEXT})() === before", before)
@@ -53,7 +53,7 @@ def points_of(workstation, branch_id):
     return workstation.page.evaluate("(id) => window.__carina.state.tree.byId.get(id).branch.points", branch_id)
 
 
-def test_lumen_is_erased_with_the_brush_and_painted_again(ready):
+def test_lumen_is_erased_and_painted_with_the_brush(ready):
     before, num_before = tree_text(ready), ready.state("tree.byId.size")
     lmb = named(ready, "LMB")
     points = points_of(ready, lmb)
@@ -62,7 +62,7 @@ def test_lumen_is_erased_with_the_brush_and_painted_again(ready):
     ready.page.keyboard.press("Shift+Q")
     for _ in range(8):
         ready.page.keyboard.press("]")
-    # In all directions: in this slice alone the way would go round it.
+    # The brush is a ball: erased in this slice alone, the path would go round the gap.
     ready.page.locator("[data-testid=in-hand]").get_by_text("3D", exact=True).click()
     ready.page.evaluate("() => document.activeElement.blur()")
     x, y = place_in_slice(ready, "coronal", middle)
@@ -76,7 +76,7 @@ def test_lumen_is_erased_with_the_brush_and_painted_again(ready):
     assert len(erased) < 0.8 * len(before), "what hung on the bronchus is cut off"
     ready.picture("after-erasing")
 
-    # Painted there again: a second edit, not an undo.
+    # Painting there is a second edit, not an undo.
     ready.page.keyboard.press("Escape")
     ready.page.keyboard.press("q")
     ready.page.mouse.move(x, y)
@@ -84,7 +84,7 @@ def test_lumen_is_erased_with_the_brush_and_painted_again(ready):
     ready.page.mouse.move(x + 3, y + 3, steps=3)
     ready.page.mouse.up()
     wait_for_edit(ready, "paint", erased)
-    # What hung on the bronchus is back.
+    # The branches beyond the bronchus are restored.
     ready.wait_for("(num) => window.__carina.state.tree.byId.size >= num", num_before)
     ready.picture("after-painting")
     ready.page.keyboard.press("Escape")
@@ -93,7 +93,7 @@ def test_lumen_is_erased_with_the_brush_and_painted_again(ready):
     undo_to(ready, before)
 
 
-def test_a_branch_is_smoothed(ready):
+def test_branch_is_smoothed(ready):
     before = tree_text(ready)
     lmb = named(ready, "LMB")
     was = points_of(ready, lmb)
@@ -108,7 +108,7 @@ def test_a_branch_is_smoothed(ready):
     assert points_of(ready, lmb) == was
 
 
-def test_a_fork_is_moved_in_two_clicks(ready):
+def test_fork_is_moved_in_two_clicks(ready):
     before = tree_text(ready)
     lmb = named(ready, "LMB")
     points = points_of(ready, lmb)
@@ -137,7 +137,7 @@ def test_a_fork_is_moved_in_two_clicks(ready):
     undo_to(ready, before)
 
 
-def test_all_ways_begin_elsewhere_and_back(ready):
+def test_root_of_all_paths_is_moved_and_undone(ready):
     before = tree_text(ready)
     trachea = named(ready, "Trachea")
     root = points_of(ready, trachea)[0]
@@ -158,7 +158,7 @@ def test_all_ways_begin_elsewhere_and_back(ready):
     undo_to(ready, before)
 
 
-def test_in_the_tri_plane_view_the_branch_under_the_cursor_is_named_and_the_way_leads_there(ready):
+def test_tri_plane_view_names_the_branch_under_the_cursor_and_draws_the_path_there(ready):
     lmb = named(ready, "LMB")
     points = points_of(ready, lmb)
     middle = points[len(points) // 2]

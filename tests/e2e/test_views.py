@@ -1,4 +1,4 @@
-"""The views beside the airway, in a real browser: C-arm, views along the route, movable planes, zoomed slices."""
+"""Views beside the airway view in the browser: C-arm, views along the route, movable planes, zoomed slices."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from places import drag, extent_mm, host, middle_lps
 pytestmark = pytest.mark.browser
 
 
-def test_the_c_arm_turns_with_a_drag_and_by_keys_and_only_the_marker_follows_the_tip(server, workstation):
+def test_c_arm_turns_by_drag_and_keys_and_only_its_marker_follows_the_tip(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.page.get_by_role("radio", name="DRR").or_(workstation.page.get_by_role("button", name="DRR")).click()
@@ -46,7 +46,7 @@ def test_the_c_arm_turns_with_a_drag_and_by_keys_and_only_the_marker_follows_the
     assert workstation.faults == []
 
 
-def test_the_straightened_airway_takes_the_tip_where_it_is_clicked(server, workstation):
+def test_click_in_the_straightened_airway_moves_the_tip_there(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.page.keyboard.press("v")
@@ -60,7 +60,7 @@ def test_the_straightened_airway_takes_the_tip_where_it_is_clicked(server, works
     workstation.page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
     workstation.wait_for("window.__carina.state.probed?.voxel_value < -500")
     workstation.page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
-    # The whole route fits, with 8 mm of room at both ends: the middle of the picture is the middle of the route.
+    # The picture shows the whole route with 8 mm at both ends: its middle is the middle of the route.
     workstation.wait_for(f"Math.abs(window.__carina.state.pose.path_mm - {length / 2}) < 3")
 
     before = workstation.pixels("straightened")
@@ -89,7 +89,7 @@ def test_the_straightened_airway_takes_the_tip_where_it_is_clicked(server, works
     assert workstation.faults == []
 
 
-def test_a_plane_of_the_tri_plane_view_moves_with_a_drag_and_the_background_orbits(server, workstation):
+def test_plane_of_the_tri_plane_view_is_dragged_and_the_background_orbits(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.page.keyboard.press("t")
@@ -105,7 +105,7 @@ def test_a_plane_of_the_tri_plane_view_moves_with_a_drag_and_the_background_orbi
     workstation.wait_still()
     crosshair = workstation.state("session.sight.crosshair_lps")
     moved = np.abs(np.subtract(crosshair, tip))
-    # Along one axis alone.
+    # The plane moves along one axis only.
     assert (moved > 3.0).sum() == 1
     assert (moved < 0.2).sum() == 2
     assert workstation.state("session.sight.orbits") == before
@@ -119,7 +119,7 @@ def test_a_plane_of_the_tri_plane_view_moves_with_a_drag_and_the_background_orbi
     workstation.wait_for(f"window.__carina.state.session.sight.crosshair_lps[0] > {crosshair[0] + 0.5}")
     workstation.page.keyboard.press("Control+ArrowDown")
     workstation.wait_for(f"window.__carina.state.session.sight.crosshair_lps[1] < {crosshair[1] - 0.5}")
-    # A full stop is a key frame's here as everywhere, and moves no plane.
+    # The key full stop adds a key frame here as in all views, and moves no plane.
     here = workstation.state("session.sight.crosshair_lps")
     workstation.page.keyboard.press(".")
     workstation.wait_for("window.__carina.state.keyFrames.frames.length === 1")
@@ -134,7 +134,7 @@ def test_a_plane_of_the_tri_plane_view_moves_with_a_drag_and_the_background_orbi
     assert workstation.faults == []
 
 
-def test_a_slice_zooms_about_the_cursor_and_says_when_it_is_thick(server, workstation):
+def test_slice_zooms_about_the_cursor_and_shows_a_thick_slab(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.wait_picture("axial")
@@ -158,7 +158,7 @@ def test_a_slice_zooms_about_the_cursor_and_says_when_it_is_thick(server, workst
     workstation.page.mouse.move(at[0] + 1, at[1])
     workstation.page.mouse.move(*at)
     workstation.wait_still()
-    # Under the cursor lies what lay there before; a pixel of the small picture is about a millimetre.
+    # The point under the cursor stays there; a pixel of the small picture is about a millimetre.
     np.testing.assert_allclose(workstation.state("ui.cursorLps"), here, atol=1.5)
     workstation.picture("views-slice-zoomed")
 
@@ -168,7 +168,7 @@ def test_a_slice_zooms_about_the_cursor_and_says_when_it_is_thick(server, workst
     workstation.wait_for("window.__carina.state.session.sight.slab.thickness_mm === 10")
     workstation.wait_picture("coronal", unlike=thin)
     workstation.picture("views-slab")
-    # Three at once: each goes on from what the last one asked for, whether the server has answered it or not.
+    # Three presses at once: each continues from the last request, whether the server has answered it or not.
     for _ in range(3):
         workstation.page.keyboard.press("i")
     workstation.wait_for("window.__carina.state.session.sight.slab.thickness_mm === 0")
@@ -176,7 +176,7 @@ def test_a_slice_zooms_about_the_cursor_and_says_when_it_is_thick(server, workst
 
 
 @pytest.mark.parametrize("view", ["coronal", "cut-plane"])
-def test_a_picture_is_panned_by_middle_and_shift_drag_and_by_keys_and_fits_again(server, workstation, view):
+def test_picture_is_panned_by_middle_and_shift_drag_and_keys_and_is_fitted_again(server, workstation, view):
     workstation.open(server)
     workstation.wait_ready()
     workstation.wait_picture(view)
@@ -190,7 +190,7 @@ def test_a_picture_is_panned_by_middle_and_shift_drag_and_by_keys_and_fits_again
     right, down = (axes / np.linalg.norm(axes, axis=0)).T
 
     def settled_at(expected):
-        """The picture in full quality round this point."""
+        """Wait for the picture in full quality round this point."""
         text = ",".join(str(float(v)) for v in expected)
         workstation.wait_for(
             f"""((h) => h.full && Math.hypot(...[{text}].map((v, n) =>

@@ -1,4 +1,4 @@
-"""A click in the airway view tells the wall point, marks it, and takes the slices there."""
+"""Click in the airway view: it shows and marks the wall point, and moves the slices there."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ pytestmark = pytest.mark.browser
 
 
 def wall_point(workstation, num_picks):
-    """The newest wall point, once so many are known."""
+    """Return the newest wall point, after waiting for this number of wall points."""
     workstation.page.wait_for_function("(n) => window.__carina.state.picks.length === n", arg=num_picks)
     workstation.wait_still()
     return workstation.state("picks.at(-1)")
 
 
-def test_a_click_on_the_wall_tells_its_place_and_marks_it_and_a_second_one_the_distance(server, workstation):
+def test_click_on_the_wall_shows_and_marks_the_point_and_a_second_click_the_distance(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.go_to(20.0)
@@ -45,7 +45,7 @@ def test_a_click_on_the_wall_tells_its_place_and_marks_it_and_a_second_one_the_d
     assert f"{math.dist(first['lps'], second['lps']):.1f}" in reading.inner_text()
     workstation.picture("wall-points")
 
-    # Fixed to the wall: after a movement the mark is elsewhere in the picture, the point is the same.
+    # The mark is fixed to the wall: after a movement its place in the picture differs, and the point is the same.
     marked = workstation.overlay("airway")
     workstation.hold("w", 500)
     workstation.wait_still()
@@ -59,7 +59,7 @@ def test_a_click_on_the_wall_tells_its_place_and_marks_it_and_a_second_one_the_d
     assert workstation.faults == []
 
 
-def test_the_keyboard_picks_the_middle_and_a_double_click_picks_nothing(server, workstation):
+def test_keyboard_picks_the_middle_and_a_double_click_picks_nothing(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.page.keyboard.press("e")
@@ -68,7 +68,7 @@ def test_the_keyboard_picks_the_middle_and_a_double_click_picks_nothing(server, 
     ray = [m - t for m, t in zip(middle["lps"], matrix[3::4], strict=False)]
     forward = matrix[2::4]
     along = sum(a * b for a, b in zip(ray, forward, strict=False))
-    # The pixel nearest to the middle: within a pixel's angle.
+    # The pixel nearest to the middle: within the angle of a pixel.
     assert along == pytest.approx(math.hypot(*ray), rel=1e-3)
     workstation.page.keyboard.press("Escape")
     workstation.page.keyboard.press("c")
@@ -81,7 +81,7 @@ def test_the_keyboard_picks_the_middle_and_a_double_click_picks_nothing(server, 
     assert workstation.state("session.sight.crosshair_lps") is None
     workstation.page.keyboard.press("Escape")
 
-    # A drag still turns the look, and picks nothing.
+    # A drag still turns the view, and picks nothing.
     box = workstation.page.locator("canvas[data-view=airway]").bounding_box()
     workstation.page.mouse.move(box["x"] + 200, box["y"] + 200)
     workstation.page.mouse.down()
@@ -93,7 +93,7 @@ def test_the_keyboard_picks_the_middle_and_a_double_click_picks_nothing(server, 
     assert workstation.faults == []
 
 
-def test_a_target_can_be_marked_on_the_wall(server, workstation):
+def test_target_can_be_marked_on_the_wall(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.page.keyboard.press("n")

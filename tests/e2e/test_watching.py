@@ -1,4 +1,4 @@
-"""A watcher in another browser: sees the flight, looks in its own way, changes nothing, and is sent away."""
+"""Observer in another browser: sees the flight with its own view settings, changes nothing, and is disconnected."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def opens():
 
 @pytest.fixture
 def watcher(browser, request, has_failed):
-    """A page of somebody who has compared the certificate."""
+    """Return a page of an observer who accepted the certificate."""
     context = browser.new_context(viewport=SIZE, device_scale_factor=1, ignore_https_errors=True)
     context.set_default_timeout(PICTURE_MS)
     station = Workstation(context.new_page())
@@ -26,7 +26,7 @@ def watcher(browser, request, has_failed):
     context.close()
 
 
-def test_somebody_watches_and_is_sent_away(server, workstation, watcher):
+def test_observer_sees_the_flight_and_is_disconnected(server, workstation, watcher):
     workstation.open(server)
     workstation.wait_ready()
     page = workstation.page
@@ -44,7 +44,7 @@ def test_somebody_watches_and_is_sent_away(server, workstation, watcher):
     page.get_by_test_id("watchers").scroll_into_view_if_needed()
     picture_of(page, "watching-workstation")
 
-    # The flight is seen, and no key of the watcher's moves anything.
+    # The observer sees the flight, and no key of the observer moves anything.
     workstation.hold_until("w", "() => window.__carina.state.pose.path_mm > 5")
     workstation.wait_still()
     watcher.wait_still()
@@ -61,7 +61,7 @@ def test_somebody_watches_and_is_sent_away(server, workstation, watcher):
     assert workstation.state("session.can_undo") is None
     assert workstation.state("session.sight.window.width_hu") != 2000
     assert workstation.state("messages") == watcher.state("messages") == []
-    # Nothing that is the person's own.
+    # The observer receives no data of the user, such as recent cases.
     assert watcher.state("start.recent") == []
     assert watcher.state("devices") is None
     assert watcher.page.get_by_test_id("watcher-panel").is_visible()

@@ -1,4 +1,4 @@
-"""Two windows on one workstation: what is edited is seen in both, and each is looked through in its own way."""
+"""Two windows on one workstation in the browser: common edits, and separate view settings."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.browser
 
 @pytest.fixture
 def two(browser, server, workstation, request, has_failed):
-    """Two pages of one workstation, in contexts of their own as two browsers have."""
+    """Return two pages of one workstation, in separate contexts as in two browsers."""
     other = open_page(browser, ())
     for page in (workstation, other):
         page.open(server)
@@ -28,7 +28,7 @@ def two(browser, server, workstation, request, has_failed):
     other.page.context.close()
 
 
-def test_an_edit_in_one_is_seen_in_the_other_which_takes_it_back(two):
+def test_edit_in_one_window_is_shown_and_undone_in_the_other(two):
     first, second = two
     first.page.keyboard.press("o")
     second.wait_for("window.__carina.state.session.can_undo === 'image outline'")
@@ -36,7 +36,7 @@ def test_an_edit_in_one_is_seen_in_the_other_which_takes_it_back(two):
     first.page.get_by_test_id("list-airways").click()
     first.page.get_by_role("row").nth(3).click()
     second.wait_for("window.__carina.state.session.can_undo.startsWith('route to')")
-    # The state comes first, the route itself after it, and in each window by itself.
+    # The state arrives first, then the route, in each window separately.
     first.wait_for("window.__carina.state.route.route_id === window.__carina.state.session.route_id")
     second.wait_for("window.__carina.state.route.route_id === window.__carina.state.session.route_id")
     assert first.state("route.route_id") == second.state("route.route_id")
@@ -52,7 +52,7 @@ def test_an_edit_in_one_is_seen_in_the_other_which_takes_it_back(two):
     assert first.state("look") == second.state("look")
 
 
-def test_a_flight_is_seen_in_both_and_slices_are_each_windows_own(two):
+def test_flight_is_shown_in_both_windows_and_slices_belong_to_each(two):
     first, second = two
     first.hold_until("w", "() => window.__carina.state.pose.path_mm > 5")
     first.wait_still()
@@ -61,7 +61,7 @@ def test_a_flight_is_seen_in_both_and_slices_are_each_windows_own(two):
     pose = first.state("pose.pose_id")
     assert second.state("pose.pose_id") == pose
     assert second.frame_answers("airway", pose)
-    # A slice is scrolled and zoomed here, and stays as it was there.
+    # A slice is scrolled and zoomed in the first window, and stays unchanged in the second one.
     before = second.state("sight")
     box = first.page.locator("canvas[data-view=axial]").bounding_box()
     first.page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
@@ -81,7 +81,7 @@ def test_a_flight_is_seen_in_both_and_slices_are_each_windows_own(two):
         picture_of(station.page, f"windows-{name}")
 
 
-def test_one_that_is_loaded_again_or_closed_leaves_the_other_as_it_is(two):
+def test_reloaded_or_closed_window_leaves_the_other_unchanged(two):
     first, second = two
     first.page.keyboard.press("3")
     first.wait_for("window.__carina.state.session.sight.window.width_hu === 2000")
@@ -107,7 +107,7 @@ case.close()
 
 
 class Notebook:
-    """A program of the same person, which is told line by line what to do."""
+    """Program of the same user, which receives its commands line by line."""
 
     def __init__(self, scan, home):
         self._child = Child(["-u", "-c", NOTEBOOK, str(scan)], home)
@@ -137,14 +137,14 @@ def test_two_windows_and_a_notebook_work_on_one_case(browser, workstation, tmp_p
         for page in (workstation, second):
             page.open(running)
             page.wait_ready()
-        # A notebook joins a case that is on the disk.
+        # A notebook can join only a case that is on the disk.
         workstation.page.keyboard.press("o")
         workstation.wait_for("window.__carina.state.session.can_undo === 'image outline'")
         workstation.wait_for("window.__carina.state.session.saving.saved_s !== null")
         notebook = Notebook(scan, tmp_path / "home")
         assert notebook("case.history()[-1]") == "image outline"
         assert notebook("case.airways.tree.branches[0].name") == "Trachea"
-        # What it does is seen in both windows, and what they do is seen by it.
+        # Both windows show the change of the notebook, and the notebook sees the changes of the windows.
         notebook("case.do(commands.EditKeyFrames(commands.KeyFrameAdd()))")
         for page in (workstation, second):
             page.wait_for("window.__carina.state.keyFrames.frames.length === 1")

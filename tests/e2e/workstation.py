@@ -1,4 +1,4 @@
-"""Page object: what a person sees and does, without selectors in the tests."""
+"""Page object of the workstation: actions and observations of a user, so that tests contain no selectors."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from playwright.sync_api import Error as PlaywrightError
 from playwright.sync_api import TimeoutError as PlaywrightTimeout
 from server_process import Server
 
-# Limits for what hangs, far beyond what a machine takes on which other programs run, too.
+# Upper limits for hanging operations, far beyond their duration on a busy machine.
 READY_MS = 600_000
 PICTURE_MS = 120_000
 SIZE = {"width": 1440, "height": 900}
 EMPTY = "icon.svg"
-# A background network, updates and sync have no place in a test, and no sandbox works for root in a container.
+# Background network, updates and sync would disturb tests, and the sandbox does not work for root in a container.
 FLAGS = [
     "--no-sandbox",
     "--disable-quic",
@@ -26,9 +26,9 @@ FLAGS = [
 ]
 
 
-# How a page comes to rest: the server does what it is sent in order, so the answer to a question of this script's own
-# (the page does not see it) says that everything sent before was done. While the pose stays the same, nothing more is
-# on its way.
+# Script that waits until the page is at rest. The server handles messages in order, so that the answer to a probe of
+# the script (hidden from the page) shows that all earlier messages were handled. If the pose has not changed, no
+# message is pending.
 SETTLE = """
 window.WebSocket = class extends WebSocket {
   constructor(...options) {
@@ -66,7 +66,7 @@ window.__settled = async (limitMs) => {
   }
 };
 """
-# What a page that hangs is asked for.
+# State of the page, for the report about a page that hangs.
 STATE = """() => {
   const { stage, route, pose, session, frames, jobs, messages, ui, targets, can_undo, picks } = window.__carina.state;
   return JSON.stringify({ stage, pose, session, frames, jobs, messages, ui, targets, can_undo, picks,
@@ -121,12 +121,12 @@ class Workstation:
         page.on("pageerror", lambda error: self.faults.append(str(error)))
 
     def _said(self, message: Any) -> None:
-        # A browser asks by itself for the icon of a picture that it shows as a page; the client's page names its own.
+        # A browser requests the icon of a picture that it shows as a page; the client's page names its own icon.
         if message.type == "error" and not message.location["url"].endswith("/favicon.ico"):
             self.faults.append(message.text)
 
     def _watch(self, name: str) -> None:
-        """Note a call that changes the page for good."""
+        """Record calls of a method that changes the page permanently."""
         plain = getattr(self.page, name)
 
         def noted(*given: Any, **options: Any) -> Any:
@@ -136,9 +136,9 @@ class Workstation:
         setattr(self.page, name, noted)
 
     def leave(self) -> bool:
-        """Leave the workstation for an empty page of the same site, whose process the next one finds warm.
+        """Leave the workstation for an empty page of the same site, whose warm process the next workstation uses.
 
-        False where the page is not as it was made, and of no use to another test.
+        The result is False if the page was changed permanently and cannot be used by another test.
         """
         if not self._is_as_made or not self._origin:
             return False
@@ -149,15 +149,15 @@ class Workstation:
             self.page.goto(f"{self._origin}/{EMPTY}")
         except PlaywrightError:  # the workstation has ended
             return False
-        # The client keeps nothing in the browser but what its cookie opens.
+        # The client stores nothing in the browser except its cookie.
         self.page.context.clear_cookies()
         self.faults.clear()
         return True
 
     def open(self, server: Server) -> None:
-        """Go to the start URL and read the safety sentence.
+        """Open the start URL and accept the safety notice.
 
-        The URL's token works once; later pages of the same server bring the cookie that it was exchanged for.
+        The token in the URL works once; later pages of the same server use the cookie that it was exchanged for.
         """
         context = self.page.context
         self._origin = server.url.partition("/?")[0]
@@ -170,7 +170,7 @@ class Workstation:
         self.accept_notice()
 
     def accept_notice(self) -> None:
-        """Close the first-run notice where it is shown."""
+        """Close the first-run notice if it is shown."""
         self.page.wait_for_selector("[data-testid=notice-accept], [data-testid=start], [data-testid=workstation]")
         button = self.page.locator("[data-testid=notice-accept]")
         if button.count():
@@ -179,7 +179,7 @@ class Workstation:
     def wait_ready(self) -> None:
         """Wait until a case is open, its airways are found and the airway view shows the final picture of them.
 
-        Messages come one by one: the pose on the new route is the last of them, and has the mode that ``state`` told.
+        Messages arrive one by one: the pose on the new route is the last of them, and has the mode that ``state`` gave.
         """
         self.page.wait_for_function(
             """() => {
@@ -192,16 +192,16 @@ class Workstation:
         self.wait_still()
 
     def wait_for(self, condition: str, arg: Any = None) -> None:
-        """Wait until an expression of the page holds, or a function of ``arg``.
+        """Wait until an expression of the page, or a function of ``arg``, is true.
 
-        While a value that it asks a property of is null or missing, it does not hold yet.
+        The condition counts as false while it reads a property of a null or missing value.
         """
-        # The page's policy lets no bare text be evaluated.
+        # The content security policy of the page does not allow evaluation of plain text.
         function = condition if FUNCTION.match(condition) else f"() => {condition}"
         self.page.wait_for_function(AS_YET_MISSING % function, arg=arg, timeout=PICTURE_MS)
 
     def wait_while_working(self, condition: str) -> None:
-        """Wait until an expression of the page holds, as long as a job reports progress.
+        """Wait until an expression of the page is true, as long as a job reports progress.
 
         A fixed limit would fail on a machine that does other work at the same time. Here the limit applies to the time
         between two changes of the listed jobs.
@@ -212,16 +212,16 @@ class Workstation:
         assert outcome == "held", outcome
 
     def state(self, expression: str) -> Any:
-        """A value out of the client's state, such as ``pose.path_mm``."""
+        """Return a value of the client's state, such as ``pose.path_mm``."""
         return self.page.evaluate(f"() => window.__carina.state.{expression}")
 
     def frame(self, view: str) -> dict[str, int]:
-        """Frame and pose that a view shows now."""
+        """Return the frame and the pose that a view shows now."""
         data = self.page.evaluate(f"() => ({{...document.querySelector('canvas[data-view={view}]').dataset}})")
         return {"frame_id": int(data["frameId"]), "pose_id": int(data["poseId"])}
 
     def frame_answers(self, view: str, pose_id: int) -> bool:
-        """Wait until the view's picture answers this pose; False where it does not within the time."""
+        """Wait until the picture of the view answers this pose; return False if it does not in time."""
         try:
             self.page.wait_for_function(
                 "([view, pose]) => Number(document.querySelector(`canvas[data-view=${view}]`).dataset.poseId) >= pose",
@@ -233,7 +233,7 @@ class Workstation:
         return True
 
     def overlay(self, view: str) -> str:
-        """Marks drawn over a view (tip, path, targets), as the browser would save them."""
+        """Return the marks drawn over a view (tip, path, targets), as the browser would save them."""
         return self.page.evaluate(
             """(view) => {
                 const layer = document.querySelector(`[data-overlay=${view}]`);
@@ -243,7 +243,7 @@ class Workstation:
         )
 
     def watch_pose_ids(self, view: str) -> None:
-        """Write down every pose that the view shows from now on."""
+        """Record every pose that the view shows from now on."""
         self.page.evaluate(
             """(view) => {
                 const canvas = document.querySelector(`canvas[data-view=${view}]`);
@@ -255,11 +255,11 @@ class Workstation:
         )
 
     def watched_pose_ids(self) -> list[int]:
-        """What ``watch_pose_ids`` wrote down."""
+        """Return the poses that ``watch_pose_ids`` recorded."""
         return self.page.evaluate("() => window.__poses")
 
     def watch_stand_ins(self) -> None:
-        """Write down from now on which view is shown in the airway view's place."""
+        """Record from now on which view is shown in place of the airway view."""
         self.page.evaluate(
             """() => {
                 const canvas = document.querySelector('canvas[data-view=airway]');
@@ -270,11 +270,11 @@ class Workstation:
         )
 
     def watched_stand_ins(self) -> list[str]:
-        """What ``watch_stand_ins`` wrote down."""
+        """Return the views that ``watch_stand_ins`` recorded."""
         return self.page.evaluate("() => window.__shown")
 
     def fly_until(self, condition: str, seconds: float) -> None:
-        """Move forth and back until an expression of the page holds; fails where it does not within the time."""
+        """Move forwards and backwards until an expression of the page is true; fail if it is not in time."""
         for _ in range(int(seconds / 1.2) + 1):
             for key in ("w", "s"):
                 self.page.keyboard.down(key)
@@ -289,31 +289,31 @@ class Workstation:
         raise AssertionError(f"not within {seconds} s of flight: {condition}")
 
     def click_airway(self, right: float, down: float, *, twice: bool = False) -> None:
-        """Click in the airway picture, at parts of its sides."""
+        """Click in the airway picture at fractions of its width and height."""
         canvas = self.page.locator("canvas[data-view=airway]")
         box = canvas.bounding_box()
         at = {"x": right * box["width"], "y": down * box["height"]}
         (canvas.dblclick if twice else canvas.click)(position=at, force=True)
 
     def wanted_width(self) -> int:
-        """Width in pixels of a full airway picture."""
+        """Return the width in pixels of a full airway picture."""
         return self.page.evaluate("() => document.querySelector('canvas[data-view=airway]').width")
 
     def pixels(self, view: str) -> list[int]:
-        """A coarse grid of pixel values of a view: enough to see that it changed."""
+        """Return a coarse grid of pixel values of a view, to detect changes."""
         return self.page.evaluate("(view) => window.__pixels(view)", view)
 
     def once(self, condition: str, told: str) -> Any:
-        """Wait for a condition of the page; what an expression is in that same moment."""
+        """Wait for a condition of the page, and return the value of an expression in the same moment."""
         told_then = self.page.wait_for_function(f"() => ({condition}) ? [{told}] : false", timeout=PICTURE_MS)
         return told_then.json_value()[0]
 
     def shown_views(self) -> list[str]:
-        """Views that have a canvas on the screen."""
+        """Return the views that have a canvas on the screen."""
         return self.page.evaluate(SHOWN_VIEWS)
 
     def turn_to(self, view: str, key: str) -> None:
-        """Press the key that goes on to the next picture of a cell until this one is on the screen."""
+        """Press the key that switches the pictures of a cell until this picture is on the screen."""
         for _ in range(4):
             shown = self.shown_views()
             if view in shown:
@@ -323,16 +323,19 @@ class Workstation:
         raise AssertionError(f"{key} does not lead to {view}: {self.shown_views()}")
 
     def settle(self) -> None:
-        """Wait until nothing that was done is on its way to the server or back any more."""
+        """Wait until no message between page and server is pending."""
         self.page.evaluate("(limit) => window.__settled(limit)", PICTURE_MS)
 
     def let_pass(self, milliseconds: int) -> None:
-        """Let time pass in the page, for what must not happen: its timers fire in the order in which they are due, so
-        that whatever it put off for less has been done, however busy the machine is."""
+        """Let time pass in the page, to show that something does not happen.
+
+        Timers of the page fire in order, so that all actions that the page delayed for a shorter time are done, however
+        busy the machine is.
+        """
         pass_in(self.page, milliseconds)
 
     def refreshes(self, number: int) -> None:
-        """Let the page draw so many times: whoever looks once per refresh has looked."""
+        """Wait until the page has drawn this number of times, so that code which runs once per refresh has run."""
         self.page.evaluate(
             """async (number) => {
                 for (let n = 0; n < number; n += 1) await new Promise((done) => requestAnimationFrame(done));
@@ -341,7 +344,7 @@ class Workstation:
         )
 
     def hold_until(self, key: str, condition: str, arg: Any = None) -> None:
-        """Hold a key as a hand does, until a condition of the page holds."""
+        """Hold a key until a condition of the page is true."""
         self.page.keyboard.down(key)
         self.page.wait_for_function(condition, arg=arg, timeout=PICTURE_MS)
         self.page.keyboard.up(key)
@@ -358,7 +361,7 @@ class Workstation:
         )
 
     def deepest_tip(self, sign: float) -> dict[str, Any]:
-        """The tip of highest generation on one side (sign of x in LPS: the patient's right is negative)."""
+        """Return the tip of highest generation on one side (sign of x in LPS: the patient's right is negative)."""
         return self.page.evaluate(
             """(sign) => {
                 const branches = [...window.__carina.state.tree.byId.values()].map((node) => node.branch);
@@ -370,9 +373,10 @@ class Workstation:
         )
 
     def choose_branch(self, branch_id: int) -> None:
-        """Make a branch the route, through the list as a person does: open what is closed, then click.
+        """Make a branch the route through the list: open closed rows, then click the row of the branch.
 
-        A bronchus in several pieces is one row, and its click leads to the end of the last one: so must the branch.
+        A bronchus in several pieces is one row, and a click leads to the end of the last piece: ``branch_id`` must be
+        that piece.
         """
         rows = self.page.evaluate(
             """(id) => {
@@ -396,7 +400,7 @@ class Workstation:
         )
 
     def wait_picture(self, view: str, *, unlike: list[int] | None = None, like: list[int] | None = None) -> None:
-        """Wait until a view shows a full picture; one that is, or is not, what ``pixels`` told before."""
+        """Wait until a view shows a full picture that differs from, or equals, earlier ``pixels``."""
         self.page.wait_for_function(
             """([view, unlike, like]) => {
                 const canvas = document.querySelector(`canvas[data-view=${view}]`);
@@ -410,7 +414,7 @@ class Workstation:
         )
 
     def brightness(self, view: str) -> float:
-        """Mean of the red channel of a view, 0 to 255."""
+        """Return the mean of the red channel of a view, 0 to 255."""
         red = self.pixels(view)[::4]
         return sum(red) / len(red)
 
@@ -431,7 +435,7 @@ class Workstation:
         )
 
     def hold(self, key: str, milliseconds: int) -> float:
-        """Hold a key as a hand does; how many seconds it was down by the page's clock."""
+        """Hold a key, and return how many seconds it was down by the page's clock."""
         began_ms = self.page.evaluate("() => performance.now()")
         self.page.keyboard.down(key)
         self.let_pass(milliseconds)
@@ -439,11 +443,11 @@ class Workstation:
         return (self.page.evaluate("() => performance.now()") - began_ms) / 1e3
 
     def picture(self, name: str) -> None:
-        """Save a screenshot, where somebody wants to look at them."""
+        """Save a screenshot if pictures were requested."""
         picture_of(self.page, name)
 
     def failed(self, name: str) -> None:
-        """Leave what a person needs who asks why: the window as it is, what it logged, and where it stands."""
+        """Save data for the analysis of a failure: a screenshot, the log, and the state of the page."""
         save_page(self.page, f"{name}-failed")
         try:
             told = self.page.evaluate(STATE)
@@ -453,24 +457,24 @@ class Workstation:
 
 
 def open_page(browser: Any, scripts: tuple[str, ...] = ()) -> Workstation:
-    """A page at the pinned size and pixel ratio, in a context of its own."""
+    """Open a page with the fixed size and pixel ratio, in a context of its own."""
     context = browser.new_context(viewport=SIZE, device_scale_factor=1)
     context.set_default_timeout(PICTURE_MS)
     return Workstation(context.new_page(), scripts)
 
 
 def pass_in(page: Any, milliseconds: int) -> None:
-    """As ``Workstation.let_pass``, in any page."""
+    """Let time pass in any page, as ``Workstation.let_pass`` does."""
     page.evaluate("(ms) => new Promise((done) => setTimeout(done, ms))", milliseconds)
 
 
 def picture_of(page: Any, name: str) -> None:
-    """A screenshot where ``CARINA_PICTURES`` is set: each costs half a second of a core."""
+    """Save a screenshot if ``CARINA_PICTURES`` is set: each takes half a second of a core."""
     if os.environ.get("CARINA_PICTURES"):
         save_page(page, name)
 
 
 def save_page(page: Any, name: str) -> None:
-    """A screenshot in ``tests/out/e2e``."""
+    """Save a screenshot in ``tests/out/e2e``."""
     OUT.mkdir(parents=True, exist_ok=True)
     page.screenshot(path=str(OUT / f"{name}.png"))

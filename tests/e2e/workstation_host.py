@@ -1,11 +1,11 @@
-"""A process that opens and closes workstations as it is told, by lines of JSON: ``python workstation_host.py``.
+"""Process that opens and closes workstations by commands, one line of JSON each: ``python workstation_host.py``.
 
-Each is a session, a server and a port of its own, as new as after ``carina demo``, over the real volumes, renderers and
-parts. Only what costs seconds and is the same every time is kept from one to the next: imports, the demo's volume, the
-airways that are found in it on opening, and their measures.
+Each workstation has its own session, server and port, as new as after ``carina demo``, with the real volumes, renderers
+and parts. Only results that take seconds and are always the same are kept between workstations: imports, the volume of
+the demo, the airways that are found in it on opening, and their measures.
 
 ``{"open": {"demo": "phantom"}}`` is answered by ``{"number": 1, "url": URL}``, ``{"close": 1}`` by ``{"closed": 1}``,
-and trouble by ``{"error": TEXT}``. The end of the input ends the process.
+and an error by ``{"error": TEXT}``. The end of the input ends the process.
 """
 
 from __future__ import annotations
@@ -48,15 +48,15 @@ from made import found_airways, made_value
 STARTS_S = 120.0
 OPENS_S = 600.0
 PER_PIXEL_S = 0.4 / (150 * 150)
-"""A slow airway view's coarsest picture in a cell of 600 pixels takes 0.4 s: too slow for 5 pictures a second."""
+"""Seconds per pixel of a slow airway view; the coarsest picture in a cell of 600 px then takes 0.4 s."""
 MOST_KEPT_BYTES = 1 << 20
 
-# The package hands on a function of the module's name.
+# The package exports a function with the name of the module.
 serve_module: Any = importlib.import_module("carina.server.serve")
 
 
 class SlowRenderer(render.Renderer):
-    """Takes its time for every ray of an airway view for as long as a file exists, and can be stopped meanwhile."""
+    """Renderer that waits a fixed time for every ray of an airway view while a file exists; it can be stopped."""
 
     slow_file: Path
 
@@ -69,9 +69,10 @@ class SlowRenderer(render.Renderer):
 
 
 class SteadyBudget(pacing.FrameBudget):
-    """Counts what the airway view takes while it is slow, and no other program's turn at the cores while it is not.
+    """Frame budget that counts the real time of a slow airway view, and limits the counted time of a fast one.
 
-    The airway view comes back when it is quick enough; on a busy machine it is that for moments only.
+    The limit removes the influence of other programs: without it the airway view of a busy machine would return only
+    for moments.
     """
 
     slow_file: Path | None = None
@@ -81,7 +82,8 @@ class SteadyBudget(pacing.FrameBudget):
             return seconds
         return min(seconds, PER_PIXEL_S / 8.0 * rays)
 
-    # By the clock: what makes the view slow here is a wait, which no count of the rays' time sees.
+    # The budget uses elapsed time: the slow airway view here waits, which the processor time of the rays does not
+    # include.
     def learn(self, level: int, pixels: int, seconds: float, rays_s: float | None = None) -> None:
         super().learn(level, pixels, self._at_most(seconds, self.levels[level].scale ** 2 * pixels))
 
@@ -90,19 +92,20 @@ class SteadyBudget(pacing.FrameBudget):
 
 
 class Kept:
-    """The real parts of a session, which remember what they found for a demo."""
+    """The real parts of a session with a cache of the results for a demo."""
 
     def __init__(self) -> None:
         self._real = default_parts()
         self._values: dict[tuple[object, ...], Any] = {}
         self._lock = threading.Lock()
-        """Kept values stay alive, and so no other takes the place of their id."""
+        """Lock of the cache. Cached values are never released, so that no other object can get the id of one."""
 
     def _kept(self, key: tuple[object, ...], make: Callable[[], Any]) -> Any:
         with self._lock:
             if key in self._values:
                 return self._values[key]
-        # Not under the lock: another case may be opened meanwhile. What is stopped or fails is not kept.
+        # Computed without the lock, because another case may be opened meanwhile. Cancelled or failed computations are
+        # not cached.
         made = make()
         with self._lock:
             return self._values.setdefault(key, made)
@@ -123,10 +126,10 @@ class Kept:
         def find() -> Any:
             return self._real.find_airways(volume, root_lps=root_lps, lumen_threshold=lumen_threshold, **options)
 
-        # As on opening; what a person asks for is found anew.
+        # Only the search on opening is cached; a search with a root or a threshold runs again.
         if root_lps is not None or lumen_threshold is not None or "lumen_zyx" in options or not self._holds(volume):
             return find()
-        # Ten seconds of the processor, and the same in the hosts of all workers.
+        # The search takes ten seconds of processor time; the hosts of all workers share the result.
         return self._kept(("airways", id(volume)), lambda: found_airways(volume))
 
     def measure_tree(self, volume: Any, airways: Any, **options: Any) -> Any:
@@ -134,7 +137,8 @@ class Kept:
         measure = self._real.measure_tree
         if not self._holds(airways):
             return measure(volume, airways, **options)
-        # Six seconds of the processor, and the same in the hosts of all workers. There are two demos.
+        # The measurement takes six seconds of processor time; the hosts of all workers share the result. There are two
+        # demos.
         name = f"measures of the demo with {len(airways.tree)} branches"
         return self._kept(
             ("measures", id(airways)),
@@ -142,20 +146,20 @@ class Kept:
         )
 
     def parts(self) -> Parts:
-        """What a session takes."""
+        """Return the parts for a session."""
         return replace(
             self._real,
             open_demo=self.open_demo,
             quality_words=self.quality_words,
             find_airways=self.find_airways,
             measure_tree=self.measure_tree,
-            # What the drives come to is another test's matter: they are searched a moment, for all the instruments.
+            # The results of the drives are tested elsewhere: here a short search is used for all instruments.
             judge_scopes=partial(self._real.judge_scopes, effort=2000.0),
         )
 
 
 class Remembered:
-    """What pure functions made last, by the same arrays and equal values."""
+    """Cache of the last results of pure functions, by identity of arrays and equality of other values."""
 
     def __init__(self, most: int) -> None:
         self._most = most
@@ -170,7 +174,7 @@ class Remembered:
                 return self._made[key][1]
         made = make()
         with self._lock:
-            # With what it was given, which stays alive: no other array takes the place of its id.
+            # The arguments are stored with the result and stay alive, so that no other array can get the id of one.
             self._made[key] = given, made
             while len(self._made) > self._most:
                 self._made.popitem(last=False)
@@ -178,7 +182,7 @@ class Remembered:
 
 
 class KeptMaps(mapcache.MapCache):
-    """Reads, checks and unpacks no file that it has just read."""
+    """Map cache that does not read, check and unpack a file again that it has just read."""
 
     maps = Remembered(4)
 
@@ -187,7 +191,7 @@ class KeptMaps(mapcache.MapCache):
 
 
 def remember_scenes() -> None:
-    """Walls, the tree's field and the maps of the demo's airways: a second of the processor for each that opens."""
+    """Cache the walls, the tree field and the maps of the demo's airways: a second for each opening."""
     for name in ("with_wall", "build_tree_field"):
         made: Callable[..., Any] = getattr(scene, name)
         last = Remembered(4)
@@ -196,7 +200,7 @@ def remember_scenes() -> None:
 
 
 def remember_pieces() -> None:
-    """What each case writes of the same demo, deflated: a third of a second of the processor for each that opens."""
+    """Cache the compressed parts of the demo's case file: a third of a second of processor time for each opening."""
     small = lru_cache(4096)(zlib.compress)
 
     def compress(content: bytes | memoryview, level: int) -> bytes:
@@ -207,7 +211,7 @@ def remember_pieces() -> None:
 
 
 def make_slow(slow_file: str) -> Any:
-    """A factory of renderers that are slow while a file exists."""
+    """Return a factory of renderers that are slow while a file exists."""
 
     def make(volume: Any, transfer: Any) -> Any:
         made = SlowRenderer(volume, transfer=transfer)
@@ -218,15 +222,15 @@ def make_slow(slow_file: str) -> Any:
 
 
 class Ports:
-    """One port for each in turn, where it is free: a browser keeps what it compiled of a client by its address."""
+    """Port that all workstations use in turn, if it is free: a browser caches compiled scripts by address."""
 
     first = 0
 
     def bind(self) -> Any:
-        """A listening socket on loopback."""
+        """Return a listening socket on loopback."""
         try:
             sock = bind("127.0.0.1", self.first)
-        except CarinaError:  # two are open at once
+        except CarinaError:  # two workstations are open at once
             return bind("127.0.0.1", 0)
         self.first = sock.getsockname()[1]
         return sock
@@ -236,7 +240,7 @@ PORTS = Ports()
 
 
 def open_workstation(kept: Kept, stack: ExitStack, home: str, demo: str | None, path: str | None, **told: Any) -> str:
-    """As ``carina.server.serve`` puts one together; its start URL. ``stack`` closes it."""
+    """Assemble a workstation as ``carina.server.serve`` does, and return its start URL; ``stack`` closes it."""
     sock = stack.enter_context(PORTS.bind())
     gate = Gate(host="127.0.0.1", port=sock.getsockname()[1])
     slow_file = told.get("slow_file")
@@ -279,7 +283,7 @@ def open_workstation(kept: Kept, stack: ExitStack, home: str, demo: str | None, 
         session.do(OpenPath(path))
     elif demo is not None:
         session.do(OpenDemo(demo))
-    # A page that is opened sooner is sent every picture several times, as the airways and their measures come.
+    # A page that is opened earlier receives every picture several times, as the airways and their measures arrive.
     opens = path is not None or demo is not None
     while opens and (session.jobs.running or session.snapshot().airways not in {"found", "failed"}):
         assert changed.wait(OPENS_S), "the case does not open"
@@ -289,7 +293,7 @@ def open_workstation(kept: Kept, stack: ExitStack, home: str, demo: str | None, 
 
 
 def main() -> None:
-    """Until the input ends."""
+    """Execute commands until the input ends."""
     remember_scenes()
     remember_pieces()
     pacing.FrameBudget = SteadyBudget  # type: ignore[misc]

@@ -1,7 +1,8 @@
-"""Laterality: one chest stored in many orientations is one chest, with the same left and right.
+"""Laterality: one chest stored in many orientations gives the same result, with the same left and right.
 
-A mirrored airway is a complete, plausible, wrong picture. So a phantom whose truth is known is stored with its axes
-flipped, permuted and rotated, read back from files, and must give the same answers in patient space.
+A mirrored airway is a complete and plausible, but wrong picture. A phantom with a known ground truth is therefore
+stored with its axes flipped, permuted and rotated, and read back from files. The results in patient space must be
+equal.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ def phantom():
 
 @pytest.fixture(scope="module")
 def image(phantom):
-    """The phantom as SimpleITK has it, in LPS."""
+    """Return the phantom as a SimpleITK image, in LPS."""
     volume = phantom.volume
     image = sitk.GetImageFromArray(volume.hu_zyx)
     spacing = np.array(volume.spacing_mm)
@@ -38,20 +39,20 @@ def image(phantom):
 
 
 def middle_of(phantom, name):
-    """A point in the middle of a named branch of the truth, LPS mm."""
+    """Return a point in the middle of a named branch of the ground truth, in LPS mm."""
     (branch,) = [b for b in phantom.truth["branches"] if b["name"] == name]
     return np.array(branch["points"][len(branch["points"]) // 2])
 
 
-# Eight flips, six permutations of the axes: all 48 ways to store a grid along the patient's axes. The eleven below hold
-# every flip of an axis alone, all three, and every permutation, with and without a flip.
+# Eight flips and six permutations of the axes give 48 ways to store a grid along the patient's axes. The eleven below
+# contain every flip of one axis, the flip of all three, and every permutation, with and without a flip.
 FLIPS = {"as it is": (), "flip i": (0,), "flip j": (1,), "flip k": (2,), "flip all": (0, 1, 2)}
 ORDERS = ["".join("ijk"[n] for n in order) for order in itertools.permutations(range(3)) if order != (0, 1, 2)]
 STORED = [*FLIPS, *ORDERS, "kij flip i", "oblique"]
 
 
 def stored(image, how):
-    """The same chest in another storage order; what changes is the file, never the patient."""
+    """Return the same chest in another storage order; only the file changes, not the patient."""
     if how in FLIPS:
         return sitk.Flip(image, [axis in FLIPS[how] for axis in range(3)])
     if how == "oblique":
@@ -62,9 +63,10 @@ def stored(image, how):
 
 
 def oblique(image):
-    """Resampled on a grid that is rotated by 14 degrees about an axis across all three, large enough to hold all.
+    """Return the image resampled on a grid that is rotated by 14 degrees about an axis oblique to all three.
 
-    Padded with tissue: the trachea runs to the edge of the chest, and padding of air would lengthen it.
+    The grid is large enough to contain the whole image. Padding is tissue: the trachea reaches the edge of the chest,
+    and padding of air would lengthen it.
     """
     turned = sitk.VersorTransform((0.48, 0.6, 0.64), np.deg2rad(14.0))
     direction = np.array(turned.GetMatrix()).reshape(3, 3)
@@ -93,7 +95,7 @@ def oblique(image):
 
 @pytest.fixture(scope="module")
 def reference(phantom):
-    """What is seen and tracked in the phantom as it was made."""
+    """Return airways, paths and pictures of the phantom in its original orientation."""
     return seen(phantom, phantom.volume)
 
 
@@ -103,7 +105,7 @@ def reference(phantom):
     ids=" as ".join,
 )
 def found(request, phantom, image, tmp_path_factory):
-    """The same, after the chest went through a file in another orientation."""
+    """Return airways, paths and pictures of the chest after it was stored in another orientation."""
     how, suffix = request.param
     path = tmp_path_factory.mktemp("stored") / f"case{suffix}"
     sitk.WriteImage(stored(image, how), str(path))
@@ -111,12 +113,12 @@ def found(request, phantom, image, tmp_path_factory):
 
 
 def camera(phantom):
-    """In the trachea, 25 mm above the carina, looking down and a little to the left and forward."""
+    """Return a camera in the trachea, 25 mm above the carina, that looks down and a little to the left and forward."""
     return Pose.looking(middle_of(phantom, "Trachea") * (1, 1, 0) + (0, 0, 25.0), (0.10, -0.05, -1.0), (0.0, -1.0, 0.0))
 
 
 def seen(phantom, volume):
-    """Everything that is compared."""
+    """Return airways, paths and pictures of a volume, which the tests compare."""
     airways = carina.find_airways(volume)
     renderer = Renderer(volume)
     at = tuple(float(v) for v in middle_of(phantom, "RMB"))
@@ -133,25 +135,25 @@ def seen(phantom, volume):
 
 
 def distance_mm(points, others):
-    """From each point to the nearest of the others."""
+    """Return the distance from each point to the nearest of the other points, in mm."""
     return np.linalg.norm(points[:, None] - others[None], axis=2).min(axis=1)
 
 
-def test_the_right_main_bronchus_is_at_the_patients_right(phantom, found):
+def test_right_main_bronchus_is_on_the_right_of_the_patient(phantom, found):
     _, seen_here = found
     tree = seen_here["airways"].tree
     by_name = {branch.name: branch for branch in tree.branches if branch.name}
     right, left = by_name["RMB"], by_name["LMB"]
-    # LPS: the patient's right is -x. The main bronchi part at x = 0 and end 20 mm and more beside it.
+    # LPS: the patient's right is -x. The main bronchi divide at x = 0 and end at least 20 mm beside it.
     assert right.points[-1][0] < -10.0
     assert left.points[-1][0] > 10.0
     assert middle_of(phantom, "RMB")[0] < 0.0 < middle_of(phantom, "LMB")[0]
 
 
-def test_the_same_target_has_the_same_path_in_mm(found, reference):
+def test_same_target_has_the_same_path_in_mm(found, reference):
     how, seen_here = found
-    # A voxel; on the turned grid two, the path's own and the resampling's: the trachea is 9 voxels wide, and its middle
-    # is flat in cost.
+    # Tolerance: one voxel; on the rotated grid two, one for the path and one for the resampling: the trachea is 9
+    # voxels wide, and the cost is flat in its middle.
     voxel_mm = float(np.linalg.norm(SPACING_MM)) * (2 if how == "oblique" else 1)
     for name, path in seen_here["paths"].items():
         same = reference["paths"][name]
@@ -162,20 +164,21 @@ def test_the_same_target_has_the_same_path_in_mm(found, reference):
 
 
 def differs(picture, same):
-    """Mean difference of two pictures in grey levels."""
+    """Return the mean difference of two pictures in grey levels."""
     return float(np.abs(picture.rgb.astype(int) - same.rgb.astype(int)).mean())
 
 
-def test_the_same_pose_shows_the_same_picture(found, reference):
+def test_same_pose_shows_the_same_picture(found, reference):
     how, seen_here = found
-    # Turned and resampled, edges blur by a voxel (2 mm here, the trachea is 18 mm wide); else only rounding is left.
+    # On the rotated and resampled grid edges blur by a voxel (2 mm here, the trachea is 18 mm wide); else only rounding
+    # differs.
     for view in ("airway", "axial", "coronal", "sagittal"):
-        # The airway view is nearly as bright on the left as on the right.
+        # The airway view has nearly the same brightness on the left and on the right.
         blur = 8.0 if view == "airway" else 12.0
         tolerance = blur if how == "oblique" else 0.5
         picture = seen_here[view]
         assert differs(picture, reference[view]) < tolerance, view
-        # A mirrored picture would be nowhere near: else the tolerance above could not fail.
+        # A mirrored picture must exceed the tolerance by far; otherwise the test above could not fail.
         mirrored = np.abs(picture.rgb[:, ::-1].astype(int) - reference[view].rgb.astype(int)).mean()
         assert mirrored > 1.1 * tolerance, view
     if how != "oblique":
@@ -188,8 +191,8 @@ def test_slices_show_the_patients_right_on_the_left(phantom, found):
     for view in ("axial", "coronal", "xray-coronal"):
         picture = seen_here[view]
         assert picture.pixel_of(right)[0] < picture.pixel_of(left)[0] - 5, view
-    # And what is drawn there is air: the matrix and the pixels agree. With the window 1500, -600 air at -1000 HU is
-    # grey level 60 and tissue at 0 HU is 230; 120 is -644 HU, between them.
+    # The point at the left is air: the matrix and the pixels agree. With the window 1500, -600 air at -1000 HU is grey
+    # level 60 and tissue at 0 HU is 230; 120 is -644 HU, between them.
     axial = seen_here["axial"]
     column, row = (int(v) for v in axial.pixel_of(right))
     assert axial.rgb[row, column].max() < 120

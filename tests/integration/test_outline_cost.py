@@ -1,4 +1,4 @@
-"""What the outline of the lumen costs a slice, beside rendering and encoding it, in one run."""
+"""Time of the lumen outline of a slice, compared with rendering and encoding in the same run."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ROUNDS = 40
 
 
 def least_s(work, rounds=ROUNDS):
-    """The least of many times: what it takes when nothing else runs."""
+    """Return the least time of many calls, in seconds: the time without other load."""
     took = []
     for _ in range(rounds):
         began = time.perf_counter()
@@ -27,7 +27,7 @@ def least_s(work, rounds=ROUNDS):
 
 
 @pytest.mark.soak
-def test_a_large_slice_with_its_outline_takes_at_most_a_tenth_longer():
+def test_large_slice_with_its_outline_takes_at_most_ten_percent_longer():
     volume, airways = patient()
     outline, renderer = LumenOutline(volume, airways), Renderer(volume)
     branch = max((b for b in airways.tree.branches if b.generation > 2), key=lambda b: b.length_mm)

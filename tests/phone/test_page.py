@@ -1,4 +1,4 @@
-"""The page for a phone on loopback: certificate, token, what is refused and counted, and the tip that follows."""
+"""Page for a phone on loopback: certificate, token, refused and counted messages, and the tip that follows."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ WAIT_S = 120.0
 
 
 def wxyz(axis: int, rad: float) -> list[float]:
-    """A turn about an axis of the pen: 0 right, 1 down, 2 forward."""
+    """Return a rotation about an axis of the pen: 0 right, 1 down, 2 forward."""
     turned = [math.cos(rad / 2), 0.0, 0.0, 0.0]
     turned[1 + axis] = math.sin(rad / 2)
     return turned
@@ -50,20 +50,20 @@ def sample(time_s: float, orientation=(1.0, 0.0, 0.0, 0.0), *, held=True, advanc
     return wire.encode_message(wire.PhoneSample(time_s, turn, held, advance))
 
 
-# ------------------------------------------------------------------ the clock, the token, the messages: no network
+# ------------------------------------------------------------------ clock, token and messages, without a network
 
 
-def test_a_phones_clock_is_mapped_by_the_message_that_was_least_delayed():
+def test_phone_clock_is_mapped_by_the_message_with_the_least_delay():
     clock = ClockMap()
     delays_s = [0.080, 0.004, 0.250, 0.020]
     ours = [clock.ours(1000.0 + n / 60, 5.0 + n / 60 + delay_s) for n, delay_s in enumerate(delays_s)]
-    # From the second message on, all are placed as if each had taken its 4 ms.
+    # From the second message on, all times are mapped as if each message had taken 4 ms.
     np.testing.assert_allclose(ours[1:], [5.004 + n / 60 for n in (1, 2, 3)], atol=1e-9)
     assert ours[0] <= 5.080
 
 
 @pytest.mark.parametrize("jump_s", [-3600.0, -2.0, 1e9, -1e9])
-def test_a_clock_that_is_set_is_taken_up_again_after_a_while(jump_s):
+def test_clock_that_is_set_is_mapped_again_within_a_second(jump_s):
     clock = ClockMap()
     for n in range(10):
         clock.ours(50.0 + n / 60, n / 60)
@@ -72,14 +72,14 @@ def test_a_clock_that_is_set_is_taken_up_again_after_a_while(jump_s):
     assert max(late) <= 1e-6, "no sample is from the future"
 
 
-def test_a_time_beyond_all_numbers_spoils_the_map_for_half_a_second_only():
+def test_extreme_time_spoils_the_map_for_half_a_second_only():
     clock = ClockMap()
     clock.ours(1e300, 0.0)
     late = [clock.ours(50.0 + n / 60, 1.0 + n / 60) - (1.0 + n / 60) for n in range(60)]
     assert late[-1] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_token_is_the_only_one_and_whoever_tries_others_shuts_nobody_out():
+def test_only_the_token_is_accepted_and_wrong_tokens_do_not_block_it():
     gate = TokenGate()
     assert gate.admits(gate.token)
     for n in range(1000):
@@ -100,20 +100,20 @@ def a_link(*, clutch="always"):
 
 @pytest.mark.parametrize("clutch", ["always", "hold"])
 @pytest.mark.parametrize("held", [True, False])
-def test_the_tip_turns_while_the_phones_button_is_held_whatever_is_set_for_pens(clutch, held):
+def test_tip_turns_only_while_the_phone_button_is_held_at_any_pen_setting(clutch, held):
     link, heard, _ = a_link(clutch=clutch)
     link.hear(sample(1.0, held=held), 0.0)
     engaged = bool(heard[0].buttons >> CLUTCH_BUTTON & 1) == (clutch == "hold")
     assert engaged == held
 
 
-def test_a_phone_without_a_sensor_goes_forward_and_does_not_turn():
+def test_phone_without_a_sensor_advances_and_does_not_turn():
     link, heard, _ = a_link()
     link.hear(sample(1.0, None, held=True, advance=1.0), 0.0)
     assert (heard[0].advance, heard[0].buttons, heard[0].position_mm) == (1.0, 1 << CLUTCH_BUTTON, None)
 
 
-def test_what_is_bad_is_counted_refused_and_in_the_end_cut_off():
+def test_invalid_messages_are_counted_and_break_the_link_in_the_end():
     link, heard, acts = a_link()
     bad = ["", "{", "[]", '{"type": "steer"}', sample(1.0).replace("true", "1"), "x" * 5000, None]
     bad.append(sample(1.0).replace("1.0", "NaN", 1))
@@ -130,7 +130,7 @@ def test_what_is_bad_is_counted_refused_and_in_the_end_cut_off():
     assert link.is_broken
 
 
-def test_a_flood_is_not_even_read_and_the_next_second_is():
+def test_flood_is_dropped_unparsed_and_the_next_second_is_read():
     link, heard, _ = a_link()
     for n in range(5000):
         link.hear(sample(n / 5000), n / 5000)
@@ -142,7 +142,7 @@ def test_a_flood_is_not_even_read_and_the_next_second_is():
     assert len(heard) == before + 1
 
 
-def test_a_qr_code_has_its_three_eyes_and_a_quiet_border():
+def test_qr_code_has_three_finder_patterns_and_a_quiet_zone():
     rows = qr_rows("https://192.0.2.7:50443/#" + "a" * 22)
     size = len(rows)
     assert all(len(row) == size and set(row) <= {"0", "1"} for row in rows)
@@ -152,7 +152,7 @@ def test_a_qr_code_has_its_three_eyes_and_a_quiet_border():
         assert [row[right : right + 7] for row in rows[down : down + 7]] == eye
 
 
-def test_without_the_libraries_or_the_page_it_says_what_to_do(monkeypatch, tmp_path):
+def test_missing_libraries_or_missing_page_are_reported_with_a_remedy(monkeypatch, tmp_path):
     with pytest.raises(CarinaError, match="make -C"):
         PhoneSwitch(small_bench().session, tmp_path).start()
     (tmp_path / "phone.html").write_text("<!doctype html>")
@@ -167,7 +167,7 @@ def test_without_the_libraries_or_the_page_it_says_what_to_do(monkeypatch, tmp_p
     switch.stop()
 
 
-def test_nothing_of_the_page_is_loaded_before_a_person_opens_it():
+def test_no_code_of_the_page_is_loaded_before_the_user_opens_it():
     program = (
         "import sys; from carina.phone import PhoneSwitch; from carina.server import serve; "
         "from carina.session import Session; switch = PhoneSwitch(Session(lambda volume: None), None); switch.problem; "
@@ -181,7 +181,7 @@ def test_nothing_of_the_page_is_loaded_before_a_person_opens_it():
 
 @pytest.fixture
 def web(tmp_path):
-    """A built client, as far as a phone goes."""
+    """Return a folder with stand-ins for the files of the built client that the phone uses."""
     folder = tmp_path / "web"
     (folder / "assets").mkdir(parents=True)
     (folder / "phone.html").write_text("<!doctype html><title>phone</title>")
@@ -193,7 +193,7 @@ def web(tmp_path):
 
 @pytest.fixture
 def unhurried(monkeypatch):
-    """Deadlines as long as a test waits: where the machine stands still for ten seconds, nobody is a stranger for it.
+    """Extend the deadlines to the limit of a test, so that a machine that stalls for ten seconds closes no connection.
 
     Tests of the deadlines set their own.
     """
@@ -210,9 +210,9 @@ def unhurried(monkeypatch):
 
 @pytest.fixture
 def phone(web, unhurried):
-    """An open page over the small case, as the workstation has it."""
+    """Return an open page over the small case, as in the workstation."""
     bench = small_bench()
-    bench.session._core.clock = time.monotonic  # the desk's thread keeps the real time
+    bench.session._core.clock = time.monotonic  # The thread of the desk uses the real time.
     bench.open()
     page = PhoneSwitch(bench.session, web, address="127.0.0.1")
     sent: list[object] = []
@@ -226,7 +226,7 @@ def phone(web, unhurried):
 
 
 def trusting(fingerprint: str) -> ssl.SSLContext:
-    """As a person who accepted the warning: the certificate is compared by its fingerprint, below."""
+    """Return TLS settings of a user who accepted the warning; tests compare the certificate by its fingerprint."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname = False
     context.verify_mode = ssl.CERT_NONE
@@ -260,7 +260,7 @@ def get(phone, path, **headers):
     return httpx.get(f"{phone.url}{path}", verify=trusting("any"), headers=headers, timeout=WAIT_S)
 
 
-def test_the_certificate_is_the_one_whose_fingerprint_is_shown_and_names_the_address(phone):
+def test_certificate_has_the_shown_fingerprint_and_names_the_address(phone):
     host, port = phone.url[8:].rstrip("/").split(":")
     with (
         socket.create_connection((host, int(port)), timeout=WAIT_S) as plain,
@@ -270,7 +270,7 @@ def test_the_certificate_is_the_one_whose_fingerprint_is_shown_and_names_the_add
         assert secure.version() in {"TLSv1.2", "TLSv1.3"}
     shown = phone.page.info().sha256
     assert hashlib.sha256(der).hexdigest() == shown.replace(":", "").lower()
-    # A client that trusts this certificate and nothing else takes it for this address: name, dates and use are right.
+    # A client that trusts only this certificate accepts it for this address: name, dates and key usage are correct.
     strict = ssl.create_default_context(cadata=ssl.DER_cert_to_PEM_cert(der))
     assert httpx.get(phone.url, verify=strict, timeout=WAIT_S).status_code == 200
     from cryptography import x509
@@ -279,7 +279,7 @@ def test_the_certificate_is_the_one_whose_fingerprint_is_shown_and_names_the_add
     assert not constraints.value.ca, "whoever trusts it trusts no other page by it"
 
 
-def test_only_the_page_and_its_files_are_there_and_the_token_is_in_none_of_them(phone):
+def test_only_the_page_and_its_files_are_served_and_none_contains_the_token(phone):
     answers = {path: get(phone, path) for path in ("", "assets/phone-1.js")}
     assert all(answer.status_code == 200 for answer in answers.values())
     assert all(phone.token not in answer.text for answer in answers.values())
@@ -307,7 +307,7 @@ def test_another_host_or_origin_is_refused(phone):
     assert refused.value.response.status_code == 403
 
 
-def test_a_wrong_token_no_token_and_silence_are_refused_and_counted(phone, monkeypatch):
+def test_wrong_token_missing_token_and_silence_are_refused_and_counted(phone, monkeypatch):
     with dialled(phone, token="wrong") as link:
         code, reason = ended(link)
     assert code == wire.CLOSE_CODES["protocol.not-authorised"]
@@ -323,7 +323,7 @@ def test_a_wrong_token_no_token_and_silence_are_refused_and_counted(phone, monke
     assert phone.session.devices.info().devices == (), "nothing of them reached the tip"
 
 
-def test_connections_that_say_nothing_keep_no_phone_out_and_end(phone, monkeypatch):
+def test_silent_connections_do_not_block_a_phone_and_are_closed(phone, monkeypatch):
     monkeypatch.setattr("carina.server.impatient.FIRST_REQUEST_WITHIN_S", 1.0)
     host, port = phone.url[8:].rstrip("/").split(":")
     with contextlib.ExitStack() as strangers, dialled(phone) as link:
@@ -334,18 +334,18 @@ def test_connections_that_say_nothing_keep_no_phone_out_and_end(phone, monkeypat
             if n % 2:
                 secure.sendall(b"GET / HTTP/1.1\r\nHost: never")
         wait_for(lambda: get(phone, "").status_code == 200, 60.0)
-        # One that has said who it is stays.
+        # An authenticated connection stays open.
         link.send(sample(1.0))
         wait_for(lambda: phone.page.info().rate_hz > 0)
 
 
-def test_the_patience_with_a_phone_that_has_gone_ends_in_silence(phone, monkeypatch, caplog):
+def test_request_timeout_of_a_closed_connection_logs_no_error(phone, monkeypatch, caplog):
     monkeypatch.setattr("carina.server.impatient.FIRST_REQUEST_WITHIN_S", 0.5)
     for token in (None, "wrong"):
         with contextlib.ExitStack() as stack:
 
             def dial(stack=stack, token=token):
-                # Where the machine stood still for half a second, it was a stranger.
+                # If the machine stalled for half a second, the connection was closed as unauthenticated.
                 with contextlib.suppress(InvalidMessage):
                     return stack.enter_context(dialled(phone, token=token))
 
@@ -355,7 +355,7 @@ def test_the_patience_with_a_phone_that_has_gone_ends_in_silence(phone, monkeypa
     assert [r.getMessage() for r in caplog.records if r.levelname == "ERROR"] == []
 
 
-def test_a_phone_turns_the_tip_while_its_button_is_held_and_goes_forward(phone):
+def test_phone_turns_the_tip_while_its_button_is_held_and_advances_it(phone):
     phone.session.do(SetMode("free"))
     start = phone.session.pose_info().pose
     with dialled(phone) as link:
@@ -366,7 +366,7 @@ def test_a_phone_turns_the_tip_while_its_button_is_held_and_goes_forward(phone):
             turn = 0.01 * n
             link.send(sample(100.0 + n / 60, wxyz(1, turn)))
             time.sleep(1 / 60)
-        # It rests at last: the tip has turned to the right as the phone has, without the filter's delay.
+        # In the end the tip has turned to the right as far as the phone, without the delay of the filter.
         clock = itertools.count(40)
 
         def has_turned() -> bool:
@@ -378,7 +378,7 @@ def test_a_phone_turns_the_tip_while_its_button_is_held_and_goes_forward(phone):
         rights = start.lps_from_camera[:3, :3].T @ now.forward_lps
         assert rights[0] > 0.25
         assert abs(rights[1]) < 0.01
-        # Let go: the hand may go back.
+        # With the button released the hand may return.
         for n in range(20):
             link.send(sample(100.0 + next(clock) / 60, wxyz(1, turn - 0.02 * n), held=False))
             time.sleep(1 / 60)
@@ -392,7 +392,7 @@ def test_a_phone_turns_the_tip_while_its_button_is_held_and_goes_forward(phone):
 
         wait_for(has_advanced)
         gone_mm = phone.session.pose_info().path_mm - at_mm
-        # 25 mm/s; the first frame after a rest may take a tenth of a second as passed.
+        # 25 mm/s; the first frame after a rest may count a tenth of a second as passed.
         assert gone_mm < 25.0 * (time.monotonic() - began_s + 0.1)
         link.send(sample(100.0 + next(clock) / 60, None, held=False))
     wait_for(lambda: not phone.page.info().connected)
@@ -403,13 +403,13 @@ def angle(a, b) -> float:
     return math.acos(max(-1.0, min(1.0, cosine)))
 
 
-def test_a_forward_that_is_never_let_go_ends_with_the_phone(phone):
+def test_advance_that_is_never_released_ends_with_the_phone(phone):
     began_s = time.monotonic()
     with dialled(phone) as link:
         link.send(sample(1.0, None, held=False, advance=1.0))
         wait_for(lambda: phone.session.pose_info().path_mm > 0.5)
     wait_for(lambda: not phone.page.info().connected)
-    # Without another sample no device moves longer than a quarter of a second.
+    # Without another sample no device moves the tip for longer than a quarter of a second.
     end_mm = 25.0 * (time.monotonic() - began_s + 0.25 + 0.1)
     wait_for(lambda: not phone.session.devices.woken.is_set())
     rest_mm = phone.session.pose_info().path_mm
@@ -418,7 +418,7 @@ def test_a_forward_that_is_never_let_go_ends_with_the_phone(phone):
     assert phone.session.pose_info().path_mm == rest_mm
 
 
-def test_nonsense_clocks_and_numbers_are_counted_and_the_tip_stays_finite(phone):
+def test_invalid_times_and_numbers_are_counted_and_the_tip_stays_finite(phone):
     with dialled(phone) as link:
         state(link)
         for bad in ("NaN", "1e999", "null"):
@@ -433,7 +433,7 @@ def test_nonsense_clocks_and_numbers_are_counted_and_the_tip_stays_finite(phone)
         ignored = {}
 
         def last_is_ignored():
-            # A sample that arrives within half a millisecond of another is ignored too: only the reasons are certain.
+            # A sample within half a millisecond of another is ignored, too, so that only the reasons are certain.
             (device,) = phone.session.devices.info().devices
             ignored.update(device.num_ignored)
             return "timestamps that run backwards" in ignored
@@ -445,7 +445,7 @@ def test_nonsense_clocks_and_numbers_are_counted_and_the_tip_stays_finite(phone)
     assert np.isfinite(phone.session.pose_info().pose.lps_from_camera).all()
 
 
-def test_a_phone_that_lost_its_network_comes_back_and_the_old_link_is_told(phone):
+def test_phone_that_lost_its_network_reconnects_and_the_old_link_is_notified(phone):
     with dialled(phone) as first:
         state(first)
         with dialled(phone) as second:
@@ -459,7 +459,7 @@ def test_a_phone_that_lost_its_network_comes_back_and_the_old_link_is_told(phone
     wait_for(lambda: not phone.page.info().connected)
 
 
-def test_a_state_that_cannot_be_told_lets_the_phone_go(phone, monkeypatch):
+def test_state_that_cannot_be_encoded_disconnects_the_phone(phone, monkeypatch):
     with dialled(phone) as link:
         state(link)
         link.send(sample(1.0))
@@ -471,7 +471,7 @@ def test_a_state_that_cannot_be_told_lets_the_phone_go(phone, monkeypatch):
     assert not any(device.device == "phone" for device in devices)
 
 
-def test_its_buttons_recenter_and_change_the_way_to_move(phone):
+def test_phone_buttons_recenter_and_change_the_steering_mode(phone):
     with dialled(phone) as link:
         assert state(link).control == "path"
         phone.session.do(Steer(0.0, 0.5, 0.0, 0.0))
@@ -481,7 +481,7 @@ def test_its_buttons_recenter_and_change_the_way_to_move(phone):
         link.send(wire.encode_message(wire.PhoneAct("next_control")))
         assert state(link).control == "relative"
         assert phone.session.pose_info().mode == "free"
-        # Where there is no path it levels the horizon.
+        # Without a path the button levels the horizon.
         phone.session.do(Steer(0.0, 0.0, 0.0, 0.5))
         rolled = phone.session.pose_info().pose
         link.send(wire.encode_message(wire.PhoneAct("recenter")))
@@ -495,19 +495,19 @@ def test_its_buttons_recenter_and_change_the_way_to_move(phone):
         assert state(link).case_open, "what cannot be done without a case ends nothing"
 
 
-def test_much_that_is_bad_cuts_the_phone_off(phone):
+def test_many_invalid_messages_disconnect_the_phone(phone):
     with dialled(phone) as link:
         state(link)
         for _ in range(MAX_BAD + 1):
             link.send("{")
             time.sleep(0.01)
         assert ended(link)[0] == wire.CLOSE_CODES["protocol.malformed"]
-    # And it may come back.
+    # The phone may connect again.
     with dialled(phone) as link:
         assert state(link).case_open
 
 
-def test_it_is_closed_with_a_click_and_its_link_is_void(phone):
+def test_page_is_closed_with_a_click_and_its_link_becomes_invalid(phone):
     port = int(phone.url.rstrip("/").rpartition(":")[2])
     old = phone.page.info()
     with dialled(phone) as link:
@@ -528,7 +528,7 @@ def test_it_is_closed_with_a_click_and_its_link_is_void(phone):
         assert ended(link)[0] == wire.CLOSE_CODES["protocol.not-authorised"]
 
 
-def test_the_last_click_decides_whether_it_is_open_however_its_threads_run(phone, monkeypatch):
+def test_last_click_decides_whether_the_page_is_open_in_any_order_of_threads(phone, monkeypatch):
     phone.desk.handle(wire.SetPhone(False))
     wait_for(lambda: phone.page.info() is None)
     waiting = []
@@ -540,17 +540,17 @@ def test_the_last_click_decides_whether_it_is_open_however_its_threads_run(phone
     for clicks in ([True, False], [True, False, True], [False]):
         for on in clicks:
             phone.desk.handle(wire.SetPhone(on))
-        # The last one's first.
+        # The last thread runs first.
         while waiting:
             target, args = waiting.pop()
             target(*args)
         assert (phone.page.info() is not None) == clicks[-1]
 
 
-def test_it_is_off_until_somebody_switches_it_on_and_says_why_it_cannot(web):
+def test_page_is_off_until_the_user_enables_it_and_a_failure_states_its_reason(web):
     bench = small_bench()
     bench.open()
-    page = PhoneSwitch(bench.session, web, address="203.0.113.250")  # of no machine: for documentation
+    page = PhoneSwitch(bench.session, web, address="203.0.113.250")  # reserved for documentation: no computer has it
     sent: list[object] = []
     desk = DeviceDesk(bench.session, sent.append, phone=page)
     assert page.info() is None

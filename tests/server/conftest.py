@@ -1,4 +1,4 @@
-"""Fixtures of the server's tests."""
+"""Fixtures for the tests of the server."""
 
 from __future__ import annotations
 
@@ -10,6 +10,6 @@ from live_server import Live, running
 
 @pytest.fixture
 def live(tmp_path) -> Iterator[Live]:
-    """A running server over the small case."""
+    """Return a running server over the small case."""
     with running(tmp_path) as live:
         yield live

@@ -1,4 +1,4 @@
-"""Workstations in processes that a test kills, and the window that it drives them through."""
+"""Workstations in processes that a test can kill, and a client that acts as their window."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ HERE = Path(__file__).parent
 
 
 class Workstations:
-    """Starts them one after the other over one CT and one home.
+    """Workstation processes, started one after the other over one CT and the same user folders.
 
     Parameters
     ----------
     folder
-        Of the CT and of the person's own folders.
+        Folder of the CT and of the user folders.
     environment
-        More variables of theirs.
+        Additional environment variables of the processes.
     soon_s
-        After what time a disk counts as silent, and is tried again; as in the product unless told.
+        Seconds after which a disk counts as silent and is tried again; the value of the product if None.
     """
 
     def __init__(self, folder: Path, environment: dict[str, str] | None = None, soon_s: float | None = None) -> None:
@@ -49,7 +49,7 @@ class Workstations:
         self.running: int | None = None
 
     def start(self):
-        """Its number, and the words that its window would get."""
+        """Start a workstation, and return its process ID and a connected window."""
         self.process.stdin.write(f"{self.ct}\n")
         self.process.stdin.flush()
         self.running = pid = int(self._said("pid"))
@@ -76,7 +76,7 @@ class Workstations:
 
 
 class Window:
-    """What a window is told."""
+    """Client of a workstation that stores the received state, history, pose and messages."""
 
     def __init__(self, url: str, token: str) -> None:
         self._open = contextlib.ExitStack()
@@ -88,9 +88,9 @@ class Window:
         self.history: dict = {"steps": [], "step": 0}
         self.pose: dict = {}
         self.told: list[str] = []
-        """Notices and errors, in words."""
+        """Texts of the received notices and errors."""
         self._num_values = 0
-        """Answers to probes."""
+        """Number of answers to probes."""
         self.send(wire.encode_message(wire.ClientHello(wire.WIRE_VERSION)))
 
     def send(self, message: str | dict) -> None:
@@ -115,37 +115,40 @@ class Window:
         return True
 
     def wait_done(self) -> None:
-        """Wait until all that was sent is done: the server answers a probe after what was sent before the probe."""
+        """Wait until the server has done all messages that were sent: it answers a probe after earlier messages."""
         wanted = self._num_values + 1
         self.send({"type": "probe", "lps": [0.0, 0.0, 0.0]})
         self.until(lambda: self._num_values >= wanted)
 
     def hear_all(self) -> None:
-        """What has come by now, and no longer than half a second: on a busy machine the next may always be there."""
+        """Read the messages that have arrived, for at most half a second: on a busy machine messages may never stop."""
         end_s = time.monotonic() + 0.5
         while time.monotonic() < end_s and self.hear(0.01):
             pass
 
     def until(self, condition) -> None:
-        # Bounded in all: where something goes on by itself, messages come for ever.
+        # The total time is limited, because a running flight sends messages without end.
         end_s = time.monotonic() + WAIT_S
         while not condition():
             assert self.hear(WAIT_S) and time.monotonic() < end_s, (self.state, self.history, self.told)
 
     def wait_open(self) -> None:
-        """The case is shown with all that was kept."""
+        """Wait until the case is open with its airways and is being saved."""
         self.until(lambda: self.state.get("airways") == "found" and self.state["saving"]["keeps"])
 
 
 def steps_of(window: Window) -> list[tuple[str, float]]:
-    """What was done, and when (seconds since 1970), but for what was taken back."""
+    """Return label and time (seconds since 1970) of each step that was not undone."""
     begun_s = window.state["saving"]["begun_s"]
     steps = window.history["steps"][: window.history["step"]]
     return [(one["label"], round(begun_s + one["at_s"], 2)) for one in steps]
 
 
 def lost(before: list[tuple[str, float]], found: list[tuple[str, float]], ended_s: float) -> float:
-    """How long before the end the oldest step was done that is missing; of a thousand steps the oldest go in time."""
+    """Return the age of the oldest missing step at the end, in seconds.
+
+    The history holds at most a thousand steps, so that the oldest steps may be missing.
+    """
     first_s = found[0][1] if len(found) >= 900 else float("-inf")
     missing = {step for step in before if step[1] > first_s} - set(found)
     return max([ended_s - at_s for _, at_s in missing], default=0.0)

@@ -1,8 +1,8 @@
-"""A process from which workstations are forked to be killed, started by ``forked_workstations.py``.
+"""Process from which workstations are forked and killed, started by ``forked_workstations.py``.
 
-For each line with the path of a CT it forks a child that serves it as ``carina open`` does, and says its number, URL
-and token. Imports, which take a second, are paid once. An argument is the time after which a disk counts as silent, and
-is tried again, in seconds.
+For each line with the path of a CT the process forks a child that serves the CT as ``carina open`` does, and prints
+process ID, URL and token. The imports, which take a second, run only once. An argument gives the seconds after which a
+disk counts as silent and is tried again.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A whole server on loopback over a small case, and a client as the browser is one, for the tests of this folder."""
+"""Complete server on loopback over a small case, and a client that acts as the browser."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from carina.session import LocalStore, Session
 from small_case import SmallRenderer, small_parts
 
 WAIT_S = 120.0
-"""Bound of every wait, for what hangs: what is waited for takes milliseconds, and seconds where others are busy."""
+"""Upper limit of every wait, in seconds. The awaited events take milliseconds, or seconds on a busy machine."""
 
 
 @dataclass
 class Live:
-    """A running server."""
+    """Running server with its session, gate and uploads."""
 
     gate: Gate
     session: Session
@@ -45,7 +45,7 @@ class Live:
 
     @contextlib.contextmanager
     def window(self, *, hello=True):
-        """A client as the browser is one: cookie and origin."""
+        """Connect a client as the browser does, with cookie and origin."""
         with connect(
             f"ws://127.0.0.1:{self.gate.port}/ws",
             origin=self.origin,
@@ -57,7 +57,7 @@ class Live:
 
 
 class Window:
-    """What a client sent and saw."""
+    """Client with the messages and pictures that it received."""
 
     def __init__(self, socket, *, hello):
         self.socket = socket
@@ -82,7 +82,7 @@ class Window:
         return message
 
     def until(self, wanted, *, acknowledge=True):
-        """The first message that is wanted; pictures are acknowledged on the way."""
+        """Return the next message that meets the condition, and acknowledge pictures before it."""
         end_s = time.monotonic() + WAIT_S
         while True:
             message = self.next()
@@ -93,10 +93,10 @@ class Window:
                 return message
 
     def had(self, wanted):
-        """The first message that is wanted, of those that have come or will come.
+        """Return the first message that meets the condition, among the received or the coming ones.
 
-        A tree is written beside the answers, and its route follows it: either may come before a state that follows from
-        it, or long after.
+        The server writes a tree concurrently with answers and sends its route after it. Both may arrive before or long
+        after a state that follows from the tree.
         """
         return next(filter(wanted, self.seen), None) or self.until(wanted)
 
@@ -111,7 +111,7 @@ class Window:
 
 @contextlib.contextmanager
 def serving(session, uploads, *, web=None):
-    """A server's gate, while it runs in a thread of its own."""
+    """Run a server in a thread of its own, and return its gate."""
     with bind("127.0.0.1", 0) as sock:
         gate = Gate(host="127.0.0.1", port=sock.getsockname()[1])
         started = threading.Event()
@@ -129,7 +129,7 @@ def serving(session, uploads, *, web=None):
 
 @contextlib.contextmanager
 def running(tmp_path, *, web=None, **replaced):
-    """A server over the small case, with parts of it replaced."""
+    """Run a server over the small case, with some parts of the session replaced."""
     opened = []
 
     def open_volume(path, progress, cancel):

@@ -1,4 +1,4 @@
-"""A workstation whose case is shared, and observers who came by its link, for the tests of this folder."""
+"""Workstation with a shared case, and observers who connect by its link, for the tests of this folder."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ def page_of(window, wanted=lambda page: page is not None):
 @contextlib.contextmanager
 def sharing(tmp_path, monkeypatch, *, path="case", **replaced):
     """Provide a window of the user at the workstation, with a case and the page for observers open."""
-    # Observers here read why they are disconnected, however busy the machine is.
+    # Observers here read the close reason, however busy the machine is.
     monkeypatch.setattr("carina.server.watch_page.FAREWELL_S", 60.0)
-    # Both ends are in this process: while a case is opened, its own request may come late.
+    # Both ends are in one process: while a case is opened, the first request of a connection may be late.
     monkeypatch.setattr("carina.server.impatient.FIRST_REQUEST_WITHIN_S", 60.0)
     monkeypatch.setattr("carina.server.lan_server.HANDSHAKE_WITHIN_S", 60.0)
 

@@ -1,4 +1,4 @@
-"""Sockets end with a code of the wire and a reason that fits."""
+"""Closing of sockets: close codes and reasons of limited length."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from carina.server.closing import MAX_REASON_BYTES, close_socket
 
 
 class Socket:
-    """What is closed, and how."""
+    """Stand-in for a socket that records close codes and reasons."""
 
     def __init__(self, state=WebSocketState.CONNECTED, trouble=None) -> None:
         self.application_state = state
@@ -32,17 +32,17 @@ def closed(code, reason, **made):
 
 
 @pytest.mark.parametrize("code", wire.CLOSE_CODES)
-def test_a_socket_ends_with_its_code_and_reason(code):
+def test_socket_closes_with_its_code_and_reason(code):
     assert closed(code, "a sentence") == [(wire.CLOSE_CODES[code], "a sentence")]
 
 
-def test_a_code_that_closes_no_socket_counts_as_malformed():
+def test_code_without_a_close_code_counts_as_malformed():
     assert closed("session.no-case", "no") == [(wire.CLOSE_CODES["protocol.malformed"], "no")]
 
 
 @pytest.mark.parametrize("sign", ["a", "\u00fc", "\u2192", "\U0001fac1"])
 @pytest.mark.parametrize("first", ["", "x", "xy", "xyz"])
-def test_a_reason_is_cut_to_what_a_close_frame_holds_between_two_characters(sign, first):
+def test_reason_is_shortened_to_the_limit_of_a_close_frame_at_a_character_boundary(sign, first):
     reason = first + sign * 200
     [(_, short)] = closed("protocol.order", reason)
     num_bytes = len(short.encode())
@@ -50,7 +50,7 @@ def test_a_reason_is_cut_to_what_a_close_frame_holds_between_two_characters(sign
     assert reason.startswith(short)
 
 
-def test_a_socket_that_has_ended_is_left_alone():
+def test_closed_socket_is_not_closed_again():
     assert closed("protocol.order", "late", state=WebSocketState.DISCONNECTED) == []
     for trouble in (RuntimeError("closed"), WebSocketDisconnect(1006)):
         assert len(closed("protocol.order", "at the same time", trouble=trouble)) == 1

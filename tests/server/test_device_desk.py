@@ -1,4 +1,4 @@
-"""Devices over the wire: samples move the tip at their own pace, connections live and die, and all of it is shown."""
+"""Devices over the wire: samples move the tip, connections start and end, and their state is sent to the windows."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from small_case import small_bench
 if sys.platform == "win32":
     pytest.skip("there are no pseudo-terminals on Windows", allow_module_level=True)
 
-# What the first frame after a rest may take as passed.
+# Time that the first frame after a rest may count as passed, in seconds.
 FIRST_S = 0.1
 
 
@@ -54,16 +54,16 @@ def pen(time_s: float, at: tuple[float, float, float], buttons: int = 0) -> wire
 
 
 def do(made: DeviceDesk, command: Command) -> None:
-    """As the hub does."""
+    """Execute a command as the hub does."""
     made._session.do(command)
     made.done(command)
 
 
 @pytest.fixture
 def desk(tmp_path):
-    """A desk over the small case, with its session and what it sent."""
+    """Return a device desk over the small case, with its session and its sent messages."""
     bench = small_bench()
-    bench.session._core.clock = time.monotonic  # the desk's thread keeps the real time
+    bench.session._core.clock = time.monotonic  # The thread of the desk uses the real time.
     bench.open()
     sent: list[object] = []
     made = DeviceDesk(bench.session, sent.append, recordings=tmp_path / "recordings")
@@ -73,13 +73,13 @@ def desk(tmp_path):
     bench.session.close()
 
 
-def test_a_stick_flies_while_it_is_held_and_stops_with_it(desk):
+def test_stick_moves_the_tip_while_it_is_deflected(desk):
     made, bench, _ = desk
     began = time.monotonic()
 
     def pushed() -> bool:
         made.handle(stick(time.monotonic(), 1.0))
-        time.sleep(0.016)  # one that speaks faster is not heard every time
+        time.sleep(0.016)  # The desk ignores some samples of a device with a higher rate.
         return bench.session.pose_info().path_mm > 8.0
 
     wait_for(pushed)
@@ -91,7 +91,7 @@ def test_a_stick_flies_while_it_is_held_and_stops_with_it(desk):
     assert bench.session.pose_info().path_mm == at
 
 
-def test_a_flood_makes_no_more_poses_than_frames(desk):
+def test_flood_of_samples_makes_at_most_one_pose_per_frame(desk):
     made, bench, _ = desk
     first = bench.session.pose_info().pose_id
     began, n = time.monotonic(), 0
@@ -102,7 +102,7 @@ def test_a_flood_makes_no_more_poses_than_frames(desk):
     assert poses <= 1.2 * 125 * (time.monotonic() - began) + 2
 
 
-def test_what_a_device_says_wrongly_is_counted_and_said_once(desk):
+def test_invalid_samples_are_counted_and_reported_once(desk):
     made, bench, _ = desk
     made.handle(pen(1.0, (0.0, 0.0, 0.0)))
     for n in range(50):
@@ -127,7 +127,7 @@ def test_what_a_device_says_wrongly_is_counted_and_said_once(desk):
     wire.encode_message(message)
 
 
-def test_calibration_is_answered_with_its_residual_and_bad_pairs_are_refused(desk):
+def test_calibration_returns_its_residual_and_bad_pairs_are_refused(desk):
     made, bench, _ = desk
     made.handle(pen(1.0, (0.0, 0.0, 0.0)))
     points = ((0.0, 0.0, 0.0), (50.0, 0.0, 0.0), (0.0, 50.0, 0.0))
@@ -143,7 +143,7 @@ def test_calibration_is_answered_with_its_residual_and_bad_pairs_are_refused(des
     assert bench.session.pose_info() is not None
 
 
-def test_the_pens_button_sets_a_target_where_the_tip_is(desk):
+def test_pen_button_adds_a_target_at_the_tip(desk):
     made, bench, _ = desk
     bench.session.do(GoTo(20.0))
     do(made, wire.ArmPen("target"))
@@ -155,7 +155,7 @@ def test_the_pens_button_sets_a_target_where_the_tip_is(desk):
     do(made, wire.ArmPen(None))
 
 
-def test_the_stick_chooses_the_way_at_a_fork_and_the_route_follows(desk):
+def test_stick_selects_the_branch_at_a_fork_and_the_route_follows(desk):
     made, bench, _ = desk
     session = bench.session
     (trachea, *_) = session.snapshot().document.route.spans
@@ -174,7 +174,7 @@ def test_the_stick_chooses_the_way_at_a_fork_and_the_route_follows(desk):
     assert session.snapshot().undo_label is None, "a flight is no change that undo takes back"
 
 
-def test_a_handle_is_connected_shown_and_disconnected(desk):
+def test_handle_is_connected_listed_and_disconnected(desk):
     made, bench, sent = desk
     port = PseudoPort()
     address = f"handle:{port.path}"
@@ -197,7 +197,7 @@ def test_a_handle_is_connected_shown_and_disconnected(desk):
 
 
 @pytest.mark.parametrize("option", ["", "?silence=30"])
-def test_a_tracker_is_disconnected_by_the_name_that_is_shown_however_it_was_typed(desk, option):
+def test_tracker_with_or_without_options_is_disconnected_by_its_shown_name(desk, option):
     made, _, _ = desk
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
@@ -209,7 +209,7 @@ def test_a_tracker_is_disconnected_by_the_name_that_is_shown_however_it_was_type
         assert made.message().sources == ()
 
 
-def test_a_tracker_without_a_port_is_disconnected_by_the_name_that_is_shown(desk):
+def test_tracker_without_a_port_is_disconnected_by_its_shown_name(desk):
     made, _, _ = desk
     made.handle(wire.ConnectDevice("openigtlink:127.0.0.1"))
     (shown,) = made.message().sources
@@ -217,9 +217,9 @@ def test_a_tracker_without_a_port_is_disconnected_by_the_name_that_is_shown(desk
     assert made.message().sources == ()
 
 
-def test_a_handle_that_rests_and_goes_on_speaking_makes_no_new_poses(desk):
+def test_resting_handle_that_sends_samples_makes_no_new_poses(desk):
     made, bench, _ = desk
-    made.handle(wire.WatchDevices(True))  # frames go on five times a second
+    made.handle(wire.WatchDevices(True))  # Frames continue five times a second.
 
     def say(n: int, insertion_mm: float) -> None:
         handle = (insertion_mm, 0.1, 0.2)
@@ -252,7 +252,7 @@ def test_a_handle_that_rests_and_goes_on_speaking_makes_no_new_poses(desk):
 
 
 def published(port: int) -> IgtlPose:
-    """The first pose that a peer gets there."""
+    """Return the first pose that a client of the port receives."""
     stream = IgtlStream()
     with socket.create_connection(("127.0.0.1", port), timeout=WAIT_S) as peer:
         while True:
@@ -263,14 +263,14 @@ def published(port: int) -> IgtlPose:
                 return found
 
 
-def test_the_tip_is_published_and_recordings_are_made(desk, tmp_path):
+def test_tip_is_published_and_recordings_are_written(desk, tmp_path):
     made, bench, _ = desk
     bench.session.do(GoTo(20.0))
     made.handle(wire.PublishTip(0))
     port = made.message().published_port
     assert port
     tip = bench.session.pose_info().pose.lps_from_camera
-    # RAS for 3D Slicer: left and posterior change their signs. f32 on the wire.
+    # RAS for 3D Slicer: left and posterior change their signs. Coordinates on the wire are f32.
     np.testing.assert_allclose(pose_matrix(published(port)), np.diag([-1.0, -1.0, 1.0, 1.0]) @ tip, atol=1e-4)
     made.handle(wire.PublishTip(None))
     assert made.message().published_port is None
@@ -281,7 +281,7 @@ def test_the_tip_is_published_and_recordings_are_made(desk, tmp_path):
     assert len(list((tmp_path / "recordings").glob("*.jsonl"))) == 1
 
 
-def test_controls_change_the_filters_delay_that_is_shown(desk):
+def test_smoothing_changes_the_reported_delay_of_the_filter(desk):
     made, _, _ = desk
     assert made.message().filter_latency_ms <= 10.0
     do(made, wire.SetControls(DeviceControls(min_cutoff_hz=5.0)))
@@ -289,7 +289,7 @@ def test_controls_change_the_filters_delay_that_is_shown(desk):
     assert made.handle(wire.Undo()) is False
 
 
-def test_a_frame_that_fails_is_logged_once_and_the_next_ones_are_flown(desk, monkeypatch, caplog):
+def test_failed_frame_is_logged_once_and_later_frames_continue(desk, monkeypatch, caplog):
     made, bench, _ = desk
     frame, num_failed = bench.session.devices.frame, 0
 

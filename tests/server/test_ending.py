@@ -1,4 +1,4 @@
-"""A server ends within its grace and without an error, whatever the other sides of its connections do."""
+"""Shutdown of servers: within the grace period and without an error, whatever the clients do."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ REQUEST = b"GET / HTTP/1.1\r\nHost: %s\r\n\r\n"
 
 @pytest.fixture
 def said(caplog):
-    """What the library says of the end that a person would take for a fault."""
+    """Return a function that lists the log messages of uvicorn at level WARNING or above."""
     with caplog.at_level(logging.WARNING):
         yield lambda: [record.getMessage() for record in caplog.records if record.name.startswith("uvicorn")]
 
 
 @pytest.fixture
 def page(tmp_path):
-    """The phone's page, open: the encrypted one."""
+    """Return the opened encrypted page for a phone."""
     (tmp_path / "phone.html").write_text("<!doctype html><title>phone</title>" + "x" * 1000)
     page = PhonePage(small_bench().session, web=tmp_path, address="127.0.0.1")
     page.start()
@@ -42,7 +42,7 @@ def page(tmp_path):
 
 
 def dialled(page) -> ssl.SSLSocket:
-    """An encrypted connection to the page, as of a browser: it says and reads what the test lets it."""
+    """Connect to the page with encryption, as a browser does; the test decides what the connection sends and reads."""
     context = ssl.create_default_context()
     context.check_hostname = False
     context.verify_mode = ssl.CERT_NONE
@@ -55,7 +55,7 @@ def place(page) -> tuple[str, int]:
 
 
 def answer(secure: ssl.SSLSocket, page) -> bytes:
-    """What a request brings, to its end; the connection stays open."""
+    """Send a request and return its complete response; the connection stays open."""
     secure.sendall(REQUEST % "{}:{}".format(*place(page)).encode())
     got = b""
     while not got.endswith(b"x" * 1000):
@@ -64,24 +64,24 @@ def answer(secure: ssl.SSLSocket, page) -> bytes:
 
 
 def has_ended(sock) -> bool:
-    """Whether the other side has ended a connection; waits for it."""
+    """Wait until the server closes the connection, and return True."""
     with contextlib.suppress(ConnectionError, ssl.SSLError):
         while sock.recv(4096):
             pass
     return True
 
 
-def test_the_encrypted_page_ends_without_the_farewell_of_a_browser_that_is_asleep(page, said):
+def test_encrypted_page_stops_without_waiting_for_a_sleeping_browser(page, said):
     with dialled(page) as idle, dialled(page) as quiet:
         assert answer(idle, page).startswith(b"HTTP/1.1 200")
         page.stop()
-        # Neither has read or said anything since.
+        # Neither connection has read or sent anything since.
         assert said() == []
         assert has_ended(idle)
         assert has_ended(quiet)
 
 
-def test_the_page_ends_with_a_phone_that_is_linked_and_asleep(page, said):
+def test_page_stops_while_a_linked_phone_sleeps(page, said):
     host = "{}:{}".format(*place(page)).encode()
     with dialled(page) as phone:
         phone.sendall(
@@ -94,14 +94,14 @@ def test_the_page_ends_with_a_phone_that_is_linked_and_asleep(page, said):
         assert has_ended(phone)
 
 
-def test_a_connection_that_is_still_being_encrypted_when_the_page_ends_holds_nothing_up(page, said):
+def test_connection_during_the_tls_handshake_does_not_delay_the_stop_of_the_page(page, said):
     with socket.create_connection(place(page), timeout=WAIT_S) as half:
         half.sendall(b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03")
         page.stop()
         assert said() == []
 
 
-def test_the_workstation_ends_with_a_window_that_reads_nothing(tmp_path, said, monkeypatch):
+def test_workstation_stops_while_a_window_does_not_read(tmp_path, said, monkeypatch):
     ends = ending.EndingServer._end_connections
     unread: list[int] = []
 
@@ -125,12 +125,13 @@ def test_the_workstation_ends_with_a_window_that_reads_nothing(tmp_path, said, m
         assert said() == []
 
 
-def test_who_comes_while_the_server_ends_is_turned_away(tmp_path, said, monkeypatch):
+def test_connection_that_arrives_during_shutdown_is_refused(tmp_path, said, monkeypatch):
     late: list[socket.socket] = []
     ends = ending.EndingServer._end_connections
 
     async def arrives(server) -> None:
-        # Taken by the system before the end, and by the server after it has looked at everyone.
+        # The system accepts the connection before the shutdown, and the server receives it after it has closed all
+        # others.
         await ends(server)
         ours, theirs = socket.socketpair()
         late.append(theirs)
@@ -151,11 +152,11 @@ def test_who_comes_while_the_server_ends_is_turned_away(tmp_path, said, monkeypa
         assert theirs.recv(1) == b""
 
 
-def test_an_open_connection_is_asked_once_to_close_and_one_that_does_is_not_cut():
+def test_open_connection_is_asked_once_to_close_and_is_not_aborted_if_it_does():
     told = []
 
     class Connection:
-        """Closes a moment after it is asked, as one that still writes its answer."""
+        """Connection that closes a moment after the request, like one that still writes its response."""
 
         def __init__(self):
             self.transport = self
@@ -180,8 +181,8 @@ def test_an_open_connection_is_asked_once_to_close_and_one_that_does_is_not_cut(
     assert told == ["asked"]
 
 
-def test_a_second_interrupt_ends_the_application_without_an_error(said):
-    """After a second interrupt, uvicorn cancels the application and prints a traceback."""
+def test_second_interrupt_ends_the_application_without_an_error(said):
+    """By itself, uvicorn would cancel the application after a second interrupt and print a traceback."""
     ended = []
 
     @contextlib.asynccontextmanager

@@ -1,4 +1,4 @@
-"""A real workstation whose disk is full ends: it asks at a terminal, and its exit code says that work is lost."""
+"""Shutdown of a real workstation with a full disk: question at a terminal, and exit code for lost work."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ pytestmark = [
 
 
 class Terminal:
-    """The program at the other side of a pseudo-terminal: what it prints is read as it comes."""
+    """Controlling side of a pseudo-terminal; a thread reads what the program prints."""
 
     def __init__(self):
         import pty
@@ -42,7 +42,7 @@ class Terminal:
         threading.Thread(target=self._read, daemon=True).start()
 
     def _read(self):
-        with contextlib.suppress(OSError):  # EIO once the program has ended
+        with contextlib.suppress(OSError):  # EIO after the program has ended.
             while data := os.read(self._own, 4096):
                 with self._news:
                     self._text += data
@@ -66,7 +66,7 @@ class Station:
     Parameters
     ----------
     terminal
-        Whether its input and its messages are a terminal.
+        Whether standard input and standard error are a terminal.
     """
 
     def __init__(self, tmp_path, disk, *, terminal):
@@ -94,7 +94,7 @@ class Station:
         self.window.wait_open()
 
     def work(self):
-        """Three changes that are saved, then five on a full disk."""
+        """Make three changes that are saved, then five changes on a full disk."""
         self.change(3)
         live = self.live_file()
         end_s = time.monotonic() + WAIT_S
@@ -123,7 +123,7 @@ class Station:
             return len(case.history())
 
     def ended(self):
-        """Exit code, standard output and messages."""
+        """Return exit code, standard output and messages."""
         out, err = self.process.communicate(timeout=WAIT_S)
         return self.process.returncode, out, self.terminal.text if self.terminal else err
 
@@ -133,7 +133,7 @@ class Station:
         self.window.end()
 
 
-# A shell that starts the tests in the background hands on Ctrl-C as ignored; a user's terminal does not.
+# A shell that starts the tests in the background passes on SIGINT as ignored; a user's terminal does not.
 STARTED = """
 import signal
 
@@ -154,7 +154,7 @@ def disk(tmp_path):
 
 @pytest.fixture
 def signals_of_a_terminal():
-    """Handle signals as in a terminal: a process under nohup passes its ignored SIGHUP on to what it starts."""
+    """Restore the signal handling of a terminal: a process under nohup passes its ignored SIGHUP to children."""
     former = {
         number: signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
         for number in (signal.SIGHUP, signal.SIGINT)
@@ -177,7 +177,7 @@ def station(tmp_path, disk, signals_of_a_terminal):
         one.close()
 
 
-def test_ctrl_c_on_a_full_disk_asks_at_a_terminal_and_saves_to_the_path_that_is_typed(station, disk, tmp_path):
+def test_ctrl_c_on_a_full_disk_asks_at_a_terminal_and_saves_to_the_typed_path(station, disk, tmp_path):
     mine = station(terminal=True)
     live = mine.work()
     stick = tmp_path / "stick"
@@ -200,7 +200,7 @@ def test_ctrl_c_on_a_full_disk_asks_at_a_terminal_and_saves_to_the_path_that_is_
     assert (mine.saved_steps(written), mine.saved_steps(live)) == (8, 3)
 
 
-def test_a_second_signal_at_the_question_ends_with_exit_code_5(station):
+def test_second_signal_at_the_question_ends_with_exit_code_5(station):
     mine = station(terminal=True)
     mine.work()
     mine.process.send_signal(signal.SIGTERM)
@@ -212,7 +212,7 @@ def test_a_second_signal_at_the_question_ends_with_exit_code_5(station):
     assert "5 changes" in text.strip().splitlines()[-1], "the last line says what is lost"
 
 
-def test_without_a_terminal_nobody_is_asked_and_the_exit_code_is_5(station):
+def test_without_a_terminal_there_is_no_question_and_the_exit_code_is_5(station):
     mine = station(terminal=False)
     live = mine.work()
     mine.process.send_signal(signal.SIGINT)
@@ -226,7 +226,7 @@ def test_without_a_terminal_nobody_is_asked_and_the_exit_code_is_5(station):
     assert "thumbnail" not in text and "SURNAME" not in text
 
 
-def test_a_closed_terminal_saves_all_work_and_ends_with_exit_code_0(station):
+def test_closed_terminal_saves_all_work_and_ends_with_exit_code_0(station):
     mine = station(terminal=True)
     mine.change(3)
     live = mine.live_file()

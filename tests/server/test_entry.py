@@ -1,4 +1,4 @@
-"""Who comes in: links, cookies, hosts and origins, and the files that are served, on loopback."""
+"""Access to the server on loopback: links, cookies, hosts, origins, and the served files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from carina.server import messages as wire
 from carina.server.serve import bind, start_url
 
 
-def test_the_link_is_exchanged_for_a_cookie_once(live):
+def test_link_is_exchanged_for_a_cookie_once(live):
     url = start_url(live.gate)
     with live.http() as http:
         first = http.get(url)
@@ -27,11 +27,11 @@ def test_the_link_is_exchanged_for_a_cookie_once(live):
         assert again.status_code == 403
         assert "set-cookie" not in again.headers
     with live.http(cookie=live.cookie) as http:
-        # A reload of the printed link in the window that is already in.
+        # A reload of the printed link in a window that already has the cookie.
         assert http.get(url).status_code == 303
 
 
-def test_every_answer_has_the_security_headers(live):
+def test_every_response_has_the_security_headers(live):
     with live.http() as http:
         for path in ("/", "/nothing", "/?token=x"):
             headers = http.get(path).headers
@@ -41,14 +41,14 @@ def test_every_answer_has_the_security_headers(live):
             assert "server" not in headers
 
 
-def test_a_page_says_so_where_the_client_was_not_built(live):
+def test_page_reports_a_client_that_was_not_built(live):
     with live.http() as http:
         page = http.get("/")
     assert page.status_code == 503
     assert "make run" in page.text
 
 
-def test_the_built_client_is_served_and_nothing_beside_it(tmp_path):
+def test_only_files_of_the_built_client_are_served(tmp_path):
     web = tmp_path / "_web"
     (web / "assets").mkdir(parents=True)
     (web / "index.html").write_text("<!doctype html><title>Carina</title>", encoding="utf-8")
@@ -74,13 +74,13 @@ def test_the_built_client_is_served_and_nothing_beside_it(tmp_path):
 
 
 @pytest.mark.parametrize("host", ["evil.example", "evil.example:80", "127.0.0.1:1"])
-def test_another_host_is_refused(live, host):
+def test_other_host_is_refused(live, host):
     with live.http(cookie=live.cookie, host=host) as http:
         assert http.get("/").status_code == 403
         assert http.post("/api/upload", headers={"origin": f"http://{host}"}).status_code == 403
 
 
-def test_a_socket_without_or_with_another_origin_does_not_open(live):
+def test_socket_without_an_origin_or_with_another_is_refused(live):
     for origin in (None, "http://evil.example", "null"):
         with (
             pytest.raises(InvalidStatus) as refused,
@@ -95,7 +95,7 @@ def test_a_socket_without_or_with_another_origin_does_not_open(live):
         assert refused.value.response.status_code == 403
 
 
-def test_a_socket_with_another_host_does_not_open(live):
+def test_socket_with_another_host_is_refused(live):
     with (
         pytest.raises(InvalidStatus),
         connect(
@@ -109,7 +109,7 @@ def test_a_socket_with_another_host_does_not_open(live):
         pass
 
 
-def test_a_socket_without_the_cookie_is_told_why(live):
+def test_socket_without_the_cookie_is_refused_with_the_reason(live):
     with connect(f"ws://127.0.0.1:{live.gate.port}/ws", origin=live.origin, open_timeout=WAIT_S) as socket:
         with pytest.raises(ConnectionClosed) as closed:
             socket.recv(timeout=WAIT_S)
@@ -117,7 +117,7 @@ def test_a_socket_without_the_cookie_is_told_why(live):
         assert "link" in closed.value.rcvd.reason
 
 
-def test_a_program_comes_in_with_the_secret_and_without_an_origin(live):
+def test_program_connects_with_the_secret_and_without_an_origin(live):
     with connect(
         f"ws://127.0.0.1:{live.gate.port}/ws",
         additional_headers={"Authorization": f"Bearer {live.gate.secret}"},
@@ -139,14 +139,14 @@ def test_a_program_comes_in_with_the_secret_and_without_an_origin(live):
         "http://localhost:{port}",
     ],
 )
-def test_an_origin_that_is_not_exactly_ours_is_refused_even_with_the_secret(live, origin):
+def test_other_origin_is_refused_even_with_the_secret(live, origin):
     host = f"127.0.0.1:{live.gate.port}"
     sent = origin.format(host=host, port=live.gate.port)
     with live.http(authorization=f"Bearer {live.gate.secret}", origin=sent) as http:
         assert http.post("/api/upload").status_code == 403
 
 
-def test_a_port_in_use_says_so():
+def test_port_in_use_is_reported():
 
     with bind("127.0.0.1", 0) as taken:
         port = taken.getsockname()[1]

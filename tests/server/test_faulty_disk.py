@@ -1,4 +1,4 @@
-"""The disk stalls, is full, fails, is read-only or loses its power, at any change: work goes on, and is kept."""
+"""Real workstation over a faulty disk: stalled, full, failing, read-only or without power, at any change."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ pytestmark = [
     ),
 ]
 SOON_S = 0.3
-"""In the place of 2.5 s: after this time a disk counts as silent, and is tried again."""
+"""Seconds after which a disk counts as silent and is tried again; 2.5 s in the product."""
 POINTS = int(os.environ.get("CARINA_FAULT_POINTS", "200"))
 ROUNDED_S = 0.02
-"""Times of steps are told to the millisecond and compared to the hundredth."""
+"""Times of steps are sent in milliseconds and compared in hundredths of a second."""
 ACTS = (
     lambda rng: {"type": "edit_key_frames", "edit": {"kind": "add"}},
     lambda rng: {"type": "set_outline", "outline": rng.choice(["round", "octagon", "none"])},
@@ -37,7 +37,7 @@ ACTS = (
 
 
 class Faults:
-    """Workstations whose disk is faulty, one after the other over one home."""
+    """Workstations over a faulty disk, one after the other over the same user folders."""
 
     def __init__(self, folder: Path) -> None:
         self.disk = FaultyDisk(folder)
@@ -46,7 +46,7 @@ class Faults:
             made.mkdir()
         self.stations = Workstations(self.home, self.disk.environment, SOON_S)
         self.told_s: list[float] = []
-        """How long after the fault began the window was told."""
+        """Seconds from the fault to the message in the window, for each fault."""
 
     def start(self) -> tuple[int, Window]:
         pid, window = self.stations.start()
@@ -60,7 +60,7 @@ class Faults:
             window.end()
 
     def work_until(self, window: Window, rng: random.Random, has_ended) -> None:
-        """Send changes until the condition holds, each after the one before is done."""
+        """Send changes until the condition holds; each change is done before the next is sent."""
         end_s = time.monotonic() + WAIT_S
         while not has_ended():
             assert time.monotonic() < end_s, "the disk is not used"
@@ -73,19 +73,19 @@ class Faults:
 
 
 def assert_holds(found: list[tuple[str, float]], must: list[tuple[str, float]]) -> None:
-    """All steps are there; the oldest of a thousand go in time."""
+    """Assert that all steps exist, except the oldest if the history has reached its limit of a thousand steps."""
     first_s = found[0][1] if len(found) >= 900 else float("-inf")
     assert {step for step in must if step[1] > first_s} <= set(found)
 
 
 def change(window: Window) -> None:
-    """A step more, however many there are, and whatever was sent before."""
+    """Add a step, whatever the history and the outline are."""
     for outline in ("round", "octagon"):
         window.send({"type": "set_outline", "outline": outline})
 
 
 def goes_on(window: Window) -> None:
-    """What is done is done, and flown."""
+    """Assert that the workstation executes a command and a movement of the tip."""
     num_steps, pose_id = len(window.history["steps"]), window.pose["pose_id"]
     change(window)
     window.until(lambda: len(window.history["steps"]) > num_steps or len(window.history["steps"]) >= 1000)
@@ -94,21 +94,21 @@ def goes_on(window: Window) -> None:
 
 
 def until_saved(window: Window, since_s: float) -> None:
-    """All that was done until a time is on the disk, as the window is told."""
+    """Wait until the window reports that all steps up to a time are saved."""
     end_s = time.monotonic() + WAIT_S
     change(window)
     while (window.state["saving"]["saved_s"] or 0.0) < since_s + ROUNDED_S or window.state["saving"][
         "problem"
     ] is not None:
         assert time.monotonic() < end_s, window.state["saving"]
-        # Only the minute of the last save is news by itself; the rest is told with what else is. And what was done
-        # first may have been saved within the hundredth that times are rounded by: then this is.
+        # The window receives the save time at least every minute, else only with other changes of the state. The first
+        # step may have been saved within the hundredth of a second of the rounding; a further change avoids that case.
         change(window)
         window.hear(0.2)
 
 
 def saved_elsewhere(faults: Faults, window: Window, name: str) -> None:
-    """The other place that a person is offered takes all of it, while the disk is ill."""
+    """Save the case to a folder on another disk during the fault, and assert that the file contains all steps."""
     path = faults.elsewhere / f"{name}.carina"
     steps = [(step["label"], step["at_s"]) for step in window.history["steps"]]
     window.told.clear()
@@ -120,7 +120,7 @@ def saved_elsewhere(faults: Faults, window: Window, name: str) -> None:
 
 
 def fails_at(faults: Faults, kind: str, rng: random.Random, n: int) -> None:
-    """One fault at one change, while a case is worked on; then the disk is well again, and the program is killed."""
+    """Start a fault at a random change during work, end it, kill the program, and assert that nothing is lost."""
     disk = faults.disk
     pid, window = faults.start()
     disk.begin(FAULTS[kind], rng.randrange(1, 120), faults.home / "data")
@@ -144,7 +144,10 @@ def fails_at(faults: Faults, kind: str, rng: random.Random, n: int) -> None:
 
 
 def loses_power(faults: Faults, rng: random.Random, *, any_part: bool) -> float:
-    """All that was not on the disk is gone, or any part of it; how many seconds of work that was."""
+    """Cut the power at a random change, and return the age of the oldest lost step in seconds.
+
+    The cut loses every change that was not synchronised, or a random part of these changes (``any_part``).
+    """
     disk, data = faults.disk, faults.home / "data"
     disk.heal()
     durable = disk.record(data)
@@ -182,13 +185,13 @@ def faults(tmp_path):
 
 
 @pytest.mark.parametrize("kind", FAULTS)
-def test_work_goes_on_over_a_disk_that_fails_and_is_kept_when_it_is_well(faults, kind):
+def test_work_continues_on_a_faulty_disk_and_is_saved_when_it_recovers(faults, kind):
     rng = random.Random(7)
     for n in range(2):
         fails_at(faults, kind, rng, n)
 
 
-def test_what_was_said_to_be_saved_is_there_after_a_power_cut(faults):
+def test_work_reported_as_saved_survives_a_power_cut(faults):
     rng = random.Random(8)
     for n in range(4):
         loses_power(faults, rng, any_part=n % 2 == 1)
@@ -196,7 +199,7 @@ def test_what_was_said_to_be_saved_is_there_after_a_power_cut(faults):
 
 @pytest.mark.soak
 @pytest.mark.parametrize("kind", FAULTS)
-def test_work_goes_on_over_a_disk_that_fails_at_two_hundred_points(faults, kind):
+def test_work_continues_on_a_disk_that_fails_at_two_hundred_points(faults, kind):
     rng = random.Random(20001)
     for n in range(POINTS):
         fails_at(faults, kind, rng, n)
@@ -205,7 +208,7 @@ def test_work_goes_on_over_a_disk_that_fails_at_two_hundred_points(faults, kind)
 
 
 @pytest.mark.soak
-def test_what_was_said_to_be_saved_is_there_after_two_hundred_power_cuts(faults):
+def test_work_reported_as_saved_survives_two_hundred_power_cuts(faults):
     rng = random.Random(20001)
     lost_s = sorted(loses_power(faults, rng, any_part=n % 2 == 1) for n in range(POINTS))
     print(f"power cut: lost {lost_s[POINTS // 2]:.2f} s in the middle, {lost_s[-1]:.2f} s at most")

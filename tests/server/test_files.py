@@ -1,4 +1,4 @@
-"""Files that come and go: dropped scans and masks, and the airways taken away, on loopback."""
+"""Uploaded and downloaded files on loopback: dropped scans and masks, exported airways, thumbnails."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from carina.session import CaseRecords, Session, case_files
 from small_case import SmallRenderer, small_airways, small_lumen, small_parts, small_volume
 
 
-def test_uploads_on_a_disk_that_takes_nothing_are_refused_in_words(live, monkeypatch):
+def test_upload_to_a_disk_that_refuses_it_is_refused_with_a_message(live, monkeypatch):
     def full(**_options):
         raise OSError(28, "No space left on device")
 
@@ -30,7 +30,7 @@ def test_uploads_on_a_disk_that_takes_nothing_are_refused_in_words(live, monkeyp
     assert "the disk is full" in answer.json()["message"]
 
 
-def test_the_airways_are_taken_away_as_a_file_that_does_not_stay(live, tmp_path, monkeypatch):
+def test_exported_airways_need_the_cookie_and_leave_no_file_on_the_server(live, tmp_path, monkeypatch):
     made = []
 
     def export(path, volume, airways):
@@ -53,7 +53,7 @@ def test_the_airways_are_taken_away_as_a_file_that_does_not_stay(live, tmp_path,
             assert answer.text.startswith("airways.nii.gz (")
             for wrong in (".exe", ".stl/../x", "/../../etc/passwd", ""):
                 assert http.get(f"/api/airways{wrong}").status_code in {403, 404}
-            # Removed after its last byte; the next answer of this connection may be quicker.
+            # The file is removed after its last byte; the next response of this connection may be faster.
             (path,) = made
             gone_by = time.monotonic() + WAIT_S
             while path.parent.exists():
@@ -61,7 +61,7 @@ def test_the_airways_are_taken_away_as_a_file_that_does_not_stay(live, tmp_path,
                 time.sleep(0.01)
 
 
-def test_a_file_does_not_stay_when_a_part_of_it_is_asked_for_that_it_does_not_have(live, tmp_path, monkeypatch):
+def test_temporary_file_is_removed_after_a_range_request_beyond_its_end(live, tmp_path, monkeypatch):
     def export(path, *_parts):
         path.write_text("short")
         return path
@@ -77,14 +77,14 @@ def test_a_file_does_not_stay_when_a_part_of_it_is_asked_for_that_it_does_not_ha
     assert not list(tmp_path.glob("carina-*/*/airways*"))
 
 
-def test_a_file_does_not_stay_when_the_server_ends_while_it_is_made(tmp_path, monkeypatch):
+def test_temporary_file_is_removed_if_the_server_stops_while_writing_it(tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     begun, may_end = threading.Event(), threading.Event()
 
     def export(path, *_parts):
         begun.set()
         assert may_end.wait(WAIT_S)
-        # As one that writes its file at the end.
+        # Like an export that writes its file at its end.
         path.parent.mkdir(exist_ok=True)
         path.write_text("the anatomy of somebody")
         return path
@@ -101,7 +101,7 @@ def test_a_file_does_not_stay_when_the_server_ends_while_it_is_made(tmp_path, mo
     assert not list(tmp_path.iterdir())
 
 
-def test_a_file_that_cannot_be_made_is_refused_in_words(live, tmp_path, monkeypatch):
+def test_failed_export_is_refused_with_a_message(live, tmp_path, monkeypatch):
     def export(path, *_parts):
         path.write_text("half")
         raise DiskError("the disk is full", code="disk.full")
@@ -116,7 +116,7 @@ def test_a_file_that_cannot_be_made_is_refused_in_words(live, tmp_path, monkeypa
     assert not list(tmp_path.glob("carina-download-*"))
 
 
-def test_a_file_and_a_folder_of_one_name_are_both_kept(live):
+def test_file_and_folder_of_the_same_name_are_both_stored(live):
     with live.http(authorization=f"Bearer {live.gate.secret}") as http:
         upload = http.post("/api/upload").json()["upload_id"]
         assert http.put(f"/api/upload/{upload}", params={"name": "a"}, content=b"1").status_code == 201
@@ -133,17 +133,17 @@ def test_dropped_files_are_opened_and_removed(live):
         folder = live.uploads._uploads[upload_id].folder
         assert sorted(len(p.relative_to(folder).parts) for p in folder.rglob("*.dcm") if p.is_file()) == [1, 2]
         window.send(wire.OpenUpload(upload_id))
-        # Its own end is told after the removal; the jobs that it starts may end before it.
+        # The end of the opening is announced after the removal; jobs that the opening starts may end earlier.
         window.until(lambda m: isinstance(m, wire.Done) and not folder.exists())
         assert live.opened == [str(folder)]
-        # Answered after the end of the job was handled, and with it the removal.
+        # The answer comes after the end of the job, and the removal, were handled.
         window.send(wire.OpenUpload(upload_id))
         assert window.until(lambda m: isinstance(m, wire.Error)).code == "upload.gone"
         assert not folder.exists()
         assert live.session.store.recent() == ()
 
 
-def test_a_dropped_case_file_keeps_its_ending_and_is_opened_as_a_case(tmp_path):
+def test_dropped_case_file_keeps_its_suffix_and_is_opened_as_a_case(tmp_path):
     records = CaseRecords(tmp_path / "cases", lambda: 1_800_000_000.0)
     session = Session(SmallRenderer, parts=small_parts(), records=records, files=case_files(None, records))
     uploads = Uploads()
@@ -164,7 +164,7 @@ def test_a_dropped_case_file_keeps_its_ending_and_is_opened_as_a_case(tmp_path):
 
 
 def nrrd(labels_zyx):
-    """Labels on the small case's grid, as another tool writes them."""
+    """Return labels on the grid of the small case, as another tool writes them."""
     matrix = small_volume().lps_from_ijk
     axes = " ".join(f"({x!r},{y!r},{z!r})" for x, y, z in matrix[:3, :3].T.tolist())
     origin = "({!r},{!r},{!r})".format(*matrix[:3, 3].tolist())
@@ -176,7 +176,7 @@ def nrrd(labels_zyx):
     return header.encode() + gzip.compress(labels_zyx.tobytes())
 
 
-def test_a_dropped_mask_is_kept_until_its_question_is_answered_and_takes_the_place_of_the_airways(tmp_path):
+def test_dropped_mask_is_stored_until_its_question_is_answered_and_replaces_the_airways(tmp_path):
     def find_airways(volume, *, lumen_zyx=None, notes=(), **_options):
         airways = small_airways(volume)
         if lumen_zyx is not None:
@@ -211,7 +211,7 @@ def test_a_dropped_mask_is_kept_until_its_question_is_answered_and_takes_the_pla
         assert not folder.exists()
 
 
-def test_a_mask_without_a_case_or_without_its_upload_is_refused(live):
+def test_mask_without_a_case_or_without_its_upload_is_refused(live):
     with live.http(cookie=live.cookie, origin=live.origin) as http, live.window() as window:
         upload_id = http.post("/api/upload").json()["upload_id"]
         assert http.put(f"/api/upload/{upload_id}", params={"name": "m.nrrd"}, content=b"x").status_code == 201
@@ -223,7 +223,7 @@ def test_a_mask_without_a_case_or_without_its_upload_is_refused(live):
         assert window.until(lambda m: isinstance(m, wire.Error)).code == "session.no-case"
 
 
-def test_uploads_need_the_cookie_and_the_origin_and_keep_their_bounds(live):
+def test_uploads_need_the_cookie_and_the_origin_and_respect_their_limits(live):
     with live.http(origin=live.origin) as http:
         assert http.post("/api/upload").status_code == 401
         assert http.put("/api/upload/x").status_code == 401
@@ -238,7 +238,7 @@ def test_uploads_need_the_cookie_and_the_origin_and_keep_their_bounds(live):
         assert http.put(f"/api/upload/{upload_id}", params={"name": "a"}, content=b"x").status_code == 404
 
 
-def test_the_small_picture_of_a_case_is_for_its_person_and_no_browser_keeps_it(live, monkeypatch):
+def test_thumbnail_of_a_case_is_for_its_user_only_and_is_not_cached_by_browsers(live, monkeypatch):
     pictures = {"00ff00ff00ff00ff": b"\xff\xd8\xff and more"}
     monkeypatch.setattr(live.session.cases, "picture", pictures.get)
     with live.http() as stranger:

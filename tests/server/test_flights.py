@@ -1,4 +1,4 @@
-"""Recorded flights over the wire: the list, its changes, and a flight's file by HTTP, on loopback."""
+"""Recorded flights over the wire: the list, its changes, and download of a flight over HTTP, on loopback."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from small_case import SmallRenderer, small_parts
 
 @pytest.fixture
 def live(tmp_path):
-    """A server over a session that keeps its cases."""
+    """Return a server over a session that stores its cases."""
     case = edit_case()
     parts = small_parts(
         open_volume=lambda _path, _progress, _cancel: case.volume,
@@ -49,7 +49,7 @@ def recorded(window, number):
     return listed(window, lambda flights: len(flights) == number and flights[-1].state == "complete")
 
 
-def test_flights_are_listed_changed_taken_away_and_deleted(live, tmp_path):
+def test_flights_are_listed_changed_downloaded_and_deleted(live, tmp_path):
     with live.window() as window, live.http(cookie=live.cookie, origin=live.origin) as http:
         with live.http() as stranger:
             assert stranger.get("/api/flights/flight-1.jsonl").status_code == 401
@@ -81,7 +81,7 @@ def test_flights_are_listed_changed_taken_away_and_deleted(live, tmp_path):
         assert http.get("/api/flights/flight-2.jsonl").status_code == 404
         window.send(wire.RemoveFlight(2))
         assert "has been removed" in window.until(lambda m: isinstance(m, wire.Error)).message
-        # Another window is told of them at once.
+        # Another window receives the flights immediately.
         with live.window() as other:
             assert [one.number for one in listed(other, lambda flights: flights)] == [1]
         window.send(wire.CloseCase())

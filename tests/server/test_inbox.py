@@ -1,4 +1,4 @@
-"""A flood of movements makes nobody wait, and loses none of them."""
+"""Inbox of a client: it combines a flood of movements without delaying other clients and without losing a movement."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def steer(advance_mm=0.0, yaw_rad=0.0, pitch_rad=0.0, roll_rad=0.0):
 
 
 def done(*messages):
-    """What is done of messages that come faster than anything is done."""
+    """Return the messages that are executed if they arrive faster than they can be executed."""
     did = []
 
     async def run():
@@ -36,17 +36,17 @@ def done(*messages):
     return did
 
 
-def test_movements_that_follow_each_other_add_up():
+def test_consecutive_movements_are_added():
     [one] = done(steer(1.0, roll_rad=0.1), steer(-0.25, 0.5), steer(pitch_rad=2.0))
     assert one == steer(0.75, 0.5, 2.0, 0.1)
 
 
-def test_what_comes_between_movements_stays_between_them():
+def test_movements_are_not_added_across_other_messages():
     messages = [steer(1.0), steer(1.0), wire.ToggleMode(), steer(2.0), wire.NextFork(), wire.NextFork(), steer(3.0)]
     assert done(*messages) == [steer(2.0), *messages[2:]]
 
 
-def test_of_wishes_the_newest_counts_for_each_view_and_others_all_count():
+def test_newest_setting_of_each_view_replaces_older_ones_and_no_other_message_is_dropped():
     def orbit(view, azimuth_deg):
         return wire.SetOrbit(view=view, azimuth_deg=azimuth_deg, elevation_deg=0.0)
 
@@ -59,13 +59,13 @@ def test_of_wishes_the_newest_counts_for_each_view_and_others_all_count():
     ]
 
 
-def test_no_sum_is_more_than_one_message_may_say_and_none_is_lost():
+def test_sum_of_movements_respects_the_limit_of_one_message_and_loses_none():
     did = done(*[steer(400.0)] * 10)
     assert sum(message.advance_mm for message in did) == 4000.0
     assert all(abs(message.advance_mm) <= 1000.0 for message in did)
 
 
-def test_more_than_is_done_is_not_read():
+def test_full_inbox_reads_no_further_message():
     async def run():
         inbox = Inbox(lambda _message: None)
         for n in range(MAX_WAITING):
@@ -81,7 +81,7 @@ def test_more_than_is_done_is_not_read():
     asyncio.run(run())
 
 
-def test_a_message_that_cannot_be_done_at_all_ends_the_work_and_blocks_nobody():
+def test_message_that_raises_ends_the_worker_and_does_not_block_the_reader():
     def broken(_message):
         raise SystemError
 
@@ -99,7 +99,11 @@ def test_a_message_that_cannot_be_done_at_all_ends_the_work_and_blocks_nobody():
 
 
 def flooded(live, window, calls, *, num_sent, rate_hz=1000):
-    """How many movements were done, sorted, while each request of others waited for its answer, as a script steered."""
+    """Measure the delay of other clients while a script steers.
+
+    The result is, for each request of another client, the number of movements that were executed before its answer;
+    sorted.
+    """
     stop = threading.Event()
 
     def flood():
@@ -111,7 +115,7 @@ def flooded(live, window, calls, *, num_sent, rate_hz=1000):
             stop.wait(0.002)
 
     def read():
-        # It ends with the window, whose last message it may be waiting for.
+        # The thread may wait for a message when the connection of the window closes.
         with contextlib.suppress(ConnectionClosed):
             while not stop.is_set():
                 window.next()
@@ -130,14 +134,14 @@ def flooded(live, window, calls, *, num_sent, rate_hz=1000):
 
 
 @pytest.mark.parametrize("num_sent", [pytest.param(2000), pytest.param(30_000, marks=pytest.mark.soak)])
-def test_others_do_not_wait_for_a_script_that_steers_a_thousand_times_a_second(live, monkeypatch, num_sent):
+def test_other_clients_do_not_wait_for_a_script_that_steers_a_thousand_times_a_second(live, monkeypatch, num_sent):
     plain, calls = Session.do, []
 
     def slow(self, command, **options):
         if not isinstance(command, wire.Steer):
             return plain(self, command, **options)
         calls.append(command.roll_rad)
-        until_s = time.perf_counter() + 0.003  # as in a patient's lumen
+        until_s = time.perf_counter() + 0.003  # As in a patient's lumen.
         while time.perf_counter() < until_s:
             pass
         return plain(self, command, **options)
@@ -149,7 +153,7 @@ def test_others_do_not_wait_for_a_script_that_steers_a_thousand_times_a_second(l
         monkeypatch.setattr(Session, "do", slow)
         before = live.session.pose_info().pose.lps_from_camera[:3, :3]
         waited = flooded(live, window, calls, num_sent=num_sent)
-        # Every movement has come in: the last of them is answered behind the others.
+        # All movements have arrived: the last of them is answered after the other messages.
         total = num_sent * 1e-4
         deadline_s = time.monotonic() + 60.0
         while abs(sum(calls) - total) > 1e-9 and time.monotonic() < deadline_s:
@@ -161,6 +165,6 @@ def test_others_do_not_wait_for_a_script_that_steers_a_thousand_times_a_second(l
     turned = math.acos(np.clip((np.trace(before.T @ after) - 1.0) / 2.0, -1.0, 1.0))
     assert turned == pytest.approx(math.acos(math.cos(total)), abs=1e-6)
     assert len(calls) < num_sent / 2
-    # Counted in movements done meanwhile, 3 ms each, so that a busy machine tells nothing else: more than a thousand
-    # without the inbox, 30 to 45 with it.
+    # Counted in movements of 3 ms, so that the load of the machine has no influence: more than 1000 without the inbox,
+    # 30 to 45 with it.
     assert p95 < 150

@@ -1,4 +1,4 @@
-"""A notebook and a window on one case: what one does the other sees; whoever is left goes on."""
+"""Programs that join the case of a window: shared edits, own view settings, takeover, and access control."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ WAIT_S = 120.0
 
 @pytest.fixture(scope="module")
 def made_folder(tmp_path_factory):
-    """A CT, and a person's own folders in which a case of it was begun."""
+    """Return a folder with a CT and user folders in which a case of the CT was begun."""
     folder = tmp_path_factory.mktemp("join")
     volume = made_phantom(spacing_mm=3.0, generations=3).volume
     write_grid(folder / "ct.nii.gz", volume.hu_zyx, volume.lps_from_ijk, what="the phantom")
@@ -53,7 +53,7 @@ def made_folder(tmp_path_factory):
 
 
 class Window:
-    """The session of a running workstation, as a person drives it."""
+    """Session of a running workstation, with the actions of its user."""
 
     def __init__(self, session, records, gate):
         self.session = session
@@ -64,7 +64,7 @@ class Window:
         self.session.do(command)
         assert self.session.jobs.wait_idle(WAIT_S)
         if self.state.case is not None:
-            # Only what is on the disk has a door.
+            # Only a case that is on the disk has connection details for programs.
             self.session.do(c.KeepNow())
 
     @property
@@ -79,7 +79,7 @@ class Window:
 
 @contextlib.contextmanager
 def workstation():
-    """A server over a session that keeps its cases, as ``carina open`` starts it."""
+    """Run a server over a session that stores its cases, as ``carina open`` does."""
     records = CaseRecords(load_settings().cases_dir, time.time)
     session = Session(
         lambda volume, transfer: Renderer(volume, transfer=transfer), records=records, files=case_files(None, records)
@@ -91,7 +91,7 @@ def workstation():
 
 @pytest.fixture
 def ct(made_folder, tmp_path, monkeypatch):
-    """The path of the CT; the person's own folders are a copy."""
+    """Return the path of the CT; the user folders are a copy."""
     shutil.copytree(made_folder / "home", tmp_path / "home")
     for name, place in own_folders(tmp_path / "home").items():
         monkeypatch.setenv(name, place)
@@ -106,7 +106,7 @@ def window(ct):
         yield window
 
 
-def test_a_notebook_and_a_window_see_each_others_edits(window, ct):
+def test_notebook_and_window_see_each_others_edits(window, ct):
     with carina.Case.open(ct) as case:
         assert case.note is None
         tip = case.airways.tree.tips()[0]
@@ -127,12 +127,12 @@ def test_a_notebook_and_a_window_see_each_others_edits(window, ct):
         case.redo()
         assert [target.name for target in window.state.document.targets] == ["Target 1"]
         assert [target.name for target in case.state.document.targets] == ["Target 1"]
-    # The window keeps it.
+    # The case stays open in the window.
     assert window.session.cases.open_case is not None
     window.do(c.SetFov(100.0))
 
 
-def test_a_case_file_that_is_open_in_a_window_is_joined_and_saved_there(window, tmp_path):
+def test_case_file_that_is_open_in_a_window_is_joined_and_saved_there(window, tmp_path):
     place = load_settings().cases_dir.parent / "lunch.carina"
     with carina.Case.open(place) as case:
         assert case.path == place
@@ -153,7 +153,7 @@ def _file(path):
     return path
 
 
-def test_a_case_that_was_opened_a_moment_ago_is_joined_as_soon_as_it_can_be(window, ct):
+def test_case_that_was_just_opened_is_joined_as_soon_as_possible(window, ct):
     door = window.folder / DOOR
     held_back = door.with_suffix(".later")
     door.rename(held_back)
@@ -167,7 +167,7 @@ def test_a_case_that_was_opened_a_moment_ago_is_joined_as_soon_as_it_can_be(wind
     opening.join()
 
 
-def test_pictures_poses_and_questions_are_of_the_newest_state(window, ct):
+def test_pictures_poses_and_queries_use_the_newest_state(window, ct):
     with carina.Case.open(ct) as case:
         window.do(c.GoTo(30.0))
         assert np.array_equal(case.pose.lps_from_camera, window.session.pose_info().pose.lps_from_camera)
@@ -179,7 +179,7 @@ def test_pictures_poses_and_questions_are_of_the_newest_state(window, ct):
         assert window.session.pose_info().path_mm == pytest.approx(60.0)
 
 
-def test_how_the_notebook_looks_at_the_case_is_its_own(window, ct):
+def test_notebook_has_its_own_view_settings(window, ct):
     with carina.Case.open(ct) as case:
         centre = tuple(float(v) for v in case.volume.centre_lps)
         case.do(c.SetCrosshair(centre))
@@ -192,7 +192,7 @@ def test_how_the_notebook_looks_at_the_case_is_its_own(window, ct):
         assert case.state.sight.shading
 
 
-def test_trouble_is_raised_in_the_notebook_as_it_would_be_without_a_window(window, ct):
+def test_errors_are_raised_in_the_notebook_as_without_a_window(window, ct):
     with carina.Case.open(ct) as case:
         before = case.history()
         with pytest.raises(UsageError, match=r"set_fov\.fov_deg must be at least 60") as refused:
@@ -211,7 +211,7 @@ def test_trouble_is_raised_in_the_notebook_as_it_would_be_without_a_window(windo
         case.do(c.SetFov(100.0))
 
 
-def test_every_program_hears_of_its_own_trouble_alone(window, ct):
+def test_each_program_receives_only_its_own_errors(window, ct):
     heard = []
     window.session.subscribe(heard.append, window=1)
     with carina.Case.open(ct) as one, carina.Case.open(ct) as other:
@@ -224,7 +224,7 @@ def test_every_program_hears_of_its_own_trouble_alone(window, ct):
     assert not [event for event in heard if isinstance(event, Trouble | NotEvident)]
 
 
-def test_a_window_shows_what_a_notebook_did_and_the_other_way_round(window, ct):
+def test_window_shows_changes_of_a_notebook_and_the_reverse(window, ct):
     live = Live(window.gate, window.session, None, [])
     with live.window() as page, carina.Case.open(ct) as case:
         tip = case.airways.tree.tips()[0]
@@ -235,7 +235,7 @@ def test_a_window_shows_what_a_notebook_did_and_the_other_way_round(window, ct):
         page.send(wire.SetOutline("none"))
         page.until_state(lambda state: state.look.outline == "none")
         assert case.state.document.look.outline == "none"
-        # What is only looked at stays where it is looked at.
+        # View settings are not shared.
         case.do(c.SetTexture(on=False))
         page.send(wire.SetShading(False))
         page.until_state(lambda state: not state.sight.shading)
@@ -243,10 +243,10 @@ def test_a_window_shows_what_a_notebook_did_and_the_other_way_round(window, ct):
         assert case.state.sight.shading
 
 
-# ---------------------------------------------------------------- the owner goes
+# ---------------------------------------------------------------- the owner closes the case
 
 
-def test_a_notebook_goes_on_when_the_window_is_closed(ct):
+def test_notebook_continues_when_the_window_is_closed(ct):
     with workstation() as window:
         window.do(c.OpenPath(str(ct)))
         case = carina.Case.open(ct)
@@ -265,18 +265,18 @@ def test_a_notebook_goes_on_when_the_window_is_closed(ct):
         assert len(window.session.history()) == 2
 
 
-def test_a_notebook_goes_on_when_another_case_is_opened_in_the_window(window, ct, tmp_path):
+def test_notebook_continues_when_another_case_is_opened_in_the_window(window, ct, tmp_path):
     with carina.Case.open(ct) as case:
         window.do(c.CloseCase())
         with pytest.warns(UserWarning, match="has taken over"):
             case.do(c.SetFov(100.0))
         assert case.state.document.look.fov_deg == 100.0
-        # It belongs to the notebook now.
+        # The notebook owns the case now.
         window.do(c.OpenPath(str(ct)))
         assert window.state.document.look.fov_deg != 100.0
 
 
-def test_of_two_notebooks_one_owns_the_case_and_says_so(ct):
+def test_one_of_two_notebooks_takes_over_the_case_and_the_other_reports_it(ct):
     with workstation() as window:
         window.do(c.OpenPath(str(ct)))
         one, other = carina.Case.open(ct), carina.Case.open(ct)
@@ -296,7 +296,7 @@ def test_of_two_notebooks_one_owns_the_case_and_says_so(ct):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="a signal kills it")
-def test_a_notebook_goes_on_when_the_workstation_is_killed(ct, tmp_path):
+def test_notebook_continues_when_the_workstation_is_killed(ct, tmp_path):
     stations = Workstations(ct, tmp_path)
     try:
         stations.start()
@@ -304,7 +304,7 @@ def test_a_notebook_goes_on_when_the_workstation_is_killed(ct, tmp_path):
         tip = case.airways.tree.tips()[0]
         case.do(c.EditTree(c.RenameBranch(tip.id, "before")))
         assert stations.kill() == -signal.SIGKILL
-        # Whatever is asked first: it is done once.
+        # The first call after the kill is executed once.
         with pytest.warns(UserWarning, match="this program has taken over"):
             case.do(c.AddTarget(tuple(float(v) for v in tip.points[-1])))
         assert case.airways.tree.branch(tip.id).name == "before"
@@ -314,7 +314,7 @@ def test_a_notebook_goes_on_when_the_workstation_is_killed(ct, tmp_path):
         assert not case.state.document.targets
         case.redo()
         case.close()
-        # The next workstation finds all of it.
+        # The next workstation finds all changes.
         stations.start()
         with carina.Case.open(ct) as again:
             assert len(again.history()) == 2
@@ -324,7 +324,7 @@ def test_a_notebook_goes_on_when_the_workstation_is_killed(ct, tmp_path):
 
 
 class Workstations:
-    """Real ones, each in a process of its own, one after the other."""
+    """Real workstations, each in a process of its own, started one after the other."""
 
     def __init__(self, ct, home):
         self._ct, self._home = ct, home
@@ -344,7 +344,7 @@ class Workstations:
         assert self._process.stdout.readline() == "ready\n"
         records = CaseRecords(load_settings().cases_dir, time.time)
         end_s = time.monotonic() + WAIT_S
-        # Its window opens while the CT is read.
+        # The window opens while the CT is read.
         while not any(records.door_of(one) for one in records.all()):
             assert time.monotonic() < end_s
             time.sleep(0.01)
@@ -359,10 +359,10 @@ class Workstations:
             self.kill()
 
 
-# ---------------------------------------------------------------- who may join
+# ---------------------------------------------------------------- access control
 
 
-def test_the_door_is_private_and_goes_with_the_case(ct):
+def test_connection_details_are_private_and_removed_with_the_case(ct):
     with workstation() as window:
         window.do(c.OpenPath(str(ct)))
         folder = window.folder
@@ -386,11 +386,11 @@ def test_the_door_is_private_and_goes_with_the_case(ct):
         ("192.0.2.7", None),
     ],
 )
-def test_programs_join_by_loopback_alone(host, url):
+def test_programs_connect_through_loopback_only(host, url):
     assert door_of(Gate(host=host, port=80)).url == url
 
 
-def test_a_door_that_a_crash_left_leads_nowhere(ct):
+def test_connection_details_left_by_a_crash_are_ignored(ct):
     records = CaseRecords(load_settings().cases_dir, time.time)
     (record,) = records.all()
     open_door(records.path_of(record).parent, Door("ws://127.0.0.1:1/join", "x" * 40))
@@ -403,7 +403,7 @@ def test_a_door_that_a_crash_left_leads_nowhere(ct):
 
 
 def joined(window, *messages, token=None):
-    """What a program is told."""
+    """Return the messages that a joining program receives."""
     door = read_door(window.folder)
     with connect(door.url, additional_headers={"Authorization": f"Bearer {token or door.token}"}) as socket:
         for message in messages:
@@ -417,7 +417,7 @@ def joined(window, *messages, token=None):
         return answers
 
 
-def test_who_does_not_belong_here_is_turned_away_in_words(window):
+def test_invalid_join_is_refused_with_a_close_code(window):
     case_id, _ = window.session.cases.open_case
     join = wire.Join(wire.WIRE_VERSION, case_id)
     with pytest.raises(InvalidStatus, match="403"):
@@ -434,7 +434,7 @@ def test_who_does_not_belong_here_is_turned_away_in_words(window):
     assert window.state.document.look.fov_deg == 100.0
 
 
-def test_nothing_is_done_to_a_case_that_is_opened_in_the_place_of_the_one_that_was_joined(window, ct):
+def test_case_opened_in_place_of_the_joined_one_is_not_changed(window, ct):
     case_id, number = window.session.cases.open_case
     program = JoinedProgram(window.session, number)
     window.do(c.BeginAnew())
@@ -445,7 +445,7 @@ def test_nothing_is_done_to_a_case_that_is_opened_in_the_place_of_the_one_that_w
     assert joined(window, wire.Join(wire.WIRE_VERSION, case_id)) == [4410]
 
 
-def test_an_error_keeps_its_class_its_code_and_what_it_knows():
+def test_error_keeps_its_class_code_and_data_over_the_wire():
     way = np.array([(0.0, 0.0, 0.0), (0.0, 0.0, 3.0)])
     errors = (
         UsageError("one", code="session.branch"),

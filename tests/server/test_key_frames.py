@@ -1,4 +1,4 @@
-"""Key frames over the wire: the list, the flight, and its file by HTTP, on loopback."""
+"""Key frames over the wire: the list, the flight, and their file over HTTP, on loopback."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def until(window, kind, wanted=lambda _message: True):
     return window.until(lambda m: isinstance(m, kind) and wanted(m))
 
 
-def test_key_frames_are_edited_flown_taken_away_and_opened_again(live):
+def test_key_frames_are_edited_flown_downloaded_and_opened_again(live):
     with live.window() as window, live.http(cookie=live.cookie, origin=live.origin) as http:
         with live.http() as stranger:
             assert stranger.get("/api/key-frames.json").status_code == 401
@@ -57,7 +57,7 @@ def test_key_frames_are_edited_flown_taken_away_and_opened_again(live):
         for key in keys.frames:
             edit(window, wire.KeyFrameRemove(key.key_id))
         until(window, wire.KeyFrames, lambda m: not m.frames)
-        # The ways are found anew, in the airways that there are then.
+        # The paths are computed again in the present airways.
         document = answer.json()
         for key in document["keys"]:
             key["way"] = None

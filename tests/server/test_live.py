@@ -1,4 +1,4 @@
-"""The conversation of a window with the whole server: real sockets, real threads, a small case."""
+"""Messages between a window and the complete server: real sockets, real threads, a small case."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ def lps(ijk):
     return tuple(float(v) for v in small_volume().to_lps(ijk))
 
 
-def test_thousands_of_steers_and_acks_of_frames_never_sent_leave_the_session_answering(live):
+def test_thousands_of_movements_and_acks_of_unknown_frames_do_not_block_the_session(live):
     with live.window() as window:
         window.send(SHOWN)
         open_case(window)
-        # 3000: three minutes of a 16 ms loop at once. Each moves 0.001 mm.
+        # 3000 movements: three minutes of a loop of 16 ms at once. Each moves 0.001 mm.
         window.send(*(wire.Steer(0.001, 0.0, 0.0, 0.0) for _ in range(3000)))
         window.send(*(wire.Ack(10**9 + n) for n in range(1000)))
         window.send(wire.SetFov(77.0))
@@ -35,7 +35,7 @@ def test_thousands_of_steers_and_acks_of_frames_never_sent_leave_the_session_ans
         assert last.path_mm == pytest.approx(3.0)
 
 
-def test_poses_go_on_while_a_tree_is_written_and_its_route_comes_after_it(live, monkeypatch):
+def test_poses_continue_while_a_tree_is_written_and_its_route_comes_after_it(live, monkeypatch):
     may_end, written = threading.Event(), shared_texts.tree_message
 
     def slowly(airways, measures):
@@ -55,13 +55,13 @@ def test_poses_go_on_while_a_tree_is_written_and_its_route_comes_after_it(live, 
         assert isinstance(tree, wire.Tree) and tree.tree is not None
         assert window.until(lambda m: isinstance(m, wire.Route)).route is not None
 
-    # Another window gets it all, though nothing changed.
+    # Another window receives tree and route, although nothing changed.
     with live.window() as window:
         window.until(lambda m: isinstance(m, wire.Tree) and m.tree is not None)
         window.until(lambda m: isinstance(m, wire.Route) and m.route is not None)
 
 
-def test_the_first_messages_are_all_that_the_start_page_needs(live):
+def test_first_messages_contain_all_that_the_start_page_needs(live):
     with live.window() as window:
         start = window.until(lambda m: isinstance(m, wire.Start))
         assert not start.notice_accepted
@@ -82,7 +82,7 @@ def test_the_first_messages_are_all_that_the_start_page_needs(live):
         (b"\x00\x01", 4400),
     ],
 )
-def test_one_bad_message_closes_the_socket_with_its_code_and_a_sentence(live, text, code):
+def test_bad_message_closes_the_socket_with_its_code_and_a_sentence(live, text, code):
     with live.window() as window:
         window.socket.send(text)
         closed, reason = window.close_code()
@@ -90,15 +90,15 @@ def test_one_bad_message_closes_the_socket_with_its_code_and_a_sentence(live, te
         assert len(reason) > 15
 
 
-def test_a_state_that_cannot_be_told_ends_the_windows_connection(live, monkeypatch):
-    """A window that is told nothing any more would show an old state as if it were the present one."""
+def test_state_that_cannot_be_encoded_closes_the_connection_of_the_window(live, monkeypatch):
+    """A window without updates would show an old state as if it were the present one."""
     monkeypatch.setattr(a_window, "state_message", lambda *_, **__: wire.Value((0.0, 0.0, float("nan")), None))
     with live.window(hello=False) as window:
         window.send(wire.ClientHello(wire.WIRE_VERSION))
         assert window.close_code()[0] == 1011
 
 
-def test_another_wire_version_and_a_missing_hello_are_refused(live):
+def test_other_wire_version_and_missing_hello_are_refused(live):
     with live.window(hello=False) as window:
         window.send(wire.ClientHello(99))
         assert window.close_code()[0] == 4402
@@ -107,19 +107,19 @@ def test_another_wire_version_and_a_missing_hello_are_refused(live):
         assert window.close_code()[0] == 4403
 
 
-def test_a_second_hello_is_answered_with_an_error(live):
+def test_second_hello_is_answered_with_an_error(live):
     with live.window() as window:
         window.send(wire.ClientHello(wire.WIRE_VERSION))
         assert window.until(lambda m: isinstance(m, wire.Error)).code == "protocol.order"
 
 
-def test_a_message_over_the_limit_closes_the_socket(live):
+def test_message_over_the_size_limit_closes_the_socket(live):
     with live.window() as window:
         window.socket.send('{"type": "open_path", "path": "' + "x" * 300_000 + '"}')
         assert window.close_code()[0] in {1009, 4400}
 
 
-def test_a_command_that_cannot_be_done_is_answered_and_the_socket_stays_open(live):
+def test_failed_command_is_answered_and_the_socket_stays_open(live):
     with live.window() as window:
         window.send(wire.NextFork())
         error = window.until(lambda m: isinstance(m, wire.Error))
@@ -136,7 +136,7 @@ def test_a_command_that_cannot_be_done_is_answered_and_the_socket_stays_open(liv
         ({"type": "layout", "views": [{"view": "airway", "width": 8193, "height": 64}]}, ["4096", "8193"]),
     ],
 )
-def test_a_value_out_of_range_closes_the_socket_with_the_value_and_the_range(live, message, words):
+def test_value_out_of_range_closes_the_socket_with_the_value_and_the_range(live, message, words):
     with live.window() as window:
         window.socket.send(json.dumps(message))
         closed, reason = window.close_code()
@@ -152,7 +152,7 @@ def test_a_value_out_of_range_closes_the_socket_with_the_value_and_the_range(liv
         ([[0, 1, 2, 1, 0.5]], "0 to 1; found at point 0"),
     ],
 )
-def test_a_transfer_function_that_is_none_is_refused_in_words_and_the_old_one_stays(tmp_path, points, words):
+def test_invalid_transfer_function_is_refused_with_a_message_and_the_old_one_stays(tmp_path, points, words):
     with running(tmp_path, transfer_from_json=TransferFunction.from_json) as live, live.window() as window:
         before = open_case(window)
         document = {"format": "carina-transfer", "version": 1, "points": points}
@@ -164,7 +164,7 @@ def test_a_transfer_function_that_is_none_is_refused_in_words_and_the_old_one_st
         assert window.until_state(lambda s: s.sight.shading is not before.sight.shading).transfer == before.transfer
 
 
-def test_the_outline_is_undone_over_the_wire_and_the_fine_texture_is_no_step_between(live):
+def test_outline_is_undone_over_the_wire_and_fine_texture_is_no_undo_step(live):
     with live.window() as window:
         assert open_case(window).sight.texture
         window.send(wire.SetOutline("octagon"))
@@ -176,7 +176,7 @@ def test_the_outline_is_undone_over_the_wire_and_the_fine_texture_is_no_step_bet
         assert (undone.can_undo, undone.can_redo, undone.sight.texture) == (None, "image outline", False)
 
 
-def test_opening_a_case_brings_state_tree_route_pose_and_pictures_of_all_views(live):
+def test_opening_a_case_sends_state_tree_route_pose_and_pictures_of_all_views(live):
     with live.window() as window:
         window.send(SHOWN)
         state = open_case(window)
@@ -193,7 +193,7 @@ def test_opening_a_case_brings_state_tree_route_pose_and_pictures_of_all_views(l
         (route,) = [m.route for m in window.seen if isinstance(m, wire.Route) and m.route is not None][-1:]
 
 
-def test_flying_gives_newer_poses_and_never_an_older_one_after_a_newer(live):
+def test_poses_of_a_flight_arrive_in_order(live):
     with live.window() as window:
         window.send(SHOWN)
         open_case(window)
@@ -208,12 +208,12 @@ def test_flying_gives_newer_poses_and_never_an_older_one_after_a_newer(live):
         for view in ("airway", "axial"):
             poses = [p.pose_id for p in window.pictures if p.view == view]
             assert poses == sorted(poses)
-        # A picture names a pose that was told before it came, or with it: pose numbers only grow.
+        # A picture names a pose that was sent before it or with it: pose numbers only grow.
         poses = [m.pose_id for m in window.seen if isinstance(m, wire.Pose)]
         assert poses == sorted(set(poses))
 
 
-def test_without_acks_no_more_than_three_airway_pictures_come(live):
+def test_without_acks_at_most_three_airway_pictures_are_sent(live):
     with live.window() as window:
         window.send(wire.Layout((wire.ViewSize("airway", 160, 120),)))
         window.send(wire.OpenPath("case"))
@@ -221,7 +221,7 @@ def test_without_acks_no_more_than_three_airway_pictures_come(live):
         for _ in range(20):
             window.send(wire.Steer(0.5, 0.0, 0.0, 0.0))
             window.until(lambda m: isinstance(m, wire.Pose), acknowledge=False)
-        # An answer that comes after everything before it was handled.
+        # The answer to this command comes after everything before it was handled.
         window.send(wire.SetFov(115.0))
         window.until(lambda m: isinstance(m, wire.State) and m.look.fov_deg == 115.0, acknowledge=False)
         while len(window.pictures) < 3:
@@ -234,7 +234,7 @@ def test_without_acks_no_more_than_three_airway_pictures_come(live):
         assert newest.pose_id == [m for m in window.seen if isinstance(m, wire.Pose)][-1].pose_id
 
 
-def test_a_click_in_the_airway_view_is_answered_with_the_wall_point(live):
+def test_click_in_the_airway_view_is_answered_with_the_wall_point(live):
     with live.window() as window:
         window.send(SHOWN)
         open_case(window)
@@ -255,7 +255,7 @@ def test_a_click_in_the_airway_view_is_answered_with_the_wall_point(live):
         assert window.until(lambda m: isinstance(m, wire.Error)).code == "session.pick"
 
 
-def test_the_asked_rate_is_told_and_another_can_be_asked_for(live):
+def test_requested_frame_rate_is_reported_and_can_be_changed(live):
     with live.window() as window:
         assert window.until_state(lambda s: True).frame_rate_hz == 60.0
         window.send(wire.SetFrameRate(24.0))
@@ -264,7 +264,7 @@ def test_the_asked_rate_is_told_and_another_can_be_asked_for(live):
         assert later.until_state(lambda s: True).frame_rate_hz == 24.0
 
 
-def test_a_refused_file_keeps_the_session_and_says_the_words_of_the_refusal(live):
+def test_refused_file_keeps_the_session_and_sends_the_message_of_the_refusal(live):
     with live.window() as window:
         before = open_case(window)
         window.send(wire.OpenPath("/scans/bad"))
@@ -275,7 +275,7 @@ def test_a_refused_file_keeps_the_session_and_says_the_words_of_the_refusal(live
         assert window.until_state(lambda s: s.look.fov_deg == 100.0).case == before.case
 
 
-def test_targets_are_undone_and_done_again(live):
+def test_targets_are_undone_and_redone(live):
     left = lps(BRANCHES_IJK[2][1][1])
     with live.window() as window:
         open_case(window)
@@ -290,13 +290,13 @@ def test_targets_are_undone_and_done_again(live):
         assert window.until_state(lambda s: len(s.targets) == 1).targets == added.targets
 
 
-def test_a_change_that_leaves_tree_and_route_alone_does_not_send_them_again(live):
+def test_change_that_keeps_tree_and_route_does_not_send_them_again(live):
     with live.window() as window:
         open_case(window)
 
         window.had(lambda m: isinstance(m, wire.Tree) and m.tree is not None)
         window.had(lambda m: isinstance(m, wire.Route) and m.route is not None)
-        # The other answers come in order, so after this one nothing of the opening is still on its way.
+        # The other answers come in order: after this one no message of the opening is pending.
         window.send(wire.SetFov(95.0))
         window.until_state(lambda s: s.look.fov_deg == 95.0)
         window.seen.clear()
@@ -306,14 +306,14 @@ def test_a_change_that_leaves_tree_and_route_alone_does_not_send_them_again(live
         assert not [m for m in window.seen if isinstance(m, wire.Tree | wire.Route | wire.Pose)]
 
 
-def test_a_search_can_be_cancelled_and_the_pictures_stay(tmp_path):
+def test_search_can_be_cancelled_and_the_pictures_stay(tmp_path):
     reached, stopped = threading.Event(), threading.Event()
 
     def find_airways(volume, *, progress, cancel, **_options):
         progress("growing the lumen", 0.3)
         reached.set()
         while not cancel():
-            stopped.wait(0.001)  # a real search looks as often
+            stopped.wait(0.001)  # A real search checks as often.
         progress("growing the lumen", 0.4)
 
     with running(tmp_path, find_airways=find_airways) as live, live.window() as window:
@@ -330,7 +330,7 @@ def test_a_search_can_be_cancelled_and_the_pictures_stay(tmp_path):
         window.until(lambda m: isinstance(m, wire.PictureHeader) and m.pose_id >= pose.pose_id and m.view == "airway")
 
 
-def test_a_reload_gets_the_whole_state_and_fresh_pictures(live):
+def test_reload_receives_the_whole_state_and_new_pictures(live):
     with live.window() as window:
         window.send(SHOWN)
         before = open_case(window)

@@ -1,4 +1,4 @@
-"""What one client may send: an observer who floods the connection is disconnected, and others keep their turn."""
+"""Limits of messages per client: an observer who floods the connection is disconnected, and others are served."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Clock:
 
 
 class VirtualLoop(asyncio.SelectorEventLoop):
-    """An event loop whose time is what its tasks take and wait: it never sleeps."""
+    """Event loop with virtual time: tasks advance the time by their durations and waits, and the loop never sleeps."""
 
     now_s = 0.0
 
@@ -55,7 +55,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         super()._run_once()
 
 
-def test_a_rate_limit_allows_a_burst_and_then_its_rate():
+def test_rate_limit_allows_a_burst_and_then_its_rate():
     clock = Clock()
     limit = RateLimit(10.0, 5.0, clock)
     assert [limit.take() for _ in range(7)] == [True] * 5 + [False] * 2
@@ -66,14 +66,14 @@ def test_a_rate_limit_allows_a_burst_and_then_its_rate():
     assert not limit.take(0.1)
 
 
-def test_what_is_refused_takes_nothing():
+def test_refused_message_takes_nothing_from_the_allowance():
     limit = RateLimit(1.0, 4.0, Clock())
     assert not limit.take(5.0)
     assert limit.take(4.0)
 
 
 @pytest.mark.parametrize("num_observers", [1, 4])
-def test_observers_take_a_bounded_share_of_the_time_while_the_user_is_served(num_observers):
+def test_observers_take_a_limited_share_of_the_time_while_the_user_is_served(num_observers):
     """Each observer has a message of 1 ms ready at any time; the user sends one of 2 ms for each of 120 refreshes."""
     loop = VirtualLoop()
     done = {"user": 0, "observers": 0}
@@ -106,11 +106,11 @@ def test_observers_take_a_bounded_share_of_the_time_while_the_user_is_served(num
     loop.run_until_complete(run())
     loop.close()
     assert done["user"] == 120
-    # 5 % of two seconds, and what is done at the first turn.
+    # Expected: 5 % of two seconds, and the messages of the first turn.
     assert 50 * num_observers <= done["observers"] <= 130 * num_observers
 
 
-def test_dropped_messages_are_not_done_and_the_inbox_goes_on():
+def test_dropped_messages_are_not_executed_and_the_inbox_continues():
     done = []
 
     async def run():
@@ -130,7 +130,7 @@ def test_dropped_messages_are_not_done_and_the_inbox_goes_on():
 
 
 def flood(socket, texts):
-    """Send without reading what is answered, until the other side has had enough."""
+    """Send without reading the answers, until the server closes the connection."""
 
     def send():
         try:
@@ -146,7 +146,7 @@ def flood(socket, texts):
 
 @pytest.fixture
 def handled(monkeypatch):
-    """Messages of observers that were done."""
+    """Return a list that receives the executed messages of observers."""
     done = []
     original = WatchingWindow._do
 
@@ -158,14 +158,14 @@ def handled(monkeypatch):
     return done
 
 
-def test_an_observer_who_floods_is_disconnected_and_all_of_the_users_messages_are_done(desk, handled, monkeypatch):
+def test_observer_who_floods_is_disconnected_and_all_messages_of_the_user_are_executed(desk, handled, monkeypatch):
     live, window, page = desk
     monkeypatch.setattr(watching_window, "MESSAGES_PER_S", 0.0)
     monkeypatch.setattr(watching_window, "MESSAGES_AT_ONCE", 20.0)
     with watching(page.url) as other, watching(page.url) as watcher:
         told = page_of(window, lambda page: page is not None and len(page.watchers) == 2)
         before = live.session.pose_info().pose_id
-        # Small ones: the limit of bytes is not the one that is met.
+        # Small messages, so that the limit of bytes is not reached.
         sending = flood(watcher.socket, [wire.encode_message(wire.Probe((0.0, 0.0, 0.0)))] * 600)
         for _ in range(100):
             window.send(wire.Steer(0.01, 0.0, 0.0, 0.0), wire.SetFov(80.0), wire.SetFov(81.0))
@@ -190,8 +190,8 @@ def test_an_observer_who_floods_is_disconnected_and_all_of_the_users_messages_ar
             assert again.close_code()[0] == wire.CLOSE_CODES["protocol.not-authorised"]
 
 
-def test_a_flood_of_bytes_is_ended_before_its_messages_are_parsed(desk, handled, monkeypatch):
-    # On a busy machine the flood takes a part of a second, in which the allowance grows: here no time passes.
+def test_flood_of_bytes_is_closed_before_its_messages_are_parsed(desk, handled, monkeypatch):
+    # On a busy machine the flood takes a part of a second, in which the allowance grows; here the time stands still.
     monkeypatch.setattr(message_limits, "RateLimit", lambda per_s, burst, _clock: RateLimit(per_s, burst, Clock()))
     live, window, page = desk
     with watching(page.url) as watcher:
@@ -205,7 +205,7 @@ def test_a_flood_of_bytes_is_ended_before_its_messages_are_parsed(desk, handled,
     assert live.session.snapshot().case is not None
 
 
-def test_a_flood_of_control_frames_is_ended_too(desk):
+def test_flood_of_control_frames_is_closed(desk):
     _live, _window, page = desk
     with watching(page.url) as watcher:
         watcher.until_state(lambda s: s.case is not None)
@@ -220,7 +220,7 @@ def test_a_flood_of_control_frames_is_ended_too(desk):
         thread.join()
 
 
-def test_a_page_that_moves_the_crosshair_on_every_refresh_is_within_the_limits():
+def test_page_that_moves_the_crosshair_on_every_refresh_is_within_the_limits():
     clock = Clock()
     limit = RateLimit(watching_window.MESSAGES_PER_S, watching_window.MESSAGES_AT_ONCE, clock)
     for _ in range(10 * 240):

@@ -1,4 +1,4 @@
-"""An observer receives no name of a CT's file: every byte of the socket and of the pages is searched."""
+"""Privacy towards observers: no byte of the socket and of the pages contains the file name of a CT."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PARTS = (b"SURNAME", b"FIRSTNAME", b"1951.nii", b"surname")
 
 
 def named_volume(path, *_arguments):
-    """Return a CT whose file, folder, notes and neighbours have the patient's name in their names."""
+    """Return a CT whose file, folder, notes and neighbouring files have the patient's name in their names."""
     if path.endswith("refused"):
         raise VolumeImportError(f"reading {NAME}: it is damaged; copy it again", code="import.damaged")
     volume = small_volume(title=NAME)
@@ -45,7 +45,7 @@ def no_airways(*_arguments, **_options):
 
 @pytest.fixture
 def desk(tmp_path, monkeypatch):
-    """Provide a shared case, without airways, of a CT with a patient's name."""
+    """Provide a shared case without airways, of a CT with a patient's name."""
     with sharing(
         tmp_path, monkeypatch, path="/scans/SURNAME/case", open_volume=named_volume, find_airways=no_airways
     ) as shared:
@@ -53,7 +53,7 @@ def desk(tmp_path, monkeypatch):
 
 
 class Recorder:
-    """All that a socket receives."""
+    """Client that records all bytes of a socket."""
 
     def __init__(self, socket):
         self._socket = socket
@@ -77,7 +77,7 @@ def assert_nameless(received):
                 assert at < 0, text[max(0, at - 200) : at + 40]
 
 
-def test_an_observer_receives_no_file_name_through_opening_renaming_exporting_and_errors(desk, tmp_path):
+def test_observer_receives_no_file_name_by_opening_renaming_exporting_and_errors(desk, tmp_path):
     live, window, page = desk
     own = window.had(lambda m: isinstance(m, wire.State) and m.case is not None)
     assert own.case.ct_name == NAME, "the user at this machine reads it"
@@ -92,14 +92,14 @@ def test_an_observer_receives_no_file_name_through_opening_renaming_exporting_an
         assert words["import.lossy"] == "the slices were compressed with loss"
         assert "ask the person at the workstation" in words["import.files-unread"]
         watcher.until(lambda m: isinstance(m, wire.PictureHeader) and m.view == "axial")
-        # Errors of what the user does, whose messages name the file.
+        # Errors of the user's commands, whose messages name the file.
         window.send(wire.OpenPath("/scans/SURNAME/refused"))
         assert NAME in window.until(lambda m: isinstance(m, wire.Error)).message
         window.send(wire.SaveCase(str(tmp_path / "SURNAME" / "mine")))
         window.until(lambda m: isinstance(m, wire.Error))
         with live.http(cookie=live.cookie, origin=live.origin) as client:
             client.get("/api/airways.json")
-        # The observer's own errors.
+        # Errors of the observer's own commands.
         watcher.send(wire.Pick(1, 99_999, 1.0, 1.0), wire.OpenPath(f"/scans/{NAME}"), wire.Probe((0.0, 0.0, 0.0)))
         watcher.until(lambda m: isinstance(m, wire.Value))
         window.send(wire.SetFov(80.0))
@@ -113,7 +113,7 @@ def test_an_observer_receives_no_file_name_through_opening_renaming_exporting_an
     assert_nameless(recorder.received)
 
 
-def test_pages_and_headers_for_observers_hold_no_file_name(desk):
+def test_pages_and_headers_for_observers_contain_no_file_name(desk):
     _live, _window, page = desk
     origin = page.url.partition("/#")[0]
     with httpx.Client(base_url=origin, verify=insecure(), timeout=WAIT_S) as client:
@@ -123,9 +123,9 @@ def test_pages_and_headers_for_observers_hold_no_file_name(desk):
             assert_nameless([answer.content + headers.encode()])
 
 
-def test_the_name_that_the_user_gave_is_not_sent_to_observers(desk):
+def test_case_name_from_the_user_is_not_sent_to_observers(desk):
     live, window, page = desk
-    # Free text: it may be the patient's name.
+    # The name is free text and may be the patient's name.
     saving = replace_saving(live, title=NAME)
     with watching(page.url) as watcher:
         watcher.socket = recorder = Recorder(watcher.socket)
@@ -144,7 +144,7 @@ def replace_saving(live, **values):
     return saving
 
 
-def test_a_window_on_another_machine_is_not_sent_the_file_name(desk, monkeypatch):
+def test_window_on_another_computer_does_not_receive_the_file_name(desk, monkeypatch):
     live, _window, _page = desk
     monkeypatch.setattr("carina.server.app.comes_from_this_machine", lambda _scope: False)
     with live.window() as far:
@@ -164,11 +164,11 @@ def test_a_window_on_another_machine_is_not_sent_the_file_name(desk, monkeypatch
         (None, ("127.0.0.1", 80), False),
     ],
 )
-def test_a_connection_is_of_this_machine_if_it_does_not_leave_it(client, server, is_here):
+def test_connection_is_local_if_it_does_not_leave_the_computer(client, server, is_here):
     assert comes_from_this_machine({"client": client, "server": server}) is is_here
 
 
-def test_notes_of_codes_that_are_not_known_to_be_nameless_are_replaced():
+def test_notes_with_codes_not_known_to_be_free_of_names_are_replaced():
     notes = [CaseNote(code, f"words of {NAME}", True) for code in ("import.some-new-code", "import.not-hu")]
     assert all(NAME not in note.words for note in observer_notes(notes))
     assert [note.code for note in observer_notes(notes)] == ["import.some-new-code", "import.not-hu"]
@@ -177,7 +177,7 @@ def test_notes_of_codes_that_are_not_known_to_be_nameless_are_replaced():
     assert list(observer_notes(kept)) == kept
 
 
-def test_errors_for_observers_keep_their_code_and_lose_their_text():
+def test_errors_for_observers_keep_their_code_without_their_text():
     assert NAME not in observer_error(wire.Error("import.damaged", f"reading {NAME}", NAME)).message
     assert observer_error(wire.Error("import.damaged", "x", None)).code == "import.damaged"
     refused = wire.Error("session.watching", "you are watching", None)

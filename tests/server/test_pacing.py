@@ -1,4 +1,4 @@
-"""The frame pump's judgement, with a renderer, a hand and a client whose time the test moves."""
+"""Scheduler of the frame pump, with a renderer, a hand and a client in simulated time."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from carina.server.budget import AIRWAY_LEVELS, FINDER_BELOW_PER_S
 from carina.server.pacing import FULL, LONG_S, LOST_AFTER_S, STILL_AFTER_S, FrameScheduler
 from simulated_stream import AIRWAY, ALL_VIEWS, Machine, Simulation, airway, num_changes, num_coarser, rate_hz
 
-# 5 ms to 250 ms for a full picture, and a factor of 50 between them.
+# 5 ms to 250 ms for a full picture: a factor of 50.
 FULL_COSTS_S = (0.005, 0.012, 0.025, 0.06, 0.12, 0.25)
 
 
 class Player:
-    """Plays renderer and client by hand: renders what is ordered, at a cost per ray."""
+    """Renderer and client that a test drives: it renders the ordered pictures at a cost per ray."""
 
     def __init__(self, layout, *, cost_s: float = 1e-8, acknowledges: bool = True) -> None:
         self.scheduler = FrameScheduler()
@@ -41,7 +41,7 @@ class Player:
         return order
 
     def drain(self, keys):
-        """Until nothing is wanted now."""
+        """Render until nothing is due."""
         orders = []
         while (order := self.step(keys)) is not None:
             orders.append(order)
@@ -55,18 +55,18 @@ class Player:
 @pytest.mark.parametrize("full_s", FULL_COSTS_S)
 @pytest.mark.parametrize("hand_hz", [60.0, 1000.0])
 @pytest.mark.parametrize("counts", [True, False], ids=["rays counted", "by the clock alone"])
-def test_the_asked_rate_is_held_whatever_a_picture_costs(layout, full_s, hand_hz, counts):
+def test_requested_rate_is_met_at_every_cost_of_a_picture(layout, full_s, hand_hz, counts):
     simulation = Simulation(Machine(full_s, counts=counts), layout=dict(layout), hand_per_s=hand_hz)
     simulation.fly(2.0)
     sent = simulation.fly(3.0)
-    # Ten per cent, as asked; a hand that moves more often than the rate gets no more than the rate.
+    # Tolerance of 10 %; a hand that moves more often than the rate gets no more than the rate.
     assert rate_hz(sent) == pytest.approx(60.0, rel=0.1)
     assert num_changes(sent) <= 1, "nothing changes, so the level does not either, but for one step finer"
     assert num_coarser(sent) == 0
 
 
 @pytest.mark.parametrize("rate", [15.0, 30.0, 120.0])
-def test_another_rate_is_held_too_and_a_lower_one_gives_finer_pictures(rate):
+def test_other_rates_are_met_and_a_lower_rate_gives_finer_pictures(rate):
     at_60 = Simulation(Machine(0.08))
     at_60.fly(2.0)
     simulation = Simulation(Machine(0.08), rate_hz=rate, hand_per_s=240.0)
@@ -80,18 +80,18 @@ def test_another_rate_is_held_too_and_a_lower_one_gives_finer_pictures(rate):
 @pytest.mark.parametrize("full_s", FULL_COSTS_S)
 @pytest.mark.parametrize("samples", [0.1, 0.5, 0.9])
 @pytest.mark.parametrize("counts", [True, False], ids=["rays counted", "by the clock alone"])
-def test_the_picture_is_as_fine_as_the_time_allows(full_s, samples, counts):
+def test_picture_is_as_fine_as_the_time_allows(full_s, samples, counts):
     simulation = Simulation(Machine(full_s, samples=samples, counts=counts))
     simulation.fly(6.0)
     time_s, order = simulation.sent[-1]
     took_s = simulation.machine.seconds(order, time_s)
     assert took_s < 1.05 / 60.0
-    # One level finer would not have fitted: a level costs 0.82 to 0.86 of the one before, and 0.85 of the period is
-    # asked for. What the model's prior is off by takes a little more of it.
+    # One level finer would not fit: a level costs 0.82 to 0.86 of the finer one, and the scheduler plans for 0.85 of
+    # the period. The error of the model's prior uses a little more of the period.
     assert order.level == 0 or took_s > 0.66 / 60.0
 
 
-def test_resolution_gives_way_before_the_step_does():
+def test_resolution_is_reduced_before_the_step_is_increased():
     areas = [level.scale for level in AIRWAY_LEVELS]
     steps = [level.step_vox for level in AIRWAY_LEVELS]
     assert areas == sorted(areas, reverse=True)
@@ -104,9 +104,9 @@ def test_resolution_gives_way_before_the_step_does():
 
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("counts", [True, False], ids=["rays counted", "by the clock alone"])
-def test_noise_and_hiccups_make_neither_flicker_nor_a_lower_rate(seed, counts):
+def test_noise_and_pauses_cause_neither_flicker_nor_a_lower_rate(seed, counts):
     rng = random.Random(seed)
-    # A tenth of noise, and once a second another program's moment.
+    # 10 % noise, and once a second a pause by another program.
     machine = Machine(
         0.06,
         slowed=lambda _now_s: math.exp(rng.gauss(0.0, 0.1)),
@@ -122,8 +122,8 @@ def test_noise_and_hiccups_make_neither_flicker_nor_a_lower_rate(seed, counts):
     assert min(widths) >= (0.83 if counts else 0.7) * max(widths)
 
 
-def test_a_slow_down_is_answered_within_a_few_pictures_and_taken_back_after_it():
-    # Another process takes a core, and some of the memory's bandwidth, from second 15 to 18.
+def test_slow_down_changes_the_level_within_a_few_pictures_and_recovers_after_it():
+    # From second 15 to 18 another process uses a core and a part of the memory bandwidth.
     simulation = Simulation(Machine(0.06, slowed=lambda now_s: 2.2 if 15.0 <= now_s < 18.0 else 1.0))
     before = simulation.fly(5.0)[-1][1].level
     hit = airway(simulation.fly(1.0))
@@ -135,16 +135,16 @@ def test_a_slow_down_is_answered_within_a_few_pictures_and_taken_back_after_it()
     simulation.fly(2.0)
     recovered = airway(simulation.fly(3.0))
     assert rate_hz(recovered) == pytest.approx(60.0, rel=0.1)
-    # One level apart is within the hysteresis.
+    # One level of difference is within the hysteresis.
     assert recovered[-1][1].level <= before + 1
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_waiting_for_a_core_does_not_cost_sharpness_that_would_not_shorten_it(seed):
+def test_waiting_for_a_core_does_not_reduce_the_resolution(seed):
     rng = random.Random(seed)
     quiet = Simulation(Machine(0.1))
     quiet.fly(3.0)
-    # Every other picture waits for its cores, for 6 ms on average, whatever its size.
+    # Every other picture waits for its cores, 6 ms on average, at any size.
     waits = Machine(0.1, waits_s=lambda: rng.expovariate(1 / 0.006) if rng.random() < 0.5 else 0.0)
     simulation = Simulation(waits)
     simulation.fly(2.0)
@@ -155,8 +155,8 @@ def test_waiting_for_a_core_does_not_cost_sharpness_that_would_not_shorten_it(se
     assert widths[0] >= 0.6 * quiet.sent[-1][1].width
 
 
-def test_a_neighbour_who_stays_is_answered_and_one_who_leaves_is_forgotten():
-    # Another program has half of the cores from second 15 to 18.
+def test_sustained_load_changes_the_level_which_recovers_after_the_load():
+    # Another program uses half of the cores from second 15 to 18.
     machine = Machine(0.06, shared=lambda now_s: 2.0 if 15.0 <= now_s < 18.0 else 1.0)
     simulation = Simulation(machine)
     before = simulation.fly(5.0)[-1][1].width
@@ -167,8 +167,8 @@ def test_a_neighbour_who_stays_is_answered_and_one_who_leaves_is_forgotten():
     assert airway(simulation.fly(3.0))[-1][1].width == before
 
 
-def test_a_picture_is_as_fine_as_it_may_be_where_none_is_quick_enough_for_the_rate():
-    # 40 ms for each picture, whatever its size: 25 a second at most.
+def test_picture_is_as_fine_as_possible_if_no_level_reaches_the_rate():
+    # 40 ms for each picture at any size: at most 25 a second.
     simulation = Simulation(Machine(0.06, each_s=0.040))
     simulation.fly(4.0)
     sent = airway(simulation.fly(4.0))
@@ -177,7 +177,7 @@ def test_a_picture_is_as_fine_as_it_may_be_where_none_is_quick_enough_for_the_ra
     assert num_changes(sent) <= 1
 
 
-def test_a_level_between_two_does_not_make_the_picture_swing():
+def test_cost_between_two_levels_does_not_make_the_level_oscillate():
     for cost in range(20):
         simulation = Simulation(Machine(0.02 * 1.12**cost))
         simulation.fly(2.0)
@@ -189,7 +189,7 @@ def test_a_level_between_two_does_not_make_the_picture_swing():
 # ------------------------------------------------------------ rest
 
 
-def test_a_view_that_did_not_change_is_not_rendered_again():
+def test_unchanged_view_is_not_rendered_again():
     player = Player({"airway": (200, 160), "axial": (100, 80), "xray-coronal": (100, 80)})
     keys = {"airway": 1, "axial": 1, "xray-coronal": 1}
     player.drain(keys)
@@ -201,7 +201,7 @@ def test_a_view_that_did_not_change_is_not_rendered_again():
     assert [o.full for o in player.sent if o.view == "xray-coronal"] == [True]
 
 
-def test_the_first_airway_picture_is_coarse_and_the_last_one_full():
+def test_first_airway_picture_is_coarse_and_the_last_one_full():
     player = Player({"airway": (800, 640)})
     orders = player.drain({"airway": 1})
     assert (orders[0].width, orders[0].height, orders[0].full) == (200, 160, False)
@@ -213,20 +213,20 @@ def test_the_first_airway_picture_is_coarse_and_the_last_one_full():
 
 
 @pytest.mark.parametrize("full_s", [*FULL_COSTS_S, 0.6, 2.0])
-def test_rest_brings_the_full_picture_within_a_bounded_time(full_s):
+def test_rest_shows_the_full_picture_within_a_limited_time(full_s):
     simulation = Simulation(Machine(full_s), layout=dict(ALL_VIEWS))
     simulation.fly(3.0)
     stopped_s = simulation.now_s
     rested = airway(simulation.rest(5.0))
     assert rested[-1][1].grade == FULL
     assert (rested[-1][1].width, rested[-1][1].step_vox) == (800, 0.5)
-    # The pause that shows that the hand rests, one picture of middle size where the full one takes long, and a little
-    # for the pictures of the other views that were under way.
+    # The limit is the sum of the pause that shows that the hand rests, one picture of middle size if the full one takes
+    # long, and a little for pending pictures of the other views.
     middle_s = 1.3 * LONG_S if full_s > 0.8 * LONG_S else 0.0
     assert rested[-1][0] - stopped_s < STILL_AFTER_S + full_s + middle_s + 0.08
 
 
-def test_a_full_picture_that_takes_long_has_one_of_middle_size_before_it():
+def test_slow_full_picture_is_preceded_by_one_of_middle_size():
     simulation = Simulation(Machine(1.0))
     moving = simulation.fly(2.0)[-1][1]
     sizes = [order.width for _, order in simulation.rest(3.0)]
@@ -239,8 +239,8 @@ def test_a_full_picture_that_takes_long_has_one_of_middle_size_before_it():
 # ------------------------------------------------------------ the view finder
 
 
-def test_below_five_pictures_a_second_the_view_finder_stands_in_and_rest_shows_the_airway():
-    simulation = Simulation(Machine(20.0, each_s=0.002), hand_per_s=60.0)  # 0.6 s at the lowest level
+def test_below_five_pictures_a_second_the_cut_plane_replaces_the_airway_view_until_rest():
+    simulation = Simulation(Machine(20.0, each_s=0.002), hand_per_s=60.0)  # 0.6 s at the coarsest level.
     simulation.fly(4.0)
     flown = simulation.fly(4.0)
     assert {order.purpose for _, order in flown} == {"finder"}
@@ -253,7 +253,7 @@ def test_below_five_pictures_a_second_the_view_finder_stands_in_and_rest_shows_t
     assert rested[-1][1].full
 
 
-def test_the_airway_view_comes_back_once_it_is_quick_again_and_stays():
+def test_airway_view_returns_when_it_is_fast_again_and_stays():
     simulation = Simulation(Machine(20.0, each_s=0.002, slowed=lambda now_s: 1.0 if now_s < 18.0 else 0.01))
     simulation.fly(8.0)
     assert simulation.scheduler.finding
@@ -265,7 +265,7 @@ def test_the_airway_view_comes_back_once_it_is_quick_again_and_stays():
 
 
 @pytest.mark.parametrize("rate", [3.5, 4.5, 5.5, 6.5, 7.5, 9.0])
-def test_near_the_limit_the_view_finder_does_not_come_and_go(rate):
+def test_view_does_not_alternate_near_the_limit(rate):
     # The coarsest level takes 1/rate seconds, with a little noise.
     rng = random.Random(3)
     last = AIRWAY_LEVELS[-1]
@@ -281,7 +281,7 @@ def test_near_the_limit_the_view_finder_does_not_come_and_go(rate):
         assert not stood_in[-1]
 
 
-def test_a_renderer_that_takes_long_for_any_picture_is_probed_rarely():
+def test_renderer_that_is_slow_at_every_level_is_probed_rarely():
     simulation = Simulation(Machine(0.5, each_s=0.4))
     simulation.fly(5.0)
     num, spent_s = len(simulation.probes), simulation.spent_s.get("probe", 0.0)
@@ -294,7 +294,7 @@ def test_a_renderer_that_takes_long_for_any_picture_is_probed_rarely():
 # ------------------------------------------------------------ several views, slow clients
 
 
-def test_no_view_starves_and_none_slows_the_airway_view_while_it_moves():
+def test_every_view_is_rendered_and_none_slows_the_moving_airway_view():
     simulation = Simulation(Machine(0.1), layout=dict(ALL_VIEWS))
     simulation.fly(2.0)
     sent = simulation.fly(4.0)
@@ -303,7 +303,7 @@ def test_no_view_starves_and_none_slows_the_airway_view_while_it_moves():
         assert sum(order.view == view for _, order in sent) >= 4 * 10, f"{view}: at least ten a second"
 
 
-def test_where_nothing_is_quick_enough_the_others_still_take_no_more_than_their_share():
+def test_other_views_keep_to_their_share_if_no_picture_is_fast_enough():
     simulation = Simulation(Machine(1.5, slices_s=0.03), layout=dict(ALL_VIEWS))
     simulation.fly(2.0)
     spent_s = dict(simulation.spent_s)
@@ -311,13 +311,13 @@ def test_where_nothing_is_quick_enough_the_others_still_take_no_more_than_their_
     assert {order.view for _, order in sent} == set(ALL_VIEWS)
     took = {v: s - spent_s.get(v, 0.0) for v, s in simulation.spent_s.items()}
     others_s = sum(s for v, s in took.items() if v != "picture")
-    # A third of the airway's time, and at most one picture more than that.
+    # A third of the airway view's time, and at most one picture more.
     assert others_s < 0.35 * took["picture"] + 0.05
 
 
-def test_a_dear_picture_of_another_view_waits_until_the_flight_is_over():
+def test_slow_picture_of_another_view_waits_until_the_flight_ends():
     layout = {**AIRWAY, "tree": (768, 768)}
-    player = Player(layout, cost_s=1e-7)  # the full tree picture: 59 ms
+    player = Player(layout, cost_s=1e-7)  # The full tree picture: 59 ms.
     player.drain({"airway": 1, "tree": 1})
     for pose in range(2, 40):
         player.now_s += 1 / 60
@@ -328,7 +328,7 @@ def test_a_dear_picture_of_another_view_waits_until_the_flight_is_over():
     assert next(o for o in reversed(player.sent) if o.view == "tree").full
 
 
-def test_pictures_in_flight_are_limited_and_an_ack_makes_room():
+def test_number_of_pending_pictures_is_limited_and_an_ack_frees_a_place():
     player = Player({"airway": (64, 64), "axial": (64, 64)}, acknowledges=False)
     for pose in range(20):
         player.now_s += 0.02
@@ -340,14 +340,15 @@ def test_pictures_in_flight_are_limited_and_an_ack_makes_room():
     airway_ids = [n for n, o in enumerate(player.sent, start=1) if o.view == "airway"]
     player.scheduler.acknowledge(airway_ids[0])
     order = player.step({"airway": 100, "axial": 100})
-    assert (order.view, order.key) == ("airway", 100)  # the newest pose, not those skipped
+    assert (order.view, order.key) == ("airway", 100)  # The newest pose, not the skipped ones.
     assert player.scheduler.num_in_flight("airway") == 3
 
 
 class Slow:
-    """A client that decodes one picture at a time and drops what is overtaken (``web/src/net/pictures.ts``).
+    """Client that decodes one picture at a time and drops outdated ones (``web/src/net/pictures.ts``).
 
-    What was dropped is acknowledged with the picture that was being decoded, so that the server hears how slow it is.
+    The client acknowledges a dropped picture together with the picture that it was decoding, so that the server can
+    measure the speed of the client.
     """
 
     def __init__(self, decode_s: float, travel_s: float = 0.0) -> None:
@@ -356,7 +357,7 @@ class Slow:
         self.scheduler.set_layout(AIRWAY)
 
     def fly(self, seconds: float) -> tuple[int, int, float]:
-        """Pictures rendered, pictures shown, and how old a pose was on the average when it was shown."""
+        """Return the numbers of rendered and shown pictures, and the mean age of a pose when it was shown (s)."""
         now_s, end_s, frame = 10.0, 10.0 + seconds, 0
         decoding, waiting, overtaken, acks, ages_s, made_s = None, None, [], [], [], {}
         while now_s < end_s:
@@ -384,21 +385,21 @@ class Slow:
         return frame, len(ages_s), sum(ages_s) / len(ages_s)
 
 
-def test_a_client_that_is_behind_is_not_sent_what_it_would_drop():
+def test_slow_client_does_not_receive_pictures_that_it_would_drop():
     rendered, shown, age_s = Slow(decode_s=0.150).fly(20.0)
     assert shown >= 0.8 * 20.0 / 0.160, "the client always has something to decode"
-    # One is decoded and one waits; at 60 a second it would be nine times as many, on cores that the client lacks.
+    # One picture is decoded and one waits. 60 a second would be nine times as many, on cores that the client needs.
     assert rendered < 2.1 * shown
     assert age_s < 2.2 * 0.150
 
 
-def test_a_client_that_is_far_away_gets_its_pictures_in_flight():
-    # A round trip of 45 ms, and nothing is ever dropped: three under way, 60 a second.
+def test_distant_client_gets_several_pictures_in_flight():
+    # A round trip of 45 ms without dropped pictures: three in flight, 60 a second.
     _, shown, _ = Slow(decode_s=0.004, travel_s=0.041).fly(10.0)
     assert shown > 0.85 * 10.0 * 50
 
 
-def test_a_client_that_lost_its_pictures_is_not_left_without_any():
+def test_client_that_lost_its_pictures_gets_new_ones():
     player = Player({"airway": (64, 64)}, acknowledges=False)
     for pose in range(5):
         player.now_s += 0.02
@@ -411,7 +412,7 @@ def test_a_client_that_lost_its_pictures_is_not_left_without_any():
     assert player.step({"airway": 9}).key == 9
 
 
-def test_a_view_that_comes_back_to_the_screen_gets_everything_and_its_old_pictures_are_forgotten():
+def test_view_that_is_shown_again_is_sent_completely_and_its_old_pictures_are_forgotten():
     player = Player({"airway": (64, 64)}, acknowledges=False)
     player.scheduler.observe({"airway": 1}, player.now_s)
     under_way = player.scheduler.next_order(player.now_s)
@@ -423,7 +424,7 @@ def test_a_view_that_comes_back_to_the_screen_gets_everything_and_its_old_pictur
     assert player.step({"airway": 1}).view == "airway"
 
 
-def test_a_picture_that_failed_is_not_asked_for_until_it_changes():
+def test_failed_picture_is_not_requested_until_the_view_changes():
     player = Player({"axial": (64, 64)})
     player.scheduler.observe({"axial": 1}, player.now_s)
     player.scheduler.failed(player.scheduler.next_order(player.now_s))
@@ -431,7 +432,7 @@ def test_a_picture_that_failed_is_not_asked_for_until_it_changes():
     assert player.step({"axial": 2}).key == 2
 
 
-def test_a_view_with_nothing_to_show_is_not_rendered():
+def test_view_without_content_is_not_rendered():
     player = Player({"tree": (64, 64)})
     assert player.step({"tree": None}) is None
     assert player.step({"tree": 1}) is not None
@@ -440,7 +441,7 @@ def test_a_view_with_nothing_to_show_is_not_rendered():
     assert player.scheduler.wake_s(player.now_s) is None
 
 
-def test_a_resized_view_is_sent_again_and_the_others_are_not():
+def test_only_a_resized_view_is_sent_again():
     player = Player({"axial": (64, 64), "coronal": (64, 64)})
     keys = {"axial": 1, "coronal": 1}
     player.drain(keys)
@@ -448,11 +449,11 @@ def test_a_resized_view_is_sent_again_and_the_others_are_not():
     assert [(o.view, o.width) for o in player.drain(keys)] == [("axial", 128)]
 
 
-# ------------------------------------------------------------ giving way
+# ------------------------------------------------------------ cancelling pictures
 
 
 def under_way(player, keys):
-    """The full airway picture has just begun."""
+    """Return a player that has just begun the full airway picture."""
     player.drain(keys)
     player.now_s += STILL_AFTER_S
     player.scheduler.observe(keys, player.now_s)
@@ -461,7 +462,7 @@ def under_way(player, keys):
     return order
 
 
-def test_a_full_picture_gives_way_to_a_movement_and_a_moving_one_does_not():
+def test_movement_cancels_a_full_picture_and_not_a_moving_one():
     player = Player({"airway": (800, 640)})
     order = under_way(player, {"airway": 1})
     assert not player.scheduler.gives_way(order, {"airway": 1}, player.now_s)
@@ -472,7 +473,7 @@ def test_a_full_picture_gives_way_to_a_movement_and_a_moving_one_does_not():
     assert not player.scheduler.gives_way(moving, {"airway": 3}, player.now_s)
 
 
-def test_only_a_long_picture_gives_way_to_another_view():
+def test_only_a_slow_picture_is_cancelled_for_another_view():
     quick, slow = Player({**AIRWAY, "axial": (64, 64)}), Player({**AIRWAY, "axial": (64, 64)}, cost_s=2e-6)
     for player, gives_way in ((quick, False), (slow, True)):
         order = under_way(player, {"airway": 1, "axial": 1})

@@ -1,4 +1,4 @@
-"""A tracked pen over the wire: its button marks the pen's own tip, in every way to move and after every switch."""
+"""Tracked pen over the wire: its button marks the pen's own tip in every steering mode and after every mode change."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from carina.navigate.rotation import rotation_from_vector, wxyz_from_rotation
 from carina.server import messages as wire
 from small_case import small_volume
 
-# The tracker stands beside the patient, turned about two axes.
+# The tracker is beside the patient, rotated about two axes.
 TURN = rotation_from_vector(np.array([0.4, -0.9, 0.2]))
 AWAY = np.array([120.0, -45.0, 300.0])
-# A hand at work: some 200 mm/s, far more than a filter follows at once.
+# A fast movement of some 200 mm/s, far more than a filter follows at once.
 HURRY_MM = 4.0
 SAMPLE_S = 0.02
 
 
 class TrackedPen:
-    """A pen that a person holds at places of the patient; what it tells are the tracker's."""
+    """Pen that is moved to points of the patient; it sends positions in the coordinates of the tracker."""
 
     def __init__(self, window, device="openigtlink:192.0.2.7:18944"):
         self.window, self.device = window, device
@@ -53,7 +53,7 @@ class TrackedPen:
         )
 
     def comes_to(self, lps, along=(1.0, 0.0, 0.0)):
-        """In a hurry, from the side; the last sample is at the place."""
+        """Move the pen to a point fast and from the side; the last sample is at the point."""
         for n in range(5, -1, -1):
             self.hold(np.asarray(lps) + n * HURRY_MM * np.asarray(along))
 
@@ -85,7 +85,7 @@ def targets(window, num):
     return window.until_state(lambda s: len(s.targets) >= num).targets
 
 
-def test_a_registered_pens_button_marks_its_own_tip_in_every_way_to_move_and_after_every_switch(window, middle):
+def test_registered_pen_button_marks_its_own_tip_in_every_mode_and_after_every_change(window, middle):
     pen = TrackedPen(window)
     pen.hold(middle)
     pen.register(corners(middle))
@@ -100,7 +100,7 @@ def test_a_registered_pens_button_marks_its_own_tip_in_every_way_to_move_and_aft
         marked = np.array(targets(window, n)[-1].lps)
         errors[n, control] = float(np.linalg.norm(marked - place))
     assert max(errors.values()) < 0.1, errors
-    # The same in a free flight that keys began, and with the tip anywhere else.
+    # The same in a free flight that keys began, with the tip at another place.
     window.send(wire.SetMode("free"), wire.Place(tuple(float(v) for v in middle)))
     place = middle + np.array([5.0, 5.0, 5.0])
     pen.comes_to(place)
@@ -108,7 +108,7 @@ def test_a_registered_pens_button_marks_its_own_tip_in_every_way_to_move_and_aft
     assert np.linalg.norm(np.array(targets(window, len(modes) + 1)[-1].lps) - place) < 0.1
 
 
-def test_a_registered_pens_button_sets_the_root_at_its_own_tip(window, middle):
+def test_registered_pen_button_sets_the_root_at_its_own_tip(window, middle):
     pen = TrackedPen(window)
     pen.hold(middle)
     pen.register(corners(middle))
@@ -121,7 +121,7 @@ def test_a_registered_pens_button_sets_the_root_at_its_own_tip(window, middle):
     assert np.linalg.norm(np.array(state.root_lps) - place) < 0.1
 
 
-def test_the_start_of_a_path_and_its_target_are_marked_by_the_pen_and_need_no_airways(window, middle):
+def test_pen_marks_start_and_target_of_a_path_without_airways(window, middle):
     pen = TrackedPen(window)
     pen.hold(middle)
     pen.register(corners(middle))
@@ -140,7 +140,7 @@ def test_the_start_of_a_path_and_its_target_are_marked_by_the_pen_and_need_no_ai
     assert (target.cost, target.root_lps, target.problem) == ("walls", told.lps, None)
 
 
-def test_what_the_button_would_mark_is_told_before_it_is_pressed(window, middle):
+def test_mark_of_the_button_is_reported_before_it_is_pressed(window, middle):
     pen = TrackedPen(window)
     window.send(wire.ArmPen("target"))
     pen.hold(middle)
@@ -155,7 +155,7 @@ def test_what_the_button_would_mark_is_told_before_it_is_pressed(window, middle)
     assert window.until(lambda m: isinstance(m, wire.Pen) and m.device is None).lps is None
 
 
-def test_without_a_registration_the_scopes_tip_is_marked(live, window, middle):
+def test_without_a_registration_the_button_marks_the_tip_of_the_scope(live, window, middle):
     pen = TrackedPen(window)
     window.send(wire.GoTo(10.0), wire.ArmPen("target"))
     window.until(lambda m: isinstance(m, wire.Pose) and m.path_mm == pytest.approx(10.0))
@@ -165,7 +165,7 @@ def test_without_a_registration_the_scopes_tip_is_marked(live, window, middle):
     np.testing.assert_allclose(target.lps, live.session.pose_info().pose.position_lps, atol=1e-6)
 
 
-def test_what_is_left_between_pen_and_tip_is_told_in_absolute_and_joined_at_once(live, window, middle):
+def test_distance_from_pen_to_tip_is_reported_in_absolute_mode_and_closed_by_a_command(live, window, middle):
     pen = TrackedPen(window)
     pen.hold(middle)
     pen.register(corners(middle))
@@ -183,7 +183,7 @@ def test_what_is_left_between_pen_and_tip_is_told_in_absolute_and_joined_at_once
     assert joined.off_deg == 0.0
 
 
-def test_a_point_outside_the_scan_is_refused_in_words_and_marks_nothing(window, middle):
+def test_point_outside_the_scan_is_refused_with_a_message_and_marks_nothing(window, middle):
     pen = TrackedPen(window)
     pen.hold(middle)
     pen.register(corners(middle))
@@ -194,7 +194,7 @@ def test_a_point_outside_the_scan_is_refused_in_words_and_marks_nothing(window, 
     assert not [s for s in window.seen if isinstance(s, wire.State) and s.targets]
 
 
-def test_another_window_is_told_of_a_pen_that_rests(live, window, middle):
+def test_other_window_is_notified_of_a_resting_pen(live, window, middle):
     pen = TrackedPen(window)
     pen.hold(middle)
     window.until(lambda m: isinstance(m, wire.Pen) and m.device is not None)

@@ -1,4 +1,4 @@
-"""What a window is told of plans: none without a case, and the same text until they change."""
+"""Messages about plans and structures of the lungs: empty without a case, and sent again only after a change."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from carina.session.snapshot import Topic
 from small_case import small_bench
 
 
-def test_there_are_no_plans_without_a_case_and_empty_ones_before_a_target() -> None:
+def test_plans_are_absent_without_a_case_and_empty_before_a_target() -> None:
     bench = small_bench()
     texts = SharedTexts(bench.session, None, print)
     nothing = texts.plans()
@@ -29,11 +29,11 @@ def test_there_are_no_plans_without_a_case_and_empty_ones_before_a_target() -> N
     assert (message["type"], message["targets"], message["standing"]) == ("plans", [], "unwanted")
     assert message["tools"]
     bench.session.do(CloseCase())
-    # Whoever asks while the case is being closed is told of none, and the sender goes on.
+    # A request while the case is being closed gets no plans, and the sender continues.
     assert texts.plans() == nothing != told
 
 
-def test_what_was_mapped_of_the_lungs_is_told_as_it_changes() -> None:
+def test_maps_of_the_lungs_are_sent_when_they_change() -> None:
     bench = small_bench(
         wall_field=lambda *_given, **_options: object(), map_lungs=lambda *_given, **_options: LungMap()
     )
@@ -56,16 +56,16 @@ def test_what_was_mapped_of_the_lungs_is_told_as_it_changes() -> None:
         (None, "as far as the CT shows them"),
     ],
 )
-def test_how_far_fissures_are_seen_is_said_of_the_sides_that_have_borders(shares, words) -> None:
+def test_visible_part_of_fissures_is_stated_for_sides_with_borders(shares, words) -> None:
     assert _fissures_seen(shares) == words
 
 
-def test_vessels_are_told_as_lines_without_burrs() -> None:
+def test_vessels_are_sent_as_lines_without_short_side_branches() -> None:
     def line(num: int, at: float, sure: float, parent: int | None) -> VesselBranch:
         points = np.stack([np.full(num, at), np.zeros(num), np.arange(float(num))], axis=1)
         return VesselBranch(points, np.full(num, 1.2), parent, sure)
 
-    # A trunk, a short piece that another leaves, that one, and a burr.
+    # A trunk, a short piece between it and another vessel, that vessel, and a short side branch.
     tree = VesselTree((line(40, 0.0, 1.0, None), line(4, 1.0, 1.0, 0), line(30, 2.0, 0.6, 1), line(4, 3.0, 1.0, 0)))
     bench = small_bench(
         wall_field=lambda *_given, **_options: object(), map_lungs=lambda *_given, **_options: LungMap(vessel_tree=tree)
@@ -86,9 +86,9 @@ def test_vessels_are_told_as_lines_without_burrs() -> None:
     assert len(told[0]["points_lps"]) == 17
 
 
-def test_every_topic_of_a_session_has_its_turn_in_what_is_sent() -> None:
+def test_every_topic_of_a_session_is_sent() -> None:
     outbox = Outbox()
-    # Pictures answer to the views.
+    # The topic ``views`` is answered by pictures.
     sent = set(get_args(Topic)) - {"views"}
     outbox.mark(*get_args(Topic))
     topics, _, _ = outbox.take()

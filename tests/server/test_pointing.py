@@ -1,4 +1,4 @@
-"""What is answered to a cursor: the live path, what was measured along a branch; and how edits come in."""
+"""Answers to the cursor: the live path and the measures along a branch; and conversion of edits from the wire."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ WAIT_S = 120.0
 
 @pytest.fixture
 def pointing():
-    """A session with airways, a picture of number 5, and the answers that came."""
+    """Return a session with airways, a picture of number 5, and the received answers."""
     bench = small_bench()
     bench.open()
     picture = SimpleNamespace(hit=None, asked=[])
@@ -50,7 +50,7 @@ def ask(pointing, request_id, **place):
     return pointing.answers.get(timeout=WAIT_S)
 
 
-def test_a_point_is_answered_with_the_way_to_it(pointing):
+def test_point_is_answered_with_the_path_to_it(pointing):
     point = small_lps((8.5, 13.0, 14.5))
     answer = ask(pointing, 3, lps=point)
     assert (answer.request_id, answer.lps, answer.problem) == (3, point, None)
@@ -61,14 +61,14 @@ def test_a_point_is_answered_with_the_way_to_it(pointing):
     wire.parse_server_message(wire.encode_message(answer))
 
 
-def test_a_point_without_a_way_is_answered_in_words_and_no_error_is_raised(pointing):
+def test_point_without_a_path_is_answered_with_the_reason_and_no_error(pointing):
     answer = ask(pointing, 4, lps=small_lps((2.0, 2.0, 30.0)))
     assert answer.points_lps == ()
     assert "mm away" in answer.problem
     wire.parse_server_message(wire.encode_message(answer))
 
 
-def test_a_place_in_the_airway_picture_means_the_lumen_in_front_of_the_wall(pointing):
+def test_place_in_the_airway_picture_selects_the_lumen_in_front_of_the_wall(pointing):
     wall = np.array(small_lps((18.6, 14.0, 30.0)))
     pointing.picture.hit = SimpleNamespace(position_lps=wall)
     answer = ask(pointing, 5, frame_id=5, column=12.0, row=7.5)
@@ -89,13 +89,13 @@ def test_a_place_in_the_airway_picture_means_the_lumen_in_front_of_the_wall(poin
         ({"frame_id": 5, "column": 1.0, "row": 1.0}, "no airway wall"),
     ],
 )
-def test_a_place_that_shows_nothing_says_so(pointing, place, words):
+def test_place_without_content_is_answered_with_the_reason(pointing, place, words):
     answer = ask(pointing, 6, **place)
     assert answer.lps is None
     assert words in answer.problem
 
 
-def test_without_airways_the_answer_says_what_to_wait_for():
+def test_without_airways_the_answer_states_the_pending_step():
     bench = small_bench()
     answers = queue.Queue()
     made = Pointing(bench.session, lambda _frame: None, answers.put)
@@ -109,27 +109,27 @@ def test_without_airways_the_answer_says_what_to_wait_for():
     made.stop()
 
 
-def test_a_fault_is_answered_and_the_next_question_too(pointing, monkeypatch):
+def test_fault_in_an_answer_is_reported_and_the_next_question_is_answered(pointing, monkeypatch):
     monkeypatch.setattr(pointing.session, "ask", lambda _question: 1 / 0)
     assert "internal error in Carina (ZeroDivisionError)" in ask(pointing, 1, lps=(0.0, 0.0, 0.0)).problem
     monkeypatch.undo()
     assert ask(pointing, 2, lps=small_lps((16.0, 14.0, 30.0))).problem is None
 
 
-def test_what_the_first_question_would_wait_for_is_done_before_it_comes(pointing, monkeypatch):
+def test_preparation_for_the_first_question_runs_before_it_arrives(pointing, monkeypatch):
     asked = queue.Queue()
     monkeypatch.setattr(pointing.session, "ask", asked.put)
     warming = Warming(pointing.session)
     warming.start()
     warming.airways_changed()
     assert asked.get(timeout=WAIT_S).lps == pytest.approx(small_lps((16.0, 14.0, 37.0)))
-    # Once for the same airways, and without an answer.
+    # The preparation runs once for the same airways, and sends no answer.
     warming.airways_changed()
     warming.stop()
     assert asked.empty()
 
 
-def test_a_branch_that_was_not_measured_or_is_gone_has_no_measures(pointing):
+def test_branch_without_measures_or_removed_branch_has_no_measures(pointing):
     for branch_id in (1, 77):
         pointing.pointing.ask_branch_detail(wire.AskBranchDetail(9, branch_id))
         answer = pointing.answers.get(timeout=WAIT_S)
@@ -137,7 +137,7 @@ def test_a_branch_that_was_not_measured_or_is_gone_has_no_measures(pointing):
         assert (answer.measures, answer.profile) == (None, None)
 
 
-def test_only_the_newest_task_of_a_kind_is_done_and_kinds_take_turns():
+def test_only_the_newest_task_of_a_kind_is_run_and_kinds_take_turns():
     newest = NewestOnly("test")
     done, gate, last = [], threading.Event(), threading.Event()
     newest.start()
@@ -148,11 +148,11 @@ def test_only_the_newest_task_of_a_kind_is_done_and_kinds_take_turns():
     gate.set()
     assert last.wait(WAIT_S)
     newest.stop()
-    # The first task may not have begun when the second came: then it was dropped, too.
+    # If the first task had not begun when the second came, it was dropped, too.
     assert done == [("a", 4), ("b", 4)]
 
 
-def test_long_paths_are_thinned_out_and_keep_both_ends():
+def test_long_paths_are_thinned_and_keep_both_ends():
     along = np.arange(0.0, 300.0, 0.1)
     points = np.column_stack([np.sin(along / 30) * 10, along, -along])
     path = SimpleNamespace(
@@ -174,7 +174,7 @@ def test_long_paths_are_thinned_out_and_keep_both_ends():
 
 
 @pytest.mark.parametrize("end", ["lens in the wall", "all outside"])
-def test_the_lumen_before_a_wall_is_a_point_of_the_ray_also_at_its_ends(end):
+def test_lumen_point_in_front_of_a_wall_is_on_the_ray_also_at_its_ends(end):
     wall, lens = np.array([1.0, 2.0, 3.0]), np.array([1.0, 2.0, 13.0])
     if end == "all outside":
         tracker = SimpleNamespace(inside=lambda points: np.zeros(len(points), dtype=bool))
@@ -183,7 +183,7 @@ def test_the_lumen_before_a_wall_is_a_point_of_the_ray_also_at_its_ends(end):
         np.testing.assert_array_equal(lumen_before_wall(None, wall, wall + 0.1, 0.5), wall + 0.1)
 
 
-def test_the_lumen_before_a_wall_is_two_steps_in_where_it_is_wide_enough():
+def test_lumen_point_is_two_steps_from_the_wall_if_the_lumen_is_wide_enough():
     wall, lens = np.zeros(3), np.array([0.0, 0.0, 10.0])
     wide = SimpleNamespace(inside=lambda points: np.asarray(points)[:, 2] > 0.9)
     assert lumen_before_wall(wide, wall, lens, 0.5)[2] == 2.0
@@ -201,7 +201,7 @@ def test_the_lumen_before_a_wall_is_two_steps_in_where_it_is_wide_enough():
         PaintLumen(((1.0, 2.0, 3.0),), 1.5, "axial", erase=True),
     ],
 )
-def test_an_edit_of_the_wire_is_the_edit_of_the_tree(edit):
+def test_edit_of_the_wire_equals_the_edit_of_the_tree(edit):
     assert wire.parse_client_message(wire.encode_message(wire.EditTree(edit))).edit == edit
 
 

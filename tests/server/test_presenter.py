@@ -1,4 +1,4 @@
-"""What the session holds, as messages."""
+"""Conversion of the session's state to messages."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from carina.volume import Note
 from small_case import small_bench
 
 
-def test_every_instrument_says_the_lumen_that_it_needs_and_not_only_its_stated_tip():
+def test_every_instrument_states_the_lumen_that_it_needs_besides_its_nominal_tip():
     told = start_message(notice_accepted=True, recent=(), patient_citation=None).scopes
     assert len(told) > 10
     for scope in told:
@@ -20,7 +20,7 @@ def test_every_instrument_says_the_lumen_that_it_needs_and_not_only_its_stated_t
         assert scope.fit_mm > scope.tip_mm
 
 
-def test_the_badges_of_the_case_and_of_its_airways_stay_in_the_state():
+def test_badges_of_the_case_and_its_airways_are_in_the_state():
     bench = small_bench()
     assert state_message(bench.session.snapshot(), frame_rate_hz=60.0).badges == ()
     bench.open()

@@ -1,4 +1,4 @@
-"""The frame pump over a session: one picture per step, in the test's own thread."""
+"""Frame pump over a session: one picture per step, in the thread of the test."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from small_case import small_bench
 
 
 class Screen:
-    """A pump and what it delivered."""
+    """Pump with the pictures that it delivered."""
 
     def __init__(self) -> None:
         self.bench = small_bench()
@@ -30,7 +30,7 @@ class Screen:
         return [parse_picture(d)[0] for d in self.data]
 
     def steer(self, **changes):
-        """Move the tip a little, a sixtieth of a second after the last time."""
+        """Move the tip a little, a sixtieth of a second after the last movement."""
         self.bench.clock.advance(1 / 60)
         self.bench.session.do(Steer(changes.get("advance", 0.5), changes.get("yaw", 0.0), 0.0, 0.0))
 
@@ -55,7 +55,7 @@ def test_without_a_case_there_is_no_picture():
     assert screen.pump.wait_s() is None
 
 
-def test_pictures_carry_the_pose_they_answer_and_their_geometry(screen):
+def test_pictures_have_the_pose_that_they_answer_and_their_geometry(screen):
     screen.drain()
     pose = screen.bench.session.pose_info()
     airway = next(h for h in screen.headers if h.view == "airway")
@@ -67,18 +67,18 @@ def test_pictures_carry_the_pose_they_answer_and_their_geometry(screen):
     assert len(axial.lps_from_pixel) == 16
 
 
-def test_an_airway_view_without_anything_in_it_says_so(screen):
+def test_airway_view_without_content_is_marked_as_empty(screen):
     screen.drain()
     assert not any(h.empty for h in screen.headers)
     screen.bench.renderers[-1].grey = 0
     screen.data.clear()
     screen.steer()
     screen.drain()
-    # A black slice says so by its frame: the tip's place is drawn in it.
+    # A black slice is not marked as empty: the tip is drawn in it.
     assert {h.view: h.empty for h in screen.headers} == {"airway": True, "axial": False}
 
 
-def test_a_moving_view_is_coarse_and_becomes_full_when_still(screen):
+def test_moving_view_is_coarse_and_becomes_full_at_rest(screen):
     screen.drain()
     screen.bench.clock.advance(screen.pump.wait_s())
     screen.drain()
@@ -89,7 +89,7 @@ def test_a_moving_view_is_coarse_and_becomes_full_when_still(screen):
 
 
 def final_airway(screen):
-    """Whether the airway picture that is on the screen once all has come to rest is called final."""
+    """Return whether the airway picture on the screen is marked as final when no more pictures are due."""
     screen.drain()
     while (wait_s := screen.pump.wait_s()) is not None:
         screen.bench.clock.advance(wait_s)
@@ -98,7 +98,7 @@ def final_airway(screen):
 
 
 @pytest.mark.parametrize("ends", ["shown", "taken back", "stopped", "failed"])
-def test_no_picture_is_final_while_another_transfer_function_is_on_its_way(screen, ends):
+def test_no_picture_is_final_while_another_transfer_function_is_prepared(screen, ends):
     assert final_airway(screen)
     session, renderer = screen.bench.session, screen.bench.renderers[-1]
 
@@ -106,7 +106,7 @@ def test_no_picture_is_final_while_another_transfer_function_is_on_its_way(scree
         raise MemoryError
 
     session.do(SetTransfer(preset="ct-grey"))
-    session.do(SetFov(100.0))  # Another picture, still of what the renderer has.
+    session.do(SetFov(100.0))  # Another picture with the transfer function that the renderer still has.
     assert not final_airway(screen)
     assert [h.full for h in screen.headers if h.view == "axial"][-1], "a slice does not depend on it"
     if ends == "taken back":
@@ -121,13 +121,13 @@ def test_no_picture_is_final_while_another_transfer_function_is_on_its_way(scree
     assert final_airway(screen)
 
 
-def test_a_view_never_goes_back_to_an_older_pose(screen):
+def test_view_never_returns_to_an_older_pose(screen):
     screen.bench.renderers[-1].on_render = lambda _view: screen.bench.clock.advance(0.01)
     for _ in range(40):
         screen.steer(yaw=0.01)
         screen.pump.step()
         if len(screen.data) > 2:
-            # The client lags by two pictures.
+            # The client is two pictures behind.
             screen.pump.acknowledge(screen.headers[-3].frame_id)
     for view in ("airway", "axial"):
         poses = [h.pose_id for h in screen.headers if h.view == view]
@@ -137,7 +137,7 @@ def test_a_view_never_goes_back_to_an_older_pose(screen):
     assert frames == sorted(set(frames))
 
 
-def test_no_more_than_three_airway_pictures_are_under_way(screen):
+def test_at_most_three_airway_pictures_are_pending(screen):
     for _ in range(20):
         screen.steer()
         while screen.pump.step():
@@ -152,14 +152,14 @@ def test_only_visible_views_are_rendered(screen):
     assert {type(v) for v in screen.bench.renderers[-1].views} == {SliceView}
 
 
-def test_a_picture_of_a_view_that_leaves_the_screen_meanwhile_is_not_delivered(screen):
+def test_picture_of_a_view_that_is_hidden_meanwhile_is_not_delivered(screen):
     screen.bench.renderers[-1].on_render = lambda _view: screen.pump.set_layout({})
     assert screen.pump.step()
     assert screen.data == []
     assert not screen.pump.step()
 
 
-def test_a_view_that_cannot_be_rendered_is_told_once_and_the_others_go_on(screen):
+def test_view_that_cannot_be_rendered_is_reported_once_and_the_others_continue(screen):
     def refuse(view):
         if isinstance(view, AirwayView):
             raise RenderError("the camera is out of range", code="render.camera")
@@ -172,10 +172,10 @@ def test_a_view_that_cannot_be_rendered_is_told_once_and_the_others_go_on(screen
 
 
 class Panic(BaseException):
-    """As a panic of the compiled module arrives: no Exception."""
+    """Panic of the compiled module, which is not an ``Exception``."""
 
 
-def test_neither_a_panic_nor_a_picture_that_cannot_be_encoded_ends_the_thread(screen):
+def test_panic_and_picture_that_cannot_be_encoded_do_not_end_the_thread(screen):
     renderer = screen.bench.renderers[-1]
     whole = renderer.render
 
@@ -197,7 +197,7 @@ def test_neither_a_panic_nor_a_picture_that_cannot_be_encoded_ends_the_thread(sc
     assert {h.view for h in screen.headers} >= {"airway"}
 
 
-def test_a_fault_in_the_renderer_does_not_end_the_pump(screen, caplog):
+def test_fault_in_the_renderer_does_not_end_the_pump(screen, caplog):
     def break_down(view):
         raise ZeroDivisionError
 
@@ -211,7 +211,7 @@ def test_a_fault_in_the_renderer_does_not_end_the_pump(screen, caplog):
     assert {h.view for h in screen.headers} == {"airway", "axial"}
 
 
-def test_a_fault_after_rendering_is_told_once_and_the_picture_is_not_made_again_and_again(screen, monkeypatch):
+def test_fault_after_rendering_is_reported_once_and_the_picture_is_not_retried(screen, monkeypatch):
     made = []
     screen.bench.renderers[-1].on_render = made.append
     scheduler = screen.pump._scheduler
@@ -225,7 +225,7 @@ def test_a_fault_after_rendering_is_told_once_and_the_picture_is_not_made_again_
     monkeypatch.setattr(scheduler, "rendered", broken)
     for _ in range(3):
         screen.steer()
-        # A pump that renders for ever fails here instead of waiting.
+        # A pump that renders without end fails here instead of hanging.
         assert sum(screen.pump.step() for _ in range(20)) < 20
     assert len([view for view in made if isinstance(view, AirwayView)]) == 3
     told = [t for t in screen.told if isinstance(t, tuple)]
@@ -234,7 +234,7 @@ def test_a_fault_after_rendering_is_told_once_and_the_picture_is_not_made_again_
     assert {h.view for h in screen.headers} == {"axial"}
 
 
-def test_a_full_picture_under_way_is_given_up_when_the_tip_moves_on(screen):
+def test_pending_full_picture_is_cancelled_when_the_tip_moves(screen):
     screen.bench.session.subscribe(lambda _event: screen.pump.content_changed())
     screen.drain()
     screen.bench.clock.advance(screen.pump.wait_s())
@@ -258,7 +258,7 @@ def test_a_full_picture_under_way_is_given_up_when_the_tip_moves_on(screen):
     assert [h.full for h in screen.headers if h.view == "airway"][-1]
 
 
-def test_a_full_picture_is_not_given_up_for_what_it_does_not_show(screen):
+def test_full_picture_is_not_cancelled_by_changes_that_it_does_not_show(screen):
     screen.bench.session.subscribe(lambda _event: screen.pump.content_changed())
     screen.drain()
     screen.bench.clock.advance(screen.pump.wait_s())
@@ -268,7 +268,7 @@ def test_a_full_picture_is_not_given_up_for_what_it_does_not_show(screen):
     assert (screen.headers[-1].view, screen.headers[-1].full) == ("airway", True)
 
 
-def test_a_change_before_a_full_picture_has_begun_is_not_missed(screen):
+def test_change_before_the_start_of_a_full_picture_is_rendered(screen):
     screen.drain()
     screen.bench.clock.advance(screen.pump.wait_s())
     scene, scenes = screen.bench.session.scene, []
@@ -288,7 +288,7 @@ def test_a_change_before_a_full_picture_has_begun_is_not_missed(screen):
     assert screen.headers[-1].pose_id == scenes[-1].pose_id
 
 
-def test_the_cut_plane_stands_in_while_the_airway_view_is_too_slow_and_says_so(screen):
+def test_cut_plane_replaces_a_slow_airway_view_and_is_labelled(screen):
     def slow(view):
         screen.bench.clock.advance(0.3 if isinstance(view, AirwayView) else 0.002)
 
@@ -308,7 +308,7 @@ def test_the_cut_plane_stands_in_while_the_airway_view_is_too_slow_and_says_so(s
     assert (at_rest.view, at_rest.stands_for, at_rest.full) == ("airway", None, True)
 
 
-def test_a_click_finds_the_picture_that_was_on_the_screen_and_not_a_newer_one(screen):
+def test_click_uses_the_picture_that_was_on_the_screen_and_not_a_newer_one(screen):
     screen.drain()
     shown = screen.headers[0]
     for _ in range(5):
@@ -319,7 +319,7 @@ def test_a_click_finds_the_picture_that_was_on_the_screen_and_not_a_newer_one(sc
     assert (picture.width, picture.height) == (shown.width, shown.height) == (80, 60)
     renderer = screen.bench.renderers[-1]
     assert picture.wall_at(20.5, 60.0) is None
-    # The coarse picture is clicked in as exactly as the full one of 320 x 240; its lower edge is its last row.
+    # A click in the coarse picture is as exact as in the full one of 320 x 240; its lower edge is the last row.
     assert renderer.picks == [(picture.view, 82, 239)]
     with pytest.raises(UsageError, match="outside the image of 80 x 60"):
         picture.wall_at(80.5, 3.0)
@@ -332,9 +332,10 @@ def test_a_click_finds_the_picture_that_was_on_the_screen_and_not_a_newer_one(sc
 
 
 class Network:
-    """A client over a bad line: pictures and acks are late by chance, acks are lost, the socket breaks and comes back.
+    """Client over an unreliable network: random delays of pictures and acks, lost acks, and interrupted sockets.
 
-    Plays the client's guard too (``web/src/net/pictures.ts``): what is older than what is shown is not drawn.
+    The class also simulates the check of the client (``web/src/net/pictures.ts``): a picture that is older than the
+    shown one is not drawn.
     """
 
     def __init__(self, screen, rng) -> None:
@@ -347,7 +348,7 @@ class Network:
 
     def deliver(self, data):
         header = parse_picture(data)[0]
-        # One socket: what was sent later never arrives earlier.
+        # One socket keeps the order of messages.
         self.due_s = max(self.due_s, self.screen.bench.clock() + self.rng.exponential(0.03))
         self.line.append((self.due_s, header))
 
@@ -372,7 +373,7 @@ class Network:
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_order_holds_over_a_bad_line_and_the_newest_pose_arrives(screen, seed):
+def test_order_holds_over_an_unreliable_network_and_the_newest_pose_arrives(screen, seed):
     rng = np.random.default_rng(seed)
     network = Network(screen, rng)
     clock = screen.bench.clock
@@ -388,7 +389,7 @@ def test_order_holds_over_a_bad_line_and_the_newest_pose_arrives(screen, seed):
         clock.advance(float(rng.exponential(0.01)))
         screen.pump.step()
         network.arrive()
-    # The hand rests: lost pictures are given up, and the full picture of the newest pose comes.
+    # The hand rests: lost pictures time out, and the full picture of the newest pose arrives.
     screen.bench.renderers[-1].on_render = lambda _view: clock.advance(0.01)
     for _ in range(400):
         while screen.pump.step():
@@ -409,7 +410,7 @@ def test_order_holds_over_a_bad_line_and_the_newest_pose_arrives(screen, seed):
     assert network.shown["airway"][0] == newest
 
 
-def test_status_tells_frames_per_second_and_age(screen):
+def test_status_reports_frames_per_second_and_age(screen):
     clock = screen.bench.clock
     for _ in range(30):
         screen.steer(advance=0.2)
@@ -425,7 +426,7 @@ def test_status_tells_frames_per_second_and_age(screen):
     assert (status.threads, status.simd, status.method) == (2, "x", "brute")
 
 
-def test_still_pictures_keep_their_colours_to_a_grey_level_or_two():
+def test_still_pictures_keep_their_colours_within_six_grey_levels():
     rng = np.random.default_rng(7)
     smooth = np.repeat(np.repeat(rng.integers(0, 255, (6, 8, 3), dtype=np.uint8), 16, axis=0), 16, axis=1)
     data, quality = encode_jpeg(smooth, full=True)
@@ -434,7 +435,7 @@ def test_still_pictures_keep_their_colours_to_a_grey_level_or_two():
     assert np.abs(simplejpeg.decode_jpeg(data).astype(int) - smooth).max() <= 6
 
 
-def test_what_the_rays_took_is_told_apart_from_what_the_clock_lost(screen):
+def test_time_of_the_rays_is_reported_apart_from_the_elapsed_time(screen):
     screen.drain()
     renderer = screen.bench.renderers[-1]
 
@@ -445,7 +446,7 @@ def test_what_the_rays_took_is_told_apart_from_what_the_clock_lost(screen):
             screen.drain()
         return [h.width for h in screen.headers if h.view == "airway"][-1]
 
-    # Each picture takes 40 ms by the clock: nearly all of it rays, or nearly none.
+    # Each picture takes 40 ms by the clock, either nearly all or nearly none of it for rays.
     renderer.on_render = lambda _view: screen.bench.clock.advance(0.040)
     assert width_of_a_flight(0.038) < 0.5 * 320
     assert width_of_a_flight(0.001) > 0.8 * 320

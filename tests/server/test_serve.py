@@ -1,4 +1,4 @@
-"""Starting and ending the workstation as a process."""
+"""Start and end of the workstation as a process."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from carina.server.serve import bind
 from own_folders import environment_in
 
 WAIT_S = 120.0
-"""Imports of SimpleITK on a busy machine take seconds."""
+"""Upper limit of a wait, in seconds: the import of SimpleITK takes seconds on a busy machine."""
 
 
-def test_a_path_and_a_demo_or_an_unknown_demo_are_refused():
+def test_path_together_with_a_demo_and_unknown_demo_are_refused():
     with pytest.raises(UsageError, match="found both"):
         serve("x", demo="phantom")
     with pytest.raises(UsageError, match="'phantom' or 'patient'"):
         serve(None, demo="ghost")
 
 
-def test_what_cannot_be_opened_is_refused_before_a_server_starts(tmp_path):
+def test_unreadable_path_is_refused_before_a_server_starts(tmp_path):
     (tmp_path / "holiday.pdf").write_bytes(b"%PDF-1.7\n%%EOF")
     ready = []
     with pytest.raises(VolumeImportError, match=r"holiday\.pdf"):
@@ -40,8 +40,8 @@ def test_what_cannot_be_opened_is_refused_before_a_server_starts(tmp_path):
     assert ready == []
 
 
-def test_connections_send_at_once_what_is_small():
-    """Else a picture waits for the acknowledgement of the message before it, which a window puts off by up to 40 ms."""
+def test_connections_send_small_messages_at_once():
+    """Otherwise a picture waits for the acknowledgement of the previous message, which takes up to 40 ms."""
 
     async def at_once() -> bool:
         found: asyncio.Future[int] = asyncio.get_running_loop().create_future()
@@ -61,12 +61,12 @@ def test_connections_send_at_once_what_is_small():
     assert asyncio.run(at_once())
 
 
-def test_a_port_in_use_is_said_before_anything_is_opened():
+def test_port_in_use_is_reported_before_a_case_is_opened():
     with bind("127.0.0.1", 0) as taken, pytest.raises(CarinaError, match="is in use"):
         serve(None, port=taken.getsockname()[1], open_browser=False)
 
 
-def test_a_program_outside_comes_in_with_the_printed_token_as_often_as_it_likes(tmp_path):
+def test_external_program_connects_repeatedly_with_the_printed_token(tmp_path):
     environment = environment_in(tmp_path)
     command = [sys.executable, "-m", "carina.cli", "open", "--no-browser", "--json"]
     with subprocess.Popen(
@@ -88,7 +88,7 @@ def test_a_program_outside_comes_in_with_the_printed_token_as_often_as_it_likes(
                 with connect(f"ws{base[4:]}/ws", additional_headers=bearer, open_timeout=WAIT_S) as socket:
                     socket.send(wire.encode_message(wire.ClientHello(wire.WIRE_VERSION)))
                     assert json.loads(socket.recv(timeout=WAIT_S))["type"] == "hello"
-            # The token for programs is no start token, and the start token no bearer.
+            # The token for programs is no start token, and the start token is no bearer token.
             assert httpx.get(f"{base}/?token={told['token']}", timeout=WAIT_S).status_code == 403
             start = told["url"].partition("token=")[2]
             wrong = {"Authorization": f"Bearer {start}"}
@@ -100,7 +100,7 @@ def test_a_program_outside_comes_in_with_the_printed_token_as_often_as_it_likes(
     assert (process.returncode, out, err) == (0, "", "")
 
 
-def test_the_process_prints_its_link_answers_it_once_and_ends_cleanly(tmp_path):
+def test_process_prints_its_link_answers_it_once_and_ends_cleanly(tmp_path):
     program = (
         "from carina.server import serve\n"
         "raise SystemExit(serve(None, open_browser=False, on_ready=lambda url, token: print(url, flush=True)))"

@@ -1,4 +1,4 @@
-"""Strangers, however many and however slow, keep nobody out, with 128 descriptors, and write one line a minute."""
+"""Unauthenticated clients: many or slow ones do not block users; 128 file descriptors, one log line a minute."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ WORDS = (
     b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03",
     b"\x00" * 100,
 )
-"""Nothing, half a request, half a body, the beginning of TLS, nonsense."""
+"""Beginnings of connections: nothing, half a request, half a body, the beginning of TLS, invalid bytes."""
 
 
 def stays_open(sock) -> bool:
-    """Whether the other side has not ended a connection."""
+    """Return whether the server keeps the connection open."""
     sock.settimeout(WAIT_S)
     try:
         while sock.recv(4096):
@@ -54,7 +54,7 @@ def stays_open(sock) -> bool:
 
 @contextlib.contextmanager
 def small_process(tmp_path, *, reserved=64):
-    """The product's server, without a case, in a process of 128 descriptors; its base address, token, and errors."""
+    """Run the product's server without a case, with 128 file descriptors; return base address, token and error log."""
     environment = environment_in(tmp_path)
     errors = tmp_path / "stderr.txt"
     with errors.open("w") as err:
@@ -85,7 +85,7 @@ def dial(base, words=b""):
 
 
 def besieged(base, token, *, rounds, strangers=300):
-    """Milliseconds that a person's request, and an answer on an open socket, took among strangers; sorted."""
+    """Return the sorted durations (ms) of a user's requests and socket answers among unauthenticated clients."""
     bearer = {"Authorization": f"Bearer {token}"}
     took_ms: list[float] = []
     num_again = 0
@@ -103,7 +103,8 @@ def besieged(base, token, *, rounds, strangers=300):
             for ask in (kept.get, httpx.get):
                 began = time.perf_counter()
                 while (status := answered(ask, f"{base}/api/airways.json", bearer)) is None:
-                    # A connection that has not yet said who it is may have to make room: it comes again.
+                    # The server may close an unauthenticated connection to free its place; the user's client then
+                    # connects again.
                     assert ask is httpx.get
                     num_again += 1
                 assert status == 409
@@ -118,7 +119,7 @@ def besieged(base, token, *, rounds, strangers=300):
 
 
 def answered(ask, url, bearer):
-    """The status of an answer; None where the connection was ended before it."""
+    """Return the status of a response, or None if the connection was closed before it."""
     try:
         return ask(url, headers=bearer, timeout=WAIT_S).status_code
     except httpx.TransportError:
@@ -128,23 +129,23 @@ def answered(ask, url, bearer):
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of Linux")
 @pytest.mark.parametrize("rounds", [20, pytest.param(200, marks=pytest.mark.soak)])
-def test_300_strangers_at_128_descriptors_keep_nobody_out_and_write_one_line(tmp_path, rounds):
+def test_300_unauthenticated_clients_at_128_descriptors_block_no_user_and_log_one_line(tmp_path, rounds):
     with small_process(tmp_path) as (base, token, errors):
         took_ms = besieged(base, token, rounds=rounds)
     said = errors.read_text()
     assert "Traceback" not in said
-    # Of the strangers, and of each kind of nonsense, one.
+    # One line about the unauthenticated clients, and one for each kind of invalid bytes.
     assert len(said.splitlines()) <= 4, said
     p95_ms = took_ms[len(took_ms) * 95 // 100]
     print(f"p50 {took_ms[len(took_ms) // 2]:.1f} ms, p95 {p95_ms:.1f} ms, worst {took_ms[-1]:.0f} ms")
     if rounds >= 100:
-        # Milliseconds, on a machine that has nothing else to do; elsewhere an answer at all is what counts.
+        # The limit applies to a machine without other load; elsewhere an answer at any time is sufficient.
         assert p95_ms < 2000.0
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of Linux")
-def test_a_process_without_a_free_descriptor_ends_the_idle_and_serves_on(tmp_path):
+def test_process_without_a_free_descriptor_closes_idle_connections_and_serves_on(tmp_path):
     with small_process(tmp_path, reserved=-1000) as (base, token, errors):
         besieged(base, token, rounds=3)
     said = errors.read_text()
@@ -154,7 +155,7 @@ def test_a_process_without_a_free_descriptor_ends_the_idle_and_serves_on(tmp_pat
 
 
 @pytest.mark.soak
-def test_strangers_that_come_again_and_again_for_a_minute(tmp_path):
+def test_unauthenticated_clients_that_reconnect_for_a_minute_block_no_user(tmp_path):
     with small_process(tmp_path) as (base, token, errors):
         stop = threading.Event()
 
@@ -183,7 +184,7 @@ def test_strangers_that_come_again_and_again_for_a_minute(tmp_path):
 
 @pytest.fixture
 def hasty(tmp_path, monkeypatch):
-    """A server whose patience is short."""
+    """Return a server with short time limits for requests."""
     monkeypatch.setattr("carina.server.impatient.FIRST_REQUEST_WITHIN_S", 0.5)
     monkeypatch.setattr("carina.server.impatient.BODY_WITHIN_S", 0.5)
     with running(tmp_path) as live:
@@ -191,12 +192,12 @@ def hasty(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("words", [WORDS[0], WORDS[1], b"GET / HTTP/1.1\r\nHost: a\r\n" + b"X: y\r\n" * 20])
-def test_a_connection_that_never_asks_to_the_end_is_ended(hasty, words):
+def test_connection_without_a_complete_request_is_closed(hasty, words):
     with dial(hasty.origin, words) as sock:
         assert not stays_open(sock)
 
 
-def test_headers_that_come_byte_by_byte_have_no_more_time_than_others(hasty):
+def test_headers_sent_byte_by_byte_do_not_extend_the_time_limit(hasty):
     began = time.monotonic()
     with dial(hasty.origin) as sock:
         sock.settimeout(0.01)
@@ -217,14 +218,14 @@ def request(live, method="GET", path="/", *lines):
     return "\r\n".join(head).encode()
 
 
-def test_half_a_second_request_on_a_kept_connection_is_ended(hasty):
+def test_incomplete_second_request_on_a_kept_connection_is_closed(hasty):
     with dial(hasty.origin, request(hasty)) as sock:
         assert sock.recv(100_000).startswith(b"HTTP/1.1 ")
         sock.sendall(b"GET / HTTP/1.1\r\n")
         assert not stays_open(sock)
 
 
-def test_a_body_that_stands_still_is_ended_and_a_slow_one_that_goes_on_is_taken(hasty):
+def test_stalled_body_is_closed_and_a_slow_one_is_accepted(hasty):
     bearer = f"Authorization: Bearer {hasty.gate.secret}"
     upload_id = hasty.uploads.begin()
     begin = request(hasty, "PUT", f"/api/upload/{upload_id}?name=a.dcm", bearer, "Content-Length: 20")
@@ -233,11 +234,11 @@ def test_a_body_that_stands_still_is_ended_and_a_slow_one_that_goes_on_is_taken(
     with dial(hasty.origin, begin) as sock:
         for _ in range(20):
             sock.sendall(b"x")
-            threading.Event().wait(0.05)  # twice the patience in all
+            threading.Event().wait(0.05)  # Twice the time limit in total.
         assert sock.recv(1000).startswith(b"HTTP/1.1 201")
 
 
-def test_a_stranger_on_a_socket_makes_room_and_who_may_be_here_stays(tmp_path, monkeypatch):
+def test_unauthenticated_socket_is_closed_for_others_and_an_authenticated_one_stays(tmp_path, monkeypatch):
     monkeypatch.setattr("carina.server.strangers.MAX_STRANGERS", 8)
     with running(tmp_path) as live, live.window() as window, contextlib.ExitStack() as stack:
         upgrade = (
@@ -255,7 +256,7 @@ def test_a_stranger_on_a_socket_makes_room_and_who_may_be_here_stays(tmp_path, m
         assert isinstance(window.until(lambda m: isinstance(m, wire.Error)), wire.Error)
 
 
-def test_the_log_says_the_same_once_a_minute():
+def test_log_repeats_a_message_at_most_once_a_minute():
     now = [0.0]
     once = _OnceAMinute(lambda: now[0])
     record = logging.LogRecord("uvicorn.error", logging.WARNING, "", 0, "Invalid HTTP request received.", (), None)

@@ -1,4 +1,4 @@
-"""A tree that comes while another is written is written, too, before a route through it is sent."""
+"""Encoding of trees: a tree that arrives during an encoding is encoded before a route through it is sent."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ TREE_AND_ROUTE = ("tree", "route")
 
 
 class Writing:
-    """Shared texts over a tree that is a word, and what happens while it is written."""
+    """Shared texts over stand-ins for trees, with a function that runs while a tree is encoded."""
 
     def __init__(self, monkeypatch) -> None:
         self.newest = "first"
@@ -40,7 +40,7 @@ class Writing:
             await self.texts._writing
 
 
-def test_a_tree_that_comes_as_the_writing_ends_is_written_before_its_route_goes(monkeypatch):
+def test_tree_that_arrives_at_the_end_of_the_encoding_is_encoded_before_its_route_is_sent(monkeypatch):
     writing = Writing(monkeypatch)
     outbox = Outbox()
     asked = []
@@ -53,7 +53,7 @@ def test_a_tree_that_comes_as_the_writing_ends_is_written_before_its_route_goes(
             text = plain()
             asked.append(text)
             if len(asked) == 2:
-                # Looked at twice, and only then the next one comes.
+                # The next tree arrives only after the second check.
                 writing.newest = "second"
                 loop.call_soon_threadsafe(writing.texts.mark, outbox, *TREE_AND_ROUTE)
             return text
@@ -69,8 +69,8 @@ def test_a_tree_that_comes_as_the_writing_ends_is_written_before_its_route_goes(
     assert writing.written == ["first", "second"]
 
 
-def test_a_route_that_is_asked_for_before_its_tree_is_written_is_held_back_and_goes_with_it(monkeypatch):
-    """A mark of the old tree finds the new document: its route would be news once, and never again."""
+def test_route_requested_before_its_tree_is_encoded_is_sent_with_it(monkeypatch):
+    """The document has a new tree that is not encoded yet: a route announced now would not be announced again."""
     writing = Writing(monkeypatch)
     outbox = Outbox()
 
@@ -89,7 +89,7 @@ def test_a_route_that_is_asked_for_before_its_tree_is_written_is_held_back_and_g
     asyncio.run(run())
 
 
-def test_a_tree_is_written_once_for_all_windows_and_each_waits_for_what_it_asked(monkeypatch):
+def test_tree_is_encoded_once_for_all_windows_and_each_waits_for_the_tree_it_requested(monkeypatch):
     writing = Writing(monkeypatch)
     first, second, later = Outbox(), Outbox(), Outbox()
 
@@ -106,7 +106,7 @@ def test_a_tree_is_written_once_for_all_windows_and_each_waits_for_what_it_asked
     assert writing.written == ["first"]
 
 
-def test_a_tree_that_cannot_be_written_is_said_and_holds_nothing_else_back(monkeypatch):
+def test_tree_that_cannot_be_encoded_is_reported_and_delays_no_other_message(monkeypatch):
     writing = Writing(monkeypatch)
     outbox = Outbox()
 

@@ -1,4 +1,4 @@
-"""Dropped files stay in their own folder, within bounds, and are removed."""
+"""Uploaded files: stored in their own folder, limited in number and size, and removed."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ HOSTILE = [
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-def test_a_hostile_name_stays_below_the_upload(uploads, name, tmp_path):
+def test_hostile_name_stays_below_the_upload(uploads, name, tmp_path):
     upload_id = uploads.begin()
     add(uploads, upload_id, name, b"x")
     place = uploads.place(upload_id)
@@ -84,7 +84,7 @@ def test_all_folders_of_an_upload_have_mode_0700_and_its_files_0600(uploads):
 
 
 @given(st.text(max_size=80))
-def test_any_name_becomes_a_relative_path_without_ups_and_hidden_parts(name):
+def test_any_name_becomes_a_relative_path_without_parent_and_hidden_parts(name):
     path = safe_relative_path(name)
     assert not path.is_absolute()
     assert path.parts
@@ -92,12 +92,12 @@ def test_any_name_becomes_a_relative_path_without_ups_and_hidden_parts(name):
     assert all(part.isascii() and not set(part) & set('/\\:*?"<>|\0') for part in path.parts)
 
 
-def test_ordinary_names_are_kept_so_that_formats_are_known(uploads):
+def test_ordinary_names_are_kept_so_that_formats_are_recognised(uploads):
     assert safe_relative_path("series 3/IM-0001.dcm").as_posix() == "series 3/IM-0001.dcm"
     assert safe_relative_path("chest.nii.gz").name == "chest.nii.gz"
 
 
-def test_two_files_of_one_cleaned_name_both_count(uploads):
+def test_two_files_with_the_same_cleaned_name_both_count(uploads):
     upload_id = uploads.begin()
     add(uploads, upload_id, "ä.dcm", b"1")
     add(uploads, upload_id, "ö.dcm", b"2")
@@ -105,13 +105,13 @@ def test_two_files_of_one_cleaned_name_both_count(uploads):
     assert sorted(p.read_bytes() for p in folder.iterdir()) == [b"1", b"2"]
 
 
-def test_a_header_file_is_opened_with_its_data_beside_it(uploads):
+def test_header_file_is_opened_with_its_data_beside_it(uploads):
     upload_id = uploads.begin()
     add(uploads, upload_id, "lung.mhd", b"NDims = 3")
     add(uploads, upload_id, "lung.zraw", b"123")
     place = uploads.place(upload_id)
     assert place.suffix == ".mhd"
-    # Without a word of its data they lie beside each other under the names that they came with.
+    # The header does not name its data: both files are stored beside each other under their original names.
     assert (place.parent / "lung.zraw").read_bytes() == b"123"
 
 
@@ -119,7 +119,7 @@ def test_a_header_file_is_opened_with_its_data_beside_it(uploads):
     ("header", "line"),
     [("Lung, Anna.mhd", b"ElementDataFile = %s"), ("Lung, Anna.nhdr", b"data file: %s")],
 )
-def test_a_header_finds_its_data_under_a_neutral_name(uploads, header, line):
+def test_header_finds_its_data_under_a_neutral_name(uploads, header, line):
     upload_id = uploads.begin()
     own = header.rsplit(".", 1)[0] + ".zraw"
     add(uploads, upload_id, header, b"NDims = 3\n" + line % own.encode() + b"\n")
@@ -130,7 +130,7 @@ def test_a_header_finds_its_data_under_a_neutral_name(uploads, header, line):
     assert not [p for p in place.parent.iterdir() if "Anna" in p.name]
 
 
-def test_a_header_that_names_a_list_of_files_finds_them_by_their_names(uploads):
+def test_header_that_lists_files_finds_them_by_their_names(uploads):
     upload_id = uploads.begin()
     add(uploads, upload_id, "lung.mhd", b"ElementDataFile = LIST\n1.raw\n")
     add(uploads, upload_id, "1.raw", b"123")
@@ -141,7 +141,7 @@ NAMES = ["Müller^Anna.dcm", "Doe_John_1970.nii.gz", "Doe John/IM-0001", "MUELLE
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_disk_holds_neutral_names_for_this_person_alone_and_the_window_sees_the_own_ones(uploads, name):
+def test_disk_has_neutral_names_for_this_user_only_and_the_window_shows_the_original_ones(uploads, name):
     upload_id = uploads.begin()
     add(uploads, upload_id, name, b"1")
     place = uploads.place(upload_id)
@@ -157,7 +157,7 @@ def test_the_disk_holds_neutral_names_for_this_person_alone_and_the_window_sees_
 
 
 @given(st.text(max_size=40), st.sampled_from(["", ".dcm", ".nii.gz"]))
-def test_any_name_comes_back_as_json_that_parses(stem, suffix):
+def test_any_name_is_returned_as_valid_json(stem, suffix):
     names = DroppedNames()
     names.begin("01234567")
     place = names.neutral("01234567", PurePosixPath("x" + suffix), stem + suffix)
@@ -166,8 +166,8 @@ def test_any_name_comes_back_as_json_that_parses(stem, suffix):
     assert all(ord(c) >= 0x20 for c in shown[0])
 
 
-def test_a_name_without_its_ending_comes_back_too():
-    """Readers of a header and its data speak of both by their stem."""
+def test_name_without_its_suffix_is_replaced_in_messages():
+    """Readers of a header and its data name both files by their stem."""
     names = DroppedNames()
     names.begin("01234567")
     place = names.neutral("01234567", PurePosixPath("scan.nii.gz"), "scan.nii.gz")
@@ -175,7 +175,7 @@ def test_a_name_without_its_ending_comes_back_too():
     assert json.loads(names.restored(json.dumps(f"reading {stem} failed"))) == "reading scan failed"
 
 
-def test_what_lies_beside_a_file_under_the_same_stem_still_does(uploads):
+def test_files_with_a_common_stem_keep_a_common_stem(uploads):
     upload_id = uploads.begin()
     for name in ("a/scan.hdr", "a/scan.img", "b/scan.img"):
         add(uploads, upload_id, name, b"1")
@@ -185,7 +185,7 @@ def test_what_lies_beside_a_file_under_the_same_stem_still_does(uploads):
 
 
 @pytest.mark.parametrize("chunks", [[b"x" * 61], [b"x" * 30, b"x" * 31]])
-def test_a_file_over_its_bound_is_refused_and_removed(uploads, chunks):
+def test_file_over_its_limit_is_refused_and_removed(uploads, chunks):
     upload_id = uploads.begin()
     with pytest.raises(UsageError, match="too large"):
         add(uploads, upload_id, "big", *chunks)
@@ -193,7 +193,7 @@ def test_a_file_over_its_bound_is_refused_and_removed(uploads, chunks):
         uploads.place(upload_id)
 
 
-def test_the_bounds_of_all_files_together_hold(uploads):
+def test_total_limits_of_all_files_hold(uploads):
     upload_id = uploads.begin()
     add(uploads, upload_id, "a", b"x" * 60)
     with pytest.raises(UsageError, match="too large"):
@@ -205,11 +205,11 @@ def test_the_bounds_of_all_files_together_hold(uploads):
         add(uploads, upload_id, "d", b"x")
 
 
-def test_what_is_given_up_or_closed_is_gone_from_the_disk(uploads):
+def test_cancelled_or_closed_upload_is_removed_from_the_disk(uploads):
     first, second = uploads.begin(), uploads.begin()
     add(uploads, first, "a", b"1")
     folder = uploads._uploads[first].folder
-    uploads.begin()  # a third gives the first up
+    uploads.begin()  # A third upload cancels the first one.
     assert not folder.exists()
     with pytest.raises(UsageError, match="has expired"):
         uploads.place(first)

@@ -1,4 +1,4 @@
-"""Watching over the network: a link that can be revoked, a window that changes nothing, and one case only."""
+"""Observers over the network: a link that can be revoked, a window that changes nothing, and one case only."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ def desk(tmp_path, monkeypatch):
 
 
 def fields(value):
-    """All texts in a message."""
+    """Return all texts in a message."""
     return wire.encode_message(value)
 
 
-def test_a_watcher_sees_the_case_and_the_flight_and_looks_in_its_own_way(desk):
+def test_observer_sees_the_case_and_the_flight_with_its_own_view_settings(desk):
     live, window, page = desk
     with watching(page.url) as watcher:
         watcher.send(SHOWN)
@@ -53,7 +53,7 @@ def test_a_watcher_sees_the_case_and_the_flight_and_looks_in_its_own_way(desk):
     assert page_of(window, lambda page: page is not None and not page.watchers).url == page.url
 
 
-def test_no_picture_of_a_watcher_is_larger_than_a_screen(desk):
+def test_no_picture_of_an_observer_is_larger_than_a_screen(desk):
     _live, _window, page = desk
     with watching(page.url) as watcher:
         watcher.send(wire.Layout((wire.ViewSize("axial", 4096, 2048),)))
@@ -61,7 +61,7 @@ def test_no_picture_of_a_watcher_is_larger_than_a_screen(desk):
         assert (picture.width, picture.height) == (1600, 800)
 
 
-def test_the_session_refuses_a_watcher_every_command_but_those_of_its_own_sight():
+def test_session_refuses_an_observer_every_command_except_view_settings():
     bench = small_bench()
     bench.open()
     bench.session.subscribe(lambda _event: None, window=7, watches=True)
@@ -71,7 +71,7 @@ def test_the_session_refuses_a_watcher_every_command_but_those_of_its_own_sight(
         if cls.sets in Sight.__struct_fields__:
             allowed += 1
             continue
-        # Who asks is looked at first: nothing of the fields matters.
+        # The session checks the caller first: the values of the fields do not matter.
         command = cls(**dict.fromkeys(cls.__struct_fields__))
         with pytest.raises(UsageError, match="you are watching") as told:
             bench.session.do(command, window=7)
@@ -84,7 +84,7 @@ def test_the_session_refuses_a_watcher_every_command_but_those_of_its_own_sight(
     assert bench.session.snapshot().sight == before[0].sight
 
 
-def test_a_watcher_sees_no_other_case_and_may_do_nothing_in_it():
+def test_observer_sees_no_other_case_and_may_change_nothing_in_it():
     bench = small_bench()
     bench.open()
     end = bench.session.subscribe(lambda _event: None, window=7, watches=True)
@@ -100,7 +100,7 @@ def test_a_watcher_sees_no_other_case_and_may_do_nothing_in_it():
         bench.session.do(commands.Steer(1.0, 0.0, 0.0, 0.0), window=7)
 
 
-def test_without_a_case_there_is_nothing_to_watch(live):
+def test_without_a_case_there_is_nothing_to_observe(live):
     with live.window() as window:
         window.send(wire.SetWatchPage(on=True))
         assert window.until(lambda m: isinstance(m, wire.Error)).code in {"session.no-case", "watch.missing"}
@@ -109,7 +109,7 @@ def test_without_a_case_there_is_nothing_to_watch(live):
 
 
 def sample(cls):
-    """A message of this class, as the samples of the protocol have it."""
+    """Return a message of this class from the samples of the protocol."""
     import json
     from pathlib import Path
 
@@ -121,7 +121,7 @@ def sample(cls):
     raise AssertionError(f"no sample of {cls.__name__}")
 
 
-def test_every_message_that_opens_saves_lists_or_reaches_devices_is_refused_over_the_wire(desk):
+def test_every_message_that_opens_saves_lists_or_uses_devices_is_refused_over_the_wire(desk):
     live, _window, page = desk
     before = (live.session.snapshot(), live.session.pose_info())
     with watching(page.url) as watcher:
@@ -140,7 +140,7 @@ def test_every_message_that_opens_saves_lists_or_reaches_devices_is_refused_over
     assert (live.session.snapshot(), live.session.pose_info()) == before
 
 
-def test_a_watcher_is_told_of_no_folder_no_other_case_and_no_link(desk):
+def test_observer_receives_no_folder_no_other_case_and_no_link(desk):
     live, window, page = desk
     live.session.store.remember("/scans/somebody/Miller^Anna/ct", "2026-01-01")
     with watching(page.url) as watcher:
@@ -160,7 +160,7 @@ def test_a_watcher_is_told_of_no_folder_no_other_case_and_no_link(desk):
         assert "somebody" not in said and "token" not in said and page.url.partition("#")[2] not in said
 
 
-def test_a_wrong_token_is_refused_and_counted(desk):
+def test_wrong_token_is_refused_and_counted(desk):
     _live, window, page = desk
     with watching(page.url, token="guess", hello=False) as watcher:
         code, reason = watcher.close_code()
@@ -169,7 +169,7 @@ def test_a_wrong_token_is_refused_and_counted(desk):
     assert page_of(window, lambda page: page is not None and page.num_refused == 1)
 
 
-def test_plain_http_is_refused_and_the_page_holds_nothing_but_the_client(desk):
+def test_plain_http_is_refused_and_the_page_has_only_the_client(desk):
     _live, _window, page = desk
     origin = page.url.partition("/#")[0]
     with pytest.raises(httpx.TransportError):
@@ -182,7 +182,7 @@ def test_plain_http_is_refused_and_the_page_holds_nothing_but_the_client(desk):
         assert client.get("/", headers={"host": "evil.example"}).status_code == 403
 
 
-def test_switching_it_off_sends_all_away_and_frees_the_port(desk):
+def test_switching_sharing_off_disconnects_all_observers_and_frees_the_port(desk):
     _live, window, page = desk
     with watching(page.url) as watcher:
         watcher.until_state(lambda s: s.case is not None)
@@ -191,7 +191,7 @@ def test_switching_it_off_sends_all_away_and_frees_the_port(desk):
     page_of(window, lambda page: page is None)
     with pytest.raises(ConnectionRefusedError), watching(page.url):
         pass
-    # Another link is another token and another certificate.
+    # A new link has another token and another certificate.
     window.send(wire.SetWatchPage(on=True))
     again = page_of(window)
     assert again.sha256 != page.sha256
@@ -199,7 +199,7 @@ def test_switching_it_off_sends_all_away_and_frees_the_port(desk):
         assert watcher.close_code()[0] == 4401
 
 
-def test_one_who_is_sent_away_does_not_come_back_by_the_same_link(desk):
+def test_removed_observer_cannot_return_by_the_same_link(desk):
     _live, window, page = desk
     with watching(page.url) as first, watching(page.url) as second:
         told = page_of(window, lambda page: page is not None and len(page.watchers) == 2)
@@ -216,7 +216,7 @@ def test_one_who_is_sent_away_does_not_come_back_by_the_same_link(desk):
 
 
 @pytest.mark.parametrize("how", ["another", "closed"])
-def test_it_goes_off_when_the_case_changes_or_closes(desk, how):
+def test_sharing_ends_when_the_case_changes_or_closes(desk, how):
     _live, window, page = desk
     with watching(page.url) as watcher:
         watcher.send(SHOWN)
@@ -227,7 +227,7 @@ def test_it_goes_off_when_the_case_changes_or_closes(desk, how):
     page_of(window, lambda page: page is None)
 
 
-def test_watchers_take_no_place_of_those_who_work(desk):
+def test_observers_take_no_connections_of_the_user(desk):
     live, window, page = desk
     with contextlib.ExitStack() as opened:
         for _ in range(MAX_WATCHERS):

@@ -1,4 +1,4 @@
-"""Several windows on one session: what they share, what each has of its own, and that none is felt by another."""
+"""Several windows on one session: common state, own view settings, and independence of each other."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from small_case import LEFT_TIP, small_volume
 
 @pytest.fixture
 def two(live):
-    """Two windows with the same case, which the first has opened."""
+    """Return two windows with the same case, which the first has opened."""
     with live.window() as first, live.window() as second:
         for window in (first, second):
             window.send(SHOWN)
@@ -30,19 +30,19 @@ def two(live):
 
 
 def newest(window, kind):
-    """The newest message of a kind that has come, or the first that will."""
+    """Return the newest received message of a kind, or wait for the first one."""
     return next((m for m in reversed(window.seen) if isinstance(m, kind)), None) or window.until(
         lambda m: isinstance(m, kind)
     )
 
 
 def settle(window):
-    """All that was sent before has been done: the answer to a question comes after it."""
+    """Wait until all messages before are done: the answer to a query comes after them."""
     window.send(wire.Probe((0.5, 0.0, 0.0)))
     window.until(lambda m: isinstance(m, wire.Value) and m.lps == (0.5, 0.0, 0.0))
 
 
-def test_case_pose_route_and_history_are_those_of_all(two):
+def test_case_pose_route_and_history_are_common_to_all_windows(two):
     first, second = two
     first.send(wire.GoTo(20.0))
     pose = second.until(lambda m: isinstance(m, wire.Pose) and m.path_mm == 20.0)
@@ -62,7 +62,7 @@ def test_case_pose_route_and_history_are_those_of_all(two):
     assert trees[0] == trees[1]
 
 
-def test_a_sight_is_the_windows_own(two, live):
+def test_sight_belongs_to_one_window(two, live):
     first, second = two
     told = len(second.seen)
     first.send(wire.SetWindow(400.0, 40.0), wire.SetCrosshair(LEFT_TIP), wire.SetTexture(on=False))
@@ -75,7 +75,7 @@ def test_a_sight_is_the_windows_own(two, live):
         window.until_state(lambda s: s.look.fov_deg == 77.0)
     assert newest(second, wire.State).sight.texture
     assert newest(first, wire.State).sight == sight
-    # What is kept is what was looked at last; whoever comes begins with it.
+    # The case stores the latest sight; a new window starts with it.
     with live.window() as third:
         assert third.until_state(lambda s: s.case is not None).sight == sight
         second.send(wire.SetSlab(10.0, "max"))
@@ -85,7 +85,7 @@ def test_a_sight_is_the_windows_own(two, live):
     assert live.session.snapshot().sight.slab.thickness_mm == 10.0
 
 
-def test_pictures_of_a_window_are_in_its_size_and_of_its_sight_and_one_that_looks_away_gets_none(two):
+def test_pictures_have_the_size_and_sight_of_their_window_and_a_hidden_view_gets_none(two):
     first, second = two
     second.send(wire.Layout((wire.ViewSize("axial", 200, 150),)))
     settle(second)
@@ -95,7 +95,7 @@ def test_pictures_of_a_window_are_in_its_size_and_of_its_sight_and_one_that_look
     assert (picture.width, picture.height) == (200, 150)
     assert {p.view for p in second.pictures[begun:]} == {"axial"}
     first.until(lambda m: isinstance(m, wire.PictureHeader) and m.view == "airway" and m.pose_id >= picture.pose_id)
-    # Another sight is another picture here, and none there.
+    # A change of the first window's sight requests no picture for the second window.
     second.send(wire.Layout(()))
     settle(second)
     begun = len(second.pictures)
@@ -105,7 +105,7 @@ def test_pictures_of_a_window_are_in_its_size_and_of_its_sight_and_one_that_look
     assert len(second.pictures) == begun
 
 
-def test_edits_of_two_hands_are_one_history_and_each_takes_back_the_last(two):
+def test_edits_of_two_windows_form_one_history_and_each_undoes_the_last(two):
     first, second = two
     for n in range(5):
         first.send(wire.SetFov(70.0 + n))
@@ -123,7 +123,7 @@ def test_edits_of_two_hands_are_one_history_and_each_takes_back_the_last(two):
     assert second.until_state(lambda s: s.look.fov_deg == 73.0).can_redo == "field of view"
 
 
-def test_an_error_and_an_answer_are_told_to_whoever_asked(two):
+def test_error_and_answer_are_sent_to_the_window_that_asked(two):
     first, second = two
     told = len(second.seen)
     first.send(wire.RemoveTarget("nobody"), wire.Probe(LEFT_TIP))
@@ -134,7 +134,7 @@ def test_an_error_and_an_answer_are_told_to_whoever_asked(two):
     assert others == []
 
 
-def test_what_goes_wrong_later_is_told_to_whoever_asked_and_to_all_if_it_is_gone(tmp_path):
+def test_later_error_is_sent_to_the_window_that_asked_or_to_all_if_it_is_closed(tmp_path):
     may_fail = threading.Event()
 
     def open_volume(path, progress, cancel):
@@ -169,7 +169,7 @@ def test_what_goes_wrong_later_is_told_to_whoever_asked_and_to_all_if_it_is_gone
         assert other.until(is_error).code == "import.nothing"
 
 
-def test_what_was_handled_is_said_after_what_came_of_it(two):
+def test_handled_message_is_sent_after_the_results_of_the_command(two):
     first, second = two
     before = newest(first, wire.Handled).number
     assert not [m for m in second.seen if isinstance(m, wire.Handled)]
@@ -178,7 +178,7 @@ def test_what_was_handled_is_said_after_what_came_of_it(two):
     assert newest(first, wire.State).look.fov_deg == pytest.approx(82.9)
 
 
-def test_nothing_is_called_handled_ahead_of_what_came_of_it_whenever_the_sender_goes_on(live, monkeypatch):
+def test_handled_message_is_not_sent_before_results_at_any_order_of_the_sender(live, monkeypatch):
     do, send_text, held = Session.do, WebSocket.send_text, []
 
     async def send_when_let(self, text):
@@ -189,7 +189,7 @@ def test_nothing_is_called_handled_ahead_of_what_came_of_it_whenever_the_sender_
 
     def let_send_and_do(self, command, **options):
         if isinstance(command, wire.SetSlab):
-            # The sender's turn comes before that of the events of this command.
+            # The sender runs before the events of this command.
             held.pop().set_result(None)
         return do(self, command, **options)
 
@@ -208,18 +208,18 @@ def test_nothing_is_called_handled_ahead_of_what_came_of_it_whenever_the_sender_
             assert newest(window, wire.State).sight.slab.thickness_mm == thickness_mm
 
 
-def test_a_window_that_does_not_read_stalls_no_other(two):
+def test_window_that_does_not_read_delays_no_other(two):
     first, second = two
-    # It acknowledges nothing, and reads nothing.
+    # The second window acknowledges and reads nothing.
     for n in range(200):
         first.send(wire.GoTo(10.0 + n / 10.0))
     pose = first.until(lambda m: isinstance(m, wire.Pose) and m.path_mm == pytest.approx(29.9))
     first.until(lambda m: isinstance(m, wire.PictureHeader) and m.view == "airway" and m.pose_id == pose.pose_id)
-    # What it then reads is the newest, and little.
+    # The second window later reads only the newest messages.
     second.until(lambda m: isinstance(m, wire.Pose) and m.pose_id == pose.pose_id)
 
 
-def test_one_that_goes_leaves_the_others_as_they_are(two, live):
+def test_closed_window_leaves_the_others_unchanged(two, live):
     first, second = two
     first.send(wire.SetWindow(400.0, 40.0))
     first.until_state(lambda s: s.sight.window is not None and s.sight.window.width_hu == 400.0)
@@ -231,7 +231,7 @@ def test_one_that_goes_leaves_the_others_as_they_are(two, live):
     assert second.until_state(lambda s: not s.sight.shading).sight.window.width_hu != 400.0
 
 
-def test_one_too_many_is_refused_in_words_and_a_place_that_is_left_can_be_taken_at_once(live):
+def test_window_over_the_limit_is_refused_and_a_freed_place_is_usable_at_once(live):
     with contextlib.ExitStack() as opened:
         windows = [opened.enter_context(live.window()) for _ in range(MAX_WINDOWS)]
         with live.window(hello=False) as refused:
@@ -245,7 +245,7 @@ def test_one_too_many_is_refused_in_words_and_a_place_that_is_left_can_be_taken_
         windows[1].send(wire.AskStorage())
 
 
-def test_another_case_begins_anew_for_all(two):
+def test_opening_another_case_resets_all_windows(two):
     first, second = two
     begun = newest(second, wire.State).sight
     first.send(wire.SetTexture(on=False))
@@ -255,7 +255,7 @@ def test_another_case_begins_anew_for_all(two):
         assert window.until_state(lambda s: s.case is not None and s.case.number == 2).sight == begun
 
 
-def test_devices_are_told_to_all_and_values_go_on_while_one_looks(two):
+def test_devices_are_sent_to_all_windows_and_values_only_while_one_watches(two):
     first, second = two
     for window in two:
         window.send(wire.WatchDevices(on=True))

@@ -1,4 +1,4 @@
-"""A scope that was held when a case was closed is laid again only where the tip still is."""
+"""Restoring a held scope when a case is opened again: only if mode, tip and airways are unchanged."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ AIRWAYS = object()
     ],
     ids=["as it was", "another mode", "moved", "other airways"],
 )
-def test_a_tip_that_was_moved_meanwhile_stays_where_it_is(mode, moved_mm, airways, is_due):
+def test_scope_is_restored_only_if_mode_tip_and_airways_are_unchanged(mode, moved_mm, airways, is_due):
     def pose(x):
         matrix = np.eye(4)
         matrix[0, 3] = x

@@ -1,4 +1,4 @@
-"""The cases of a person: listed, told apart, begun anew, named, forgotten and brought back."""
+"""List of the stored cases: entries, choice, new cases, names, deletion and restoring."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Size:
 
 
 class Cache:
-    """What a cache of CTs does, in memory."""
+    """In-memory stand-in for the cache of CTs."""
 
     def __init__(self) -> None:
         self.kept = {"one CT": 1000, "another CT": 2000}
@@ -47,7 +47,7 @@ class Cache:
 
 
 class ListDesk(Desk):
-    """A desk with a cache of CTs, small pictures and the list of places."""
+    """Workstation with a cache of CTs, thumbnails and the list of recent places."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
@@ -79,7 +79,7 @@ def desk(tmp_path):
     desk.session.close()
 
 
-def test_a_case_is_listed_with_what_tells_it_from_others(desk):
+def test_list_shows_what_distinguishes_a_case_from_others(desk):
     desk.open()
     desk.work(100.0, 90.0)
     desk.session.do(c.CloseCase())
@@ -99,7 +99,7 @@ def test_a_case_is_listed_with_what_tells_it_from_others(desk):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="no modes there")
-def test_only_its_person_may_read_a_small_picture(desk, tmp_path):
+def test_thumbnail_is_readable_by_its_user_only(desk, tmp_path):
     desk.open()
     desk.work(100.0)
     desk.session.do(c.CloseCase())
@@ -107,7 +107,7 @@ def test_only_its_person_may_read_a_small_picture(desk, tmp_path):
     assert path.stat().st_mode & 0o777 == 0o600
 
 
-def test_a_place_that_was_opened_before_cases_were_kept_is_listed_and_opens(desk, tmp_path):
+def test_recent_place_without_a_stored_case_is_listed_and_opens(desk, tmp_path):
     desk.store.remember(str(tmp_path / "old"), "2026-01-31")
     (old,) = desk.listed()
     assert old.num_changes is None
@@ -121,14 +121,14 @@ def test_a_place_that_was_opened_before_cases_were_kept_is_listed_and_opens(desk
     assert desk.listed() == ()
 
 
-def test_a_place_alone_is_taken_out_of_the_list(desk, tmp_path):
+def test_recent_place_without_a_case_is_removed_from_the_list(desk, tmp_path):
     desk.store.remember(str(tmp_path / "old"), "2026-01-31")
     desk.session.do(c.ForgetCase(desk.listed()[0].recent_id))
     assert desk.listed() == ()
     assert desk.session.cases.storage().forgotten == ()
 
 
-def test_of_two_cases_of_one_ct_the_one_that_is_meant_opens(desk):
+def test_the_selected_case_opens_if_two_cases_have_the_same_ct(desk):
     desk.open()
     desk.work(100.0)
     desk.session.do(c.BeginAnew())
@@ -147,7 +147,7 @@ def test_of_two_cases_of_one_ct_the_one_that_is_meant_opens(desk):
     assert (saving.continued_s, saving.continued_changes) == (old.used_s, 1)
 
 
-def test_another_ct_in_the_place_of_a_case_is_refused_and_the_case_on_screen_stays(desk):
+def test_another_ct_at_the_place_of_a_case_is_refused_and_the_open_case_stays(desk):
     desk.open()
     desk.work(100.0)
     desk.session.do(c.CloseCase())
@@ -165,7 +165,7 @@ def test_another_ct_in_the_place_of_a_case_is_refused_and_the_case_on_screen_sta
     assert [one.num_changes for one in desk.listed()] == [2, 1]
 
 
-def test_a_case_whose_ct_was_dropped_says_that_it_is_to_be_chosen_again(desk):
+def test_case_of_a_dropped_ct_asks_to_choose_the_ct_again(desk):
     desk.session.do(c.OpenFiles("dropped"))
     desk.background.run_all()
     desk.work(100.0)
@@ -179,8 +179,8 @@ def test_a_case_whose_ct_was_dropped_says_that_it_is_to_be_chosen_again(desk):
     assert desk.session.snapshot().document.look.fov_deg == 100.0
 
 
-def test_the_date_of_a_scan_is_in_the_list_and_is_filled_in_where_it_was_not_known(desk):
-    """A record of before has none, and neither has a scan without one."""
+def test_list_shows_the_scan_date_and_adds_a_missing_one(desk):
+    """Records of earlier versions have no date, and neither has a scan without one."""
     desk.open()
     desk.work(100.0)
     desk.session.do(c.CloseCase())
@@ -203,7 +203,7 @@ def test_the_date_of_a_scan_is_in_the_list_and_is_filled_in_where_it_was_not_kno
     assert [one.scanned_on for one in desk.listed()] == ["2021-05-03"] * 2, "a new one has it from the beginning"
 
 
-def test_a_case_is_named_while_it_is_open_and_after(desk):
+def test_case_is_renamed_while_open_and_after_closing(desk):
     desk.open()
     desk.work(100.0)
     (listed,) = desk.listed()
@@ -223,7 +223,7 @@ def test_a_case_is_named_while_it_is_open_and_after(desk):
         desk.session.do(c.RenameCase("nothing", "x"))
 
 
-def test_a_forgotten_case_is_brought_back_as_it_was(desk):
+def test_deleted_case_is_restored_unchanged(desk):
     desk.open()
     desk.work(100.0)
     (listed,) = desk.listed()
@@ -244,7 +244,7 @@ def test_a_forgotten_case_is_brought_back_as_it_was(desk):
     assert desk.session.snapshot().document.look.fov_deg == 100.0
 
 
-def test_a_ct_stays_cached_while_another_case_is_of_it(desk):
+def test_ct_stays_cached_while_another_case_uses_it(desk):
     desk.open()
     desk.work(100.0)
     desk.session.do(c.BeginAnew())
@@ -257,7 +257,7 @@ def test_a_ct_stays_cached_while_another_case_is_of_it(desk):
     assert "one CT" not in desk.cache.kept
 
 
-def test_what_was_forgotten_a_day_ago_goes_at_the_next_start_and_work_never(desk, tmp_path):
+def test_start_removes_cases_deleted_a_day_ago_and_no_others(desk, tmp_path):
     desk.open()
     desk.work(100.0)
     desk.session.do(c.CloseCase())
@@ -275,7 +275,7 @@ def test_what_was_forgotten_a_day_ago_goes_at_the_next_start_and_work_never(desk
     assert len(records.all()) == 1
 
 
-def test_what_is_deleted_for_good_does_not_come_back(desk, tmp_path):
+def test_permanently_deleted_case_cannot_be_restored(desk, tmp_path):
     desk.open()
     desk.work(100.0)
     desk.session.do(c.CloseCase())
@@ -287,7 +287,7 @@ def test_what_is_deleted_for_good_does_not_come_back(desk, tmp_path):
         desk.session.do(c.RestoreCase(listed.recent_id))
 
 
-def test_the_cache_of_cts_is_told_emptied_and_switched_off_for_the_next_time_too(desk):
+def test_cache_of_cts_is_reported_emptied_and_disabled_for_later_sessions(desk):
     storage = desk.session.cases.storage()
     assert (storage.num_cts, storage.ct_bytes, storage.keeps_cts) == (2, 3000, "on")
     desk.session.do(c.EmptyCtCache())
@@ -306,7 +306,7 @@ def test_the_cache_of_cts_is_told_emptied_and_switched_off_for_the_next_time_too
         desk.session.do(c.KeepCts(True))
 
 
-def test_a_record_that_names_another_folder_is_not_taken(tmp_path):
+def test_record_that_names_another_folder_is_ignored(tmp_path):
     records = CaseRecords(tmp_path, lambda: 1_800_000_000.0)
     held = records.begin("one CT", None)
     held.release()

@@ -1,4 +1,4 @@
-"""A case that is handed on names nobody: not by its CT's tags and folders, not by a mask's file."""
+"""Privacy of a shared case file: no name or date from the CT's tags and folders or from the file of a mask."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from made import made_phantom
 NAMES = (b"MUELLER", b"Mueller", b"mueller", b"19610405", b"1961-04-05")
 SCANNED_ON = "2021-05-03"
 DATES = (b"2021-05-03", b"20210503", b"3 May 2021")
-"""A date with a place is as good as a name."""
+"""The scan date in three spellings; a date together with a place identifies a patient."""
 
 
 def texts_of(path):
-    """Everything in a case file, with what is packed unpacked."""
+    """Return all content of a case file, including unpacked compressed content."""
     yield path.read_bytes()
     with sqlite3.connect(path) as case:
         for (table,) in case.execute("SELECT name FROM sqlite_master WHERE type = 'table'").fetchall():
@@ -37,7 +37,7 @@ def texts_of(path):
     case.close()
 
 
-def test_a_copy_holds_no_name_of_the_ct_of_its_folders_or_of_a_mask_and_no_date(tmp_path, caplog):
+def test_copy_contains_no_name_of_ct_folder_or_mask_and_no_date(tmp_path, caplog):
     chest = made_phantom(spacing_mm=3.0, generations=3)
     folder = tmp_path / "MUELLER 19610405"
     folder.mkdir()

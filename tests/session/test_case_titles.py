@@ -1,4 +1,4 @@
-"""Names of cases: neutral unless the user gave one, and never the name of the CT's file."""
+"""Names of cases: a neutral alias unless the user gave a name, and never the file name of the CT."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def records(tmp_path):
     return CaseRecords(tmp_path / "cases", lambda: 1_800_000_000.0)
 
 
-def test_neutral_alias_has_six_digits_that_can_be_read_aloud_and_depends_on_the_id_alone():
+def test_neutral_alias_has_six_legible_digits_and_depends_on_the_id_alone():
     rng = random.Random(4)
     ids = [f"{rng.getrandbits(64):016x}" for _ in range(2000)]
     aliases = [neutral_alias(one) for one in ids]
@@ -66,7 +66,7 @@ def test_begin_uses_the_given_id_unless_another_case_is_shown_by_its_alias(recor
         held.release()
 
 
-def test_begin_uses_no_alias_of_a_forgotten_case(records):
+def test_begin_uses_no_alias_of_a_deleted_case(records):
     held = records.begin("ab" * 32, None, case_id="00112233aabbccdd")
     held.path.write_bytes(b"the case")
     held.release()
@@ -90,7 +90,7 @@ def test_records_of_earlier_versions_are_rewritten_without_the_file_name(records
     assert records.remove_titles() == 0
 
 
-def test_the_record_of_a_case_that_is_open_elsewhere_is_left_until_it_is_closed(records, tmp_path):
+def test_record_of_a_case_open_elsewhere_is_rewritten_after_it_is_closed(records, tmp_path):
     path = write_old_record(tmp_path / "cases", "00112233aabbccdd")
     held = records.hold(records.find("00112233aabbccdd"))
     before = path.read_bytes()
@@ -100,7 +100,7 @@ def test_the_record_of_a_case_that_is_open_elsewhere_is_left_until_it_is_closed(
     assert records.remove_titles() == 1
 
 
-def test_records_that_cannot_be_read_do_not_stop_the_cleaning(records, tmp_path):
+def test_unreadable_records_do_not_stop_the_rewriting(records, tmp_path):
     write_old_record(tmp_path / "cases", "00112233aabbccdd").write_text("[" * 100_000, encoding="utf-8")
     write_old_record(tmp_path / "cases", "00112233aabbccde", used_s="never")
     path = write_old_record(tmp_path / "cases", "00112233aabbccdf")
@@ -108,7 +108,7 @@ def test_records_that_cannot_be_read_do_not_stop_the_cleaning(records, tmp_path)
     assert NAME not in path.read_text(encoding="utf-8")
 
 
-def test_the_list_of_recent_cts_of_earlier_versions_is_rewritten_without_titles(tmp_path):
+def test_recent_cts_of_earlier_versions_are_rewritten_without_titles(tmp_path):
     entry = {"recent_id": "11ff", "date": "2026-01-31", "title": NAME, "path": "/scans/a"}
     file = tmp_path / "recent.json"
     file.write_text(json.dumps({"format": "carina-recent", "version": 1, "cases": [entry, 3]}), encoding="utf-8")
@@ -122,7 +122,7 @@ def test_the_list_of_recent_cts_of_earlier_versions_is_rewritten_without_titles(
     assert not store.remove_titles()
 
 
-def test_no_file_that_carina_keeps_holds_the_title_of_the_ct(tmp_path):
+def test_no_stored_file_contains_the_title_of_the_ct(tmp_path):
     desk = Desk(tmp_path)
     desk.store = LocalStore(tmp_path / "config")
     session = desk.start()
@@ -140,7 +140,7 @@ def test_no_file_that_carina_keeps_holds_the_title_of_the_ct(tmp_path):
     assert not [path for path in kept if title.encode() in path.read_bytes()]
 
 
-def test_a_case_is_shown_by_the_same_name_when_it_is_opened_again(tmp_path):
+def test_case_has_the_same_name_when_it_is_opened_again(tmp_path):
     desk = Desk(tmp_path)
     session = desk.start()
     desk.open()

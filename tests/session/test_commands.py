@@ -1,4 +1,4 @@
-"""Every command has a handler, and its bounds hold for values that were built in Python."""
+"""Commands and queries: each has one handler, and limits apply to values that were built in Python."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from carina.session import Session
 from small_case import small_bench
 
 
-def test_every_command_is_done_and_every_question_answered_by_one_method():
+def test_every_command_and_every_query_has_exactly_one_handler():
     handlers = small_bench().session._handlers
     assert set(handlers) == {*c.all_commands(), *subclasses(c.Question)}
 
@@ -31,7 +31,7 @@ def test_every_command_is_done_and_every_question_answered_by_one_method():
         (c.OpenPath(object()), "open_path contains a value that no command accepts"),
     ],
 )
-def test_a_command_out_of_bounds_is_refused_by_the_name_of_its_field_and_changes_nothing(command, words):
+def test_command_out_of_bounds_is_refused_with_its_field_and_changes_nothing(command, words):
     bench = small_bench()
     bench.open()
     before = bench.session.snapshot()
@@ -41,7 +41,7 @@ def test_a_command_out_of_bounds_is_refused_by_the_name_of_its_field_and_changes
     assert bench.session.snapshot() == before
 
 
-def test_numbers_and_points_of_numpy_are_numbers_and_points():
+def test_numpy_numbers_and_points_are_accepted():
     bench = small_bench()
     bench.open()
     bench.session.do(c.SetFov(np.float32(75.0)))
@@ -50,7 +50,7 @@ def test_numbers_and_points_of_numpy_are_numbers_and_points():
     assert isinstance(bench.session.snapshot().sight.crosshair_lps, tuple)
 
 
-def test_what_is_no_command_is_refused():
+def test_objects_that_are_not_commands_or_queries_are_refused():
     bench = small_bench()
     for other in (c.VoxelAt((0.0, 0.0, 0.0)), "undo", None, c.KeyFrameAdd()):
         with pytest.raises(UsageError, match="expected a command"):
@@ -59,7 +59,7 @@ def test_what_is_no_command_is_refused():
         bench.session.ask(c.Undo())
 
 
-def test_a_command_shows_itself_in_a_line():
+def test_repr_of_a_command_is_one_line():
     assert (
         repr(c.SetOrbit(view="tree", azimuth_deg=10.0, elevation_deg=5.0))
         == "SetOrbit(azimuth_deg=10, elevation_deg=5, view='tree')"
@@ -67,11 +67,11 @@ def test_a_command_shows_itself_in_a_line():
     assert repr(c.Undo()) == "Undo()"
 
 
-def test_a_session_has_few_doors():
+def test_session_has_at_most_fifteen_public_names():
     assert len([name for name in vars(Session) if not name.startswith("_")]) <= 15
 
 
-def test_what_can_be_undone_is_listed():
+def test_history_lists_the_steps_that_can_be_undone():
     bench = small_bench()
     bench.open()
     bench.session.do(c.SetOutline("octagon"))
@@ -79,7 +79,7 @@ def test_what_can_be_undone_is_listed():
     assert bench.session.history()[-2:] == ("image outline", "field of view")
 
 
-def test_what_only_sets_a_field_names_one_that_there_is_and_is_undone_where_that_is_of_the_look():
+def test_field_setting_commands_name_an_existing_field_and_are_undone_if_it_is_in_look():
     sets = [cls for cls in c.all_commands() if cls.sets is not None]
     assert sets
     for cls in sets:

@@ -1,4 +1,4 @@
-"""Where the CT of a case lies: what a target's file is compared with, and what DICOM files refer to."""
+"""Place of the CT of a case: comparison with the file of a target, and references in DICOM files."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def dicom_volume(*_given):
 
 @pytest.fixture
 def taken(monkeypatch):
-    """What the file of a target was compared with; it is refused."""
+    """Record the CT with which the file of a target is compared; the file is refused."""
     found = []
 
     def refuse(path, volume, *, ct, **_options):
@@ -42,7 +42,7 @@ def take(bench):
     return bench.of_type(Trouble)[-1]
 
 
-def test_a_targets_file_is_compared_with_the_folder_that_the_ct_was_opened_from(tmp_path, taken):
+def test_target_file_is_compared_with_the_folder_of_the_opened_ct(tmp_path, taken):
     bench = small_bench(open_volume=dicom_volume)
     bench.session.do(OpenPath(str(tmp_path)))
     bench.background.run_all()
@@ -53,7 +53,7 @@ def test_a_targets_file_is_compared_with_the_folder_that_the_ct_was_opened_from(
     assert bench.session.ask(PlanningOf()).dicom_problem is None
 
 
-def test_of_a_dropped_ct_its_own_words_are_kept_as_long_as_it_is_open(monkeypatch, taken, tmp_path):
+def test_description_of_a_dropped_ct_is_kept_while_it_is_open(monkeypatch, taken, tmp_path):
     read = []
 
     def references(path, volume, watch):
@@ -66,18 +66,18 @@ def test_of_a_dropped_ct_its_own_words_are_kept_as_long_as_it_is_open(monkeypatc
     bench.background.run_all()
     take(bench)
     assert (read, taken) == ([tmp_path], [OURS])
-    # A DICOM file needs the images themselves, and says what is missing.
+    # DICOM export needs the images themselves, and names what is missing.
     with pytest.raises(UsageError, match="open the CT by its folder"):
         bench.session.ask(CtFolder())
     assert "was dropped" in bench.session.ask(PlanningOf()).dicom_problem
-    # Another case knows nothing of it.
+    # Another case does not use the place.
     bench.session.do(OpenPath(str(tmp_path)))
     bench.background.run_all()
     take(bench)
     assert taken[-1] == tmp_path
 
 
-def test_what_is_no_dicom_or_has_gone_says_so(tmp_path, taken):
+def test_place_without_dicom_and_missing_place_are_reported(tmp_path, taken):
     bench = small_bench()
     bench.session.do(OpenPath(str(tmp_path)))
     bench.background.run_all()

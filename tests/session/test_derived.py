@@ -1,4 +1,4 @@
-"""Derived values: made for the newest inputs by one job, given for no others, and not tried again unasked."""
+"""Derived values: computed by one background job for the newest inputs, and not retried without a request."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from small_case import Background, Clock
 
 
 class Workshop:
-    """A derived value of strings, its hand-driven background, and all that was said and made."""
+    """A derived value of strings with its manually driven background, its events and the inputs that were computed."""
 
     def __init__(self, submit=None, same=None):
         self.background = Background()
@@ -45,12 +45,12 @@ A, B, C = "a", "b", "c"
 
 
 def once(act):
-    """An act for the first call alone."""
+    """Return a function that calls ``act`` at its first call only."""
     left = [act]
     return lambda *arguments: left.pop()(*arguments) if left else None
 
 
-def test_a_value_is_made_once_in_the_background_and_given_for_its_inputs_alone():
+def test_value_is_computed_once_in_the_background_and_returned_for_its_inputs_only():
     shop = Workshop()
     assert shop.value.standing(A) == "unwanted"
     shop.value.want(A)
@@ -64,7 +64,7 @@ def test_a_value_is_made_once_in_the_background_and_given_for_its_inputs_alone()
     assert shop.settled == ["Derived('word', had)"]
 
 
-def test_inputs_that_come_before_the_job_begins_are_the_only_ones_made():
+def test_only_the_newest_inputs_before_the_start_of_the_job_are_computed():
     shop = Workshop()
     for inputs in (A, B, C):
         shop.value.want(inputs)
@@ -73,7 +73,7 @@ def test_inputs_that_come_before_the_job_begins_are_the_only_ones_made():
     assert (shop.made, shop.value.of(C)) == ([C], "c after None")
 
 
-def test_newer_inputs_make_a_running_attempt_stale_and_the_same_job_begins_again():
+def test_newer_inputs_restart_the_running_job():
     shop = Workshop()
     shop.while_making = once(lambda *_: shop.value.want(B))
     shop.value.want(A)
@@ -83,7 +83,7 @@ def test_newer_inputs_make_a_running_attempt_stale_and_the_same_job_begins_again
     assert len({e.job_id for e in shop.told}) == 1
 
 
-def test_a_value_that_is_finished_when_it_is_stale_is_not_given():
+def test_stale_result_is_not_returned():
     shop = Workshop()
 
     def make(inputs, _attempt):
@@ -97,7 +97,7 @@ def test_a_value_that_is_finished_when_it_is_stale_is_not_given():
     assert (shop.value.of(A), shop.value.of(B), len(shop.settled)) == (None, "B", 1)
 
 
-def test_going_back_to_what_is_had_ends_the_job_and_keeps_the_value():
+def test_return_to_the_inputs_of_the_present_value_ends_the_job_and_keeps_the_value():
     shop = Workshop()
     shop.value.want(A)
     shop.background.run_all()
@@ -108,7 +108,7 @@ def test_going_back_to_what_is_had_ends_the_job_and_keeps_the_value():
     assert shop.ends() == ["done", "cancelled"]
 
 
-def test_inputs_that_go_and_come_back_are_made_also_where_the_maker_had_given_up_meanwhile():
+def test_inputs_that_return_are_computed_also_if_the_maker_had_given_up():
     shop = Workshop()
 
     def gone_and_back(_inputs, attempt):
@@ -123,7 +123,7 @@ def test_inputs_that_go_and_come_back_are_made_also_where_the_maker_had_given_up
     assert (shop.made, shop.value.standing(A), shop.ends()) == ([A, A], "had", ["done"])
 
 
-def test_inputs_that_go_and_come_back_unnoticed_are_made_once():
+def test_inputs_that_return_before_the_maker_notices_are_computed_once():
     shop = Workshop()
 
     def gone_and_back(*_):
@@ -136,7 +136,7 @@ def test_inputs_that_go_and_come_back_unnoticed_are_made_once():
     assert (shop.made, shop.value.standing(A), shop.ends()) == ([A], "had", ["done"])
 
 
-def test_the_value_before_is_handed_to_the_next():
+def test_previous_value_is_passed_to_the_next_computation():
     shop = Workshop()
     for inputs in (A, B):
         shop.value.want(inputs)
@@ -144,7 +144,7 @@ def test_the_value_before_is_handed_to_the_next():
     assert shop.value.of(B) == "b after a after None"
 
 
-def test_wanting_nothing_stops_the_job_and_keeps_what_is_had():
+def test_want_none_stops_the_job_and_keeps_the_present_value():
     shop = Workshop()
     shop.value.want(A)
     shop.background.run_all()
@@ -159,7 +159,7 @@ def fail(*_):
     raise NoResultError("no such word")
 
 
-def test_what_failed_says_why_and_is_not_tried_again_unless_asked():
+def test_failure_states_its_reason_and_is_retried_on_request_only():
     shop = Workshop()
     shop.while_making = fail
     shop.value.want(A)
@@ -175,7 +175,7 @@ def test_what_failed_says_why_and_is_not_tried_again_unless_asked():
     assert (shop.value.standing(A), shop.value.error) == ("had", None)
 
 
-def test_a_failure_keeps_the_older_value_for_its_own_inputs():
+def test_failure_keeps_the_older_value_for_its_inputs():
     shop = Workshop()
     shop.value.want(A)
     shop.background.run_all()
@@ -185,7 +185,7 @@ def test_a_failure_keeps_the_older_value_for_its_own_inputs():
     assert (shop.value.of(A), shop.value.of(B)) == ("a after None", None)
 
 
-def test_other_inputs_are_tried_after_a_failure_and_so_are_the_first_ones_when_they_are_back():
+def test_other_inputs_and_returning_inputs_are_computed_after_a_failure():
     shop = Workshop()
     shop.while_making = fail
     shop.value.want(A)
@@ -197,7 +197,7 @@ def test_other_inputs_are_tried_after_a_failure_and_so_are_the_first_ones_when_t
         assert shop.value.standing(inputs) == "had"
 
 
-def test_a_failure_of_what_is_stale_is_told_and_the_newest_gets_a_job_of_its_own():
+def test_failure_of_stale_inputs_is_reported_and_the_newest_get_their_own_job():
     shop = Workshop()
 
     def replaced(*_):
@@ -216,7 +216,7 @@ def stop(shop):
 
 
 @pytest.mark.parametrize("begun", [False, True])
-def test_what_a_person_stopped_is_not_tried_again_unless_asked(begun):
+def test_value_that_the_user_stopped_is_retried_on_request_only(begun):
     shop = Workshop()
     shop.value.want(A)
     if begun:
@@ -233,7 +233,7 @@ def test_what_a_person_stopped_is_not_tried_again_unless_asked(begun):
     assert shop.value.standing(A) == "had"
 
 
-def test_a_stop_holds_for_the_newest_inputs_also_where_older_ones_were_worked_on():
+def test_stop_applies_to_the_newest_inputs_also_while_older_ones_are_computed():
     shop = Workshop()
 
     def replace_and_stop(*_):
@@ -246,7 +246,7 @@ def test_a_stop_holds_for_the_newest_inputs_also_where_older_ones_were_worked_on
     assert (shop.made, shop.value.standing(B), shop.ends()) == ([A], "stopped", ["cancelled"])
 
 
-def test_a_stop_that_comes_when_the_value_is_finished_holds():
+def test_stop_when_the_value_is_already_finished_is_respected():
     shop = Workshop()
 
     def make(inputs, _attempt):
@@ -261,7 +261,7 @@ def test_a_stop_that_comes_when_the_value_is_finished_holds():
 
 @pytest.mark.parametrize("asked", ["other inputs", "again"])
 @pytest.mark.parametrize("begun", [False, True])
-def test_what_is_wanted_after_a_stop_and_before_its_end_is_made(asked, begun):
+def test_inputs_requested_between_stop_and_end_of_the_job_are_computed(asked, begun):
     shop = Workshop()
     wanted = B if asked == "other inputs" else A
 
@@ -280,7 +280,7 @@ def test_what_is_wanted_after_a_stop_and_before_its_end_is_made(asked, begun):
     assert (shop.value.standing(wanted), shop.ends()) == ("had", ["cancelled", "done"])
 
 
-def test_a_job_that_follows_a_stopped_one_can_be_stopped_too():
+def test_job_that_follows_a_stopped_job_can_be_stopped():
     shop = Workshop()
     shop.value.want(A)
     stop(shop)
@@ -291,7 +291,7 @@ def test_a_job_that_follows_a_stopped_one_can_be_stopped_too():
     assert (shop.made, shop.value.standing(B), shop.ends()) == ([], "stopped", ["cancelled", "cancelled"])
 
 
-def test_a_maker_that_asks_hears_of_a_stop():
+def test_maker_that_checks_for_cancellation_is_cancelled():
     shop = Workshop()
     heard = []
 
@@ -308,7 +308,7 @@ def test_a_maker_that_asks_hears_of_a_stop():
     assert heard == [False, True]
 
 
-def test_a_maker_that_gives_up_by_itself_counts_as_stopped():
+def test_maker_that_raises_cancelled_counts_as_stopped():
     shop = Workshop()
 
     def give_up(*_):
@@ -320,7 +320,7 @@ def test_a_maker_that_gives_up_by_itself_counts_as_stopped():
     assert (shop.value.standing(A), shop.ends()) == ("stopped", ["cancelled"])
 
 
-def test_another_case_discards_value_and_job_and_nothing_is_wanted_any_more():
+def test_opening_another_case_discards_value_job_and_request():
     shop = Workshop()
     shop.value.want(A)
     shop.background.run_all()
@@ -334,7 +334,7 @@ def test_another_case_discards_value_and_job_and_nothing_is_wanted_any_more():
     assert shop.value._had is None, "it keeps no volume alive"
 
 
-def test_a_value_that_is_discarded_before_its_job_begins_is_not_made():
+def test_value_discarded_before_its_job_begins_is_not_computed():
     shop = Workshop()
     shop.value.want(A)
     shop.value.discard()
@@ -342,7 +342,7 @@ def test_a_value_that_is_discarded_before_its_job_begins_is_not_made():
     assert (shop.made, shop.ends(), shop.settled) == ([], ["cancelled"], [])
 
 
-def test_what_is_to_be_done_with_a_value_is_done_once_when_it_is_had():
+def test_callback_runs_once_when_the_value_is_available():
     shop = Workshop()
     done = []
     shop.value.want(A, then=done.append)
@@ -355,7 +355,7 @@ def test_what_is_to_be_done_with_a_value_is_done_once_when_it_is_had():
     assert len(done) == 2, "at once where it is had"
 
 
-def test_what_is_to_be_done_is_forgotten_when_the_value_fails_or_others_are_wanted():
+def test_callback_is_dropped_if_the_value_fails_or_other_inputs_are_requested():
     shop = Workshop()
     done = []
     shop.while_making = once(fail)
@@ -371,7 +371,7 @@ def test_what_is_to_be_done_is_forgotten_when_the_value_fails_or_others_are_want
     assert (shop.made, done) == ([A, A, C], [])
 
 
-def test_trouble_with_what_is_done_with_a_value_is_told_and_the_value_stays():
+def test_error_in_a_callback_is_reported_and_the_value_stays():
     shop = Workshop()
     shop.value.want(A, then=fail)
     shop.background.run_all()
@@ -381,7 +381,7 @@ def test_trouble_with_what_is_done_with_a_value_is_told_and_the_value_stays():
     assert shop.value.standing(B) == "had"
 
 
-def test_trouble_with_what_is_done_does_not_disturb_the_value_that_was_wanted_there():
+def test_error_in_a_callback_does_not_cancel_the_value_that_it_requested():
     shop = Workshop()
 
     def want_next_and_fail(_value):
@@ -393,14 +393,14 @@ def test_trouble_with_what_is_done_does_not_disturb_the_value_that_was_wanted_th
     assert (shop.made, shop.value.standing(B), shop.ends()) == ([A, B], "had", ["failed", "done"])
 
 
-def test_listeners_may_want_the_next_value():
+def test_callback_may_request_the_next_value():
     shop = Workshop()
     shop.value.want(A, then=lambda _: shop.value.want(B))
     shop.background.run_all()
     assert (shop.made, shop.value.of(B), shop.ends()) == ([A, B], "b after a after None", ["done", "done"])
 
 
-def test_a_background_that_runs_at_once_is_no_exception():
+def test_synchronous_background_gives_the_same_results():
     shop = Workshop(submit=lambda work: work())
     shop.value.want(A)
     assert shop.value.of(A) == "a after None"
@@ -408,7 +408,7 @@ def test_a_background_that_runs_at_once_is_no_exception():
     assert (shop.value.of(C), shop.made) == ("c after b after a after None", [A, B, C])
 
 
-def test_equality_is_what_the_owner_says():
+def test_custom_equality_decides_whether_inputs_are_the_same():
     shop = Workshop(same=lambda a, b: a[0] == b[0])
     shop.value.want("one")
     shop.background.run_all()
@@ -416,7 +416,7 @@ def test_equality_is_what_the_owner_says():
     assert (shop.value.of("o"), shop.background.waiting) == ("one after None", [])
 
 
-def test_when_carina_closes_nothing_is_begun_and_whoever_asks_is_told():
+def test_request_while_carina_closes_is_refused():
     shop = Workshop()
     shop.jobs.close()
     with pytest.raises(CancelledError, match="closing"):
@@ -425,7 +425,7 @@ def test_when_carina_closes_nothing_is_begun_and_whoever_asks_is_told():
         shop.value.want(B)
 
 
-def test_time_left_is_not_guessed_from_an_attempt_that_was_stale():
+def test_time_left_ignores_stale_attempts():
     shop = Workshop()
 
     def long_and_stale(_inputs, attempt):
@@ -439,8 +439,8 @@ def test_time_left_is_not_guessed_from_an_attempt_that_was_stale():
     assert [e.seconds_left for e in shop.told if isinstance(e, JobProgress)] == [None, None]
 
 
-def test_the_lock_is_free_while_a_value_is_made():
-    """Real threads: the session goes on, and wants newer inputs, while a maker works and tells its progress."""
+def test_lock_is_not_held_while_a_value_is_computed():
+    """Real threads: the session requests newer inputs while a computation runs and reports its progress."""
     with ThreadPoolExecutor(2) as pool:
         shop = Workshop(submit=pool.submit)
         begun, changed = threading.Event(), threading.Event()
@@ -463,7 +463,7 @@ def test_the_lock_is_free_while_a_value_is_made():
     assert (shop.value.of(B), shop.ends()) == (B, ["done"])
 
 
-def test_a_cached_value_is_made_once_for_the_same_objects_and_anew_for_others():
+def test_cached_value_is_computed_once_for_the_same_objects_and_again_for_others():
     made = []
 
     def make(inputs):

@@ -1,4 +1,4 @@
-"""The display follows the document: newest wins, nothing queues up, and pictures never wait for a map."""
+"""Preparation of the renderer after changes of the transfer function: the newest wins, and pictures do not wait."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def names(bench):
     return [job.title for job in bench.session.jobs.running]
 
 
-def test_a_burst_of_changes_is_one_job_and_one_map_of_the_newest():
+def test_burst_of_changes_is_one_job_that_prepares_the_newest():
     bench = small_bench()
     bench.open()
     renderer = bench.renderers[-1]
@@ -35,7 +35,7 @@ def test_a_burst_of_changes_is_one_job_and_one_map_of_the_newest():
     assert renderer.prepared == before + 1
 
 
-def test_a_change_while_a_map_is_built_ends_that_build_and_the_same_job_begins_again_with_the_newest():
+def test_change_during_preparation_restarts_it_in_the_same_job():
     bench = small_bench()
     bench.open()
     renderer = bench.renderers[-1]
@@ -56,14 +56,14 @@ def test_a_change_while_a_map_is_built_ends_that_build_and_the_same_job_begins_a
     assert not names(bench)
 
 
-def test_a_change_after_a_person_stopped_the_preparation_is_followed():
+def test_change_after_the_user_stopped_the_preparation_is_prepared():
     bench = small_bench()
     bench.open()
     renderer = bench.renderers[-1]
     bench.session.do(SetTransfer(preset="ct-grey"))
     (job,) = bench.session.jobs.running
     bench.session.do(Cancel(job.job_id))
-    # The change comes when the job has been stopped and has not yet ended.
+    # The change arrives after the job was stopped and before it has ended.
     bench.session.do(SetTransfer(document={}))
     bench.background.run_all()
     assert renderer.transfer is bench.session.snapshot().document.transfer
@@ -72,7 +72,7 @@ def test_a_change_after_a_person_stopped_the_preparation_is_followed():
     assert renderer.transfer is bench.session.snapshot().document.transfer
 
 
-def test_a_renderer_that_fails_is_told_of_the_next_change():
+def test_change_after_a_failed_preparation_is_prepared():
     bench = small_bench()
     bench.open()
     renderer = bench.renderers[-1]
@@ -90,13 +90,13 @@ def test_a_renderer_that_fails_is_told_of_the_next_change():
 
 
 @pytest.mark.parametrize("lumen", [False, True])
-def test_pictures_of_a_new_preset_come_while_its_map_is_built(monkeypatch, lumen):
-    """The real renderer under the real pump; the map takes as long as the test likes."""
+def test_pictures_of_a_new_preset_are_shown_while_its_map_is_built(monkeypatch, lumen):
+    """The real renderer under the real pump; the test decides how long the map takes."""
     building, go_on = threading.Event(), threading.Event()
     build = _core.build_cell_map
 
     def slowly(*arguments, **options):
-        if options:  # The tree view's own small map has no cancel.
+        if options:  # The small map of the tree view cannot be cancelled.
             building.set()
             assert go_on.wait(60)
         return build(*arguments, **options)

@@ -1,4 +1,4 @@
-"""A case file that was dropped has no place of its own: a copy is gone on with, or waits until its CT is opened."""
+"""Dropped case files: they have no path; a copy is opened, or waits in the list until its CT is opened."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def chest():
 
 
 class Desk:
-    """One person's workstation: started over the same cases, or as another's over none."""
+    """Workstation of one user, started over stored cases or over none."""
 
     def __init__(self, folder):
         times = itertools.count(1_800_000_000)
@@ -59,7 +59,7 @@ class Desk:
 
 @pytest.fixture
 def desks(tmp_path):
-    """Two people."""
+    """Return the workstations of two users."""
     made = [Desk(tmp_path / name) for name in ("mine", "theirs")]
     yield made
     for desk in made:
@@ -68,7 +68,7 @@ def desks(tmp_path):
 
 @pytest.fixture
 def given(desks, chest, tmp_path):
-    """A case of two steps, by one person for the other."""
+    """Return a case file with two steps that one user made for the other."""
     mine, _ = desks
     mine.do(
         c.OpenPath(str(write_ct(tmp_path / "ct.nii.gz", chest))),
@@ -80,7 +80,7 @@ def given(desks, chest, tmp_path):
     return tmp_path / "given.carina"
 
 
-def test_a_case_whose_ct_is_on_screen_opens_as_a_copy_without_a_place(desks, given, chest, tmp_path):
+def test_dropped_case_whose_ct_is_open_opens_as_a_copy_without_a_path(desks, given, chest, tmp_path):
     _, desk = desks
     desk.do(c.OpenPath(str(write_ct(tmp_path / "their ct.nii.gz", chest))))
     before = given.read_bytes()
@@ -94,7 +94,7 @@ def test_a_case_whose_ct_is_on_screen_opens_as_a_copy_without_a_place(desks, giv
     assert (record.copy_path, record.num_changes) == (None, 3)
 
 
-def test_a_case_without_its_ct_waits_in_the_list_and_asks_for_it_once(desks, given, chest, tmp_path):
+def test_dropped_case_without_its_ct_waits_in_the_list_and_asks_for_it_once(desks, given, chest, tmp_path):
     _, desk = desks
     (tmp_path / "ct.nii.gz").unlink()
     for _ in range(2):
@@ -107,7 +107,7 @@ def test_a_case_without_its_ct_waits_in_the_list_and_asks_for_it_once(desks, giv
     desk.do(c.OpenPath(str(write_ct(tmp_path / "other.nii.gz", other))))
     assert "not the CT of the case that you dropped" in desk.said()
     assert desk.steps() == []
-    # Dropped, too: it has no place either.
+    # The CT is dropped, too: it has no path either.
     desk.do(c.OpenFiles(str(write_ct(tmp_path / "their.nii.gz", chest))))
     assert len(desk.steps()) == 2
     desk.do(c.CloseCase())
@@ -115,7 +115,7 @@ def test_a_case_without_its_ct_waits_in_the_list_and_asks_for_it_once(desks, giv
     assert listed.title == waiting.title, "the name of the dropped file is not stored"
 
 
-def test_what_is_kept_here_and_goes_on_from_the_dropped_case_is_shown(desks, given):
+def test_stored_case_that_continues_the_dropped_case_is_shown(desks, given):
     mine, _ = desks
     mine.do(c.SetFov(70.0), c.CloseCase())
     assert mine.drop(given) == []
@@ -124,7 +124,7 @@ def test_what_is_kept_here_and_goes_on_from_the_dropped_case_is_shown(desks, giv
     assert mine.session.snapshot().saving.copy_name == "given.carina", "where its person put it"
 
 
-def test_a_case_with_its_ct_in_it_opens_and_opens_again_from_the_list(desks, given, chest, tmp_path):
+def test_dropped_case_with_its_ct_inside_opens_and_opens_again_from_the_list(desks, given, chest, tmp_path):
     _, desk = desks
     (tmp_path / "ct.nii.gz").unlink()
     with CaseFile.open(given, read_only=True) as case:
@@ -139,7 +139,7 @@ def test_a_case_with_its_ct_in_it_opens_and_opens_again_from_the_list(desks, giv
     assert len(desk.steps()) == 2
 
 
-def test_a_damaged_or_strange_file_is_refused_and_leaves_nothing(desks, given, chest, tmp_path):
+def test_damaged_or_foreign_dropped_file_is_refused_and_leaves_no_file(desks, given, chest, tmp_path):
     _, desk = desks
     desk.do(c.OpenPath(str(write_ct(tmp_path / "their ct.nii.gz", chest))))
     strange = tmp_path / "strange.carina"
@@ -155,7 +155,7 @@ def test_a_damaged_or_strange_file_is_refused_and_leaves_nothing(desks, given, c
     assert desk.worked_on() == []
 
 
-def test_a_case_of_a_newer_carina_is_shown_and_not_kept(desks, given, chest, tmp_path):
+def test_dropped_case_of_a_newer_carina_is_shown_and_not_stored(desks, given, chest, tmp_path):
     _, desk = desks
     with sqlite3.connect(given) as file:
         file.execute("PRAGMA user_version = 1000")

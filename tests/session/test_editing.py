@@ -1,4 +1,4 @@
-"""Edits of the airway tree in a session: undone step by step, with targets, route and words that follow."""
+"""Edits of the airway tree in a session: undo and redo, and their effect on targets, route and messages."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def case():
 
 @pytest.fixture
 def bench(case):
-    """A session over the small drawn tree: real airways, real edits."""
+    """Return a bench with the small drawn tree, real airways and real edits."""
     made = small_bench(
         open_volume=lambda _path, _progress, _cancel: case.volume,
         find_airways=lambda _volume, **_options: case.airways,
@@ -59,7 +59,7 @@ def document(bench):
     return bench.session.snapshot().document
 
 
-def test_an_edit_is_one_step_with_a_label_in_words_that_undo_and_redo_move(bench, case):
+def test_edit_is_one_labelled_step_of_undo_and_redo(bench, case):
     edit(bench, CutBranch(2))
     assert 2 not in {b.id for b in document(bench).airways.tree.branches}
     assert bench.session.snapshot().undo_label == "cut branch 2"
@@ -73,7 +73,7 @@ def test_an_edit_is_one_step_with_a_label_in_words_that_undo_and_redo_move(bench
     np.testing.assert_array_equal(bench.renderers[-1].lumen, document(bench).airways.lumen_zyx)
 
 
-def test_opening_another_case_stops_edits_and_targets_of_the_old_one(bench, case):
+def test_opening_another_case_stops_edits_and_targets_of_the_first(bench, case):
     edit_job = bench.session.do(EditTree(CutBranch(2)))
     target_job = bench.session.do(AddTarget(point(case.airways.tree.branch(5).points[-2])))
     left = tuple(bench.background.waiting)
@@ -90,7 +90,7 @@ def test_opening_another_case_stops_edits_and_targets_of_the_old_one(bench, case
     assert bench.session.snapshot().undo_label is None
 
 
-def test_a_route_to_a_branch_that_is_cut_goes_away_with_words_and_comes_back_with_undo(bench, case):
+def test_route_to_a_cut_branch_is_removed_with_a_message_and_restored_by_undo(bench, case):
     gone = case.airways.tree.branch(2)
     bench.session.do(ChooseRoute(branch_id=2))
     edit(bench, CutBranch(2))
@@ -116,7 +116,7 @@ def test_targets_are_tracked_again_in_the_edited_tree(bench, case):
     assert all(target.route is not None for target in document(bench).targets)
 
 
-def test_a_route_that_an_edit_does_not_touch_is_flown_on(bench):
+def test_route_that_an_edit_does_not_touch_stays_active(bench):
     bench.session.do(ChooseRoute(branch_id=5))
     bench.session.do(GoTo(9.0))
     before = document(bench).route
@@ -129,7 +129,7 @@ def test_a_route_that_an_edit_does_not_touch_is_flown_on(bench):
     assert pose.pose is not None
 
 
-def test_an_edit_that_leaves_the_lumen_alone_does_not_prepare_the_pictures_again(bench):
+def test_edit_that_keeps_the_lumen_does_not_prepare_the_renderer_again(bench):
     prepared = bench.renderers[-1].prepared
     edit(bench, RenameBranch(5, "LB6"), SmoothBranch(5))
     assert bench.renderers[-1].prepared == prepared
@@ -138,7 +138,7 @@ def test_an_edit_that_leaves_the_lumen_alone_does_not_prepare_the_pictures_again
     assert bench.renderers[-1].prepared > prepared
 
 
-def test_what_is_taken_back_while_it_is_prepared_is_prepared_again(bench):
+def test_lumen_restored_after_a_stopped_preparation_is_prepared_again(bench):
     renderer = bench.renderers[-1]
     prepared = renderer.prepared
 
@@ -154,7 +154,7 @@ def test_what_is_taken_back_while_it_is_prepared_is_prepared_again(bench):
     assert renderer.prepared > prepared, "the maps of before went when the renderer was given another lumen"
 
 
-def test_edits_that_cannot_be_made_change_nothing_and_say_why(bench, case):
+def test_impossible_edits_change_nothing_and_state_the_reason(bench, case):
     before = document(bench)
     with pytest.raises(UsageError, match="lies outside the scan"):
         bench.session.do(EditTree(AddBranch((900.0, 0.0, 0.0))))
@@ -168,7 +168,7 @@ def test_edits_that_cannot_be_made_change_nothing_and_say_why(bench, case):
     assert bench.session.snapshot().undo_label is None
 
 
-def test_without_airways_there_is_nothing_to_edit():
+def test_edit_without_airways_is_refused():
     bench = small_bench()
     with pytest.raises(UsageError, match="no case is open"):
         bench.session.do(EditTree(CutBranch(1)))
@@ -178,7 +178,7 @@ def test_without_airways_there_is_nothing_to_edit():
         bench.session.do(EditTree(CutBranch(1)))
 
 
-def test_a_stopped_edit_changes_nothing(bench):
+def test_stopped_edit_changes_nothing(bench):
     before = document(bench)
     job_id = bench.session.do(EditTree(CutBranch(2)))
     bench.session.do(Cancel(job_id))
@@ -187,7 +187,7 @@ def test_a_stopped_edit_changes_nothing(bench):
     assert [e.outcome for e in bench.of_type(JobEnded)] == ["cancelled"]
 
 
-def test_an_edit_asked_for_before_an_undo_is_made_to_what_is_there_then(bench):
+def test_edit_requested_before_an_undo_applies_to_the_tree_after_it(bench):
     edit(bench, CutBranch(2))
     bench.session.do(EditTree(SmoothBranch(5)))
     bench.session.undo()
@@ -195,7 +195,7 @@ def test_an_edit_asked_for_before_an_undo_is_made_to_what_is_there_then(bench):
     assert [type(e) for e in document(bench).airways.edits] == [SmoothBranch]
 
 
-def test_a_long_row_of_edits_can_be_undone_to_the_beginning_and_done_again_bit_for_bit(bench, case):
+def test_long_series_of_edits_is_undone_and_redone_bit_for_bit(bench, case):
     trunk = case.airways.tree.root.points
     edits = [PaintLumen((point(trunk[3 + n // 2]),), 3.6 + 0.2 * n, "ball") for n in range(NUM_EDITS_WHOLE + 4)]
     edit(bench, *edits)
@@ -218,7 +218,7 @@ def test_a_long_row_of_edits_can_be_undone_to_the_beginning_and_done_again_bit_f
     assert_same(document(bench).airways, last)
 
 
-def test_what_is_far_from_the_present_is_folded_and_what_is_near_is_not():
+def test_history_compresses_documents_far_from_the_present_one():
     history = History(0)
     for n in range(1, 9):
         history.change(f"to {n}", n, now_s=float(n))
@@ -230,7 +230,7 @@ def test_what_is_far_from_the_present_is_folded_and_what_is_near_is_not():
 
 @pytest.fixture
 def lung_bench():
-    """The same over a volume in which ways lead into plain lung."""
+    """Return a bench whose volume allows paths through plain lung."""
     made = small_bench(
         open_volume=lambda _path, _progress, _cancel: open_ended_volume(),
         find_airways=lambda _volume, **_options: open_ended_airways(),
@@ -241,7 +241,7 @@ def lung_bench():
     return made
 
 
-def test_a_branch_without_evidence_is_asked_about_and_changes_nothing_until_it_is_asked_for_again(lung_bench):
+def test_branch_without_evidence_needs_confirmation_and_changes_nothing_before(lung_bench):
     edit(lung_bench, AddBranch(in_plain_lung()))
     (asked,) = lung_bench.of_type(NotEvident)
     assert lung_bench.of_type(Trouble) == []
@@ -263,7 +263,7 @@ def test_a_branch_without_evidence_is_asked_about_and_changes_nothing_until_it_i
     assert document(lung_bench).airways is open_ended_airways()
 
 
-def test_a_route_over_a_drawn_branch_counts_it_as_drawn(lung_bench):
+def test_route_over_a_drawn_branch_counts_it_as_drawn(lung_bench):
     edit(lung_bench, AddBranch(in_plain_lung(), even_without_evidence=True))
     drawn = next(b for b in document(lung_bench).airways.tree.branches if b.kind == "manual")
     lung_bench.session.do(ChooseRoute(branch_id=drawn.id))
@@ -272,7 +272,7 @@ def test_a_route_over_a_drawn_branch_counts_it_as_drawn(lung_bench):
     assert route.drawn.words.endswith("mm drawn by hand")
 
 
-def test_the_preview_of_an_edit_is_the_edit(lung_bench):
+def test_preview_of_an_edit_equals_the_edit(lung_bench):
     preview = lung_bench.session.ask(PreviewOf(AddBranch(in_plain_lung())))
     assert not preview.has_evidence
     edit(lung_bench, AddBranch(in_plain_lung()))
@@ -284,7 +284,7 @@ def test_the_preview_of_an_edit_is_the_edit(lung_bench):
         lung_bench.session.ask(PreviewOf(AddBranch(in_plain_lung())))
 
 
-def test_a_bridge_without_an_airway_beyond_it_is_said_and_not_asked_about():
+def test_bridge_without_an_airway_beyond_it_is_refused_without_a_question():
     doubt = NoEvidenceError(
         "the CT shows too little airway wall beyond the bridge",
         doubtful_mm=9.0,
@@ -306,7 +306,7 @@ def test_a_bridge_without_an_airway_beyond_it_is_said_and_not_asked_about():
     assert [(trouble.code, trouble.message) for trouble in bench.of_type(Trouble)] == [(doubt.code, str(doubt))]
 
 
-def test_a_target_that_the_root_is_moved_to_keeps_its_place_and_says_why_it_has_no_path(bench, case):
+def test_target_at_the_new_root_keeps_its_place_and_states_why_it_has_no_path(bench, case):
     there = MoveRoot(point(case.airways.tree.branch(5).points[-2]))
     tracker = edit_airways(case.volume, case.airways, there).tracker
     place = point(case.volume.to_lps(np.array(tracker.root_ijk, dtype=float)))

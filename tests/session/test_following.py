@@ -1,4 +1,4 @@
-"""A session that follows another one: it shows what is done there, looks for itself, and takes the case over."""
+"""Following session: it shows the state of its owner, has its own view settings, and can take the case over."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from made import made_phantom
 
 @pytest.fixture
 def pair(tmp_path):
-    """An owner, a session that follows it, and what it follows it by."""
+    """Return an owner, a session that follows it, and the connection between them."""
     volume = made_phantom(spacing_mm=3.0, generations=3).volume
     write_grid(tmp_path / "ct.nii.gz", volume.hu_zyx, volume.lps_from_ijk, what="the phantom")
     records = CaseRecords(tmp_path / "cases", time.time)
@@ -39,7 +39,7 @@ def pair(tmp_path):
     other.close()
 
 
-def test_what_the_owner_does_is_shown_and_its_renderer_content_stays(pair):
+def test_follower_shows_changes_of_the_owner_and_keeps_its_renderer_content(pair):
     owner, other, follow, _ = pair
     content = other.scene().content_number
     do_and_wait(owner, c.SetOutline("none"))
@@ -54,7 +54,7 @@ def test_what_the_owner_does_is_shown_and_its_renderer_content_stays(pair):
     assert other.snapshot().redo_label == owner.snapshot().redo_label
 
 
-def test_the_sight_is_its_own(pair):
+def test_follower_has_its_own_sight(pair):
     owner, other, follow, _ = pair
     do_and_wait(other, c.SetTexture(on=False))
     do_and_wait(owner, c.SetShading(on=False))
@@ -62,10 +62,10 @@ def test_the_sight_is_its_own(pair):
     assert (other.snapshot().sight.texture, other.snapshot().sight.shading) == (False, True)
 
 
-def test_a_refused_takeover_does_not_claim_the_ct(pair):
+def test_refused_takeover_does_not_claim_the_ct(pair):
     owner, other, _, case_id = pair
     kept = owner._saving._kept
-    # An owner that took the case over itself may have no claim.
+    # An owner that took over the case itself may have no claim on the CT.
     kept._claim.release()
     with pytest.raises(UsageError):
         do_and_wait(other, c.TakeOver(case_id))
@@ -74,7 +74,7 @@ def test_a_refused_takeover_does_not_claim_the_ct(pair):
     claim.release()
 
 
-def test_the_case_is_taken_over_once_its_owner_has_let_it_go(pair):
+def test_case_is_taken_over_after_its_owner_released_it(pair):
     owner, other, _, case_id = pair
     do_and_wait(owner, c.SetFov(100.0))
     with pytest.raises(UsageError) as held:

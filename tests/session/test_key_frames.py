@@ -1,4 +1,4 @@
-"""Key frames in a session: a list with undo, the flight through it, and its file."""
+"""Key frames in a session: the list with undo, the flight through it, and its file."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def bench():
 
 @pytest.fixture
 def three(bench):
-    """Key frames at the top, in the left and in the right bronchus."""
+    """Add key frames at the top, in the left bronchus and in the right bronchus."""
     for at in (TOP, LEFT, RIGHT):
         bench.session.do(place_pose(looking_down(at)))
         bench.session.do(EditKeyFrames(KeyFrameAdd()))
@@ -76,7 +76,7 @@ def pose(bench):
     return bench.session.pose_info().pose.lps_from_camera
 
 
-def test_key_frames_are_called_by_their_branch_until_a_person_names_them(three):
+def test_key_frames_are_named_after_their_branch_until_renamed(three):
     assert names(three) == ["Trachea", "LMB", "generation 2"]
     assert [key.branch_id for key in three.session.key_frames_info().frames] == [0, 2, 3]
     second = three.session.key_frames_info().frames[1].key_id
@@ -90,7 +90,7 @@ def test_key_frames_are_called_by_their_branch_until_a_person_names_them(three):
     assert names(three)[3] == "outside the airways"
 
 
-def test_every_change_of_the_list_is_one_step_of_undo(three):
+def test_every_change_of_the_list_is_one_undo_step(three):
     session = three.session
     ids = [key.key_id for key in session.key_frames_info().frames]
     steps = [
@@ -120,7 +120,7 @@ def test_every_change_of_the_list_is_one_step_of_undo(three):
         assert session.key_frames_info() == state
 
 
-def test_changes_that_change_nothing_are_no_steps(three):
+def test_changes_without_effect_are_no_undo_steps(three):
     first = three.session.key_frames_info().frames[0].key_id
     before = three.session.snapshot().undo_label
     three.session.do(EditKeyFrames(KeyFrameMove(first, -1)))
@@ -130,11 +130,11 @@ def test_changes_that_change_nothing_are_no_steps(three):
     assert three.session.snapshot().undo_label == before
 
 
-def test_the_flight_follows_the_airways_between_key_frames_that_lie_in_them(three):
+def test_flight_between_key_frames_in_airways_follows_the_airways(three):
     info = three.session.key_frames_info()
     assert [key.through_airways for key in info.frames] == [False, True, True]
     branches = {b.id: b for b in three.session.snapshot().document.airways.tree.branches}
-    # Up the left bronchus to the carina and down both on the right; smoothing cuts corners.
+    # Up the left bronchus to the carina, then down both branches on the right; smoothing cuts corners.
     way_mm = branches[2].length_mm + branches[1].length_mm + branches[3].length_mm
     assert info.frames[2].leg_mm == pytest.approx(way_mm, rel=0.05)
     assert info.frames[2].leg_mm > 1.2 * np.linalg.norm(LEFT - RIGHT)
@@ -144,14 +144,14 @@ def test_the_flight_follows_the_airways_between_key_frames_that_lie_in_them(thre
     assert straight.duration_s < info.duration_s
 
 
-def test_without_airways_and_outside_them_the_flight_is_through_space(bench):
+def test_flight_is_through_space_without_airways_and_outside_them(bench):
     for at in (TOP, OUTSIDE_LUMEN):
         bench.session.do(place_pose(looking_down(at)))
         bench.session.do(EditKeyFrames(KeyFrameAdd()))
     assert [key.through_airways for key in bench.session.key_frames_info().frames] == [False, False]
 
 
-def test_flying_moves_the_tip_and_says_the_time_until_anything_else_moves_it(three):
+def test_flying_moves_the_tip_and_reports_the_time_until_interrupted(three):
     session = three.session
     info = session.key_frames_info()
     for key, at in zip(info.frames, (TOP, LEFT, RIGHT), strict=True):
@@ -182,7 +182,7 @@ def test_flying_moves_the_tip_and_says_the_time_until_anything_else_moves_it(thr
         Undo(),
     ],
 )
-def test_whatever_moves_the_tip_or_changes_the_flight_takes_over(three, take_over):
+def test_moving_the_tip_or_changing_the_flight_interrupts_it(three, take_over):
     three.session.do(SetMode("path"))
     three.session.do(FlyKeyFrames(1.0))
     three.session.do(take_over)
@@ -190,7 +190,7 @@ def test_whatever_moves_the_tip_or_changes_the_flight_takes_over(three, take_ove
     assert three.session.pose_info().key_frames_s is None
 
 
-def test_a_device_takes_over_and_that_is_said(three):
+def test_device_interrupts_the_flight_with_a_message(three):
     from carina.navigate import AxesSample
 
     session = three.session
@@ -206,7 +206,7 @@ def test_a_device_takes_over_and_that_is_said(three):
     assert not session.pose_info().by_device
 
 
-def test_going_to_a_key_frame_is_exact_also_while_there_is_only_one(bench):
+def test_going_to_a_key_frame_is_exact_also_if_it_is_the_only_one(bench):
     bench.session.do(place_pose(looking_down(LEFT)))
     key = bench.session.do(EditKeyFrames(KeyFrameAdd()))
     bench.session.do(place_pose(looking_down(RIGHT)))
@@ -216,7 +216,7 @@ def test_going_to_a_key_frame_is_exact_also_while_there_is_only_one(bench):
         bench.session.do(FlyKeyFrames(0.0))
 
 
-def test_commands_about_a_key_frame_that_is_gone_are_refused(three):
+def test_commands_for_a_deleted_key_frame_are_refused(three):
     session = three.session
     for command in (
         EditKeyFrames(KeyFrameUpdate("key-99")),
@@ -231,7 +231,7 @@ def test_commands_about_a_key_frame_that_is_gone_are_refused(three):
         session.do(SetKeyFrameFlight(speed_mm_s=1e4))
 
 
-def test_a_flight_that_nobody_means_is_told_and_not_flown(bench):
+def test_flight_longer_than_24_hours_is_reported_and_not_flown(bench):
     for n in range(200):
         bench.session.do(place_pose(looking_down(LEFT if n % 2 else RIGHT)))
         bench.session.do(EditKeyFrames(KeyFrameAdd()))
@@ -245,7 +245,7 @@ def test_a_flight_that_nobody_means_is_told_and_not_flown(bench):
         bench.session.do(FlyKeyFrames(1.0))
 
 
-def test_new_airways_give_new_ways(three):
+def test_new_airways_change_the_path_between_key_frames(three):
     before = three.session.key_frames_info()
     three.session.do(SetLumenThreshold(-850.0))
     three.background.run_all()
@@ -253,7 +253,7 @@ def test_new_airways_give_new_ways(three):
     assert three.session.snapshot().document.key_frames.frames
 
 
-def test_a_saved_flight_is_the_same_and_comes_back_as_one_step(three, tmp_path):
+def test_saved_flight_is_restored_in_one_undo_step(three, tmp_path):
     session = three.session
     session.do(EditKeyFrames(KeyFrameSpeed(session.key_frames_info().frames[2].key_id, 7.5)))
     session.do(EditKeyFrames(KeyFrameRename(session.key_frames_info().frames[0].key_id, "start")))
@@ -271,7 +271,7 @@ def test_a_saved_flight_is_the_same_and_comes_back_as_one_step(three, tmp_path):
     three.background.run_all()
     opened = session.key_frames_info()
     for key, old in zip(opened.frames, info.frames, strict=True):
-        # Bit for bit, but for the ids.
+        # Equal bit for bit, except the ids.
         assert (key.name, key.speed_mm_s, key.time_s, key.leg_mm) == (old.name, old.speed_mm_s, old.time_s, old.leg_mm)
     assert session.snapshot().undo_label == "open key frames"
     session.undo()
@@ -290,7 +290,7 @@ def test_key_frames_of_another_case_are_refused_and_change_nothing(three, tmp_pa
     assert other.session.key_frames_info().frames == ()
 
 
-def test_times_of_a_file_become_speeds(bench, tmp_path):
+def test_times_in_a_file_are_converted_to_speeds(bench, tmp_path):
     path = tmp_path / "k.json"
     keys = [
         {"time_s": t, "lps_from_camera": looking_down(at).lps_from_camera.tolist()} for t, at in ((0, TOP), (4, LEFT))
@@ -303,7 +303,7 @@ def test_times_of_a_file_become_speeds(bench, tmp_path):
     assert info.frames[1].speed_mm_s == pytest.approx(np.linalg.norm(TOP - LEFT) / 4.0)
 
 
-def test_nothing_is_taken_away_without_key_frames_and_no_more_than_a_flight_holds(bench, tmp_path):
+def test_export_without_key_frames_and_too_many_key_frames_are_refused(bench, tmp_path):
     with pytest.raises(NoResultError, match="no key frames"):
         bench.session.ask(KeyFramesToTakeAway())
     frames = tuple(KeyFrame(None, looking_down(TOP - np.array([0, 0, 0.05 * n]))) for n in range(201))
@@ -314,7 +314,7 @@ def test_nothing_is_taken_away_without_key_frames_and_no_more_than_a_flight_hold
     assert [t.message for t in bench.of_type(Trouble)] == ["the file has 201 key frames; at most 200 can be opened"]
 
 
-def test_a_recording_of_the_flight_replays_it(three, tmp_path):
+def test_recording_of_the_flight_replays_it(three, tmp_path):
     from carina.navigate import open_recording
 
     session = three.session

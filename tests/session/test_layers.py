@@ -1,4 +1,4 @@
-"""What lies round the targets over slices: cut where the masks lie, whatever the zoom, and without the targets."""
+"""Layers of structures round the targets over slices: position at every zoom, computation, failure and progress."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ def ball(middle_ijk: tuple[float, float, float], radius: float) -> np.ndarray:
 
 
 def axial(mm_per_px: float, column: float = 0.0, row: float = 0.0, z: float = -180.0) -> np.ndarray:
-    """A slice whose first pixel lies where the masks begin, moved by pixels."""
+    """Return the matrix of an axial slice: its first pixel is at the corner of the masks, moved by whole pixels."""
     matrix = np.diag([mm_per_px, mm_per_px, 1.0, 1.0])
     matrix[:3, 3] = (-10.0 + mm_per_px * column, 30.0 + mm_per_px * row, z)
     return matrix
 
 
 def drawn(lines) -> np.ndarray:
-    """Its points in pixels of the picture, (n, 2)."""
+    """Return the points of the lines in pixels of the picture, (n, 2)."""
     data, points = lines.data, []
     while data:
         count = int.from_bytes(data[:2], "little")
@@ -47,20 +47,20 @@ def drawn(lines) -> np.ndarray:
 
 
 @pytest.mark.parametrize("place", [axial(1.0), axial(0.3, 40.0, -25.0), axial(5.0)])
-def test_a_mask_is_outlined_half_way_between_its_voxels_whatever_the_zoom(place):
+def test_mask_outline_is_half_way_between_voxels_at_every_zoom(place):
     lungs = LungMap(lobes=(("RUL", MappedMask.placed(ball((10, 12, 10), 6.0), MATRIX)),))
     (lines,) = ShownLayers(lungs, None).lines(place, ("lobes",))
     assert (lines.layer, lines.part, lines.complete) == ("lobes", "RUL", True)
     points = np.column_stack([drawn(lines), np.zeros(len(drawn(lines))), np.ones(len(drawn(lines)))]) @ place.T
     away = np.linalg.norm(points[:, :3] - (MATRIX @ (10, 12, 10, 1))[:3], axis=1)
-    # Half a voxel's diagonal and the rounding of the lines.
+    # Tolerance: half a voxel's diagonal, and the rounding of the lines.
     assert away.min() > 12.0 - 1.8
     assert away.max() < 12.0 + 1.8
-    # Closed, also where the picture is but a part of it.
+    # The outline is closed, also if the picture shows only a part of it.
     assert np.allclose(drawn(lines)[0], drawn(lines)[-1])
 
 
-def test_a_plane_beside_a_mask_carries_nothing_and_what_is_not_wanted_is_left_out():
+def test_plane_beside_a_mask_has_no_lines_and_layers_switched_off_are_omitted():
     shown = ShownLayers(LungMap(fissures=MappedMask.placed(ball((10, 12, 10), 3.0), MATRIX)), None)
     assert shown.names == ("fissures",)
     assert shown.lines(axial(1.0, z=-100.0), ("fissures",)) == ()
@@ -68,7 +68,7 @@ def test_a_plane_beside_a_mask_carries_nothing_and_what_is_not_wanted_is_left_ou
     assert len(shown.lines(axial(1.0), ("fissures",))) == 1
 
 
-def test_a_target_is_not_drawn_as_a_vessel():
+def test_target_is_not_drawn_as_a_vessel():
     vessels = MappedMask.placed(ball((6, 12, 10), 3.0) | ball((14, 12, 10), 3.0), MATRIX)
     inside = np.ones((9, 9, 9), dtype=bool)
     matrix = np.diag([2.0, 2.0, 2.0, 1.0])
@@ -79,7 +79,7 @@ def test_a_target_is_not_drawn_as_a_vessel():
     both, (one,) = ((ShownLayers(lungs, None, n).lines(axial(1.0), ("vessels",))) for n in ((), (nodule,)))
     assert drawn(both[0])[:, 0].max() > 28.0
     assert drawn(one)[:, 0].max() < 20.0
-    # The map itself is as it was.
+    # The map itself is unchanged.
     assert vessels.inside_zyx[10, 12, 14]
 
 
@@ -92,7 +92,7 @@ def bench_with(**parts):
 BALL = MappedMask.placed(ball((10, 12, 10), 6.0), MATRIX)
 
 
-def test_what_lies_round_is_made_when_it_is_asked_for_and_vessels_come_before_the_lobes():
+def test_layers_are_computed_on_request_and_vessels_come_before_the_lobes():
     seen = []
 
     def slow(_volume, _airways, _wall, *, progress, found):
@@ -120,7 +120,7 @@ def test_what_lies_round_is_made_when_it_is_asked_for_and_vessels_come_before_th
     assert session.scene().key("axial") != key
 
 
-def test_what_was_made_of_other_airways_is_not_shown_and_says_that_it_is_outdated():
+def test_layers_of_other_airways_are_not_shown_and_reported_as_outdated():
     bench = bench_with(map_lungs=lambda *_given, **_options: LungMap(vessels=BALL))
     session = bench.session
     session.do(MapLungs())
@@ -138,7 +138,7 @@ def test_what_was_made_of_other_airways_is_not_shown_and_says_that_it_is_outdate
     assert not session.ask(LungsOf()).outdated
 
 
-def test_what_fails_says_why_and_can_be_asked_for_again():
+def test_failure_states_its_reason_and_can_be_retried():
     trouble = [NoResultError("no lung was found", code="plan.no_lung"), CancelledError("stopped"), None]
 
     def make(*_given, **_options):
@@ -155,7 +155,7 @@ def test_what_fails_says_why_and_can_be_asked_for_again():
         assert (info.standing, info.problem) == (standing, problem)
 
 
-def test_the_reach_is_of_the_instrument_that_was_asked_for_last():
+def test_reach_is_of_the_instrument_that_was_requested_last():
     asked = []
 
     def make(_volume, _airways, *, scope, tool, wall, progress, cancel):
@@ -173,7 +173,7 @@ def test_the_reach_is_of_the_instrument_that_was_asked_for_last():
     assert bench.session.ask(LungsOf()).reach_problem == "nothing for thin"
 
 
-def test_without_airways_nothing_is_looked_for():
+def test_without_airways_no_layers_are_computed():
     def none(*_given, **_options):
         raise NoResultError("no trachea")
 
@@ -182,7 +182,7 @@ def test_without_airways_nothing_is_looked_for():
         bench.session.do(MapLungs())
 
 
-def test_the_rim_of_the_lungs_is_no_vessel():
+def test_rim_of_the_lungs_is_not_a_vessel():
     known = np.zeros((9, 10, 11), dtype=bool)
     known[1:8, :, 2:10] = True
     inner = _within(known, 2)
@@ -191,7 +191,7 @@ def test_the_rim_of_the_lungs_is_no_vessel():
 
 
 @pytest.mark.slow
-def test_the_lungs_of_a_phantom_have_vessels_lobes_and_progress_that_can_stop_it():
+def test_phantom_lungs_have_vessels_and_lobes_and_every_stage_can_be_cancelled():
     made = made_phantom(seed=4, spacing_mm=3.0, generations=4)
     airways = carina.find_airways(made.volume)
     wall = carina.track.wall_field(made.volume, airways)
@@ -210,11 +210,11 @@ def test_the_lungs_of_a_phantom_have_vessels_lobes_and_progress_that_can_stop_it
     assert all(branch.parent is None or branch.parent < n for n, branch in enumerate(tree.branches))
     points = np.concatenate([branch.points_lps for branch in tree.branches])
     i, j, k = np.rint((points - vessels.first_lps) / vessels.spacing_mm).astype(int).T
-    # Lines are made smooth: a few points of a bend lie beside its voxels.
+    # The lines are smoothed: a few points at a bend are beside its voxels.
     assert vessels.inside_zyx[k, j, i].mean() > 0.85
     shares = [share for _, share in told]
     assert shares == sorted(shares)
-    # Every stage looks for a stop several times: none of them is waited for to its end.
+    # Every stage checks for cancellation several times, so that a stop does not wait for its end.
     looks = Counter(what for what, _ in told)
     assert looks["looking for vessels"] >= 8
     assert looks["following the vessels"] >= 3

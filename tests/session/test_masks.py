@@ -1,4 +1,4 @@
-"""A mask of another tool in the place of the airways: asked about where it must be, undone in one step."""
+"""Airway masks of other tools: import, questions to the user, refusals, and undo in one step."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LABELS = (MaskLabel(1, "Left lung", 2100.0), MaskLabel(4, "Airway tree", 61.5), 
 
 
 class Tool:
-    """Masks of another tool, and what was asked of them; ``airways`` as Carina draws them."""
+    """Stand-in that reads masks of another tool and records the requests; ``airways`` is the mask that Carina draws."""
 
     def __init__(self):
         self.read, self.searches = [], []
@@ -60,7 +60,7 @@ def take(bench, path, **options):
     return bench.session.snapshot()
 
 
-def test_a_mask_takes_the_place_of_the_airways_in_one_step_that_undo_takes_back(bench, tool):
+def test_imported_mask_replaces_the_airways_in_one_undo_step(bench, tool):
     before = bench.session.snapshot()
     after = take(bench, "/masks/airway.nii.gz")
     assert after.document.airways is not before.document.airways
@@ -77,7 +77,7 @@ def test_a_mask_takes_the_place_of_the_airways_in_one_step_that_undo_takes_back(
     assert [mask != {} for _, mask in tool.searches] == [False, True]
 
 
-def test_of_several_structures_one_is_asked_for_and_the_one_called_airway_proposed(bench, tool):
+def test_mask_with_several_structures_asks_for_one_and_proposes_airway(bench, tool):
     before = bench.session.snapshot()
     asked = take(bench, "/masks/several.nrrd")
     question = asked.mask_question
@@ -99,7 +99,7 @@ def test_of_several_structures_one_is_asked_for_and_the_one_called_airway_propos
     ("names", "suggested"),
     [(("Lunge", "Luftröhre"), 2), (("Lung", "Heart"), None), (("Airway", "airway wall"), None), ((None, None), None)],
 )
-def test_a_structure_is_proposed_only_where_its_name_alone_is_the_airways(bench, tool, names, suggested):
+def test_structure_is_proposed_only_if_its_name_identifies_the_airways(bench, tool, names, suggested):
     labels = tuple(MaskLabel(number, name, 1.0) for number, name in enumerate(names, start=1))
 
     def open_mask(path, volume, **_):
@@ -111,7 +111,7 @@ def test_a_structure_is_proposed_only_where_its_name_alone_is_the_airways(bench,
     assert take(made, "/masks/several.nrrd").mask_question.suggested == suggested
 
 
-def test_another_grid_is_told_and_the_label_said_before_holds_when_it_is_resampled(bench, tool):
+def test_mask_on_another_grid_is_reported_and_keeps_the_chosen_label_when_resampled(bench, tool):
     take(bench, "/masks/several-other.nrrd")
     bench.session.do(AnswerMask(label=4))
     bench.background.run_all()
@@ -124,7 +124,7 @@ def test_another_grid_is_told_and_the_label_said_before_holds_when_it_is_resampl
     assert bench.session.snapshot().undo_label == "use the segmentation for the airways"
 
 
-def test_a_dismissed_mask_leaves_everything_as_it_was(bench):
+def test_dismissed_mask_changes_nothing(bench):
     before = bench.session.snapshot()
     take(bench, "/masks/other.nrrd")
     bench.session.do(DismissMask())
@@ -137,7 +137,7 @@ def test_a_dismissed_mask_leaves_everything_as_it_was(bench):
         bench.session.do(AnswerMask(label=1))
 
 
-def test_a_mask_that_is_dismissed_while_it_is_read_is_not_taken(bench, tool):
+def test_mask_dismissed_during_reading_is_not_imported(bench, tool):
     before = bench.session.snapshot()
     job_id = bench.session.do(TakeMask("/masks/airway.nii.gz"))
     assert bench.session.ask(MaskFileNeeded())
@@ -148,7 +148,7 @@ def test_a_mask_that_is_dismissed_while_it_is_read_is_not_taken(bench, tool):
     assert not bench.session.ask(MaskFileNeeded())
 
 
-def test_a_file_that_is_no_mask_is_refused_in_words_and_nothing_changes(bench):
+def test_file_without_a_mask_is_refused_with_a_message_and_changes_nothing(bench):
     before = bench.session.snapshot()
     after = take(bench, "/masks/bad.nrrd")
     assert [e.message for e in bench.of_type(Trouble)] == ["reading the segmentation bad.nrrd: it is empty"]
@@ -156,14 +156,14 @@ def test_a_file_that_is_no_mask_is_refused_in_words_and_nothing_changes(bench):
     assert (after.airways, after.airways_words) == (before.airways, before.airways_words)
 
 
-def test_a_mask_without_its_trachea_begins_at_the_root_that_is_known(bench, tool):
+def test_mask_without_a_trachea_starts_at_the_known_root(bench, tool):
     tool.root_in_mask = False
     root = tuple(bench.session.snapshot().document.airways.root_lps)
     assert take(bench, "/masks/airway.nii.gz").undo_label == "use the segmentation for the airways"
     assert [search[0] for search in tool.searches] == [None, None, root]
 
 
-def test_a_mask_is_taken_where_none_were_found_and_undo_leads_back_to_none():
+def test_mask_is_imported_without_found_airways_and_undo_restores_none():
     tool = Tool()
 
     def find_airways(volume, *, root_lps, lumen_threshold, progress, cancel, **mask):
@@ -183,7 +183,7 @@ def test_a_mask_is_taken_where_none_were_found_and_undo_leads_back_to_none():
     assert bench.session.snapshot().airways == "found"
 
 
-def test_a_mask_without_a_trachea_where_none_is_known_says_so(tool):
+def test_mask_without_a_trachea_and_without_a_known_root_is_refused(tool):
     def find_airways(volume, *, root_lps, lumen_threshold, progress, cancel, **mask):
         raise NoResultError("no trachea in the mask" if mask else "no trachea found")
 
@@ -194,7 +194,7 @@ def test_a_mask_without_a_trachea_where_none_is_known_says_so(tool):
     assert after.airways_words.startswith("no trachea in the mask. ")
 
 
-def test_a_search_that_a_newer_one_replaced_says_nothing(tool):
+def test_search_that_a_newer_one_replaced_reports_nothing(tool):
     roots = []
 
     def find_airways(volume, *, root_lps, **options):
@@ -214,7 +214,7 @@ def test_a_search_that_a_newer_one_replaced_says_nothing(tool):
     assert bench.session.snapshot().airways == "found"
 
 
-def test_reading_a_mask_can_be_stopped_and_does_not_stop_the_search(tool):
+def test_reading_a_mask_can_be_stopped_without_stopping_the_search(tool):
     bench = small_bench(open_mask=tool.open_mask, find_airways=tool.find_airways)
     bench.session.do(OpenPath("case"))
     bench.background.run_next()
@@ -226,7 +226,7 @@ def test_reading_a_mask_can_be_stopped_and_does_not_stop_the_search(tool):
     assert bench.session.snapshot().undo_label is None
 
 
-def test_a_mask_needs_an_open_case_and_a_question_dies_with_it(bench):
+def test_mask_needs_an_open_case_and_closing_the_case_removes_its_question(bench):
     take(bench, "/masks/other.nrrd")
     bench.session.do(CloseCase())
     assert not bench.session.ask(MaskFileNeeded())

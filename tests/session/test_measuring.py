@@ -1,4 +1,4 @@
-"""The airways are measured in the background, for the tree that is there now, and again after an edit."""
+"""Background measurement of the airways: for the present tree, and again after an edit."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from small_case import small_bench
 
 
 class Measures:
-    """What a measuring was asked for."""
+    """Stand-in for the measurement that records its calls."""
 
     def __init__(self, airways, previous):
         self.airways, self.previous = airways, previous
@@ -23,7 +23,7 @@ def measure(volume, airways, *, previous, progress, cancel):
     return Measures(airways, previous)
 
 
-def test_measures_follow_the_airways_and_are_told_as_a_change_of_the_tree():
+def test_measures_follow_the_airways_and_are_announced_as_a_tree_change():
     bench = small_bench(measure_tree=measure)
     bench.session.do(OpenPath("case"))
     bench.background.run_next()
@@ -35,7 +35,7 @@ def test_measures_follow_the_airways_and_are_told_as_a_change_of_the_tree():
     assert "tree" in bench.of_type(Changed)[-1].topics
 
 
-def test_the_place_of_the_tip_has_a_diameter_once_the_airways_are_measured():
+def test_tip_has_a_lumen_diameter_after_the_airways_are_measured():
     class Sections:
         @staticmethod
         def of(branch_id):
@@ -51,7 +51,7 @@ def test_the_place_of_the_tip_has_a_diameter_once_the_airways_are_measured():
     assert "pose" in bench.of_type(Changed)[-1].topics
 
 
-def test_an_edit_is_measured_from_what_was_known_and_undo_never_shows_the_wrong_tree():
+def test_edit_reuses_earlier_measures_and_undo_shows_no_measures_of_another_tree():
     def edit_airways(volume, airways, edit, **options):
         return SimpleNamespace(**vars(airways))
 
@@ -62,7 +62,7 @@ def test_an_edit_is_measured_from_what_was_known_and_undo_never_shows_the_wrong_
     bench.background.run_next()
     edited = bench.session.snapshot()
     assert edited.document.airways is not first.document.airways
-    # Not those of the tree before: their branches may be gone.
+    # The measures of the earlier tree are not shown: its branches may be gone.
     assert edited.measures is None
     bench.background.run_all()
     edited = bench.session.snapshot()
@@ -74,7 +74,7 @@ def test_an_edit_is_measured_from_what_was_known_and_undo_never_shows_the_wrong_
     assert bench.session.snapshot().measures.airways is first.document.airways
 
 
-def test_a_stopped_measuring_leaves_the_case_as_it_is_and_without_the_part_nothing_is_measured():
+def test_without_measures_the_case_stays_open_if_measuring_is_stopped_or_unavailable():
     def stopped(volume, airways, *, previous, progress, cancel):
         raise CancelledError("stopped")
 

@@ -1,4 +1,4 @@
-"""A named case file is never written over content that its window did not read or write."""
+"""Named case files: Carina never overwrites content that the window has not read or written itself."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def path(tmp_path):
 # ---------------------------------------------------------------- content
 
 
-def test_a_window_writes_its_file_again_and_again(disk, path):
+def test_window_rewrites_its_own_file(disk, path):
     named = NamedFile(path)
     marks = []
     for text in ("one", "two", "three"):
@@ -67,7 +67,7 @@ def test_a_window_writes_its_file_again_and_again(disk, path):
     assert names(path.parent) == ["team.carina"]
 
 
-def test_a_new_name_does_not_overwrite_a_file(disk, path):
+def test_new_name_does_not_overwrite_a_file(disk, path):
     path.write_text("a letter")
     conflict = refusal(NamedFile(path))
     assert (conflict.code, conflict.kind, conflict.exit_code) == ("case.changed", "not-a-case", 3)
@@ -76,7 +76,7 @@ def test_a_new_name_does_not_overwrite_a_file(disk, path):
 
 
 @pytest.mark.parametrize("change", ["rewritten", "replaced", "shortened", "emptied"])
-def test_content_that_another_program_wrote_is_not_overwritten(disk, path, change):
+def test_content_of_another_program_is_not_overwritten(disk, path, change):
     named = NamedFile(path)
     write(named, "ours, the first")
     before = path.stat()
@@ -85,7 +85,7 @@ def test_content_that_another_program_wrote_is_not_overwritten(disk, path, chang
         (path.parent / "new").replace(path)
     else:
         path.write_text({"rewritten": "ours, the other", "shortened": "ours", "emptied": ""}[change])
-    # A clock that is slow, or a copy that keeps the times of its original.
+    # The clock of the other program may be slow, or a copy may keep the times of its original.
     os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
     content = path.read_bytes()
     assert refusal(named).kind == "not-a-case"
@@ -94,7 +94,7 @@ def test_content_that_another_program_wrote_is_not_overwritten(disk, path, chang
     assert (path.read_bytes(), names(path.parent)) == (content, ["team.carina"])
 
 
-def test_a_file_of_an_earlier_version_is_foreign_unless_its_digest_is_recorded(disk, path):
+def test_file_of_an_earlier_version_is_foreign_unless_its_digest_is_recorded(disk, path):
     path.write_text("schema 1")
     refusal(NamedFile(path, FileMark("00" * 32)))
     named = NamedFile(path, read_mark(path))
@@ -120,19 +120,19 @@ def test_replace_keeps_the_other_content_and_never_overwrites_an_earlier_copy(di
     ]
 
 
-def test_replace_of_a_file_that_has_gone_keeps_nothing(disk, path):
+def test_replace_of_a_deleted_file_keeps_nothing(disk, path):
     assert write(NamedFile(path), "ours", replace=True) is None
     assert names(path.parent) == ["team.carina"]
 
 
-def test_the_generation_follows_the_content_that_is_replaced(disk, path):
+def test_generation_follows_the_replaced_content(disk, path):
     named = NamedFile(path, FileMark("00" * 32, "ab" * 8, 7))
     path.write_text("theirs")
     write(named, "ours", replace=True)
     assert named.mark.generation == 8
 
 
-def test_a_file_that_was_moved_away_is_not_made_again_by_itself(disk, path):
+def test_file_that_was_moved_away_is_not_recreated_automatically(disk, path):
     named = NamedFile(path)
     write(named, "one")
     path.rename(path.with_name("elsewhere.carina"))
@@ -143,13 +143,13 @@ def test_a_file_that_was_moved_away_is_not_made_again_by_itself(disk, path):
     assert names(path.parent) == ["elsewhere.carina", "team.carina"]
 
 
-def test_a_save_that_a_crash_interrupted_is_recognised(disk, path):
+def test_save_that_a_crash_interrupted_is_recognised(disk, path):
     named = NamedFile(path)
     write(named, "one")
     recorded = named.mark
     noted = []
     write(named, "two", before_placing=noted.append)
-    # The record has the digest of the interrupted save, and not yet that of the file.
+    # The record contains the digest of the interrupted save, and not yet that of the file.
     named.close()
     again = NamedFile(path, recorded, next_digest=noted[0].digest)
     write(again, "three")
@@ -158,7 +158,7 @@ def test_a_save_that_a_crash_interrupted_is_recognised(disk, path):
     refusal(NamedFile(path, recorded, next_digest="00" * 32))
 
 
-def test_a_link_stays_a_link(disk, path, tmp_path):
+def test_symbolic_link_stays_a_link(disk, path, tmp_path):
     real = tmp_path / "share" / "team.carina"
     real.parent.mkdir()
     path.symlink_to(real)
@@ -171,7 +171,7 @@ def test_a_link_stays_a_link(disk, path, tmp_path):
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes")
-def test_a_pipe_is_refused_without_being_read(path):
+def test_pipe_is_refused_without_being_read(path):
     named = NamedFile(path, FileMark("00" * 32))
     os.mkfifo(path)
     with pytest.raises(NamedFileConflictError):
@@ -183,7 +183,7 @@ def test_a_pipe_is_refused_without_being_read(path):
 
 
 def changed_meanwhile(path, monkeypatch, do):
-    """Do something when the draft is complete and the first comparison is over."""
+    """Run a function after the draft is complete and before the second comparison."""
     done = []
     found = named_file._digest_of
 
@@ -197,7 +197,7 @@ def changed_meanwhile(path, monkeypatch, do):
     monkeypatch.setattr(named_file, "_digest_of", digest_of)
 
 
-def test_content_that_comes_while_the_draft_is_written_stays(disk, path, monkeypatch):
+def test_content_written_during_the_draft_is_not_overwritten(disk, path, monkeypatch):
     named = NamedFile(path)
     write(named, "one")
     changed_meanwhile(path, monkeypatch, lambda: path.write_text("theirs"))
@@ -206,13 +206,13 @@ def test_content_that_comes_while_the_draft_is_written_stays(disk, path, monkeyp
     assert [name for name in names(path.parent) if name.endswith(".carina")] == ["team.carina"]
 
 
-def test_a_file_that_comes_under_a_new_name_stays(disk, path, monkeypatch):
+def test_file_created_under_the_new_name_is_not_overwritten(disk, path, monkeypatch):
     changed_meanwhile(path, monkeypatch, lambda: path.write_text("theirs"))
     refusal(NamedFile(path), "ours")
     assert path.read_text() == "theirs"
 
 
-def test_without_locks_a_file_that_comes_after_the_move_stays_too(path, monkeypatch):
+def test_without_locks_a_file_created_after_the_move_is_not_overwritten(path, monkeypatch):
     monkeypatch.setattr(named_file.NamedLock, "take", staticmethod(lambda _path: None))
     named = NamedFile(path)
     write(named, "one")
@@ -230,7 +230,7 @@ def test_without_locks_a_file_that_comes_after_the_move_stays_too(path, monkeypa
     assert texts == {"theirs", "one"}, "the file that was moved is kept under a new name"
 
 
-def test_without_locks_replace_keeps_every_file_that_comes_in_between(path, monkeypatch):
+def test_without_locks_replace_keeps_every_file_created_in_between(path, monkeypatch):
     monkeypatch.setattr(named_file.NamedLock, "take", staticmethod(lambda _path: None))
     path.write_text("theirs 1")
     moved = named_file.move_to_new_name
@@ -247,7 +247,7 @@ def test_without_locks_replace_keeps_every_file_that_comes_in_between(path, monk
     assert path.read_text() == "ours"
 
 
-def test_a_disk_that_fills_during_replace_leaves_both_contents(path, monkeypatch):
+def test_disk_that_fills_during_replace_keeps_both_contents(path, monkeypatch):
     path.write_text("theirs")
 
     def link(_source, _target):
@@ -268,7 +268,7 @@ def test_a_disk_that_fills_during_replace_leaves_both_contents(path, monkeypatch
 # ---------------------------------------------------------------- locks
 
 
-def test_a_second_window_is_warned_and_writes_nothing(path):
+def test_second_window_is_warned_and_writes_nothing(path):
     first, second = NamedFile(path), NamedFile(path)
     write(first, "one")
     second.mark = first.mark
@@ -285,7 +285,7 @@ def test_a_second_window_is_warned_and_writes_nothing(path):
     assert not lock_path(path).exists()
 
 
-def test_the_warning_names_the_user_who_has_the_file_open(path, monkeypatch):
+def test_warning_names_the_user_who_has_the_file_open(path, monkeypatch):
     monkeypatch.setattr("getpass.getuser", lambda: "anna\x1b[31m")
     monkeypatch.setattr("socket.gethostname", lambda: "ward-3")
     first = NamedFile(path)
@@ -295,7 +295,7 @@ def test_the_warning_names_the_user_who_has_the_file_open(path, monkeypatch):
     first.close()
 
 
-def test_another_user_can_see_a_lock_without_the_right_to_write_it(path, monkeypatch):
+def test_lock_is_visible_to_a_user_who_may_not_write_it(path, monkeypatch):
     lock = NamedLock.take(path)
     opened = os.open
 
@@ -309,7 +309,7 @@ def test_another_user_can_see_a_lock_without_the_right_to_write_it(path, monkeyp
     lock.release()
 
 
-def test_a_file_is_closed_while_its_share_does_not_respond(path):
+def test_file_is_closed_while_its_share_does_not_respond(path):
     named = NamedFile(path)
     has_begun, goes_on = threading.Event(), threading.Event()
 
@@ -328,7 +328,7 @@ def test_a_file_is_closed_while_its_share_does_not_respond(path):
     assert not lock_path(path).exists()
 
 
-def test_the_path_beside_a_file_is_free(path):
+def test_suggested_path_beside_a_file_is_free(path):
     assert path_beside(path).name == "team (2).carina"
     path_beside(path).touch()
     assert path_beside(path).name == "team (3).carina"
@@ -339,7 +339,7 @@ def test_the_path_beside_a_file_is_free(path):
 
 @pytest.mark.parametrize("tail", ["-wal", "-journal"])
 def test_changes_in_a_journal_beside_the_file_are_not_lost(disk, path, tail):
-    """A program that has the file open as a database has not written its changes into the file yet."""
+    """A program that has the file open as a database has not yet written these changes into the file."""
     named = NamedFile(path)
     write(named, "one")
     journal = path.with_name(path.name + tail)
@@ -366,7 +366,7 @@ def test_replace_keeps_the_journal_with_the_replaced_file(disk, path, tail):
     assert not journal.exists()
 
 
-def test_a_move_that_fails_during_replace_leaves_the_file_under_its_name(disk, path, monkeypatch):
+def test_move_that_fails_during_replace_leaves_the_file_under_its_name(disk, path, monkeypatch):
     path.write_text("theirs")
     moved = named_file.move_to_new_name
 
@@ -387,7 +387,7 @@ def test_a_move_that_fails_during_replace_leaves_the_file_under_its_name(disk, p
     assert path.read_text() == "theirs"
 
 
-def test_a_replacement_that_the_share_reports_as_failed_is_recognised(disk, path, monkeypatch):
+def test_replacement_that_the_share_reports_as_failed_is_recognised(disk, path, monkeypatch):
     """A network share may repeat a request whose answer was lost, and report the repetition."""
     named = NamedFile(path)
     write(named, "one")
@@ -407,7 +407,7 @@ def test_a_replacement_that_the_share_reports_as_failed_is_recognised(disk, path
     assert path.read_text() == "three"
 
 
-def test_a_moved_file_that_cannot_be_removed_does_not_fail_the_save(path, monkeypatch):
+def test_moved_file_that_cannot_be_removed_does_not_fail_the_save(path, monkeypatch):
     monkeypatch.setattr(named_file.NamedLock, "take", staticmethod(lambda _path: None))
     named = NamedFile(path)
     write(named, "one")
@@ -437,8 +437,8 @@ def test_names_beside_a_file_with_a_long_name_are_not_too_long(disk, tmp_path, l
     assert (path.read_text(), kept.read_text()) == ("ours", "theirs")
 
 
-def test_another_name_of_the_same_file_is_another_path(path):
-    """A save replaces one name of a file with several names (hard links)."""
+def test_hard_link_to_the_same_file_is_another_path(path):
+    """A save replaces one of the names of a file with several hard links."""
     named = NamedFile(path)
     write(named, "one")
     other = path.with_name("other.carina")
@@ -450,6 +450,6 @@ def test_another_name_of_the_same_file_is_another_path(path):
     assert named.has_path(link)
 
 
-def test_a_lock_on_a_share_with_unstable_file_numbers_does_not_hang(path, monkeypatch):
+def test_lock_on_a_share_with_unstable_file_numbers_does_not_hang(path, monkeypatch):
     monkeypatch.setattr(os.path, "samestat", lambda _one, _other: False)
     assert NamedLock.take(path) is None

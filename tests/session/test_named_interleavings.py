@@ -47,9 +47,9 @@ class Author:
     messages: list[str] = field(default_factory=list)
     saved: set[tuple[str, float]] = field(default_factory=set)
     refusals: int = 0
-    """How many saves were refused."""
+    """Number of saves that were refused."""
     told: int = 0
-    """How many messages said so."""
+    """Number of messages about refused saves."""
 
     def now_s(self):
         return time.time() + self.clock_offset_s
@@ -62,7 +62,7 @@ class Author:
 
 
 class Window(Author):
-    """A workstation window; its case is stored in the user's own folder as well."""
+    """Workstation window of an author; the case is also stored in the user's own folder."""
 
     session = None
 
@@ -94,7 +94,7 @@ class Window(Author):
         return {(step.label, step.at_s) for step in self.session.snapshot().steps}
 
     def save(self, command):
-        """Everything that is done is stored in the live case at once; the named file may refuse it."""
+        """Save the case. The live case stores every step at once; the named file may refuse the save."""
         before = len(self.messages)
         self.session.do(command)
         self.session.jobs.wait_idle(None)
@@ -105,7 +105,7 @@ class Window(Author):
             self.told += any("carina" in text for text in self.messages[before:]) or bool(self.keeper.info.copy_problem)
 
     def tick(self):
-        """Let the minute pass after which the named file is written again."""
+        """Advance the clock by the minute after which the named file is written again."""
         assert self.session._saving.write_now()
         self.saved |= self.steps()
         if self.keeper.named is not None and self.keeper._copy_is_behind():
@@ -130,7 +130,7 @@ class Window(Author):
 
 
 class Notebook(Author):
-    """A program with :class:`carina.Case`; its case is in no other place than the file."""
+    """Program with :class:`carina.Case`; its case is stored in the named file only."""
 
     case = None
 
@@ -156,7 +156,7 @@ class Notebook(Author):
             try:
                 self.case = carina.Case.open(path)
             except DiskError as error:
-                # Another program has moved the file.
+                # Another program has moved the file away.
                 if error.code != "disk.missing" or "there is no such file" not in str(error):
                     raise
 
@@ -193,7 +193,7 @@ class Notebook(Author):
 
 
 def change(session):
-    """Change the outline, as a step that differs from the steps of other authors by its time."""
+    """Change the outline in a step whose time differs from the steps of other authors."""
     outline = session.snapshot().document.look.outline
     session.do(c.SetOutline("round" if outline == "octagon" else "octagon"))
 
@@ -212,7 +212,7 @@ class Ward:
     def __init__(self, folder, made, rng):
         self.rng, self.path = rng, folder / "work" / "team.carina"
         shutil.copytree(made, folder / "work")
-        # B's clock is two years behind.
+        # The clock of the second user is two years behind.
         self.authors = [
             cls(name, folder / name.replace(" ", "-"), offset_s)
             for cls, name, offset_s in (
@@ -258,7 +258,7 @@ class Ward:
             author.save()
 
     def disturb(self):
-        """Change the file as other programs and shares do: move it, set old times, or overwrite it with a letter."""
+        """Change the file as other programs and shares do: move it, set old times, or overwrite it."""
         what = self.rng.choice(["touch", "copy back", "letter", "move"])
         if not self.path.exists():
             return

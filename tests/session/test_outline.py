@@ -1,4 +1,4 @@
-"""The outline of the lumen in slices: of the lumen that the session has at that moment, never of an older one."""
+"""Outline of the lumen in slices: always of the lumen that the session has at that moment, never of an older one."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def case():
 
 @pytest.fixture
 def bench(case):
-    """A session over the small drawn tree: real airways, real edits; nothing runs by itself."""
+    """Return a bench with the small drawn tree, real airways and real edits; the background runs only on request."""
     made = small_bench(
         open_volume=lambda _path, _progress, _cancel: case.volume,
         find_airways=lambda _volume, **_options: case.airways,
@@ -37,7 +37,7 @@ def bench(case):
 
 
 def lines_of(session, view, case):
-    """The outline that goes with the view's picture now."""
+    """Return the outline that belongs to the present picture of the view."""
     scene = session.scene()
     picture = Renderer(case.volume).render(scene.spec(view, 200, 160, 0.5))
     outline = scene.outline_of(view, picture)
@@ -66,7 +66,7 @@ def test_only_slices_and_the_cut_plane_have_an_outline(bench, case):
         assert scene.outline_of(view, picture) is None
 
 
-def test_after_an_edit_its_undo_and_its_redo_slices_are_asked_for_again_with_the_current_lumen(bench, case):
+def test_edit_undo_and_redo_request_slices_with_the_current_lumen(bench, case):
     session = bench.session
     keys = [{view: session.scene().key(view) for view in PLANES}]
     outlines = [{view: lines_of(session, view, case) for view in PLANES}]
@@ -79,7 +79,8 @@ def test_after_an_edit_its_undo_and_its_redo_slices_are_asked_for_again_with_the
         outlines.append({view: lines_of(session, view, case) for view in PLANES})
 
     session.do(EditTree(painted_at_tip(session)))
-    # The edit itself runs, but not what brings the renderer's wall up to it: the outline does not wait for that.
+    # Only the edit runs here, not the job that updates the wall in the renderer: the outline does not wait for that
+    # job.
     while session.snapshot().document.airways is case.airways:
         bench.background.run_next()
     changed()
@@ -92,7 +93,7 @@ def test_after_an_edit_its_undo_and_its_redo_slices_are_asked_for_again_with_the
     assert outlines[3] == outlines[1]
 
 
-def test_an_edit_that_leaves_the_lumen_asks_for_no_new_slices(bench, case):
+def test_edit_that_keeps_the_lumen_requests_no_new_slices(bench, case):
     session = bench.session
     slices = ("axial", "coronal", "sagittal")
     before = {view: session.scene().key(view) for view in slices}
@@ -105,14 +106,14 @@ def test_an_edit_that_leaves_the_lumen_asks_for_no_new_slices(bench, case):
     assert {view: session.scene().key(view) for view in slices} == before
 
 
-def test_a_picture_brings_the_outline_that_was_cut_with_its_own_matrix(bench, case):
+def test_picture_has_the_outline_that_was_cut_with_its_own_matrix(bench, case):
     session = bench.session
     sent = []
     renderer = Renderer(case.volume)
     session.scene().renderer.render = lambda view, stop=None: renderer.render(view, stop=stop)
     pump = FramePump(session.scene, sent.append, lambda _told: None, clock=bench.clock)
     pump.set_layout({"axial": (120, 100), "cut-plane": (110, 90), "xray-axial": (80, 80)})
-    # Steps of a flight, with whatever sizes the pump chooses while it moves.
+    # Steps of a flight, with any sizes that the pump chooses during a movement.
     for _ in range(4):
         session.do(Steer(1.0, 0.05, 0.0, 0.1))
         bench.clock.advance(1 / 60)
@@ -133,7 +134,7 @@ def test_a_picture_brings_the_outline_that_was_cut_with_its_own_matrix(bench, ca
     assert num_points > 50
 
 
-def test_a_place_is_looked_at_from_the_lumen_before_it(bench, case):
+def test_show_place_looks_at_the_place_from_the_lumen_in_front_of_it(bench, case):
     session = bench.session
     leaf = max(case.airways.tree.tips(), key=lambda branch: branch.length_mm)
     place = tuple(float(v) for v in leaf.tip_lps)
@@ -148,9 +149,9 @@ def test_a_place_is_looked_at_from_the_lumen_before_it(bench, case):
     assert float(forward @ to_place) / away > 0.999, "it looks at the place"
     i, j, k = np.rint(case.volume.to_ijk(info.pose.position_lps)).astype(int)
     assert case.airways.lumen_zyx[k, j, i], "it stands in the lumen"
-    # Every slice shows it: the crosshair is what they pass through.
+    # All slices pass through the crosshair, so that each shows the place.
     assert scene.shown_lps == place
-    # A branch that is gone since: the nearest one is meant.
+    # If the branch no longer exists, the nearest branch is used.
     session.do(place_pose(Pose.looking(info.pose.position_lps, (0.0, 0.0, -1.0))))
     session.do(ShowPlace(place, 10_000))
     np.testing.assert_allclose(session.pose_info().pose.position_lps, info.pose.position_lps, atol=1e-9)

@@ -1,4 +1,4 @@
-"""Targets whose paths know no lumen: in a scan without airways, beside airways, kept in a case file."""
+"""Paths to targets by other costs than the lumen: without airways, beside airways, and stored in a case file."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ def targets_of(case):
     return case.state.document.targets
 
 
-def test_the_costs_that_can_be_asked_for_are_those_of_the_tracker():
+def test_path_costs_of_commands_are_those_of_the_tracker():
     assert set(PathCost.__args__) == set(COSTS)
 
 
-def test_a_scan_without_airways_has_paths_that_are_undone_and_kept_in_a_file(vessel, tmp_path):
+def test_scan_without_airways_has_paths_that_are_undone_and_stored_in_a_file(vessel, tmp_path):
     volume, inside, root, corner, end = vessel
     scan = tmp_path / "vessel.nii.gz"
     write_grid(scan, volume.hu_zyx, volume.lps_from_ijk, what="the scan")
@@ -43,7 +43,7 @@ def test_a_scan_without_airways_has_paths_that_are_undone_and_kept_in_a_file(ves
         case.undo()
         (target,) = targets_of(case)
         assert (target.problem, target.cost, target.root_lps) == (None, "walls", root)
-        # Nothing was moved, and nothing is made up: no lumen, no calibre.
+        # The target was not moved, and the path has no lumen and no calibre.
         assert (target.used_lps, target.snapped_mm, target.outside_mm) == (end, 0.0, None)
         assert target.value_range[0] > 1100
         route = target.route
@@ -62,7 +62,7 @@ def test_a_scan_without_airways_has_paths_that_are_undone_and_kept_in_a_file(ves
         np.testing.assert_array_equal(found.route.points_lps, route.points_lps)
 
 
-def test_what_is_missing_is_said(vessel):
+def test_missing_start_or_target_is_reported(vessel):
     volume, _, root, _, end = vessel
     with carina.Case.open(volume) as case:
         with pytest.raises(UsageError, match="mark the start point") as caught:
@@ -74,13 +74,13 @@ def test_what_is_missing_is_said(vessel):
             case.do(c.AddTarget(end, root_lps=root))
         with pytest.raises(UsageError, match="cost"):
             case.do(c.AddTarget(end, cost="octree", root_lps=root))
-        # The start itself: a path of no length is none.
+        # The target equals the start: a path of no length is refused.
         case.do(c.AddTarget(root, cost="walls", root_lps=root))
         assert targets_of(case)[0].problem is not None
         assert targets_of(case)[0].route is None
 
 
-def test_beside_airways_a_path_is_compared_with_them_and_stays_when_they_change(phantom):
+def test_path_beside_airways_is_compared_with_them_and_stays_after_an_edit(phantom):
     with carina.Case.open(phantom.volume) as case:
         tree = case.airways.tree
         tip = tree.tips()[0]
@@ -91,7 +91,7 @@ def test_beside_airways_a_path_is_compared_with_them_and_stays_when_they_change(
         assert target.outside_mm is not None
         assert target.route.lumen_known
         assert set(target.route.branch_ids) <= {branch.id for branch in tree.branches}
-        # What it leads to is cut away: the path stays, and is told beside the airways that there are now.
+        # The branch at the target is cut away: the path stays, and is compared with the edited airways.
         case.do(c.EditTree(c.CutBranch(tip.id, 0.0)))
         (after,) = targets_of(case)
         np.testing.assert_array_equal(after.route.points_lps, target.route.points_lps)

@@ -1,4 +1,4 @@
-"""Targets with a size in a case: grown from a click, planned by themselves, kept in the file."""
+"""Targets with a boundary in a case: grown from a click, planned automatically, stored in the case file."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ from small_case import small_bench, small_lps
 
 @pytest.fixture(autouse=True)
 def few_verdicts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two instruments are driven where there would be eighteen, and their drives are searched a moment, not seconds."""
+    """Drive two instruments instead of eighteen, with a search of milliseconds instead of seconds."""
     whole = carina.plan.judge_scopes
 
     def judge(*given: object, scopes: list, **options: object):
@@ -78,7 +78,7 @@ def opened(chest: Phantom) -> Iterator[carina.Case]:
 
 @pytest.fixture
 def case(opened: carina.Case) -> Iterator[carina.Case]:
-    """As it was opened, for every test."""
+    """Return the opened case; after the test all its changes are undone."""
     yield opened
     while opened.history():
         opened.undo()
@@ -89,7 +89,7 @@ def centre_of(chest: Phantom) -> tuple[float, float, float]:
     return float(x), float(y), float(z)
 
 
-def test_a_click_outside_the_airways_marks_a_target_with_a_size_and_plans_it_without_moving_the_tip(
+def test_click_outside_the_airways_adds_a_planned_target_without_moving_the_tip(
     case: carina.Case, chest: Phantom, airways: carina.Airways
 ) -> None:
     before = case.pose.lps_from_camera.copy()
@@ -102,13 +102,15 @@ def test_a_click_outside_the_airways_marks_a_target_with_a_size_and_plans_it_wit
     assert abs(target.lesion.nodule.mean_mm - 2.0 * truth["radius_mm"]) < 1.0
     assert case.state.document.route is route
     assert np.array_equal(case.pose.lps_from_camera, before)
-    # The same document as from Python.
+    # The plan equals the one that the Python function computes.
     alone = carina.plan_route(chest.volume, airways, target.lesion.nodule)
     said = case.ask(PlanToTakeAway(target.target_id))
     assert json.dumps(said.plan.to_json()) == json.dumps(alone.to_json())
 
 
-def test_a_planned_route_ends_where_the_scope_stands_and_knows_the_needle(case: carina.Case, chest: Phantom) -> None:
+def test_planned_route_ends_at_the_position_of_the_scope_and_knows_the_needle(
+    case: carina.Case, chest: Phantom
+) -> None:
     case.do(AddTarget(centre_of(chest)))
     (target,) = case.state.document.targets
     with pytest.raises(UsageError, match="there is no route 99"):
@@ -129,7 +131,7 @@ def test_a_planned_route_ends_where_the_scope_stands_and_knows_the_needle(case: 
     assert case.ask(PlanningOf()).verdicts == ()
 
 
-def test_options_plan_anew_and_words_are_kept(case: carina.Case, chest: Phantom) -> None:
+def test_new_options_compute_a_new_plan_and_names_and_notes_are_kept(case: carina.Case, chest: Phantom) -> None:
     case.do(AddTarget(centre_of(chest)))
     (target,) = case.state.document.targets
     first = case.ask(PlanningOf()).targets[0].planned.plan
@@ -142,13 +144,13 @@ def test_options_plan_anew_and_words_are_kept(case: carina.Case, chest: Phantom)
     case.do(DescribeTarget(target_id=target.target_id, called="Nodule, right upper lobe", remark="growing", rank=2))
     (named,) = case.state.document.targets
     assert (named.name, named.note, named.priority) == ("Nodule, right upper lobe", "growing", 2)
-    # A name changes no plan.
+    # A new name changes no plan.
     assert case.ask(PlanningOf()).targets[0].planned.plan is second
     case.do(RemoveTarget(target.target_id))
     assert case.ask(PlanningOf()).standing == "unwanted"
 
 
-def test_a_place_in_the_lumen_stays_a_place(case: carina.Case, airways: carina.Airways) -> None:
+def test_target_in_the_lumen_has_no_boundary(case: carina.Case, airways: carina.Airways) -> None:
     tip = airways.tree.tips()[0]
     x, y, z = (float(v) for v in tip.points[len(tip.points) // 2])
     case.do(AddTarget((x, y, z)))
@@ -161,7 +163,7 @@ def test_a_place_in_the_lumen_stays_a_place(case: carina.Case, airways: carina.A
         case.do(SetPlanOptions(target_id=target.target_id))
 
 
-def test_the_case_file_keeps_targets_routes_and_what_was_said(chest: Phantom, tmp_path: Path) -> None:
+def test_case_file_stores_targets_routes_and_notes(chest: Phantom, tmp_path: Path) -> None:
     write_phantom(chest, tmp_path / "scan")
     case = carina.Case.open(tmp_path / "scan" / "ct.nii.gz")
     case.do(AddTarget(centre_of(chest)))
@@ -182,12 +184,12 @@ def test_the_case_file_keeps_targets_routes_and_what_was_said(chest: Phantom, tm
         assert np.array_equal(kept.lesion.nodule.inside_zyx, target.lesion.nodule.inside_zyx)
         assert kept.lesion.nodule.to_json() == target.lesion.nodule.to_json()
         assert again.state.document.route.needle == route.needle
-        # The plan is made anew, and is the same.
+        # The plan is computed again, and is the same.
         again.do(SetMode("free"))
         assert json.dumps(again.ask(PlanToTakeAway(kept.target_id)).plan.to_json()) == json.dumps(said)
 
 
-def test_the_drive_of_a_verdict_is_kept_as_a_flight_and_flown(chest: Phantom, tmp_path: Path) -> None:
+def test_drive_of_a_verdict_is_stored_as_a_flight_and_flown(chest: Phantom, tmp_path: Path) -> None:
     write_phantom(chest, tmp_path / "scan")
     case = carina.Case.open(tmp_path / "scan" / "ct.nii.gz")
     with pytest.raises(NoResultError, match="there is no verdict on 'thin'"):
@@ -206,11 +208,11 @@ def test_the_drive_of_a_verdict_is_kept_as_a_flight_and_flown(chest: Phantom, tm
     assert (first.state, first.length_s) == ("complete", second.length_s)
     assert first.words == driven.words[0].upper() + driven.words[1:]
     assert first.length_s == pytest.approx(driven.driven.time_s[-1], abs=1e-5)
-    # Every place that the scope came to is among what is flown, the last at the end.
+    # The flight contains every place that the scope reached; the last place is its end.
     for number in (first.number, second.number):
         case.do(FlyFlight(number, first.length_s))
         assert np.allclose(case.pose.lps_from_camera, driven.driven.lps_from_camera[-1], atol=1e-9)
-        # Where nothing was turned, two samples have one time: the later counts.
+        # Where nothing was turned, two samples have the same time; the later one counts.
         at_s = float(driven.driven.time_s[len(driven.driven.time_s) // 2]) + 1e-5
         middle = int(np.searchsorted(driven.driven.time_s, at_s)) - 1
         case.do(FlyFlight(number, at_s))
@@ -223,11 +225,13 @@ def test_the_drive_of_a_verdict_is_kept_as_a_flight_and_flown(chest: Phantom, tm
         replayed = list(file.recording(kept[0].recording_id).replay(chest.volume))
     assert all(same for _, same in replayed)
     assert np.allclose(replayed[-1][0].pose.lps_from_camera, driven.driven.lps_from_camera[-1], atol=1e-9)
-    # 25 pictures a second also while the hand turns.
+    # 25 pictures a second, also while the operator turns the scope.
     assert np.diff([moment.time_s for moment, _ in replayed]).max() <= 0.1
 
 
-def test_what_was_not_driven_cannot_be_kept(case: carina.Case, chest: Phantom, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_verdict_without_a_drive_cannot_be_stored_as_a_flight(
+    case: carina.Case, chest: Phantom, monkeypatch: pytest.MonkeyPatch
+) -> None:
     whole = carina.plan.judge_scopes
 
     def judge(*given: object, scopes: list, **options: object):
@@ -242,7 +246,7 @@ def test_what_was_not_driven_cannot_be_kept(case: carina.Case, chest: Phantom, m
     assert case.state.flights == ()
 
 
-def test_a_damaged_boundary_is_refused(chest: Phantom) -> None:
+def test_damaged_boundary_is_refused(chest: Phantom) -> None:
     nodule = carina.grow_nodule(chest.volume, centre_of(chest))
     target = PlanTarget("target-1", "Target 1", nodule, centre_of(chest), "click", "lung")
     facts = lesion_facts(Lesion(target))
@@ -253,7 +257,7 @@ def test_a_damaged_boundary_is_refused(chest: Phantom) -> None:
             made_lesion(msgspec.structs.replace(facts, record=wrong))
 
 
-def test_the_surface_that_is_drawn_lies_on_the_nodule(chest: Phantom) -> None:
+def test_drawn_surface_is_on_the_boundary_of_the_nodule(chest: Phantom) -> None:
     nodule = carina.grow_nodule(chest.volume, centre_of(chest))
     mesh = shown_surface(nodule)
     away = np.linalg.norm(mesh.vertices_lps - np.array(nodule.centre_lps), axis=1)
@@ -261,7 +265,7 @@ def test_the_surface_that_is_drawn_lies_on_the_nodule(chest: Phantom) -> None:
     assert mesh.volume_mm3 == pytest.approx(nodule.volume_mm3, rel=0.15)
 
 
-def test_a_boundary_is_edited_by_diameter_and_brush_and_aims_spread(case: carina.Case, chest: Phantom) -> None:
+def test_boundary_is_edited_by_diameter_and_brush_and_aims_spread(case: carina.Case, chest: Phantom) -> None:
     case.do(AddTarget(centre_of(chest)))
     (target,) = case.state.document.targets
     grown = target.lesion.nodule
@@ -280,13 +284,13 @@ def test_a_boundary_is_edited_by_diameter_and_brush_and_aims_spread(case: carina
     case.do(AimTarget(target.target_id, periphery=True))
     assert len(case.state.document.targets[0].lesion.target.aims) == 3
     assert len(case.ask(PlanningOf()).targets[0].planned.plan.aims) == 3
-    # Each is a step of undo.
+    # Each edit is one undo step.
     for _ in range(4):
         case.undo()
     assert case.state.document.targets[0].lesion.nodule is grown
 
 
-def test_targets_come_from_files_and_as_balls(case: carina.Case, chest: Phantom, tmp_path: Path) -> None:
+def test_targets_are_read_from_files_and_created_as_balls(case: carina.Case, chest: Phantom, tmp_path: Path) -> None:
     centre = centre_of(chest)
     mask = np.zeros(chest.volume.shape_zyx, dtype=np.uint8)
     k, j, i = np.rint(chest.volume.to_ijk(np.array(centre))).astype(int)[::-1]
@@ -307,7 +311,7 @@ def test_targets_come_from_files_and_as_balls(case: carina.Case, chest: Phantom,
     assert len(case.state.document.targets) == 2
 
 
-def test_beside_an_airway_the_airway_is_meant_until_a_person_says_that_it_is_a_nodule(
+def test_click_beside_an_airway_selects_the_airway_until_the_user_grows_a_nodule(
     case: carina.Case, chest: Phantom, airways: carina.Airways
 ) -> None:
     branch = max(airways.tree.branches[1:], key=lambda one: one.length_mm)
@@ -330,7 +334,7 @@ def test_beside_an_airway_the_airway_is_meant_until_a_person_says_that_it_is_a_n
         assert case.state.document.route is None or case.state.document.route.target_id != target.target_id
 
 
-def test_a_turn_of_the_list_is_seen_from_where_its_hour_is_told(case: carina.Case, chest: Phantom) -> None:
+def test_see_turn_shows_the_camera_of_the_turn_for_both_operator_positions(case: carina.Case, chest: Phantom) -> None:
     with pytest.raises(NoResultError, match="choose a planned route first"):
         case.do(SeeTurn(1))
     case.do(AddTarget(centre_of(chest)))
@@ -338,7 +342,7 @@ def test_a_turn_of_the_list_is_seen_from_where_its_hour_is_told(case: carina.Cas
     case.do(ChoosePlannedRoute(target.target_id, 1))
     turns = case.ask(PlanningOf()).turns
     assert turns.turns[0].at_main_carina
-    # With what the hand does, by the drive of the planned scope.
+    # The turns contain the movements of the hand, from the drive of the planned scope.
     assert turns.turns[0].moves is not None
     for operator in ("head", "facing"):
         case.do(SetOperator(operator))
@@ -354,7 +358,7 @@ def test_a_turn_of_the_list_is_seen_from_where_its_hour_is_told(case: carina.Cas
         assert np.allclose(ends[one.fork_branch_id], turn.fork_lps)
 
 
-def test_growing_a_nodule_is_said_while_it_lasts_and_can_be_stopped():
+def test_growing_a_nodule_reports_progress_and_can_be_stopped():
     began = []
 
     def grow(_volume, _lps, *, wall, progress):

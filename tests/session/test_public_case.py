@@ -1,4 +1,4 @@
-"""The public door: what is done is done when the call returns, and trouble is raised where it was caused."""
+"""The public class ``carina.Case``: a change is complete when the call returns, and errors are raised in the call."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def phantom():
     return carina.generate_phantom(spacing_mm=3.0, generations=3)
 
 
-def test_a_case_is_opened_changed_taken_back_and_looked_at(phantom):
+def test_case_is_opened_changed_undone_and_rendered(phantom):
     with carina.Case.open(phantom.volume) as case:
         assert "found" in repr(case)
         assert case.airways.tree.tips()
@@ -46,7 +46,7 @@ def test_a_case_is_opened_changed_taken_back_and_looked_at(phantom):
         assert case.ask(c.VoxelAt(tuple(case.pose.position_lps))) is not None
 
 
-def test_trouble_is_raised_where_it_was_caused(phantom):
+def test_errors_are_raised_in_the_call_that_caused_them(phantom):
     with carina.Case.open(phantom.volume) as case:
         before = case.history()
         with pytest.raises(UsageError, match=r"set_fov\.fov_deg must be at least 60"):
@@ -59,7 +59,7 @@ def test_trouble_is_raised_where_it_was_caused(phantom):
         assert case.history() == before
 
 
-def test_what_is_no_scan_is_refused_in_words():
+def test_file_without_a_scan_is_refused_with_a_message():
     with pytest.raises(UsageError, match=r"Case\.open: source: expected str or Path; found int"):
         carina.Case.open(3)
     with pytest.raises(carina.VolumeImportError):
@@ -71,7 +71,7 @@ def test_what_is_no_scan_is_refused_in_words():
 
 @pytest.fixture(scope="module")
 def made_case(phantom, tmp_path_factory):
-    """A case of a CT that lies beside it, with a renamed branch and a target, of which the last is taken back."""
+    """Return a case file beside its CT, with a renamed branch and a target; adding the target was undone."""
     folder = tmp_path_factory.mktemp("case")
     write_phantom(phantom, folder / "scan")
     with carina.Case.open(folder / "scan" / "ct.nii.gz") as case:
@@ -87,7 +87,7 @@ def made_case(phantom, tmp_path_factory):
 
 @pytest.fixture
 def saved(made_case, tmp_path, monkeypatch):
-    """A copy of its own."""
+    """Return a copy of the case file for one test."""
     for name, folder in own_folders(tmp_path / "home").items():
         monkeypatch.setenv(name, folder)
     shutil.copytree(made_case, tmp_path / "work")
@@ -98,7 +98,7 @@ def searched(*_arguments, **_options):
     pytest.fail("the airways of a case were searched for again")
 
 
-def test_a_saved_case_opens_with_history_undo_and_redo(saved, monkeypatch):
+def test_saved_case_opens_with_history_undo_and_redo(saved, monkeypatch):
     monkeypatch.setattr("carina.track.find_airways", searched)
     with carina.Case.open(saved) as case:
         assert case.note is None
@@ -109,7 +109,7 @@ def test_a_saved_case_opens_with_history_undo_and_redo(saved, monkeypatch):
         case.undo()
         case.undo()
         assert "here" not in case.airways.tree.names
-    # Closing has saved it.
+    # Closing the case has saved the change.
     with carina.Case.open(str(saved)) as case:
         assert case.history() == ()
         case.redo()
@@ -118,14 +118,14 @@ def test_a_saved_case_opens_with_history_undo_and_redo(saved, monkeypatch):
     assert sorted(p.name for p in saved.parent.iterdir()) == ["one.carina", "scan"]
 
 
-def test_a_case_that_is_only_looked_at_is_not_written(saved):
+def test_case_without_changes_is_not_written(saved):
     before = saved.read_bytes(), saved.stat().st_mtime_ns
     with carina.Case.open(saved) as case:
         case.render("axial", width=16, height=16)
     assert (saved.read_bytes(), saved.stat().st_mtime_ns) == before
 
 
-def test_work_is_saved_where_the_program_fails(saved):
+def test_work_is_saved_if_the_program_fails(saved):
     def fails():
         with carina.Case.open(saved) as case:
             case.do(c.SetFov(100.0))
@@ -137,7 +137,7 @@ def test_work_is_saved_where_the_program_fails(saved):
         assert case.state.document.look.fov_deg == 100.0
 
 
-def test_a_second_opener_may_look_and_save_elsewhere(saved, tmp_path):
+def test_second_program_may_read_the_case_and_save_elsewhere(saved, tmp_path):
     with carina.Case.open(saved) as first:
         with pytest.warns(UserWarning, match="open for editing elsewhere"):
             second = carina.Case.open(saved)
@@ -162,7 +162,7 @@ def test_a_second_opener_may_look_and_save_elsewhere(saved, tmp_path):
         assert case.save(saved, replace=True) == saved
 
 
-def test_close_raises_where_another_program_has_the_file_and_changes_are_in_no_file(saved, tmp_path):
+def test_close_raises_if_another_program_has_the_file_and_changes_are_unsaved(saved, tmp_path):
     with carina.Case.open(saved) as first:
         with pytest.warns(UserWarning, match="open for editing elsewhere"):
             second = carina.Case.open(saved)
@@ -186,7 +186,7 @@ def test_close_raises_where_another_program_has_the_file_and_changes_are_in_no_f
         first.do(c.SetFov(100.0))
 
 
-def test_a_case_that_a_window_has_open_may_be_looked_at(saved):
+def test_case_that_a_window_has_open_is_readable(saved):
     records = CaseRecords(load_settings().cases_dir, lambda: 1_800_000_000.0)
     held = records.begin("ab" * 32, None)
     shutil.copyfile(saved, held.path)
@@ -197,20 +197,20 @@ def test_a_case_that_a_window_has_open_may_be_looked_at(saved):
     carina.Case.open(saved).close()
 
 
-def test_the_ct_of_a_case_is_found_or_given(saved, tmp_path):
+def test_ct_of_a_case_is_found_or_given(saved, tmp_path):
     (saved.parent / "scan").rename(tmp_path / "moved")
     with pytest.raises(carina.VolumeImportError, match="give its location as ct=") as refused:
         carina.Case.open(saved)
     assert refused.value.code == "case.no-scan"
     with carina.Case.open(saved, ct=tmp_path / "moved" / "ct.nii.gz") as case:
         case.do(c.SetFov(100.0))
-    # It is found there from now on.
+    # The case finds the CT there from now on.
     carina.Case.open(saved).close()
     with pytest.raises(UsageError, match="ct: only applies"):
         carina.Case.open(tmp_path / "moved" / "ct.nii.gz", ct=tmp_path)
 
 
-def test_what_cannot_be_written_is_said_and_the_file_stays(saved, tmp_path):
+def test_failed_write_is_reported_and_the_file_is_unchanged(saved, tmp_path):
     before = saved.read_bytes()
     with carina.Case.open(saved) as case:
         with pytest.raises(UsageError, match="does not exist"):
@@ -224,7 +224,7 @@ def test_what_cannot_be_written_is_said_and_the_file_stays(saved, tmp_path):
 
 @pytest.fixture
 def window(saved):
-    """Opens a workstation on the case; what it shows, and its session."""
+    """Return a function that opens a workstation on the case and returns its session, and the case records."""
     records = CaseRecords(load_settings().cases_dir, time.time)
     sessions = []
 
@@ -244,7 +244,7 @@ def window(saved):
         session.close()
 
 
-def test_a_window_takes_a_case_file_over_and_goes_on_from_there(saved, window, monkeypatch):
+def test_window_opens_a_case_file_and_continues_its_case(saved, window, monkeypatch):
     monkeypatch.setattr("carina.track.find_airways", searched)
     opened, records = window
     session = opened()
@@ -257,7 +257,7 @@ def test_a_window_takes_a_case_file_over_and_goes_on_from_there(saved, window, m
     assert record.place == str(saved.parent / "scan" / "ct.nii.gz")
     session.do(c.SetFov(100.0))
     session.close()
-    # The file followed; and the same case is gone on with, not another copy.
+    # The named file was updated, and the window continues the same case instead of another copy.
     with CaseFile.open(saved, read_only=True) as file:
         assert len(file.history()) == 2
     again = opened()
@@ -265,7 +265,7 @@ def test_a_window_takes_a_case_file_over_and_goes_on_from_there(saved, window, m
     assert len(records.all()) == 1
 
 
-def test_a_window_does_not_write_a_file_that_a_program_has_open(saved, window):
+def test_window_does_not_write_a_file_that_a_program_has_open(saved, window):
     opened, _ = window
     lock = NamedLock.take(saved)
     session = opened()
@@ -285,7 +285,7 @@ def session_label(session):
     return session.snapshot().undo_label
 
 
-def test_a_file_that_somebody_went_on_with_elsewhere_is_another_case_here(saved, window):
+def test_file_that_was_changed_elsewhere_opens_as_another_case(saved, window):
     opened, records = window
     opened().close()
     with carina.Case.open(saved) as case:
@@ -296,7 +296,7 @@ def test_a_file_that_somebody_went_on_with_elsewhere_is_another_case_here(saved,
     assert len(records.all()) == 2
 
 
-def test_a_window_opens_a_case_whose_scan_was_moved_with_the_place_that_it_is_given(saved, window, monkeypatch):
+def test_window_opens_a_case_whose_scan_was_moved_if_the_new_path_is_given(saved, window, monkeypatch):
     monkeypatch.setattr("carina.track.find_airways", searched)
     opened, records = window
     (saved.parent / "scan").rename(saved.parent / "moved")
@@ -307,7 +307,7 @@ def test_a_window_opens_a_case_whose_scan_was_moved_with_the_place_that_it_is_gi
     assert session._saving.write_now()
     (record,) = records.all()
     assert record.place == str(saved.parent / "moved" / "ct.nii.gz")
-    # Another CT is refused, and nothing of it is kept.
+    # Another CT is refused, and nothing of it is stored.
     write_phantom(made_phantom(spacing_mm=4.0, generations=3), saved.parent / "other")
     other = opened(saved.parent / "other" / "ct.nii.gz")
     assert other.snapshot().case is None
@@ -317,7 +317,7 @@ def test_a_window_opens_a_case_whose_scan_was_moved_with_the_place_that_it_is_gi
 # ---------------------------------------------------------------- the live file of a stored case
 
 
-def test_a_window_that_is_given_a_live_file_goes_on_with_the_stored_case(saved, window):
+def test_window_given_a_live_file_continues_the_stored_case(saved, window):
     opened, records = window
     session = opened()
     session.do(c.SetFov(100.0))
@@ -335,7 +335,7 @@ def test_a_window_that_is_given_a_live_file_goes_on_with_the_stored_case(saved, 
     assert sorted(path.name for path in live.parent.iterdir() if path.suffix == ".carina") == ["case.carina"]
 
 
-def test_a_live_file_that_another_window_has_open_is_not_written(saved, window):
+def test_live_file_that_another_window_has_open_is_not_written(saved, window):
     opened, records = window
     first = opened()
     first.do(c.SetFov(100.0))
@@ -347,14 +347,14 @@ def test_a_live_file_that_another_window_has_open_is_not_written(saved, window):
     assert second._saving.write_now()
     assert second.snapshot().saving.copy_name is None
     second.close()
-    first.do(c.SetOutline("octagon"))  # a second field of view within a second would be one step with the first
+    first.do(c.SetOutline("octagon"))  # A second field of view within a second would be joined to the first step.
     first.close()
     with CaseFile.open(live, read_only=True) as file:
         assert len(file.history()) == 3
     assert len(records.all()) == 2, "the second window works on a copy"
 
 
-def test_a_case_is_not_saved_into_the_folder_of_stored_cases(saved, window):
+def test_case_is_not_saved_into_the_folder_of_stored_cases(saved, window):
     opened, records = window
     session = opened()
     session.do(c.SetFov(100.0))
@@ -375,7 +375,7 @@ def test_a_case_is_not_saved_into_the_folder_of_stored_cases(saved, window):
     assert [path.name for path in live.parent.glob("*.carina")] == ["case.carina"]
 
 
-def test_a_program_that_is_given_a_live_file_does_not_write_to_it(saved, window, tmp_path):
+def test_program_given_a_live_file_does_not_write_to_it(saved, window, tmp_path):
     opened, records = window
     session = opened()
     session.do(c.SetFov(100.0))

@@ -1,4 +1,4 @@
-"""Records that cannot be read are moved aside with a message; they end no start, and nothing is deleted."""
+"""Unreadable records of cases: they are moved aside with a message; they stop no start, and nothing is deleted."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def listed(records, store=None):
 
 
 @pytest.mark.parametrize("what", BAD_RECORDS)
-def test_an_unreadable_record_is_moved_aside_and_its_case_is_listed_again(records, case_id, what):
+def test_unreadable_record_is_moved_aside_and_its_case_is_listed_again(records, case_id, what):
     path = spoil(records, case_id, BAD_RECORDS[what])
     before = (path.parent / "case.carina").read_bytes()
     rows, messages, cases, events = listed(records)
@@ -88,20 +88,20 @@ def test_an_unreadable_record_is_moved_aside_and_its_case_is_listed_again(record
     record = records.find(case_id)
     assert record.digest == "ab" * 32
     assert record.used_s - record.begun_s == pytest.approx(60.0)
-    # Once is enough.
+    # The message is shown once.
     events.clear()
     assert [row.recent_id for row in cases.listed()] == [case_id]
     assert events == []
 
 
-def test_a_record_that_is_damaged_twice_is_kept_twice(records, case_id):
+def test_record_that_is_damaged_twice_is_kept_twice(records, case_id):
     for number in (1, 2):
         path = spoil(records, case_id, f"{number}")
         repair_records(records)
         assert path.with_name(f"record.damaged-{number}.json").read_text() == f"{number}"
 
 
-def test_a_case_of_which_nothing_can_be_read_is_moved_with_all_its_files(records, case_id):
+def test_case_without_any_readable_file_is_moved_with_all_its_files(records, case_id):
     path = spoil(records, case_id, "[]")
     (path.parent / "case.carina").write_bytes(b"SQLite format 3\x00" + bytes(4000))
     rows, (message,), _, _ = listed(records)
@@ -112,24 +112,24 @@ def test_a_case_of_which_nothing_can_be_read_is_moved_with_all_its_files(records
     assert listed(records)[1] == []
 
 
-def test_a_record_whose_case_is_open_in_another_process_is_left_alone(records, case_id):
+def test_record_whose_case_is_open_in_another_process_is_left_alone(records, case_id):
     held = records.hold(records.find(case_id))
     path = spoil(records, case_id, "[]")
-    # Locks of one process on two descriptors exclude each other as those of two processes do.
+    # Locks of one process on two descriptors exclude each other as the locks of two processes do.
     assert repair_records(records) == ()
     assert path.read_text() == "[]"
     held.release()
     assert len(repair_records(records)) == 1
 
 
-def test_a_record_of_a_newer_carina_is_left_alone(records, case_id):
+def test_record_of_a_newer_carina_is_left_alone(records, case_id):
     text = json.dumps({"format": "carina-record", "version": VERSION + 1, "anything": [1]})
     path = spoil(records, case_id, text)
     assert repair_records(records) == ()
     assert path.read_text() == text
 
 
-def test_fields_that_a_newer_carina_added_do_not_make_a_record_unreadable(records, case_id):
+def test_record_with_unknown_fields_of_a_newer_carina_is_readable(records, case_id):
     path = records.folder / case_id / "record.json"
     plain = json.loads(path.read_text())
     path.write_text(json.dumps({**plain, "colour": "red"}))
@@ -138,7 +138,7 @@ def test_fields_that_a_newer_carina_added_do_not_make_a_record_unreadable(record
 
 
 @pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="modes of POSIX, and not for root")
-def test_a_record_that_may_not_be_read_is_left_alone(records, case_id):
+def test_record_without_read_permission_is_left_alone(records, case_id):
     path = spoil(records, case_id, "[]")
     path.chmod(0)
     assert repair_records(records) == ()
@@ -149,7 +149,7 @@ NUMBERS = ("begun_s", "used_s", "copied_s", "pictured_s", "forgotten_s")
 
 @pytest.mark.parametrize("name", NUMBERS)
 @pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan, 1e300, -1.0])
-def test_what_is_written_into_a_record_can_be_read_again(records, case_id, name, value):
+def test_every_written_record_can_be_read_again(records, case_id, name, value):
     held = records.hold(records.find(case_id))
     held.note(**{name: value}, alias="x" * 5000 + "\x1b[2J")
     held.release()
@@ -163,7 +163,7 @@ def test_what_is_written_into_a_record_can_be_read_again(records, case_id, name,
 
 @pytest.mark.parametrize("name", [field for field in CaseRecord.__struct_fields__ if field != "holds_ct"])
 @pytest.mark.parametrize("value", [1e300, -1, "x" * 5000, [], {}, True])
-def test_a_field_out_of_its_bounds_makes_a_record_unreadable_or_keeps_it_usable(records, case_id, name, value):
+def test_case_whose_record_has_a_field_out_of_bounds_is_listed_with_one_message(records, case_id, name, value):
     path = records.folder / case_id / "record.json"
     plain = json.loads(path.read_text())
     path.write_text(json.dumps({**plain, name: value}))
@@ -174,7 +174,7 @@ def test_a_field_out_of_its_bounds_makes_a_record_unreadable_or_keeps_it_usable(
 
 @pytest.mark.parametrize("text", ["", "[]", "7", "{", "[" * 100_000, '{"cases": NaN}', " " * (5 << 20), "\ud800"])
 @pytest.mark.parametrize("name", ["recent.json", "notice.json", "storage.json"])
-def test_a_settings_file_that_cannot_be_read_is_moved_aside_with_one_message(records, tmp_path, name, text):
+def test_unreadable_settings_file_is_moved_aside_with_one_message(records, tmp_path, name, text):
     store = LocalStore(tmp_path)
     content = text.encode(errors="surrogatepass")
     (tmp_path / name).write_bytes(content)
@@ -194,12 +194,12 @@ def test_a_settings_file_that_cannot_be_read_is_moved_aside_with_one_message(rec
 
 
 @pytest.mark.parametrize("cases", [5, "text", None, {"a": 1}, [5], [None], [[]], [{"recent_id": 1}]])
-def test_a_list_of_recent_cases_with_other_content_shows_none(tmp_path, cases):
+def test_recent_cases_file_with_other_content_lists_none(tmp_path, cases):
     (tmp_path / "recent.json").write_text(json.dumps({"cases": cases}))
     assert LocalStore(tmp_path).recent() == ()
 
 
-def test_an_entry_with_a_long_text_is_left_out(tmp_path):
+def test_recent_case_with_a_long_text_is_left_out(tmp_path):
     store = LocalStore(tmp_path)
     store.remember("/scans/ct", "2026-01-31")
     plain = json.loads((tmp_path / "recent.json").read_text())
@@ -212,12 +212,12 @@ def test_an_entry_with_a_long_text_is_left_out(tmp_path):
 
 
 @pytest.mark.parametrize("text", ["", "[]", "[" * 100_000, '{"format": "carina-door", "version": 1, "url": 5}'])
-def test_damaged_connection_details_lead_nowhere(tmp_path, text):
+def test_damaged_connection_details_are_ignored(tmp_path, text):
     (tmp_path / "door.json").write_text(text)
     assert read_door(tmp_path) is None
 
 
-def test_the_command_line_lists_the_case_again_with_the_message(monkeypatch, tmp_path, capfd):
+def test_command_line_lists_the_repaired_case_with_the_message(monkeypatch, tmp_path, capfd):
     for name, folder in own_folders(tmp_path).items():
         monkeypatch.setenv(name, folder)
     records = CaseRecords(load_settings().cases_dir, lambda: NOW_S)
@@ -232,6 +232,6 @@ def test_the_command_line_lists_the_case_again_with_the_message(monkeypatch, tmp
     assert "was damaged" in err
 
 
-def test_a_record_type_bounds_every_number_and_text():
+def test_record_type_bounds_every_number_and_text():
     for field in msgspec.structs.fields(CaseRecord):
         assert field.type not in {int, float, str}, field.name

@@ -1,4 +1,4 @@
-"""Targets and routes of a session: tracked, chosen, undone; where a flight stops, and what fits."""
+"""Targets and routes of a session: tracking, choice, undo, stops at forks, and instruments that fit."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from small_case import (
 )
 
 
-def test_adding_a_target_can_be_undone_and_done_again_with_its_route():
+def test_adding_a_target_is_undone_and_redone_with_its_route():
     bench = small_bench()
     bench.open()
     default_route = bench.session.snapshot().document.route
@@ -42,7 +42,7 @@ def test_adding_a_target_can_be_undone_and_done_again_with_its_route():
     assert bench.session.snapshot().document.route.target_id == target.target_id
 
 
-def test_a_target_beside_the_lumen_is_snapped_and_that_is_said():
+def test_target_beside_the_lumen_is_moved_into_it_with_a_message():
     bench = small_bench()
     bench.open()
     beside = (LEFT_TIP[0], LEFT_TIP[1] + 2.0, LEFT_TIP[2])
@@ -54,7 +54,7 @@ def test_a_target_beside_the_lumen_is_snapped_and_that_is_said():
     assert Said("Target 1 was moved 2.0 mm into the nearest lumen") in bench.events
 
 
-def test_a_target_far_from_the_lumen_is_kept_with_its_reason_and_without_a_path():
+def test_target_far_from_the_lumen_is_stored_without_a_path_and_with_the_reason():
     bench = small_bench()
     bench.open()
     route = bench.session.snapshot().document.route
@@ -70,14 +70,14 @@ def test_a_target_far_from_the_lumen_is_kept_with_its_reason_and_without_a_path(
         bench.session.do(ChooseRoute(target_id=target.target_id))
 
 
-def test_a_target_outside_the_volume_is_refused():
+def test_target_outside_the_volume_is_refused():
     bench = small_bench()
     bench.open()
     with pytest.raises(UsageError, match=r"the point L 5000\.0 P 0\.0 S 0\.0 mm lies outside the scan"):
         bench.session.do(AddTarget((5000.0, 0.0, 0.0)))
 
 
-def test_removing_a_target_takes_its_route_away_and_undo_brings_both_back():
+def test_removing_a_target_removes_its_route_and_undo_restores_both():
     bench = small_bench()
     bench.open()
     bench.session.do(AddTarget(LEFT_TIP))
@@ -90,7 +90,7 @@ def test_removing_a_target_takes_its_route_away_and_undo_brings_both_back():
     assert bench.session.snapshot().document.route.target_id == "target-1"
 
 
-def test_choosing_a_branch_flies_to_it_and_an_unknown_one_is_refused():
+def test_choosing_a_branch_makes_it_the_route_and_an_unknown_branch_is_refused():
     bench = small_bench()
     bench.open()
     bench.session.do(ChooseRoute(branch_id=2))
@@ -116,11 +116,11 @@ def test_new_airways_track_the_targets_again():
     assert document.route is document.targets[0].route
 
 
-def test_the_right_tip_is_to_the_patients_right():
+def test_right_tip_is_on_the_right_of_the_patient():
     assert RIGHT_TIP[0] < LEFT_TIP[0]
 
 
-def test_the_flight_stops_in_front_of_each_fork_and_goes_back_likewise():
+def test_flight_stops_before_each_fork_in_both_directions():
     bench = small_bench()
     bench.open()
     route = bench.session.snapshot().document.route
@@ -139,7 +139,7 @@ def test_the_flight_stops_in_front_of_each_fork_and_goes_back_likewise():
     assert bench.session.pose_info().path_mm == pytest.approx(route.lookouts_mm[0])
 
 
-def test_a_short_branch_has_its_look_out_in_its_middle_and_all_look_outs_are_in_order():
+def test_short_branch_has_its_stop_in_the_middle_and_stops_are_in_order():
     cumulative_mm = np.arange(0.0, 61.0)
     spans = tuple(
         RouteSpan(n, None, n, from_mm, to_mm)
@@ -150,11 +150,11 @@ def test_a_short_branch_has_its_look_out_in_its_middle_and_all_look_outs_are_in_
     assert stops == (30.0, 42.0, 44.0)
 
 
-def test_a_route_says_what_fits_not_only_how_wide_it_is():
+def test_route_has_the_distance_to_the_wall_besides_the_radius_of_the_lumen():
     along = np.linspace(0.0, 40.0, 41)
     points = np.stack([0 * along, 0 * along, -along], axis=1)
     flat = np.where(np.abs(along - 20.0) < 5.0, 1.0, 3.0)
-    # A slit in the middle: its section is as large as elsewhere, but nothing thick passes.
+    # A slit in the middle: its section area equals that of the other places, but nothing thick passes.
     tree = AirwayTree((Branch(0, None, (), 0, "Trachea", "tracked", points, np.full(41, 3.0), wall_mm=flat),))
     route = route_to_branch(tree, 0)
     assert len(route.wall_mm) == len(route.points_lps)
@@ -165,7 +165,7 @@ def test_a_route_says_what_fits_not_only_how_wide_it_is():
     assert (route.radius_mm == 3.0).all()
 
 
-def test_choosing_another_route_seats_the_tip_at_the_end_of_the_last_branch_in_common():
+def test_choosing_another_route_moves_the_tip_to_the_end_of_the_last_common_branch():
     bench = small_bench()
     bench.open()
     session = bench.session
@@ -181,7 +181,7 @@ def test_choosing_another_route_seats_the_tip_at_the_end_of_the_last_branch_in_c
     common = left.route.spans[0]
     assert session.pose_info().mode == "path"
     assert session.pose_info().path_mm == pytest.approx(common.to_mm, abs=0.5)
-    # In the part that both have the tip stays where it is.
+    # In the common part of both routes the tip does not move.
     session.do(GoTo(0.5 * common.to_mm))
     before = session.pose_info().pose.position_lps
     session.do(ChooseRoute(target_id=right.target_id))

@@ -1,4 +1,4 @@
-"""A case is kept while it is open: at most two seconds behind, and shown again as it was."""
+"""Automatic saving of an open case: at most two seconds late, and restored unchanged when the case is opened again."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def work(session: Session, background: Background) -> None:
     session.do(c.GoTo(12.0))
 
 
-def test_a_case_is_shown_again_as_it_was_without_looking_for_anything(desk):
+def test_reopened_case_is_restored_without_a_search(desk):
     session = desk.start()
     desk.open()
     work(session, desk.background)
@@ -69,7 +69,7 @@ def test_a_case_is_shown_again_as_it_was_without_looking_for_anything(desk):
     assert again.snapshot().document.targets[-1].name == "Target 2"
 
 
-def test_after_a_crash_what_was_written_is_there(desk):
+def test_written_work_is_restored_after_a_crash(desk):
     session = desk.start()
     desk.open()
     work(session, desk.background)
@@ -82,7 +82,7 @@ def test_after_a_crash_what_was_written_is_there(desk):
     assert shown(again) == before
 
 
-def test_another_window_of_carina_does_not_write_into_the_same_case(desk, tmp_path):
+def test_second_carina_does_not_write_into_the_same_case(desk, tmp_path):
     desk.start()
     desk.open()
     desk.session.do(c.SetFov(100.0))
@@ -99,7 +99,7 @@ def test_another_window_of_carina_does_not_write_into_the_same_case(desk, tmp_pa
     desk.session.close()
 
 
-def test_work_is_not_shown_with_another_ct_and_not_lost(desk):
+def test_work_of_another_ct_is_neither_shown_nor_lost(desk):
     session = desk.start()
     desk.open()
     work(session, desk.background)
@@ -113,7 +113,7 @@ def test_work_is_not_shown_with_another_ct_and_not_lost(desk):
     assert len(MemoryFile.kept) == 2
 
 
-def test_a_ct_is_known_again_wherever_its_files_lie(desk):
+def test_ct_is_recognised_at_another_path(desk):
     session = desk.start()
     desk.session.do(c.OpenFiles("dropped"))
     desk.background.run_all()
@@ -126,7 +126,7 @@ def test_a_ct_is_known_again_wherever_its_files_lie(desk):
     again.close()
 
 
-def test_work_that_cannot_be_read_is_said_and_left_as_it_is(desk):
+def test_unreadable_work_is_reported_and_left_unchanged(desk):
     session = desk.start()
     desk.open()
     session.do(c.SetFov(100.0))
@@ -142,8 +142,8 @@ def test_work_that_cannot_be_read_is_said_and_left_as_it_is(desk):
     again.close()
 
 
-def test_a_case_whose_file_cannot_be_read_back_after_a_failed_opening_stays_as_it_was(desk, monkeypatch):
-    """The case that is shown goes on as another case, and the file and record of the first one stay."""
+def test_case_whose_file_is_unreadable_after_a_failed_opening_is_unchanged(desk, monkeypatch):
+    """The shown case continues as another case; the file and the record of the first one stay."""
     session = desk.start()
     desk.open()
     session.do(c.SetFov(100.0))
@@ -171,7 +171,7 @@ def test_a_case_whose_file_cannot_be_read_back_after_a_failed_opening_stays_as_i
     session.close()
 
 
-def test_work_is_stored_after_a_failed_opening_on_a_disk_that_does_not_give_the_case_back(desk, monkeypatch):
+def test_work_is_stored_after_a_failed_opening_if_the_disk_does_not_return_the_case(desk, monkeypatch):
     session = desk.start()
     desk.open()
     session.do(c.SetFov(100.0))
@@ -191,7 +191,7 @@ def test_work_is_stored_after_a_failed_opening_on_a_disk_that_does_not_give_the_
     session.close()
 
 
-def test_a_full_disk_is_said_and_work_goes_on_until_there_is_room(desk):
+def test_full_disk_is_reported_and_work_continues_until_space_is_free(desk):
     session = desk.start()
     desk.open()
     session.do(c.SetFov(100.0))
@@ -215,7 +215,7 @@ def test_a_full_disk_is_said_and_work_goes_on_until_there_is_room(desk):
     assert again.snapshot().document.look.fov_deg == 85.0
 
 
-def test_a_case_gets_a_name_and_a_place_and_follows_there(desk, tmp_path):
+def test_case_is_saved_under_a_name_and_that_file_is_updated(desk, tmp_path):
     session = desk.start()
     desk.open()
     with pytest.raises(UsageError, match="choose a folder and a name"):
@@ -241,8 +241,8 @@ def test_a_case_gets_a_name_and_a_place_and_follows_there(desk, tmp_path):
     assert copy.read_text() == "of somebody else"
 
 
-def test_the_thread_writes_what_a_person_did(desk):
-    """Without anybody asking: the one test that waits for the thread itself."""
+def test_saving_thread_writes_without_a_request(desk):
+    """The only test that waits for the saving thread itself."""
     session = desk.start()
     desk.open()
     session.do(c.SetFov(100.0))
@@ -255,7 +255,7 @@ def test_the_thread_writes_what_a_person_did(desk):
     session.close()
 
 
-def test_several_steps_are_taken_back_at_once(desk):
+def test_several_steps_are_undone_at_once(desk):
     session = desk.start()
     desk.open()
     for fov in (100.0, 90.0):
@@ -272,7 +272,7 @@ def test_several_steps_are_taken_back_at_once(desk):
     session.close()
 
 
-def test_a_case_whose_disk_is_full_is_not_closed_until_it_is_saved_elsewhere(desk, tmp_path):
+def test_case_on_a_full_disk_is_not_closed_until_it_is_saved_elsewhere(desk, tmp_path):
     session = desk.start()
     desk.open()
     session.do(c.SetFov(100.0))
@@ -301,13 +301,13 @@ def test_a_case_whose_disk_is_full_is_not_closed_until_it_is_saved_elsewhere(des
     session.close()
 
 
-def test_a_file_elsewhere_is_not_replaced_by_one_that_lacks_a_flight(desk, tmp_path):
+def test_named_file_is_not_replaced_by_one_that_lacks_a_flight(desk, tmp_path):
     session = desk.start()
     desk.open()
     session.do(c.SetFov(100.0))
     desk.saved()
     flight = RecordingFacts(1, "Flight 1", "", 0.0, 1.0, complete=True)
-    session._core.case.flights.listed = (flight,)  # which the file does not give back
+    session._core.case.flights.listed = (flight,)  # The file does not return this flight.
     desk.files[-1].refuses = OSError(5, "Input/output error")
     session.do(c.SetFov(90.0))
     place = tmp_path / "mine.carina"
@@ -325,7 +325,7 @@ def test_a_file_elsewhere_is_not_replaced_by_one_that_lacks_a_flight(desk, tmp_p
     session.close()
 
 
-def test_what_is_only_noted_beside_a_case_holds_nobody_up(desk, monkeypatch):
+def test_notes_in_the_record_that_cannot_be_written_do_not_block_saving(desk, monkeypatch):
     session = desk.start()
     desk.open()
     session.do(c.SetFov(100.0))
@@ -345,7 +345,7 @@ def test_what_is_only_noted_beside_a_case_holds_nobody_up(desk, monkeypatch):
     session.close()
 
 
-def test_whether_a_case_is_open_is_seen_without_taking_it(desk):
+def test_open_case_is_detected_without_locking_it(desk):
     session = desk.start()
     desk.open()
     session.do(c.SetFov(100.0))
@@ -363,7 +363,7 @@ def test_whether_a_case_is_open_is_seen_without_taking_it(desk):
 
 @pytest.fixture
 def named(desk, tmp_path):
-    """Return a named case with a change since its last save."""
+    """Return the path of a named case with a change since its last save."""
     desk.start()
     desk.open()
     desk.session.do(c.SetFov(100.0))
@@ -381,7 +381,7 @@ def saving(desk):
     return desk.session._saving.info
 
 
-def test_a_window_does_not_write_a_named_file_that_was_changed_and_tells_its_user(desk, named):
+def test_window_does_not_write_a_changed_named_file_and_reports_it(desk, named):
     named.write_text("a letter")
     desk.session.do(c.SaveCase())
     desk.background.run_all()
@@ -399,7 +399,7 @@ def test_a_window_does_not_write_a_named_file_that_was_changed_and_tells_its_use
     assert named.read_text() == "a letter"
 
 
-def test_a_replaced_file_is_kept_and_named(desk, named):
+def test_replaced_file_is_kept_under_a_reported_name(desk, named):
     named.write_text("a letter")
     desk.session.do(c.SaveCase())
     desk.background.run_all()
@@ -412,7 +412,7 @@ def test_a_replaced_file_is_kept_and_named(desk, named):
     desk.session.close()
 
 
-def test_a_case_that_closes_over_a_changed_file_keeps_its_work_and_tells_its_user(desk, named):
+def test_closing_over_a_changed_named_file_keeps_the_work_and_reports_it(desk, named):
     named.write_text("a letter")
     desk.session.do(c.CloseCase())
     assert [event.code for event in desk.events if isinstance(event, Trouble)] == ["case.changed"]
@@ -425,7 +425,7 @@ def test_a_case_that_closes_over_a_changed_file_keeps_its_work_and_tells_its_use
     desk.session.close()
 
 
-def test_a_named_file_that_was_renamed_is_not_made_again_but_by_its_user(desk, named):
+def test_renamed_named_file_is_recreated_only_on_request(desk, named):
     named.rename(named.with_name("renamed.carina"))
     desk.session.do(c.CloseCase())
     assert [path.name for path in named.parent.iterdir()] == ["renamed.carina"]
@@ -437,13 +437,13 @@ def test_a_named_file_that_was_renamed_is_not_made_again_but_by_its_user(desk, n
     desk.session.close()
 
 
-def test_a_named_file_is_recognised_after_two_crashes_in_a_row(desk, named, monkeypatch):
+def test_named_file_is_recognised_after_two_consecutive_crashes(desk, named, monkeypatch):
     note = HeldCase.note
 
     def cut_off(held, **values):
         note(held, **{name: value for name, value in values.items() if "copied_s" not in values})
 
-    # The first crash comes after the file was replaced, and before the record has its digest.
+    # The first crash occurs after the file was replaced and before the record contains its digest.
     with monkeypatch.context() as patched:
         patched.setattr(HeldCase, "note", cut_off)
         desk.session._saving._kept.save_to(named)
@@ -454,7 +454,7 @@ def test_a_named_file_is_recognised_after_two_crashes_in_a_row(desk, named, monk
     def power_cut(*_arguments, **_options):
         raise OSError(errno.EIO, os.strerror(errno.EIO))
 
-    # The second one before the file is replaced.
+    # The second crash occurs before the file is replaced.
     desk.start()
     desk.open()
     with monkeypatch.context() as patched:
@@ -472,7 +472,7 @@ def test_a_named_file_is_recognised_after_two_crashes_in_a_row(desk, named, monk
     desk.session.close()
 
 
-def test_suggested_names_differ_between_cases_and_tell_nothing_of_the_patient(tmp_path, desk):
+def test_suggested_names_differ_between_cases_and_contain_no_patient_data(tmp_path, desk):
     suggested = set()
     for digest in ("one CT", "another CT"):
         desk.digest = digest
@@ -491,10 +491,10 @@ def test_suggested_names_differ_between_cases_and_tell_nothing_of_the_patient(tm
     assert not any("1951" in name or "name" in name.lower() for name in names)
 
 
-# ---------------------------------------------------------------- several windows, and clocks
+# ---------------------------------------------------------------- several windows, and changes of the clock
 
 
-def test_windows_that_open_one_ct_at_the_same_time_are_told_of_each_other(desk, tmp_path):
+def test_windows_that_open_one_ct_at_the_same_time_are_notified_of_each_other(desk, tmp_path):
     desks = [desk, *(Desk(tmp_path) for _ in range(3))]
     for one in desks:
         one.start()
@@ -509,7 +509,7 @@ def test_windows_that_open_one_ct_at_the_same_time_are_told_of_each_other(desk, 
     again.close()
 
 
-def test_the_case_used_last_is_opened_also_after_the_clock_was_set_back(desk):
+def test_last_used_case_is_opened_also_after_the_clock_was_set_back(desk):
     session = desk.start()
     desk.open()
     session.do(c.SetFov(100.0))

@@ -1,4 +1,4 @@
-"""A scope held in the lumen: keys and a handle drive it, contact is told, and a recording replays it bit for bit."""
+"""Scope mode: a bronchoscope in the lumen that keys and a handle drive, wall contact, and replay bit for bit."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ RADIUS_MM = 5.0
 
 
 def wall_field(volume, airways, *, progress, cancel):
-    """Round tubes about the tree's centrelines, by plain geometry."""
+    """Return a wall field of round tubes about the centrelines of the tree, computed by plain geometry."""
     progress("measuring", 0.5)
     nz, ny, nx = SHAPE_ZYX
     k, j, i = np.mgrid[0:nz, 0:ny, 0:nx]
@@ -60,7 +60,7 @@ def enter(bench) -> None:
     assert bench.session.snapshot().mode == "scope"
 
 
-def test_the_scope_is_laid_where_the_tip_was_and_keys_drive_its_three_controls(bench):
+def test_scope_starts_at_the_tip_and_keys_drive_its_three_controls(bench):
     session = bench.session
     session.do(GoTo(20.0))
     before = session.pose_info().pose
@@ -82,7 +82,7 @@ def test_the_scope_is_laid_where_the_tip_was_and_keys_drive_its_three_controls(b
     assert session.pose_info().scope.roll_rad == pytest.approx(state.roll_rad + 0.5), "sideways is a roll"
 
 
-def test_the_lumen_holds_the_tip_and_contact_is_counted(bench):
+def test_lumen_limits_the_tip_and_contact_is_counted(bench):
     session = bench.session
     session.do(GoTo(15.0))
     enter(bench)
@@ -95,11 +95,11 @@ def test_the_lumen_holds_the_tip_and_contact_is_counted(bench):
     assert info.scope.record.time_s > 0.1
     assert info.scope.contact is not None or info.scope.limit != "none"
     wall = bench.session._core.case.pilot.wall
-    # Its face may lie flat on the wall: then its middle is at the wall.
+    # The face of the tip may be flat on the wall; its middle is then at the wall.
     assert wall.distance_mm([info.pose.position_lps])[0] > -0.1
 
 
-def test_a_scope_too_thick_says_what_would_pass(bench):
+def test_scope_that_is_too_thick_reports_the_diameter_that_would_pass(bench):
     session = bench.session
     session.do(SetScope("therapeutic"))
     session.do(GoTo(5.0))
@@ -111,7 +111,7 @@ def test_a_scope_too_thick_says_what_would_pass(bench):
     assert 0.0 < state.passable_mm < session.pose_info().scope_tip_mm
 
 
-def test_a_handle_is_the_scopes_own_and_its_lever_says_the_flexion(bench):
+def test_handle_drives_the_scope_directly_and_its_lever_reports_the_flexion(bench):
     session = bench.session
     session.do(GoTo(15.0))
     enter(bench)
@@ -125,7 +125,7 @@ def test_a_handle_is_the_scopes_own_and_its_lever_says_the_flexion(bench):
     assert state.flexion_rad > 0.5
 
 
-def test_other_scopes_lumens_and_modes_end_or_change_it(bench):
+def test_changing_scope_keeps_scope_mode_and_changing_mode_ends_it(bench):
     session = bench.session
     session.do(GoTo(20.0))
     enter(bench)
@@ -141,12 +141,12 @@ def test_other_scopes_lumens_and_modes_end_or_change_it(bench):
 
 
 def letters(matrix) -> tuple[str, str]:
-    """What stands at the right and at the top of the picture."""
+    """Return the orientation letters at the right and at the top of the picture."""
     return letters_of(matrix[:3, 0])[0], letters_of(-matrix[:3, 1])[0]
 
 
 @pytest.mark.parametrize("scope", ["ultrathin", "ebus"])
-def test_an_operator_who_faces_turns_the_picture_and_never_the_instrument(bench, scope):
+def test_facing_operator_turns_the_picture_and_not_the_instrument(bench, scope):
     session = bench.session
     session.do(SetScope(scope))
     session.do(GoTo(20.0))
@@ -163,15 +163,15 @@ def test_an_operator_who_faces_turns_the_picture_and_never_the_instrument(bench,
     held, turned_held = before.scope, after.scope
     for name in ("insertion_mm", "roll_rad", "flexion_rad", "contact", "red_out", "limit", "record"):
         assert getattr(turned_held, name) == getattr(held, name), name
-    # The lens, which may look up, is the instrument's: it sees the same, upside down.
+    # The lens, which may look up, belongs to the instrument: it sees the same scene upside down.
     seen = session.scene().spec("airway", 32, 32, 1.0).pose.lps_from_camera
     np.testing.assert_allclose(seen[:3, 2:], looked[:3, 2:], atol=1e-12)
     np.testing.assert_allclose(seen[:3, :2], -looked[:3, :2], atol=1e-12)
-    # Up is the picture's up.
+    # Steering up moves towards the top of the picture.
     session.do(Steer(0.0, 0.0, 0.2, 0.0))
     raised = session.pose_info()
     assert raised.scope.flexion_rad == pytest.approx(held.flexion_rad - 0.2)
-    # The wall takes part of the 11 degrees.
+    # The wall takes a part of the 11 degrees.
     assert raised.pose.forward_lps @ -turned[:3, 1] > 0.02
     session.do(Steer(0.0, 0.0, -0.2, 0.0))
     before_undo = session.pose_info().pose.lps_from_camera
@@ -182,7 +182,7 @@ def test_an_operator_who_faces_turns_the_picture_and_never_the_instrument(bench,
     assert letters(straight)[1] == "A"
 
 
-def test_a_scope_laid_for_an_operator_who_faces_lies_as_for_one_at_the_head(bench):
+def test_scope_starts_in_the_same_position_for_both_operator_positions(bench):
     session = bench.session
     seen = {}
     for operator in ("head", "facing"):
@@ -195,7 +195,8 @@ def test_a_scope_laid_for_an_operator_who_faces_lies_as_for_one_at_the_head(benc
     np.testing.assert_array_equal(facing[:3, 2:], head[:3, 2:])
     np.testing.assert_array_equal(facing[:3, :2], -head[:3, :2])
     assert seen["facing"].scope.roll_rad == seen["head"].scope.roll_rad == 0.0
-    # From the head the patient's right is on the right and anterior on top; for who faces, the other way round.
+    # For an operator at the head the patient's right is on the right and anterior is on top; for a facing operator both
+    # are reversed.
     assert letters(head) == ("R", "A")
     assert letters(facing) == ("L", "P")
     session.do(LevelHorizon())
@@ -205,20 +206,20 @@ def test_a_scope_laid_for_an_operator_who_faces_lies_as_for_one_at_the_head(benc
 
 
 def wanted_wall(session) -> str:
-    """Wants the wall of the present airways, and says what has become of it."""
+    """Request the wall of the present airways, and return the state of its computation."""
     case = session._core.case
     with session._core.lock:
         case.wall.want(case.document.airways)
         return case.wall.standing(case.document.airways)
 
 
-def test_a_wall_that_nobody_stopped_is_measured_when_its_airways_are_back(bench):
+def test_wall_is_computed_again_when_its_airways_are_restored(bench):
     session = bench.session
     session.do(SetRoot(tuple(float(v) for v in session.snapshot().document.airways.root_lps)))
     bench.background.run_all()
     assert wanted_wall(session) == "making"
     session.undo()
-    # The other airways' wall now: its job takes the place of the first one.
+    # The wall of the other airways is requested; its job replaces the first one.
     assert wanted_wall(session) == "making"
     bench.background.run_all()
     assert wanted_wall(session) == "had"
@@ -229,8 +230,8 @@ def test_a_wall_that_nobody_stopped_is_measured_when_its_airways_are_back(bench)
 
 
 @pytest.mark.parametrize("begun", [False, True])
-def test_a_wall_whose_airways_go_and_come_back_while_its_job_runs_is_measured_once(begun):
-    """One job follows the airways, whether it has begun or waits for a thread; what was begun is given up."""
+def test_wall_is_computed_once_if_its_airways_are_undone_and_redone_during_the_job(begun):
+    """One job follows the airways, whether it has begun or waits for a thread; a stale computation is cancelled."""
     measured, steps = [], []
 
     def measure(volume, airways, **options):
@@ -263,7 +264,7 @@ def test_a_wall_whose_airways_go_and_come_back_while_its_job_runs_is_measured_on
     session.close()
 
 
-def test_a_wall_that_a_person_stopped_stays_unmeasured_until_it_is_wanted_again(bench):
+def test_wall_that_the_user_stopped_is_computed_only_on_request(bench):
     session = bench.session
     assert wanted_wall(session) == "making"
     (job,) = session.jobs.running
@@ -274,13 +275,13 @@ def test_a_wall_that_a_person_stopped_stays_unmeasured_until_it_is_wanted_again(
     assert wanted_wall(session) == "making"
 
 
-def test_without_a_route_no_scope_is_laid(bench):
+def test_without_a_route_scope_mode_is_refused(bench):
     bench.session.do(ChooseRoute())
     with pytest.raises(NoResultError, match="a scope needs a route"):
         bench.session.do(SetMode("scope"))
 
 
-def test_a_recording_of_a_held_scope_replays_bit_for_bit(bench, tmp_path):
+def test_recording_in_scope_mode_replays_bit_for_bit(bench, tmp_path):
     session = bench.session
     session.do(GoTo(12.0))
     enter(bench)
@@ -300,7 +301,7 @@ def test_a_recording_of_a_held_scope_replays_bit_for_bit(bench, tmp_path):
     recording = open_recording(tmp_path / "s.jsonl")
     assert recording.needs_wall
     volume = session.snapshot().case.volume
-    # The wall is made anew, as it is for a recording that is opened on another day.
+    # The wall is computed again, as for a recording that is opened on another day.
     wall = wall_field(volume, small_airways(volume), progress=lambda *_: None, cancel=lambda: False)
     replayed = list(recording.replay(volume, wall=wall))
     assert len(replayed) > 60
@@ -309,7 +310,7 @@ def test_a_recording_of_a_held_scope_replays_bit_for_bit(bench, tmp_path):
 
 
 @pytest.mark.parametrize("mode", ["free", "path"])
-def test_a_lens_that_looks_up_sees_the_same_when_who_faces_lets_the_scope_go(bench, mode):
+def test_lens_view_is_unchanged_when_scope_mode_ends_with_a_facing_operator(bench, mode):
     session = bench.session
     session.do(SetScope("ebus"))
     session.do(SetOperator("facing"))
@@ -320,7 +321,7 @@ def test_a_lens_that_looks_up_sees_the_same_when_who_faces_lets_the_scope_go(ben
     np.testing.assert_allclose(session.scene().spec("airway", 32, 32, 1.0).pose.lps_from_camera, held, atol=1e-9)
 
 
-def test_a_recording_keeps_what_its_wall_was_made_from(bench, tmp_path):
+def test_recording_stores_the_inputs_of_its_wall(bench, tmp_path):
     session = bench.session
     session.do(GoTo(12.0))
     enter(bench)
@@ -342,7 +343,7 @@ def test_a_recording_keeps_what_its_wall_was_made_from(bench, tmp_path):
     assert all(same for _, same in replayed)
 
 
-def test_a_scope_that_was_held_is_kept_until_the_wall_is_known_that_holds_it(bench):
+def test_restored_scope_is_stored_until_its_wall_is_computed(bench):
     enter(bench)
     bench.session.do(Steer(3.0, 0.0, 0.2, 0.1))
     kept = bench.session.ask(MomentToKeep())
@@ -358,7 +359,7 @@ def test_a_scope_that_was_held_is_kept_until_the_wall_is_known_that_holds_it(ben
     again.session.close()
 
 
-def test_a_scope_is_not_held_again_where_the_tip_was_moved_before_the_wall_was_known(bench):
+def test_scope_is_not_restored_if_the_tip_moves_before_the_wall_is_computed(bench):
     enter(bench)
     kept = bench.session.ask(MomentToKeep())
     again = small_bench(wall_field=wall_field)

@@ -1,4 +1,4 @@
-"""A session: opening in stages, commands with undo, and nothing lost when something is refused."""
+"""Session: opening in stages, commands with undo, jobs, and no loss of state when a command is refused."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ from small_case import (
 )
 
 
-def test_pictures_can_be_made_before_the_airways_are_found():
+def test_pictures_are_available_before_the_airways_are_found():
     bench = small_bench()
     bench.session.do(OpenPath("case"))
     assert bench.session.scene() is None
@@ -70,12 +70,12 @@ def test_pictures_can_be_made_before_the_airways_are_found():
     scene = bench.session.scene()
     assert scene is not None
     assert snapshot.case.volume.contains_lps(scene.pose.position_lps)
-    # Looking towards the feet, as from the patient's head.
+    # The camera looks towards the feet.
     assert scene.pose.forward_lps @ np.array([0.0, 0.0, -1.0]) > 0.999
     assert scene.key("tree") is None
 
 
-def test_opening_ends_with_a_route_to_the_deepest_tip_on_the_right_and_the_tip_at_its_start():
+def test_opening_ends_at_the_start_of_a_route_to_the_deepest_tip_on_the_right():
     bench = small_bench()
     bench.open()
     snapshot = bench.session.snapshot()
@@ -85,17 +85,17 @@ def test_opening_ends_with_a_route_to_the_deepest_tip_on_the_right_and_the_tip_a
     pose = bench.session.pose_info()
     assert pose.path_mm == 0.0
     assert pose.inside
-    # The tree was not measured, so no diameter is shown; the radius of the lumen found is not one.
+    # The tree was not measured, so no diameter is shown: the radius of the found lumen is not a measured diameter.
     assert (pose.branch.name, pose.branch.generation, pose.lumen_mm) == ("Trachea", 0, None)
     np.testing.assert_allclose(
         pose.pose.position_lps, small_lps(BRANCHES_IJK[0][1][0]), atol=0.6
-    )  # half a smoothed voxel
+    )  # Tolerance: half a smoothed voxel.
     assert bench.renderers[-1].lumen is snapshot.document.airways.lumen_zyx
-    assert bench.renderers[-1].prepared == 2  # for the raw volume at once, and again with the wall of the lumen
+    assert bench.renderers[-1].prepared == 2  # Once for the raw volume, and once with the wall of the lumen.
     assert snapshot.undo_label is None
 
 
-def test_airways_that_are_found_do_not_move_a_tip_that_a_person_has_moved():
+def test_found_airways_do_not_move_a_tip_that_the_user_moved():
     bench = small_bench()
     bench.session.do(OpenPath("case"))
     bench.background.run_next()
@@ -104,7 +104,7 @@ def test_airways_that_are_found_do_not_move_a_tip_that_a_person_has_moved():
     np.testing.assert_allclose(bench.session.pose_info().pose.position_lps, OUTSIDE_LUMEN, atol=1e-9)
 
 
-def test_a_refused_file_leaves_the_session_untouched_and_says_the_same_words():
+def test_refused_file_leaves_the_session_unchanged_with_the_message_of_the_import():
     bench = small_bench()
     bench.open("case")
     bench.session.do(AddTarget(LEFT_TIP))
@@ -119,7 +119,7 @@ def test_a_refused_file_leaves_the_session_untouched_and_says_the_same_words():
     assert [e.outcome for e in bench.of_type(JobEnded)] == ["failed"]
 
 
-def test_a_cancelled_opening_leaves_the_session_untouched():
+def test_cancelled_opening_leaves_the_session_unchanged():
     bench = small_bench()
     bench.open("case")
     before = bench.session.snapshot()
@@ -132,7 +132,7 @@ def test_a_cancelled_opening_leaves_the_session_untouched():
     assert not bench.of_type(Trouble)
 
 
-def test_a_second_opening_stops_the_first():
+def test_second_opening_stops_the_first():
     bench = small_bench()
     bench.session.do(OpenPath("case"))
     bench.session.do(OpenPath("other"))
@@ -141,7 +141,7 @@ def test_a_second_opening_stops_the_first():
     assert [e.outcome for e in bench.of_type(JobEnded)][:2] == ["cancelled", "done"]
 
 
-def test_opening_another_case_stops_the_search_in_the_old_one():
+def test_opening_another_case_stops_the_search_in_the_first():
     bench = small_bench()
     bench.session.do(OpenPath("case"))
     bench.background.run_next()
@@ -153,7 +153,7 @@ def test_opening_another_case_stops_the_search_in_the_old_one():
     assert bench.session.snapshot() == before
 
 
-def test_undoing_an_earlier_change_does_not_take_found_airways_away():
+def test_undoing_an_earlier_change_keeps_the_found_airways():
     bench = small_bench()
     bench.session.do(OpenPath("case"))
     bench.background.run_next()
@@ -165,7 +165,7 @@ def test_undoing_an_earlier_change_does_not_take_found_airways_away():
     assert document.airways is not None
 
 
-def test_a_drag_of_the_field_of_view_is_one_step_and_a_later_drag_another():
+def test_drag_of_the_field_of_view_is_one_step_and_a_later_drag_another():
     bench = small_bench()
     bench.open()
     for fov_deg in (118.0, 116.0, 114.0):
@@ -180,7 +180,7 @@ def test_a_drag_of_the_field_of_view_is_one_step_and_a_later_drag_another():
     assert bench.session.snapshot().undo_label is None
 
 
-def test_ways_of_looking_are_no_steps_between_what_a_person_made():
+def test_view_settings_are_no_undo_steps():
     bench = small_bench()
     bench.open()
     bench.session.do(SetOutline("octagon"))
@@ -210,7 +210,7 @@ def test_ways_of_looking_are_no_steps_between_what_a_person_made():
     assert bench.session.snapshot().document.look.outline == "octagon"
 
 
-def test_setting_the_root_is_undone_without_searching_again():
+def test_setting_the_root_is_undone_without_a_new_search():
     bench = small_bench()
     bench.open()
     first = bench.session.snapshot().document.airways
@@ -225,7 +225,7 @@ def test_setting_the_root_is_undone_without_searching_again():
     assert bench.renderers[-1].lumen is first.lumen_zyx
 
 
-def test_a_root_without_airways_changes_nothing_and_says_why():
+def test_root_without_airways_changes_nothing_and_states_the_reason():
     bench = small_bench()
     bench.open()
     before = bench.session.snapshot()
@@ -236,7 +236,7 @@ def test_a_root_without_airways_changes_nothing_and_says_why():
     assert [t.message for t in bench.of_type(Trouble)] == ["no airway at this point"]
 
 
-def test_no_airways_is_a_state_with_words_and_the_case_stays_usable():
+def test_case_without_airways_is_usable_and_has_a_message():
     def find_nothing(volume, **_options):
         raise NoResultError("no trachea was found")
 
@@ -251,7 +251,7 @@ def test_no_airways_is_a_state_with_words_and_the_case_stays_usable():
         bench.session.do(GoTo(3.0))
 
 
-def test_a_threshold_that_found_nothing_is_kept_for_the_root_that_is_set_next_and_nothing_is_said_twice():
+def test_threshold_without_result_is_used_with_the_next_root_and_reported_once():
     asked = []
 
     def find_nothing(volume, *, root_lps=None, lumen_threshold=None, **_options):
@@ -269,7 +269,7 @@ def test_a_threshold_that_found_nothing_is_kept_for_the_root_that_is_set_next_an
     assert bench.of_type(Trouble) == []
 
 
-def test_a_stopped_search_says_so_and_a_root_starts_another():
+def test_stopped_search_is_reported_and_a_root_starts_another():
     bench = small_bench()
     bench.session.do(OpenPath("case"))
     bench.background.run_next()
@@ -282,7 +282,7 @@ def test_a_stopped_search_says_so_and_a_root_starts_another():
     assert bench.session.snapshot().airways == "found"
 
 
-def test_a_volume_without_hu_gets_a_transfer_function_and_threshold_from_its_histogram():
+def test_volume_without_hu_gets_transfer_function_and_threshold_from_its_histogram():
     thresholds = []
 
     def find_airways(volume, *, lumen_threshold, **_options):
@@ -304,10 +304,10 @@ def test_a_volume_without_hu_gets_a_transfer_function_and_threshold_from_its_his
     bench.session.do(SetLumenThreshold(90.0))
     bench.session.do(SetLumenThreshold(None))
     bench.background.run_all()
-    assert thresholds == [105.0, 105.0]  # the search for 90 was stopped by the next one before it began
+    assert thresholds == [105.0, 105.0]  # The next search stopped the search for 90 before it began.
 
 
-def test_the_operator_position_is_undone_and_poses_are_not():
+def test_operator_position_is_undone_and_poses_are_not():
     bench = small_bench()
     bench.open()
     bench.session.do(Steer(4.0, 0.0, 0.0, 0.0))
@@ -332,7 +332,7 @@ def test_every_movement_has_a_new_pose_number():
     assert numbers == sorted(set(numbers))
 
 
-def test_a_scope_brings_its_field_of_view_and_outline_and_can_be_taken_back():
+def test_scope_sets_field_of_view_and_outline_and_is_undone():
     bench = small_bench()
     bench.open()
 
@@ -347,7 +347,7 @@ def test_a_scope_brings_its_field_of_view_and_outline_and_can_be_taken_back():
     assert seen() == ("single-use-slim", 100.0, "octagon")
     bench.session.do(SetOutline("none"))
     bench.session.do(SetScope("ebus"))
-    # A full frame was chosen by a person, and stays.
+    # The user chose a full frame, which stays.
     assert seen() == ("ebus", 80.0, "none")
     bench.session.do(SetScope(None))
     assert seen() == (None, 90.0, "none")
@@ -361,7 +361,7 @@ def test_a_scope_brings_its_field_of_view_and_outline_and_can_be_taken_back():
         bench.session.do(SetOutline("square"))
 
 
-def test_the_airway_picture_is_what_the_scope_shows():
+def test_airway_picture_has_the_optics_of_the_scope():
     bench = small_bench()
     bench.open()
     view = bench.session.scene().spec("airway", 64, 48, 0.5)
@@ -377,7 +377,7 @@ def test_the_airway_picture_is_what_the_scope_shows():
     assert (plain.lens, plain.field.outline, plain.field.vignette, plain.fov_deg) == (PINHOLE, "none", 0.0, 90.0)
 
 
-def test_the_fine_texture_is_a_switch():
+def test_fine_texture_can_be_switched():
     bench = small_bench()
     bench.open()
 
@@ -393,7 +393,7 @@ def test_the_fine_texture_is_a_switch():
     assert texture()
 
 
-def test_views_depend_on_what_they_show_and_on_nothing_else():
+def test_view_keys_depend_only_on_what_the_views_show():
     bench = small_bench()
     bench.open()
 
@@ -420,12 +420,12 @@ def test_views_depend_on_what_they_show_and_on_nothing_else():
     assert window == {"axial", "tri-plane", "cut-plane"}
 
 
-def test_a_transfer_function_reaches_the_renderer_and_the_pictures():
+def test_transfer_function_reaches_the_renderer_and_the_pictures():
     bench = small_bench()
     bench.open()
     before = bench.session.scene().key("airway")
     bench.session.do(SetTransfer(preset="ct-grey"))
-    assert bench.session.scene().key("airway") == before  # the renderer still shows the old one
+    assert bench.session.scene().key("airway") == before  # The renderer still has the old transfer function.
     bench.background.run_all()
     assert bench.renderers[-1].transfer.name == "ct-grey"
     assert bench.session.scene().key("airway") != before
@@ -434,7 +434,7 @@ def test_a_transfer_function_reaches_the_renderer_and_the_pictures():
     assert bench.renderers[-1].transfer.name == "endoscopic"
 
 
-def test_closing_the_case_goes_back_to_the_start():
+def test_closing_the_case_returns_to_the_start_page():
     bench = small_bench()
     bench.open()
     bench.session.do(CloseCase())
@@ -444,7 +444,7 @@ def test_closing_the_case_goes_back_to_the_start():
         bench.session.do(Steer(1.0, 0.0, 0.0, 0.0))
 
 
-def test_recent_cases_keep_the_path_in_the_local_file_and_open_by_id(tmp_path):
+def test_recent_cases_store_paths_locally_and_open_by_id(tmp_path):
     store = LocalStore(tmp_path / "config")
     bench = small_bench(store=store)
     bench.open(str(tmp_path / "case"))
@@ -460,19 +460,19 @@ def test_recent_cases_keep_the_path_in_the_local_file_and_open_by_id(tmp_path):
         bench.session.do(OpenRecent("nothing"))
 
 
-def test_an_unreadable_list_of_recent_cases_is_an_empty_one(tmp_path):
+def test_unreadable_list_of_recent_cases_is_empty(tmp_path):
     store = LocalStore(tmp_path)
     (tmp_path / "recent.json").write_text('{"cases": [1, {"title": "half"}]', encoding="utf-8")
     assert store.recent() == ()
     store.remember("/scans/a", "2026-01-31")
     assert [Path(c.path).name for c in store.recent()] == ["a"]
-    assert list(tmp_path.glob(".*")) == []  # no temporary file stays
+    assert list(tmp_path.glob(".*")) == []  # No temporary file remains.
     assert not store.notice_accepted()
     store.accept_notice()
     assert LocalStore(tmp_path).notice_accepted()
 
 
-def test_progress_tells_the_time_left():
+def test_progress_reports_the_time_left():
     bench = small_bench()
     seen = []
 
@@ -494,7 +494,7 @@ def test_progress_tells_the_time_left():
     assert told == [(0.0, None), (0.04, None), (0.05, pytest.approx(38.0)), (0.25, pytest.approx(9.0))]
 
 
-def test_time_left_goes_by_the_whole_where_stages_go_on_from_each_other_and_by_the_stage_where_they_begin_anew():
+def test_time_left_uses_total_progress_and_restarts_where_the_fraction_decreases():
     bench = small_bench()
     stages = (("lungs", 0.0), ("vessels", 0.1), ("lobes", 0.5), ("edges", 0.1), ("edges", 0.55))
 
@@ -511,7 +511,7 @@ def test_time_left_goes_by_the_whole_where_stages_go_on_from_each_other_and_by_t
     assert told == [None, pytest.approx(36.0), pytest.approx(8.0), None, pytest.approx(4.0)]
 
 
-def test_undo_keeps_a_few_airways_and_not_all_of_them():
+def test_undo_keeps_a_limited_number_of_airways():
     bench = small_bench()
     bench.open()
     for value in range(-900, -890):
@@ -524,7 +524,7 @@ def test_undo_keeps_a_few_airways_and_not_all_of_them():
     assert len(seen) == 4
 
 
-def test_a_fault_in_a_job_is_told_in_words_and_logged_without_its_message(caplog):
+def test_fault_in_a_job_is_reported_and_logged_without_its_message(caplog):
     caplog.set_level("INFO")
 
     def broken(volume, **_options):
@@ -538,7 +538,7 @@ def test_a_fault_in_a_job_is_told_in_words_and_logged_without_its_message(caplog
     assert bench.session.snapshot().airways == "failed"
 
 
-def test_a_panic_of_the_compiled_module_ends_its_job_in_words():
+def test_panic_of_the_compiled_module_ends_its_job_with_a_message():
     class Panic(BaseException):
         pass
 
@@ -551,8 +551,8 @@ def test_a_panic_of_the_compiled_module_ends_its_job_in_words():
     assert bench.session.jobs.running == ()
 
 
-def test_what_the_disk_does_not_take_is_remembered_until_the_end(tmp_path):
-    # A file in the place of the folder: nobody can write into it, not even root.
+def test_settings_that_cannot_be_written_are_kept_in_memory(tmp_path):
+    # A file in place of the folder: no user can write into it, not even root.
     (tmp_path / "config").write_text("", encoding="utf-8")
     store = LocalStore(tmp_path / "config")
     store.accept_notice()
@@ -563,7 +563,7 @@ def test_what_the_disk_does_not_take_is_remembered_until_the_end(tmp_path):
     assert not LocalStore(tmp_path / "config").notice_accepted()
 
 
-def test_listeners_hear_of_changes_until_they_stop():
+def test_listeners_receive_changes_until_they_unsubscribe():
     bench = small_bench()
     bench.open()
     heard = []
@@ -575,17 +575,17 @@ def test_listeners_hear_of_changes_until_they_stop():
     assert len(heard) == 1
 
 
-def test_the_voxel_under_a_point_is_told_and_nothing_outside_the_volume():
+def test_voxel_value_is_returned_inside_the_volume_only():
     bench = small_bench()
     bench.open()
     assert bench.session.ask(VoxelAt(LEFT_TIP)) == -980
     assert bench.session.ask(VoxelAt(OUTSIDE_LUMEN)) == 40
-    # On the outer face of the first voxel; rounding alone would look for the voxel before it.
+    # A point on the outer face of the first voxel; plain rounding would select the voxel before it.
     assert bench.session.ask(VoxelAt(small_lps((-0.4999, 0.0, 0.0)))) == 40
     assert bench.session.ask(VoxelAt(small_lps((-0.6, 0.0, 0.0)))) is None
 
 
-def test_a_wall_point_is_told_with_its_voxel_and_the_nearest_branch():
+def test_wall_point_has_its_voxel_value_and_the_nearest_branch():
     bench = small_bench()
     bench.session.do(OpenPath("case"))
     bench.background.run_next()
@@ -601,7 +601,7 @@ def test_a_wall_point_is_told_with_its_voxel_and_the_nearest_branch():
     assert bench.session.ask(WallAt(outside)).voxel_value is None
 
 
-def test_what_a_job_has_freed_is_given_back_before_whoever_waits_for_its_end_goes_on(monkeypatch):
+def test_freed_memory_is_returned_before_the_end_of_a_job_is_announced(monkeypatch):
     order = []
     monkeypatch.setattr("carina.session.jobs.give_freed_memory_back", lambda: order.append("given back"))
 
@@ -614,7 +614,7 @@ def test_what_a_job_has_freed_is_given_back_before_whoever_waits_for_its_end_goe
     assert order == ["worked", "given back", "done", "given back", "failed"]
 
 
-def test_a_job_that_leaves_its_rest_to_another_one_ends_quietly_while_carina_closes():
+def test_job_that_starts_another_job_while_carina_closes_ends_without_an_error():
     told, begun, closing = [], threading.Event(), threading.Event()
     pool = ThreadPoolExecutor(1)
     jobs = JobRunner(pool.submit, told.append, time.monotonic)
@@ -634,8 +634,8 @@ def test_a_job_that_leaves_its_rest_to_another_one_ends_quietly_while_carina_clo
         jobs.start("late", "late", lambda _job: None)
 
 
-def test_jobs_that_wait_for_a_thread_end_too_when_carina_closes():
-    """A thread that waits for a job, such as the one of a joined program, must not keep the process from ending."""
+def test_jobs_that_wait_for_a_thread_end_when_carina_closes():
+    """A thread that waits for a job, such as that of a joined program, must not keep the process alive."""
     session = Session(SmallRenderer, parts=small_parts())
     jobs, errand = session.jobs, Errand()
 

@@ -1,4 +1,4 @@
-"""Each window looks at the open case with a sight of its own; whoever is none speaks for all."""
+"""View settings (sight) of windows: each window has its own; a caller that is no window sets them for all."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from small_case import LEFT_TIP, RIGHT_TIP, small_bench
 
 
 class Windows:
-    """A case that two windows look at, and what each was told."""
+    """A case with two windows, and the events that each window received."""
 
     def __init__(self, **replaced) -> None:
         self.bench = small_bench(**replaced)
@@ -47,7 +47,7 @@ def windows():
     return made
 
 
-def test_what_one_looks_at_the_other_does_not_and_the_latest_is_kept(windows):
+def test_sight_of_one_window_does_not_change_another_and_the_latest_is_stored(windows):
     begun = windows.sight()
     windows.session.do(SetCrosshair(LEFT_TIP), window=1)
     windows.session.do(SetOrbit(view="tree", azimuth_deg=20.0, elevation_deg=5.0), window=2)
@@ -60,7 +60,7 @@ def test_what_one_looks_at_the_other_does_not_and_the_latest_is_kept(windows):
     assert windows.session.scene(1).key("airway") == windows.session.scene(2).key("airway")
 
 
-def test_only_the_window_whose_sight_it_is_is_told_of_it(windows):
+def test_only_the_window_of_a_sight_is_notified_of_its_change(windows):
     windows.session.do(SetTexture(on=False), window=1)
     assert [event.topics for event in windows.of_type(1, Changed)] == [{"state", "views"}]
     assert windows.told[2] == []
@@ -68,7 +68,7 @@ def test_only_the_window_whose_sight_it_is_is_told_of_it(windows):
     assert windows.of_type(2, Changed)
 
 
-def test_whoever_is_no_window_sets_it_for_all(windows):
+def test_caller_that_is_no_window_sets_the_sight_of_all(windows):
     windows.session.do(SetZoom(view="axial", mm_per_px=0.5), window=1)
     windows.session.do(SetZoom(view="coronal", mm_per_px=0.7))
     windows.session.do(SetWindow(400.0, 40.0))
@@ -79,7 +79,7 @@ def test_whoever_is_no_window_sets_it_for_all(windows):
     assert windows.of_type(2, Changed)
 
 
-def test_a_move_recentres_every_window_that_follows_the_tip(windows):
+def test_movement_recentres_every_window_that_follows_the_tip(windows):
     for window in (1, 2):
         windows.session.do(SetZoom(view="axial", mm_per_px=0.5, centre_lps=LEFT_TIP), window=window)
     windows.session.do(SetCrosshair(RIGHT_TIP), window=2)
@@ -88,14 +88,14 @@ def test_a_move_recentres_every_window_that_follows_the_tip(windows):
     assert windows.sight(2).place("axial").centre_lps == LEFT_TIP
 
 
-def test_a_place_that_is_shown_moves_the_tip_of_all_and_the_crosshair_of_one(windows):
+def test_show_place_moves_the_common_tip_and_the_crosshair_of_one_window(windows):
     before = windows.session.pose_info().pose_id
     windows.session.do(ShowPlace(LEFT_TIP, None), window=2)
     assert windows.session.pose_info().pose_id > before
     assert (windows.sight(1).crosshair_lps, windows.sight(2).crosshair_lps) == (None, LEFT_TIP)
 
 
-def test_one_that_comes_begins_with_the_latest_and_one_that_goes_is_forgotten(windows):
+def test_new_window_starts_with_the_latest_sight_and_a_closed_one_is_forgotten(windows):
     windows.session.do(SetTexture(on=False), window=1)
     end = windows.session.subscribe(lambda _event: None, window=3)
     windows.session.do(SetTexture(on=True), window=1)
@@ -107,18 +107,18 @@ def test_one_that_comes_begins_with_the_latest_and_one_that_goes_is_forgotten(wi
     assert not windows.sight(1).texture
 
 
-def test_another_case_begins_anew_for_all(windows):
+def test_opening_another_case_resets_the_sight_of_all_windows(windows):
     begun = windows.sight()
     windows.session.do(SetTexture(on=False), window=1)
     windows.session.do(OpenPath("another"), window=2)
     windows.bench.background.run_all()
-    # Not with what one of them looks at since.
+    # The new case does not start with the later sight of one window.
     windows.session.do(SetWindow(400.0, 40.0), window=1)
     assert windows.sight(2) == begun
     assert windows.sight(1).texture
 
 
-def test_there_is_one_history(windows):
+def test_all_windows_share_one_history(windows):
     windows.session.do(SetFov(90.0), window=1)
     windows.session.do(Undo(), window=2)
     assert isinstance(windows.session.snapshot(1).document, Document)
@@ -129,7 +129,7 @@ def test_there_is_one_history(windows):
     assert [len(windows.of_type(n, Said)) for n in (1, 2)] == [1, 2], "nothing to undo is the matter of one"
 
 
-def test_a_job_that_fails_is_told_to_the_window_that_asked_and_to_all_once_it_is_gone():
+def test_failed_job_is_reported_to_the_window_that_started_it_or_to_all_if_closed():
     def open_volume(path, progress, cancel):
         raise VolumeImportError("no CT here", code="import.nothing")
 

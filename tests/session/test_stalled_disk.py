@@ -1,4 +1,4 @@
-"""Disks that do not respond: nobody waits for them but the thread that writes, and nothing is lost by them."""
+"""Disks that do not respond: only the saving thread waits for them, and nothing is lost."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ WAIT_S = 60.0
 
 
 class StalledFile(MemoryFile):
-    """A file whose disk a test holds up."""
+    """Case file whose disk operations a test can stall."""
 
     def __init__(self, path, digest):
         super().__init__(path, digest)
@@ -38,10 +38,10 @@ class StalledFile(MemoryFile):
 
 
 class StallingDesk(Desk):
-    """Its case was saved once; its disk counts as silent only where a test holds it up, however slow the machine is."""
+    """Workstation whose case was saved once; its disk counts as silent only where a test stalls it, on any machine."""
 
     def be_silent(self, has_begun, do):
-        """What is written now is written to a disk that does not respond."""
+        """Run ``do`` and wait until its write reaches the stalled disk, with a short limit for slow disks."""
         has_begun.clear()
         keeping.SLOW_S = 0.01
         do()
@@ -66,7 +66,7 @@ class StallingDesk(Desk):
         return self.session._saving._kept
 
     def until(self, condition):
-        """Wait for what the threads do; the condition takes no lock, since theirs is held."""
+        """Wait until the condition holds. The caller holds the lock of the threads: the condition must not take it."""
         with self.kept._wake:
             assert self.kept._wake.wait_for(condition, WAIT_S)
 
@@ -74,7 +74,7 @@ class StallingDesk(Desk):
         return self.kept.info
 
     def stall(self):
-        """A change is on its way to a disk that does not take it."""
+        """Make a change whose write stalls."""
         self.file.lets_save.clear()
 
         def change():
@@ -101,11 +101,11 @@ def desk(tmp_path, monkeypatch):
     desk.session.close()
 
 
-def test_a_disk_that_is_silent_is_told_of_within_three_seconds():
-    assert keeping.DECIDED_WITHIN_S + keeping.SLOW_S < 3.0  # no desk here: as in the product
+def test_silent_disk_is_reported_within_three_seconds():
+    assert keeping.DECIDED_WITHIN_S + keeping.SLOW_S < 3.0  # No workstation here: the real limits of the product.
 
 
-def test_work_goes_on_while_a_disk_is_silent_and_is_on_it_when_it_answers(desk):
+def test_work_continues_on_a_silent_disk_and_is_written_when_it_responds(desk):
     desk.stall()
     assert "another folder" in desk.saving().problem
     desk.session.do(c.SetFov(80.0))
@@ -118,7 +118,7 @@ def test_work_goes_on_while_a_disk_is_silent_and_is_on_it_when_it_answers(desk):
     assert [step.label for step in steps] == list(desk.session.history())
 
 
-def test_a_case_is_named_while_its_disk_is_silent(desk):
+def test_case_is_renamed_while_its_disk_is_silent(desk):
     case_id = desk.kept.held.record.case_id
     desk.stall()
     desk.session.do(c.RenameCase(case_id, "Nodule in RB4"))
@@ -129,7 +129,7 @@ def test_a_case_is_named_while_its_disk_is_silent(desk):
     assert desk.session._saving.records.find(case_id).alias == "Nodule in RB4"
 
 
-def test_a_case_is_saved_elsewhere_while_its_disk_is_silent_and_then_closed(desk, tmp_path):
+def test_case_is_saved_elsewhere_while_its_disk_is_silent_and_then_closed(desk, tmp_path):
     desk.stall()
     place = tmp_path / "stick" / "mine.carina"
     place.parent.mkdir()
@@ -143,7 +143,7 @@ def test_a_case_is_saved_elsewhere_while_its_disk_is_silent_and_then_closed(desk
     assert (desk.saving().copy_name, desk.saving().problem is None) == ("mine.carina", False)
     desk.session.do(c.CloseCase())
     assert desk.session.snapshot().case is None
-    # What waits for the disk has the right to the case until it is written.
+    # The keeper that waits for the disk holds the claim on the case until the case is written.
     file, (keeper,) = desk.file, desk.session._saving._ending
     opener = threading.Thread(target=desk.open)
     opener.start()
@@ -155,7 +155,7 @@ def test_a_case_is_saved_elsewhere_while_its_disk_is_silent_and_then_closed(desk
     assert desk.kept.copy_path == place
 
 
-def test_a_share_that_is_silent_holds_up_its_copy_alone(desk, tmp_path):
+def test_silent_share_delays_only_its_own_copy(desk, tmp_path):
     share = tmp_path / "share.carina"
     desk.session.do(c.SaveCase(str(share)))
     desk.background.run_all()
@@ -174,7 +174,7 @@ def test_a_share_that_is_silent_holds_up_its_copy_alone(desk, tmp_path):
 
 @pytest.fixture
 def stalled_share(desk, tmp_path, monkeypatch):
-    """Provide the named file while its update waits for a share, and the event that lets the update go on."""
+    """Provide the named file while its update waits for a share, and the event that lets the update continue."""
     share, goes_on, has_begun = tmp_path / "share.carina", threading.Event(), threading.Event()
     write_copy = MemoryFile.write_copy
 
@@ -197,7 +197,7 @@ def stalled_share(desk, tmp_path, monkeypatch):
     goes_on.set()
 
 
-def test_a_case_that_was_saved_elsewhere_stays_there_when_its_former_share_answers(desk, stalled_share, tmp_path):
+def test_case_saved_elsewhere_stays_there_when_its_former_share_responds(desk, stalled_share, tmp_path):
     share, goes_on = stalled_share
     copier, stick = desk.kept._copier, tmp_path / "stick.carina"
     desk.session.do(c.SaveCase(str(stick)))
@@ -213,7 +213,7 @@ def test_a_case_that_was_saved_elsewhere_stays_there_when_its_former_share_answe
     assert lock_path(stick).exists()
 
 
-def test_a_case_that_was_saved_elsewhere_follows_there_while_its_former_share_is_silent(desk, stalled_share, tmp_path):
+def test_case_saved_elsewhere_is_updated_there_while_its_former_share_is_silent(desk, stalled_share, tmp_path):
     stick = tmp_path / "stick.carina"
     desk.session.do(c.SaveCase(str(stick)))
     desk.background.run_all()
@@ -230,7 +230,7 @@ def test_a_case_that_was_saved_elsewhere_follows_there_while_its_former_share_is
     assert not lock_path(stick).exists(), "the case was given back"
 
 
-def test_a_save_that_ends_after_its_case_was_closed_releases_its_file(desk, tmp_path):
+def test_save_that_ends_after_its_case_was_closed_releases_its_file(desk, tmp_path):
     keeper, stick = desk.kept, tmp_path / "stick.carina"
     desk.file.lets_copy.clear()
     saver = threading.Thread(target=keeper.save_to, args=(stick,))
@@ -243,7 +243,7 @@ def test_a_save_that_ends_after_its_case_was_closed_releases_its_file(desk, tmp_
     assert not lock_path(stick).exists()
 
 
-def test_a_copy_that_fails_is_tried_again_without_another_change(desk, tmp_path):
+def test_failed_copy_is_retried_without_another_change(desk, tmp_path):
     desk.session.do(c.SaveCase(str(tmp_path / "share.carina")))
     desk.background.run_all()
     desk.session.do(c.SetFov(90.0))
@@ -260,7 +260,7 @@ def test_a_copy_that_fails_is_tried_again_without_another_change(desk, tmp_path)
     desk.until(lambda: desk.saving().copy_problem is None)
 
 
-def test_a_fault_of_ours_is_told_and_does_not_end_the_saving(desk):
+def test_internal_error_is_reported_and_does_not_end_saving(desk):
     desk.file.refuses = TypeError("ours")
     desk.session.do(c.SetFov(90.0))
     assert not desk.session._saving.write_now()
@@ -270,7 +270,7 @@ def test_a_fault_of_ours_is_told_and_does_not_end_the_saving(desk):
     assert desk.saving().problem is None
 
 
-def test_what_is_left_at_the_end_goes_to_the_copy_where_the_live_disk_refuses(desk, tmp_path):
+def test_last_changes_go_to_the_named_file_if_the_live_disk_refuses_them(desk, tmp_path):
     place = tmp_path / "mine.carina"
     desk.session.do(c.SaveCase(str(place)))
     desk.background.run_all()

@@ -1,4 +1,4 @@
-"""Where the first pictures are seen from."""
+"""Pose of the first pictures of a case."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from carina.session.start_pose import pose_before_airways
 from carina.volume import Volume
 
 
-def test_before_the_airways_the_pose_is_a_fifth_below_the_top_of_a_tilted_volume() -> None:
+def test_start_pose_without_airways_is_a_fifth_below_the_top_of_a_tilted_volume() -> None:
     nz, ny, nx = 40, 20, 24
     turn = np.deg2rad(20.0)
     matrix = np.eye(4)
     matrix[:3, :3] = [[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]]
     volume = Volume(np.zeros((nz, ny, nx), dtype=np.int16), matrix)
-    # A voxel farther along i lies lower: the highest voxel is the last of k and the first of i.
+    # In this volume a voxel farther along i is lower: the highest voxel is the last of k and the first of i.
     top, bottom = np.cos(turn) * (nz - 1), -np.sin(turn) * (nx - 1)
     x, y, _ = volume.centre_lps
     assert pose_before_airways(volume).position_lps == pytest.approx([x, y, top - 0.2 * (top - bottom)])

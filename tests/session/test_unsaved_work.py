@@ -1,4 +1,4 @@
-"""Work that no disk has taken: what it is called, and that no end of a session hides it."""
+"""Work that no disk has stored: its description, and the question or error when the session ends."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ WAIT_S = 60.0
 
 
 class ScriptedTerminal:
-    """A user who gives these answers; an exception among them is raised."""
+    """Terminal of a user who gives these answers; an exception among the answers is raised."""
 
     def __init__(self, *answers, is_interactive=True):
         self.is_interactive = is_interactive
@@ -80,7 +80,7 @@ def saved_steps(desk):
     return [step.label for step in MemoryFile.kept[str(desk.files[-1].path)][1].steps]
 
 
-def test_unsaved_work_names_the_changes_the_case_the_reason_and_the_last_saved_state(desk):
+def test_unsaved_work_names_changes_case_reason_and_last_saved_state(desk):
     (work,) = desk.session.cases.unsaved()
     assert len(work.labels) == 5
     assert work.labels == tuple(desk.session.history()[3:])
@@ -91,7 +91,7 @@ def test_unsaved_work_names_the_changes_the_case_the_reason_and_the_last_saved_s
     assert str(desk.files[-1].path) in work.saved_state
 
 
-def test_a_session_without_unsaved_work_ends_without_a_question(desk):
+def test_session_without_unsaved_work_ends_without_a_question(desk):
     clear(desk)
     terminal = ScriptedTerminal()
     close_session(desk.session, terminal)
@@ -111,8 +111,8 @@ def named_file(desk, tmp_path):
     return path
 
 
-def test_the_terminal_states_that_the_named_file_was_changed_elsewhere_when_carina_ends(desk, tmp_path):
-    """No window is left that could show the message."""
+def test_closing_carina_reports_a_named_file_that_was_changed_elsewhere(desk, tmp_path):
+    """The terminal shows the message, because no window is left."""
     path = named_file(desk, tmp_path)
     path.write_text("a letter")
     terminal = ScriptedTerminal(is_interactive=False)
@@ -123,7 +123,7 @@ def test_the_terminal_states_that_the_named_file_was_changed_elsewhere_when_cari
     assert len(saved_steps(desk)) == 9
 
 
-def test_the_terminal_states_that_the_named_file_could_not_be_updated_when_carina_ends(desk, tmp_path, monkeypatch):
+def test_closing_carina_reports_a_named_file_that_could_not_be_updated(desk, tmp_path, monkeypatch):
     path = named_file(desk, tmp_path)
     before = path.read_text()
 
@@ -140,7 +140,7 @@ def test_the_terminal_states_that_the_named_file_could_not_be_updated_when_carin
     assert len(saved_steps(desk)) == 9
 
 
-def test_a_program_that_took_a_case_over_is_warned_of_a_named_file_that_was_changed_elsewhere(desk, tmp_path):
+def test_program_that_took_over_a_case_is_warned_of_a_changed_named_file(desk, tmp_path):
     path = named_file(desk, tmp_path)
     path.write_text("a letter")
     records = desk.session._saving.records
@@ -151,7 +151,7 @@ def test_a_program_that_took_a_case_over_is_warned_of_a_named_file_that_was_chan
     assert len(saved_steps(desk)) == 9
 
 
-def test_a_program_without_a_terminal_is_not_asked_and_ends_with_the_error(desk):
+def test_program_without_a_terminal_gets_the_error_without_a_question(desk):
     terminal = ScriptedTerminal(is_interactive=False)
     with pytest.raises(UnsavedWorkError) as lost:
         close_session(desk.session, terminal)
@@ -163,7 +163,7 @@ def test_a_program_without_a_terminal_is_not_asked_and_ends_with_the_error(desk)
     assert len(saved_steps(desk)) == 3
 
 
-def test_the_user_is_told_what_is_unsaved_and_a_retry_saves_it(desk):
+def test_terminal_lists_unsaved_work_and_a_retry_saves_it(desk):
     terminal = ScriptedTerminal("r", lambda: (clear(desk), "r")[1])
     close_session(desk.session, terminal)
     assert terminal.num_asked == 2
@@ -171,7 +171,7 @@ def test_the_user_is_told_what_is_unsaved_and_a_retry_saves_it(desk):
     assert len(saved_steps(desk)) == 8
 
 
-def test_the_user_saves_to_another_folder_and_nothing_is_lost(desk, tmp_path):
+def test_saving_to_another_folder_loses_nothing(desk, tmp_path):
     stick = tmp_path / "stick"
     stick.mkdir()
     steps = desk.session.history()
@@ -185,7 +185,7 @@ def test_the_user_saves_to_another_folder_and_nothing_is_lost(desk, tmp_path):
     assert f"saved as {written}" in terminal.text
 
 
-def test_work_in_another_folder_stays_saved_when_a_job_reports_a_change_that_no_file_stores(desk, tmp_path):
+def test_work_in_another_folder_stays_saved_after_a_change_that_no_file_stores(desk, tmp_path):
     (work,) = desk.session.cases.unsaved()
     desk.session.cases.save_elsewhere(work.case_number, tmp_path / "elsewhere.carina")
     desk.session._core.changed("state", "jobs")
@@ -195,7 +195,7 @@ def test_work_in_another_folder_stays_saved_when_a_job_reports_a_change_that_no_
     assert (terminal.num_asked, terminal.said) == (0, [])
 
 
-def test_a_change_after_a_save_to_another_folder_is_unsaved_alone_and_that_file_is_named(desk, tmp_path):
+def test_change_after_a_save_to_another_folder_is_unsaved_and_that_file_is_named(desk, tmp_path):
     (work,) = desk.session.cases.unsaved()
     elsewhere = desk.session.cases.save_elsewhere(work.case_number, tmp_path / "elsewhere")
     desk.session.do(c.SetOutline("octagon"))
@@ -207,7 +207,7 @@ def test_a_change_after_a_save_to_another_folder_is_unsaved_alone_and_that_file_
     assert len(saved_steps(desk)) == 9
 
 
-def test_a_finished_flight_in_another_folder_is_saved_and_the_next_one_is_not(desk, tmp_path):
+def test_finished_flight_in_another_folder_is_saved_and_the_next_is_not(desk, tmp_path):
     for _ in range(2):
         desk.session.do(c.RecordFlight())
         desk.session.do(c.Steer(1.0, 0.0, 0.0, 0.0))
@@ -234,7 +234,7 @@ def test_work_whose_file_could_not_be_placed_in_the_other_folder_stays_unsaved(d
     assert desk.session.cases.unsaved() == (work,)
 
 
-def test_a_path_that_cannot_be_used_is_refused_and_asked_for_again(desk, tmp_path):
+def test_unusable_path_is_refused_and_requested_again(desk, tmp_path):
     taken = tmp_path / "taken.carina"
     taken.write_bytes(b"another case")
     terminal = ScriptedTerminal(str(taken), str(tmp_path / "nowhere" / "x"), str(tmp_path / "free"))
@@ -246,14 +246,14 @@ def test_a_path_that_cannot_be_used_is_refused_and_asked_for_again(desk, tmp_pat
 
 
 @pytest.mark.parametrize("answer", ["q", None, KeyboardInterrupt()])
-def test_a_user_who_quits_interrupts_or_is_gone_gets_the_error(desk, answer):
+def test_quit_interrupt_and_closed_terminal_raise_the_error(desk, answer):
     terminal = ScriptedTerminal(answer)
     with pytest.raises(UnsavedWorkError, match="5 changes"):
         close_session(desk.session, terminal)
     assert terminal.num_asked == 1
 
 
-def test_an_interrupt_before_the_question_ends_with_the_error(desk, monkeypatch):
+def test_interrupt_before_the_question_raises_the_error(desk, monkeypatch):
     settle = desk.session.cases.unsaved
     calls = []
 
@@ -270,14 +270,14 @@ def test_an_interrupt_before_the_question_ends_with_the_error(desk, monkeypatch)
     assert terminal.num_asked == 0
 
 
-def test_changes_that_were_taken_back_count_as_unsaved(desk):
+def test_undone_changes_count_as_unsaved(desk):
     for _ in range(6):
         desk.session.do(c.Undo())
     (work,) = desk.session.cases.unsaved()
     assert work.labels == (f"undo: {saved_steps(desk)[-1]}",)
 
 
-def test_a_tip_that_moved_is_not_lost_work(desk):
+def test_moved_tip_is_not_unsaved_work(desk):
     clear(desk)
     desk.saved()
     fill(desk)
@@ -287,7 +287,7 @@ def test_a_tip_that_moved_is_not_lost_work(desk):
     assert terminal.num_asked == 0
 
 
-def test_a_failed_write_that_began_before_the_disk_recovered_is_repeated_at_once(desk, monkeypatch):
+def test_failed_write_that_began_before_the_disk_recovered_is_repeated_at_once(desk, monkeypatch):
     begun, goes_on = threading.Event(), threading.Event()
 
     def refuses(_moment):
@@ -298,7 +298,7 @@ def test_a_failed_write_that_began_before_the_disk_recovered_is_repeated_at_once
     with monkeypatch.context() as patch:
         patch.setattr(desk.files[-1], "save", refuses)
         desk.session.do(c.SetOutline("octagon"))
-        # An earlier attempt may still be failing: the next one is due 2 s after it on this clock.
+        # An earlier attempt may still be failing; the next attempt is due 2 s after it on this clock.
         for _ in range(100):
             desk.clock.advance(10.0)
             if begun.wait(WAIT_S / 100):
@@ -317,7 +317,7 @@ def test_a_failed_write_that_began_before_the_disk_recovered_is_repeated_at_once
     assert len(saved_steps(desk)) == 9
 
 
-def test_a_later_change_of_a_gesture_is_unsaved_and_a_command_that_no_file_holds_is_not(desk):
+def test_later_change_of_a_gesture_is_unsaved_and_a_command_that_no_file_stores_is_not(desk):
     moment = desk.session.ask(c.MomentToKeep())
     *steps, last = moment.steps
     later = replace(moment, steps=(*steps, replace(last, command=c.SetFov(91.0))))
@@ -326,7 +326,7 @@ def test_a_later_change_of_a_gesture_is_unsaved_and_a_command_that_no_file_holds
     assert unsaved_labels(moment, unknown) == unsaved_labels(unknown, moment) == ()
 
 
-def test_a_new_name_that_is_not_saved_counts_as_unsaved(desk, monkeypatch):
+def test_new_name_that_is_not_saved_counts_as_unsaved(desk, monkeypatch):
     clear(desk)
     desk.saved()
 
@@ -341,13 +341,13 @@ def test_a_new_name_that_is_not_saved_counts_as_unsaved(desk, monkeypatch):
     monkeypatch.undo()
 
 
-def test_a_thumbnail_is_not_made_where_the_case_could_not_be_saved(desk, caplog):
+def test_thumbnail_is_not_made_if_the_case_could_not_be_saved(desk, caplog):
     with pytest.raises(UnsavedWorkError):
         close_session(desk.session, ScriptedTerminal(is_interactive=False))
     assert "thumbnail" not in caplog.text
 
 
-def test_messages_hold_no_control_characters_and_a_bounded_number_of_labels(desk):
+def test_messages_have_no_control_characters_and_a_limited_number_of_labels(desk):
     (work,) = desk.session.cases.unsaved()
     hostile = replace(work, labels=(*["x\x1b[2J" * 1000] * 400,))
     assert "\x1b" not in hostile.shown_labels
@@ -355,13 +355,13 @@ def test_messages_hold_no_control_characters_and_a_bounded_number_of_labels(desk
     assert hostile.shown_labels.endswith("and 397 more")
 
 
-def test_nothing_is_unsaved_where_both_moments_are_the_same(desk):
+def test_equal_states_have_no_unsaved_changes(desk):
     moment = desk.session.ask(c.MomentToKeep())
     assert unsaved_labels(moment, moment) == ()
     assert unsaved_labels(None, moment) == desk.session.history()
 
 
-def test_a_program_whose_owner_has_gone_refuses_to_close_with_changes_in_no_file(desk, tmp_path):
+def test_program_without_its_owner_refuses_to_close_with_unsaved_changes(desk, tmp_path):
     moment = desk.session.ask(c.MomentToKeep())
     saved = MemoryFile.kept[str(desk.files[-1].path)][1]
     named = NamedCase()
@@ -374,11 +374,11 @@ def test_a_program_whose_owner_has_gone_refuses_to_close_with_changes_in_no_file
     named.check_saved(moment, kept=saved, live=tmp_path / "case.carina")
 
 
-def test_a_console_that_was_closed_is_not_interactive():
+def test_closed_console_is_not_interactive():
     assert not ConsoleTerminal(is_gone=True).is_interactive
 
 
-def test_the_terminal_gets_no_control_characters_of_file_names(capsys):
+def test_terminal_shows_no_control_characters_of_file_names(capsys):
     terminal = ConsoleTerminal()
     terminal.say("saved as cases/\x1b[31mred\x07.carina")
     shown = capsys.readouterr().err

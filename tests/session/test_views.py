@@ -1,4 +1,4 @@
-"""What the pictures of a session depend on: which of them a movement of the tip asks for again, and which not."""
+"""Dependencies of the views of a session: which views are rendered again after a movement or a setting."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_overviews_are_not_rendered_again_when_the_tip_moves():
     assert keys(session, OVERVIEWS) == before
 
 
-def test_projections_are_made_once_for_a_volume(monkeypatch):
+def test_projections_are_computed_once_per_volume(monkeypatch):
     calls = []
     real = _core.project_maximum
     monkeypatch.setattr(_core, "project_maximum", lambda hu: calls.append(1) or real(hu))
@@ -47,7 +47,7 @@ def test_projections_are_made_once_for_a_volume(monkeypatch):
     assert len(calls) == 1
 
 
-def test_a_c_arm_that_turns_asks_for_the_radiograph_alone():
+def test_turned_c_arm_requests_the_radiograph_only():
     session = opened()
     before = keys(session, OVERVIEWS)
     session.do(SetCarm(-30.0, 15.0, 0.5, "fluoroscopy"))
@@ -68,7 +68,7 @@ def test_views_along_the_route_need_a_route_and_change_with_it():
     assert keys(session, before) == {"straightened": None, "curved": None}
 
 
-def test_a_zoomed_view_along_the_route_follows_the_tip_on_it_and_beside_it():
+def test_zoomed_view_along_the_route_follows_the_tip_on_and_beside_it():
     session = opened()
     session.do(SetReformation(40.0, 0.25))
     session.do(GoTo(5.0))
@@ -83,20 +83,20 @@ def test_a_zoomed_view_along_the_route_follows_the_tip_on_it_and_beside_it():
     assert scene.spec("straightened", 60, 90, 0.5).centre_mm == pytest.approx(8.0, abs=0.5)
 
 
-def test_a_slice_stays_where_it_was_zoomed_until_the_tip_moves():
+def test_zoomed_slice_stays_in_place_until_the_tip_moves():
     session = opened()
     tip = session.pose_info().pose.position_lps
     centre = (float(tip[0]) + 9.0, float(tip[1]) - 4.0, 0.0)
     session.do(SetZoom(view="axial", mm_per_px=0.3, centre_lps=centre))
     view = session.scene().spec("axial", 60, 50, 0.5)
-    # Beside the tip, at the depth that is shown.
+    # The centre is beside the tip, at the depth that is shown.
     assert view.centre_lps == pytest.approx((centre[0], centre[1], tip[2]))
     assert view.mm_per_px == 0.3
     session.do(GoTo(3.0))
     followed = session.scene().spec("axial", 60, 50, 0.5)
     assert followed.centre_lps == pytest.approx(tuple(session.pose_info().pose.position_lps))
     assert followed.mm_per_px == 0.3
-    # A crosshair stays, and the slices with it, wherever the tip goes.
+    # A crosshair fixes the slices while the tip moves.
     session.do(SetCrosshair(tuple(float(v) for v in tip)))
     session.do(SetZoom(view="axial", mm_per_px=0.3, centre_lps=centre))
     session.do(GoTo(6.0))
@@ -105,7 +105,7 @@ def test_a_slice_stays_where_it_was_zoomed_until_the_tip_moves():
     assert session.scene().spec("axial", 60, 50, 0.5).centre_lps[:2] != pytest.approx(centre[:2])
 
 
-def test_a_panned_cut_plane_stays_in_its_plane_until_the_tip_moves():
+def test_panned_cut_plane_stays_in_its_plane_until_the_tip_moves():
     session = opened()
     pose = session.pose_info().pose
     right, down, forward = pose.lps_from_camera[:3, :3].T
@@ -118,14 +118,14 @@ def test_a_panned_cut_plane_stays_in_its_plane_until_the_tip_moves():
     picture = Renderer(small_volume()).render(scene.spec("cut-plane", 60, 40, 0.5))
     middle = picture.lps_from_pixel @ (30.0, 20.0, 0.0, 1.0)
     np.testing.assert_allclose(middle[:3], pose.position_lps + 3.0 * right - 2.0 * down, atol=1e-9)
-    # The plane goes with the tip, also where a crosshair holds the slices.
+    # The plane moves with the tip, also if a crosshair fixes the slices.
     session.do(SetCrosshair(tuple(float(v) for v in pose.position_lps)))
     session.do(GoTo(6.0))
     view = session.scene().spec("cut-plane", 60, 40, 0.5)
     assert (view.centre_lps, view.extent_mm) == (None, 12.0)
 
 
-def test_slabs_change_slices_and_views_along_the_route_and_nothing_else():
+def test_slabs_change_slices_and_views_along_the_route_only():
     session = opened()
     views = ("airway", "cut-plane", "tri-plane", "axial", "coronal", "sagittal", "tree", *OVERVIEWS)
     before = keys(session, views)
@@ -138,7 +138,7 @@ def test_slabs_change_slices_and_views_along_the_route_and_nothing_else():
     assert keys(session, views) == before
 
 
-def test_a_curved_picture_names_the_lines_of_its_rows():
+def test_curved_picture_has_the_lines_of_its_rows():
     session = opened()
     view = session.scene().spec("curved", 70, 100, 0.5)
     lines = Renderer(small_volume()).render(view).lines
@@ -152,9 +152,9 @@ def test_a_curved_picture_names_the_lines_of_its_rows():
                 np.array([np.interp(row, told.row, [p[a] for p in points]) for a in range(3)])
                 for points in (told.start_lps, told.step_lps)
             )
-            # A tenth of a pixel: between two rows that are named the path bends a little.
+            # Tolerance: a tenth of a pixel, because the path bends a little between two rows with lines.
             np.testing.assert_allclose(start + column * step, lines.lps_of(column, row), atol=0.1 * lines.mm_per_px)
     assert picture_lines(None) is None
-    # The tallest picture that a client may ask for still fits a header.
+    # The lines of the tallest picture that a client may request still fit into a header.
     tall = Renderer(small_volume()).render(session.scene().spec("straightened", 16, 4096, 0.5))
     assert len(encode(picture_lines(tall.lines))) < MAX_HEADER_BYTES / 2
