@@ -55,6 +55,14 @@ def test_bronchi_below_the_carina_do_not_count_to_the_length(bronchus_mm):
     assert cords.begins_at == bronchus_mm + 110
 
 
+def test_the_tree_begins_below_air_outside_that_was_reached_through_an_opening():
+    outside = [section(float(height), 90.0) for height in range(100, 190)]
+    found = the_cords([*trachea(100), *outside], None)
+    assert found is not None
+    assert not found.are_seen
+    assert found.root_above_carina_mm == pytest.approx(99.0, abs=1.0)
+
+
 def test_a_wide_trachea_may_be_longer():
     assert the_cords(trachea(170, 22.0), None) is None
     cords = the_cords(trachea(190, 22.0), None)

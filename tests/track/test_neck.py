@@ -14,6 +14,8 @@ from made import made_airways, made_phantom
 
 CHEST: dict[str, Any] = {"spacing_mm": 1.4, "generations": 4}
 WITH_NECK = {**CHEST, "neck": True}
+# The large airways, the neck, and the air in front of the neck.
+FRONT_OF_NECK_LPS = ((-110.0, -130.0, -80.0), (110.0, 70.0, 190.0))
 
 
 def searched(options: dict[str, Any]) -> tuple[Phantom, Airways]:
@@ -65,6 +67,15 @@ def test_a_tracheostomy_is_named_and_neither_leaks_nor_becomes_a_branch() -> Non
     made, found = searched({**WITH_NECK, "seed": 1, "tube": "tracheostomy"})
     begins_below_the_cricoid(made, found)
     names_the_tube(made, found, "a tracheostomy tube")
+
+
+@pytest.mark.parametrize("seed", [1, 4])
+def test_the_air_of_a_tracheostomy_is_not_followed_out_of_the_neck_in_thin_slices(seed: int) -> None:
+    options = {**WITH_NECK, "spacing_mm": (1.6, 1.6, 0.8), "noise_hu": 25.0, "box_lps": FRONT_OF_NECK_LPS}
+    made, found = searched({**options, "seed": seed, "tube": "tracheostomy"})
+    begins_below_the_cricoid(made, found)
+    names_the_tube(made, found, "a tracheostomy tube")
+    assert "track.larynx" in codes(found)
 
 
 def names_the_tube(made: Phantom, found: Airways, name: str) -> None:

@@ -26,7 +26,7 @@ SPREAD_PER_MM = 1.0
 BRIDGED_MM = 1.2
 # Closed vocal cords hide the air between trachea and vestibule for at most this length.
 LOST_MM = 14.0
-# Upper limit of air near a tube; lung is brighter.
+# Upper limit of air across the wall of a tube, and the greatest distance of this air; lung is brighter.
 AIR_HU = -930.0
 BESIDE_MM = 3.2
 ROUND_MM = 2.5
@@ -182,12 +182,14 @@ def follow_up(
             seeds, allowed = last, np.ones_like(last)
         else:
             last = _moved(below, moved[0] - corner[0], moved[1] - corner[1], values.shape)
-            allowed = spread(last, limit)
-            seeds = last & is_air
-            if tubes >= IN_A_TUBE:
-                seeds |= spread(last, beside) & (values < strict)
-                allowed = allowed | spread(last, beside)
-        region = grown(seeds & allowed, is_air & allowed)
+            seeds, allowed = last, spread(last, limit)
+        region = grown(seeds & is_air, is_air & allowed)
+        if tubes >= IN_A_TUBE:
+            # Add air across the wall of the tube, but no connected air: in thin slices, the air of a tracheostomy tube
+            # would be followed to the outside if it may move by this distance in each slice.
+            around = spread(last, beside)
+            connected = grown(region, is_air & around)
+            region |= grown(around & (values < strict) & ~connected, is_air & around)
         if not region.any():
             lost_mm += dz
             if lost_mm > LOST_MM or below is None:

@@ -68,6 +68,8 @@ CONE_MM = 9.0
 # Range of areas of sections above the carina, as shares of the median area; longer gaps than this end the trachea.
 AREAS_OF_TRACHEA = (0.6, 1.6)
 CARINA_GAP_MM = 4.0
+# A section that is larger than the trachea by this factor is throat, or air outside that was reached by an opening.
+WIDEST = 2.5
 # Smallest length of a tube in the trachea.
 LEAST_TUBE_MM = 12.0
 # Smallest median value of plastic between air and air, also after blur by thick slices. Noise that crosses the upper
@@ -234,10 +236,13 @@ def the_cords(sections: list[Section], tube: Tube | None) -> Cords | None:
             wanted = heights[at] - root_below_cords_mm(size)
             root = int(below[np.argmin(np.abs(heights[below] - wanted))])
             return Cords(at, root, float(heights[at] - heights[root]), size=size)
-    above = heights - heights[carina_of(sections)]
+    carina = carina_of(sections)
+    above = heights - heights[carina]
     usual_mm = 2.0 * float(np.sqrt(np.median([section.area_mm2 for section in sections]) / np.pi))
     if above[-1] > longest_trachea_mm(usual_mm):
-        root = int(np.flatnonzero(above <= usual_trachea_mm(usual_mm))[-1])
+        _, _, area_mm2 = _typical(sections[carina:], heights[carina:], None)
+        is_trachea = np.array([section.area_mm2 <= WIDEST * area_mm2 for section in sections])
+        root = int(np.flatnonzero((above <= usual_trachea_mm(usual_mm)) & is_trachea)[-1])
         return Cords(len(sections) - 1, root, float(above[-1] - above[root]), float(above[root]))
     return None
 
