@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -133,3 +135,48 @@ def test_clips_at_a_closed_end_are_seen_in_thin_slices():
 @pytest.mark.parametrize("paint", [forked, narrowing])
 def test_an_airway_that_goes_on_is_neither_blocked_nor_closed(paint, spacing):
     assert evidence(paint, spacing) is None
+
+
+WIDE_MM, FAINT_WALL_MM = 4.6, 1.2
+"""Radius of a wide bronchus, and a thickness of its wall that slices of 3 mm blur."""
+WIDE_BRANCH = dataclasses.replace(BRANCH, radius=np.full(25, WIDE_MM))
+
+
+def wide_stump(lung_hu=LUNG_HU, ahead=None):
+    """Return a painter of a wide bronchus that ends in a thin wall; ``ahead`` is the radius of an airway beyond."""
+
+    def paint(points, values):
+        values[:] = lung_hu
+        values[tube(points, TOP, (16.0, 16.0, END_Z - FAINT_WALL_MM), WIDE_MM + FAINT_WALL_MM)] = WALL_HU
+        if ahead is not None:
+            values[tube(points, END, BOTTOM, ahead + FAINT_WALL_MM)] = WALL_HU
+            values[tube(points, (16.0, 16.0, END_Z + 1.0), BOTTOM, ahead)] = AIR_HU
+        values[tube(points, TOP, END, WIDE_MM)] = AIR_HU
+        return values
+
+    return paint
+
+
+def wide_evidence(paint, spacing):
+    volume = painted(paint, spacing)
+    return find_end_evidence(volume, Across(volume), WIDE_BRANCH, 2.0 * WIDE_MM)
+
+
+@pytest.mark.parametrize("spacing", [THIN, THICK])
+def test_a_thin_wall_across_a_wide_end_closes_it(spacing):
+    assert wide_evidence(wide_stump(), spacing).kind == "closed"
+
+
+@pytest.mark.parametrize("spacing", [THIN, THICK])
+@pytest.mark.parametrize("radius", [1.5, 2.5])
+def test_a_wide_end_with_an_airway_beyond_its_thin_wall_is_not_closed(radius, spacing):
+    assert wide_evidence(wide_stump(ahead=radius), spacing) is None
+
+
+def test_a_wide_end_without_a_wall_that_rises_above_dense_lung_is_not_closed():
+    def no_wall(points, values):
+        values[:] = -680.0
+        values[tube(points, TOP, END, WIDE_MM)] = AIR_HU
+        return values
+
+    assert wide_evidence(no_wall, THICK) is None

@@ -44,6 +44,16 @@ LEAST_SECTIONS = 3
 LEAST_STUMP_MM = 5.0
 """Narrower ends are not judged: the next branches may be too thin for the CT."""
 CLOSED_HU = -600.0
+WIDE_MM, CLOSED_WIDE_HU = 7.0, -700.0
+"""Least width of a wide end, and the lowest value of the wall that closes a wide end.
+
+An airway that continues a wide end is wide enough for its lumen to show in slices of 3 mm, so a faint wall proves that
+there is none.
+"""
+LEAST_RISE_HU = 120.0
+"""Least rise from the lung to the wall of a wide end, unless the wall reaches ``CLOSED_HU``."""
+LUNG_FROM_MM = 4.0
+"""Distance from the wall of an end to the lung beside the end."""
 CLOSED_CONE_DEG = (0.0, 15.0, 30.0, 45.0, 60.0)
 CLOSED_STEP_DEG = 15.0
 CLIP_HU = 2000.0
@@ -155,9 +165,30 @@ def _filled_mm(volume: Volume, look: Across, tip: Points, axis: Points, width_mm
     return best
 
 
+def _lung_level(look: Across, tip: Points, width_mm: float) -> float:
+    """Return the median value of the lung beside an end; NaN if there is no lung."""
+    offsets = np.array([o for o in np.ndindex(3, 3, 3) if o != (1, 1, 1)], dtype=np.float64) - 1.0
+    directions = offsets / np.linalg.norm(offsets, axis=1)[:, None]
+    away = np.arange(0.5 * width_mm + LUNG_FROM_MM, FARTHEST_MM, STEP_MM)
+    values = look.values_at(tip + away[:, None, None] * directions)
+    lung = values[values < look.half]
+    return float(np.median(lung)) if len(lung) else float("nan")
+
+
+def _closed_level(look: Across, tip: Points, width_mm: float) -> float:
+    """Return the lowest value of a wall that closes an end of the given width."""
+    usual = float(look.scale.level(CLOSED_HU))
+    if width_mm < WIDE_MM:
+        return usual
+    rise = float(look.scale.level(LEAST_RISE_HU) - look.scale.level(0.0))
+    lung = _lung_level(look, tip, width_mm)
+    least = float(look.scale.level(CLOSED_WIDE_HU))
+    return least if np.isnan(lung) else min(max(least, lung + rise), usual)
+
+
 def _is_closed(look: Across, tip: Points, axis: Points, width_mm: float) -> bool:
     """Return whether there is a wall in every direction beyond an end, so that no open airway leaves it."""
-    level = float(look.scale.level(CLOSED_HU))
+    level = _closed_level(look, tip, width_mm)
     at = np.arange(0.0, 0.65 * width_mm + BEYOND_END_MM, STEP_MM)
     return all(
         float(look.along(tip + at[:, None] * direction, direction).max()) >= level
