@@ -12,7 +12,7 @@ from carina.track.find.across import Across
 from carina.track.tree.airway_tree import Branch
 from carina.volume.model import Volume
 
-__all__ = ["EndEvidence", "find_end_evidence"]
+__all__ = ["EndEvidence", "closed_level", "find_end_evidence", "has_clips", "is_closed"]
 
 Points = NDArray[np.float64]
 Floats = NDArray[np.float64]
@@ -56,6 +56,7 @@ LUNG_FROM_MM = 4.0
 """Distance from the wall of an end to the lung beside the end."""
 CLOSED_CONE_DEG = (0.0, 15.0, 30.0, 45.0, 60.0)
 CLOSED_STEP_DEG = 15.0
+LEAST_JUDGED = 0.6
 CLIP_HU = 2000.0
 """Surgical clips are brighter than bone, calcified cartilage and calcified lymph nodes."""
 CLIP_REACH_MM = 12.0
@@ -98,9 +99,9 @@ def find_end_evidence(volume: Volume, look: Across, branch: Branch, width_mm: fl
         return EndEvidence("tissue", tissue_mm, has_clips=False)
     if width_mm < LEAST_STUMP_MM:
         return None
-    if not _is_closed(look, branch.tip_lps, axis, width_mm):
+    if not is_closed(look, branch.tip_lps, axis, width_mm):
         return None
-    return EndEvidence("closed", 0.0, has_clips=_has_clips(volume, branch.tip_lps + 0.5 * width_mm * axis))
+    return EndEvidence("closed", 0.0, has_clips=has_clips(volume, branch.tip_lps + 0.5 * width_mm * axis))
 
 
 def _axis(branch: Branch) -> Points | None:
@@ -175,7 +176,7 @@ def _lung_level(look: Across, tip: Points, width_mm: float) -> float:
     return float(np.median(lung)) if len(lung) else float("nan")
 
 
-def _closed_level(look: Across, tip: Points, width_mm: float) -> float:
+def closed_level(look: Across, tip: Points, width_mm: float) -> float:
     """Return the lowest value of a wall that closes an end of the given width."""
     usual = float(look.scale.level(CLOSED_HU))
     if width_mm < WIDE_MM:
@@ -186,17 +187,35 @@ def _closed_level(look: Across, tip: Points, width_mm: float) -> float:
     return least if np.isnan(lung) else min(max(least, lung + rise), usual)
 
 
-def _is_closed(look: Across, tip: Points, axis: Points, width_mm: float) -> bool:
-    """Return whether there is a wall in every direction beyond an end, so that no open airway leaves it."""
-    level = _closed_level(look, tip, width_mm)
+def is_closed(
+    look: Across, tip: Points, axis: Points, width_mm: float, *, beside: tuple[Points, Floats] | None = None
+) -> bool:
+    """Return whether there is a wall in every direction beyond an end, so that no open airway leaves it.
+
+    Parameters
+    ----------
+    look
+        Sampler of the CT.
+    tip, axis, width_mm
+        End of the airway, direction of the airway, and its diameter.
+    beside
+        Centreline and radii of an airway that leaves at the end: directions that meet this airway are not judged. At
+        least ``LEAST_JUDGED`` of all directions must be left.
+    """
+    level = closed_level(look, tip, width_mm)
     at = np.arange(0.0, 0.65 * width_mm + BEYOND_END_MM, STEP_MM)
-    return all(
-        float(look.along(tip + at[:, None] * direction, direction).max()) >= level
-        for direction in _cone(axis, CLOSED_CONE_DEG)
-    )
+    directions = _cone(axis, CLOSED_CONE_DEG)
+    judged = directions
+    if beside is not None:
+        places = tip + at[None, at >= 0.5 * width_mm, None] * directions[:, None, :]
+        off_mm = np.linalg.norm(places[:, :, None, :] - beside[0], axis=-1) - beside[1]
+        judged = directions[off_mm.min(axis=(1, 2)) > 0.0]
+        if len(judged) < LEAST_JUDGED * len(directions):
+            return False
+    return all(float(look.along(tip + at[:, None] * way, way).max()) >= level for way in judged)
 
 
-def _has_clips(volume: Volume, point: Points) -> bool:
+def has_clips(volume: Volume, point: Points) -> bool:
     """Return whether metal is near a point."""
     if not volume.is_hu:
         return False
