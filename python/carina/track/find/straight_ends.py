@@ -33,8 +33,6 @@ MARGIN_MM = 1.0
 """Directions that come this near to the lumen of the narrow airway are not judged."""
 FARTHEST_RADII = 3.0
 """Largest distance from the end of the axis to the wall, in radii."""
-LEAST_BEYOND_MM = 1.0
-"""Least distance of the wall ahead from the tubes of the branch."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +72,7 @@ def find_straight_end(look: Across, branch: Branch) -> StraightEnd | None:
         return None
     # A thin wall across thick slices does not reach the half-way value: the peak is the place of this wall.
     wall = int(np.flatnonzero(values >= min(look.half, peak))[0])
-    if _off_tubes_mm(branch, ahead[wall]) < LEAST_BEYOND_MM:
+    if _off_tubes_mm(branch, ahead[wall]) < 0.0:
         return None
     tip = ahead[max(wall - round(radius_mm / STEP_MM), 0)]
     narrow = at >= at[index] + FADE_MM
