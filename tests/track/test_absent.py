@@ -304,3 +304,22 @@ def test_misses_in_coarse_scans_of_a_healthy_chest_are_never_reported_as_a_disea
     told = [*(absence.words for absence in airways.absent), *(place.reason for place in airways.uncertain)]
     assert told
     assert [words for words in told if DISEASE.search(words)] == []
+
+
+def test_a_stump_beside_a_branch_is_not_the_end_of_this_branch():
+    trunk = Branch(0, None, (1,), 0, "Trachea", "tracked", np.array([[0.0, 0, 0], [0, 0, -90]]), np.full(2, 8.0))
+    right = Branch(1, 0, (), 1, "RMB", "tracked", np.array([[0.0, 0, -90], [-30, 0, -130]]), np.full(2, 6.0))
+    tree = AirwayTree((trunk, right))
+    at_tip = msgspec.structs.replace(end("stump", 1, 12.0), lps=(-30.0, 0.0, -130.0))
+    beside = msgspec.structs.replace(at_tip, lps=(-12.0, 0.0, -106.0))
+    assert {one.kind for one in find_absent(tree, [at_tip]) if one.name[0] == "R"} == {"lost"}
+    assert {one.kind for one in find_absent(tree, [beside]) if one.name[0] == "R"} == {"nothing"}
+
+
+def test_a_stump_without_a_branch_of_its_own_is_listed_where_its_bronchus_ends():
+    made = carina.generate_phantom(seed=2, spacing_mm=(1.0, 1.0, 3.0), noise_hu=25.0, resected="RLL")
+    airways = carina.find_airways(made.volume)
+    (stump,) = [place for place in airways.uncertain if place.kind == "stump"]
+    ends = [branch["points"][-1] for branch in made.truth["branches"] if branch["name"] is None]
+    assert min(np.linalg.norm(np.array(end) - stump.lps) for end in ends) < 5.0
+    assert airways.tree.branch(stump.branch_id).name == "BI"

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from carina.track import Branch
 from carina.track.find.across import Across
 from carina.track.find.end_evidence import find_end_evidence
+from carina.track.find.straight_ends import find_straight_end
 from carina.volume import Volume
 
 LUNG_HU, WALL_HU, AIR_HU, TISSUE_HU, CLIP_HU = -860.0, 20.0, -1000.0, 30.0, 3000.0
@@ -133,3 +136,100 @@ def test_clips_at_a_closed_end_are_seen_in_thin_slices():
 @pytest.mark.parametrize("paint", [forked, narrowing])
 def test_an_airway_that_goes_on_is_neither_blocked_nor_closed(paint, spacing):
     assert evidence(paint, spacing) is None
+
+
+WIDE_MM, FAINT_WALL_MM = 4.6, 1.2
+"""Radius of a wide bronchus, and a thickness of its wall that slices of 3 mm blur."""
+WIDE_BRANCH = dataclasses.replace(BRANCH, radius=np.full(25, WIDE_MM))
+
+
+def wide_stump(lung_hu=LUNG_HU, ahead=None):
+    """Return a painter of a wide bronchus that ends in a thin wall; ``ahead`` is the radius of an airway beyond."""
+
+    def paint(points, values):
+        values[:] = lung_hu
+        values[tube(points, TOP, (16.0, 16.0, END_Z - FAINT_WALL_MM), WIDE_MM + FAINT_WALL_MM)] = WALL_HU
+        if ahead is not None:
+            values[tube(points, END, BOTTOM, ahead + FAINT_WALL_MM)] = WALL_HU
+            values[tube(points, (16.0, 16.0, END_Z + 1.0), BOTTOM, ahead)] = AIR_HU
+        values[tube(points, TOP, END, WIDE_MM)] = AIR_HU
+        return values
+
+    return paint
+
+
+def wide_evidence(paint, spacing):
+    volume = painted(paint, spacing)
+    return find_end_evidence(volume, Across(volume), WIDE_BRANCH, 2.0 * WIDE_MM)
+
+
+@pytest.mark.parametrize("spacing", [THIN, THICK])
+def test_a_thin_wall_across_a_wide_end_closes_it(spacing):
+    assert wide_evidence(wide_stump(), spacing).kind == "closed"
+
+
+@pytest.mark.parametrize("spacing", [THIN, THICK])
+@pytest.mark.parametrize("radius", [1.5, 2.5])
+def test_a_wide_end_with_an_airway_beyond_its_thin_wall_is_not_closed(radius, spacing):
+    assert wide_evidence(wide_stump(ahead=radius), spacing) is None
+
+
+def test_a_wide_end_without_a_wall_that_rises_above_dense_lung_is_not_closed():
+    def no_wall(points, values):
+        values[:] = -680.0
+        values[tube(points, TOP, END, WIDE_MM)] = AIR_HU
+        return values
+
+    assert wide_evidence(no_wall, THICK) is None
+
+
+NARROW_MM, TURN_Z = 2.4, 33.0
+"""Radius of an airway that leaves a wide bronchus sideways, and the height at which it leaves."""
+ASIDE = (28.0, 16.0, 19.0)
+
+
+def turned(ahead):
+    """Return a painter of a wide bronchus that a narrow airway leaves sideways above its end.
+
+    ``ahead`` is the height of the wide bronchus's end, None if the wide bronchus continues straight on.
+    """
+
+    def paint(points, values):
+        end = BOTTOM if ahead is None else (16.0, 16.0, ahead)
+        start = (16.0, 16.0, TURN_Z)
+        values[tube(points, TOP, (*end[:2], end[2] - 1.2), WIDE_MM + 1.2)] = WALL_HU
+        values[tube(points, start, ASIDE, NARROW_MM + 1.2)] = WALL_HU
+        values[tube(points, TOP, end, WIDE_MM)] = AIR_HU
+        values[tube(points, start, ASIDE, NARROW_MM)] = AIR_HU
+        return values
+
+    return paint
+
+
+def turning_branch(narrow_mm=NARROW_MM):
+    """Return the branch that a search finds there: the wide bronchus, and the narrow airway without a fork."""
+    wide = np.linspace([16.0, 16.0, 56.0], [16.0, 16.0, TURN_Z], 24)
+    narrow = np.linspace([16.0, 16.0, TURN_Z], ASIDE, 19)[1:]
+    radius = np.concatenate([np.full(24, WIDE_MM), np.full(18, narrow_mm)])
+    return Branch(1, 0, (), 2, "BI", "tracked", np.concatenate([wide, narrow]), radius)
+
+
+def straight_end(paint, spacing, branch):
+    return find_straight_end(Across(painted(paint, spacing)), branch)
+
+
+@pytest.mark.parametrize("spacing", [THIN, THICK])
+def test_a_wide_bronchus_that_ends_beside_a_narrow_airway_is_a_closed_end(spacing):
+    found = straight_end(turned(26.0), spacing, turning_branch())
+    assert found.width_mm == pytest.approx(2.0 * WIDE_MM)
+    assert found.axis @ [0.0, 0.0, -1.0] > 0.99
+    assert np.linalg.norm(found.lps - [16.0, 16.0, 30.0]) < 4.0
+
+
+@pytest.mark.parametrize("spacing", [THIN, THICK])
+def test_a_wide_bronchus_that_continues_beside_a_narrow_airway_is_no_closed_end(spacing):
+    assert straight_end(turned(None), spacing, turning_branch()) is None
+
+
+def test_an_airway_that_turns_without_narrowing_is_no_closed_end():
+    assert straight_end(turned(26.0), THIN, turning_branch(narrow_mm=0.8 * WIDE_MM)) is None

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.track.find.across import Across
-from carina.track.find.end_evidence import find_end_evidence
+from carina.track.find.end_evidence import find_end_evidence, has_clips
+from carina.track.find.straight_ends import find_straight_end
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.track.tree.uncertain import FAINT, Uncertainty, UncertaintyKind, slice_from_feet
 from carina.volume.model import Volume
@@ -28,6 +29,8 @@ AT_END_MM = 4.0
 # The calibre is measured from CALIBRE_MM to BLUNT_MM before the tip: the last part runs into the blind end.
 BLUNT_MM = 2.0
 CALIBRE_MM = 8.0
+# Stumps of lobar bronchi are in airways up to this generation; the trachea is generation 0.
+LAST_LOBAR_GENERATION = 3
 
 
 def find_uncertain(
@@ -76,6 +79,15 @@ def find_uncertain(
             listed.append((calibre_mm, _end(volume, look, branch, calibre_mm)))
             continue
         listed.append((calibre_mm, _uncertain(branch.tip_lps, kind, branch.id, calibre_mm)))
+    for branch in tree.branches:
+        if branch.generation > LAST_LOBAR_GENERATION or branch.parent is None:
+            continue
+        look = look or Across(volume)
+        straight = find_straight_end(look, branch)
+        if straight is not None:
+            stump = _uncertain(straight.lps, "stump", branch.id, straight.width_mm)
+            clips = has_clips(volume, straight.lps + 0.5 * straight.width_mm * straight.axis)
+            listed.append((straight.width_mm, msgspec.structs.replace(stump, has_clips=clips)))
     for branch in tree.branches:
         if branch.confidence is not None and branch.confidence < FAINT:
             middle = branch.points[len(branch.points) // 2]

@@ -12,7 +12,7 @@ from carina.track.find.across import Across
 from carina.track.tree.airway_tree import Branch
 from carina.volume.model import Volume
 
-__all__ = ["EndEvidence", "find_end_evidence"]
+__all__ = ["EndEvidence", "closed_level", "find_end_evidence", "has_clips", "is_closed"]
 
 Points = NDArray[np.float64]
 Floats = NDArray[np.float64]
@@ -44,8 +44,19 @@ LEAST_SECTIONS = 3
 LEAST_STUMP_MM = 5.0
 """Narrower ends are not judged: the next branches may be too thin for the CT."""
 CLOSED_HU = -600.0
+WIDE_MM, CLOSED_WIDE_HU = 7.0, -700.0
+"""Least width of a wide end, and the lowest value of the wall that closes a wide end.
+
+An airway that continues a wide end is wide enough for its lumen to show in slices of 3 mm, so a faint wall proves that
+there is none.
+"""
+LEAST_RISE_HU = 120.0
+"""Least rise from the lung to the wall of a wide end, unless the wall reaches ``CLOSED_HU``."""
+LUNG_FROM_MM = 4.0
+"""Distance from the wall of an end to the lung beside the end."""
 CLOSED_CONE_DEG = (0.0, 15.0, 30.0, 45.0, 60.0)
 CLOSED_STEP_DEG = 15.0
+LEAST_JUDGED = 0.6
 CLIP_HU = 2000.0
 """Surgical clips are brighter than bone, calcified cartilage and calcified lymph nodes."""
 CLIP_REACH_MM = 12.0
@@ -88,9 +99,9 @@ def find_end_evidence(volume: Volume, look: Across, branch: Branch, width_mm: fl
         return EndEvidence("tissue", tissue_mm, has_clips=False)
     if width_mm < LEAST_STUMP_MM:
         return None
-    if not _is_closed(look, branch.tip_lps, axis, width_mm):
+    if not is_closed(look, branch.tip_lps, axis, width_mm):
         return None
-    return EndEvidence("closed", 0.0, has_clips=_has_clips(volume, branch.tip_lps + 0.5 * width_mm * axis))
+    return EndEvidence("closed", 0.0, has_clips=has_clips(volume, branch.tip_lps + 0.5 * width_mm * axis))
 
 
 def _axis(branch: Branch) -> Points | None:
@@ -155,17 +166,56 @@ def _filled_mm(volume: Volume, look: Across, tip: Points, axis: Points, width_mm
     return best
 
 
-def _is_closed(look: Across, tip: Points, axis: Points, width_mm: float) -> bool:
-    """Return whether there is a wall in every direction beyond an end, so that no open airway leaves it."""
-    level = float(look.scale.level(CLOSED_HU))
+def _lung_level(look: Across, tip: Points, width_mm: float) -> float:
+    """Return the median value of the lung beside an end; NaN if there is no lung."""
+    offsets = np.array([o for o in np.ndindex(3, 3, 3) if o != (1, 1, 1)], dtype=np.float64) - 1.0
+    directions = offsets / np.linalg.norm(offsets, axis=1)[:, None]
+    away = np.arange(0.5 * width_mm + LUNG_FROM_MM, FARTHEST_MM, STEP_MM)
+    values = look.values_at(tip + away[:, None, None] * directions)
+    lung = values[values < look.half]
+    return float(np.median(lung)) if len(lung) else float("nan")
+
+
+def closed_level(look: Across, tip: Points, width_mm: float) -> float:
+    """Return the lowest value of a wall that closes an end of the given width."""
+    usual = float(look.scale.level(CLOSED_HU))
+    if width_mm < WIDE_MM:
+        return usual
+    rise = float(look.scale.level(LEAST_RISE_HU) - look.scale.level(0.0))
+    lung = _lung_level(look, tip, width_mm)
+    least = float(look.scale.level(CLOSED_WIDE_HU))
+    return least if np.isnan(lung) else min(max(least, lung + rise), usual)
+
+
+def is_closed(
+    look: Across, tip: Points, axis: Points, width_mm: float, *, beside: tuple[Points, Floats] | None = None
+) -> bool:
+    """Return whether there is a wall in every direction beyond an end, so that no open airway leaves it.
+
+    Parameters
+    ----------
+    look
+        Sampler of the CT.
+    tip, axis, width_mm
+        End of the airway, direction of the airway, and its diameter.
+    beside
+        Centreline and radii of an airway that leaves at the end: directions that meet this airway are not judged. At
+        least ``LEAST_JUDGED`` of all directions must be left.
+    """
+    level = closed_level(look, tip, width_mm)
     at = np.arange(0.0, 0.65 * width_mm + BEYOND_END_MM, STEP_MM)
-    return all(
-        float(look.along(tip + at[:, None] * direction, direction).max()) >= level
-        for direction in _cone(axis, CLOSED_CONE_DEG)
-    )
+    directions = _cone(axis, CLOSED_CONE_DEG)
+    judged = directions
+    if beside is not None:
+        places = tip + at[None, at >= 0.5 * width_mm, None] * directions[:, None, :]
+        off_mm = np.linalg.norm(places[:, :, None, :] - beside[0], axis=-1) - beside[1]
+        judged = directions[off_mm.min(axis=(1, 2)) > 0.0]
+        if len(judged) < LEAST_JUDGED * len(directions):
+            return False
+    return all(float(look.along(tip + at[:, None] * way, way).max()) >= level for way in judged)
 
 
-def _has_clips(volume: Volume, point: Points) -> bool:
+def has_clips(volume: Volume, point: Points) -> bool:
     """Return whether metal is near a point."""
     if not volume.is_hu:
         return False

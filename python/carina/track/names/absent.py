@@ -271,7 +271,10 @@ class _Found:
         self._ends = {
             place.branch_id: place
             for place in uncertain
-            if place.kind in ("volume", "blocked", "stump", "leak", "lost") and place.branch_id is not None
+            if place.kind in ("volume", "blocked", "stump", "leak", "lost")
+            and place.branch_id is not None
+            # A stump beside which a branch continues is not the end of this branch.
+            and not (place.kind == "stump" and _is_beside(place, self._branches.get(place.branch_id)))
         }
         self._is_fine = any(place.kind == "fine" for place in uncertain)
         self._unnamed: dict[int, frozenset[str]] | None = None
@@ -522,6 +525,11 @@ def _is_at_end(place: Uncertainty, branch: Branch) -> bool:
     """Return whether a branch ends at a filled place."""
     off_mm = float(np.linalg.norm(branch.tip_lps - np.array(place.lps)))
     return off_mm <= 0.5 * (place.length_mm or 0.0) + AT_END_MM
+
+
+def _is_beside(place: Uncertainty, branch: Branch | None) -> bool:
+    """Return whether a place is far from the tip of its branch."""
+    return branch is not None and float(np.linalg.norm(branch.tip_lps - np.array(place.lps))) > AT_END_MM
 
 
 def _kind(place: Uncertainty) -> AbsenceKind:

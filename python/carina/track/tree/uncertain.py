@@ -131,7 +131,7 @@ class Uncertainty(AirwayPlace, frozen=True, kw_only=True):
                 )
             case "stump":
                 clips = ", with surgical clips" if self.has_clips else ""
-                return f"the bronchus ends here, {width}, and its end is closed on all sides{clips}"
+                return f"the bronchus ends here, {width}, and a wall closes its end{clips}"
             case "filled":
                 return _filled_statement(self)
             case "faint":
