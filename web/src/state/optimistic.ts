@@ -16,12 +16,12 @@ export const NOT_SENT = Number.POSITIVE_INFINITY;
 /** Values by name that the user is changing. */
 export type Local<T> = { readonly [K in keyof T]?: Optimistic<T[K]> };
 
-/** The value, unless so many commands have been handled that what the server tells is the outcome. */
+/** Return the user's value, or null once the server has executed its command. */
 export function underWay<T>(local: Optimistic<T> | null, handled: number): Optimistic<T> | null {
   return local !== null && local.number > handled ? local : null;
 }
 
-/** Those of several values for which that holds. */
+/** Return the values whose commands the server has not executed yet. */
 export function allUnderWay<T extends object>(local: Local<T>, handled: number): Local<T> {
   const kept: { [K in keyof T]?: Optimistic<T[K]> } = {};
   for (const name of Object.keys(local) as (keyof T)[]) {
@@ -31,7 +31,7 @@ export function allUnderWay<T extends object>(local: Local<T>, handled: number):
   return kept;
 }
 
-/** What is shown: the server's values, and in their place those that a person is moving. */
+/** Return the values to show: the server's values, replaced by those that the user is changing. */
 export function shown<T extends object>(local: Local<T>, server: T): T {
   const value = { ...server };
   for (const name of Object.keys(local) as (keyof T)[]) {
