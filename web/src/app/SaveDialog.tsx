@@ -8,6 +8,7 @@ import type { ClientMessage, SavingInfo } from "../wire/messages";
 import { useApp, useStation } from "./context";
 import { Act } from "./controls";
 
+/** Render the dialog. */
 export function SaveDialog() {
   const station = useStation();
   const open = useApp((state) => state.ui.saveOpen);
