@@ -1,4 +1,4 @@
-/** Dialog that saves the case as a file under a name, and asks which content a file gets that was changed elsewhere. */
+/** Dialog that saves the case as a file under a name, and asks which content to keep if another process has changed the file. */
 
 import { useState } from "react";
 import { Button, Dialog, Form, Heading, Input, Label, Modal, ModalOverlay, TextField } from "react-aria-components";

@@ -5,11 +5,11 @@ import type { PointerHandlers } from "../input/pointer";
 import { greyWindow } from "../state/app-state";
 import type { Workstation } from "./workstation";
 
-/** Rotation of the outside camera per px of drag, degrees. */
+/** Rotation of the view per px of drag, degrees. */
 export const ORBIT_DEG_PER_PX = 0.5;
-/** Rotation of the outside camera per key press, degrees. */
+/** Rotation of the view per key press, degrees. */
 export const ORBIT_KEY_DEG = 5;
-/** Zoom per px of scrolling (natural logarithm). */
+/** Natural logarithm of the zoom factor per px of scrolling. */
 export const ZOOM_PER_PX = 0.0015;
 /** Scrolling, px, that one press of a zoom key corresponds to. */
 export const ZOOM_KEY_PX = 120;

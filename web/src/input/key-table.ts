@@ -635,7 +635,7 @@ export const MOUSE: readonly { readonly where: string; readonly what: readonly (
   },
 ];
 
-/** Texts about the windows for the key card. */
+/** Presets of the grey-value window, width and level in HU, by action. */
 export const WINDOWS = {
   window_airway: { width_hu: 1000, level_hu: -700 },
   window_lung: { width_hu: 1500, level_hu: -600 },

@@ -26,7 +26,7 @@ export function forkAhead(
   route: RouteInfo,
   pathMm: number,
   camera: Camera,
-  /** Branch that ends at the selected fork, if the tip is at an entry of the list of turns. */
+  /** Branch that ends at the selected fork, if the tip is at the viewpoint of a listed turn; null selects the next fork. */
   meant: number | null = null,
 ): ForkAhead | null {
   // At a look-out the fork of that look-out is selected, even if the previous fork is near.

@@ -48,7 +48,7 @@ describe("letters", () => {
 
 describe("the ring", () => {
   it("has the patient's right on the right when the scope comes from the head with anterior up", () => {
-    // View = inferior, up = anterior: right-hand = forward x up ... = patient right (reference: features, section 4).
+    // The camera looks inferior with anterior up: right = forward x up = patient right (reference: features, section 4).
     const marks = ringMarks({ right: [-1, 0, 0], down: [0, 1, 0] });
     const angle = (text: string) => marks.find((mark) => mark.text === text)?.angleRad;
     expect(angle("A")).toBeCloseTo(0);

@@ -1,4 +1,4 @@
-/** The named file of the open case: its path, and what the user can do where it was changed elsewhere. */
+/** The named file of the open case: its path, and the user's choices after another process has changed the file. */
 
 import type { SavingInfo } from "../wire/messages";
 

@@ -3,6 +3,7 @@
 import type { CaseInfo } from "../wire/messages";
 import { add, asVec3, column, cross, dot, scale, sub, type Vec3 } from "./vec";
 
+/** The voxel grid of the open volume: its affine matrix and shape. */
 export type Grid = Pick<CaseInfo, "lps_from_ijk" | "shape_zyx">;
 
 /** Return a point with its voxel coordinates limited to the box; exact on oblique grids. */

@@ -15,7 +15,7 @@ const OUTLINE_PX = 1.25;
 /** Opacity of the outline on a thick slice, because the outline differs between the planes within the slab. */
 const SLAB_ALPHA = 0.6;
 const LINE_PX = 1.5;
-/** Diameter of the lumen, px, below which the line is thinner, so that the lumen stays visible. */
+/** Radius of the lumen, px, below which the line is thinner, so that the lumen stays visible. */
 const NARROW_PX = 4;
 /** Distance, mm, over which a centreline fades out beyond the plane. */
 const FADE_MM = 2;

@@ -172,7 +172,7 @@ describe("a handle", () => {
     expect(samples()[0]).toMatchObject({ time_s: 99 });
     expect(samples()[0]?.handle?.[0]).toBeCloseTo(400, 9);
     expect(samples()[0]?.handle?.[1]).toBeCloseTo(Math.PI, 9);
-    // The lower end of the lever's range comes second.
+    // The lever is scaled by the limit with the larger magnitude, here the lower one (-128).
     expect(samples()[0]?.handle?.[2]).toBe(-1);
   });
 
