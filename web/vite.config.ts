@@ -5,7 +5,10 @@ import { defineConfig } from "vite";
 
 const page = (name: string) => fileURLToPath(new URL(name, import.meta.url));
 
-/** A running `carina`, to whom the pages served here are a program that shows its token, not a strange site. */
+/**
+ * Address of a running `carina`. Requests proxied from the development server carry the program's token, so that Carina
+ * does not reject them as cross-site requests.
+ */
 const address = process.env.CARINA_ADDRESS ?? "http://127.0.0.1:8765";
 const real = {
   target: address,
@@ -14,7 +17,7 @@ const real = {
 };
 
 export default defineConfig({
-  // Relative addresses: the same build works behind any path a hospital's proxy may put it at.
+  // Relative addresses, so that the same build works under any path of a reverse proxy.
   base: "./",
   plugins: [react()],
   build: {
@@ -26,7 +29,8 @@ export default defineConfig({
     rolldownOptions: {
       input: { index: page("index.html"), phone: page("phone.html") },
       output: {
-        // What both pages read lies in a file of its own, which the phone's server hands out too: by its name.
+        // Modules used by both pages are bundled into one chunk with a fixed name, which the phone's server also
+        // serves.
         manualChunks: (id: string) =>
           (/\/src\/(wire|net)\//.test(id) && !id.endsWith("/wire/views.ts")) || id.endsWith("schema.json")
             ? "phone-wire"
@@ -40,7 +44,7 @@ export default defineConfig({
       "/api": real,
     },
   },
-  // One environment for all files: they share no state, and a new one for each took ten times as long as the tests.
-  // Tests wait for nothing: the limit is for what hangs, however little of the processor others leave.
+  // All test files share one environment, because a new one per file took ten times as long as the tests. The timeout
+  // only stops a hanging test, even on a busy computer.
   test: { environment: "node", include: ["src/**/*.test.{ts,tsx}"], isolate: false, testTimeout: 120_000 },
 });

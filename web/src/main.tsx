@@ -17,7 +17,7 @@ function socketAddress(): string {
   return address.href;
 }
 
-// Behind the #, which no browser sends: the token of the link by which a watcher came.
+// The watcher's access token is in the URL fragment, because browsers do not send the fragment to the server.
 const station = new Workstation(() => new WebSocket(socketAddress()), location.hash.slice(1) || null);
 exposeForTests(station);
 station.start();

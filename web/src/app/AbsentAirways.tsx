@@ -1,4 +1,7 @@
-/** Lobes and segments of which no bronchus was found: each with its reason, and a way to look where it was lost. */
+/**
+ * Panel of the lobes and segments without a detected bronchus, each with its reason and a button that shows where the
+ * search ended.
+ */
 
 import { Button } from "react-aria-components";
 import { plural, sentence } from "../state/format";
@@ -9,6 +12,7 @@ import { showPlace } from "./gestures-flat";
 
 const NONE: readonly AbsentAirway[] = [];
 
+/** Render the lobes and segments without a detected bronchus. */
 export function AbsentAirways() {
   const station = useStation();
   const absent = useApp((state) => state.tree?.absent ?? NONE);
@@ -43,7 +47,7 @@ export function AbsentAirways() {
   );
 }
 
-/** What one closed bronchus leads to is lost for one reason, which is said once. */
+/** Group the airways that are missing behind the same closed bronchus, so that their common reason is shown once. */
 function togetherLost(absent: readonly AbsentAirway[]) {
   const groups = new Map<string, { names: string[]; reason: string; lps: AbsentAirway["lps"] }>();
   for (const { name, reason, lps } of absent) {

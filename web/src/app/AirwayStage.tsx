@@ -1,4 +1,4 @@
-/** The airway picture with its tools above it and its readings in the corners, outside the lumen. */
+/** The airway view with its tools above and its readings in the corners, outside the lumen. */
 
 import {
   Button,
@@ -34,6 +34,7 @@ import { PictureView } from "./PictureView";
 import { ScopeSelect } from "./ScopeSelect";
 import { ToolTag } from "./ToolTag";
 
+/** Render the airway view with its tools and readings. */
 export function AirwayStage() {
   const outline = useApp((state) => state.look.outline);
   const shown = useApp((state) => state.frames[LEAD_VIEW] !== undefined);
@@ -66,7 +67,7 @@ export function AirwayStage() {
   );
 }
 
-/** Red where the lens lies on the wall: the picture alone, not its ring and letters. */
+/** Render a red overlay on the picture, without ring and letters, while the lens touches the wall. */
 function RedOut() {
   const red = useApp((state) => state.pose?.scope?.red_out ?? 0);
   const shape = shapeOf(useApp((state) => state.look.outline));
@@ -75,7 +76,7 @@ function RedOut() {
   return <div className="red-out" data-shape={shape} style={style} data-testid="red-out" aria-hidden="true" />;
 }
 
-/** What a held scope does, and why it does not go on. */
+/** Render the state of the simulated scope, and the reason why it does not advance. */
 function ScopeReading() {
   const scope = useApp((state) => state.pose?.scope ?? null);
   if (scope === null) return null;
@@ -121,7 +122,7 @@ function scopeStop(scope: HeldScope): string | null {
   }
 }
 
-/** Says that the picture is not the airway view. */
+/** Render a label that the picture is the view finder and not the airway view. */
 function FinderLabel() {
   const standsIn = useApp((state) => state.frames[LEAD_VIEW]?.stands_for === LEAD_VIEW);
   if (!standsIn) return null;
@@ -133,7 +134,7 @@ function FinderLabel() {
   );
 }
 
-/** Says that the picture is black because there is nothing in it: the tip looks out of the CT. */
+/** Render a label that the picture is black because the tip looks out of the CT. */
 function EmptyLabel() {
   const station = useStation();
   const empty = useApp((state) => state.frames[LEAD_VIEW]?.empty ?? false);
@@ -333,7 +334,7 @@ function Fov() {
   );
 }
 
-/** How fast the tip flies, by whatever hand; nothing at rest. */
+/** Render the speed of the tip for every input device; nothing at rest. */
 function SpeedReading() {
   const speed = useApp((state) => state.speedMmS);
   if (speed === null) return null;
@@ -348,7 +349,7 @@ function SpeedReading() {
   );
 }
 
-/** How far the tip still is from the pen that it follows. */
+/** Render the distance between the tip and the pen that it follows. */
 function PenReading() {
   const words = useApp((state) => penOffWords(state.pen));
   if (words === null) return null;
@@ -359,7 +360,7 @@ function PenReading() {
   );
 }
 
-/** The wall point that was clicked last. */
+/** Render the facts about the last clicked wall point. */
 function WallReading() {
   const picks = useApp((state) => state.picks);
   const tree = useApp((state) => state.tree);
@@ -377,12 +378,12 @@ function WallReading() {
   );
 }
 
-/** Nearer than this the route is at its end. */
+/** Distance, mm, from the end of the route below which the tip counts as being at the end. */
 const AT_END_MM = 0.1;
 
 const hourWords = (hour: number | null): string => (hour === null ? "straight ahead" : `${hour} o\u2019clock`);
 
-/** Where the tip is, in the corners that the round picture leaves free. */
+/** Render the position of the tip in the corners outside the round picture. */
 function Readings() {
   const watches = useApp((state) => state.watches);
   const pose = useApp((state) => state.pose);
@@ -395,7 +396,7 @@ function Readings() {
   const turns = useApp((state) => state.plans?.turns ?? null);
   if (pose === null) return null;
   const camera = cameraFromMatrix(pose.lps_from_camera);
-  // Before a fork of the list of turns the tip stands by itself, and the fork is the one of the list.
+  // Before a fork of the list of turns the tip moves freely; the fork ahead is then the fork of the list.
   const turn = turnBefore(turns ?? [], camera.position);
   const meant = turn === null ? null : (turns?.[turn]?.fork_branch_id ?? null);
   const forkFrom =
@@ -414,7 +415,7 @@ function Readings() {
         {pose.inside ? (
           <strong>{pose.branch_name ?? node?.label ?? (tree === null ? "In the volume" : "Airway")}</strong>
         ) : (
-          // A held scope does not leave the lumen: its lens lies on the wall, in a voxel that is half wall.
+          // A simulated scope does not leave the lumen: its lens touches the wall, in a voxel that is half wall.
           <strong className="warning-text">{pose.scope === null ? "Outside the airway" : "Touching the wall"}</strong>
         )}
         {pose.generation === null ? null : <span>generation {pose.generation}</span>}

@@ -6,12 +6,13 @@ import { Messages } from "./Messages";
 import { StartPage } from "./StartPage";
 import { WorkstationPage } from "./WorkstationPage";
 
+/** Render the page: the start page, or the workstation with an open case. */
 export function App() {
   const station = useStation();
   const hasCase = useApp((state) => state.session?.case != null);
   const greeted = useApp((state) => state.start !== null && state.session !== null);
   const connection = useApp((state) => state.connection);
-  // Nothing of the patient stays on the screen of somebody who may not watch any more.
+  // Clear all patient data from the screen of a watcher whose access has ended.
   const sentAway = useApp((state) => state.watches && state.connection.status === "refused");
   return (
     <>

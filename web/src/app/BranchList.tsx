@@ -1,4 +1,6 @@
-/** The airway tree as a list. A branch that is chosen becomes the route; hovering shows it in all pictures. */
+/**
+ * The airway tree as a list. A click on a branch selects it as the route; hovering highlights the branch in all views.
+ */
 
 import { useEffect, useMemo, useRef, useState } from "react";
 import { Button, Input, type Key, SearchField, Tree, TreeItem, TreeItemContent } from "react-aria-components";
@@ -19,9 +21,10 @@ import { ListHead } from "./ListHead";
 import { ListToolTag } from "./ToolTag";
 import { UncertainPlaces } from "./UncertainPlaces";
 
-/** Open at first: as far as every bronchoscopist knows the names by heart. */
+/** Number of generations that are expanded at first: those whose names every bronchoscopist knows. */
 const OPEN_GENERATIONS = 2;
 
+/** Render the list of branches. */
 export function BranchList() {
   const station = useStation();
   const tree = useApp((state) => state.tree);
@@ -31,15 +34,18 @@ export function BranchList() {
   const routeEnd = useApp((state) => state.route?.spans.at(-1)?.branch_id ?? null);
   const chosen = rowOf(tree, routeEnd);
   const shown = useApp((state) => rowOf(state.tree, shownBranch(state)));
-  /** A row is a branch to cut, to smooth, or whose fork is moved. */
+  /** Whether a click on a row applies the active tool to a branch (cut, smooth, or move its fork). */
   const forTool = useApp((state) => wantsBranch(state.ui.armed, state.ui.forkHeld !== null));
-  /** Rows move up when one is cut: the second click of a double click must not mean the one that lies there then. */
+  /**
+   * Counts clicks by place, because rows move up after a cut and the second click of a double click must not apply to
+   * the next row.
+   */
   const clicks = useRef(new ClickCounter());
   const isRepeated = useRef(false);
   const [expanded, setExpanded] = useState<Set<Key>>(new Set());
   const [search, setSearch] = useState("");
   const list = useRef<HTMLDivElement>(null);
-  /** After an edit the list stays as it was opened; another case begins anew. */
+  /** The tree whose rows are expanded: the expansion stays after an edit and restarts with another case. */
   const known = useRef<BranchTree | null>(null);
 
   useEffect(() => {
@@ -56,7 +62,7 @@ export function BranchList() {
       .slice(0, -1)
       .map((node) => String(headOf(node).branch.id));
     setExpanded((old) => (open.every((id) => old.has(id)) ? old : new Set([...old, ...open])));
-    // After the rows above it are there.
+    // Scroll after the rows above have been rendered.
     requestAnimationFrame(() => list.current !== null && bringIntoList(list.current, shown));
   }, [tree, shown]);
 
@@ -154,7 +160,7 @@ function BranchSearch({ value, onChange }: { value: string; onChange: (text: str
       value={value}
       onChange={onChange}
       onKeyDown={(event) => {
-        // Esc in an empty field gives the keys back to the flight.
+        // Escape in an empty field returns the keyboard focus to the flight.
         if (event.key === "Escape" && value === "" && document.activeElement instanceof HTMLElement) {
           document.activeElement.blur();
         } else event.continuePropagation();
@@ -173,7 +179,9 @@ function BranchSearch({ value, onChange }: { value: string; onChange: (text: str
   );
 }
 
-/** Marks the branches of the tip, of the cursor and of the panel without rendering hundreds of rows again. */
+/**
+ * Highlight the branches of the tip, the cursor and the panel by style rules, without rendering hundreds of rows again.
+ */
 function RowStyles({ tree }: { tree: BranchTree }) {
   const here = useApp((state) => rowOf(tree, state.pose?.branch_id ?? null));
   const pointed = useApp((state) => state.ui.hovered?.branchId ?? null);
@@ -200,14 +208,14 @@ function RowStyles({ tree }: { tree: BranchTree }) {
   return rules.length === 0 ? null : <style>{rules.join("\n")}</style>;
 }
 
-/** Scrolls the list alone: on a tablet the page must stay where the person is. */
+/** Scroll only the list, because the page must not scroll on a tablet. */
 function bringIntoList(list: HTMLElement, branchId: number): void {
   const row = list.querySelector(`[data-branch="${branchId}"]`)?.getBoundingClientRect();
   const box = list.querySelector(".branch-tree");
   if (row === undefined || box === null) return;
   const { top, bottom } = box.getBoundingClientRect();
   if (row.top < top) box.scrollTop -= top - row.top;
-  // By whole rows: none is left half at the top.
+  // Scroll by whole rows, so that no row is cut off at the top.
   else if (row.bottom > bottom)
     box.scrollTop = Math.ceil((box.scrollTop + row.bottom - bottom) / row.height) * row.height;
 }
@@ -225,7 +233,9 @@ if (typeof window !== "undefined") {
   window.addEventListener("keydown", () => (lastInput = "key"), { capture: true });
 }
 
-/** After a click the arrows fly again; who moves through the list by keys keeps them in the list. */
+/**
+ * Return the focus to the flight after a click; a user who moves through the list by keys keeps the focus in the list.
+ */
 function giveKeysBackAfterClick(): void {
   if (lastInput !== "pointer") return;
   requestAnimationFrame(() => {
@@ -282,7 +292,7 @@ function Row({ node, only }: { node: BranchNode; only: ReadonlySet<number> | nul
   );
 }
 
-/** The first piece of a branch's row, which stands for it in the list; null where there is none. */
+/** Return the first branch of a branch's row, which represents it in the list; null if there is none. */
 function rowOf(tree: BranchTree | null, id: number | null): number | null {
   const node = id === null ? undefined : tree?.byId.get(id);
   return node === undefined ? null : headOf(node).branch.id;

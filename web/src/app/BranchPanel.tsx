@@ -1,4 +1,4 @@
-/** One branch: what it is called and how sure that is, its figures with their errors, its lumen along the way. */
+/** Panel of one branch: its name with confidence, its measurements with errors, and the lumen along the branch. */
 
 import { useEffect, useId, useState } from "react";
 import { Input, TextField } from "react-aria-components";
@@ -15,6 +15,7 @@ import { ProfileChart } from "./ProfileChart";
 
 let requests = 0;
 
+/** Render the panel of the selected branch. */
 export function BranchPanel() {
   const station = useStation();
   const id = useApp(shownBranch);
@@ -101,7 +102,7 @@ function BranchName({ node }: { node: BranchNode }) {
   );
 }
 
-/** Typed in place: Enter keeps it, Esc leaves it as it was. */
+/** Render the name as an editable field: Enter saves the name, Escape restores it. */
 function NameField({ node }: { node: BranchNode }) {
   const station = useStation();
   const [text, setText] = useState(node.branch.name ?? "");

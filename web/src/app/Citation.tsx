@@ -1,10 +1,11 @@
-/** Source and licence of a bundled case: short and never cut, the whole text one press away. */
+/** Source and licence of a bundled case: a short text that is never cut off, and a button for the full text. */
 
 import { Button, Dialog, DialogTrigger, Popover } from "react-aria-components";
 import { citationLine } from "../state/citation";
 import type { Citation as CitationFields } from "../wire/messages";
 import { Tip } from "./controls";
 
+/** Render a citation. */
 export function Citation({ from }: { from: CitationFields }) {
   return (
     <DialogTrigger>

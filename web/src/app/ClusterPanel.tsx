@@ -1,10 +1,11 @@
-/** Rendering machines with this one: a few words, and behind them who does how much and who is late. */
+/** The computers that render together with this one: a short status, and a panel with the share and delay of each. */
 
 import { Button, Dialog, DialogTrigger, Popover } from "react-aria-components";
 import { clusterWords, memberWords, needsLook } from "../state/cluster-words";
 import { fixed } from "../state/format";
 import { useApp } from "./context";
 
+/** Render the status of the rendering computers. */
 export function ClusterPanel() {
   const cluster = useApp((state) => state.cluster);
   if (cluster === null) return null;

@@ -1,9 +1,10 @@
-/** A case that was kept is continued, which loses nothing; here it is said, and another can be begun (decision 0127). */
+/** Notice that a saved case is continued, with a button that begins a new case (decision 0127). */
 
 import { continuedWords } from "../state/case-list";
 import { useApp, useStation } from "./context";
 import { Act } from "./controls";
 
+/** Render the notice about a continued case. */
 export function ContinuedBar() {
   const station = useStation();
   const saving = useApp((state) => state.session?.saving ?? null);

@@ -1,4 +1,4 @@
-/** Input devices: what is there, what it says, how it moves the tip, and where its space lies in the patient. */
+/** Panel of input devices: their list and values, how they move the tip, and their calibration to the patient. */
 
 import { useState } from "react";
 import { Input, TextField } from "react-aria-components";
@@ -22,10 +22,11 @@ const CONTROLS = [
 ] as const;
 const MIN_PAIRS = 3;
 
+/** Render the panel of input devices. */
 export function DevicePanel() {
   const station = useStation();
   const told = useApp((state) => state.devices);
-  // What was paired with a place in one case says nothing about another.
+  // A calibration belongs to one case, so another case discards it.
   const caseNumber = useApp((state) => state.session?.case?.number);
   const missing = station.devices.missing();
   return (
@@ -68,7 +69,7 @@ export function DevicePanel() {
 
 function Movement({ told }: { told: DevicesMessage }) {
   const station = useStation();
-  // The server writes every field, also those that a client may leave out.
+  // The server sends every field, including those that a client may omit.
   const controls = told.controls as Required<DeviceControls>;
   const change = (changed: DeviceControls) =>
     station.send({ type: "set_controls", controls: { ...controls, ...changed } });
@@ -133,7 +134,7 @@ function Movement({ told }: { told: DevicesMessage }) {
   );
 }
 
-/** What is left between the pen and the tip in absolute movement. */
+/** Render the offset between the pen and the tip in absolute movement. */
 function PenOffset() {
   const station = useStation();
   const words = useApp((state) => penOffWords(state.pen));
@@ -184,7 +185,7 @@ function HeadsetGroup() {
   );
 }
 
-/** A calibration that is being made. */
+/** A calibration in progress. */
 interface Begun {
   readonly isOpen: boolean;
   readonly pairs: readonly CalibrationPair[];
@@ -192,7 +193,7 @@ interface Begun {
 
 const NOT_BEGUN: Begun = { isOpen: false, pairs: [] };
 
-/** The devices, and the calibrations that were begun: a tracker that falls silent leaves the list, and may come back. */
+/** Render the devices and the calibrations in progress; a tracker that sends nothing leaves the list and may return. */
 function Devices({ devices }: { devices: readonly DeviceInfo[] }) {
   const [begun, setBegun] = useState<ReadonlyMap<string, Begun>>(new Map());
   return devices.map((each) => (
@@ -229,7 +230,8 @@ function Device({ device, begun, onCalibrate }: DeviceProps) {
         />
       )}
       {device.position_mm === null ? null : <Calibration device={device} begun={begun} onCalibrate={onCalibrate} />}
-      {/* Last: its lines grow while samples come, and nothing below the cursor may move. */}
+      {/* The values are last, because their lines grow with the samples and must not move the controls under the
+          cursor. */}
       <p className="quiet numbers">
         filter delay {fixed(device.latency_ms, 1)} ms, {plural(device.num_used, "sample")}
         {device.num_ignored === 0 ? "" : `, ${device.num_ignored} ignored (${device.ignored_words})`}
@@ -248,7 +250,7 @@ function valueWords(device: DeviceInfo): string {
   return `${device.axes.map((v) => fixed(v, 2)).join("  ")}${buttons}`;
 }
 
-/** Pairs of points: hold the pen at a place, put the crosshair there, take the pair. */
+/** Render a calibration by point pairs: hold the pen at a place, move the crosshair there, add the pair. */
 function Calibration({ device, begun, onCalibrate }: DeviceProps) {
   const station = useStation();
   const { isOpen, pairs } = begun;

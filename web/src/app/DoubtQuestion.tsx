@@ -1,4 +1,6 @@
-/** At the tool: whether to draw by hand what the CT does not show. Enter draws it, Esc does not. */
+/**
+ * Question beside the tool whether to draw a branch by hand that the CT does not show. Enter draws it, Escape cancels.
+ */
 
 import { useEffect } from "react";
 import { keyOf } from "../input/keymap";
@@ -6,6 +8,7 @@ import { doubtWords } from "../state/edit-preview";
 import { useApp, useStation } from "./context";
 import { Act } from "./controls";
 
+/** Render the question. */
 export function DoubtQuestion() {
   const station = useStation();
   const doubt = useApp((state) => state.doubt);
@@ -14,15 +17,15 @@ export function DoubtQuestion() {
     const onKey = (event: KeyboardEvent) => {
       const typing = event.target instanceof HTMLInputElement || event.target instanceof HTMLTextAreaElement;
       if (event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey || typing) return;
-      // A button that has the focus is pressed by Enter itself.
+      // Enter on a focused button presses that button.
       const onButton = event.target instanceof HTMLElement && event.target.closest("button, a, [role=row]") !== null;
       if (event.key !== "Enter" || onButton) return;
-      // Held since the tool was used by it: that is no second answer.
+      // A repeated key event is from the Enter key that applied the tool, and not an answer.
       if (!event.repeat) station.answerDoubt(true);
       event.preventDefault();
       event.stopImmediatePropagation();
     };
-    // Before the pictures, where Enter uses the tool. Esc is the keymap's.
+    // Capture Enter before the views, where Enter applies the tool. The keymap handles Escape.
     window.addEventListener("keydown", onKey, { capture: true });
     return () => window.removeEventListener("keydown", onKey, { capture: true });
   }, [doubt, station]);

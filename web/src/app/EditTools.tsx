@@ -1,4 +1,4 @@
-/** Mending the tree: one tool in the hand at a time, with what to do and how to put it down. */
+/** Tools that edit the airway tree: one tool at a time is active, with its instruction and a way to deactivate it. */
 
 import { type Action, keyOf } from "../input/keymap";
 import { shownBranch } from "../state/app-state";
@@ -20,6 +20,7 @@ const ACTIONS: Readonly<Record<TreeTool, Action>> = {
   reroot: "tool_reroot",
 };
 
+/** Render the tools. */
 export function EditTools() {
   const station = useStation();
   const armed = useApp((state) => state.ui.armed);
@@ -50,7 +51,7 @@ export function EditTools() {
   );
 }
 
-/** What is in the hand: what to do with it, and its settings. */
+/** Render the instruction and the settings of the active tool. */
 export function ToolInHand() {
   const station = useStation();
   const armed = useApp((state) => state.ui.armed);

@@ -1,4 +1,4 @@
-/** A number out of a few that make sense, with its unit. */
+/** A number selected from a list of values, with its unit. */
 
 import { useRef } from "react";
 import { Button, Label, ListBox, ListBoxItem, Popover, Select, SelectValue } from "react-aria-components";
@@ -7,16 +7,16 @@ import { Tip } from "./controls";
 import { Icon } from "./icons";
 
 interface FigureProps {
-  /** Beside it, or to be heard only. */
+  /** The label, visible or for screen readers only. */
   label: string;
   quiet?: boolean;
-  /** On hovering. */
+  /** The tooltip. */
   words?: string;
   unit: string;
-  /** Null is `none`. */
+  /** The value; null is shown as `none`. */
   value: number | null;
   choices: readonly number[];
-  /** What null is called; without it there is always a number. */
+  /** The text for null; without it the value is always a number. */
   none?: string;
   testId?: string;
   onChange: (value: number | null) => void;
@@ -24,9 +24,10 @@ interface FigureProps {
 
 const NONE = "none";
 
-/** The list gives the focus to its button when it has left the page. */
+/** Time, ms, after which the closed list has returned the focus to its button. */
 const GONE_MS = 100;
 
+/** Render a number with its list of values. */
 export function Figure({ label, quiet = false, words, unit, value, choices, none, testId, onChange }: FigureProps) {
   const known = value === null || choices.includes(value) ? choices : [...choices, value].sort((a, b) => a - b);
   const text = (choice: number | null): string =>
@@ -34,7 +35,7 @@ export function Figure({ label, quiet = false, words, unit, value, choices, none
   const all: readonly (number | null)[] = none === undefined ? known : [null, ...known];
   const keyOf = (choice: number | null): string => (choice === null ? NONE : String(choice));
   const byPointer = useRef(false);
-  /** A choice by the mouse gives the keys back to the flight: else the space bar would open the list again. */
+  /** Return the focus to the flight after a choice by mouse; otherwise the space bar would open the list again. */
   const giveKeysBack = (open: boolean) => {
     if (open || !byPointer.current) return;
     byPointer.current = false;

@@ -1,4 +1,4 @@
-/** Recording: its switch, and the flights that were recorded into the case. */
+/** Recording of flights: its switch, and the flights recorded in the case. */
 
 import { useState } from "react";
 import { Button, Input, Slider, SliderThumb, SliderTrack, TextArea, TextField } from "react-aria-components";
@@ -9,6 +9,7 @@ import { useApp, useStation } from "./context";
 import { Act, SwitchKey, Tip } from "./controls";
 import { Icon } from "./icons";
 
+/** Render the switch of the recording. */
 export function RecordSwitch() {
   const station = useStation();
   const recording = useApp((state) => state.devices?.recording ?? null);
@@ -28,7 +29,7 @@ export function RecordSwitch() {
   );
 }
 
-/** The file that is being recorded to, or the flights of the case. */
+/** Render the current recording, or the flights of the case. */
 export function FlightList() {
   const recording = useApp((state) => state.devices?.recording ?? null);
   const keeps = useApp((state) => state.session?.saving.keeps ?? false);
@@ -108,11 +109,11 @@ function FlightRow({ flight, first, last, open, onOpen }: RowProps) {
   );
 }
 
-/** The time in a flight that is flown again: to be seen, and moved. */
+/** Render the position slider of a replayed flight. */
 function Bar({ flight }: { flight: FlightInfo }) {
   const station = useStation();
   const atS = useApp((state) => (state.flownFlight === flight.number ? state.replaying.atS : null));
-  // Off the flight the bar stands where it was left, and says so.
+  // While the tip is not on the flight, the slider keeps its last position and shows that state.
   const on = useApp((state) => state.pose?.flight?.number === flight.number);
   if (atS === null || flight.length_s <= 0) return null;
   return (
@@ -221,16 +222,16 @@ interface WrittenProps {
   maxLength: number;
   long?: boolean;
   value: string;
-  /** False takes what was typed back. */
+  /** Handle a changed text; return false to restore the previous text. */
   onChange: (value: string) => boolean;
 }
 
-/** A text of one's own: sent when the field is left (or by Enter), taken back by Esc. */
+/** Render a text field: the text is sent when the field loses focus or on Enter, and restored on Escape. */
 function Written({ label, testId, maxLength, long = false, value, onChange }: WrittenProps) {
   const [typed, setTyped] = useState<string | null>(null);
   const [before, setBefore] = useState(value);
   if (before !== value) {
-    // The server has answered, or another window has changed it.
+    // The server has answered, or another window has changed the text.
     setBefore(value);
     setTyped(null);
   }

@@ -1,4 +1,7 @@
-/** What was done to the case, the newest last; a click goes there, which takes back what is below, until it is done again. */
+/**
+ * List of the commands executed on the case, latest last. A click on a step undoes the steps below it, or redoes the
+ * steps up to it.
+ */
 
 import { useEffect, useRef } from "react";
 import { Button } from "react-aria-components";
@@ -7,6 +10,7 @@ import { useApp, useStation } from "./context";
 import { Tip } from "./controls";
 import { ListHead } from "./ListHead";
 
+/** Render the history. */
 export function HistoryList() {
   const station = useStation();
   const history = useApp((state) => state.history);
@@ -16,7 +20,7 @@ export function HistoryList() {
   const step = history?.step ?? 0;
   // biome-ignore lint/correctness/useExhaustiveDependencies: the row that holds is another one at each step
   useEffect(() => {
-    // Newer browsers give a promise back, which would be taken for the effect's end.
+    // Do not return the result: in newer browsers it is a promise, which React would take for a cleanup function.
     here.current?.scrollIntoView({ block: "nearest" });
   }, [step]);
   const rows = [{ label: "Case opened", at_s: null }, ...(history?.steps ?? [])];

@@ -1,4 +1,4 @@
-/** Long work: a thin bar with what, how far, how long, and a way to stop it. */
+/** Progress of long jobs: a thin bar with title, fraction, remaining time and a cancel button. */
 
 import { useState } from "react";
 import { ProgressBar } from "react-aria-components";
@@ -14,8 +14,9 @@ interface ThinProgressProps {
   onCancel: () => void;
 }
 
+/** Render the progress of one job. */
 export function ThinProgress({ title, what, fraction, secondsLeft, onCancel }: ThinProgressProps) {
-  // A step of the work may have to end first; the bar goes once it is given up.
+  // A step of the job may have to finish first; the bar disappears after the cancellation.
   const [isCancelling, setCancelling] = useState(false);
   return (
     <ProgressBar
@@ -52,6 +53,7 @@ export function ThinProgress({ title, what, fraction, secondsLeft, onCancel }: T
   );
 }
 
+/** Render the progress of all jobs. */
 export function Jobs() {
   const station = useStation();
   const jobs = useApp((state) => state.jobs);

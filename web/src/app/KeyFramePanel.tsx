@@ -1,4 +1,4 @@
-/** Key frames: the list, the flight through them, and the file that a film is made of. */
+/** Panel of key frames: the list, the flight through the key frames, and the file from which a film is rendered. */
 
 import { useState } from "react";
 import { Button, FileTrigger, Input, Slider, SliderThumb, SliderTrack, TextField } from "react-aria-components";
@@ -13,6 +13,7 @@ import { Act, Choice, Tip } from "./controls";
 import { Figure } from "./Figure";
 import { Icon } from "./icons";
 
+/** Render the panel of key frames. */
 export function KeyFramePanel() {
   const station = useStation();
   const told = useApp((state) => state.keyFrames);
@@ -96,7 +97,7 @@ interface RowProps {
 function KeyRow({ frame, number, last, here, timed, open, onOpen }: RowProps) {
   const station = useStation();
   const id = frame.key_id;
-  // As the list of branches calls it.
+  // Use the label of the list of branches.
   const branch = useApp((state) =>
     frame.branch_id === null ? undefined : state.tree?.byId.get(frame.branch_id)?.label,
   );
@@ -226,11 +227,11 @@ function KeyTools({ frame, first, last }: { frame: ShownKeyFrame; first: boolean
   );
 }
 
-/** Play, stop, and the bar of the flight. */
+/** Render the playback buttons and the position slider. */
 function Player({ told }: { told: KeyFramesMessage }) {
   const station = useStation();
   const playing = useApp((state) => state.playing);
-  // Off the flight the bar stands where it was left, and says so.
+  // While the tip is not on the flight, the slider keeps its last position and shows that state.
   const on = useApp((state) => state.pose?.key_frames_s != null);
   if (told.duration_s <= 0) {
     return told.problem === null ? null : <p className="warning-text">{sentence(told.problem)}</p>;

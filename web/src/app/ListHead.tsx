@@ -1,4 +1,4 @@
-/** The head of the list in the left column, where another list can be chosen. */
+/** Head of the list in the left column, with the selection of the list. */
 
 import type { ReactNode } from "react";
 import { Button } from "react-aria-components";
@@ -11,6 +11,7 @@ const LISTS = [
   { list: "history", title: "History", words: "Edit history: return to any step" },
 ] as const;
 
+/** Render the head of the list. */
 export function ListHead({ children }: { children?: ReactNode }) {
   const station = useStation();
   const shown = useApp((state) => state.ui.list);

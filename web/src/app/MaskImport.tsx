@@ -1,4 +1,4 @@
-/** A mask of another tool as the airways: chosen or dropped, and asked about where it must be. */
+/** Import of a mask of another program as the airways: file selection, drop, and the question about its contents. */
 
 import { type DragEvent, useEffect, useState } from "react";
 import {
@@ -19,7 +19,7 @@ import { useApp, useStation } from "./context";
 import { Tip } from "./controls";
 import { Icon } from "./icons";
 
-/** By the system's own dialogue; the same file may be dropped anywhere on the window. */
+/** Render a button that selects a file with the system's dialog; the file can also be dropped on the window. */
 export function MaskPicker() {
   const station = useStation();
   return (
@@ -42,12 +42,12 @@ export function MaskPicker() {
   );
 }
 
-/** While files are dragged over the window: what to do with them. */
+/** Render the choice of what to do with files that are dragged over the window. */
 export function DropChoice() {
   const station = useStation();
   const [dragged, setDragged] = useState(false);
   const [over, setOver] = useState<"mask" | "case" | null>(null);
-  // One question at a time: a mask that waits for its answer comes first.
+  // A mask whose question is unanswered comes first, so that only one question is open.
   const asked = useApp((state) => state.session?.mask_question != null);
   useEffect(() => {
     const end = () => {
@@ -56,7 +56,7 @@ export function DropChoice() {
     };
     const drag = (event: globalThis.DragEvent) => {
       if (event.dataTransfer?.types.includes("Files") !== true) return;
-      // Without this the browser would leave the page and show the file.
+      // Without this call the browser would leave the page and show the file.
       event.preventDefault();
       setDragged(true);
     };
@@ -107,6 +107,7 @@ export function DropChoice() {
   );
 }
 
+/** Render the question about a mask. */
 export function MaskDialog() {
   const station = useStation();
   const question = useApp((state) => state.session?.mask_question ?? null);

@@ -1,4 +1,7 @@
-/** Errors and news: one place, newest first. Errors stay until they are read; news leave by themselves. */
+/**
+ * Errors and notices in one place, latest first. Errors stay until the user closes them; notices disappear after a
+ * time.
+ */
 
 import { useEffect } from "react";
 import type { Message } from "../state/app-state";
@@ -7,11 +10,12 @@ import { useApp, useStation } from "./context";
 import { Act } from "./controls";
 import { Icon } from "./icons";
 
-/** Long enough to read two lines twice. */
+/** Time, ms, for which a notice is shown: enough to read two lines twice. */
 const NOTICE_MS = 8000;
-/** So many messages get one button for all of them. */
+/** Number of messages from which one button closes all of them. */
 const MANY = 3;
 
+/** Render the messages. */
 export function Messages() {
   const { store } = useStation();
   const messages = useApp((state) => state.messages);

@@ -1,4 +1,4 @@
-/** The route as a ruler: where the tip is, the forks, the branches' names and generations. */
+/** The route as a ruler: position of the tip, forks, and the branches' names and generations. */
 
 import { useLayoutEffect, useRef, useState } from "react";
 import { Slider, SliderThumb, SliderTrack } from "react-aria-components";
@@ -13,9 +13,10 @@ import { useApp, useStation } from "./context";
 import { Act } from "./controls";
 import { Figure } from "./Figure";
 
-/** Width of a letter at the size of the names, generous: a name that may not fit is not begun. */
+/** Estimated width of a letter of the names, px, generous so that only names that fit are shown. */
 const LETTER_PX = 6.6;
 
+/** Render the ruler of the route. */
 export function PathBar() {
   const station = useStation();
   const route = useApp((state) => state.route);
@@ -32,7 +33,7 @@ export function PathBar() {
       </section>
     );
   }
-  // What follows the tip is a part of its own: the rest is not made again with every pose.
+  // The elements that follow the tip are separate components, so that a new pose does not render the rest again.
   return (
     <section className="path-bar" aria-label="Route" inert={watches}>
       <Act
@@ -214,7 +215,7 @@ function RulerSlider({ route }: { route: RouteInfo }) {
   );
 }
 
-/** In free movement: the place of the route that the tip is nearest to. */
+/** Render the position on the route nearest to a freely moved tip. */
 function Shadow({ route, percent }: { route: RouteInfo; percent: (value: number) => string }) {
   const tip = useApp((state) => (state.pose === null ? null : tipKey(tipLps(state))));
   if (tip === null) return null;
@@ -223,14 +224,14 @@ function Shadow({ route, percent }: { route: RouteInfo; percent: (value: number)
 
 let lastTip: readonly [number, number, number] | null = null;
 
-/** The same object for the same place, as a selector must return. */
+/** Return the same object for the same position, as a selector must. */
 function tipKey(tip: readonly [number, number, number] | null): readonly [number, number, number] | null {
   if (tip !== null && lastTip !== null && tip.every((value, index) => value === lastTip?.[index])) return lastTip;
   lastTip = tip;
   return tip;
 }
 
-/** Round distances with room between their numbers. */
+/** Return round distances with enough space between their labels. */
 function marks(lengthMm: number, widthPx: number): number[] {
   if (widthPx < 50) return [];
   const step = [5, 10, 20, 25, 50, 100, 200].find((value) => (value / lengthMm) * widthPx >= 44) ?? 500;

@@ -1,4 +1,4 @@
-/** The page for a phone: switched on and off, its link as a code to scan, and the certificate to compare. */
+/** Settings of the phone page: its switch, its link as a QR code, and the certificate fingerprint to compare. */
 
 import { fixed, plural } from "../state/format";
 import { fingerprintLines, qrPath } from "../state/qr";
@@ -6,6 +6,7 @@ import type { DevicesMessage, PhoneInfo } from "../wire/messages";
 import { useStation } from "./context";
 import { SwitchKey } from "./controls";
 
+/** Render the settings of the phone page. */
 export function PhoneGroup({ told }: { told: DevicesMessage }) {
   const station = useStation();
   const { phone } = told;

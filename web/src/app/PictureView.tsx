@@ -1,4 +1,6 @@
-/** A place for one picture. Everything inside is framework-free; this only mounts it and tells it its size. */
+/**
+ * Host element of one view. The view itself does not use React; this component only attaches it and reports its size.
+ */
 
 import { useEffect, useRef } from "react";
 import type { Shape } from "../views/outline";
@@ -14,6 +16,7 @@ interface PictureViewProps {
   onDoubleClick: () => void;
 }
 
+/** Render the host element of a view. */
 export function PictureView({ view, shape, name, onDoubleClick }: PictureViewProps) {
   const station = useStation();
   const host = useRef<HTMLDivElement>(null);

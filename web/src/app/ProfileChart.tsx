@@ -1,4 +1,7 @@
-/** The lumen along a branch: a line with its error, sections at forks grey, what the cursor is over in words. */
+/**
+ * Chart of the lumen along a branch: a line with its error, grey sections at forks, and the values under the cursor as
+ * text.
+ */
 
 import { type PointerEvent, useState } from "react";
 import { fixed, mm } from "../state/format";
@@ -6,7 +9,7 @@ import { chartScale, nearestSection, type ProfilePoint, runsOf } from "../state/
 
 const WIDTH = 216;
 const HEIGHT = 92;
-/** Room for the figures at the left and below. */
+/** Space for the numbers at the left and below, px. */
 const LEFT = 24;
 const BELOW = 14;
 const ABOVE = 5;
@@ -15,10 +18,11 @@ const RIGHT = 4;
 interface ProfileChartProps {
   points: readonly ProfilePoint[];
   title: string;
-  /** Below it, while nothing is pointed at. */
+  /** Text below the chart while the cursor is elsewhere. */
   words: string;
 }
 
+/** Render the chart. */
 export function ProfileChart({ points, title, words }: ProfileChartProps) {
   const [at, setAt] = useState<ProfilePoint | null>(null);
   if (points.length < 2) return <p className="empty">Too short for a lumen profile.</p>;

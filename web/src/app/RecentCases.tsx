@@ -1,4 +1,7 @@
-/** The cases used last, with picture, time and changes; a case without a name of its user's has a neutral alias. */
+/**
+ * List of the recently used cases with picture, time and changes; a case that the user has not named has a neutral
+ * alias.
+ */
 
 import { Button } from "react-aria-components";
 import { caseFacts, RECENT_SHOWN } from "../state/case-list";
@@ -9,6 +12,7 @@ import { Icon } from "./icons";
 
 const NONE: readonly RecentCase[] = [];
 
+/** Render the list of recent cases. */
 export function RecentCases() {
   const station = useStation();
   const recent = useApp((state) => state.start?.recent ?? NONE);
@@ -56,7 +60,7 @@ export function RecentCases() {
   );
 }
 
-/** Picture, title and what tells it from others. */
+/** Render the picture, the title and the distinguishing facts of a case. */
 export function CaseWords({ entry, all }: { entry: RecentCase; all: readonly RecentCase[] }) {
   return (
     <>
@@ -70,6 +74,7 @@ export function CaseWords({ entry, all }: { entry: RecentCase; all: readonly Rec
   );
 }
 
+/** Render the picture of a case. */
 export function CasePicture({ entry }: { entry: RecentCase }) {
   return (
     <span className="case-picture">

@@ -1,4 +1,4 @@
-/** Dialog that saves the case as a file under a name, and asks which content a file gets that was changed elsewhere. */
+/** Dialog that saves the case as a file under a name, and asks which content to keep if another process has changed the file. */
 
 import { useState } from "react";
 import { Button, Dialog, Form, Heading, Input, Label, Modal, ModalOverlay, TextField } from "react-aria-components";
@@ -8,6 +8,7 @@ import type { ClientMessage, SavingInfo } from "../wire/messages";
 import { useApp, useStation } from "./context";
 import { Act } from "./controls";
 
+/** Render the dialog. */
 export function SaveDialog() {
   const station = useStation();
   const open = useApp((state) => state.ui.saveOpen);

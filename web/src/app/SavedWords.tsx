@@ -1,4 +1,4 @@
-/** What of the case is on the disk, said as it is. */
+/** Text about the saved state of the case. */
 
 import { Button } from "react-aria-components";
 import { keyOf } from "../input/keymap";
@@ -6,6 +6,7 @@ import { savedWords } from "../state/saved-words";
 import { useApp, useStation } from "./context";
 import { Tip } from "./controls";
 
+/** Render the saved state. */
 export function SavedWords() {
   const station = useStation();
   const saving = useApp((state) => state.session?.saving ?? null);

@@ -1,4 +1,4 @@
-/** Which instrument the airway view is seen through. */
+/** Selection of the instrument whose optics the airway view uses. */
 
 import { Button, ListBox, ListBoxItem, Popover, Select, SelectValue, Text } from "react-aria-components";
 import { fixed } from "../state/format";
@@ -9,15 +9,16 @@ import { Icon } from "./icons";
 
 const NO_SCOPE = "no scope";
 
-/** What sets instruments apart at a glance. */
+/** Return the sizes that distinguish instruments. */
 function sizeWords(scope: Scope): string {
   const fov = scope.fov_deg === null ? "" : `, ${fixed(scope.fov_deg)}\u00b0`;
   return `\u2300 ${fixed(scope.tip_mm, 1)} mm${fov}`;
 }
 
-/** The toolbar has room for the kind of instrument: the list and the tooltip say which. */
+/** Return the kind of an instrument, for which the toolbar has space; the list and the tooltip show the full title. */
 const shortTitle = (title: string): string => title.split(/[ ,(]/)[0] ?? title;
 
+/** Render the selection. */
 export function ScopeSelect() {
   const station = useStation();
   const scopes = useApp((state) => state.start?.scopes ?? null);

@@ -1,4 +1,4 @@
-/** The pictures at the right: three slices, the cut-plane, the X-ray and the view from outside. */
+/** The views at the right: three slices, the cut-plane, the X-ray and the outside view. */
 
 import { keyOf } from "../input/keymap";
 import { fixed } from "../state/format";
@@ -14,6 +14,7 @@ import { fitPicture } from "./gestures-flat";
 import { PictureView } from "./PictureView";
 import { ToolTag } from "./ToolTag";
 
+/** Render the side views. */
 export function SideViews() {
   return (
     <section className="side-views" aria-label="Slices and overviews">
@@ -24,7 +25,7 @@ export function SideViews() {
   );
 }
 
-/** How another of its views is brought to a place; nothing where it has but one. */
+/** Render the buttons that switch a place to another of its views; nothing if it has one view. */
 function CellTools({ cell, view }: { cell: SideCell; view: ViewName }) {
   const station = useStation();
   const { chosen_by: chosenBy, next_action: action, list_name: name } = CELLS[cell];
@@ -50,7 +51,7 @@ function CellTools({ cell, view }: { cell: SideCell; view: ViewName }) {
   return <Choice<ViewName> name={name} value={view} choices={choices} onChange={station.show} />;
 }
 
-/** What stands in the place of a picture: what will be there, and how to get it. */
+/** Return the text in an empty view: its future contents, and how to create them. */
 function emptyWords(view: ViewName, there: Readonly<Record<Need, boolean>>): string {
   const { needs, empty } = VIEWS[view];
   return needs.length > 0 && needs.every((need) => there[need]) ? "Rendering this view…" : empty;
@@ -98,7 +99,7 @@ function Cell({ cell }: { cell: SideCell }) {
   );
 }
 
-/** What was found, over the CT: in all slices and the cut-plane at once. */
+/** Render the switch of the lumen outline in all slices and the cut-plane. */
 function OutlineSwitch() {
   const station = useStation();
   const on = useApp((state) => state.ui.outlineVisible);
@@ -116,7 +117,7 @@ function OutlineSwitch() {
   );
 }
 
-/** Brings a zoomed or panned picture back. */
+/** Render the button that resets zoom and pan. */
 function Fit({ view }: { view: FlatView }) {
   const station = useStation();
   const zoomed = useApp((state) => {
@@ -137,7 +138,7 @@ function Fit({ view }: { view: FlatView }) {
   );
 }
 
-/** Where a slice lies along its own normal: `S 12.1 mm`. */
+/** Render the position of a slice along its normal: `S 12.1 mm`. */
 function SlicePlace({ view }: { view: ViewName }) {
   const words = useApp((state) => placeWords(state.frames[view]));
   return words === "" ? null : <span className="numbers quiet">{words}</span>;

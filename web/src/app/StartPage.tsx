@@ -1,4 +1,4 @@
-/** The first screen: drop a folder, go on with a recent case, or look at a demo. */
+/** Start page: drop a folder, continue a recent case, or open a demo. */
 
 import { type DragEvent, useState } from "react";
 import { Button, FileTrigger, Form, Input, Label, TextField } from "react-aria-components";
@@ -11,6 +11,7 @@ import { Jobs } from "./Jobs";
 import { RecentCases } from "./RecentCases";
 import { StorageDialog } from "./StorageDialog";
 
+/** Render the start page. */
 export function StartPage() {
   const version = useApp((state) => state.version);
   return (
@@ -72,7 +73,7 @@ function DropPlace() {
   );
 }
 
-/** By the system's own dialogue. */
+/** Render the buttons that open the system's file and folder dialogs. */
 export function Pickers() {
   const station = useStation();
   const pick = (list: FileList | null) => {
@@ -94,6 +95,7 @@ export function Pickers() {
   );
 }
 
+/** Render the form that opens a path. */
 export function PathForm() {
   const station = useStation();
   const [path, setPath] = useState("");

@@ -1,4 +1,4 @@
-/** How it runs, said honestly, and the sentence that is always there. */
+/** Status bar: performance of the rendering, and the permanent safety sentence. */
 
 import { memo, useEffect, useState } from "react";
 import { Button, ListBox, ListBoxItem, Popover, Select, SelectValue } from "react-aria-components";
@@ -12,6 +12,7 @@ import { useApp, useStation } from "./context";
 import { Act, Tip } from "./controls";
 import { ToolHint } from "./ToolTag";
 
+/** Render the status bar. */
 export function StatusBar() {
   const station = useStation();
   const mode = useApp((state) => state.session?.mode ?? "free");
@@ -71,7 +72,7 @@ export function StatusBar() {
   );
 }
 
-/** Place and voxel under the cursor. Both come from one answer, so that they always belong together. */
+/** Render the position and voxel value under the cursor. Both are from one answer, so that they always correspond. */
 function CursorWords() {
   const cursor = useApp((state) => state.ui.cursorLps);
   const probed = useApp((state) => state.probed);
@@ -90,7 +91,7 @@ function CursorWords() {
 
 const RATES_HZ = [15, 30, 60] as const;
 
-/** The rate that is asked for, beside the one that is reached. */
+/** Render the requested frame rate beside the measured rate. */
 const AskedRate = memo(function AskedRate() {
   const station = useStation();
   const rate = useApp((state) => state.session?.frame_rate_hz ?? 60);
@@ -122,7 +123,7 @@ const AskedRate = memo(function AskedRate() {
   );
 });
 
-/** How the airway picture that is on the screen was made, and not how the next one will be. */
+/** Render how the displayed airway picture was rendered, not the setting for the next one. */
 function MethodWords() {
   const asked = useApp((state) => state.sight.method);
   const made = useApp((state) => state.frames[LEAD_VIEW]?.method ?? null);
@@ -137,7 +138,7 @@ function MethodWords() {
   );
 }
 
-/** How fine the airway picture on the screen is. */
+/** Render the resolution of the displayed airway picture. */
 function FineWords() {
   const station = useStation();
   const frame = useApp((state) => state.frames[LEAD_VIEW] ?? null);
@@ -155,7 +156,7 @@ function FineWords() {
   );
 }
 
-/** Later than this, the picture is called late. */
+/** Waiting time, ms, above which the picture is called late. */
 const LATE_MS = 700;
 
 function PaceWords() {

@@ -1,4 +1,4 @@
-/** The panel of the step that the work is at. Each has one primary action. */
+/** Panel of the current step. Each step has one primary action. */
 
 import { STEP_WORDS } from "../state/steps";
 import { Citation } from "./Citation";
@@ -12,6 +12,7 @@ import { RouteStep } from "./steps/RouteStep";
 import { ShareStep } from "./steps/ShareStep";
 import { TargetStep } from "./steps/TargetStep";
 
+/** Render the panel of the current step. */
 export function StepPanel() {
   const step = useApp((state) => state.ui.step);
   const citation = useApp((state) => state.session?.case?.citation ?? null);
@@ -19,7 +20,7 @@ export function StepPanel() {
     <section className="step-panel" aria-label={STEP_WORDS[step].title}>
       <Jobs />
       <h2>{STEP_WORDS[step].title}</h2>
-      {/* Each step begins at its top, wherever the one before was scrolled to. */}
+      {/* The key resets the scroll position when the step changes. */}
       <div key={step} className="step-body">
         {body(step)}
       </div>

@@ -1,4 +1,4 @@
-/** What the cases and their CTs take on this machine, and how they are named, forgotten and brought back. */
+/** Dialog of all cases: disk usage of the cases and their CTs, and buttons to rename, forget and restore a case. */
 
 import { useEffect, useState } from "react";
 import { Button, Dialog, Form, Heading, Input, Modal, ModalOverlay, TextField } from "react-aria-components";
@@ -11,12 +11,14 @@ import { CasePicture, CaseWords } from "./RecentCases";
 
 const NONE: readonly RecentCase[] = [];
 
+/** Render the dialog. */
 export function StorageDialog() {
   const station = useStation();
   const open = useApp((state) => state.ui.storageOpen);
   useEffect(() => {
     if (!open) return;
-    // A button that is pressed goes with its row, and for a moment nothing in the dialog has the focus to hear a key.
+    // A pressed button disappears with its row, so that for a moment no element of the dialog has the focus and
+    // receives keys.
     const closeFromPage = (event: KeyboardEvent) => {
       if (event.key === "Escape" && document.activeElement === document.body) station.ui({ storageOpen: false });
     };

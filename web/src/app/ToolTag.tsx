@@ -1,4 +1,4 @@
-/** The tool that is in the hand, seen wherever it acts: in every picture, at the list, in the line at the foot of the window. */
+/** Indicators of the active tool: in every view, at the list, and in the line at the bottom of the window. */
 
 import { Button } from "react-aria-components";
 import { marksByPen, penMarkWords } from "../state/pen";
@@ -8,6 +8,7 @@ import type { ViewName } from "../wire/messages";
 import { useApp, useStation } from "./context";
 import { Icon, type IconName, outlineOfIcon } from "./icons";
 
+/** Icon of each tool. */
 export const TOOL_ICONS: Readonly<Record<Armed, IconName>> = {
   target: "target",
   root: "target",
@@ -24,14 +25,17 @@ export const TOOL_ICONS: Readonly<Record<Armed, IconName>> = {
   reroot: "root",
 };
 
-/** In a corner of a picture: what a click would do there. It is a button too: a finger has no Esc. */
+/**
+ * Render the effect of a click in the corner of a view. The indicator is also a button, because a touch screen has no
+ * Escape key.
+ */
 export function ToolTag({ view }: { view: ViewName }) {
   const armed = useApp((state) => state.ui.armed);
   if (armed === null) return null;
   return <Tag armed={armed} works={worksIn(armed, view)} where="picture" />;
 }
 
-/** At the list, while a row is what the tool acts on. */
+/** Render the active tool at the list, while the tool applies to rows. */
 export function ListToolTag() {
   const armed = useApp((state) => (wantsBranch(state.ui.armed, state.ui.forkHeld !== null) ? state.ui.armed : null));
   return armed === null ? null : <Tag armed={armed} works where="list" />;
@@ -58,7 +62,7 @@ function Tag({ armed, works, where }: { armed: Armed; works: boolean; where: "pi
   );
 }
 
-/** At the foot of the window, also in the full view: what to do, and how to put it away. */
+/** Render the instruction at the bottom of the window, also with an enlarged view, and how to deactivate the tool. */
 export function ToolHint() {
   const armed = useApp((state) => state.ui.armed);
   const forkHeld = useApp((state) => state.ui.forkHeld !== null);
@@ -73,7 +77,7 @@ export function ToolHint() {
   );
 }
 
-/** In the panel of a tool that a pen can use: what its button marks. */
+/** Render what the pen's button marks, in the panel of a tool that a pen can use. */
 export function PenWords() {
   const pen = useApp((state) => (marksByPen(state.ui.armed) ? state.pen : null));
   if (pen === null) return null;
@@ -84,7 +88,7 @@ export function PenWords() {
   );
 }
 
-/** A cross that leaves its middle free, with the tool beside it. */
+/** Return a CSS cursor: a cross with a free middle, and the tool's icon beside it. */
 export function cursorOf(armed: Armed): string {
   const colour = takesAway(armed) ? INK.warning : INK.text;
   const cross = "M11 1v7M11 14v7M1 11h7M14 11h7";

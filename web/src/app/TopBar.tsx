@@ -1,4 +1,4 @@
-/** Name, case, and the steps of the work. */
+/** Top bar: product name, case title, and the steps of the workflow. */
 
 import { Fragment } from "react";
 import { Button } from "react-aria-components";
@@ -14,6 +14,7 @@ import { SavedWords } from "./SavedWords";
 
 const NONE: readonly CaseNote[] = [];
 
+/** Render the top bar. */
 export function TopBar() {
   const station = useStation();
   const title = useApp((state) => state.session?.saving.title ?? state.session?.case?.title ?? "");
@@ -117,7 +118,10 @@ export function TopBar() {
   );
 }
 
-/** The name of the CT's file is shown on this machine alone, and only on request: somebody may look over a shoulder. */
+/**
+ * Render the case title. The name of the CT's file is shown only on this computer and on request, because it may
+ * identify the patient.
+ */
 function CaseTitle({ title, neutral, ctName }: { title: string; neutral: string; ctName: string | null }) {
   if (title === "") return null;
   const ct = ctName === null ? "" : `CT: ${ctName}. `;

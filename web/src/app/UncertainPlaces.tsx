@@ -1,4 +1,6 @@
-/** Where airways go on that could not be followed: each with its reason, and a way to look. */
+/**
+ * Places where an airway continues but the search could not follow it, each with its reason and a button that shows it.
+ */
 
 import { Button } from "react-aria-components";
 import { plural, sentence } from "../state/format";
@@ -10,7 +12,7 @@ import { showPlace } from "./gestures-flat";
 
 const NONE: readonly UncertainPlace[] = [];
 
-/** Makes the bridge that a place offers: the same edit as the tool's, undone the same way. */
+/** Render a button that adds the bridge suggested for a place. The edit and its undo are those of the bridge tool. */
 function BridgeButton({ beyond }: { beyond: Vec3 }) {
   const station = useStation();
   return (
@@ -23,6 +25,7 @@ function BridgeButton({ beyond }: { beyond: Vec3 }) {
   );
 }
 
+/** Render the uncertain places. */
 export function UncertainPlaces() {
   const station = useStation();
   const places = useApp((state) => state.tree?.uncertain ?? NONE);

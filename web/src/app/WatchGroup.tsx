@@ -1,4 +1,6 @@
-/** The page for watchers: switched on and off, its link, the certificate to compare, and who is there. */
+/**
+ * Settings of the watcher page: its switch, its link, the certificate fingerprint to compare, and the current watchers.
+ */
 
 import { clock, plural } from "../state/format";
 import { fingerprintLines } from "../state/qr";
@@ -6,6 +8,7 @@ import type { WatchPage } from "../wire/messages";
 import { useApp, useStation } from "./context";
 import { Act, SwitchKey } from "./controls";
 
+/** Render the settings of the watcher page. */
 export function WatchGroup() {
   const station = useStation();
   const watching = useApp((state) => state.watching);

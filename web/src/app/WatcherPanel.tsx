@@ -1,5 +1,6 @@
-/** In the place of the step's panel, in a window that only watches. */
+/** Panel that replaces the step's panel in a window that only watches. */
 
+/** Render the panel of a watcher. */
 export function WatcherPanel() {
   return (
     <section className="step-panel" aria-label="You are watching" data-testid="watcher-panel">

@@ -1,4 +1,4 @@
-/** The workstation: the airway large, the other pictures around it, the step's panel at its side. */
+/** Layout of the workstation: the large airway view, the other views around it, and the step's panel at the side. */
 
 import type { CSSProperties } from "react";
 import { LEAD_VIEW } from "../wire/views";
@@ -19,6 +19,7 @@ import { cursorOf } from "./ToolTag";
 import { TopBar } from "./TopBar";
 import { WatcherPanel } from "./WatcherPanel";
 
+/** Render the workstation. */
 export function WorkstationPage() {
   const full = useApp((state) => state.ui.full);
   const devicesOpen = useApp((state) => state.ui.devicesOpen);

@@ -1,4 +1,4 @@
-/** The few controls that all panels are made of. */
+/** Basic controls of all panels. */
 
 import type { ReactElement, ReactNode } from "react";
 import { Button, ToggleButton, ToggleButtonGroup, Tooltip, TooltipTrigger } from "react-aria-components";
@@ -7,7 +7,7 @@ import { Icon } from "./icons";
 
 const TOOLTIP_DELAY_MS = 450;
 
-/** Words on hovering or focusing, with the key that does the same. */
+/** Render a tooltip with the key that has the same effect. */
 export function Tip({ words, keys, children }: { words: string; keys?: string; children: ReactElement }) {
   return (
     <TooltipTrigger delay={TOOLTIP_DELAY_MS} closeDelay={80}>
@@ -20,7 +20,7 @@ export function Tip({ words, keys, children }: { words: string; keys?: string; c
   );
 }
 
-/** A button that was clicked gives the keys back to the flight; one reached by Tab keeps the focus. */
+/** Return the focus to the flight after a click; a button that was reached by Tab keeps the focus. */
 function giveKeysBack(pointerType: string): void {
   if (pointerType === "keyboard" || pointerType === "virtual") return;
   if (document.activeElement instanceof HTMLElement) document.activeElement.blur();
@@ -37,6 +37,7 @@ interface ActProps {
   onPress: () => void;
 }
 
+/** Render a button. */
 export function Act({ words, keys, icon, label, kind = "plain", disabled = false, testId, onPress }: ActProps) {
   const name = typeof label === "string" ? {} : { "aria-label": words };
   return (
@@ -69,6 +70,7 @@ interface SwitchProps {
   onChange: () => void;
 }
 
+/** Render a toggle button. */
 export function SwitchKey({ words, keys, icon, label, on, disabled = false, testId, onChange }: SwitchProps) {
   return (
     <Tip words={words} keys={keys}>
@@ -95,7 +97,7 @@ interface ChoiceProps<T extends string> {
   onChange: (value: T) => void;
 }
 
-/** A few values of which one holds. */
+/** Render a choice of one value from a few. */
 export function Choice<T extends string>({ name, value, choices, onChange }: ChoiceProps<T>) {
   return (
     <ToggleButtonGroup

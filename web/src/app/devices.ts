@@ -1,4 +1,6 @@
-/** Devices of the browser: finds them, reads them once per refresh, and hands what they say to Carina. */
+/**
+ * Input devices of the browser: detects them, reads them once per display refresh, and sends their values to Carina.
+ */
 
 import { ContactSense } from "../input/devices/contact";
 import { Gamepads, type Pad } from "../input/devices/gamepad";
@@ -18,19 +20,20 @@ import type { Station } from "./station";
 
 const BUMP = { strength: 0.6, ms: 120 } as const;
 
-/** A place that the pen was held at, and the place in the patient that it showed. */
+/** A position of the pen, and the corresponding point in the patient. */
 export interface CalibrationPair {
   readonly tracker: Vec3;
   readonly patient: Vec3;
 }
 
+/** All input devices of the browser. */
 export class BrowserDevices {
   readonly #station: Station;
   readonly #pointing: Pointing;
   readonly #pads: Gamepads;
   readonly #lock: PointerLock;
   readonly #headset: Headset | null;
-  /** Null where the browser has no WebHID. */
+  /** Port of the SpaceMouse; null if the browser has no WebHID. */
   readonly #mouse: HidPort | null;
   readonly #handle: HidPort | null;
   readonly #contact = new ContactSense();
@@ -80,7 +83,7 @@ export class BrowserDevices {
     });
   }
 
-  /** Asks what headset there is, now and whenever one is plugged in or out. */
+  /** Detect the headset now and whenever one is connected or disconnected. */
   watchHeadset(): void {
     const xr = xrOf(navigator);
     const look = () => {
@@ -91,9 +94,9 @@ export class BrowserDevices {
     xr?.addEventListener("devicechange", look);
   }
 
-  /** Needs a click. */
+  /** Enter the headset; browsers require a click. */
   async enterHeadset(): Promise<void> {
-    // How pens' clutches are set is told with the devices.
+    // The clutch setting of pens arrives with the messages about devices.
     this.#station.send({ type: "watch_devices", on: true });
     await this.#headset?.enter();
   }
@@ -127,7 +130,7 @@ export class BrowserDevices {
     });
   }
 
-  /** What the screen of this page shows in the airway's place. */
+  /** Return the picture that this page shows in the place of the airway view. */
   #newestPicture(): NewestPicture | null {
     const viewport = this.#station.wall.find(LEAD_VIEW);
     if (viewport?.header == null) return null;
@@ -139,7 +142,7 @@ export class BrowserDevices {
     return this.#station.state.session?.case != null && this.#station.state.start?.notice_accepted !== false;
   }
 
-  /** What this browser does not offer, in words. */
+  /** Return the device interfaces that this browser lacks, as text. */
   missing(): readonly string[] {
     const words: string[] = [];
     if (!("getGamepads" in navigator)) words.push("gamepads");
@@ -155,7 +158,7 @@ export class BrowserDevices {
     return this.#mouse !== null;
   }
 
-  /** There is a device whose newest state is wanted at every refresh. */
+  /** Whether a device must be read at every display refresh. */
   get mustBeRead(): boolean {
     const ports = [this.#mouse, this.#handle].some((port) => port !== null && port.name !== null);
     return ports || this.#pads.names.length > 0 || this.#headset?.inside === true || this.#armed.tool !== null;
@@ -177,7 +180,7 @@ export class BrowserDevices {
     if (canvas !== null) void this.#lock.request(canvas);
   }
 
-  /** The browser asks which device; needs a click. */
+  /** Show the browser's device selection; browsers require a click. */
   askSpaceMouse(): void {
     void this.#mouse?.ask();
   }
@@ -193,7 +196,9 @@ export class BrowserDevices {
     void this.#handle?.stop();
   }
 
-  /** While root or target are in the hand, the pen's button sets them, and the way there is shown (paper 6.3). */
+  /**
+   * While the root or target tool is active, the pen's button marks the point, and the path to it is shown (paper 6.3).
+   */
   #armPen(): void {
     const { ui, session } = this.#station.state;
     const now = penMessage(ui, session);

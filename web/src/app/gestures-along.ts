@@ -1,4 +1,4 @@
-/** What the mouse, the wheel and the keys do in the pictures along the route, and in the radiograph. */
+/** Gestures of mouse, wheel and keys in the pictures along the route and in the radiograph. */
 
 import type { PointerPlace } from "../input/pointer";
 import { linesOf, lpsAt, pathMmAt } from "../state/lines";
@@ -16,6 +16,7 @@ const MM_PER_PX = { least: 0.02, most: 10 } as const;
 const clampScale = (mmPerPx: number): number => Math.min(Math.max(mmPerPx, MM_PER_PX.least), MM_PER_PX.most);
 const halfTurn = (deg: number): number => ((((deg + 180) % 360) + 360) % 360) - 180;
 
+/** Return the gestures of a picture along the route. */
 export function pathGestures(station: Workstation, viewport: Viewport): Gestures {
   const shown = (): Reformation => station.state.sight.reformation;
   const change = (next: Reformation) => station.sendSoon({ type: "set_reformation", ...next });
@@ -66,6 +67,7 @@ export function pathGestures(station: Workstation, viewport: Viewport): Gestures
   };
 }
 
+/** Return the gestures of the radiograph. */
 export function carmGestures(station: Workstation, viewport: Viewport): Gestures {
   const shown = (): Carm => station.state.sight.carm;
   const change = (next: Carm) => station.sendSoon({ type: "set_carm", ...next });
@@ -83,14 +85,14 @@ export function carmGestures(station: Workstation, viewport: Viewport): Gestures
     if (header === null || wantedPixels === null || info == null) return;
     const geometry = geometryOf(header);
     if (geometry === null || geometry.kind !== "seen") return;
-    // The C-arm turns about the volume's middle, and its scale counts there.
+    // The C-arm rotates about the volume's middle, so its scale refers to the distance of that point.
     const mmPerPx = distance(geometry.camera.position, middleOf(info)) / geometry.focalPx;
     const scaleNow = shown().mm_per_px ?? (mmPerPx * header.width) / wantedPixels.width;
     change({ ...shown(), mm_per_px: clampScale(scaleNow * Math.exp(deltaPx * ZOOM_PER_PX)) });
   };
   return {
     pointer: {
-      // The detector moves against the hand, so that the patient turns with it.
+      // The detector moves against the drag, so that the patient appears to turn with the hand.
       drag: (_at, moved, button) => {
         if (button === "main") turn(-moved.dx * ORBIT_DEG_PER_PX, moved.dy * ORBIT_DEG_PER_PX);
       },

@@ -4,7 +4,7 @@ import type { SetZoomMessage } from "../wire/messages";
 import { flatPlacing } from "./gestures-flat";
 import type { Workstation } from "./workstation";
 
-/** An axial picture of 200 x 100 pixels of 1 mm, its middle at this x. */
+/** Return a viewport with an axial picture of 200 x 100 pixels of 1 mm, whose middle is at this x. */
 function pictureAt(x: number) {
   return {
     lps_from_camera: null,

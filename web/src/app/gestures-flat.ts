@@ -1,4 +1,4 @@
-/** Zoom, pan and fit of slices and the cut-plane. */
+/** Zoom, pan and reset of slices and the cut-plane. */
 
 import type { PointerPlace } from "../input/pointer";
 import { type FlatAxes, type FlatPlace, panned, zoomedAbout } from "../state/flat-place";
@@ -13,27 +13,37 @@ import { ZOOM_PER_PX } from "./gesture-parts";
 import type { Workstation } from "./workstation";
 
 const MM_PER_PX = { least: 0.02, most: 10 } as const;
-/** The wire's bounds of the cut-plane's width, with room. */
+/** Limits of the cut-plane's width, mm, slightly within those of the wire. */
 const EXTENT_MM = { least: 5, most: 500 } as const;
-/** One press of an arrow key, CSS px. */
+/** Pan by one press of an arrow key, CSS px. */
 export const PAN_KEY_PX = 40;
-/** Turns of the wheel come faster than pictures: each builds on the one before, not on a picture that was on its way. */
+/**
+ * Time, ms, for which a wheel turn builds on the last requested position, because wheel turns are faster than pictures.
+ */
 const MEMORY_MS = 400;
 
+/** Position of a planar view that gestures change. */
 export interface FlatPlacing {
-  /** About the cursor, so that what lies under it stays there; with keys about the middle. */
+  /** Zoom about the cursor, or about the middle of the picture for keys. */
   zoom(deltaPx: number, at: PointerPlace | null): void;
-  /** The picture goes with the hand; while that drags, whatever pictures come meanwhile. */
+  /**
+   * Pan by a movement of the hand; with `drags` the position of the drag counts until {@link release}, whatever
+   * pictures arrive.
+   */
   pan(moved: { dx: number; dy: number }, drags?: boolean): void;
-  /** The hand has let go. */
+  /** End a drag. */
   release(): void;
 }
 
+/** Return the position of a planar view. */
 export function flatPlacing(station: Workstation, viewport: Viewport): FlatPlacing {
-  /** Where the picture was sent to, and what was shown then. */
+  /** The last requested position, and the picture at that time. */
   let last: { view: ViewName; place: FlatPlace; atMs: number; header: Viewport["header"] } | null = null;
   let dragged = false;
-  /** Whether the picture still shown is older than where it was sent to. A busy server may take a second for the next. */
+  /**
+   * Return whether the displayed picture is older than the last request. A busy server may need a second for the next
+   * picture.
+   */
   const isAhead = (): boolean =>
     last !== null &&
     last.view === viewport.view &&
@@ -43,7 +53,7 @@ export function flatPlacing(station: Workstation, viewport: Viewport): FlatPlaci
     const found = viewport.header === null ? null : geometryOf(viewport.header);
     return found?.kind === "flat" ? found : null;
   };
-  /** Where the picture lies, or will once the server has answered; and how many of its pixels a CSS px is. */
+  /** Return the current or requested position, and the number of picture pixels per CSS px. */
   const now = (): { place: FlatPlace; axes: FlatAxes; pxPerCss: number; wantedWidth: number } | null => {
     const { header, wantedPixels } = viewport;
     const flat = geometry();
@@ -105,10 +115,10 @@ export function flatPlacing(station: Workstation, viewport: Viewport): FlatPlaci
   };
 }
 
-/** So wide, on its shorter side, is a slice that shows a place: the airway with what lies round it. */
+/** Shorter side of a slice that shows a place, mm: the airway with its surroundings. */
 const PLACE_MM = 40;
 
-/** Airway view and crosshair to a place of the airways, and all slices there, near enough to judge it. */
+/** Move the airway view, the crosshair and all slices to a place of the airways, zoomed in enough to assess it. */
 export function showPlace(station: Workstation, lps: Vec3, branchId: number | null): void {
   station.flight.stopAuto();
   station.pausePlaying();
@@ -128,7 +138,7 @@ export function showPlace(station: Workstation, lps: Vec3, branchId: number | nu
   }
 }
 
-/** The whole slice, or the usual width of the cut-plane. */
+/** Show the whole slice, or the default width of the cut-plane. */
 export function fitPicture(station: Workstation, view: ViewName): void {
   if (isFlatView(view)) {
     station.sendSoon({ type: "set_zoom", view, mm_per_px: null, extent_mm: null, centre_lps: null });

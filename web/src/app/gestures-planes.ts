@@ -1,4 +1,7 @@
-/** Moving the planes of the tri-plane view: by a drag along their normal, or by keys. Elsewhere a drag orbits. */
+/**
+ * Movement of the planes in the tri-plane view, by a drag along the normal or by keys. A drag elsewhere rotates the
+ * camera.
+ */
 
 import type { PictureGesture } from "../input/keymap";
 import type { PointerPlace } from "../input/pointer";
@@ -11,23 +14,28 @@ import type { Workstation } from "./workstation";
 
 const KEY_MM = 1;
 
-/** The plane that a key moves: the axial one up and down, the sagittal one left and right, the coronal one front and back. */
+/**
+ * Return the plane that a key moves: up and down the axial plane, left and right the sagittal one, forward and back the
+ * coronal one.
+ */
 function movedBy(does: PictureGesture): { axis: 0 | 1 | 2; sign: number } | null {
   if (does.gesture === "scroll") return { axis: 2, sign: does.sign };
   if (does.gesture !== "pan") return null;
   return does.right === 0 ? { axis: 1, sign: -does.down } : { axis: 0, sign: does.right };
 }
 
+/** Drag of a plane. */
 export interface PlaneDrag {
-  /** True where a plane took the drag. */
+  /** Handle a drag; return true if it moves a plane. */
   drag(at: PointerPlace, moved: { dx: number; dy: number }): boolean;
   release(): void;
   hover(at: PointerPlace | null): void;
   key(does: PictureGesture): boolean;
 }
 
+/** Return the drag handler of a tri-plane view. */
 export function planeDrag(station: Workstation, viewport: Viewport): PlaneDrag {
-  /** What the drag that runs has hold of; "orbit" where it began on the background. */
+  /** The plane that the current drag moves; "orbit" if the drag began on the background. */
   let held: { hit: PlaneHit; geometry: SeenGeometry; centre: Vec3 } | "orbit" | null = null;
 
   const seen = (): SeenGeometry | null => {
@@ -52,7 +60,7 @@ export function planeDrag(station: Workstation, viewport: Viewport): PlaneDrag {
 
   return {
     drag: (at, moved) => {
-      // Where the drag began, not where its first step ended.
+      // Use the start of the drag, before its first movement.
       held ??= under({ x: at.x - moved.dx, y: at.y - moved.dy }) ?? "orbit";
       if (held === "orbit") return false;
       const perPx = viewport.magnification;
@@ -70,7 +78,7 @@ export function planeDrag(station: Workstation, viewport: Viewport): PlaneDrag {
     },
     hover: (at) => {
       const plane = at === null ? null : (under(at)?.hit.plane ?? null);
-      // With a tool in the hand the cursor is the tool's.
+      // The active tool defines the cursor's shape.
       viewport.host.style.cursor = plane === null || station.state.ui.armed !== null ? "" : "move";
       if (station.state.ui.overPlane !== plane) station.ui({ overPlane: plane });
     },

@@ -1,4 +1,4 @@
-/** What the mouse, the wheel and the keys of a focused picture do, by kind of picture. */
+/** Gestures of mouse, wheel and keys in a view, by kind of view. */
 
 import { clickAction } from "../input/clicks";
 import { WHEEL_MM_PER_PX } from "../input/flight";
@@ -19,10 +19,13 @@ import { planeDrag } from "./gestures-planes";
 import type { Workstation } from "./workstation";
 
 const CROSSHAIR_KEY_MM = 1;
-/** A wheel notch (100 px) scrolls one slice. */
+/** Slices per px of scrolling: one wheel notch (100 px) scrolls one slice. */
 const SCROLL_SLICES_PER_PX = 0.01;
 
-/** Returns how to stop. `doubleClick` makes the picture's cell full, and back. */
+/**
+ * Attach the gestures to a view; return a function that detaches them. `doubleClick` enlarges the view or restores its
+ * size.
+ */
 export function gesturesOf(station: Workstation, viewport: Viewport, doubleClick: () => void): () => void {
   const gestures = (): Gestures => {
     if (isOrbitView(viewport.view)) return orbitGestures(station, viewport, viewport.view);
@@ -40,7 +43,7 @@ export function gesturesOf(station: Workstation, viewport: Viewport, doubleClick
         return { pointer: {} };
     }
   };
-  // Kept for the length of a drag: its beginning is remembered inside.
+  // The gestures stay the same object during a drag, because they store its start.
   let current = gestures();
   let view = viewport.view;
   const now = (): Gestures => {
@@ -52,7 +55,7 @@ export function gesturesOf(station: Workstation, viewport: Viewport, doubleClick
   };
   const enter = () => {
     if (station.state.ui.armed === null) return doubleClick();
-    // The crosshair, or the middle of the airway picture, stands for the cursor.
+    // For keys, the crosshair or the middle of the airway view replaces the cursor.
     const centre = station.centre();
     if (viewport.view === LEAD_VIEW) station.act("wall_point");
     else if (centre !== null) station.pointing.commitHere(centre);
@@ -62,13 +65,13 @@ export function gesturesOf(station: Workstation, viewport: Viewport, doubleClick
     const command = bindingOf(event, placesOf(viewport.view))?.command;
     if (command?.kind !== "picture") return;
     if (command.does.gesture === "enter") {
-      // A key that is held is one gesture.
+      // A held key counts as one gesture.
       if (!event.repeat) enter();
     } else if (now().key?.(command.does) !== true) return;
     event.preventDefault();
   };
   viewport.host.addEventListener("keydown", key);
-  /** The first click of a series was for what was in the hand: the others do nothing more. */
+  /** Whether the first click of a series applied a tool; the other clicks then do nothing. */
   let forTool = false;
   const stopPointer = listenToPointer(viewport.host, {
     pans: () => now().pointer.pans?.() ?? false,
@@ -111,7 +114,7 @@ function airwayGestures(station: Workstation, viewport: Viewport): Gestures {
         if (header === null || pixel === null) return;
         const geometry = geometryOf(header);
         if (geometry?.kind === "flat") {
-          // The view finder is a cut-plane, and is clicked in like one.
+          // The view finder is a cut-plane, and a click selects a point of its plane.
           station.pick(lpsFromPixel(geometry, pixel));
           return;
         }
@@ -131,7 +134,7 @@ function airwayGestures(station: Workstation, viewport: Viewport): Gestures {
 }
 
 function flatGestures(station: Workstation, viewport: Viewport): Gestures {
-  /** Where the picture lay when the drag began: it may move under the pointer while it is zoomed. */
+  /** Geometry of the picture when the drag began; zoom may move the picture under the pointer. */
   let held: { geometry: FlatGeometry; viewport: Viewport["header"] } | null = null;
   const placing = flatPlacing(station, viewport);
   const flat = (): FlatGeometry | null => {
@@ -143,7 +146,8 @@ function flatGestures(station: Workstation, viewport: Viewport): Gestures {
     const geometry = held?.geometry ?? flat();
     const pixel = viewport.pixelAt(at);
     if (geometry === null || pixel === null || viewport.header === null) return null;
-    // A picture sent while moving has fewer pixels over the same field: coordinates follow the held picture's own.
+    // A picture rendered during movement has fewer pixels for the same field, so coordinates use the stored picture's
+    // size.
     const of = held?.viewport ?? viewport.header;
     const factor = of.width / viewport.header.width;
     return lpsFromPixel(geometry, { column: pixel.column * factor, row: pixel.row * factor });
@@ -157,7 +161,7 @@ function flatGestures(station: Workstation, viewport: Viewport): Gestures {
     const centre = station.centre();
     if (geometry === null || centre === null) return;
     const { plane } = VIEWS[viewport.view];
-    // Down is the next picture of the stack.
+    // Scrolling down shows the next picture of the stack.
     const way = sliceStepMm(station, plane) * (plane === null ? 1 : PLANES[plane].next_slice);
     moveCrosshair(add(centre, scale(normalOf(geometry), slices * way)));
   };
@@ -216,7 +220,7 @@ function flatGestures(station: Workstation, viewport: Viewport): Gestures {
     },
     key: (does) => {
       if (does.gesture === "scroll") scroll(-does.sign);
-      // The picture is looked at farther in the arrow's direction, so it goes the other way.
+      // The arrow moves the visible region, so the picture moves in the opposite direction.
       else if (does.gesture === "pan") placing.pan({ dx: -does.right * PAN_KEY_PX, dy: -does.down * PAN_KEY_PX });
       else if (does.gesture === "zoom") placing.zoom(-does.sign * ZOOM_KEY_PX, null);
       else if (does.gesture === "fit") fitPicture(station, viewport.view);
@@ -227,7 +231,7 @@ function flatGestures(station: Workstation, viewport: Viewport): Gestures {
   };
 }
 
-/** One slice of the scan across a plane: the spacing of the voxel axis that lies nearest to the plane's normal. */
+/** Return the distance between slices of a plane, mm: the spacing of the voxel axis nearest to the plane's normal. */
 function sliceStepMm(station: Workstation, plane: PlaneName | null): number {
   const spacing = station.state.session?.case?.spacing_mm;
   return Math.max(spacing?.[plane === null ? 0 : PLANES[plane].axis] ?? 1, 0.2);
@@ -276,7 +280,10 @@ function orbitGestures(station: Workstation, viewport: Viewport, view: OrbitView
   };
 }
 
-/** How far the outside camera is from what it looks at, while the server fits by itself. */
+/**
+ * Return the distance, mm, of the outside camera from the point that it looks at, while the server selects the
+ * distance.
+ */
 function seenDistanceMm(station: Workstation, viewport: Viewport, view: OrbitView): number | null {
   const matrix = viewport.header?.lps_from_camera ?? null;
   if (matrix === null) return null;

@@ -1,22 +1,24 @@
 /**
- * Calls once per refresh of the screen while something goes on, and a few times a second while nothing does. A browser
- * that is asked for every refresh composes every one: an open window at rest took a fifth of a processor for nothing.
+ * Calls a function at every display refresh during activity, and a few times per second at rest. A page that requests
+ * every refresh is composited every time: an idle window used a fifth of a processor core.
  */
 
-/** So long after the last sign of a hand every refresh is still asked for. */
+/** Time, ms, after the last user input during which every refresh is requested. */
 export const AWAKE_MS = 1500;
-/** Between two looks at what tells nobody that it has begun, such as a gamepad. */
+/** Interval, ms, between checks at rest for inputs without events, such as a gamepad. */
 export const DOZE_MS = 100;
 
+/** Browser functions that {@link Heartbeat} uses; tests supply fakes. */
 export interface HeartbeatSurroundings {
   nowMs(): number;
-  /** Both return how to call it off. */
+  /** Schedule a call at the next display refresh; return a function that cancels it. */
   nextRefresh(call: () => void): () => void;
   after(ms: number, call: () => void): () => void;
-  /** Whether anything moves by itself, is held, or has to be read. */
+  /** Return whether anything moves, is held, or must be read. */
   goesOn(): boolean;
 }
 
+/** Scheduler of the page's periodic work. */
 export class Heartbeat {
   readonly #tick: (elapsedS: number) => void;
   readonly #around: HeartbeatSurroundings;
@@ -40,12 +42,12 @@ export class Heartbeat {
     this.#callOff = null;
   }
 
-  /** A hand has moved, or something has begun: from the next refresh on every one is asked for. */
+  /** Request every refresh from the next one on, after user input or the start of an activity. */
   wake = (): void => {
     if (this.#callOff === null) return;
     this.#wokenMs = this.#around.nowMs();
     if (!this.#dozes) return;
-    // What is held from now on has not been held while nobody looked.
+    // Restart the clock, because an input that begins now was not held during the rest.
     this.#lastMs = this.#wokenMs;
     this.#callOff();
     this.#next();
@@ -67,10 +69,10 @@ export class Heartbeat {
   };
 }
 
-/** What a hand does in a page. */
+/** Events of user input on a page. */
 const SIGNS = ["keydown", "keyup", "pointerdown", "pointermove", "pointerup", "wheel", "gamepadconnected"] as const;
 
-/** Wakes at every sign of a hand; returns how to stop that. */
+/** Wake the heartbeat at every user input; return a function that stops this. */
 export function wakeByHand(target: EventTarget, wake: () => void): () => void {
   const how = { capture: true, passive: true } as const;
   for (const sign of SIGNS) target.addEventListener(sign, wake, how);

@@ -1,4 +1,4 @@
-/** Line icons, 16 px, drawn here so that nothing has to be fetched. */
+/** Line icons of 16 px, stored in the source so that the page loads no further files. */
 
 const PATHS = {
   previousFork: "M3 3v10M13 3.5 6.5 8l6.5 4.5",
@@ -48,11 +48,13 @@ const PATHS = {
   root: "M8 13.5V6M8 6 4.5 9M8 6l3.5 3M3 2.5h10",
 } as const;
 
+/** Name of an icon. */
 export type IconName = keyof typeof PATHS;
 
-/** As an SVG path in a square of 16, for what is drawn elsewhere. */
+/** Return an icon as an SVG path in a square of side 16, for drawings outside React. */
 export const outlineOfIcon = (name: IconName): string => PATHS[name];
 
+/** Render an icon. */
 export function Icon({ name }: { name: IconName }) {
   return (
     <svg className="icon" viewBox="0 0 16 16" aria-hidden="true">

@@ -1,4 +1,7 @@
-/** What a cursor or a click on a picture means: a branch, a point in the lumen, a stroke; with a tool in the hand or without. */
+/**
+ * Interpretation of the cursor and of clicks in a view, with or without an active tool: a branch, a point in the lumen,
+ * or a stroke.
+ */
 
 import { DelayedAction } from "../input/clicks";
 import type { PointerPlace } from "../input/pointer";
@@ -20,35 +23,36 @@ import { VIEWS } from "../wire/views";
 import type { Previewing } from "./previewing";
 import type { Station } from "./station";
 
-/** What lies under a place of a picture. */
+/** The contents at a place of a picture. */
 interface Pointed {
-  /** Null in the airway view: only the server knows the wall there. */
+  /** Patient point, LPS mm; null in the airway view, where only the server knows the wall. */
   readonly lps: Vec3 | null;
   readonly branchId: number | null;
   readonly place: TreePlace | null;
-  /** In the airway view. */
+  /** Place in the airway picture; null in other views. */
   readonly pixel: PixelPoint | null;
 }
 
-/** A mouse that lies still does not ask any more, wherever its cursor is. */
+/** Time, ms, after which a resting cursor requests no more paths. */
 const CURSOR_RESTS_MS = 1000;
 const SHAKES_PX = 3;
 
+/** Cursor and clicks in the views. */
 export class Pointing {
   readonly #station: Station;
   readonly #previewing: Previewing;
   readonly #live: LiveAsker;
-  /** A click in the airway view whose point the server is asked for. */
+  /** Identifier of the request for a clicked point of the airway view; the tool is applied when the answer arrives. */
   #commitOn: number | null = null;
   #lastAsked = 0;
-  /** Where the cursor was last. */
+  /** Last place of the cursor. */
   #hovered: { viewport: Viewport; at: PointerPlace } | null = null;
   #cursorMovedMs = Number.NEGATIVE_INFINITY;
-  /** Where the pen was when its way was last asked for. */
+  /** Pen position of the last path request. */
   #penAsked: Vec3 | null = null;
-  /** What a first click asked for that a second one could not take back: a route, a flight. */
+  /** Action of a first click that a second click could not undo: a new route or a flight. */
   readonly #delayed = new DelayedAction();
-  /** What was shown before a click that may turn out to be the first half of a double click. */
+  /** State before a click that may become the first half of a double click. */
   #before: { crosshair: Vec3 | null; picks: AppState["picks"]; selected: number | null } | null = null;
 
   constructor(station: Station, previewing: Previewing) {
@@ -63,7 +67,7 @@ export class Pointing {
     );
   }
 
-  /** The cursor moves over a picture, or leaves it. */
+  /** Handle cursor movement in a view; null means that the cursor has left the view. */
   hover(viewport: Viewport, at: PointerPlace | null): void {
     const station = this.#station;
     const { ui } = station.state;
@@ -80,7 +84,7 @@ export class Pointing {
     this.#ask(pointed === null ? null : questionOf(viewport.header, pointed));
   }
 
-  /** Another picture lies under a cursor that rests: a click means another place of the patient. */
+  /** Update the place under a resting cursor after a new picture was drawn. */
   pictureDrawn(view: string): void {
     if (this.#hovered?.viewport.view !== view || this.#station.state.ui.penLeads) return;
     const { armed, forkHeld, pathCost } = this.#station.state.ui;
@@ -92,8 +96,8 @@ export class Pointing {
   }
 
   /**
-   * Where a click is meant: where what it makes was shown. Browsers tell the places of moves in parts of a pixel and those
-   * of clicks in whole ones, and a hand that clicks shakes.
+   * Return the place of a click: the last cursor place, whose preview was shown. Browsers report fractional positions
+   * for movement but whole pixels for clicks, and the hand may shake.
    */
   #meant(viewport: Viewport, at: PointerPlace): PointerPlace {
     const last = this.#hovered;
@@ -101,14 +105,14 @@ export class Pointing {
     return last !== null && near && last.viewport === viewport ? last.at : at;
   }
 
-  /** A row of a list is pointed at. */
+  /** Handle the cursor on a row of a list. */
   hoverBranch(branchId: number | null): void {
     const { hovered } = this.#station.state.ui;
     if (hovered?.branchId === branchId || (hovered === null && branchId === null)) return;
     this.#station.ui({ cursor: null, hovered: branchId === null ? null : { branchId, place: null } });
   }
 
-  /** Nothing is pointed at any more, or another tool is in the hand. */
+  /** Clear the hovered object, because the cursor has left or another tool is active. */
   forget(): void {
     this.#forget();
     this.#commitOn = null;
@@ -116,7 +120,7 @@ export class Pointing {
     this.#station.ui({ stroke: [], penLeads: false });
   }
 
-  /** The way there, or what the tool in the hand would make there; null where nothing is pointed at. */
+  /** Request the path to a place or the preview of an edit; null clears both. */
   #ask(question: LiveQuestion | null): void {
     const { ui, doubt } = this.#station.state;
     const tool = previewTool(ui.armed, ui.forkHeld !== null);
@@ -150,7 +154,7 @@ export class Pointing {
     if (fresh !== null) this.#station.store.dispatch({ kind: "live_path", livePath: fresh });
   }
 
-  /** True where the click was for a tool, or chose a branch from outside. */
+  /** Handle a click; return true if a tool was applied or a branch was selected in an outside view. */
   click(viewport: Viewport, clicked: PointerPlace): boolean {
     const station = this.#station;
     const { armed, forkHeld } = station.state.ui;
@@ -182,19 +186,19 @@ export class Pointing {
     return true;
   }
 
-  /** A click without a tool, which a second one may make a double click. */
+  /** Store the state before a click without a tool, because a second click may make it a double click. */
   beginClick(): void {
     const { state } = this.#station;
     this.#delayed.renew();
     this.#before = { crosshair: crosshairLps(state), picks: state.picks, selected: state.ui.selected };
   }
 
-  /** Run an action when a second click can no longer follow. */
+  /** Run an action once a second click can no longer follow. */
   unlessDouble(action: () => void): void {
     this.#delayed.begin(action);
   }
 
-  /** It was a double click, which chooses nothing; false where that is too late, since the first one was done already. */
+  /** Undo the first click of a double click; return false if its action has already run. */
   takeBackClick(): boolean {
     const before = this.#before;
     this.#before = null;
@@ -203,14 +207,17 @@ export class Pointing {
     return true;
   }
 
-  /** In the airway view: the lumen in front of the wall there, once the server has said where that is. */
+  /**
+   * Apply the tool in the airway view: the server first returns the wall point, then the tool uses the lumen in front
+   * of it.
+   */
   commitInPicture(header: PictureHeader, pixel: PixelPoint): void {
     this.#live.reset();
     this.#live.ask({ lps: null, frame_id: header.frame_id, column: pixel.column, row: pixel.row });
     this.#commitOn = this.#lastAsked;
   }
 
-  /** The pen is in the hand: the way to the point that its button marks, while no cursor moves. */
+  /** While a tool uses the pen, request the path to the point that its button marks, unless the cursor moves. */
   penAt(): void {
     const { state } = this.#station;
     const at = penPoint(state);
@@ -222,7 +229,7 @@ export class Pointing {
     this.#ask({ lps: at, frame_id: null, column: null, row: null });
   }
 
-  /** By a key: what is in the hand is used at a point, or on the branch that lies there. */
+  /** Apply the active tool by key at a point, or to the branch at the point. */
   commitHere(lps: Vec3): void {
     const { tree, ui } = this.#station.state;
     if (!wantsBranch(ui.armed, ui.forkHeld !== null)) {
@@ -233,7 +240,7 @@ export class Pointing {
     this.#onBranch(place?.branchId ?? null, place);
   }
 
-  /** What is in the hand is used at a point. */
+  /** Apply the active tool at a point. */
   commit(lps: Vec3): void {
     const station = this.#station;
     const { armed, forkHeld } = station.state.ui;
@@ -279,7 +286,7 @@ export class Pointing {
     }
   }
 
-  /** The brush is drawn over a slice; true where there is one in the hand. */
+  /** Draw with the brush on a slice; return true if a brush is active. */
   stroke(viewport: Viewport, at: PointerPlace): boolean {
     const station = this.#station;
     const { armed, stroke } = station.state.ui;
@@ -323,7 +330,7 @@ export class Pointing {
     station.ui({ stroke: [] });
   }
 
-  /** A row of the list is clicked, with a tool that is meant for branches: it is one, whole. */
+  /** Apply a branch tool to the whole branch of a clicked row. */
   clickRow(branchId: number): void {
     this.#onBranch(branchId, null);
   }
@@ -384,7 +391,7 @@ export class Pointing {
         if (!isInside(viewport.shape, viewport.frame, at)) return null;
         const here = pose?.branch_id ?? null;
         const ahead = tree === null || here === null ? null : branchAhead(tree, here, geometry, pixel);
-        // The branch that the tip is in lies all around: only a tool may mean it.
+        // The branch that contains the tip surrounds the view, so only a tool can select it.
         const means = ahead !== here || wantsBranch(ui.armed, ui.forkHeld !== null);
         return { lps: null, branchId: means ? ahead : null, place: null, pixel };
       }
@@ -394,7 +401,7 @@ export class Pointing {
   }
 }
 
-/** So near to its beginning a branch is meant whole. */
+/** Distance, mm, from a branch's beginning within which the whole branch is selected. */
 const WHOLE_MM = 2;
 const cutMm = (alongMm: number): number => (alongMm < WHOLE_MM ? 0 : alongMm);
 
@@ -406,7 +413,7 @@ function questionOf(header: PictureHeader | null, pointed: Pointed): LiveQuestio
   return { lps: null, frame_id: header.frame_id, column, row };
 }
 
-/** The point of a slice, of the cut-plane or of a view along the route; null in pictures that are seen through. */
+/** Return the point of a slice, the cut-plane or a view along the route; null in camera views. */
 function flatPoint(viewport: Viewport, at: PointerPlace): Vec3 | null {
   const { header } = viewport;
   const pixel = viewport.pixelAt(at);

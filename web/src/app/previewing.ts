@@ -1,4 +1,4 @@
-/** Shows what a click would make while a tool for it is in the hand. */
+/** Requests and shows the preview of an edit while a tool with a preview is active. */
 
 import type { PreviewQuestion } from "../state/edit-preview";
 import { NewestAsker } from "../state/newest-asker";
@@ -6,11 +6,12 @@ import type { EditPreviewMessage } from "../wire/messages";
 import type { Station } from "./station";
 
 /**
- * So long the answer to where the cursor was stays, faint, so that the line follows a hand that moves. Then it goes:
- * another way than the click would make is not shown.
+ * Time, ms, for which the answer for an earlier cursor position stays visible (faint), so that the line follows the
+ * hand. Afterwards it is hidden, because the click would give another result.
  */
 export const STALE_MS = 120;
 
+/** Preview of edits. */
 export class Previewing {
   readonly #station: Station;
   readonly #asker: NewestAsker<PreviewQuestion, EditPreviewMessage>;
@@ -32,14 +33,14 @@ export class Previewing {
     this.#asker.ask(question);
   }
 
-  /** The tree has changed: what was shown would not be made any more. */
+  /** Request the preview again, because the tree has changed. */
   again(): void {
     if (this.#last === null) return;
     this.#outdated();
     this.#asker.ask(this.#last);
   }
 
-  /** Nothing is pointed at, or nothing is in the hand any more. */
+  /** Clear the preview, because the cursor has left or no tool is active. */
   forget(): void {
     this.#last = null;
     this.#asker.forget();
@@ -47,7 +48,7 @@ export class Previewing {
     if (this.#station.state.preview !== null) this.#station.store.dispatch({ kind: "preview", preview: null });
   }
 
-  /** A new connection. */
+  /** Forget all requests, for a new connection. */
   reset(): void {
     this.forget();
     this.#asker.reset();

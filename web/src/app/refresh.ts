@@ -1,8 +1,9 @@
-/** The next refresh of the screen, or soon after where there is none. */
+/** Scheduling at the next display refresh, or after a short time in a hidden window. */
 
-/** Where a window is hidden the screen is not refreshed; what is told must not wait for that. */
+/** Longest delay, ms: a hidden window has no display refresh, but messages must still be sent. */
 const HIDDEN_MS = 250;
 
+/** Run a task once at the next display refresh. */
 export function atNextRefresh(task: () => void): void {
   const late = setTimeout(() => {
     cancelAnimationFrame(refresh);

@@ -1,9 +1,9 @@
-/** What the workstation does without remembering anything. */
+/** Functions of the workstation without state. */
 
 import type { StreamStatus } from "../net/stream";
 import type { Connection } from "../state/app-state";
 
-/** What the key for the slab goes through. */
+/** Slab thicknesses that the key cycles through. */
 export const SLABS = [
   { thickness_mm: 0, kind: "min" },
   { thickness_mm: 10, kind: "min" },
@@ -11,16 +11,17 @@ export const SLABS = [
   { thickness_mm: 5, kind: "mean" },
 ] as const;
 
-/** Hands a file to the browser, as a click on a link would. */
+/** Save a file through the browser's download. */
 export function saveAs(name: string, blob: Blob): void {
   const link = document.createElement("a");
   link.href = URL.createObjectURL(blob);
   link.download = name;
   link.click();
-  // The browser has taken the file by the next turn.
+  // The browser has read the file by then, so its memory can be released.
   setTimeout(() => URL.revokeObjectURL(link.href), 1000);
 }
 
+/** Return the connection status for the state. */
 export function asConnection(status: StreamStatus): Connection {
   switch (status.status) {
     case "connecting":

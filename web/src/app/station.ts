@@ -1,4 +1,6 @@
-/** What the parts of the workstation may ask of it. The workstation makes them, so they know no more of it than this. */
+/**
+ * Interface of the workstation for its parts. The workstation creates the parts, so they depend on this interface only.
+ */
 
 import type { Flight } from "../input/flight";
 import type { Action } from "../input/keymap";
@@ -9,10 +11,11 @@ import type { WallPoint } from "../state/wall-point";
 import type { Wall } from "../views/wall";
 import type { ClientMessage } from "../wire/messages";
 
+/** Interface of the workstation for its parts. */
 export interface Station {
   readonly state: AppState;
   readonly store: Store;
-  /** False where it could not be sent. */
+  /** Send a message; return false without a connection. */
   send(message: ClientMessage): boolean;
   ui(change: Partial<Ui>): void;
   notice(message: string): void;
@@ -20,12 +23,12 @@ export interface Station {
   readonly flight: Flight;
   act(action: Action): void;
   chooseBranch(branchId: number): void;
-  /** A target, its path searched as chosen. */
+  /** Add a target with the selected path search. */
   addTarget(lps: Vec3): void;
-  /** Nothing is in the hand any more. */
+  /** Deactivate the active tool. */
   disarm(): void;
-  /** As it was before a click that turned out to be the first half of a double click. */
+  /** Restore the state before the first click of a double click. */
   takeBack(before: { picks: readonly WallPoint[]; crosshair: Vec3 | null; selected: number | null }): void;
-  /** The crosshair, or where the tip is. */
+  /** Return the crosshair, or the position of the tip. */
   centre(): Vec3 | null;
 }

@@ -1,13 +1,16 @@
 /**
- * What browser tests may read: `window.__carina.state`, and on every picture's canvas `data-view`, `data-frame-id`,
- * `data-pose-id`, `data-full` and `data-shows`. Nothing in the product reads either.
+ * Data for browser tests: `window.__carina.state`, and on every view's canvas `data-view`, `data-frame-id`, `data-pose-
+ * id`, `data-full` and `data-shows`. The product itself reads none of it.
  */
 
 import type { AppState } from "../state/app-state";
 import type { StateMessage } from "../wire/messages";
 import type { Workstation } from "./workstation";
 
-/** The server's last `state` message laid flat, beside what the client knows (`pose`, `route`, `tree`, `ui`, ...). */
+/**
+ * The fields of the server's latest `state` message together with the client's state (`pose`, `route`, `tree`, `ui`,
+ * ...).
+ */
 export type TestState = AppState & Partial<StateMessage>;
 
 declare global {
@@ -16,6 +19,7 @@ declare global {
   }
 }
 
+/** Publish the state for browser tests. */
 export function exposeForTests(station: Workstation): void {
   window.__carina = {
     get state() {

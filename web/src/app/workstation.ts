@@ -1,4 +1,7 @@
-/** Wires the parts: stream, pictures, state, flight and keys. Panels call its methods; it knows no panel. */
+/**
+ * The workstation: connects stream, views, state, flight and keys. Panels call its methods; it does not depend on
+ * panels.
+ */
 
 import { Flight } from "../input/flight";
 import { KeyPlayer, keyFramesAround } from "../input/key-player";
@@ -49,17 +52,18 @@ import { atNextRefresh } from "./refresh";
 import type { Station } from "./station";
 import { asConnection, SLABS, saveAs } from "./station-parts";
 
-/** One press of the path bar's arrows. */
+/** Movement by one press of the path bar's arrow keys, mm. */
 const STEP_MM = 2;
 const PACE_MS = 500;
 const SPEED_MS = 250;
 
+/** The workstation. */
 export class Workstation implements Station {
   readonly store = new Store(INITIAL_STATE, atNextRefresh);
   readonly wall: Wall;
   readonly flight: Flight;
   readonly player: KeyPlayer;
-  /** Flies a recorded flight again. */
+  /** Player of recorded flights. */
   readonly replayer: KeyPlayer;
   #flownFlight: number | null = null;
   readonly pointing: Pointing;
@@ -67,7 +71,7 @@ export class Workstation implements Station {
   readonly devices: BrowserDevices;
   readonly #stream: Stream;
   readonly #board: PictureBoard<ImageBitmap>;
-  /** Newest wish of a kind that only its newest value matters for, sent at the next refresh. */
+  /** Latest message of each kind whose earlier values are obsolete; sent at the next display refresh. */
   readonly #soon = new Map<string, ClientMessage>();
   #uploadStop: AbortController | null = null;
   #autoWanted = false;
@@ -93,9 +97,10 @@ export class Workstation implements Station {
     this.#board = new PictureBoard<ImageBitmap>({
       decode: ({ header, payload }) => createImageBitmap(new Blob([payload], { type: `image/${header.codec}` })),
       draw: (header, image, outline, layers) => {
-        // A view that has just left the screen is not remembered either: it would lie when it comes back.
+        // A picture of a view that has just left the screen is not recorded, because it would be outdated when the view
+        // returns.
         if (!this.wall.draw(header, image, outline, layers)) return;
-        // What stands in for the airway view says nothing about how quickly that one follows.
+        // A replacement picture does not count for the picture rate of the airway view.
         if (header.view === LEAD_VIEW) this.#pace.pictureDrawn(header.pose_id, performance.now());
         else if (header.stands_for === LEAD_VIEW) this.#pace.standInDrawn(header.pose_id);
         this.store.dispatch({ kind: "picture", header });
@@ -159,7 +164,7 @@ export class Workstation implements Station {
           if (message.type === "tree") this.previewing.again();
           if (message.type === "no_evidence") this.#asked();
           if (message.type === "state" && wasUsedByPen(before.ui.armed, before.session, message)) this.disarm();
-          // Another case: its first picture may have an older number than the last one of the case before.
+          // In another case the first picture may have a lower number than the last picture of the previous case.
           if (message.type === "state" && caseKey(before.session) !== caseKey(message)) {
             this.#board.reset();
             this.#pace.reset();
@@ -187,7 +192,7 @@ export class Workstation implements Station {
     return this.store.get();
   }
 
-  /** Starts all that runs by itself; returns how to stop it. */
+  /** Start all periodic work; return a function that stops it. */
   start(): () => void {
     const stopKeys = listenToKeys(window, {
       press: (action) => this.act(action),
@@ -226,7 +231,7 @@ export class Workstation implements Station {
 
   reconnect = (): void => this.#stream.open();
 
-  /** Sends now; what the person should see at once is shown at once. */
+  /** Send a message now, and show its expected result immediately. */
   send = (message: ClientMessage): boolean => {
     if (this.state.watches && !mayWatcherSend(message)) return false;
     if (!this.#stream.send(message)) return false;
@@ -234,7 +239,7 @@ export class Workstation implements Station {
     return true;
   };
 
-  /** Sends the newest of its kind at the next refresh; shown at once. */
+  /** Send the latest message of its kind at the next display refresh, and show its expected result immediately. */
   sendSoon(message: ClientMessage): void {
     if (this.state.watches && !mayWatcherSend(message)) return;
     const kind = "view" in message ? `${message.type} ${message.view}` : message.type;
@@ -256,7 +261,7 @@ export class Workstation implements Station {
   openPath = (path: string): void => void this.send({ type: "open_path", path });
   openDemo = (name: Demo["name"]): void => void this.send({ type: "open_demo", name });
 
-  /** Sends files to be opened: as another case, or as the airways or the key frames of this one. */
+  /** Upload files and open them: as another case, or as the airways or key frames of this case. */
   async upload(
     files: readonly UploadFile[],
     use: keyof typeof UPLOADED = "case",
@@ -270,7 +275,8 @@ export class Workstation implements Station {
     try {
       const id = await sendUpload(files, (upload) => this.store.dispatch({ kind: "upload", upload }), stop.signal);
       if (use !== "case" && caseKey(this.state.session) !== of) {
-        // Large files take a while. On the same grid the mask of one patient would lie in the scan of another.
+        // Large files take time. If the user has changed the case meanwhile, the mask must not be applied to another
+        // patient's scan.
         this.#sayError(
           "upload.other-case",
           "Another case was opened during the upload, so the file was not used.",
@@ -296,7 +302,7 @@ export class Workstation implements Station {
 
   cancelUpload = (): void => this.#uploadStop?.abort();
 
-  /** The airways as a file with this suffix, into the browser's downloads. One at a time: a surface takes seconds. */
+  /** Download the airways in the format of this suffix. One download at a time, because a surface takes seconds. */
   async takeAirways(suffix: string): Promise<void> {
     if (this.state.ui.making !== null) return;
     this.ui({ making: suffix });
@@ -319,17 +325,17 @@ export class Workstation implements Station {
     }
   }
 
-  /** The key frames as a file that `carina fly` makes a film of. */
+  /** Download the key frames as a file from which `carina fly` renders a film. */
   async takeKeys(): Promise<void> {
     await this.#take(() => fetchKeyFrames(AbortSignal.timeout(DOWNLOAD_WITHIN_MS)));
   }
 
-  /** A recorded flight as a file. */
+  /** Download a recorded flight. */
   async takeFlight(number: number): Promise<void> {
     await this.#take(() => fetchFlight(number, AbortSignal.timeout(DOWNLOAD_WITHIN_MS)));
   }
 
-  /** Refreshes the copy that has a name; a case without one gets it in a dialogue. */
+  /** Update the named file; a case without one opens the save dialog. */
   save(): void {
     const saving = this.state.session?.saving;
     if (saving?.keeps !== true)
@@ -352,26 +358,26 @@ export class Workstation implements Station {
     if (at !== null) this.goTo(at + sign * STEP_MM);
   };
 
-  /** Add the current view as the last key frame, in the list that is then on the screen. */
+  /** Add the current view as the last key frame, and show the list of key frames. */
   addKey(): void {
     this.send({ type: "edit_key_frames", edit: { kind: "add" } });
     this.#showKeys(true);
   }
 
-  /** In the place of the step's panel, or of the devices'. */
+  /** Show or hide the key frame panel, which replaces the panel of the step or the devices. */
   #showKeys(keysOpen: boolean): void {
     if (keysOpen && this.state.ui.devicesOpen) this.toggleDevices();
     this.ui({ keysOpen });
   }
 
-  /** The flight through the key frames plays, or stands where it is. */
+  /** Play or pause the flight through the key frames. */
   playKeys(): void {
     this.flight.stopAuto();
     this.replayer.pause();
     this.player.toggle();
   }
 
-  /** A recorded flight is flown again from where it is, or stands there. */
+  /** Play or pause a recorded flight. */
   playFlight(number: number): void {
     this.flight.stopAuto();
     this.player.pause();
@@ -386,7 +392,7 @@ export class Workstation implements Station {
     return this.state.flights.find((flight) => flight.number === this.#flownFlight) ?? null;
   }
 
-  /** At once, not with the answer: a hand takes over. */
+  /** Pause immediately, without waiting for the server's answer, because the user moves the tip. */
   pausePlaying(): void {
     this.player.pause();
     this.replayer.pause();
@@ -397,7 +403,7 @@ export class Workstation implements Station {
     if (tip !== null) this.#speed.poseArrived(tip, performance.now());
     this.player.poseArrived(pose);
     this.replayer.poseArrived(pose);
-    // A device in the hand takes over.
+    // Input from a device stops the automatic flight.
     if (pose.by_device) this.flight.stopAuto();
   }
 
@@ -410,13 +416,13 @@ export class Workstation implements Station {
     this.ui({ selected: branchId });
     this.send({ type: "choose_route", target_id: null, branch_id: branchId });
   };
-  /** A planned route is taken, and its step shows what it means. */
+  /** Select a planned route, and go to the Route step. */
   takePlannedRoute = (targetId: string, number: number): void => {
     this.send({ type: "choose_planned_route", target_id: targetId, number });
     this.ui({ step: "route" });
   };
 
-  /** Shows a layer round the targets, or puts it away: pictures come without it then. */
+  /** Show or hide a layer around the targets; pictures arrive without hidden layers. */
   toggleLayer(layer: ShownLayer): void {
     this.ui({ hiddenLayers: toggled(this.state.ui.hiddenLayers, layer) });
     this.#tellLayers();
@@ -427,12 +433,12 @@ export class Workstation implements Station {
       this.#stream.send({ type: "set_layers", layers: wantedLayers(this.state.ui.hiddenLayers) });
   }
 
-  /** The report of a plan in a tab of its own, which opens the browser's print dialogue; its job tells how far it is. */
+  /** Open the report of a plan in a new tab, which opens the browser's print dialog; a job shows the progress. */
   printPlan(targetId: string, kind: "report" | "tracing"): void {
     window.open(planAddress(targetId, ".html", kind), "_blank", "noopener");
   }
 
-  /** The report of a plan as a file. */
+  /** Download the report of a plan. */
   async takePlan(targetId: string, suffix: PlanSuffix, named = false): Promise<void> {
     if (this.state.ui.making !== null) return;
     this.ui({ making: `plan${suffix}` });
@@ -443,14 +449,14 @@ export class Workstation implements Station {
   chooseTarget = (targetId: string): void =>
     void this.send({ type: "choose_route", target_id: targetId, branch_id: null });
 
-  /** Asks for the wall under a place in the airway picture that is on the screen. */
+  /** Request the wall point at a place in the displayed airway picture. */
   pickWall(header: PictureHeader, at: PixelPoint): void {
     if (at.column < 0 || at.row < 0 || at.column > header.width || at.row > header.height) return;
     this.#pickId += 1;
     this.send({ type: "pick", pick_id: this.#pickId, frame_id: header.frame_id, ...at });
   }
 
-  /** As it was before a click that turned out to be the first half of a double click. */
+  /** Restore the state before the first click of a double click. */
   takeBack(before: { picks: readonly WallPoint[]; crosshair: Vec3 | null; selected: number | null }): void {
     this.#pickForgotten = this.#pickId;
     if (this.state.picks !== before.picks) this.store.dispatch({ kind: "picks", picks: before.picks });
@@ -474,13 +480,13 @@ export class Workstation implements Station {
     this.pick(lps);
   }
 
-  /** A click at a point: uses what is in the hand, else moves the crosshair. */
+  /** Handle a click at a point: apply the active tool, or else move the crosshair. */
   pick(lps: Vec3): void {
     if (this.state.ui.armed === null) this.sendSoon({ type: "set_crosshair", lps });
     else this.pointing.commit(lps);
   }
 
-  /** Takes a tool in the hand; the same again puts it down. */
+  /** Activate a tool; the same tool again is deactivated. */
   arm(tool: Armed): void {
     const { armed } = this.state.ui;
     this.pointing.forget();
@@ -489,13 +495,15 @@ export class Workstation implements Station {
     this.ui({ armed: armed === tool ? null : tool, forkHeld: null, renaming: null, step });
   }
 
-  /** Takes the brush for a target's boundary in the hand. */
+  /** Activate the brush for a target's boundary. */
   brushTarget(targetId: string, tool: LesionTool): void {
     if (this.state.ui.armed !== tool || this.state.ui.brushedTarget === targetId) this.arm(tool);
     this.ui({ brushedTarget: targetId });
   }
 
-  /** What the paths to the next targets cost; without a place where they begin, that is marked first. */
+  /**
+   * Select the cost function for the paths to the next targets; if it needs a start, activate the tool that marks one.
+   */
   choosePathCost(cost: PathCost): void {
     this.ui({ pathCost: cost });
     this.pointing.forget();
@@ -504,7 +512,7 @@ export class Workstation implements Station {
     else if (cost === "lumen" && this.state.ui.armed === "start") this.disarm();
   }
 
-  /** A target, its path searched as chosen; without a start it says so. */
+  /** Add a target with the selected path search; show an error without a start. */
   addTarget(lps: Vec3): void {
     const message = targetMessage(lps, this.state.ui, this.state.session);
     if (message === null) this.notice("Mark the start point first: there are no airways to begin in.");
@@ -517,13 +525,16 @@ export class Workstation implements Station {
     this.ui({ armed: null, forkHeld: null });
   }
 
-  /** Goes to a step; what was in the hand belonged to the one before. */
+  /** Go to a step and deactivate the tool of the previous step. */
   toStep(step: Ui["step"]): void {
     if (step !== this.state.ui.step) this.disarm();
     this.ui({ step });
   }
 
-  /** Lets go of what is in the hand: a question first, the fork that is being moved first, then the tool. False where it is empty. */
+  /**
+   * Cancel the open question, else the fork that is being moved, else the active tool; return false if there is none of
+   * them.
+   */
   putAway(): boolean {
     const { armed, forkHeld } = this.state.ui;
     if (this.state.doubt !== null) {
@@ -539,13 +550,13 @@ export class Workstation implements Station {
     return true;
   }
 
-  /** A branch has no evidence: the question stands at the tool, which is in the panel of its step. */
+  /** Show the step whose panel contains the question about a branch without evidence. */
   #asked(): void {
     this.previewing.forget();
     if (this.state.ui.step !== "airways") this.ui({ step: "airways" });
   }
 
-  /** Draws by hand what the CT does not show, or leaves it. */
+  /** Draw the branch without evidence by hand, or discard it. */
   answerDoubt(draw: boolean): void {
     const { doubt } = this.state;
     if (doubt === null) return;
@@ -554,7 +565,7 @@ export class Workstation implements Station {
     this.send({ type: "edit_tree", edit: { kind: "add-branch", lps: doubt.lps, even_without_evidence: true } });
   }
 
-  /** Begins to type another name for the branch that is shown. */
+  /** Begin to rename a branch. */
   rename(branchId: number | null): void {
     if (branchId === null) this.notice("Choose a branch first: click it in the list or in a view.");
     else {
@@ -563,19 +574,19 @@ export class Workstation implements Station {
     }
   }
 
-  /** Keys that mean something only with a brush in the hand. */
+  /** Return whether an action is possible now; brush keys require an active brush. */
   #wants(action: Action): boolean {
     return action !== "brush_smaller" && action !== "brush_larger" ? true : isBrush(this.state.ui.armed);
   }
 
-  /** Opens or closes the panel of devices; only while it is open, their values are sent. */
+  /** Open or close the panel of devices; the server sends device values only while it is open. */
   toggleDevices(): void {
     const devicesOpen = !this.state.ui.devicesOpen;
     this.ui({ devicesOpen, keysOpen: false });
     this.send({ type: "watch_devices", on: devicesOpen });
   }
 
-  /** Brings a view to its place in the window. */
+  /** Show a view in its place in the window. */
   show = (view: ViewName): void => this.ui({ shown: showing(view, this.state.ui.shown) });
 
   #showNext(cell: CellName): void {
@@ -594,7 +605,7 @@ export class Workstation implements Station {
     else this.pointing.click(viewport, viewport.middle);
   }
 
-  /** The full frame, or the outline that the scope's picture was last seen in. */
+  /** Toggle between the full frame and the last used outline of the scope's picture. */
   #toggleOutline(): void {
     const outline = this.state.look.outline;
     if (outline !== "none") this.#outline = outline;
@@ -694,14 +705,14 @@ export class Workstation implements Station {
     if (route === null) {
       this.notice("There is no route yet. Choose a branch in the list on the left, or mark a target.");
     } else if (session?.mode === "free") {
-      // The answer brings the place on the path to start from.
+      // The flight starts when the answer contains the position on the path.
       this.#autoWanted = this.send({ type: "set_mode", mode: "path" });
     } else if (!this.flight.startAuto()) {
       this.notice("This is the end of the route.");
     }
   }
 
-  /** Said when a route is chosen, before it is flown, once for each. */
+  /** Warn once per selected route about its parts that the CT does not show. */
   #warnOfDoubts(): void {
     const { route } = this.state;
     const words = route === null ? null : routeDoubts(route.spans);
@@ -722,7 +733,7 @@ export class Workstation implements Station {
     else this.chooseBranch(mainLeaf(way.node).branch.id);
   }
 
-  /** Whether anything moves by itself, is held, waits to be sent, or has to be read at every refresh. */
+  /** Return whether anything moves, is held, waits to be sent, or must be read at every display refresh. */
   #goesOn(): boolean {
     const { playing, replaying } = this.state;
     const waits = this.#soon.size > 0 || this.#autoWanted;
@@ -746,12 +757,12 @@ export class Workstation implements Station {
 
   // ------------------------------------------------------------------ places
 
-  /** The tip's place on the route, ahead of the server while it is dragged; null in free movement. */
+  /** Return the tip's position on the route, mm, including a drag that is in progress; null in free movement. */
   pathMm(): number | null {
     return pathMm(this.state);
   }
 
-  /** Where the slices meet now. */
+  /** Return the intersection of the slices. */
   centre(): Vec3 | null {
     return crosshairLps(this.state) ?? tipLps(this.state);
   }
@@ -779,10 +790,10 @@ export class Workstation implements Station {
   }
 }
 
-/** What a plan is saved as. */
+/** File suffix of an exported plan. */
 export type PlanSuffix = ".pdf" | ".json" | ".mrk.json" | ".seg.nrrd" | ".seg.dcm" | ".sr.dcm" | ".pdf.dcm";
 
-/** What becomes of files that were sent. */
+/** Effects of uploaded files. */
 const UPLOADED = {
   case: "open_upload",
   mask: "import_mask",
@@ -790,5 +801,5 @@ const UPLOADED = {
   target: "import_target",
 } as const;
 
-/** Longer than any file takes. */
+/** Timeout of a download, ms. */
 const DOWNLOAD_WITHIN_MS = 300_000;

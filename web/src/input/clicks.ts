@@ -1,21 +1,25 @@
-/** The number of a click in a series, and the one action that the series causes. */
+/** Counting of clicks in a series (double click), and the action of a series. */
 
+/** Position of a pointer in a picture. */
 export interface PointerPlace {
   /** CSS pixels from the picture's top-left corner. */
   x: number;
   y: number;
 }
 
-/** What browsers wait for a second click, where nobody set it otherwise. */
+/** Longest time between two clicks of a series, ms: the browsers' default. */
 const SERIES_MS = 500;
-/** Two clicks nearer than this are at one place: a finger is less exact than a mouse. */
+/** Largest distance, CSS px, between two clicks of a series; larger for a finger, which is less exact than a mouse. */
 const NEAR_PX = { mouse: 6, finger: 24 } as const;
 
-/** Counts clicks that follow each other at one place. For fingers and pens, whose clicks browsers do not count, and for rows that move. */
+/**
+ * Counter of successive clicks at the same place, for touch and pen input, whose clicks browsers do not count, and for
+ * list rows that move.
+ */
 export class ClickCounter {
   #last: { at: PointerPlace; atMs: number; count: number } | null = null;
 
-  /** 1 for a click of its own, 2 for the second of a double click, and on. */
+  /** Return the number of this click in its series: 1 for the first click, 2 for the second of a double click. */
   count(at: PointerPlace, atMs: number, by: keyof typeof NEAR_PX): number {
     const last = this.#last;
     const follows =
@@ -25,22 +29,24 @@ export class ClickCounter {
     return count;
   }
 
-  /** Something else came between: a drag, a key. */
+  /** Begin a new series, because another input such as a drag or a key occurred. */
   forget(): void {
     this.#last = null;
   }
 }
 
 /**
- * What a click is for. The first one of a series does what is in the hand, or chooses; what follows at the same place
- * belongs to it: with a tool it does nothing, without one every second click makes the picture large, or small again.
+ * Return the action of a click by its number in the series.
+ *
+ * The first click uses the active tool, or selects. Later clicks of the series do nothing with a tool; without a tool
+ * every second click enlarges the picture or restores its size.
  */
 export function clickAction(count: number, forTool: boolean): "click" | "enlarge" | "nothing" {
   if (count === 1) return "click";
   return forTool || count % 2 === 1 ? "nothing" : "enlarge";
 }
 
-/** An action that cannot be undone, such as a flight: it runs when a second click can no longer follow. */
+/** A delayed action that cannot be undone, such as a flight. It runs once a second click can no longer follow. */
 export class DelayedAction {
   #waiting: ReturnType<typeof setTimeout> | null = null;
   #done = false;
@@ -57,12 +63,12 @@ export class DelayedAction {
     }, this.waitMs);
   }
 
-  /** Another series of clicks begins: what was done belongs to the one before. */
+  /** Begin a new series of clicks: the action of the previous series can no longer be cancelled. */
   renew(): void {
     this.#done = false;
   }
 
-  /** False where it is too late: it has been done. */
+  /** Cancel the action; return false if it has already run. */
   cancel(): boolean {
     if (this.#waiting !== null) clearTimeout(this.#waiting);
     this.#waiting = null;

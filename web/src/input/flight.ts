@@ -1,31 +1,35 @@
 /**
- * Turns held keys, wheel and drags into steering, once per screen refresh; and flies on by itself to the next fork.
- * Time comes from outside, so that tests fly without waiting.
+ * Steering by held keys, wheel and drags, sent once per display refresh; and the automatic flight to the next fork. The
+ * caller passes the time, so that tests need not wait.
  */
 
 import { nextStopMm } from "../state/route";
 import type { ClientMessage, RouteInfo } from "../wire/messages";
 import type { HoldAxis } from "./keymap";
 
-/** A careful hand: the trachea in four seconds. */
+/** Speed of a held key, mm/s; the trachea takes about four seconds. */
 export const SPEED_MM_S = 25;
+/** Factor of the speed while Shift is held. */
 export const SLOW = 0.3;
+/** Angular speed of a held key, rad/s. */
 export const TURN_RAD_S = 1.0;
-/** One notch of a usual wheel is 100 px of scrolling. */
+/** Advance per px of scrolling, mm; one notch of a common wheel is 100 px. */
 export const WHEEL_MM_PER_PX = 0.03;
-/** A late refresh (another tab, a pause) must not become a leap through a wall. */
+/** Longest time step, s, so that a late display refresh (another tab, a pause) does not move the tip through a wall. */
 export const MAX_TICK_S = 0.1;
 
+/** Page functions that {@link Flight} uses; tests supply fakes. */
 export interface FlightSurroundings {
   route(): RouteInfo | null;
   pathMm(): number | null;
-  /** Of the flight by itself. */
+  /** Return the speed of the automatic flight, mm/s. */
   speedMmS(): number;
   send(message: ClientMessage): void;
-  /** The automatic advance began or ended. */
+  /** Report the start or end of the automatic flight. */
   advancing(on: boolean): void;
 }
 
+/** Steering of the tip by keys and mouse. */
 export class Flight {
   readonly #around: FlightSurroundings;
   readonly #held: Record<HoldAxis, Set<1 | -1>> = {
@@ -52,7 +56,7 @@ export class Flight {
     this.#slow = on;
   }
 
-  /** Movement from the mouse since the last refresh. */
+  /** Add mouse movement, which is sent at the next display refresh. */
   nudge(move: Partial<{ advance_mm: number; yaw_rad: number; pitch_rad: number; roll_rad: number }>): void {
     if (move.advance_mm !== undefined) this.stopAuto();
     this.#pending.advance_mm += move.advance_mm ?? 0;
@@ -61,7 +65,7 @@ export class Flight {
     this.#pending.roll_rad += move.roll_rad ?? 0;
   }
 
-  /** Something is held, waits to be sent, or flies by itself. */
+  /** Whether a key is held, movement waits to be sent, or the automatic flight runs. */
   get isMoving(): boolean {
     const isHeld = Object.values(this.#held).some((signs) => signs.size > 0);
     return isHeld || this.#auto !== null || Object.values(this.#pending).some((amount) => amount !== 0);
@@ -71,7 +75,7 @@ export class Flight {
     return this.#auto !== null;
   }
 
-  /** To the next fork of the route and no further; false where there is nowhere to go. */
+  /** Start the flight to the next fork of the route; return false if there is no route ahead. */
   startAuto(): boolean {
     const route = this.#around.route();
     const at = this.#around.pathMm();
@@ -104,7 +108,7 @@ export class Flight {
     }
     if (this.#auto !== null) {
       this.#auto.atMm = Math.min(this.#auto.atMm + this.#around.speedMmS() * pace * dt, this.#auto.stopMm);
-      // Steered by place, not by speed: it stops at the fork exactly, however late the answers come.
+      // Send positions, not speeds, so that the tip stops exactly at the fork whatever the latency is.
       this.#around.send({ type: "go_to", path_mm: this.#auto.atMm });
       if (this.#auto.atMm >= this.#auto.stopMm) this.stopAuto();
     }

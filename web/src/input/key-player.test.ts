@@ -194,7 +194,7 @@ describe("the player of a recorded flight", () => {
       [0, false],
       [0.1, true],
     ]);
-    // A hand takes over.
+    // The user moves the tip by hand.
     made.poseArrived(flown(null));
     expect(playing).toMatchObject({ on: false, atS: 0.1 });
     made.play();

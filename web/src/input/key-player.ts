@@ -1,30 +1,32 @@
 /**
- * Plays the flight through the key frames, or a recorded one: steered by time, once per screen refresh, as the automatic flight is steered by
- * place. Whoever else moves the tip takes over at once; the server says so with every pose. Time comes from outside.
+ * Playback of the flight through the key frames, or of a recorded flight, by positions in time once per display
+ * refresh. Any other input that moves the tip stops the playback; the server reports the origin of each pose. The
+ * caller passes the time.
  */
 
 import { NOT_PLAYING, type Playing } from "../state/playing";
 import type { ClientMessage, KeyFramesMessage, PoseMessage } from "../wire/messages";
 import { MAX_TICK_S } from "./flight";
 
-/** Nearer than this to a key frame or to the end, it is there. */
+/** Distance in time, s, below which a position counts as a key frame or as the end. */
 const AT_END_S = 0.02;
 
+/** Functions of the flight that a {@link KeyPlayer} plays. */
 export interface PlayerSurroundings {
-  /** 0 where there is no flight. */
+  /** Return the duration, s; 0 without a flight. */
   durationS(): number;
-  /** Where a bar with steps is to stand exactly. */
+  /** Return the times, s, at which the position slider snaps. */
   stops(): readonly number[];
-  /** Brings the tip to a time; false without a connection. */
+  /** Move the tip to a time; return false without a connection. */
   fly(timeS: number, goesOn: boolean): boolean;
-  /** The tip's time in this flight; null where anything else has moved it. */
+  /** Return the pose's time in this flight, s; null if another input moved the tip. */
   timeOf(pose: PoseMessage): number | null;
-  /** The flight may have to be read first: time begins with the first answer. */
+  /** Whether the playback clock waits for the first answer, because the server may have to load the flight. */
   readonly waits: boolean;
   changed(playing: Playing): void;
 }
 
-/** What a player of key frames stands on. */
+/** Return the functions that play the flight through the key frames. */
 export function keyFramesAround(
   keyFrames: () => KeyFramesMessage | null,
   send: (message: ClientMessage) => boolean,
@@ -40,10 +42,11 @@ export function keyFramesAround(
   };
 }
 
+/** Player of one flight. */
 export class KeyPlayer {
   readonly #around: PlayerSurroundings;
   #playing = NOT_PLAYING;
-  /** The server has answered: from now on a pose of another origin means that somebody took over. */
+  /** Whether the server has answered the last command; afterwards a pose of another origin stops the playback. */
   #answered = false;
 
   constructor(around: PlayerSurroundings) {
@@ -54,7 +57,9 @@ export class KeyPlayer {
     return this.#playing.on;
   }
 
-  /** From where it is, or from the start where it is at the end; false where there is no flight. */
+  /**
+   * Start at the current position, or at the beginning if the position is at the end; return false without a flight.
+   */
   play(): boolean {
     const lasts = this.#around.durationS();
     if (lasts <= 0) return false;
@@ -74,17 +79,17 @@ export class KeyPlayer {
     return true;
   }
 
-  /** Something could not be done: a flight that was not read by then may never begin. */
+  /** Stop the playback if the server refused a command before its first answer, because the flight may never start. */
   refused(): void {
     if (!this.#answered) this.pause();
   }
 
-  /** Another flight takes this one's place: it begins at its start. */
+  /** Replace the flight: the position is reset to the beginning. */
   begin(): void {
     this.#set({ on: false, atS: 0 });
   }
 
-  /** Back to the start. */
+  /** Stop and move the tip to the beginning. */
   stop(): void {
     this.pause();
     this.seek(0);
@@ -93,7 +98,7 @@ export class KeyPlayer {
   seek(toS: number): void {
     const lasts = this.#around.durationS();
     const stops = [lasts, ...this.#around.stops()];
-    // A bar has steps: what is meant is the key frame itself, or the end.
+    // The slider has discrete steps, so a position near a key frame or the end selects it exactly.
     const atS = stops.find((stop) => Math.abs(stop - toS) < AT_END_S) ?? Math.min(Math.max(toS, 0), lasts);
     if (lasts > 0 && this.#go(atS)) this.#set({ atS });
   }
@@ -110,7 +115,7 @@ export class KeyPlayer {
     this.#set({ atS, on: atS < lasts });
   }
 
-  /** The tip is where the server says; on the flight, the bar stands there too. */
+  /** Update the position from a pose of the flight; stop the playback after a pose of another origin. */
   poseArrived(pose: PoseMessage): void {
     const timeS = this.#around.timeOf(pose);
     if (timeS !== null) {
@@ -121,7 +126,7 @@ export class KeyPlayer {
     }
   }
 
-  /** The flight was changed, another case was opened, or the connection is gone. */
+  /** Limit the position to the new duration after a change of the flight or case, or the loss of the connection. */
   reset(lasts: number): void {
     if (this.#playing.on || this.#playing.atS > lasts) {
       this.#set({ on: false, atS: Math.min(this.#playing.atS, lasts) });

@@ -1,10 +1,12 @@
 /**
- * The table of keys and of the mouse: what each does, where that holds, and in which words. The listeners, the key card,
- * the tooltips and the guide's list (docs/keys.md) all read it; see docs/decisions/0102.
+ * The table of keys and mouse gestures: the effect of each, the place where it is valid, and its text. The listeners,
+ * the key card, the tooltips and the guide's list (docs/keys.md) read it; see docs/decisions/0102.
  */
 
+/** Movement axis of a held key. */
 export type HoldAxis = "advance" | "roll" | "pitch" | "yaw";
 
+/** Action of a pressed key. */
 export type Action =
   | "auto_advance"
   | "previous_fork"
@@ -54,21 +56,22 @@ export type Action =
   | "key_card"
   | "leave";
 
-/** What the keys of a focused picture do; each kind of picture makes of it what it can. */
+/** Gesture of a key in a focused view; each kind of view interprets it. */
 export type PictureGesture =
   | { readonly gesture: "enter" }
   | { readonly gesture: "fit" }
   | { readonly gesture: "zoom" | "scroll"; readonly sign: 1 | -1 }
   | { readonly gesture: "move" | "pan"; readonly right: number; readonly down: number };
 
+/** Effect of a key. */
 export type Command =
   | { readonly kind: "hold"; readonly axis: HoldAxis; readonly sign: 1 | -1 }
   | { readonly kind: "press"; readonly action: Action }
   | { readonly kind: "picture"; readonly does: PictureGesture }
-  /** Whatever has the focus does it by itself: a list, a field, a dialog. */
+  /** The focused element (list, field, dialog) handles the key itself. */
   | { readonly kind: "own" };
 
-/** Where a key holds. Several can hold at once: a brush in the hand, a slice that has the focus, and the page. */
+/** Places where a key is valid. Several places can apply at once: an active brush, the focused slice, and the page. */
 export const PLACES = {
   page: { title: "Anywhere", within: null, over: [] },
   brush: { title: "With a brush selected", within: null, over: [] },
@@ -84,20 +87,23 @@ export const PLACES = {
   field: { title: "Text fields", within: null, over: ["page", "brush", "question"] },
   dialog: { title: "Dialogs", within: null, over: ["page", "brush", "question"] },
 } as const satisfies Record<string, { title: string; within: string | null; over: readonly string[] }>;
+/** Name of a place. */
 export type KeyPlace = keyof typeof PLACES;
 
+/** Group of keys on the key card. */
 export type KeyGroup = "Fly" | "Look" | "Plan" | "Airways" | "Views" | "Help";
 
+/** A key with its place and effect. */
 export interface Binding {
   readonly place: KeyPlace;
-  /** `KeyboardEvent.key`, letters in lower case: the letter that is printed on the key, on any layout. */
+  /** `KeyboardEvent.key` with letters in lower case: the printed letter on any keyboard layout. */
   readonly key: string;
   readonly ctrl?: boolean;
-  /** Only told apart where it matters; Shift with a held key means slow. */
+  /** Set only if the binding depends on Shift; Shift with a held key selects the slow speed. */
   readonly shift?: boolean;
   readonly label: string;
   readonly words: string;
-  /** Of the keys that hold anywhere. */
+  /** Group of a key that is valid anywhere. */
   readonly group?: KeyGroup;
   readonly command: Command;
 }
@@ -106,7 +112,7 @@ const hold = (axis: HoldAxis, sign: 1 | -1): Command => ({ kind: "hold", axis, s
 const press = (action: Action): Command => ({ kind: "press", action });
 const OWN: Command = { kind: "own" };
 
-/** Keys that do one thing, in different directions. */
+/** Keys with the same effect in different directions. */
 interface Keys {
   readonly ctrl?: boolean;
   readonly shift?: boolean;
@@ -121,7 +127,7 @@ const arrows = (gesture: "move" | "pan"): Keys["does"] => ({
   ArrowDown: { gesture, right: 0, down: 1 },
 });
 
-/** Keys of the pictures, alike in all; what they do is said for each kind of picture. */
+/** Keys that all views share; each kind of view has its own text for them. */
 const ENTER: Keys = { label: "Enter", ctrl: false, does: { Enter: { gesture: "enter" } } };
 const FIT: Keys = { label: "Home", ctrl: false, does: { Home: { gesture: "fit" } } };
 const ZOOM: Keys = {
@@ -574,9 +580,10 @@ const IN_PLACES: readonly Binding[] = [
   ...own("dialog", "Esc", "Close the dialog", "Escape"),
 ];
 
+/** All key bindings. */
 export const KEYMAP: readonly Binding[] = [...PAGE, ...IN_PLACES];
 
-/** What the mouse does, for the key card; the gestures of the pictures know it. */
+/** Texts about the mouse for the key card; the gestures of the views define the effects. */
 export const MOUSE: readonly { readonly where: string; readonly what: readonly (readonly [string, string])[] }[] = [
   {
     where: "Airway view",
@@ -628,6 +635,7 @@ export const MOUSE: readonly { readonly where: string; readonly what: readonly (
   },
 ];
 
+/** Presets of the grey-value window, width and level in HU, by action. */
 export const WINDOWS = {
   window_airway: { width_hu: 1000, level_hu: -700 },
   window_lung: { width_hu: 1500, level_hu: -600 },

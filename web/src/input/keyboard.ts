@@ -1,16 +1,17 @@
-/** Listens to the keyboard on the whole page, in front of the panels, and leaves alone every key that is not Carina's. */
+/** Listener for the keyboard of the whole page. It runs before the panels and ignores keys without a binding. */
 
 import { type Action, bindingOf, type FocusKind, type HoldAxis, takesKey } from "./keymap";
 
+/** Callbacks of the keyboard listener. */
 export interface KeyboardHandlers {
   press(action: Action): void;
   hold(axis: HoldAxis, sign: 1 | -1, down: boolean): void;
   slow(on: boolean): void;
-  /** Whether an action means something now; else its key belongs to whoever else wants it. */
+  /** Return whether an action is possible now; otherwise its key is not consumed. */
   wants(action: Action): boolean;
-  /** A tool is in the hand. */
+  /** Return whether a tool is active. */
   holdsTool(): boolean;
-  /** Left and right look while there is no path to choose ways on. */
+  /** Return whether the left and right arrows turn the view, because there is no route with branches to choose. */
   arrowsLook(): boolean;
   enabled(): boolean;
 }
@@ -19,6 +20,7 @@ const TYPING_INPUTS = new Set(["text", "search", "number", "email", "url", "pass
 const ARROW_ROLES =
   "[aria-haspopup],[role=tree],[role=treegrid],[role=grid],[role=listbox],[role=menu],[role=slider],[role=radiogroup],[role=tablist],[role=toolbar]";
 
+/** Return the kind of the focused element with regard to keys. */
 export function focusKind(target: EventTarget | null): FocusKind {
   if (!(target instanceof HTMLElement)) return "page";
   if (target.isContentEditable || target instanceof HTMLTextAreaElement || target instanceof HTMLSelectElement) {
@@ -30,16 +32,16 @@ export function focusKind(target: EventTarget | null): FocusKind {
   return target.closest("button,a,summary") === null ? "page" : "button";
 }
 
-/** What lies over the page is closed first. */
+/** Elements over the page, which Escape closes first. */
 const OVER_THE_PAGE = "[role=dialog],[role=alertdialog],[role=listbox],[role=menu]";
 
 function closesFirst(target: EventTarget | null): boolean {
   return target instanceof HTMLElement && target.closest(OVER_THE_PAGE) !== null;
 }
 
-/** Returns how to stop listening. */
+/** Start to listen; return a function that stops. */
 export function listenToKeys(page: Window, handlers: KeyboardHandlers): () => void {
-  /** Held keys by physical key: the letter may change while Shift comes and goes. */
+  /** Held keys by physical key, because the letter changes with Shift. */
   const held = new Map<string, { axis: HoldAxis; sign: 1 | -1 }>();
 
   const begin = (code: string, axis: HoldAxis, sign: 1 | -1) => {
@@ -59,7 +61,7 @@ export function listenToKeys(page: Window, handlers: KeyboardHandlers): () => vo
     const binding = bindingOf(event);
     if (binding === null) return;
     const focus = focusKind(event.target);
-    // Esc puts a tool down first, wherever the focus is: a field keeps its text, and the full view stays.
+    // Escape first deactivates a tool, whatever has the focus: a field keeps its text, and the enlarged view stays.
     const putsDown = event.key === "Escape" && handlers.holdsTool() && !closesFirst(event.target);
     if (!takesKey(focus, event) && !putsDown) return;
     if (binding.command.kind === "press" && !handlers.wants(binding.command.action)) return;
@@ -80,7 +82,7 @@ export function listenToKeys(page: Window, handlers: KeyboardHandlers): () => vo
     handlers.slow(event.shiftKey);
     end(event.code);
   };
-  // A window that loses the focus never hears the key go up: without this the scope would fly on by itself.
+  // A window without focus receives no keyup event; without this release the scope would continue to move.
   const release = () => {
     for (const code of [...held.keys()]) end(code);
   };

@@ -28,7 +28,7 @@ describe("the keys", () => {
   it("that clash are found: with Shift or without, in a kind of picture and in all, but not in two lists", () => {
     const taken = KEYMAP.find((binding) => binding.label === ".");
     if (taken === undefined) throw new Error("no key adds a key frame");
-    // As it was: on the tri-plane the full stop also moved a plane.
+    // Regression: on the tri-plane the full stop also moved a plane.
     const found = clashes([taken, { ...taken, place: "tri-plane" }]);
     expect(found).toHaveLength(1);
     expect(
@@ -67,7 +67,7 @@ describe("the keys", () => {
 
   it("that are not Carina's stay with the browser", () => {
     for (const key of ["5", "Tab", "F5", "PageDown", "Home", "Enter", "9"]) expect(bindingOf(press(key))).toBeNull();
-    // Ctrl+S would save the page, which holds nothing of the case: it is Carina's.
+    // The browser's Ctrl+S would save the web page, which does not contain the case, so Carina handles the key.
     for (const key of ["w", "s", "d", "f", "n", "p", "t"]) {
       if (key !== "s") expect(bindingOf(press(key, { ctrlKey: true })), `Ctrl+${key}`).toBeNull();
       expect(bindingOf(press(key, { altKey: true })), `Alt+${key}`).toBeNull();

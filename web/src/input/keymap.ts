@@ -1,4 +1,4 @@
-/** What a key press means: the table of keys, asked. */
+/** Queries of the table of keys. */
 
 import type { ViewName } from "../wire/messages";
 import { VIEWS } from "../wire/views";
@@ -7,18 +7,19 @@ import { type Action, type Binding, type HoldAxis, KEYMAP, type KeyGroup, type K
 export type { Action, HoldAxis, PictureGesture } from "./key-table";
 export { KEYMAP, WINDOWS } from "./key-table";
 
-/** The printed key of an action, for tooltips. */
+/** Return the label of the key of an action, for tooltips. */
 export function keyOf(action: Action): string {
   return KEYMAP.find((b) => b.command.kind === "press" && b.command.action === action)?.label ?? "";
 }
 
-/** The same of a key that is held. */
+/** Return the label of the held key of a movement. */
 export function keyOfHold(axis: HoldAxis, sign: 1 | -1): string {
   return (
     KEYMAP.find(({ command }) => command.kind === "hold" && command.axis === axis && command.sign === sign)?.label ?? ""
   );
 }
 
+/** The part of a keyboard event that selects a binding. */
 export interface KeyPress {
   readonly key: string;
   readonly ctrlKey: boolean;
@@ -27,7 +28,7 @@ export interface KeyPress {
   readonly shiftKey: boolean;
 }
 
-/** The binding of a key press where it holds, or null: then the key belongs to the browser and is not touched. */
+/** Return the binding of a key press in these places, or null; a key without a binding is left to the browser. */
 export function bindingOf(event: KeyPress, places: readonly KeyPlace[] = PAGE_PLACES): Binding | null {
   if (event.altKey) return null;
   const ctrl = event.ctrlKey || event.metaKey;
@@ -43,10 +44,10 @@ export function bindingOf(event: KeyPress, places: readonly KeyPlace[] = PAGE_PL
   );
 }
 
-/** Whose keys the whole page listens to. */
+/** Places whose keys the whole page listens to. */
 const PAGE_PLACES: readonly KeyPlace[] = ["page", "brush"];
 
-/** The kind of a picture, as far as its keys go, and what it is a kind of. */
+/** Return the place of a view and the more general places that contain it. */
 export function placesOf(view: ViewName): readonly KeyPlace[] {
   const { zoom, pick } = VIEWS[view];
   switch (zoom) {
@@ -64,10 +65,13 @@ export function placesOf(view: ViewName): readonly KeyPlace[] {
   }
 }
 
-/** What has the focus, as far as keys care. */
+/** Kind of the focused element with regard to keys. */
 export type FocusKind = "page" | "typing" | "arrows" | "button";
 
-/** Whether the page takes a key while something has the focus. Typing keeps every key; the others keep their own. */
+/**
+ * Return whether the page handles a key while an element has the focus. Text fields keep every key; other elements keep
+ * the keys that they use.
+ */
 export function takesKey(focus: FocusKind, event: KeyPress): boolean {
   switch (focus) {
     case "page":
@@ -81,7 +85,7 @@ export function takesKey(focus: FocusKind, event: KeyPress): boolean {
   }
 }
 
-/** Whether two places can hold at once: one picture has the focus, or one list, button or field, or none. */
+/** Return whether two places can apply at once; only one view, list, button or field can have the focus. */
 export function holdTogether(a: KeyPlace, b: KeyPlace): boolean {
   if (a === b || isWithin(a, b) || isWithin(b, a)) return true;
   return !(takesFocus(a) && takesFocus(b));
@@ -93,13 +97,13 @@ const isWithin = (inner: KeyPlace, outer: KeyPlace): boolean => {
 };
 const takesFocus = (place: KeyPlace): boolean => place !== "page" && place !== "brush" && place !== "question";
 
-/** Whether one place's keys are taken before the other's, by intention. */
+/** Return whether the keys of one place intentionally take precedence over those of the other. */
 const isOver = (a: KeyPlace, b: KeyPlace): boolean =>
   (PLACES[a].over as readonly KeyPlace[]).some((under) => under === b || isWithin(b, under));
 
 const both = (a: boolean | undefined, b: boolean | undefined): boolean => a === undefined || b === undefined || a === b;
 
-/** Pairs of bindings of which one would take the other's key. */
+/** Return pairs of bindings that use the same key in places that can apply at once. */
 export function clashes(table: readonly Binding[]): [Binding, Binding][] {
   return table.flatMap((a, index) =>
     table
@@ -119,11 +123,11 @@ export function clashes(table: readonly Binding[]): [Binding, Binding][] {
 
 const GROUPS: readonly KeyGroup[] = ["Fly", "Look", "Plan", "Airways", "Views", "Help"];
 
-/** One line for keys that do one thing together. */
+/** Keep the first of the bindings with the same label, as one line of the display. */
 const lines = (bindings: readonly Binding[]): readonly Binding[] =>
   bindings.filter(({ label }, index) => bindings.findIndex((other) => other.label === label) === index);
 
-/** All keys as a person reads them: those that hold anywhere by what they are for, the others by their place. */
+/** Return all keys for display: keys that are valid anywhere by group, the others by place. */
 export function keySections(): readonly { readonly title: string; readonly rows: readonly Binding[] }[] {
   return [
     ...GROUPS.map((group) => ({ title: group, rows: lines(KEYMAP.filter((binding) => binding.group === group)) })),

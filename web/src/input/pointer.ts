@@ -1,27 +1,29 @@
-/** Clicks, drags and wheel turns on a picture, told apart once for all pictures. */
+/** Recognition of clicks, drags and wheel turns on a picture, shared by all views. */
 
 import { ClickCounter, type PointerPlace } from "./clicks";
 
 export type { PointerPlace } from "./clicks";
 
+/** Kind of a drag. */
 export type DragButton = "main" | "window" | "pan";
 
+/** Callbacks of the pointer listener. */
 export interface PointerHandlers {
-  /** Drags with the middle button, or with Shift, are "pan"; elsewhere Shift changes nothing. */
+  /** Return whether drags with the middle button, or with Shift, pan; in other views Shift has no effect. */
   pans?(): boolean;
-  /** A press that was let go without moving; `count` is 2 for the second of a double click. */
+  /** Handle a press without movement; `count` is 2 for the second click of a double click. */
   click?(at: PointerPlace, count: number): void;
-  /** The same with the right button. */
+  /** Handle a press of the right button without movement. */
   secondaryClick?(at: PointerPlace): void;
   drag?(at: PointerPlace, moved: { dx: number; dy: number }, button: DragButton): void;
-  /** A drag has ended. */
+  /** Handle the end of a drag. */
   release?(): void;
-  /** The pointer passes; `shift` moves the crosshair along. */
+  /** Handle movement without a pressed button; with `shift` the crosshair follows. */
   hover?(at: PointerPlace | null, shift: boolean): void;
   wheel?(deltaPx: number, zoom: boolean, at: PointerPlace): void;
 }
 
-/** A hand that clicks shakes by this much. */
+/** Movement, px, up to which a press is a click. */
 const CLICK_PX = 3;
 const LINE_PX = 16;
 
@@ -32,10 +34,13 @@ function buttonOf(event: PointerEvent, pans: boolean): DragButton | null {
   return pans && event.shiftKey ? "pan" : "main";
 }
 
-/** Returns how to stop listening. */
+/** Start to listen; return a function that stops. */
 export function listenToPointer(element: HTMLElement, handlers: PointerHandlers): () => void {
   let drag: { id: number; x: number; y: number; button: DragButton; clicks: boolean; moved: boolean } | null = null;
-  /** A mouse was let go without moving: the browser's click follows, and tells which of a series it is. */
+  /**
+   * Whether the browser's click event follows a mouse release; the event contains the number of the click in its
+   * series.
+   */
   let clickFollows = false;
   const clicks = new ClickCounter();
 
@@ -79,7 +84,7 @@ export function listenToPointer(element: HTMLElement, handlers: PointerHandlers)
       handlers.release?.();
       if (wasClick && held.button === "window") handlers.secondaryClick?.(place(event));
     } else if (event.pointerType === "mouse") clickFollows = true;
-    // Browsers count the clicks of a mouse as the system is set to; those of fingers and pens not all of them count.
+    // Browsers count mouse clicks by the system's settings; not all browsers count touch and pen clicks.
     else handlers.click?.(place(event), clicks.count(place(event), event.timeStamp, "finger"));
   };
   const click = (event: MouseEvent) => {
@@ -95,7 +100,7 @@ export function listenToPointer(element: HTMLElement, handlers: PointerHandlers)
     handlers.wheel(event.deltaY * unit, event.ctrlKey || event.metaKey, place(event));
   };
   const nothing = (event: Event) => event.preventDefault();
-  // The browser would scroll by itself.
+  // Suppress the browser's automatic scrolling.
   const middle = (event: MouseEvent) => {
     if (event.button === 1) event.preventDefault();
   };

@@ -1,8 +1,8 @@
-/** What the keys do in a window that only watches. */
+/** Actions of keys in a window that only watches. */
 
 import type { Action } from "./keymap";
 
-/** Keys that change nothing but what this window shows. */
+/** Actions that change only what this window shows. */
 export const WATCHERS_ACTIONS: ReadonlySet<Action> = new Set<Action>([
   "crosshair_to_tip",
   "find_branch",

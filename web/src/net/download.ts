@@ -1,6 +1,6 @@
-/** Files that Carina makes of the open case: fetched, then handed to the browser's own saving. */
+/** Downloads of files that Carina generates from the open case. */
 
-/** Why there is no file, in words for a person. */
+/** The error of a failed download; its message is text for the user. */
 export class DownloadError extends Error {
   constructor(
     readonly code: string,
@@ -10,39 +10,40 @@ export class DownloadError extends Error {
   }
 }
 
-/** The airways as a file with this suffix (".stl"). */
+/** Download the airways in the format of this file suffix (".stl"). */
 export function fetchAirways(suffix: string, signal: AbortSignal): Promise<{ name: string; blob: Blob }> {
   return fetchFile(`airways${suffix}`, signal);
 }
 
-/** Where the report of a target's plan is shown, ready to be printed. */
+/** Return the address of the printable report of a target's plan. */
 export function planAddress(targetId: string, suffix: ".html", kind: "report" | "tracing"): string {
   const asked = kind === "tracing" ? "?kind=tracing" : "";
   return `./api/plans/${encodeURIComponent(targetId)}${suffix}${asked}#print`;
 }
 
-/** The plan of a target as a report with this suffix (".pdf"). */
+/** Download the report of a target's plan in the format of this file suffix (".pdf"). */
 export function fetchPlan(
   targetId: string,
   suffix: string,
   signal: AbortSignal,
-  /** Of a DICOM file: whether it names the CT's patient. */
+  /** For a DICOM file: whether it contains the identity of the CT's patient. */
   named = false,
 ): Promise<{ name: string; blob: Blob }> {
   const asked = named ? "?identity=ct" : "";
   return fetchFile(`${encodeURIComponent(targetId)}${suffix}`, signal, "plans/", asked);
 }
 
-/** The key frames with their ways, as `carina fly` takes them. */
+/** Download the key frames and their paths in the file format that `carina fly` reads. */
 export function fetchKeyFrames(signal: AbortSignal): Promise<{ name: string; blob: Blob }> {
   return fetchFile(KEYS_FILE, signal);
 }
 
-/** A recorded flight of the case, as `carina fly` takes it. */
+/** Download a recorded flight of the case in the file format that `carina fly` reads. */
 export function fetchFlight(number: number, signal: AbortSignal): Promise<{ name: string; blob: Blob }> {
   return fetchFile(`flight-${number}.jsonl`, signal, "flights/");
 }
 
+/** Name of the downloaded file of key frames. */
 export const KEYS_FILE = "key-frames.json";
 
 async function fetchFile(

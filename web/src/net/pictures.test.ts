@@ -3,7 +3,7 @@ import type { PictureHeader, ViewName } from "../wire/messages";
 import type { WirePicture } from "../wire/parse";
 import { PictureBoard } from "./pictures";
 
-/** A generator that repeats itself from its seed: a failure can be seen again. */
+/** Return a random generator with a fixed seed, so that a failure can be repeated. */
 function randomOf(seed: number): () => number {
   let state = seed;
   return () => {
@@ -47,7 +47,7 @@ function picture(
   };
 }
 
-/** A board whose decodes end when and how the test says. */
+/** Return a picture board whose decodes the test completes in any order. */
 function board() {
   const drawn: PictureHeader[] = [];
   const acknowledged: number[] = [];
@@ -61,7 +61,7 @@ function board() {
           end: async (broken = false) => {
             if (broken) fail(new Error("no image"));
             else done({ close: () => undefined });
-            // Two turns of the queue: the decode's own, and the board's work after it.
+            // Wait for two microtasks: the decode's completion, and the board's processing.
             await Promise.resolve();
             await Promise.resolve();
             await Promise.resolve();

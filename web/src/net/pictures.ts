@@ -1,22 +1,25 @@
 /**
- * Puts pictures on the screen in order. For each view the newest pose wins: a picture is never followed by one of an
- * older pose, however the decodes finish. Every picture received is acknowledged once it was drawn or dropped (then with
- * the decode under way), since the server paces itself by the acknowledgements.
+ * Display of received pictures in order. In each view a picture of an older pose never replaces a picture of a newer
+ * pose, in whatever order the decoders finish. The client acknowledges each picture after it was drawn or dropped,
+ * because the server adapts its rate to the acknowledgements. A picture that is dropped during a decode is acknowledged
+ * when that decode ends.
  */
 
 import type { PictureHeader, ViewName } from "../wire/messages";
 import type { WirePicture } from "../wire/parse";
 
+/** A decoded image that can be released. */
 export interface Decoded {
   close(): void;
 }
 
+/** Decoder and drawing target of a picture. */
 export interface PictureSink<T extends Decoded> {
   decode(picture: WirePicture): Promise<T>;
-  /** Called synchronously before the acknowledgement. The image is closed after it returns. */
+  /** Draw a picture. The caller closes the image after this method returns, then acknowledges the picture. */
   draw(header: PictureHeader, image: T, outline: WirePicture["outline"], layers: WirePicture["layers"]): void;
   acknowledge(frameId: number): void;
-  /** A payload that is no image; the view keeps its last picture. */
+  /** Report a payload that is not an image; the view still shows its previous picture. */
   failed(header: PictureHeader): void;
 }
 
@@ -24,18 +27,23 @@ interface ViewQueue {
   shown: PictureHeader | null;
   waiting: WirePicture | null;
   decoding: boolean;
-  /** Dropped during the decode under way, and acknowledged with it: a client that is behind is not sent still more. */
+  /**
+   * Frames that were dropped during the current decode. They are acknowledged when the decode ends, so that the server
+   * sends fewer pictures to a slow client.
+   */
   overtaken: number[];
 }
 
-/** The place on the screen that a picture is for: its own view, or the one that it stands in for. */
+/** Return the view whose place on the screen shows the picture: its own view, or the view that it replaces. */
 export const placeOf = (header: Pick<PictureHeader, "view" | "stands_for">): ViewName =>
   header.stands_for ?? header.view;
 
+/** Return whether picture `a` is of an older pose, or an older frame of the same pose, than picture `b`. */
 export function isOlder(a: Pick<PictureHeader, "pose_id" | "frame_id">, b: typeof a): boolean {
   return a.pose_id < b.pose_id || (a.pose_id === b.pose_id && a.frame_id < b.frame_id);
 }
 
+/** Queue of received pictures, one per view, that draws the latest picture of each view. */
 export class PictureBoard<T extends Decoded> {
   readonly #sink: PictureSink<T>;
   #views = new Map<ViewName, ViewQueue>();
@@ -44,7 +52,10 @@ export class PictureBoard<T extends Decoded> {
     this.#sink = sink;
   }
 
-  /** A new connection or case counts its poses anew. Decodes still running belong to the old one and are not drawn. */
+  /**
+   * Clear all queues for a new connection or case, in which pose numbers start again. Pictures whose decode is running
+   * are not drawn.
+   */
   reset(): void {
     this.#views = new Map();
   }

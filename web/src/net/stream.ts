@@ -1,24 +1,29 @@
-/** The socket: speaks the wire, comes back by itself when it is lost, and says honestly how it stands. */
+/**
+ * WebSocket connection to the server: encodes and decodes messages, reconnects after a loss and reports the connection
+ * status.
+ */
 
 import { CLOSE_CODES, type ClientMessage, NO_COMMANDS, type ServerMessage, WIRE_VERSION } from "../wire/messages";
 import { parsePicture, parseServerMessage, WireError, type WirePicture } from "../wire/parse";
 
+/** Status of the connection. */
 export type StreamStatus =
   | { status: "connecting" }
   | { status: "open" }
   | { status: "lost"; retryAtMs: number; reason: string | null }
-  /** Trying again cannot help; a person must act. */
+  /** The client does not reconnect, because only the user can resolve the reason. */
   | { status: "refused"; reason: string };
 
+/** Callbacks of a {@link Stream}. */
 export interface StreamHandlers {
   status(status: StreamStatus): void;
   message(message: ServerMessage): void;
   picture(picture: WirePicture): void;
-  /** The server broke the protocol; what it sent is dropped. */
+  /** Report a message that violates the protocol; the stream discards the message. */
   fault(words: string): void;
 }
 
-/** What the stream needs of a WebSocket; the browser's fits, and so does a fake one. */
+/** The part of the browser's WebSocket interface that the stream uses; tests supply a fake. */
 export interface Socket {
   binaryType: string;
   readonly readyState: number;
@@ -29,9 +34,10 @@ export interface Socket {
   close(): void;
 }
 
+/** Clock and timer of a {@link Stream}; tests supply a fake. */
 export interface StreamClock {
   nowMs(): number;
-  /** Calls back after a while; returns how to call it off. */
+  /** Call `call` after `ms` milliseconds; return a function that cancels the call. */
   after(ms: number, call: () => void): () => void;
 }
 
@@ -39,7 +45,7 @@ const OPEN = 1;
 const FIRST_RETRY_MS = 500;
 const LAST_RETRY_MS = 8000;
 
-/** Wait before the n-th try (0 is the first), doubling. */
+/** Return the delay before the n-th retry (0 is the first) in ms; the delay doubles up to a maximum. */
 export function retryDelayMs(attempt: number): number {
   return Math.min(FIRST_RETRY_MS * 2 ** Math.min(attempt, 10), LAST_RETRY_MS);
 }
@@ -63,6 +69,7 @@ const NO_USE_TRYING = new Map<number, string>([
   ],
 ]);
 
+/** The client's connection to the server. */
 export class Stream {
   readonly #connect: () => Socket;
   readonly #handlers: StreamHandlers;
@@ -74,7 +81,7 @@ export class Stream {
   #numCommands = 0;
   readonly #token: string | null;
 
-  /** `token` is that of the link by which a watcher came. */
+  /** `token` is the access token in the link of a watcher. */
   constructor(connect: () => Socket, handlers: StreamHandlers, clock: StreamClock, token: string | null = null) {
     this.#token = token;
     this.#connect = connect;
@@ -82,7 +89,7 @@ export class Stream {
     this.#clock = clock;
   }
 
-  /** Connects, now; also the "Try now" of a person who does not want to wait. */
+  /** Connect immediately. The "Try now" button also calls this method. */
   open = (): void => {
     this.#callOff?.();
     this.#callOff = null;
@@ -119,7 +126,10 @@ export class Stream {
     };
   };
 
-  /** False where there is no connection: the message is not kept, since it would arrive as an old wish. */
+  /**
+   * Send a message; return false if there is no connection. The message is not queued, because it would be outdated
+   * after the reconnection.
+   */
   send = (message: ClientMessage): boolean => {
     if (this.#socket === null || this.#socket.readyState !== OPEN) return false;
     this.#socket.send(JSON.stringify(message));
@@ -127,7 +137,10 @@ export class Stream {
     return true;
   };
 
-  /** How many commands this connection has been sent; `handled` counts those that are done. */
+  /**
+   * Number of commands that were sent on this connection; `handled` messages count how many of them the server has
+   * executed.
+   */
   get numCommands(): number {
     return this.#numCommands;
   }

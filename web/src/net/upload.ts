@@ -1,11 +1,13 @@
-/** Sends dropped files to Carina on this machine, one after the other, and says how far it is. */
+/** Upload of dropped files to the Carina server, one file after the other, with progress. */
 
+/** A file to upload. */
 export interface UploadFile {
-  /** Relative path inside what was dropped, with forward slashes. */
+  /** Path relative to the dropped item, with forward slashes. */
   readonly name: string;
   readonly file: File;
 }
 
+/** The error of a failed upload; its message is text for the user. */
 export class UploadError extends Error {
   readonly code: string;
   readonly action: string | null;
@@ -17,6 +19,7 @@ export class UploadError extends Error {
   }
 }
 
+/** Progress of an upload. */
 export interface UploadProgress {
   sentBytes: number;
   totalBytes: number;
@@ -27,7 +30,10 @@ const MAX_FILES = 4096;
 const MAX_BYTES = 4 * 2 ** 30;
 const MAX_FILE_BYTES = 2 * 2 ** 30;
 
-/** Said before anything is sent: half a folder helps nobody. */
+/**
+ * Return the error that prevents the upload of these files, or null. Checked before the first file is sent, because a
+ * partial folder is useless.
+ */
 export function uploadProblem(files: readonly { name: string; file: { size: number } }[]): UploadError | null {
   const giB = (bytes: number) => `${(bytes / 2 ** 30).toFixed(1)} GiB`;
   const wayOut = "Type the folder's path instead; the files are then not copied.";
@@ -62,7 +68,10 @@ async function refusal(response: Response): Promise<UploadError> {
   );
 }
 
-/** The upload's id, for `open_upload`. Nothing is left behind when it fails or is stopped. */
+/**
+ * Upload files; return the upload's identifier for `open_upload`. The server's copy is deleted if the upload fails or
+ * is cancelled.
+ */
 export async function sendUpload(
   files: readonly UploadFile[],
   progress: (now: UploadProgress) => void,
@@ -97,9 +106,9 @@ export async function sendUpload(
   }
 }
 
-/** All files of a drop, folders walked through. */
+/** Return all files of a drop, including the files in nested folders. */
 export async function filesOfDrop(items: DataTransferItemList): Promise<UploadFile[]> {
-  // The entries must be taken before the first await: the list is emptied when the drop event ends.
+  // The entries must be read before the first await, because the browser clears the list when the drop event ends.
   const entries = [...items].map((item) => item.webkitGetAsEntry()).filter((entry) => entry !== null);
   const files: UploadFile[] = [];
   for (const entry of entries) await walk(entry, files);
@@ -113,7 +122,7 @@ async function walk(entry: FileSystemEntry, files: UploadFile[]): Promise<void> 
     return;
   }
   const reader = (entry as FileSystemDirectoryEntry).createReader();
-  // A reader gives at most 100 entries at a time, and none when it is through.
+  // A directory reader returns at most 100 entries per call, and no entries after the last one.
   for (;;) {
     const part = await new Promise<FileSystemEntry[]>((done, fail) => reader.readEntries(done, fail));
     if (part.length === 0) return;
@@ -121,6 +130,7 @@ async function walk(entry: FileSystemEntry, files: UploadFile[]): Promise<void> 
   }
 }
 
+/** Return the files of a file or folder picker. */
 export function filesOfPicker(list: FileList): UploadFile[] {
   return [...list].map((file) => ({ name: file.webkitRelativePath || file.name, file }));
 }

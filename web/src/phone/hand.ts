@@ -1,16 +1,20 @@
-/** What the hand does on the phone's page, and when which of it is said. */
+/** The user's input on the phone page, and the schedule on which it is sent. */
 
 import type { PhoneMessage } from "../wire/messages";
 import type { Wxyz } from "./orientation";
 
-/** No more often than this: a screen of 120 Hz says nothing new in between. */
+/** Shortest interval between two messages, s: a 120 Hz display adds no useful messages. */
 const LEAST_S = 1 / 65;
-/** While something is held it is said anew, since Carina lets go of what is silent. */
+/** Interval, s, at which held input is sent again, because Carina releases the input of a silent phone. */
 const AGAIN_S = 0.1;
 
+/** A button that the user can hold. */
 export type Held = "turn" | "forward" | "back";
 
-/** Pure: the time is passed in, and `send` gets what is to be said. */
+/**
+ * State of the held buttons and the phone's orientation. Has no clock: the caller passes the time, and `send` receives
+ * the messages.
+ */
 export class Hand {
   readonly #send: (message: PhoneMessage) => boolean;
   readonly #held = new Set<Held>();
@@ -38,12 +42,15 @@ export class Hand {
     else this.#held.delete(what);
   }
 
-  /** The finger is off everything: another app, another page, the lock screen. */
+  /** Release all buttons: the user has switched to another app, another page or the lock screen. */
   letGo(): void {
     this.#held.clear();
   }
 
-  /** Once per refresh. A phone that lies on the table says nothing, so that other devices may move the tip. */
+  /**
+   * Send the input if necessary; call it once per display refresh. A phone without held buttons sends nothing, so that
+   * other devices can move the tip.
+   */
   tick(nowS: number): void {
     const held = this.#held.has("turn");
     const advance = Number(this.#held.has("forward")) - Number(this.#held.has("back"));

@@ -1,18 +1,23 @@
-/** The phone's socket: says the link's token, comes back by itself, and knows when trying again cannot help. */
+/** WebSocket of the phone page: sends the link's token, reconnects after a loss and stops if a retry cannot succeed. */
 
 import { retryDelayMs, type Socket, type StreamClock } from "../net/stream";
 import { CLOSE_CODES, type PhoneMessage, type PhoneStateMessage, WIRE_VERSION } from "../wire/messages";
 import { parseToPhone, WireError } from "../wire/parse";
 
+/** Status of the phone's connection. */
 export type LinkStatus = "connecting" | "open" | "lost" | "refused";
 
+/** Callbacks of a {@link Link}. */
 export interface LinkHandlers {
   status(status: LinkStatus, words: string): void;
   state(state: PhoneStateMessage): void;
 }
 
 const OPEN = 1;
-/** More than this waits in the browser: the network does not keep up, and an old turn is of no use. */
+/**
+ * Largest number of unsent bytes in the browser. Above it the network is too slow, and an outdated orientation is
+ * useless.
+ */
 const FULL_BYTES = 4096;
 const USELESS = new Map<number, string>([
   [CLOSE_CODES["protocol.not-authorised"], "This link is no longer valid. Scan the code on the workstation again."],
@@ -21,6 +26,7 @@ const USELESS = new Map<number, string>([
   [CLOSE_CODES["protocol.malformed"], "Carina could not read a message from this page. Reload the page."],
 ]);
 
+/** The phone's connection to Carina. */
 export class Link {
   readonly #connect: () => Socket & { readonly bufferedAmount: number };
   readonly #token: string;
@@ -73,7 +79,7 @@ export class Link {
     };
   };
 
-  /** Whether it went out; what cannot go out now is not kept. */
+  /** Send a message; return whether it was sent. A message that cannot be sent now is discarded. */
   send = (message: PhoneMessage): boolean => {
     const socket = this.#socket;
     if (socket === null || !this.#isOpen || socket.readyState !== OPEN || socket.bufferedAmount > FULL_BYTES) {

@@ -1,4 +1,4 @@
-/** The page for a phone: its sensor and its buttons, wired to Carina. */
+/** Entry point of the phone page: connects the orientation sensor and the buttons to Carina. */
 
 import "./phone.css";
 import { Hand, type Held } from "./hand";
@@ -32,7 +32,7 @@ const link = new Link(
   {
     status: (status, words) => {
       if (status !== "open") say(words, status === "refused" ? "bad" : "wait");
-      // A finger that was down when the network went away must not move the tip when it is back.
+      // A button that was held when the connection was lost must not move the tip after the reconnection.
       if (status !== "open") letGo();
     },
     state: (told) => say(stateWords(told), "good"),
@@ -67,7 +67,7 @@ for (const [button, what] of holders) {
   for (const name of ["pointerup", "pointercancel", "lostpointercapture"]) {
     button.addEventListener(name, () => set(false));
   }
-  // Apart from the fingers: a second finger takes the focus from the button that the first one holds.
+  // The keyboard state is separate from the touch state, because a second finger takes the focus from the held button.
   let byKey = false;
   const key = (down: boolean) => {
     if (down || byKey) set(down);
@@ -80,14 +80,14 @@ for (const [button, what] of holders) {
   });
   button.addEventListener("keyup", () => key(false));
   button.addEventListener("blur", () => key(false));
-  // A long press is what this button is for.
+  // Suppress the context menu, because the user operates this button by a long press.
   button.addEventListener("contextmenu", (event) => event.preventDefault());
 }
 
 element("recenter").addEventListener("click", () => link.send({ type: "phone_act", action: "recenter" }));
 element("mode").addEventListener("click", () => link.send({ type: "phone_act", action: "next_control" }));
 
-/** iOS asks, and only in answer to a tap. */
+/** Request permission for the sensor. iOS requires it, and only in response to a tap. */
 async function mayRead(): Promise<boolean> {
   const events = globalThis.DeviceOrientationEvent as
     | (typeof DeviceOrientationEvent & { requestPermission?: () => Promise<string> })
@@ -105,7 +105,7 @@ async function stayAwake(): Promise<void> {
   try {
     await navigator.wakeLock?.request("screen");
   } catch {
-    // The screen may go dark; a tap brings it back.
+    // Without a wake lock the screen may switch off; a tap switches it on again.
   }
 }
 

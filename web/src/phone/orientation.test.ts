@@ -22,7 +22,7 @@ const RIGHT: Vec = [1, 0, 0];
 const DOWN: Vec = [0, 1, 0];
 const FORWARD: Vec = [0, 0, 1];
 
-/** The matrix of the W3C's Device Orientation, section 4.1 (its example, Z-X'-Y''), written out. */
+/** Return the rotation matrix of the W3C Device Orientation specification, section 4.1 (example Z-X'-Y''). */
 function w3c({ alpha, beta, gamma }: { alpha: number; beta: number; gamma: number }): number[][] {
   const rad = Math.PI / 180;
   const [cx, cy, cz] = [Math.cos(beta * rad), Math.cos(gamma * rad), Math.cos(alpha * rad)];

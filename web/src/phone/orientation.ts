@@ -1,14 +1,16 @@
-/** From what a phone says about how it is turned to the pen's orientation that Carina takes. */
+/** Conversion of the phone's orientation angles to the pen orientation that Carina expects. */
 
+/** Unit quaternion (w, x, y, z). */
 export type Wxyz = readonly [number, number, number, number];
 
-/** What of the browser's `DeviceOrientationEvent` is read; degrees. */
+/** The fields of the browser's `DeviceOrientationEvent` that are read, in degrees. */
 export interface Turned {
   readonly alpha: number | null;
   readonly beta: number | null;
   readonly gamma: number | null;
 }
 
+/** Return the quaternion product a b. */
 export function multiply(a: Wxyz, b: Wxyz): Wxyz {
   return [
     a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
@@ -26,16 +28,17 @@ const about = (axis: 1 | 2 | 3, deg: number): Wxyz => {
 };
 
 /**
- * `device_from_pen`: the pen's right is the phone's right (+x), its forward the phone's upper edge (+y), its down away
- * from the person who looks at the screen (-z). A quarter turn about x takes down and forward there.
+ * Rotation `device_from_pen`: the pen's right is the phone's right (+x), the pen's forward is the phone's upper edge
+ * (+y), and the pen's down points into the screen (-z). The rotation is a quarter turn about x.
  */
 const DEVICE_FROM_PEN: Wxyz = [Math.SQRT1_2, -Math.SQRT1_2, 0, 0];
 
 /**
- * `earth_from_pen`, or null where the phone says nothing or nonsense.
+ * Return the rotation `earth_from_pen`, or null if the phone reports no or invalid angles.
  *
- * W3C Device Orientation: the device is turned by alpha about z, then beta about its x, then gamma about its y; earth is
- * x east, y north, z up. Whether the screen is shown upright or on its side changes nothing of that.
+ * W3C Device Orientation: the device is rotated by alpha about z, then by beta about its x, then by gamma about its y;
+ * the axes of the earth frame are x east, y north, z up. The angles do not depend on the orientation of the screen
+ * (portrait or landscape).
  */
 export function penOrientation(turned: Turned): Wxyz | null {
   const { alpha, beta, gamma } = turned;

@@ -1,4 +1,4 @@
-/** What the page says about how it stands. */
+/** Status texts of the phone page. */
 
 import type { PhoneStateMessage } from "../wire/messages";
 
@@ -8,6 +8,7 @@ const CONTROL_WORDS = {
   path: "path mode",
 } as const;
 
+/** Return the status text for a state message. */
 export function stateWords(state: PhoneStateMessage): string {
   if (state.words !== "") return state.words;
   if (!state.case_open) return "Connected. Open a case on the workstation.";
@@ -15,8 +16,10 @@ export function stateWords(state: PhoneStateMessage): string {
   return `${state.holds ? "This phone moves the tip" : "Connected"}: ${how}.`;
 }
 
-/** How long a phone may take to say how it is turned before it counts as one without a sensor. */
+/** Time, ms, after which a phone that has reported no orientation counts as a phone without a sensor. */
 export const SENSOR_WITHIN_MS = 2000;
+/** Text for a phone without an orientation sensor. */
 export const NO_SENSOR = "This phone or browser does not report its orientation. Forward and back still work.";
+/** Text for a phone whose user has refused access to the sensor. */
 export const SENSOR_REFUSED =
   "The browser was not allowed to read the phone's orientation. Close this page, open it again, and allow access.";

@@ -1,4 +1,4 @@
-/** The airway tree as a person reads it: rows of a list, sides, and the ways on at a fork. */
+/** The airway tree for display: rows of the list, body sides, and the branches at a fork. */
 
 import type {
   AbsentAirway,
@@ -16,7 +16,7 @@ import { asVec3, type Camera, distance, dot, sub, type Vec3 } from "./vec";
 
 export type { BranchNode, BranchTree, Side } from "./branch-tree";
 
-/** What comes with a tree. */
+/** Optional data that the server sends with a tree. */
 export interface TreeExtras {
   readonly titles?: readonly BranchTitle[];
   readonly measures?: readonly BranchMeasures[] | null;
@@ -45,11 +45,11 @@ function tip(branch: TreeBranch): Vec3 | null {
 }
 
 /**
- * The list's rows. Null where the tree names no root.
+ * Build the tree and its list rows; return null if the tree has no valid root branch.
  *
- * The side comes from geometry, not from a name, and not from the first fork: with a root in the middle of the trachea that
- * one parts up from down. The carina is the fork that parts most tips to the right from most tips to the left (LPS: the
- * patient's left is +x); what does not lie below it is in the middle.
+ * The side comes from geometry, not from names, and not from the first fork: a root in the middle of the trachea has
+ * one branch that leads up and one that leads down. The carina is the fork that best separates tips on the right from
+ * tips on the left (LPS: the patient's left is +x); branches that are not below the carina have the side "middle".
  */
 export function buildTree(given: TreeDocument, extras: TreeExtras = {}): BranchTree | null {
   const measured = new Map(extras.measures?.map((entry) => [entry.branch_id, entry]) ?? []);
@@ -59,7 +59,7 @@ export function buildTree(given: TreeDocument, extras: TreeExtras = {}): BranchT
   if (rootBranch === undefined) return null;
   const byId = new Map<number, BranchNode>();
   const build = (branch: TreeBranch): BranchNode => {
-    // What a person drew is no bronchus of the anatomy: it has a person's name or none.
+    // A branch drawn by hand is not an anatomical bronchus: only the user can name it.
     const unnamed = branch.kind === "manual" && branch.name_from !== "person";
     const title = unnamed ? undefined : titles.get(branch.id);
     const node: BranchNode = {
@@ -74,7 +74,7 @@ export function buildTree(given: TreeDocument, extras: TreeExtras = {}): BranchT
       longName: title?.long ?? null,
       lobe: title?.lobe ?? null,
     };
-    // Set before the children are visited: a tree with a loop ends here instead of never.
+    // Set before the recursion, so that a malformed tree with a cycle ends the recursion.
     byId.set(branch.id, node);
     for (const id of branch.children) {
       const child = branches.get(id);
@@ -89,7 +89,8 @@ export function buildTree(given: TreeDocument, extras: TreeExtras = {}): BranchT
     const sides = node.children.map((child) => ({ child, ...leaning(node, child) }));
     const right = Math.max(0, ...sides.map(({ meanX, tips }) => (meanX < 0 ? -meanX * tips : 0)));
     const left = Math.max(0, ...sides.map(({ meanX, tips }) => (meanX > 0 ? meanX * tips : 0)));
-    // The lesser of both: a fork within one lung sends few tips, and those not far, to its other side.
+    // The smaller of both sides: a fork within one lung has few tips on one side, and their distance from the fork is
+    // small.
     const worth = Math.min(right, left);
     if (worth > best.worth) {
       best = { worth, sides: sides.map(({ child, meanX }) => [child, meanX < 0 ? "right" : "left"]) };
@@ -99,7 +100,7 @@ export function buildTree(given: TreeDocument, extras: TreeExtras = {}): BranchT
   return { root, byId, index: indexOf(byId.values()), uncertain: extras.uncertain ?? [], absent: extras.absent ?? [] };
 }
 
-/** A branch continues its parent's row where it is the only child of the same name, source and kind. */
+/** Assign rows: a branch continues its parent's row if it is the only child of the same name, name source and kind. */
 function giveRows(node: BranchNode, row: BranchNode[]): void {
   node.row = row;
   const onward = node.children.filter((child) => goesOn(node, child));
@@ -117,14 +118,14 @@ const goesOn = ({ branch: above }: BranchNode, { branch }: BranchNode): boolean 
   branch.name_from === above.name_from &&
   branch.kind === above.kind;
 
-/** The piece that stands for a branch in the list: the first of its row. */
+/** Return the branch that represents a row in the list: the first branch of the row. */
 export const headOf = (node: BranchNode): BranchNode => node.row[0] ?? node;
 
-/** The rows of the list that leave a row, side branches of its pieces first. */
+/** Return the child rows of a row: all child branches of its branches that begin a row of their own. */
 export const rowChildren = (head: BranchNode): BranchNode[] =>
   head.row.flatMap((piece) => piece.children.filter((child) => headOf(child) === child));
 
-/** How many tips lie below a child, and how far to the patient's left of the fork (mean, mm). */
+/** Return the number of tips below a child and their mean distance to the patient's left of the fork (mm). */
 function leaning(node: BranchNode, child: BranchNode): { meanX: number; tips: number } {
   const fork = tip(node.branch);
   const tips = tipsBelow(child);
@@ -143,7 +144,7 @@ function giveSide(node: BranchNode, side: Side): void {
   for (const child of node.children) giveSide(child, side);
 }
 
-/** The longest way down from a branch, by diameter: what "follow this airway" means. */
+/** Return the leaf below a branch that is reached by taking the child of largest diameter at each fork. */
 export function mainLeaf(node: BranchNode): BranchNode {
   let leaf = node;
   const seen = new Set<number>();
@@ -154,27 +155,31 @@ export function mainLeaf(node: BranchNode): BranchNode {
   return leaf;
 }
 
+/** A branch that continues from a fork, with its position in the airway view. */
 export interface WayOn {
   node: BranchNode;
-  /** On the route that is flown. */
+  /** Whether the branch is on the current route. */
   chosen: boolean;
-  /** Clock hour of its opening in the picture, from the picture's middle; null for the one that lies in the middle. */
+  /** Clock hour of the branch's opening, seen from the middle of the view; null if the opening is in the middle. */
   hour: number | null;
-  /** To the right of the picture's middle, for ordering: left to right. */
+  /** Horizontal position of the opening in the view (tangent of the angle, positive to the right); the sort key. */
   across: number;
 }
 
-/** How far into a child its opening is looked for: one of its diameters, past the spur and before the next bend. */
+/**
+ * Distance into a child (mm) at which its opening is located: one diameter of the child, within these limits, so that
+ * the place is past the spur and before the next bend.
+ */
 const OPENING_MM = { least: 4, most: 10 };
 /**
- * An opening nearer than this to the line of sight (tan 7 degrees), with the others at least so many times farther out,
- * has no hour: it is straight on.
+ * Limits for an opening that is straight ahead and has no clock hour: its angle to the line of sight is below 7 degrees
+ * (`tangent`), and the other openings are at least `times` farther from the line of sight.
  */
 const MIDDLE = { tangent: 0.12, times: 4 };
-/** An opening beside or behind the lens is only a direction, as far out as can be. */
+/** Smallest depth, mm: an opening beside or behind the lens is projected far from the middle. */
 const LEAST_DEPTH_MM = 1;
 
-/** The ways on from the end of a branch, from left to right in the picture that the camera sees. */
+/** Return the branches that continue from the end of a branch, from left to right in the view of the camera. */
 export function waysOn(node: BranchNode, camera: Camera, route: Pick<RouteInfo, "spans"> | null): WayOn[] {
   const fork = tip(node.branch);
   if (fork === null) return [];
@@ -184,7 +189,7 @@ export function waysOn(node: BranchNode, camera: Camera, route: Pick<RouteInfo, 
     const inside = child.branch.points.map((point) => asVec3(point)).find((point) => distance(point, fork) >= far);
     const seen = sub(inside ?? tip(child.branch) ?? fork, camera.position);
     const depth = Math.max(dot(seen, camera.forward), LEAST_DEPTH_MM);
-    // Where the picture shows it, as tangents of the angle to the line of sight.
+    // Position of the opening in the view, as tangents of the angles to the line of sight.
     return { child, x: dot(seen, camera.right) / depth, y: dot(seen, camera.down) / depth };
   });
   const hours = openings.map(({ x, y }) => clockHour(Math.atan2(x, -y)));
@@ -193,7 +198,7 @@ export function waysOn(node: BranchNode, camera: Camera, route: Pick<RouteInfo, 
   const middle = offsets.indexOf(nearest);
   const others = offsets.filter((_, index) => index !== middle);
   const inMiddle = nearest < MIDDLE.tangent && Math.min(...others) > MIDDLE.times * nearest;
-  // Two openings at one hour lie on the same side: the nearer to the middle is the one straight on.
+  // If two openings have the same clock hour, the one nearer to the middle is straight ahead.
   const shared = hours.some((hour, index) => index !== middle && hour === hours[middle]);
   const ahead = others.length > 0 && (inMiddle || shared);
   return openings
@@ -206,14 +211,14 @@ export function waysOn(node: BranchNode, camera: Camera, route: Pick<RouteInfo, 
     .sort((a, b) => a.across - b.across);
 }
 
-/** The way that lies one to the left (-1) or right (+1) of the chosen one; null at the outermost. */
+/** Return the branch to the left (-1) or right (+1) of the chosen branch; null at the outermost branch. */
 export function neighbourWay(ways: readonly WayOn[], step: -1 | 1): WayOn | null {
   const chosen = ways.findIndex((way) => way.chosen);
   if (chosen < 0) return (step < 0 ? ways[0] : ways.at(-1)) ?? null;
   return ways[chosen + step] ?? null;
 }
 
-/** Ancestors of a branch, root first, itself last. */
+/** Return the ancestors of a branch from the root to the branch itself. */
 export function lineage(tree: BranchTree, branchId: number): BranchNode[] {
   const line: BranchNode[] = [];
   let node = tree.byId.get(branchId);

@@ -130,17 +130,17 @@ describe("look and sight", () => {
     expect(state.sight.carm.tone).toBe("fluoroscopy");
     state = following(state, told({ carm: carm("fluoroscopy") }), handled(3));
     expect(state.local.sight).toEqual({});
-    // From now on the server's word counts at once.
+    // From here on the server's value applies immediately.
     expect(following(state, told({ carm: carm("radiograph") })).sight.carm.tone).toBe("radiograph");
   });
 
   it("are what another window made of them, once this window's own command is done", () => {
     const look = (fov_deg: number): AppEvent => from({ ...OPEN, look: { ...OPEN.look, fov_deg } });
-    // The other's came first: its news are older than what this window has sent.
+    // The other window's command came first, so the server's message is older than this window's change.
     let state = following(INITIAL_STATE, from(OPEN), sent({ type: "set_fov", fov_deg: 100 }, 4), look(80));
     expect(state.look.fov_deg).toBe(100);
     expect(following(state, look(100), handled(4)).look.fov_deg).toBe(100);
-    // The other's came last: of both only its value was told.
+    // The other window's command came last, so the server sends only its value.
     state = following(state, look(70), handled(4));
     expect(state.look.fov_deg).toBe(70);
   });

@@ -1,4 +1,4 @@
-/** All that the screen shows, and the one function that changes it. */
+/** State of the workstation page, and the reducer that changes it. */
 
 import {
   type BranchDetailMessage,
@@ -50,27 +50,29 @@ import { asVec3, type Vec3 } from "./vec";
 import { FIRST_SHOWN, type ShownViews } from "./view-table";
 import { addPick, type WallPoint } from "./wall-point";
 
-/** A branch that the cursor is over, in whatever picture or list; the place on it where that is known. */
+/** The branch under the cursor in a view or list, with the place on the branch if it is known. */
 export interface Hovered {
   readonly branchId: number;
   readonly place: TreePlace | null;
 }
 
-/** Where the cursor is on the screen: in which view, and in CSS px of it. */
+/** Position of the cursor: the view that contains it, and its coordinates in the view in CSS px. */
 export interface Cursor {
   readonly view: ViewName;
   readonly x: number;
   readonly y: number;
 }
 
+/** Status of the connection to the server. */
 export interface Connection {
   readonly status: "connecting" | "open" | "lost" | "refused";
-  /** Words where the server said why. */
+  /** The server's reason, as text for the user; null if it gave none. */
   readonly reason: string | null;
-  /** When the next try starts, on the page's clock; null while one runs or none will. */
+  /** Time of the next connection attempt on the page's clock, ms; null if an attempt is running or none is planned. */
   readonly retryAtMs: number | null;
 }
 
+/** An error or notice for the user. */
 export interface Message {
   readonly id: number;
   readonly kind: "error" | "notice";
@@ -79,77 +81,80 @@ export interface Message {
   readonly action: string | null;
 }
 
+/** Progress of an upload. */
 export interface Upload {
   readonly sentBytes: number;
   readonly totalBytes: number;
   readonly numFiles: number;
 }
 
+/** State of the user interface that the server does not know. */
 export interface Ui {
   readonly step: Step;
   readonly full: CellName | null;
-  /** Of the views that a place can show, the one that it shows. */
+  /** The view that each place of the window shows. */
   readonly shown: ShownViews;
   /** The plane of the tri-plane view that a drag would move. */
   readonly overPlane: PlaneName | null;
   readonly armed: Armed | null;
-  /** How the path to the next target is searched, and where it begins if that was marked. */
+  /** Cost function of the path search to the next target, and the start of the path if the user has marked one. */
   readonly pathCost: PathCost;
   readonly pathStart: Vec3 | null;
-  /** The branch whose end is being moved. */
+  /** The branch whose end the user is moving. */
   readonly forkHeld: number | null;
   readonly brushMm: number;
   /** The target whose boundary the brush changes. */
   readonly brushedTarget: string | null;
   readonly brushIsBall: boolean;
-  /** What the brush has drawn since it was put down. */
+  /** Points of the current brush stroke, LPS mm. */
   readonly stroke: readonly Vec3[];
   readonly hovered: Hovered | null;
-  /** The branch whose measurements are shown; null follows the route. */
+  /** The branch whose measurements are shown; null selects the branch of the route. */
   readonly selected: number | null;
-  /** The branch whose name is being typed. */
+  /** The branch that the user is renaming. */
   readonly renaming: number | null;
   readonly cursor: Cursor | null;
-  /** The point of the patient under it, where the picture tells. */
+  /** The patient point under the cursor (LPS mm), if the view provides one. */
   readonly pointedLps: Vec3 | null;
   readonly keyCardOpen: boolean;
-  /** The dialogue that gives the case a name and a place. */
+  /** Whether the dialog that saves the case under a name is open. */
   readonly saveOpen: boolean;
-  /** The list of all cases, with what they take on the disk. */
+  /** Whether the dialog with all cases and their disk usage is open. */
   readonly storageOpen: boolean;
-  /** The continued case of which that was read: when it had been used before. */
+  /** Time of the previous use of the continued case whose notice the user has closed; null if none was closed. */
   readonly continuedReadS: number | null;
-  /** Which list stands at the top of the left column. */
+  /** The list at the top of the left column. */
   readonly list: "airways" | "history";
-  /** The panel of input devices stands in the place of the step's. */
+  /** Whether the panel of input devices replaces the panel of the step. */
   readonly devicesOpen: boolean;
-  /** So does the panel of key frames. */
+  /** Whether the panel of key frames replaces the panel of the step. */
   readonly keysOpen: boolean;
-  /** Of the flight by itself, mm/s. */
+  /** Speed of the automatic flight, mm/s. */
   readonly autoSpeedMmS: number;
-  /** The file of the airways that is being made, by its suffix. */
+  /** Suffix of the airway file that is being generated; null if none is. */
   readonly making: string | null;
-  /** The mouse is locked to the airway picture. */
+  /** Whether the airway view has locked the mouse pointer. */
   readonly mouseLocked: boolean;
-  /** Whether there is a headset, as far as this browser tells; null until it has told. */
+  /** Availability of a VR headset in this browser; null until the browser has reported it. */
   readonly headset: "no-webxr" | "no-headset" | "ready" | "inside" | null;
   readonly routeLineVisible: boolean;
-  /** Outline of the lumen and centrelines in slices and the cut-plane. */
+  /** Whether slices and the cut-plane show the lumen outline and the centrelines. */
   readonly outlineVisible: boolean;
-  /** Of what was mapped round the targets, what is switched off. */
+  /** Layers around the targets that the user has hidden. */
   readonly hiddenLayers: readonly ShownLayer[];
   readonly advancing: boolean;
   readonly cursorLps: Vec3 | null;
-  /** The way that is shown is the pen's, since it has moved later than the cursor. */
+  /** Whether the live path leads to the pen, which has moved later than the cursor. */
   readonly penLeads: boolean;
 }
 
+/** The complete state of the page. */
 export interface AppState {
   readonly connection: Connection;
   readonly version: string | null;
-  /** This window only watches: somebody else's workstation, perhaps on another machine. */
+  /** Whether this window only watches another user's workstation. */
   readonly watches: boolean;
-  /** Who may watch this workstation, and who does; null in a window that watches itself. */
+  /** Permission to watch this workstation, and its watchers; null in a window that itself watches. */
   readonly watching: WatchingMessage | null;
   readonly start: StartMessage | null;
   readonly session: StateMessage | null;
@@ -160,48 +165,51 @@ export interface AppState {
   readonly messages: readonly Message[];
   readonly nextMessageId: number;
   readonly status: StatusMessage | null;
-  /** Rendering machines with this one; null where there are none. */
+  /** The computers that render together with this one; null if there are none. */
   readonly cluster: ClusterMessage | null;
-  /** Points of the wall that were clicked in the airway view, newest last. */
+  /** Points of the airway wall that the user has clicked in the airway view, oldest first. */
   readonly picks: readonly WallPoint[];
-  /** Header of the picture that each place shows now; where another stands in for a view, that one's. */
+  /**
+   * Header of the picture that each place shows; the header of the replacement if another picture replaces a view's
+   * picture.
+   */
   readonly frames: Readonly<Partial<Record<ViewName, PictureHeader>>>;
   readonly pace: Pace;
-  /** The voxel under the cursor, as last answered; null while the cursor is over no slice. */
+  /** Value of the voxel under the cursor from the latest answer; null while the cursor is not over a slice. */
   readonly probed: ValueMessage | null;
-  /** The way to the cursor. */
+  /** The path to the cursor. */
   readonly livePath: LiveAnswer | null;
-  /** What a click would make, while a tool that shows it is in the hand. */
+  /** Result of a click at the cursor, while a tool with a preview is active. */
   readonly preview: Preview | null;
-  /** A branch that was not added for want of evidence: whether to draw it by hand is asked. */
+  /** A branch that was not added for lack of evidence; the page asks the user whether to draw it by hand. */
   readonly doubt: NoEvidenceMessage | null;
-  /** What was measured along a branch, as last answered. */
+  /** Measurements along a branch from the latest answer. */
   readonly detail: BranchDetailMessage | null;
   readonly upload: Upload | null;
-  /** Input devices, as last told. */
+  /** Input devices from the latest message of the server. */
   readonly devices: DevicesMessage | null;
-  /** The tracked pen that moves the tip; null where none does. */
+  /** The tracked pen that moves the tip; null if no pen does. */
   readonly pen: PenMessage | null;
-  /** The key frames, and the flight through them. */
+  /** The key frames and the flight through them. */
   readonly keyFrames: KeyFramesMessage | null;
-  /** Targets with a size, the routes to them, and what instruments can do there. */
+  /** Targets with a size, their routes, and the instruments that can reach them. */
   readonly plans: PlansMessage | null;
-  /** What was mapped round the targets. */
+  /** Structures of the lungs that were mapped around the targets. */
   readonly lungs: LungsMessage | null;
-  /** What was recorded into the case. */
+  /** Flights that were recorded in the case. */
   readonly flights: readonly FlightInfo[];
-  /** What was done, and how much of it holds. */
+  /** Commands executed on the case, and how many of them are not undone. */
   readonly history: HistoryMessage | null;
-  /** The flight through them, as it is played here. */
+  /** Playback of the flight through the key frames. */
   readonly playing: Playing;
-  /** The recorded flight that is flown again here, or was last; null: none was. */
+  /** Number of the recorded flight that is or was last replayed; null if none was. */
   readonly flownFlight: number | null;
-  /** The same, as it is played. */
+  /** Playback of the recorded flight. */
   readonly replaying: Playing;
-  /** How fast the tip moves, mm/s; null at rest. */
+  /** Speed of the tip, mm/s; null at rest. */
   readonly speedMmS: number | null;
   readonly ui: Ui;
-  /** As the server last told them, with what was sent since. */
+  /** The latest value from the server, combined with the changes that this page has sent since. */
   readonly look: Look;
   readonly sight: Sight;
   readonly local: {
@@ -213,6 +221,7 @@ export interface AppState {
 
 const NOTHING_LOCAL: AppState["local"] = { look: {}, sight: {}, pathMm: null };
 
+/** State of the page before the first message of the server. */
 export const INITIAL_STATE: AppState = {
   connection: { status: "connecting", reason: null, retryAtMs: null },
   version: null,
@@ -289,9 +298,10 @@ export const INITIAL_STATE: AppState = {
   local: NOTHING_LOCAL,
 };
 
+/** An event that changes the state. */
 export type AppEvent =
   | { kind: "server"; message: ServerMessage }
-  /** A command, with its number among those of this connection. */
+  /** A command that was sent, with its number on this connection. */
   | { kind: "sent"; message: ClientMessage; number: number }
   | { kind: "connection"; connection: Connection }
   | { kind: "picture"; header: PictureHeader }
@@ -309,10 +319,10 @@ export type AppEvent =
   | { kind: "dismiss"; id: number }
   | { kind: "ui"; change: Partial<Ui> };
 
-/** Of one case or one connection. */
+/** Answers that are valid for one case and one connection only. */
 const NOTHING_SHOWN = { livePath: null, preview: null, doubt: null, detail: null } as const;
 
-/** Nothing in the hand, nothing under the cursor. */
+/** Interface state without an active tool and without anything under the cursor. */
 const NOTHING_HELD = {
   armed: null,
   forkHeld: null,
@@ -326,9 +336,10 @@ const NOTHING_HELD = {
   penLeads: false,
 } as const;
 
-/** Of another case: paths through the lumen, as ever. */
+/** Path search of a new case: through the lumen, without a marked start. */
 const FIRST_SEARCH = { pathCost: "lumen", pathStart: null } as const;
 
+/** Return the state after an event. */
 export function reduce(state: AppState, event: AppEvent): AppState {
   switch (event.kind) {
     case "server":
@@ -367,7 +378,7 @@ export function reduce(state: AppState, event: AppEvent): AppState {
       return {
         ...state,
         probed: event.change.cursorLps === null ? null : state.probed,
-        // Whoever goes to a step wants to see its panel.
+        // A change of the step also closes the panel of key frames, so that the step's panel is visible.
         ui: { ...state.ui, keysOpen: event.change.step === undefined && state.ui.keysOpen, ...event.change },
       };
   }
@@ -390,12 +401,12 @@ function receive(state: AppState, message: ServerMessage): AppState {
     case "handled":
       return handled(state, message.number);
     case "value":
-      // An answer that comes after the cursor has left says nothing any more.
+      // An answer that arrives after the cursor has left is discarded.
       return state.ui.cursorLps === null ? state : { ...state, probed: message };
     case "picked":
     case "live_path":
     case "edit_preview":
-      // The workstation judges first whether the answer is still wanted.
+      // The workstation first decides whether the answer is still wanted.
       return state;
     case "branch_detail":
       return { ...state, detail: message };
@@ -480,7 +491,9 @@ function sessionChanged(state: AppState, session: StateMessage): AppState {
   return { ...next, look: shown(next.local.look, session.look), sight: shown(next.local.sight, session.sight) };
 }
 
-/** So many commands of this connection are done, and the server has told what came of them. */
+/**
+ * Return the state after the server has executed the first `number` commands of this connection and sent their results.
+ */
 function handled(state: AppState, number: number): AppState {
   const { session, local } = state;
   const now = {
@@ -498,7 +511,7 @@ function handled(state: AppState, number: number): AppState {
 
 const numberOf = (values: object): number => Object.keys(values).length;
 
-/** Branches that are gone are not pointed at any more. */
+/** Return the state with a new tree; references to branches that no longer exist are cleared. */
 function treeChanged(state: AppState, tree: BranchTree | null): AppState {
   const kept = (id: number | null): number | null => (id !== null && tree?.byId.has(id) === true ? id : null);
   const { ui } = state;
@@ -516,7 +529,7 @@ function treeChanged(state: AppState, tree: BranchTree | null): AppState {
   };
 }
 
-/** The branch whose measurements are shown. */
+/** Return the branch whose measurements are shown. */
 export function shownBranch(state: AppState): number | null {
   return state.ui.selected ?? state.route?.spans.at(-1)?.branch_id ?? null;
 }
@@ -525,19 +538,19 @@ function poseChanged(state: AppState, pose: PoseMessage): AppState {
   return state.pose !== null && pose.pose_id < state.pose.pose_id ? state : { ...state, pose };
 }
 
-/** What the person should see at once, before the server has answered. */
+/** Return the state with the expected result of a command, before the server has answered. */
 function foresee(state: AppState, message: ClientMessage, number: number): AppState {
   switch (message.type) {
     case "undo":
     case "redo":
-      // Another look comes back than the one that was sent.
+      // The command restores another look than the one that was sent.
       return { ...state, doubt: null, local: { ...state.local, look: {} } };
     case "set_scope":
-      // It brings its own field of view and outline.
+      // The command sets its own field of view and outline.
       return { ...state, local: { ...state.local, look: {} } };
     case "edit_tree":
     case "set_root":
-      // Of another tree than the one that was asked about, or the answer itself.
+      // The question concerned another tree, or this command answers it.
       return { ...state, doubt: null };
     case "go_to":
       return { ...state, local: { ...state.local, pathMm: { value: message.path_mm, number } } };
@@ -555,7 +568,7 @@ function foresee(state: AppState, message: ClientMessage, number: number): AppSt
 
 type FieldSetting = Extract<ClientMessage, { type: keyof typeof SETS }>;
 
-/** Look and sight hold as soon as they are sent, until the server has told what came of it. */
+/** Apply look and sight settings when they are sent; they stay until the server has sent the result. */
 function fieldSet(state: AppState, message: FieldSetting, number: number): AppState {
   const { of, field, from, by_view } = SETS[message.type];
   const { type: _, view, ...fields } = message as { type: string; view?: string } & Record<string, unknown>;
@@ -570,14 +583,14 @@ function fieldSet(state: AppState, message: FieldSetting, number: number): AppSt
 }
 
 function connectionChanged(state: AppState, connection: Connection): AppState {
-  // Jobs of a lost server have no news any more; the new connection tells its own.
+  // Jobs of a lost connection receive no more updates; the new connection reports its own jobs.
   const jobs = connection.status === "open" || connection.status === "connecting" ? state.jobs : [];
-  // A server counts poses anew when it is started again: the first pose of a connection is always the newest.
+  // A restarted server numbers poses from the start, so the first pose of a connection always counts as the latest.
   const pose = connection.status === "open" ? null : state.pose;
   return { ...state, connection, jobs, pose, pen: null, local: NOTHING_LOCAL, ui: { ...state.ui, advancing: false } };
 }
 
-/** Older news leave when too many wait; errors stay until they are read. */
+/** Largest number of notices: older notices are removed, errors stay until the user closes them. */
 const MAX_NOTICES = 3;
 
 function say(state: AppState, message: Omit<Message, "id">): AppState {
@@ -595,34 +608,42 @@ const asPoint = (point: readonly number[] | null): Vec3 | null => (point === nul
 
 const samePace = (a: Pace, b: Pace): boolean => a.fps === b.fps && a.ageMs === b.ageMs && a.waitingMs === b.waitingMs;
 
-/** The tip, from the newest pose. */
+/** Return the position of the tip (LPS mm) from the latest pose. */
 export function tipLps(state: AppState): Vec3 | null {
   const m = state.pose?.lps_from_camera;
   return m === undefined ? null : [m[3] ?? 0, m[7] ?? 0, m[11] ?? 0];
 }
 
-/** The point that an armed pen's button marks: the pen's own tip, or the scope's where nobody knows where that is. */
+/**
+ * Return the point (LPS mm) that the button of the active pen marks: the pen's tip, or the scope's tip if the pen's is
+ * unknown.
+ */
 export function penPoint(state: AppState): Vec3 | null {
   if (state.pen === null) return null;
   return state.pen.lps === null ? tipLps(state) : asVec3(state.pen.lps);
 }
 
-/** The point that the slices meet at, moved at once while a person drags it; null follows the tip. */
+/**
+ * Return the point (LPS mm) where the slices intersect, including a drag that is in progress; null if it follows the
+ * tip.
+ */
 export function crosshairLps(state: AppState): Vec3 | null {
   return asPoint(state.sight.crosshair_lps);
 }
 
-/** The instrument that the airway view is seen through, or null. */
+/** Return the instrument whose optics the airway view uses, or null. */
 export function scopeOf(state: AppState): Scope | null {
   return state.start?.scopes.find((scope) => scope.name === state.look.scope) ?? null;
 }
 
 const LUNG_WINDOW: GreyWindow = { width_hu: 1500, level_hu: -600 };
 
+/** Return the window width and level of the slices, in HU. */
 export function greyWindow(state: AppState): GreyWindow {
   return state.sight.window ?? LUNG_WINDOW;
 }
 
+/** Return the position along the route, mm, including a drag that is in progress. */
 export function pathMm(state: AppState): number | null {
   return state.local.pathMm?.value ?? state.pose?.path_mm ?? null;
 }

@@ -1,13 +1,13 @@
-/** The lasting notes of the case and its airways. */
+/** Notes about the quality of the case and its airways. */
 
 import type { CaseNote } from "../wire/messages";
 
-/** Those beside "not HU", which has a badge and words of its own. */
+/** Return the notes except "not HU", which has its own badge and text. */
 export function besideNotHu(badges: readonly CaseNote[]): readonly CaseNote[] {
   return badges.filter(({ code }) => code !== "import.not-hu");
 }
 
-/** What the step Check lists: doubts first, nothing twice. */
+/** Return the findings of the Check step: doubts first, without duplicates. */
 export function findingsOf(
   badges: readonly CaseNote[],
   quality: readonly string[],

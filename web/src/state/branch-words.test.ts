@@ -214,7 +214,7 @@ describe("a branch that a person drew", () => {
       root: 0,
       branches: [
         branch(0, null, [4]),
-        // A name from the anatomy that should not be there is not shown either.
+        // An anatomical name on a hand-drawn branch is invalid and not shown.
         branch(4, 0, [], {
           kind: "manual",
           name: "LB5",

@@ -1,12 +1,13 @@
-/** What the list and the panel say about a branch: its title, how sure it is, its figures with their errors. */
+/** Texts of the list and the panel about a branch: title, confidence, and measurements with their errors. */
 
 import type { BranchMeasures, RouteSpan } from "../wire/messages";
 import { type BranchNode, type BranchTree, headOf, rowChildren } from "./airways";
 import { fixed, mm, plural } from "./format";
 
-/** Below these the list marks a name, or a branch, as doubtful. */
+/** Confidence below which the list marks a name or a branch as doubtful. */
 const DOUBTFUL = { name: 0.6, airway: 0.5 } as const;
 
+/** A mark behind a branch name in the list, with its explanation. */
 export interface Mark {
   readonly sign: string;
   readonly words: string;
@@ -14,7 +15,7 @@ export interface Mark {
 
 const percent = (part: number): string => `${fixed(100 * part)} %`;
 
-/** Small signs behind a name in the list, each with its words. */
+/** Return the marks of a branch. */
 export function marksOf(node: BranchNode): readonly Mark[] {
   const { branch } = node;
   const marks: Mark[] = [];
@@ -28,7 +29,7 @@ export function marksOf(node: BranchNode): readonly Mark[] {
   return marks;
 }
 
-/** Small signs behind a row of the list: of each kind that of the piece with the least confidence. */
+/** Return the marks of a row: for each kind of mark, that of the branch with the lowest confidence. */
 export function marksOfRow(head: BranchNode): readonly Mark[] {
   const least = (of: (piece: BranchNode) => number | null): BranchNode =>
     head.row.reduce((a, b) => ((of(b) ?? 1) < (of(a) ?? 1) ? b : a), head);
@@ -38,15 +39,15 @@ export function marksOfRow(head: BranchNode): readonly Mark[] {
   return [...name, ...airway, ...variants.filter(({ words }, n) => variants.findIndex((v) => v.words === words) === n)];
 }
 
-/** Whether it is not sure that a branch is airway all along. */
+/** Return whether the evidence for a part of a branch is weak. */
 export const isDoubtful = ({ branch }: BranchNode): boolean =>
   branch.doubtful_mm > 0 || (branch.confidence !== null && branch.confidence < DOUBTFUL.airway);
 
-/** Where a branch comes from, where the CT does not show it. */
+/** Return the origin of a branch that the CT does not show, as text; null for a branch that the CT shows. */
 export const kindWords = (kind: BranchNode["branch"]["kind"]): string | null =>
   kind === "tracked" ? null : kind === "bridge" ? "bridge" : "drawn by hand";
 
-/** What must be said of a branch that the CT does not show, in sentences; null for one that it shows. */
+/** Return the sentences about a branch that the CT does not show; null for a branch that the CT shows. */
 export function drawnWords(node: BranchNode): string | null {
   const { kind } = node.branch;
   if (kind === "tracked") return null;
@@ -55,7 +56,7 @@ export function drawnWords(node: BranchNode): string | null {
   return doubtful > 0 ? `Drawn by hand. The CT shows no wall along ${mm(doubtful, 0)} of it.` : "Drawn by hand.";
 }
 
-/** The whole of a row, for a tooltip. */
+/** Return the tooltip of a row, with all its information. */
 export function tooltipOf(head: BranchNode): string {
   const { branch } = head;
   const lumen = calibreOf(head);
@@ -70,10 +71,13 @@ export function tooltipOf(head: BranchNode): string {
   return [...facts, ...marksOfRow(head).map((mark) => mark.words)].join("\n");
 }
 
-/** All pieces of a row together. */
+/** Return the total length of the branches of a row, mm. */
 export const rowLengthMm = (head: BranchNode): number => head.row.reduce((sum, piece) => sum + piece.lengthMm, 0);
 
-/** The lumens of a row's pieces, "3.1\u20134.0", one number where both read the same; null where there is none. */
+/**
+ * Return the range of lumen diameters in a row, "3.1\u20134.0", or one number if both ends read the same; null if none
+ * is measured.
+ */
 export function calibreOf(head: BranchNode): string | null {
   const lumens = head.row.map(lumenMm).filter((lumen) => lumen !== null);
   if (lumens.length === 0) return null;
@@ -82,11 +86,11 @@ export function calibreOf(head: BranchNode): string | null {
   return least === most ? least : `${least}\u2013${most}`;
 }
 
-/** The branch's diameter; null until it is measured, and for a branch that a person drew. */
+/** Return the branch's lumen diameter, mm; null until it is measured, and for a branch drawn by hand. */
 export const lumenMm = (node: BranchNode): number | null =>
   node.branch.kind === "manual" ? null : (node.measures?.lumen_mm ?? null);
 
-/** How the name came about. */
+/** Return the source of the branch's name as text. */
 export function nameWords(node: BranchNode): string | null {
   const { name_from: from, name_confidence: sure } = node.branch;
   if (from === "person") return "named by hand";
@@ -94,12 +98,14 @@ export function nameWords(node: BranchNode): string | null {
   return sure === null ? "automatic name" : `automatic name, ${percent(sure)} confidence`;
 }
 
+/** Return a value with its error as text; null without a value. */
 export const withError = (value: number | null, error: number | null, digits = 1): string | null =>
   value === null ? null : error === null ? mm(value, digits) : `${fixed(value, digits)} \u00b1 ${mm(error, digits)}`;
 
-/** A narrowing that is not surely larger than this is within what healthy airways do. */
+/** Narrowing in percent up to which a stenosis is within the normal variation of healthy airways. */
 const STENOSIS_PERCENT = 20;
 
+/** A measurement of a branch as text. */
 export interface Fact {
   readonly term: string;
   readonly value: string;
@@ -109,7 +115,7 @@ export interface Fact {
 const EARLIER_METHOD =
   "an earlier version, which reads small airways too wide; any edit of the tree measures them again";
 
-/** The figures of a branch. */
+/** Return the measurements of a branch. */
 export function factsOf(node: BranchNode): readonly Fact[] {
   const measures = node.branch.kind === "manual" ? null : node.measures;
   const facts: (Fact | null)[] = [
@@ -162,15 +168,17 @@ function measuredFacts(measures: BranchMeasures): (Fact | null)[] {
   ];
 }
 
+/** Result of a filter of the airway list. */
 export interface Filtered {
-  /** What matches, and what leads there. */
+  /** Rows that match, and their ancestors. */
   readonly shown: ReadonlySet<number>;
   readonly hits: readonly number[];
 }
 
 /**
- * The rows that a text means, by their first pieces; null for no text. Words are looked for in names, long names and lobes; `g3` is a
- * generation, `?` all that is doubtful, `bridge` and `by hand` what a person drew.
+ * Return the rows that match a text, identified by their first branches; null for an empty text. Words are searched in
+ * names, long names and lobes; `g3` selects a generation, `?` doubtful branches, `bridge` and `by hand` the branches
+ * drawn by the user.
  */
 export function filterTree(tree: BranchTree, text: string): Filtered | null {
   const wanted = text.trim().toLowerCase();
@@ -198,13 +206,13 @@ export function filterTree(tree: BranchTree, text: string): Filtered | null {
 
 type Spans = readonly Pick<RouteSpan, "kind" | "from_mm" | "to_mm">[];
 
-/** What a route crosses that the CT does not show, in sentences to be said before flying; null where there is none. */
+/** Return warnings about the parts of a route that the CT does not show; null if there are none. */
 export function routeDoubts(spans: Spans): string | null {
   const parts = [drawnShare(spans), bridgeWords(spans)].filter((part) => part !== null);
   return parts.length === 0 ? null : parts.map((part) => `${part}.`).join(" ");
 }
 
-/** How much of a route a person drew; null where nothing is. */
+/** Return the share of a route that was drawn by hand, as text; null if none was. */
 export function drawnShare(spans: Spans): string | null {
   const drawn = spans.filter((span) => span.kind === "manual");
   const total = drawn.reduce((sum, span) => sum + span.to_mm - span.from_mm, 0);
@@ -214,7 +222,7 @@ export function drawnShare(spans: Spans): string | null {
   return `${fixed(total)} of ${mm(last.to_mm, 0)} drawn by hand, starting ${mm(first.from_mm, 0)} along the route`;
 }
 
-/** Which part of a route is a bridge; null where none is. */
+/** Return the part of a route that is a bridge, as text; null if none is. */
 function bridgeWords(spans: Spans): string | null {
   const bridges = spans.filter((span) => span.kind === "bridge");
   if (bridges.length === 0) return null;

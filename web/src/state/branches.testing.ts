@@ -1,7 +1,8 @@
-/** Branches for tests, with nothing known of them but where they are in the tree. */
+/** Branches for tests, with only their position in the tree. */
 
 import type { TreeBranch } from "../wire/messages";
 
+/** Return a branch for tests. */
 export function testBranch(
   id: number,
   parent: number | null,

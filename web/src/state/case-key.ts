@@ -1,8 +1,8 @@
-/** What makes it another case. The one rule for it: whoever forgets what belonged to a case asks here. */
+/** Identity of the open case. All code that discards state on a change of case uses this rule. */
 
 import type { StateMessage } from "../wire/messages";
 
-/** Tells one open case from another, "" for none; two may be of one CT, one after the other. */
+/** Return a key that distinguishes open cases, "" for none; two successive cases of the same CT have different keys. */
 export function caseKey(session: StateMessage | null): string {
   const open = session?.case ?? null;
   return open === null ? "" : JSON.stringify([open.number, open.title, open.shape_zyx, open.lps_from_ijk]);

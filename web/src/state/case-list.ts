@@ -1,17 +1,17 @@
-/** The words of a case in the list, and of what the cases take on the disk. */
+/** Texts about a case in the list, and about the disk usage of the cases. */
 
 import type { RecentCase, SavingInfo } from "../wire/messages";
 import { clock, plural } from "./format";
 
-/** So many stand on the start page; all are under *Cases and storage*. */
+/** Number of cases on the start page; the dialog *Cases and storage* lists all. */
 export const RECENT_SHOWN = 5;
-/** A forgotten case is there so long. */
+/** How long a forgotten case can be restored. */
 export const FORGOTTEN_FOR = "24 hours";
 
 const KILO = 1000;
 const UNITS = ["kB", "MB", "GB", "TB"] as const;
 
-/** `1.8 MB`; less than a kilobyte is one. */
+/** Return a size as text, `1.8 MB`; sizes below one kilobyte count as one kilobyte. */
 export function sizeWords(bytes: number): string {
   if (bytes <= 0) return "0\u202fMB";
   let value = Math.max(bytes / KILO, 1);
@@ -23,16 +23,20 @@ export function sizeWords(bytes: number): string {
   return `${value < 10 && unit > 0 ? value.toFixed(1) : Math.round(value)}\u202f${UNITS[unit]}`;
 }
 
+/** Return the number of changes as text. */
 export const changesWords = (count: number): string => (count === 0 ? "no changes" : plural(count, "change"));
 
-/** `scan of 3 May 2021`. The day is a day, not a moment: no time zone moves it. */
+/** Return the scan date as text, `scan of 3 May 2021`. The date has no time, so that no time zone shifts it. */
 export function scanWords(isoDate: string): string {
   const day = new Date(`${isoDate}T00:00:00Z`);
   const format = { day: "numeric", month: "long", year: "numeric", timeZone: "UTC" } as const;
   return `scan of ${day.toLocaleDateString("en-GB", format)}`;
 }
 
-/** What tells one case from another: scan date, changes, last use, and a short code where another has its title. */
+/**
+ * Return facts that distinguish a case from others: scan date, changes, last use, and a short code if another case has
+ * the same title.
+ */
 export function caseFacts(entry: RecentCase, all: readonly RecentCase[], nowMs: number): string[] {
   const facts = entry.scanned_on === null ? [] : [scanWords(entry.scanned_on)];
   if (entry.num_changes !== null) facts.push(changesWords(entry.num_changes));
@@ -42,7 +46,10 @@ export function caseFacts(entry: RecentCase, all: readonly RecentCase[], nowMs: 
   return facts;
 }
 
-/** Null where the case is new, was not changed before, has been changed since, or these words have been read. */
+/**
+ * Return the notice about a continued case; null if the case is new, was not changed before, has been changed since, or
+ * the user has closed the notice.
+ */
 export function continuedWords(
   saving: SavingInfo | null,
   numChanges: number,

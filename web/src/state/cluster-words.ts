@@ -1,9 +1,9 @@
-/** How the machines do that render with this one, in words. */
+/** Texts about the status of the computers that render together with this one. */
 
 import type { ClusterMessage, MemberStatus } from "../wire/messages";
 import { plural } from "./format";
 
-/** The few words of the status bar. */
+/** Return the short text of the status bar. */
 export function clusterWords(cluster: ClusterMessage): string {
   const ready = cluster.members.filter((member) => member.state === "ready").length;
   const all = cluster.members.length;
@@ -12,7 +12,7 @@ export function clusterWords(cluster: ClusterMessage): string {
   return `cluster: ${ready === all ? plural(all, "machine") : `${ready} of ${plural(all, "machine")}`}${mixed}`;
 }
 
-/** What a machine does now. */
+/** Return the current activity of a computer as text. */
 export function memberWords(member: MemberStatus): string {
   switch (member.state) {
     case "ready":
@@ -26,7 +26,7 @@ export function memberWords(member: MemberStatus): string {
   }
 }
 
-/** Whether a person should look. */
+/** Return whether the status needs the user's attention. */
 export function needsLook(cluster: ClusterMessage): boolean {
   return cluster.alone || cluster.members.some((member) => member.state === "late" || member.state === "away");
 }

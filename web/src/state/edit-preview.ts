@@ -1,4 +1,4 @@
-/** What a click would make, as it is shown before it: the lines, and the words beside the cursor. */
+/** Preview of an edit before the click: its lines, and the text beside the cursor. */
 
 import type { AskEditPreviewMessage, EditLine, EditPreviewMessage, NoEvidenceMessage } from "../wire/messages";
 import { mm, sentence } from "./format";
@@ -6,31 +6,33 @@ import { firstSentences } from "./live-path";
 import type { Armed } from "./tools";
 import { asVec3, type Vec3 } from "./vec";
 
+/** Name on the wire of a tool with a preview. */
 export type PreviewTool = AskEditPreviewMessage["tool"];
-/** What is asked for: a tool, and a point or a place in an airway picture. */
+/** A preview request: a tool, and a point or a place in an airway view. */
 export type PreviewQuestion = Omit<AskEditPreviewMessage, "type" | "request_id">;
 
+/** The preview at the cursor. */
 export interface Preview {
-  /** Null while the first answer is still looked for. */
+  /** The latest answer; null until the first answer arrives. */
   readonly answer: EditPreviewMessage | null;
-  /** The cursor is elsewhere by now: the next answer is on its way. */
+  /** Whether the cursor has moved since, so that another answer is expected. */
   readonly stale: boolean;
 }
 
-/** The tool that previews its edit under the cursor, by its name on the wire. */
+/** Return the wire name of the active tool that previews its edit; null if there is none. */
 export function previewTool(armed: Armed | null, forkHeld: boolean): PreviewTool | null {
   if (armed === "add") return "add-branch";
   if (armed === "bridge") return "bridge";
   return armed === "fork" && forkHeld ? "move-fork" : null;
 }
 
-/** A run of a line that is all an airway, or all drawn by hand. */
+/** A part of a line that is either all airway or all drawn by hand. */
 export interface PreviewRun {
   readonly points: readonly Vec3[];
   readonly drawn: boolean;
 }
 
-/** The lines in runs that are drawn solid and runs that are dashed; neighbours share a point. */
+/** Split the lines into solid and dashed runs; neighbouring runs share a point. */
 export function runsOf(lines: readonly EditLine[]): readonly PreviewRun[] {
   const runs: { points: Vec3[]; drawn: boolean }[] = [];
   for (const line of lines) {
@@ -48,7 +50,9 @@ export function runsOf(lines: readonly EditLine[]): readonly PreviewRun[] {
   return runs;
 }
 
-/** Lines beside the cursor; `warns` where the CT does not show it, or it cannot be made. */
+/**
+ * Return the text lines beside the cursor; `warns` is true if the CT does not show the edit or the edit is impossible.
+ */
 export function previewWords({ answer }: Preview): { lines: readonly string[]; warns: boolean } {
   if (answer === null) return { lines: ["searching for the airway\u2026"], warns: false };
   if (answer.problem !== null || answer.length_mm === null) {
@@ -70,7 +74,7 @@ export function previewWords({ answer }: Preview): { lines: readonly string[]; w
   }
 }
 
-/** The question whether to draw by hand what the CT does not show. */
+/** Return the question whether to draw a branch by hand that the CT does not show. */
 export function doubtWords({ line, doubtful_mm, length_mm }: NoEvidenceMessage): string {
   const last = line.doubtful.indexOf(true);
   const tail = last >= 0 && line.doubtful.slice(last).every((doubtful) => doubtful);

@@ -31,7 +31,7 @@ describe("an instrument on a route", () => {
   });
 
   it("needs more than its stated tip: true tips are thicker, and so are some tubes", () => {
-    // 3.2 mm is the narrowest place.
+    // The narrowest place has 3.2 mm.
     const nominal = scope("nominal", 3.2);
     const thickTube = scope("thick tube", 2, 3.6);
     expect(thatPass(ROUTE, [nominal, thickTube])).toEqual([]);

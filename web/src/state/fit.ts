@@ -1,24 +1,30 @@
-/** How far along a route an instrument fits, by the CT: the largest ball in the lumen against the lumen that it needs. */
+/**
+ * How far along a route an instrument fits: the largest sphere in the lumen compared with the lumen that the instrument
+ * needs.
+ */
 
 import type { RouteInfo, Scope } from "../wire/messages";
 
 type Widths = Pick<RouteInfo, "wall_mm" | "cumulative_mm">;
 
-/** The first place of the route that is narrower than what is needed (`Scope.fit_mm`); null if it passes to the end. */
+/**
+ * Return the first place of the route that is narrower than the needed lumen (`Scope.fit_mm`); null if the instrument
+ * passes to the end.
+ */
 export function firstTooNarrow(route: Widths, neededMm: number): { pathMm: number; diameterMm: number } | null {
   const index = route.wall_mm.findIndex((ball) => 2 * ball < neededMm);
   if (index < 0) return null;
   return { pathMm: route.cumulative_mm[index] ?? 0, diameterMm: 2 * (route.wall_mm[index] ?? 0) };
 }
 
-/** The instruments that pass to the route's end, the thickest first: it has the widest channel. */
+/** Return the instruments that reach the route's end, thickest first, because the thickest has the widest channel. */
 export function thatPass(route: Widths, scopes: readonly Scope[]): Scope[] {
   return scopes
     .filter((scope) => firstTooNarrow(route, scope.fit_mm) === null)
     .sort((a, b) => b.tip_mm - a.tip_mm || a.title.localeCompare(b.title));
 }
 
-/** The instrument that comes farthest, of those that do not pass; null without instruments. */
+/** Return the instrument that advances farthest among those that do not reach the end; null without instruments. */
 export function comesFarthest(route: Widths, scopes: readonly Scope[]): { scope: Scope; pathMm: number } | null {
   let best: { scope: Scope; pathMm: number } | null = null;
   for (const scope of scopes) {

@@ -1,14 +1,15 @@
-/** Where a planar picture lies in its plane, and where it lies after a zoom or a pan. */
+/** Position of a planar view in its plane, and its change by zoom and pan. */
 
 import { add, scale, type Vec3 } from "./vec";
 
+/** Centre and scale of a planar view. */
 export interface FlatPlace {
-  /** Of a pixel that is asked of the server. */
+  /** Millimetres per pixel of the requested picture. */
   readonly mmPerPx: number;
   readonly middle: Vec3;
 }
 
-/** Unit directions of the screen in the patient. */
+/** Unit vectors of the screen axes in patient space. */
 export interface FlatAxes {
   readonly right: Vec3;
   readonly down: Vec3;
@@ -17,7 +18,7 @@ export interface FlatAxes {
 const moved = (place: FlatPlace, axes: FlatAxes, rightMm: number, downMm: number): Vec3 =>
   add(place.middle, add(scale(axes.right, rightMm), scale(axes.down, downMm)));
 
-/** Scaled about a place of the picture, pixels from its middle: what lies there stays there. */
+/** Zoom about a fixed place of the picture, given in pixels from its middle. */
 export function zoomedAbout(
   place: FlatPlace,
   axes: FlatAxes,
@@ -28,7 +29,7 @@ export function zoomedAbout(
   return { mmPerPx, middle: moved(place, axes, about.right * change, about.down * change) };
 }
 
-/** Moved with the hand by so many pixels: what lay under it stays under it. */
+/** Pan by a number of pixels, so that the picture follows the hand. */
 export function panned(place: FlatPlace, axes: FlatAxes, px: { right: number; down: number }): FlatPlace {
   return { ...place, middle: moved(place, axes, -px.right * place.mmPerPx, -px.down * place.mmPerPx) };
 }

@@ -1,8 +1,10 @@
-/** The fork that is meant by a place on the tree. */
+/** Choice of the fork for a place on the tree. */
 
 import type { BranchTree } from "./airways";
 
-/** The branch whose end is the nearer fork: this one's, or its parent's; null where the tree has no fork there. */
+/**
+ * Return the branch whose end is the nearest fork: the branch itself or its parent; null if the tree has no fork there.
+ */
 export function forkOf(tree: BranchTree, branchId: number, alongMm: number): number | null {
   const node = tree.byId.get(branchId);
   if (node === undefined) return null;

@@ -1,34 +1,35 @@
-/** The fork ahead: how far, and the ways on from it as the picture shows them. */
+/** The fork ahead: its distance, and the branches that continue from it as the airway view shows them. */
 
 import type { RouteInfo } from "../wire/messages";
 import { type BranchTree, type WayOn, waysOn } from "./airways";
 import { FORK_TOLERANCE_MM } from "./route";
 import type { Camera } from "./vec";
 
-/** A fork that was just passed is still the one in front of the eye. */
+/** Distance, mm, behind the tip up to which a passed fork still counts as the fork ahead. */
 const STILL_HERE_MM = 4;
 
-/** From farther away all openings lie in the middle of the picture, and their hours say nothing. */
+/** Distance, mm, up to which clock hours are shown. From farther away all openings are in the middle of the view. */
 const HOURS_MM = 30;
 
+/** The fork ahead on the route. */
 export interface ForkAhead {
-  /** From the tip; 0 at the fork. */
+  /** Distance from the tip, mm; 0 at the fork. */
   distanceMm: number;
-  /** Near enough for the ways' hours to be told. */
+  /** Whether the fork is near enough to show clock hours. */
   near: boolean;
   ways: WayOn[];
 }
 
-/** Null where the route has no fork ahead with more than one way on. */
+/** Return the fork ahead; null if the route has no fork ahead with more than one branch. */
 export function forkAhead(
   tree: BranchTree,
   route: RouteInfo,
   pathMm: number,
   camera: Camera,
-  /** The branch that ends in the fork that is meant, where the tip stands before one of the list of turns. */
+  /** Branch that ends at the selected fork, if the tip is at the viewpoint of a listed turn; null selects the next fork. */
   meant: number | null = null,
 ): ForkAhead | null {
-  // At a look-out the fork that it was made for is meant, however near the one behind still is.
+  // At a look-out the fork of that look-out is selected, even if the previous fork is near.
   const lookoutMm = route.lookouts_mm.findLast((at) => at <= pathMm + FORK_TOLERANCE_MM) ?? 0;
   const fromMm = Math.max(pathMm - STILL_HERE_MM, lookoutMm);
   for (const span of route.spans) {

@@ -1,18 +1,20 @@
-/** Numbers as people read them: every value with its unit, minus signs that line up. */
+/** Numbers as text: every value with its unit, and minus signs that align. */
 
 import { asVec3, type Vec3 } from "./vec";
 
 const MINUS = "\u2212";
 const THIN = "\u202f";
 
+/** Return a number with a fixed number of digits and a true minus sign. */
 export function fixed(value: number, digits = 0): string {
   const text = Math.abs(value).toFixed(digits);
   return value < 0 && Number(text) !== 0 ? `${MINUS}${text}` : text;
 }
 
+/** Return a length in mm with its unit. */
 export const mm = (value: number, digits = 1): string => `${fixed(value, digits)}${THIN}mm`;
 
-/** Coordinates with the side in words: `R 17.6  P 35.3  S 12.1 mm`. */
+/** Return coordinates with side letters: `R 17.6  P 35.3  S 12.1 mm`. */
 export function coordinates(lps: Vec3): string {
   const part = (value: number, plus: string, minus: string) =>
     `${value >= 0 ? plus : minus}${THIN}${Math.abs(value).toFixed(1)}`;
@@ -29,8 +31,8 @@ const SIDES: Readonly<Record<string, readonly [axis: 0 | 1 | 2, sign: 1 | -1]>> 
 };
 
 /**
- * `x, y, z` typed by a person, LPS mm (commas, semicolons or spaces; minus as hyphen or true minus), or as pictures say
- * it, `R 17.6 P 35.3 S 12.1`; null if it is neither.
+ * Parse coordinates: `x, y, z` in LPS mm (commas, semicolons or spaces; hyphen or true minus) or with side letters, `R
+ * 17.6 P 35.3 S 12.1`; return null for other text.
  */
 export function parseCoordinates(text: string): Vec3 | null {
   const plain = text
@@ -43,7 +45,9 @@ export function parseCoordinates(text: string): Vec3 | null {
   return fromSides(plain);
 }
 
-/** Each axis once, by its side, and no sign: of two one would be wrong. */
+/**
+ * Parse coordinates with side letters: each axis exactly once and no sign, because a sign beside a letter is ambiguous.
+ */
 function fromSides(text: string): Vec3 | null {
   const said = [...text.toUpperCase().matchAll(/([LRPASI])\s*(\d+(?:\.\d+)?)/g)];
   const rest = text.toUpperCase().replace(/([LRPASI])\s*(\d+(?:\.\d+)?)/g, "");
@@ -54,21 +58,22 @@ function fromSides(text: string): Vec3 | null {
     if (place === undefined) return null;
     found[place[0]] = place[1] * Number(mm);
   }
-  // Of three, one named twice leaves another without a number.
+  // If one of three axes occurs twice, another has no number.
   const [x, y, z] = found;
   return x == null || y == null || z == null ? null : [x, y, z];
 }
 
-/** `about 40 s left`, in words no more exact than the guess is. */
+/** Return the remaining time as text, `about 40 s left`, rounded to the accuracy of the estimate. */
 export function timeLeft(seconds: number): string {
   if (seconds < 2) return "almost done";
   if (seconds < 60) return `about ${Math.ceil(seconds / 5) * 5} s left`;
   return `about ${Math.ceil(seconds / 60)} min left`;
 }
 
+/** Return window width and level as text. */
 export const windowWords = (widthHu: number, levelHu: number): string => `W ${fixed(widthHu)}  L ${fixed(levelHu)}`;
 
-/** The angles of a C-arm: `LAO 30\u00b0`, `CRAN 15\u00b0`. */
+/** Return the angles of a C-arm as text: `LAO 30\u00b0`, `CRAN 15\u00b0`. */
 export function carmWords(carm: { primary_deg: number; secondary_deg: number }): string[] {
   const primary = Math.round(carm.primary_deg);
   const secondary = Math.round(carm.secondary_deg);
@@ -76,15 +81,19 @@ export function carmWords(carm: { primary_deg: number; secondary_deg: number }):
   return secondary === 0 ? [first] : [first, `${secondary > 0 ? "CRAN" : "CAUD"} ${Math.abs(secondary)}\u00b0`];
 }
 
-/** Words of the server as a sentence of their own. */
+/** Return a text of the server with a capital first letter. */
 export const sentence = (words: string): string => words.charAt(0).toUpperCase() + words.slice(1);
 
+/** Return a count with its noun in the singular or plural. */
 export const plural = (count: number, one: string, many = `${one}s`): string => `${count} ${count === 1 ? one : many}`;
 
 /** The finest ray step, in units of the smallest voxel spacing. */
 const FINE_STEP_VOX = 0.5;
 
-/** How fine an airway picture is: `coarse: 42 %`, also with its ray step where that is longer. */
+/**
+ * Return the resolution of an airway picture as text: `coarse: 42 %`, with its ray step if that is longer than the
+ * finest.
+ */
 export function finenessWords(picture: { width: number; step_vox: number | null }, wantedWidth: number): string {
   const percent = Math.min(Math.round((100 * picture.width) / Math.max(wantedWidth, 1)), 100);
   const step = picture.step_vox ?? FINE_STEP_VOX;
@@ -93,7 +102,7 @@ export function finenessWords(picture: { width: number; step_vox: number | null 
   return `reduced: ${percent} %${stepWords}`;
 }
 
-/** How a picture was made (`null`: there is none yet), where a method was asked for. */
+/** Return how a picture was rendered (`null`: there is none yet), compared with the requested method. */
 export function methodWords(made: string | null, asked: "leap" | "brute"): string {
   const method = (made ?? asked).replace(/^gpu-/, "");
   if (method.startsWith("leap")) return "fast rendering";
@@ -101,7 +110,7 @@ export function methodWords(made: string | null, asked: "leap" | "brute"): strin
   return asked === "leap" ? "full sampling until fast rendering is ready" : "full sampling";
 }
 
-/** The time of day of a moment, seconds since 1970; with the date where it is not today. */
+/** Return the time of day of a moment (seconds since 1970), with the date if it is not today. */
 export function clock(sinceEpochS: number, nowMs: number): string {
   const then = new Date(1000 * sinceEpochS);
   const time = `${String(then.getHours()).padStart(2, "0")}:${String(then.getMinutes()).padStart(2, "0")}`;
@@ -110,7 +119,7 @@ export function clock(sinceEpochS: number, nowMs: number): string {
   return day(then) === day(new Date(nowMs)) ? time : `${day(then)} ${time}`;
 }
 
-/** A time since something began: `12:05 min`. */
+/** Return an elapsed time as text: `12:05 min`. */
 export function agoWords(seconds: number): string {
   const whole = Math.round(seconds);
   return `${Math.floor(whole / 60)}:${String(whole % 60).padStart(2, "0")} min`;

@@ -18,7 +18,7 @@ describe("letters", () => {
 
   it("put the dominant direction first and a small tilt nowhere", () => {
     expect(lettersOf([0.5, -0.8, 0])).toBe("AL");
-    // 5 degrees: nobody sees it; 20 degrees: everybody does.
+    // A tilt of 5 degrees adds no letter; a tilt of 20 degrees does.
     expect(lettersOf([Math.sin(0.087), 0, Math.cos(0.087)])).toBe("S");
     expect(lettersOf([Math.sin(0.35), 0, Math.cos(0.35)])).toBe("SL");
   });
@@ -48,7 +48,7 @@ describe("letters", () => {
 
 describe("the ring", () => {
   it("has the patient's right on the right when the scope comes from the head with anterior up", () => {
-    // View = inferior, up = anterior: right-hand = forward x up ... = patient right (reference: features, section 4).
+    // The camera looks inferior with anterior up: right = forward x up = patient right (reference: features, section 4).
     const marks = ringMarks({ right: [-1, 0, 0], down: [0, 1, 0] });
     const angle = (text: string) => marks.find((mark) => mark.text === text)?.angleRad;
     expect(angle("A")).toBeCloseTo(0);
@@ -91,14 +91,14 @@ describe("the ring", () => {
         const towards: Vec3 = [x * right[0] + y * down[0], x * right[1] + y * down[1], x * right[2] + y * down[2]];
         const axis = { R: 0, L: 0, A: 1, P: 1, S: 2, I: 2 }[mark.text[0] as "R"];
         const sign = { R: -1, L: 1, A: -1, P: 1, S: 1, I: -1 }[mark.text[0] as "R"];
-        // The ring shows what lies at least 30 degrees off the axis of view: sin 30 = 0.5.
+        // The ring shows directions at least 30 degrees off the viewing axis: sin 30 = 0.5.
         expect((towards[axis] ?? 0) * sign).toBeGreaterThan(0.49);
       }
     }
   });
 
   it("keeps letters apart: where two directions coincide they share one place", () => {
-    // Looking half down and half back: anterior and superior fall together at the top.
+    // With a view half down and half back, anterior and superior coincide at the top.
     const half = Math.SQRT1_2;
     const marks = ringMarks({ right: [-1, 0, 0], down: [0, half, -half] });
     expect(marks.map((mark) => mark.text).sort()).toEqual(["AS", "L", "PI", "R"]);

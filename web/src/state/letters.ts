@@ -1,9 +1,11 @@
-/** Orientation letters: which way the patient lies in a picture, always computed from the picture's own geometry. */
+/** Orientation letters of a picture, computed from the picture's geometry. */
 
 import { type Camera, dot, scale, unit, type Vec3 } from "./vec";
 
+/** Letter of a patient direction. */
 export type Letter = "R" | "L" | "A" | "P" | "S" | "I";
 
+/** Unit vector of each letter, LPS. */
 export const DIRECTION_LPS: Readonly<Record<Letter, Vec3>> = {
   L: [1, 0, 0],
   R: [-1, 0, 0],
@@ -13,6 +15,7 @@ export const DIRECTION_LPS: Readonly<Record<Letter, Vec3>> = {
   I: [0, 0, -1],
 };
 
+/** Word of each letter. */
 export const LETTER_WORDS: Readonly<Record<Letter, string>> = {
   R: "right",
   L: "left",
@@ -22,10 +25,10 @@ export const LETTER_WORDS: Readonly<Record<Letter, string>> = {
   I: "inferior",
 };
 
-/** sin 12 degrees: below this a second letter would name a tilt that nobody can see. */
+/** Smallest second component that adds a letter, sin 12 degrees: a smaller tilt is not visible. */
 const SECOND_LETTER = 0.2;
 
-/** The letters that name a direction, dominant first; two when it is oblique. */
+/** Return the letters of a direction, dominant letter first; two letters for an oblique direction. */
 export function lettersOf(dirLps: Vec3): string {
   const dir = unit(dirLps);
   const parts: { letter: Letter; size: number }[] = [
@@ -41,6 +44,7 @@ export function lettersOf(dirLps: Vec3): string {
     .join("");
 }
 
+/** Letters of the four edges of a picture. */
 export interface EdgeLetters {
   left: string;
   right: string;
@@ -48,7 +52,7 @@ export interface EdgeLetters {
   bottom: string;
 }
 
-/** Letters for the four edges of a picture whose columns run along `right` and rows along `down`. */
+/** Return the letters of the edges of a picture whose columns run along `right` and rows along `down`. */
 export function edgeLetters(right: Vec3, down: Vec3): EdgeLetters {
   return {
     right: lettersOf(right),
@@ -58,21 +62,25 @@ export function edgeLetters(right: Vec3, down: Vec3): EdgeLetters {
   };
 }
 
+/** A letter on the ring around the airway view. */
 export interface RingMark {
-  /** One letter, or two (dominant first) where two directions fall on the same place of the ring. */
+  /** One letter, or two (dominant first) if two directions have the same place on the ring. */
   text: string;
-  /** Clockwise from 12 o'clock, in (-pi, pi]. */
+  /** Angle clockwise from 12 o'clock, in (-pi, pi]. */
   angleRad: number;
-  /** How much of the direction lies in the image plane, 0..1. */
+  /** Component of the direction in the image plane, 0..1. */
   strength: number;
 }
 
-/** Below this, a direction points into or out of the picture more than along it (30 degrees from the axis). */
+/**
+ * Smallest component in the image plane: a weaker direction points mainly into or out of the picture (30 degrees from
+ * the axis).
+ */
 const RING_MIN_STRENGTH = 0.5;
-/** Marks closer than this would print over one another. */
+/** Angle between two marks below which they would overlap. */
 const RING_MERGE_RAD = (20 * Math.PI) / 180;
 
-/** Where the patient's directions lie round an endoluminal picture. Opposite letters always come in pairs. */
+/** Return the marks of the patient directions around an airway view. Opposite letters always occur in pairs. */
 export function ringMarks(camera: Pick<Camera, "right" | "down">): RingMark[] {
   const marks: RingMark[] = [];
   const letters: Letter[] = ["A", "P", "R", "L", "S", "I"];
@@ -92,12 +100,13 @@ export function ringMarks(camera: Pick<Camera, "right" | "down">): RingMark[] {
   return marks;
 }
 
+/** Return the absolute angle between two angles, in [0, pi]. */
 export function angleBetween(a: number, b: number): number {
   const d = Math.abs(a - b) % (2 * Math.PI);
   return d > Math.PI ? 2 * Math.PI - d : d;
 }
 
-/** Hour on the clock face (1..12) of an angle clockwise from 12 o'clock. */
+/** Return the clock hour (1..12) of an angle clockwise from 12 o'clock. */
 export function clockHour(angleRad: number): number {
   const hour = Math.round((angleRad / (2 * Math.PI)) * 12);
   return ((hour + 11) % 12) + 1;

@@ -2,7 +2,10 @@ import { describe, expect, it } from "vitest";
 import type { PictureLines } from "../wire/messages";
 import { axesAt, linesOf, lpsAt, nearestPixel, pathMmAt, pixelOfPath } from "./lines";
 
-/** 100 px wide, 0.5 mm per px: down 20 mm, then 20 mm to the patient's left, 5 mm of straight room at both ends. */
+/**
+ * A picture 100 px wide with 0.5 mm per px: 20 mm down, then 20 mm to the patient's left, with 5 mm of straight rows
+ * beyond each end.
+ */
 const LINES: PictureLines = {
   row: [0.5, 10.5, 50.5, 90.5, 100.5],
   start_lps: [
@@ -26,7 +29,7 @@ describe("pictures along a route", () => {
     expect(lpsAt(geometry, { column: 0, row: 30.5 })).toEqual([-25, 0, -10]);
     expect(lpsAt(geometry, { column: 100, row: 30.5 })).toEqual([25, 0, -10]);
     expect(lpsAt(geometry, { column: 50, row: 70.5 })).toEqual([10, 0, -20]);
-    // Rows beyond the picture are its edge.
+    // Rows outside the picture count as its edge.
     expect(lpsAt(geometry, { column: 50, row: -40 })).toEqual([0, 0, 5]);
   });
 
@@ -51,7 +54,7 @@ describe("pictures along a route", () => {
   it("name their directions", () => {
     const { right, up, down } = axesAt(geometry);
     expect(right[0]).toBeGreaterThan(0);
-    // It begins towards the feet and ends towards the patient's left.
+    // The route begins towards the feet and ends towards the patient's left.
     expect(up).toEqual([0, 0, 6]);
     expect(down).toEqual([6, 0, 0]);
   });

@@ -1,9 +1,10 @@
-/** Pictures along the route, whose surface is curved: each row is a straight line somewhere in the patient. */
+/** Geometry of the curved pictures along the route: each row is a straight line in patient space. */
 
 import type { PictureLines } from "../wire/messages";
 import type { PixelPoint } from "./projection";
 import { add, asVec3, distance, dot, lerp, scale, sub, type Vec3 } from "./vec";
 
+/** Geometry of a curved picture. */
 export interface LinesGeometry {
   readonly rows: readonly number[];
   readonly start: readonly Vec3[];
@@ -13,7 +14,7 @@ export interface LinesGeometry {
   readonly mmPerPx: number;
 }
 
-/** From a picture's header; null where it is no such picture, or names too few rows. */
+/** Return the geometry from a picture's header; null if it has none or too few rows. */
 export function linesOf(lines: PictureLines | null): LinesGeometry | null {
   if (lines === null || lines.row.length < 2) return null;
   return {
@@ -26,7 +27,7 @@ export function linesOf(lines: PictureLines | null): LinesGeometry | null {
   };
 }
 
-/** Where a value lies in an ascending list: the index before it and the part of the way to the next, both clamped. */
+/** Find a value in an ascending list: the index before it and the fraction to the next element, both clamped. */
 function placeIn(ascending: readonly number[], value: number): { index: number; t: number } {
   let low = 0;
   let high = ascending.length - 1;
@@ -50,17 +51,18 @@ const mixPoints = (list: readonly Vec3[], { index, t }: { index: number; t: numb
   return lerp(from, list[index + 1] ?? from, t);
 };
 
+/** Return the patient point (LPS mm) of a picture place. */
 export function lpsAt(geometry: LinesGeometry, pixel: PixelPoint): Vec3 {
   const place = placeIn(geometry.rows, pixel.row);
   return add(mixPoints(geometry.start, place), scale(mixPoints(geometry.step, place), pixel.column));
 }
 
-/** The direction of the route is that over this many rows. */
+/** Number of rows over which the direction of the route is computed. */
 const LOCAL_ROWS = 12;
 
 /**
- * Patient directions at the ends of the route in the picture: the way may bend in between, so each letter is right where
- * it stands. `right` and `up` are of its beginning, `down` of its end.
+ * Return the patient directions at the ends of the route in the picture. The route may bend, so each letter holds at
+ * its own place only: `right` and `up` at the beginning, `down` at the end.
  */
 export function axesAt(geometry: LinesGeometry): { right: Vec3; up: Vec3; down: Vec3 } {
   const first = pixelOfPath(geometry, geometry.pathMm[0] ?? 0)?.row ?? 0;
@@ -74,18 +76,19 @@ export function axesAt(geometry: LinesGeometry): { right: Vec3; up: Vec3; down: 
   };
 }
 
-/** The place on the route of a row. */
+/** Return the position along the route (mm) of a row. */
 export function pathMmAt(geometry: LinesGeometry, row: number): number {
   return mix(geometry.pathMm, placeIn(geometry.rows, row));
 }
 
-/** Where a place of the route appears; null where the picture does not reach it. */
+/** Return the picture place of a position along the route; null outside the picture. */
 export function pixelOfPath(geometry: LinesGeometry, pathMm: number): PixelPoint | null {
   const first = geometry.pathMm[0] ?? 0;
   const last = geometry.pathMm.at(-1) ?? 0;
-  // A hundredth of a millimetre: places are rounded on the wire.
+  // Tolerance of 0.01 mm, because the wire rounds positions.
   if (pathMm < first - 0.01 || pathMm > last + 0.01) return null;
-  // Rows beyond an end of the route carry the end's place: the last of them at the top, the first at the bottom.
+  // Rows beyond an end of the route have the position of that end: use the last of them at the top and the first at the
+  // bottom.
   let index = 0;
   while (index < geometry.pathMm.length - 2 && (geometry.pathMm[index + 1] ?? 0) <= pathMm) index += 1;
   if (pathMm >= last) index = Math.max(geometry.pathMm.findIndex((mm) => mm >= last) - 1, 0);
@@ -95,7 +98,7 @@ export function pixelOfPath(geometry: LinesGeometry, pathMm: number): PixelPoint
   return { column: mix(geometry.pathColumn, place), row: mix(geometry.rows, place) };
 }
 
-/** The place of the picture nearest to a point, and how far the point is from it. */
+/** Return the picture place nearest to a point, and its distance from the point (mm). */
 export function nearestPixel(geometry: LinesGeometry, lps: Vec3): PixelPoint & { awayMm: number } {
   let best = { column: 0, row: 0, awayMm: Number.POSITIVE_INFINITY };
   const first = geometry.rows[0] ?? 0;

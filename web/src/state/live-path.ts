@@ -1,25 +1,26 @@
-/** The way to the cursor: which answer counts, and what is said about it beside the cursor. */
+/** The path to the cursor: the valid answer, and the text beside the cursor. */
 
 import type { AskLivePathMessage, LivePathMessage } from "../wire/messages";
 import { fixed, mm, sentence } from "./format";
 import { type Answered, NewestAsker } from "./newest-asker";
 
-/** What is asked for: a point, or a place in an airway picture. */
+/** A request for a path: to a point, or to a place in an airway view. */
 export type LiveQuestion = Pick<AskLivePathMessage, "lps" | "frame_id" | "column" | "row">;
 
+/** An answer with its response time. */
 export type LiveAnswer = Answered<LivePathMessage>;
 
-/** Asks for the way to the cursor. */
+/** Requests for the path to the cursor. */
 export class LiveAsker extends NewestAsker<LiveQuestion, LivePathMessage> {
   constructor(send: (message: AskLivePathMessage) => boolean, nowMs: () => number) {
     super((id, question) => send({ type: "live_path", request_id: id, ...question }), nowMs);
   }
 }
 
-/** Shorter than this, a new part of a way or a shift of its end is rounding. */
+/** Length, mm, below which a new part of a path or a shift of its end is rounding. */
 const SMALL_MM = 0.3;
 
-/** Lines beside the cursor; `warns` where there is no way. */
+/** Return the text lines beside the cursor; `warns` is true if there is no path. */
 export function livePathLines(answer: LivePathMessage): { lines: readonly string[]; warns: boolean } {
   if (answer.problem !== null || answer.length_mm === null) {
     return { lines: [firstSentences(sentence(answer.problem ?? "no path to this point"))], warns: true };
@@ -34,10 +35,10 @@ export function livePathLines(answer: LivePathMessage): { lines: readonly string
   return { lines, warns: false };
 }
 
-/** At the cursor there is room for so much, in letters. */
+/** Largest number of characters beside the cursor. */
 const ROOM = 90;
 
-/** As many whole sentences as there is room for, at least one. */
+/** Return as many whole sentences as fit, at least one. */
 export function firstSentences(text: string): string {
   const [first = "", ...more] = text.match(/[^.]+(?:\.\d+[^.]*)*\.?\s*/g) ?? [text];
   let kept = first;
@@ -48,7 +49,7 @@ export function firstSentences(text: string): string {
   return kept.trimEnd();
 }
 
-/** Index of the point where the way leaves the tree: what comes after is its last `newMm`. */
+/** Return the index of the point where the path leaves the tree: its last `newMm` are outside the tree. */
 export function leavesTreeAt(points: LivePathMessage["points_lps"], newMm: number | null): number {
   if (newMm === null || newMm <= SMALL_MM) return points.length - 1;
   let left = newMm;

@@ -1,13 +1,17 @@
-/** What was mapped round the targets, as the panel and the pictures show it. */
+/** Structures mapped around the targets, for the panel and the views. */
 
 import type { LungsMessage, PictureLayer, Station, VesselLine } from "../wire/messages";
 import { add, asVec3, scale, type Vec3 } from "./vec";
 
+/** Name of a layer on the wire. */
 export type LayerName = PictureLayer["layer"];
 
-/** What can be switched off: the layers of the wire, and the stations, which come with no picture. */
+/**
+ * A layer that the user can hide: the layers of the wire, and the lymph node stations, which are not part of a picture.
+ */
 export type ShownLayer = LayerName | "stations";
 
+/** All layers with their titles and explanations. */
 export const LAYER_NAMES: readonly { layer: ShownLayer; title: string; words: string }[] = [
   {
     layer: "vessels",
@@ -20,24 +24,28 @@ export const LAYER_NAMES: readonly { layer: ShownLayer; title: string; words: st
   { layer: "reach", title: "Reach", words: "Where the tool gets to, in slices; dashed: may reach" },
 ];
 
+/** Layers that the server sends with pictures. */
 export const WIRE_LAYERS: readonly LayerName[] = ["vessels", "fissures", "lobes", "reach"];
 
-/** What the server is asked to send with the pictures. */
+/** Return the layers that the client requests from the server. */
 export const wantedLayers = (hidden: readonly ShownLayer[]): LayerName[] =>
   WIRE_LAYERS.filter((layer) => !hidden.includes(layer));
 
+/** Return the hidden layers after one was toggled. */
 export const toggled = (hidden: readonly ShownLayer[], layer: ShownLayer): ShownLayer[] =>
   hidden.includes(layer) ? hidden.filter((one) => one !== layer) : [...hidden, layer];
 
-/** Beyond the wall of the airway: as far as the direction is drawn. */
+/** Length of the direction mark beyond the airway wall, mm. */
 const LOOK_MM = 12;
 
+/** A lymph node station as drawn in a view. */
 export interface SeenStation {
   readonly station: string;
   readonly from: Vec3;
   readonly to: Vec3;
 }
 
+/** Return the visible lymph node stations. */
 export function stationsSeen(lungs: LungsMessage | null, hidden: readonly ShownLayer[]): SeenStation[] {
   if (lungs === null || hidden.includes("stations")) return [];
   return lungs.stations.flatMap(({ station, point_lps: point, direction_lps: direction }: Station) => {
@@ -49,22 +57,23 @@ export function stationsSeen(lungs: LungsMessage | null, hidden: readonly ShownL
 
 const NO_VESSELS: readonly VesselLine[] = [];
 
-/** The vessels as lines, where they are shown. */
+/** Return the vessel lines, or none if they are hidden. */
 export const vesselsSeen = (lungs: LungsMessage | null, hidden: readonly ShownLayer[]): readonly VesselLine[] =>
   lungs === null || hidden.includes("vessels") ? NO_VESSELS : lungs.vessels;
 
+/** A row of the list of layers. */
 export interface LayerRow {
   readonly layer: ShownLayer;
   readonly title: string;
   readonly words: string;
-  /** What it shows, in figures. */
+  /** The layer's contents in figures. */
   readonly told: string;
   readonly limits: readonly string[];
-  /** Those that have a colour each: lobes. */
+  /** Parts with a colour each, such as lobes. */
   readonly parts: readonly string[];
 }
 
-/** The layers that there are, in their order. */
+/** Return the available layers in display order. */
 export function layerRows(lungs: LungsMessage | null): LayerRow[] {
   if (lungs === null) return [];
   return LAYER_NAMES.flatMap((row) => {

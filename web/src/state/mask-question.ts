@@ -1,34 +1,36 @@
-/** What is asked about a mask of another tool, in words. */
+/** Texts of the question about an imported mask. */
 
 import type { MaskLabel, MaskQuestion } from "../wire/messages";
 import { plural } from "./format";
 
-/** `61 ml`, with as many digits as help to tell a bronchus from a lung. */
+/** Return a volume as text, `61 ml`, with enough digits to tell a bronchus from a lung. */
 export function volumeWords(ml: number): string {
   const THIN = "\u202f";
   if (ml > 0 && ml < 0.1) return `under 0.1${THIN}ml`;
   return `${ml >= 10 ? Math.round(ml).toLocaleString("en-US") : ml.toFixed(1)}${THIN}ml`;
 }
 
-/** `2  Airway tree`, or the number alone where the file has no name for it. */
+/** Return the title of a label, `2  Airway tree`, or its number if the file has no name. */
 export const labelTitle = (label: MaskLabel): string => label.name ?? `Label ${label.number}`;
 
-/** The structure that is marked at first: the one that is called so, or none. */
+/** Return the label that is selected initially: the server's suggestion, or none. */
 export const firstChoice = (question: MaskQuestion): number | null => question.suggested;
 
+/** Return the title of the question. */
 export function questionTitle(question: MaskQuestion): string {
   return question.problem === "label"
     ? `Which one is the airway lumen?`
     : `The segmentation is on a different grid from the scan`;
 }
 
+/** Return the text of the question. */
 export function questionWords(question: MaskQuestion): string {
   return question.problem === "label"
     ? `${question.title} contains ${plural(question.labels.length, "structure")}.`
     : `${question.title} is on a different grid from this scan.`;
 }
 
-/** A warning where much of the mask would be lost; null where all but rounding lies in the scan. */
+/** Return a warning if much of the mask is outside the scan; null if the lost part is only rounding. */
 export function lostWords(question: MaskQuestion): string | null {
   const share = question.share_inside;
   if (share === null || share >= 0.995) return null;

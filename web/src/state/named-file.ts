@@ -1,7 +1,8 @@
-/** The named file of the open case: its path, and what the user can do where it was changed elsewhere. */
+/** The named file of the open case: its path, and the user's choices after another process has changed the file. */
 
 import type { SavingInfo } from "../wire/messages";
 
+/** Choices of the user after another process has changed the named file. */
 export interface ConflictChoices {
   /** Free path for "Save beside it". */
   readonly beside: string | null;
@@ -11,11 +12,12 @@ export interface ConflictChoices {
   readonly replaces: boolean;
 }
 
-/** Path of the named file; null where the case has none. */
+/** Return the path of the named file; null if the case has none. */
 export function namedPath(saving: SavingInfo): string | null {
   return saving.copy_name === null ? null : `${saving.copy_folder ?? ""}/${saving.copy_name}`;
 }
 
+/** Return the choices after a conflict. */
 export function conflictChoices(saving: SavingInfo): ConflictChoices {
   const kind = saving.copy_conflict;
   return {

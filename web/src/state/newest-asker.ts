@@ -1,19 +1,20 @@
-/** Questions that a cursor asks: which one goes out, and which answer still counts. */
+/** Requests at the cursor: which request is sent, and which answer is valid. */
 
-/** Where a server has not answered for so long, it is asked again. */
+/** Time, ms, after which an unanswered request is sent again. */
 const LOST_MS = 2000;
 
+/** An answer with its response time. */
 export interface Answered<Answer> {
   readonly answer: Answer;
-  /** From the question's sending to here. */
+  /** Time from the request to the answer, ms. */
   readonly tookMs: number;
-  /** A newer question waits: this is the answer to where the cursor was. */
+  /** Whether a newer request waits, so that this answer is for an earlier cursor position. */
   readonly overtaken: boolean;
 }
 
 /**
- * Asks the newest question only, and not before the last one was answered: a slow machine is not asked more than it can
- * answer, a fast one is asked at once.
+ * Request queue that sends only the latest request, and only after the previous one was answered, so that a slow server
+ * never has a backlog.
  */
 export class NewestAsker<Question, Answer extends { readonly request_id: number }> {
   readonly #send: (id: number, question: Question) => boolean;
@@ -21,7 +22,7 @@ export class NewestAsker<Question, Answer extends { readonly request_id: number 
   #nextId = 1;
   #underWay: { id: number; atMs: number } | null = null;
   #waiting: Question | null = null;
-  /** Answers up to this one are not wanted any more. */
+  /** Answers with an identifier up to this one are discarded. */
   #forgotten = 0;
   #newest = 0;
 
@@ -40,15 +41,15 @@ export class NewestAsker<Question, Answer extends { readonly request_id: number 
     this.#sendNow(question);
   }
 
-  /** The cursor has left: what is under way is not shown. */
+  /** Discard the answers to all requests, because the cursor has left. */
   forget(): void {
     this.#waiting = null;
     this.#forgotten = this.#nextId - 1;
   }
 
-  /** The answer with how long it took, or null where nobody waits for it. */
+  /** Return the answer with its response time, or null if the answer is not expected. */
   receive(answer: Answer): Answered<Answer> | null {
-    // Of a question that was not asked here.
+    // The request was not sent by this connection.
     if (answer.request_id >= this.#nextId) return null;
     const sent = this.#underWay;
     const mine = sent !== null && sent.id === answer.request_id;
@@ -64,7 +65,7 @@ export class NewestAsker<Question, Answer extends { readonly request_id: number 
     return { answer, tookMs, overtaken: next !== null };
   }
 
-  /** A new connection: nothing is under way. */
+  /** Forget all requests, for a new connection. */
   reset(): void {
     this.#underWay = null;
     this.forget();

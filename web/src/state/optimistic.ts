@@ -1,27 +1,27 @@
 /**
- * A value that a person is moving: shown at once, until the server has told what came of it.
+ * A value that the user changes: shown at once, until the server has sent the result.
  *
- * Without it, an answer to an older drag would throw the slider or the crosshair back for a moment. What another window
- * sets meanwhile is shown as soon as this window's own command is done: commands are done in one order for all.
+ * This prevents an answer to an older drag from moving the slider or crosshair back for a moment. A change by another
+ * window is shown when this window's command is done, because the server executes all commands in one order.
  */
 export interface Optimistic<T> {
   readonly value: T;
-  /** Which of this connection's commands says it. */
+  /** Number of the command, on this connection, that sets the value. */
   readonly number: number;
 }
 
-/** The number of a command that will be sent at the next refresh. */
+/** Number of a command that will be sent at the next display refresh. */
 export const NOT_SENT = Number.POSITIVE_INFINITY;
 
-/** Values by name, as far as a person is moving them. */
+/** Values by name that the user is changing. */
 export type Local<T> = { readonly [K in keyof T]?: Optimistic<T[K]> };
 
-/** The value, unless so many commands have been handled that what the server tells is the outcome. */
+/** Return the user's value, or null once the server has executed its command. */
 export function underWay<T>(local: Optimistic<T> | null, handled: number): Optimistic<T> | null {
   return local !== null && local.number > handled ? local : null;
 }
 
-/** Those of several values for which that holds. */
+/** Return the values whose commands the server has not executed yet. */
 export function allUnderWay<T extends object>(local: Local<T>, handled: number): Local<T> {
   const kept: { [K in keyof T]?: Optimistic<T[K]> } = {};
   for (const name of Object.keys(local) as (keyof T)[]) {
@@ -31,7 +31,7 @@ export function allUnderWay<T extends object>(local: Local<T>, handled: number):
   return kept;
 }
 
-/** What is shown: the server's values, and in their place those that a person is moving. */
+/** Return the values to show: the server's values, replaced by those that the user is changing. */
 export function shown<T extends object>(local: Local<T>, server: T): T {
   const value = { ...server };
   for (const name of Object.keys(local) as (keyof T)[]) {

@@ -1,22 +1,27 @@
-/** How quickly pictures follow, measured where they are seen: from a pose's arrival to the drawing of its picture. */
+/** Measurement of the picture rate: the time from the arrival of a pose to the drawing of its picture. */
 
+/** Frame rate and latency of the airway view. */
 export interface Pace {
   /** Frame rate of the airway view during the last movement; null before the first one. */
   readonly fps: number | null;
-  /** From the newest drawn pose's arrival to its picture; null before the first one. */
+  /**
+   * Time from the arrival of the latest drawn pose to the drawing of its picture, ms; null before the first picture.
+   */
   readonly ageMs: number | null;
-  /** How long the newest pose has been waiting for its picture; 0 while the picture is the newest. */
+  /** Time for which the latest pose has waited for its picture, ms; 0 while the picture shows the latest pose. */
   readonly waitingMs: number;
 }
 
+/** Values before the first picture. */
 export const NO_PACE: Pace = { fps: null, ageMs: null, waitingMs: 0 };
 
-/** Pictures further apart than this do not belong to one movement. */
+/** Interval, ms, above which two pictures do not belong to the same movement. */
 const PAUSE_MS = 400;
 const SMOOTHING = 0.15;
-/** Poses that no picture has answered yet; more would only be a leak. */
+/** Largest number of poses without a picture that are stored; the limit bounds the memory. */
 const MAX_POSES = 256;
 
+/** Measures the interval and the latency of pictures. */
 export class PaceMeter {
   readonly #arrivedMs = new Map<number, number>();
   #newestPose = -1;
@@ -40,7 +45,7 @@ export class PaceMeter {
     this.#shownPose = poseId;
     const arrived = this.#arrivedMs.get(poseId);
     for (const known of [...this.#arrivedMs.keys()]) if (known < poseId) this.#arrivedMs.delete(known);
-    // The finer picture of a pose that is already shown is no news about how quickly pictures follow.
+    // A finer picture of a pose that is already shown says nothing about the picture rate.
     if (!isNew) return;
     if (arrived !== undefined) this.#ageMs = nowMs - arrived;
     const gap = this.#lastDrawMs === null ? null : nowMs - this.#lastDrawMs;
@@ -49,7 +54,7 @@ export class PaceMeter {
     this.#gapMs = this.#gapMs === null ? gap : this.#gapMs + SMOOTHING * (gap - this.#gapMs);
   }
 
-  /** Another picture stands in for this pose: it is answered, and none of this view's pictures was drawn. */
+  /** Record that a replacement picture shows this pose: the pose no longer waits, and the measurement restarts. */
   standInDrawn(poseId: number): void {
     this.#shownPose = poseId;
     this.#lastDrawMs = null;

@@ -1,4 +1,4 @@
-/** How the path to the next target is searched: through the lumen, or by the paper's costs through any scan. */
+/** Search of the path to the next target: through the lumen, or by the paper's edge costs through the whole scan. */
 
 import type { AddTargetMessage, ArmPenMessage, StateMessage, Target } from "../wire/messages";
 import { mm } from "./format";
@@ -6,8 +6,10 @@ import { marksByPen } from "./pen";
 import type { Armed } from "./tools";
 import { asVec3, type Vec3 } from "./vec";
 
+/** Cost function of the path search. */
 export type PathCost = Target["cost"];
 
+/** Label and explanation of each cost function. */
 export const COST_WORDS: Readonly<Record<PathCost, { readonly label: string; readonly words: string }>> = {
   lumen: { label: "Lumen", words: "Follow the middle of the segmented airways" },
   walls: {
@@ -26,7 +28,9 @@ interface Search {
   readonly pathStart: Vec3 | null;
 }
 
-/** Where the path would begin: the marked start, else that of the newest such path, else where the airways do. */
+/**
+ * Return the start of the path: the marked start, else the start of the latest such path, else the root of the airways.
+ */
 export function startOf(ui: Search, session: Pick<StateMessage, "targets" | "root_lps"> | null): Vec3 | null {
   if (ui.pathStart !== null) return ui.pathStart;
   const before = session?.targets.findLast((target) => target.root_lps !== null)?.root_lps ?? null;
@@ -34,7 +38,7 @@ export function startOf(ui: Search, session: Pick<StateMessage, "targets" | "roo
   return start === null ? null : asVec3(start);
 }
 
-/** The command for a target; null where its path has no start yet. */
+/** Return the command that adds a target; null if its path has no start yet. */
 export function targetMessage(
   lps: Vec3,
   ui: Search,
@@ -45,7 +49,7 @@ export function targetMessage(
   return start === null ? null : { type: "add_target", lps, cost: ui.pathCost, root_lps: start };
 }
 
-/** What the pen's button is to mark. */
+/** Return the message that selects what the pen's button marks. */
 export function penMessage(
   ui: Search & { readonly armed: Armed | null },
   session: Pick<StateMessage, "targets" | "root_lps"> | null,
@@ -55,12 +59,13 @@ export function penMessage(
   return { type: "arm_pen", tool, cost: ui.pathCost, root_lps: startOf(ui, session) };
 }
 
+/** Return whether two messages select the same mark. */
 export function isSamePen(one: ArmPenMessage, other: ArmPenMessage): boolean {
   const start = (message: ArmPenMessage) => message.root_lps?.join(" ") ?? null;
   return one.tool === other.tool && one.cost === other.cost && start(one) === start(other);
 }
 
-/** What is known of a target's path, in words. */
+/** Return what is known about a target's path, as text. */
 export function pathWords(target: Target, isHu: boolean): string {
   if (target.length_mm === null) return "";
   if (target.cost === "lumen") {

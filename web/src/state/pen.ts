@@ -1,13 +1,14 @@
-/** What is said about a tracked pen: the point that its button marks, and what is left between it and the scope's tip. */
+/** Texts about a tracked pen: the point that its button marks, and the offset between the pen and the scope's tip. */
 
 import type { PenMessage, StateMessage } from "../wire/messages";
 import { fixed, mm } from "./format";
 import type { Armed } from "./tools";
 
-/** While one of these is in the hand, the pen's button marks a point. */
+/** Return whether the pen's button marks a point with the active tool. */
 export const marksByPen = (armed: Armed | null): armed is "root" | "start" | "target" =>
   armed === "root" || armed === "start" || armed === "target";
 
+/** Return which point the pen's button marks, as text. */
 export function penMarkWords(pen: PenMessage): string {
   if (pen.lps !== null) return "The pen\u2019s button marks the position of the pen tip.";
   return pen.tracked
@@ -15,11 +16,13 @@ export function penMarkWords(pen: PenMessage): string {
     : "The position of this device is not tracked: its button marks the position of the scope tip.";
 }
 
-/** Below this nothing is left: half of what is shown. */
+/** Offset below which nothing is shown: half of the last digit that is shown. */
 const JOINED_MM = 0.05;
 const JOINED_DEG = 0.5;
 
-/** Null where the tip is at the pen, or does not follow its place. */
+/**
+ * Return the offset between pen and tip as text; null if the tip is at the pen or does not follow the pen's position.
+ */
 export function penOffWords(pen: PenMessage | null): string | null {
   if (pen === null || pen.off_mm === null) return null;
   const deg = pen.off_deg ?? 0;
@@ -28,7 +31,7 @@ export function penOffWords(pen: PenMessage | null): string | null {
   return `${mm(pen.off_mm)}${turned}`;
 }
 
-/** Whether the pen's button has just used the tool: it is put down then, as after a click. */
+/** Return whether the pen's button has just used the tool, which is then deactivated as after a click. */
 export function wasUsedByPen(armed: Armed | null, before: StateMessage | null, now: StateMessage): boolean {
   if (before === null) return false;
   if (armed === "target") return now.targets.length > before.targets.length;

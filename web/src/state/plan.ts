@@ -1,4 +1,4 @@
-/** What a plan says, in words. */
+/** Texts about a plan. */
 
 import type {
   Look,
@@ -13,6 +13,7 @@ import { withError } from "./branch-words";
 import { fixed, mm } from "./format";
 import { asVec3, sub, type Vec3 } from "./vec";
 
+/** Return the plan of a target; null if there is none. */
 export const planOf = (plans: PlansMessage | null, targetId: string | null): TargetPlan | null =>
   plans?.targets.find((target) => target.target_id === targetId) ?? null;
 
@@ -22,11 +23,13 @@ const SIGNS: Readonly<Record<string, string>> = {
   none: "no airway leads to it",
 };
 
+/** Return the explanation of an airway sign (relation of the nearest airway to the target). */
 export const signWords = (sign: string): string => SIGNS[sign] ?? sign;
 
+/** Return a fraction as a percentage. */
 export const share = (part: number): string => `${fixed(100 * part)}\u202f%`;
 
-/** What stands in the rows of the table of routes, the routes side by side. */
+/** Rows of the table that compares routes. */
 export const ROUTE_ROWS: readonly { title: string; words: string; of: (route: RouteOffer) => string }[] = [
   { title: "Airway", words: "The airway in which the scope is parked", of: (route) => route.branch_name },
   {
@@ -66,7 +69,7 @@ export const ROUTE_ROWS: readonly { title: string; words: string; of: (route: Ro
   },
 ];
 
-/** The verdicts in the order in which they are read: what reaches first, then what may. */
+/** Return the verdicts in reading order: first instruments that reach the target, then those that may reach it. */
 export function verdictsInOrder(verdicts: readonly ScopeVerdict[]): ScopeVerdict[] {
   return [...verdicts].sort((a, b) => rank(a) - rank(b));
 }
@@ -74,14 +77,17 @@ export function verdictsInOrder(verdicts: readonly ScopeVerdict[]): ScopeVerdict
 const ORDER = ["reaches", "may reach", "cannot say", "does not reach"];
 const rank = ({ outcome }: ScopeVerdict): number => (ORDER.indexOf(outcome) + ORDER.length + 1) % (ORDER.length + 1);
 
-/** The line of a turn, for the operator's position. */
+/** Return the text of a turn for the operator's position. */
 export const turnWords = (turn: PlannedTurn, operator: Look["operator"]): string =>
   operator === "head" ? turn.head : turn.facing;
 
-/** So near to the place that a turn is seen from the tip stands there: a turn of the look leaves it. */
+/**
+ * Distance, mm, from the viewpoint of a turn up to which the tip counts as being there; turning the view moves the tip
+ * off the exact point.
+ */
 const STANDS_MM = 0.3;
 
-/** The turn of the list before which the tip stands, by its place in the list; null where it stands elsewhere. */
+/** Return the list index of the turn at whose viewpoint the tip is; null if the tip is elsewhere. */
 export function turnBefore(turns: readonly PlannedTurn[], tip: Vec3 | null): number | null {
   if (tip === null) return null;
   const at = turns.findIndex(
@@ -90,7 +96,10 @@ export function turnBefore(turns: readonly PlannedTurn[], tip: Vec3 | null): num
   return at < 0 ? null : at;
 }
 
-/** The place on a route nearest to the tip, for free movement; null where the tip is not in its airways. */
+/**
+ * Return the position along the route, mm, nearest to a freely moved tip; null if the tip is outside the route's
+ * airways.
+ */
 export function besideRouteMm(route: RouteInfo, tip: Vec3): number | null {
   let best: { mm: number; away: number; radius: number } | null = null;
   route.points_lps.forEach((point, n) => {

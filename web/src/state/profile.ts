@@ -1,17 +1,18 @@
-/** The chart of a branch: lumen against the way along it, with its error, as places in a picture of a given size. */
+/** Chart of a branch: lumen diameter with its error against the distance along the branch, in chart coordinates. */
 
 import type { BranchProfile } from "../wire/messages";
 
+/** A cross-section in the chart. */
 export interface ProfilePoint {
   readonly atMm: number;
   readonly lumenMm: number;
-  /** Null where it is not known. */
+  /** Error of the diameter, mm; null if unknown. */
   readonly errorMm: number | null;
-  /** At a fork, where the section is no airway's width. */
+  /** Whether the section is at a fork, where it does not measure one airway. */
   readonly atJunction: boolean;
 }
 
-/** Sections that have a lumen. */
+/** Return the sections that have a lumen. */
 export function measuredPoints(profile: BranchProfile): ProfilePoint[] {
   return profile.at_mm.flatMap((atMm, n) => {
     const lumenMm = profile.lumen_mm[n] ?? null;
@@ -20,22 +21,24 @@ export function measuredPoints(profile: BranchProfile): ProfilePoint[] {
   });
 }
 
+/** Scale of the chart. */
 export interface ChartScale {
   readonly lengthMm: number;
   readonly topMm: number;
-  /** From mm to px of the chart's inside. */
+  /** Convert a distance along the branch (mm) to px inside the chart. */
   x(atMm: number): number;
   y(lumenMm: number): number;
-  /** Widths that get a line. */
+  /** Diameters with a grid line, mm. */
   readonly ticksMm: readonly number[];
 }
 
 const STEPS_MM = [0.5, 1, 2, 5, 10, 20] as const;
 
+/** Return the scale for a chart of the given size in px. */
 export function chartScale(points: readonly ProfilePoint[], width: number, height: number): ChartScale {
   const lengthMm = Math.max(...points.map((point) => point.atMm), 1e-3);
   const most = Math.max(...points.map((point) => point.lumenMm + (point.errorMm ?? 0)), 0.5);
-  // From 0: a narrowing looks as large as it is.
+  // The axis starts at 0, so that the relative size of a narrowing is visible.
   const step = STEPS_MM.find((mm) => most / mm <= 3.5) ?? 50;
   const topMm = Math.ceil(most / step) * step;
   return {
@@ -47,7 +50,7 @@ export function chartScale(points: readonly ProfilePoint[], width: number, heigh
   };
 }
 
-/** Runs of neighbouring sections that count, so that no line is drawn across a fork. */
+/** Return runs of neighbouring sections outside forks, so that the chart draws no line across a fork. */
 export function runsOf(points: readonly ProfilePoint[]): ProfilePoint[][] {
   const runs: ProfilePoint[][] = [];
   let run: ProfilePoint[] = [];
@@ -63,7 +66,7 @@ export function runsOf(points: readonly ProfilePoint[]): ProfilePoint[][] {
   return runs;
 }
 
-/** The section nearest to a place; null where there are none. */
+/** Return the section nearest to a position; null if there are none. */
 export function nearestSection(points: readonly ProfilePoint[], atMm: number): ProfilePoint | null {
   return points.reduce<ProfilePoint | null>(
     (best, point) => (best === null || Math.abs(point.atMm - atMm) < Math.abs(best.atMm - atMm) ? point : best),

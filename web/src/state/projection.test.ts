@@ -23,7 +23,7 @@ describe("flat pictures", () => {
       if (geometry?.kind !== "flat") throw new Error("a matrix gives a flat picture");
       const pixel = { column: 200 * random(), row: 100 * random() };
       const back = pixelFromLps(geometry, lpsFromPixel(geometry, pixel));
-      // 1e-9: double arithmetic on coordinates of some hundred mm.
+      // Tolerance 1e-9: double precision for coordinates of some hundred mm.
       expect(back?.column).toBeCloseTo(pixel.column, 9);
       expect(back?.row).toBeCloseTo(pixel.row, 9);
       expect(back?.depthMm).toBeCloseTo(0, 9);
@@ -33,7 +33,8 @@ describe("flat pictures", () => {
   it("count depth into the screen, in mm", () => {
     const geometry = geometryOf({ ...none, lps_from_pixel: flat([1, 0, 0], [0, 1, 0], [0, 0, 5], 0.5, 0.5) });
     if (geometry === null) throw new Error("a matrix gives a geometry");
-    // Axial, right of the patient at the left, anterior up: into the screen is towards the head.
+    // Axial picture with the patient's right at the left and anterior up: the normal into the screen points to the
+    // head.
     expect(pixelFromLps(geometry, [10, 20, 9])).toEqual({ column: 20, row: 40, depthMm: 4 });
   });
 
@@ -119,7 +120,7 @@ describe("lenses", () => {
         expect(found).toBeNull();
         return;
       }
-      // 1e-6 px: the same formulas in the same doubles, through a file.
+      // Tolerance 1e-6 px: the same formulas in double precision, with values read from a file.
       expect(found?.column).toBeCloseTo(expected[0], 6);
       expect(found?.row).toBeCloseTo(expected[1], 6);
     });

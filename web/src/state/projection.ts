@@ -1,4 +1,7 @@
-/** From pixels to the patient and back, for flat pictures (slices, cut-plane, X-ray) and seen ones (airway, tree). */
+/**
+ * Projection between pixels and patient space, for planar pictures (slices, cut-plane, X-ray) and camera pictures
+ * (airway, tree).
+ */
 
 import type { PictureLens } from "../wire/messages";
 import { add, type Camera, cameraFromMatrix, column, cross, dot, scale, sub, unit, type Vec3 } from "./vec";
@@ -9,32 +12,39 @@ export interface PixelPoint {
   row: number;
 }
 
+/** A picture point with its depth. */
 export interface SeenPoint extends PixelPoint {
-  /** Along the viewing direction: behind the plane (flat) or before the camera (seen), mm. */
+  /**
+   * Depth along the viewing direction, mm: behind the plane (planar picture) or in front of the camera (camera
+   * picture).
+   */
   depthMm: number;
 }
 
+/** Geometry of a planar picture. */
 export interface FlatGeometry {
   kind: "flat";
   origin: Vec3;
-  /** LPS mm per pixel to the right and down. */
+  /** LPS vectors in mm per pixel to the right and down. */
   perColumn: Vec3;
   perRow: Vec3;
 }
 
+/** Geometry of a camera picture. */
 export interface SeenGeometry {
   kind: "seen";
   camera: Camera;
   focalPx: number;
-  /** The lens of a picture that is no pinhole's. */
+  /** The lens model; null for a pinhole camera. */
   lens: PictureLens | null;
   width: number;
   height: number;
 }
 
+/** Geometry of a picture. */
 export type Geometry = FlatGeometry | SeenGeometry;
 
-/** What a picture's header says about where it lies. */
+/** The fields of a picture's header that define its geometry. */
 export interface Placed {
   width: number;
   height: number;
@@ -44,7 +54,9 @@ export interface Placed {
   lens: PictureLens | null;
 }
 
-/** The geometry of a picture, or null where its header gives none. Flat wins: a cut-plane also carries a camera. */
+/**
+ * Return the geometry of a picture, or null if its header has none. A cut-plane also has a camera; it counts as planar.
+ */
 export function geometryOf(picture: Placed): Geometry | null {
   if (picture.lps_from_pixel !== null) {
     return {
@@ -55,7 +67,7 @@ export function geometryOf(picture: Placed): Geometry | null {
     };
   }
   if (picture.lps_from_camera !== null && picture.fov_deg !== null && picture.fov_deg < 179) {
-    // The field of view is the full angle across the image circle, the shorter side.
+    // The field of view is the full angle across the image circle, whose diameter is the shorter side.
     const focalPx = (0.5 * Math.min(picture.width, picture.height)) / Math.tan((picture.fov_deg * Math.PI) / 360);
     return {
       kind: "seen",
@@ -69,24 +81,29 @@ export function geometryOf(picture: Placed): Geometry | null {
   return null;
 }
 
+/** Return the patient point (LPS mm) of a pixel in a planar picture. */
 export function lpsFromPixel(geometry: FlatGeometry, pixel: PixelPoint): Vec3 {
   return add(geometry.origin, add(scale(geometry.perColumn, pixel.column), scale(geometry.perRow, pixel.row)));
 }
 
-/** Into the screen, unit length: right x down, as for a camera. */
+/** Return the unit normal that points into the screen: right x down, as for a camera. */
 export function normalOf(geometry: FlatGeometry): Vec3 {
   return unit(cross(geometry.perColumn, geometry.perRow));
 }
 
+/** Return the length of a pixel, mm. */
 export function mmPerPixel(geometry: FlatGeometry): number {
   return Math.sqrt(dot(geometry.perColumn, geometry.perColumn));
 }
 
-/** Where a point falls in a picture; null where a camera cannot see it (behind, or too near to have a place). */
+/**
+ * Return the picture point of a patient point (LPS mm); null if the camera cannot see it (behind the camera, or too
+ * near).
+ */
 export function pixelFromLps(geometry: Geometry, lps: Vec3): SeenPoint | null {
   if (geometry.kind === "flat") {
     const offset = sub(lps, geometry.origin);
-    // Least squares over the two axes, so that axes which are not exactly at right angles still invert exactly.
+    // Least squares over both axes, so that axes that are not exactly perpendicular are inverted exactly.
     const cc = dot(geometry.perColumn, geometry.perColumn);
     const rr = dot(geometry.perRow, geometry.perRow);
     const cr = dot(geometry.perColumn, geometry.perRow);
@@ -119,7 +136,10 @@ export function pixelFromLps(geometry: Geometry, lps: Vec3): SeenPoint | null {
   };
 }
 
-/** Where a point in camera space (mm) falls; null where the lens has no place for it. Formulas: wire PictureLens. */
+/**
+ * Return the picture point of a point in camera space (mm); null if the lens does not image it. The wire's PictureLens
+ * has the formulas.
+ */
 function throughLens(lens: PictureLens, x: number, y: number, z: number): PixelPoint | null {
   const across = Math.hypot(x, y);
   const angle = Math.atan2(across, z);
@@ -132,7 +152,7 @@ function throughLens(lens: PictureLens, x: number, y: number, z: number): PixelP
     at = across === 0 ? [0, 0] : [(x / across) * radius, (y / across) * radius];
   } else {
     if (z <= 0) return null;
-    // OpenCV's order: k1 k2 p1 p2 k3, then the denominator's k4 k5 k6.
+    // Order of OpenCV: k1 k2 p1 p2 k3, then the coefficients k4 k5 k6 of the denominator.
     const [p1, p2] = [k3, k4];
     const [u, v] = [x / z, y / z];
     const s = u * u + v * v;
@@ -144,13 +164,16 @@ function throughLens(lens: PictureLens, x: number, y: number, z: number): PixelP
   return { column: cx + fx * at[0], row: cy + fy * at[1] };
 }
 
-/** A line that passes behind a fisheye would be drawn across its picture; 120 degrees is beyond any corner. */
+/**
+ * Largest angle to the viewing direction of a drawn line. A line behind a fisheye camera would cross the whole picture;
+ * 120 degrees is beyond every corner.
+ */
 const WIDEST_LINE_RAD = (120 * Math.PI) / 180;
 
-/** Nearer than this to a camera a line has no useful place in the picture. */
+/** Distance, mm, from the camera below which lines are not drawn. */
 export const NEAR_MM = 0.5;
 
-/** A line of points as runs of picture points; parts a camera cannot see are cut out. */
+/** Project a polyline to runs of picture points; parts that the camera cannot see are left out. */
 export function projectLine(geometry: Geometry, pointsLps: readonly Vec3[]): SeenPoint[][] {
   const runs: SeenPoint[][] = [];
   let run: SeenPoint[] = [];
@@ -167,14 +190,14 @@ export function projectLine(geometry: Geometry, pointsLps: readonly Vec3[]): See
   return runs.filter((part) => part.length > 1);
 }
 
-/** Directions of the picture's columns and rows in the patient. */
+/** Return the patient directions of the picture's columns and rows. */
 export function axesOf(geometry: Geometry): { right: Vec3; down: Vec3 } {
   return geometry.kind === "flat"
     ? { right: unit(geometry.perColumn), down: unit(geometry.perRow) }
     : { right: geometry.camera.right, down: geometry.camera.down };
 }
 
-/** A round length for a scale bar of at most `maxPx` pixels. */
+/** Return a round length for a scale bar of at most `maxPx` pixels. */
 export function scaleBar(mmPerPx: number, maxPx: number): { mm: number; px: number } {
   const limit = mmPerPx * maxPx;
   const power = 10 ** Math.floor(Math.log10(limit));

@@ -1,6 +1,6 @@
-/** How a QR code and a fingerprint are shown. */
+/** Display of a QR code and a certificate fingerprint. */
 
-/** The dark modules as one SVG path, a rectangle for each run. */
+/** Return the dark modules as one SVG path, with one rectangle per run. */
 export function qrPath(rows: readonly string[]): string {
   return rows
     .flatMap((row, down) =>
@@ -11,7 +11,7 @@ export function qrPath(rows: readonly string[]): string {
 
 const PAIRS_PER_LINE = 8;
 
-/** In lines of eight pairs, as a phone shows it in about the same places. */
+/** Return the fingerprint in lines of eight byte pairs, in a layout similar to that of a phone. */
 export function fingerprintLines(sha256: string): string[] {
   const pairs = sha256.split(":");
   const lines: string[] = [];

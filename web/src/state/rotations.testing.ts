@@ -2,7 +2,7 @@
 
 import { cross, type Vec3 } from "./vec";
 
-/** The same small generator everywhere: a failure can be repeated from its seed. */
+/** Return a small random generator with a fixed seed, so that a failing test can be repeated. */
 export function randomOf(seed: number): () => number {
   let state = seed;
   return () => {
@@ -11,7 +11,7 @@ export function randomOf(seed: number): () => number {
   };
 }
 
-/** A random rotation's columns, from a random unit quaternion. */
+/** Return the columns of a random rotation, computed from a random unit quaternion. */
 export function randomAxes(random: () => number): { right: Vec3; down: Vec3; forward: Vec3 } {
   const [u, v, w] = [random(), 2 * Math.PI * random(), 2 * Math.PI * random()];
   const [x, y, z, q] = [

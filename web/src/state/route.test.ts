@@ -53,7 +53,7 @@ const TREE = buildTree({
   ],
 }); // biome-ignore format: points in one line each
 
-/** From the head, anterior up: the patient's right is at the picture's right. */
+/** A camera that looks from the head, anterior up: the patient's right is at the right of the picture. */
 const FROM_HEAD: Camera = { right: [-1, 0, 0], down: [0, 1, 0], forward: [0, 0, -1], position: [0, 0, 0] };
 
 describe("along the route", () => {
@@ -182,7 +182,7 @@ describe("the tree", () => {
   });
 
   it("calls the way in the middle of the picture straight on, and gives the other its hour there", () => {
-    // On the way into the left branch and looking along it.
+    // The camera is at the entrance of the left branch and looks along the branch.
     const into: Camera = { right: [0, 0, -1], down: [0, 1, 0], forward: [1, 0, 0], position: [-20, 0, -31] };
     const ways = waysOn(TREE.root, into, ROUTE);
     expect(ways.map((way) => [way.node.branch.id, way.hour])).toEqual([
@@ -209,7 +209,7 @@ describe("the tree", () => {
     ).toBe(false);
     expect(forkAhead(TREE, ROUTE, 30, FROM_HEAD)?.distanceMm).toBe(0);
     expect(forkAhead(TREE, ROUTE, 38, FROM_HEAD)).toBeNull();
-    // At the look-out of a fork that follows within millimetres, that one is meant.
+    // At the look-out of a fork that follows within millimetres, that fork is selected.
     const short: RouteInfo = {
       ...ROUTE,
       forks_mm: [30, 33],

@@ -1,21 +1,28 @@
-/** The route that is flown, by distance from its root in mm. */
+/** The current route, parametrised by the distance from its root in mm. */
 
 import type { BranchMeasures, RouteInfo, RouteSpan } from "../wire/messages";
 import { asVec3, lerp, sub, unit, type Vec3 } from "./vec";
 
-/** Two places nearer than this are one fork to a person (and a pose after a rounding is not "before" it again). */
+/**
+ * Distance below which two places count as the same fork, so that rounding of a pose does not move it before the fork
+ * again.
+ */
 export const FORK_TOLERANCE_MM = 0.5;
 
-/** Where an automatic advance stops: in front of the next fork, with its openings in view; else the end of the route. */
+/**
+ * Return the position at which the automatic flight stops: the look-out before the next fork, else the end of the
+ * route.
+ */
 export function nextStopMm(route: Pick<RouteInfo, "lookouts_mm" | "length_mm">, pathMm: number): number {
   return route.lookouts_mm.find((at) => at > pathMm + FORK_TOLERANCE_MM) ?? route.length_mm;
 }
 
+/** Return the position limited to the route, mm. */
 export function clampToRoute(route: Pick<RouteInfo, "length_mm">, pathMm: number): number {
   return Math.min(Math.max(pathMm, 0), route.length_mm);
 }
 
-/** Index of the last point at or before a distance. */
+/** Return the index of the last point at or before a distance. */
 function indexAt(cumulativeMm: readonly number[], pathMm: number): number {
   let low = 0;
   let high = cumulativeMm.length - 1;
@@ -27,7 +34,7 @@ function indexAt(cumulativeMm: readonly number[], pathMm: number): number {
   return low;
 }
 
-/** The point at a distance along the route, between its points. */
+/** Return the interpolated point at a distance along the route. */
 export function pointAt(route: Pick<RouteInfo, "points_lps" | "cumulative_mm">, pathMm: number): Vec3 | null {
   const index = indexAt(route.cumulative_mm, pathMm);
   const a = route.points_lps[index];
@@ -40,7 +47,7 @@ export function pointAt(route: Pick<RouteInfo, "points_lps" | "cumulative_mm">, 
   return lerp(asVec3(a), asVec3(b), t);
 }
 
-/** The lumen's radius at a distance along the route, between its points; 0 where there are none. */
+/** Return the interpolated lumen radius at a distance along the route, mm; 0 if the route has no radii. */
 export function radiusAt(route: Pick<RouteInfo, "radius_mm" | "cumulative_mm">, pathMm: number): number {
   const index = indexAt(route.cumulative_mm, pathMm);
   const a = route.radius_mm[index] ?? 0;
@@ -50,7 +57,7 @@ export function radiusAt(route: Pick<RouteInfo, "radius_mm" | "cumulative_mm">, 
   return to > from ? a + (b - a) * Math.min(Math.max((pathMm - from) / (to - from), 0), 1) : a;
 }
 
-/** Points of the route between two distances, ends included. */
+/** Return the points of the route between two distances, ends included. */
 export function pointsBetween(
   route: Pick<RouteInfo, "points_lps" | "cumulative_mm">,
   fromMm: number,
@@ -68,21 +75,21 @@ export function pointsBetween(
   return [first, ...inner, last];
 }
 
-/** Unit direction of the route at a distance. */
+/** Return the unit direction of the route at a distance. */
 export function directionAt(route: Pick<RouteInfo, "points_lps" | "cumulative_mm">, pathMm: number): Vec3 | null {
   const a = pointAt(route, pathMm - 0.5);
   const b = pointAt(route, pathMm + 0.5);
   return a === null || b === null ? null : unit(sub(b, a));
 }
 
-/** The branch at a distance along the route. */
+/** Return the branch at a distance along the route. */
 export function spanAt(route: Pick<RouteInfo, "spans">, pathMm: number): RouteSpan | null {
   return route.spans.find((span) => pathMm >= span.from_mm && pathMm < span.to_mm) ?? route.spans.at(-1) ?? null;
 }
 
 /**
- * The narrowest measured diameter on a route; null until its branches are measured. In the last branch the narrowest place
- * counts where the route reaches it, else the diameter of the whole branch.
+ * Return the narrowest measured diameter on a route, mm; null until its branches are measured. In the last branch the
+ * narrowest section counts if the route reaches it, else the diameter of the whole branch.
  */
 export function narrowest(
   spans: RouteInfo["spans"],
@@ -105,7 +112,7 @@ export function narrowest(
   return found;
 }
 
-/** Distance along the route of its point nearest to a place. */
+/** Return the distance along the route of its point nearest to a place. */
 export function nearestMm(route: Pick<RouteInfo, "points_lps" | "cumulative_mm">, lps: Vec3): number {
   let best = Number.POSITIVE_INFINITY;
   let at = 0;

@@ -1,16 +1,17 @@
-/** The words of the top bar about what is saved. */
+/** Texts of the top bar about the saved state of the case. */
 
 import type { SavingInfo } from "../wire/messages";
 import { clock } from "./format";
 
+/** A text with its tooltip. */
 export interface SavedWords {
   readonly label: string;
-  /** More of it, in a tooltip. */
+  /** The tooltip. */
   readonly words: string;
   readonly warns: boolean;
 }
 
-/** Null while no case is open. */
+/** Return the text about the saved state; null while no case is open. */
 export function savedWords(saving: SavingInfo | null, nowMs: number): SavedWords | null {
   if (saving === null) return null;
   if (!saving.keeps) {

@@ -1,7 +1,8 @@
-/** A case of which nothing has been saved yet, for tests. */
+/** Saved state of a new case, for tests. */
 
 import type { SavingInfo } from "../wire/messages";
 
+/** Saved state of a case of which nothing has been saved. */
 export const NOTHING_SAVED: SavingInfo = {
   keeps: true,
   saved_s: null,

@@ -1,14 +1,15 @@
-/** Where a surface of triangles cuts a plane, and which parts of a route a lens sees. */
+/** Intersection of a triangle surface with a plane, and visibility of a route from the lens. */
 
 import { add, dot, scale, sub, type Vec3 } from "./vec";
 
+/** A triangle surface. */
 export interface Surface {
   readonly vertices: readonly Vec3[];
-  /** Three places in the vertices each. */
+  /** Vertex indices, three per triangle. */
   readonly triangles: readonly number[];
 }
 
-/** The lines in which a surface cuts the plane through `origin` with the unit `normal`. */
+/** Return the lines in which a surface intersects the plane through `origin` with the unit vector `normal`. */
 export function sectionOf(surface: Surface, origin: Vec3, normal: Vec3): [Vec3, Vec3][] {
   const height = surface.vertices.map((vertex) => dot(sub(vertex, origin), normal));
   const lines: [Vec3, Vec3][] = [];
@@ -21,7 +22,7 @@ export function sectionOf(surface: Surface, origin: Vec3, normal: Vec3): [Vec3, 
       [corners[2], corners[0]],
     ] as const) {
       const [a, b] = [height[from] ?? 0, height[to] ?? 0];
-      // A corner in the plane counts as above it: each crossing is found once.
+      // A vertex in the plane counts as above the plane, so that each crossing is found once.
       if (a >= 0 === b >= 0) continue;
       const [start, end] = [surface.vertices[from], surface.vertices[to]];
       if (start === undefined || end === undefined) continue;
@@ -33,14 +34,17 @@ export function sectionOf(surface: Surface, origin: Vec3, normal: Vec3): [Vec3, 
   return lines;
 }
 
-/** Between two places that are looked at whether the view to them is free, mm. */
+/** Step of the visibility test along the line of sight, mm. */
 const LOOK_MM = 1.5;
-/** So much beyond the wall still counts as free: a centreline is not the middle of what is seen. */
+/**
+ * Distance beyond the wall, mm, that still counts as visible, because the centreline is not exactly in the middle of
+ * the lumen.
+ */
 const SLACK_MM = 0.75;
 
 /**
- * How many of a line's points a lens sees before a wall hides the rest. The line is the middle of a tube: a point is in
- * view where the straight way to it stays in the tube.
+ * Return how many leading points of a centreline the lens sees before a wall hides the rest. A point is visible if the
+ * straight line to it stays inside the tube of the given radii.
  */
 export function numInView(lens: Vec3, points: readonly Vec3[], radiiMm: readonly number[]): number {
   for (let n = 0; n < points.length; n += 1) {
@@ -59,7 +63,7 @@ export function numInView(lens: Vec3, points: readonly Vec3[], radiiMm: readonly
 
 function isInTube(at: Vec3, points: readonly Vec3[], radiiMm: readonly number[], upTo: number): boolean {
   const first = points[0];
-  // Before the line begins there is the lens's own stretch of lumen.
+  // The lumen around the lens, before the first point, also counts as free.
   if (first !== undefined && Math.hypot(...sub(at, first)) <= (radiiMm[0] ?? 0) + NEAR_LENS_MM) return true;
   for (let n = 0; n <= upTo; n += 1) {
     const point = points[n];

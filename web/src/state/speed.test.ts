@@ -1,7 +1,7 @@
 import { describe, expect, it } from "vitest";
 import { SpeedMeter, shownSpeed } from "./speed";
 
-/** Poses every `gapMs` at a speed, `num` of them; returns when the last came. */
+/** Feed `num` poses at a constant speed, one every `gapMs`; return the time of the last pose. */
 function fly(meter: SpeedMeter, mmS: number, num: number, gapMs: number, from = { atMs: 1000, z: 0 }) {
   let { atMs, z } = from;
   for (let n = 0; n < num; n += 1) {
@@ -28,7 +28,7 @@ describe("the speed of the tip", () => {
       atMs += n % 3 === 0 ? 40 : 5;
       meter.poseArrived([0, 0, (n * 50) / 3 / 50], atMs);
     }
-    // A third of a millimetre each, three in 50 ms: 20 mm/s.
+    // Three steps of a third of a millimetre in 50 ms: 20 mm/s.
     const speed = meter.read(atMs) ?? 0;
     expect(Math.abs(speed - 20)).toBeLessThan(1.5);
   });

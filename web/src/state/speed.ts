@@ -1,20 +1,25 @@
-/** How fast the tip flies, by whatever hand: the way of the last moments, from the poses as they arrive. */
+/** Speed of the tip, computed from the latest poses for every input device. */
 
 import { distance, type Vec3 } from "./vec";
 
-/** Of the flight by itself, until a person chooses another. */
+/** Initial speed of the automatic flight, mm/s. */
 export const AUTO_SPEED_MM_S = 20;
+/** Speeds of the automatic flight that the user can select, mm/s. */
 export const AUTO_SPEEDS_MM_S = [2, 5, 10, 20, 30, 50, 100] as const;
 
-/** Long enough for poses that come in bunches, short enough for a hand. */
+/** Averaging window, ms: long enough for poses that arrive in bursts, short enough to follow the hand. */
 const WINDOW_MS = 600;
-/** The first moments of a movement would be all noise. */
+/** Shortest measured time, ms; a shorter time gives a noisy speed. */
 const LEAST_MS = 200;
-/** Longer than this without a pose, the tip stands. */
+/** Time without a pose, ms, after which the tip counts as resting. */
 const STILL_MS = 300;
-/** Farther than this from one pose to the next, the tip was put there: 500 mm/s, the fastest stick, at 30 poses/s. */
+/**
+ * Largest step between two poses, mm; a larger step is a jump, not a movement. 500 mm/s, the fastest stick speed, at 30
+ * poses/s.
+ */
 const JUMP_MM = 17;
 
+/** Measures the speed of the tip. */
 export class SpeedMeter {
   #at: Vec3 | null = null;
   #steps: { atMs: number; mm: number }[] = [];
@@ -32,7 +37,7 @@ export class SpeedMeter {
     if (mm === 0) return;
     const last = this.#steps.at(-1);
     if (last === undefined || nowMs - last.atMs > STILL_MS) {
-      // What led to the first pose of a movement took a time that nobody knows.
+      // The duration of the first step of a movement is unknown, so only later steps count.
       this.#steps = [{ atMs: nowMs, mm: 0 }];
       this.#beganMs = nowMs;
       return;
@@ -41,12 +46,12 @@ export class SpeedMeter {
     while ((this.#steps[0]?.atMs ?? nowMs) < nowMs - WINDOW_MS) this.#steps.shift();
   }
 
-  /** mm/s; null at rest. */
+  /** Return the speed, mm/s; null at rest. */
   read(nowMs: number): number | null {
     const last = this.#steps.at(-1);
     if (last === undefined || nowMs - last.atMs > STILL_MS) return null;
     const first = this.#steps[0] ?? last;
-    // Steps end at their times: the first of the window began before it.
+    // Each step is stored with its end time; the first step of the window began before the window.
     const span = last.atMs - first.atMs;
     if (last.atMs - this.#beganMs < LEAST_MS || span <= 0) return null;
     const mm = this.#steps.slice(1).reduce((sum, step) => sum + step.mm, 0);
@@ -59,7 +64,7 @@ export class SpeedMeter {
   }
 }
 
-/** As it is shown: whole mm/s, tenths where they matter. */
+/** Return the displayed speed: whole mm/s, or tenths for low speeds. */
 export function shownSpeed(speed: number | null): number | null {
   if (speed === null) return null;
   return speed < 9.95 ? Math.round(speed * 10) / 10 : Math.round(speed);

@@ -1,8 +1,9 @@
-/** A ball round each branch's centreline, found once: most branches are far from any one plane. */
+/** Bounding spheres of the branch centrelines, cached; they quickly exclude the branches that are far from a plane. */
 
 import type { BranchNode } from "./airways";
 import { add, asVec3, distance, scale, type Vec3 } from "./vec";
 
+/** A sphere in LPS mm. */
 export interface Sphere {
   readonly centre: Vec3;
   readonly radiusMm: number;
@@ -10,7 +11,7 @@ export interface Sphere {
 
 const known = new WeakMap<BranchNode, Sphere>();
 
-/** Null for a branch without points. */
+/** Return the bounding sphere of a branch; null for a branch without points. */
 export function sphereOf(node: BranchNode): Sphere | null {
   const found = known.get(node);
   if (found !== undefined) return found;

@@ -1,14 +1,18 @@
-/** The way from a CT to a rehearsed route: steps in order, each revisitable. */
+/** The steps of the workflow from a CT to a rehearsed route, in order; the user can return to each step. */
 
+/** Steps in order. */
 export const STEPS = ["open", "check", "airways", "target", "route", "rehearse", "share"] as const;
+/** Name of a step. */
 export type Step = (typeof STEPS)[number];
 
+/** Title and tooltip of a step. */
 export interface StepWords {
   title: string;
-  /** What the step is for, in a tooltip. */
+  /** The purpose of the step, as its tooltip. */
   words: string;
 }
 
+/** Texts of each step. */
 export const STEP_WORDS: Readonly<Record<Step, StepWords>> = {
   open: { title: "Open", words: "Details of the open case; open another case here" },
   check: { title: "Check", words: "Is this CT good enough? Findings, other series, window / level" },

@@ -1,11 +1,13 @@
-/** Keeps one state and tells who listens. No framework: panels, pictures and tests read the same store. */
+/**
+ * Store of the state with listeners. It does not depend on a framework: panels, pictures and tests read the same store.
+ */
 
 import { type AppEvent, type AppState, INITIAL_STATE, reduce } from "./app-state";
 
-/** Runs a task once, soon: at the next screen refresh, say. */
+/** Run a task once, at a later time such as the next display refresh. */
 export type Soon = (task: () => void) => void;
 
-/** What comes without a person's hand, several times for each picture on the screen. */
+/** Events that the server sends several times per picture, without an action of the user. */
 const STREAMED: ReadonlySet<AppEvent["kind"]> = new Set([
   "server",
   "picture",
@@ -15,6 +17,7 @@ const STREAMED: ReadonlySet<AppEvent["kind"]> = new Set([
   "preview",
 ] as const);
 
+/** Store of the state. */
 export class Store {
   #state: AppState;
   readonly #soon: Soon;
@@ -22,7 +25,10 @@ export class Store {
   readonly #panels = new Set<() => void>();
   #panelsDue = false;
 
-  /** `soon` says when panels hear of what streams in; of what a person does they hear at once. */
+  /**
+   * `soon` schedules the notification of panels after streamed events; panels are notified of the user's actions
+   * immediately.
+   */
   constructor(initial: AppState = INITIAL_STATE, soon: Soon = (task) => task()) {
     this.#state = initial;
     this.#soon = soon;
@@ -44,15 +50,15 @@ export class Store {
     }
   };
 
-  /** Hears of every change at once. */
+  /** Add a listener that is called immediately after every change; return a function that removes it. */
   subscribe = (listener: () => void): (() => void) => {
     this.#listeners.add(listener);
     return () => this.#listeners.delete(listener);
   };
 
   /**
-   * For what is costly to show again: a pose and the pictures of it come within one refresh of the screen, and are told
-   * of once.
+   * Add a listener for components that are slow to render; return a function that removes it. A pose and its pictures
+   * arrive within one display refresh and cause one call.
    */
   subscribePanel = (listener: () => void): (() => void) => {
     this.#panels.add(listener);

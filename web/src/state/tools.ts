@@ -1,23 +1,29 @@
-/** What the next click does: marks a target or a root, or mends the airway tree. */
+/** Tools that define the effect of the next click: mark a target or a root, or edit the airway tree. */
 
 import type { Target, ViewName } from "../wire/messages";
 import { VIEWS } from "../wire/views";
 
+/** Tools that edit the airway tree. */
 export const TREE_TOOLS = ["add", "bridge", "cut", "fork", "smooth", "paint", "erase", "reroot"] as const;
+/** Name of a tree tool. */
 export type TreeTool = (typeof TREE_TOOLS)[number];
+/** Name of a brush that edits a target's boundary. */
 export type LesionTool = "lesion-add" | "lesion-cut";
+/** Name of a tool that can be active. */
 export type Armed = "target" | "root" | "start" | LesionTool | TreeTool;
 
+/** Texts of a tool. */
 export interface ToolWords {
   readonly label: string;
-  /** Under its figure. */
+  /** The text below the icon. */
   readonly short: string;
-  /** In its tooltip. */
+  /** The tooltip. */
   readonly words: string;
-  /** What to do now that it is in the hand. */
+  /** The instruction shown while the tool is active. */
   readonly hint: string;
 }
 
+/** Texts of each tree tool. */
 export const TOOL_WORDS: Readonly<Record<TreeTool, ToolWords>> = {
   add: {
     label: "Add branch",
@@ -69,7 +75,7 @@ export const TOOL_WORDS: Readonly<Record<TreeTool, ToolWords>> = {
   },
 };
 
-/** The others: they mark a point of the plan. */
+/** Texts of the other tools, which mark a point of the plan. */
 const MARK_WORDS: Readonly<Record<"target" | "root" | "start" | LesionTool, Pick<ToolWords, "label" | "hint">>> = {
   start: { label: "Mark start", hint: "Click where the path should start, in any view." },
   target: { label: "Mark target", hint: "Click a nodule, or a place in the airways, in any view." },
@@ -81,7 +87,7 @@ const MARK_WORDS: Readonly<Record<"target" | "root" | "start" | LesionTool, Pick
   },
 };
 
-/** What is in the hand, and what to do with it. */
+/** Return the label and the instruction of the active tool. */
 export function wordsOf(armed: Armed, forkHeld: boolean): { label: string; hint: string } {
   if (armed === "fork" && forkHeld) {
     return {
@@ -92,7 +98,7 @@ export function wordsOf(armed: Armed, forkHeld: boolean): { label: string; hint:
   return isTreeTool(armed) ? TOOL_WORDS[armed] : MARK_WORDS[armed];
 }
 
-/** In a picture's corner: short, so that it covers no letter of the orientation. */
+/** Return the short text for a picture's corner, which must not cover an orientation letter. */
 export function shortOf(armed: Armed): string {
   switch (armed) {
     case "target":
@@ -112,45 +118,55 @@ export function shortOf(armed: Armed): string {
   }
 }
 
-/** Whether a click into this picture means something to the tool: an X-ray knows no depth, and a brush needs a plane. */
+/** Return whether the tool works in this view: an X-ray has no depth, and a brush needs a plane. */
 export function worksIn(armed: Armed, view: ViewName): boolean {
   const { pick } = VIEWS[view];
   return isBrush(armed) ? pick === "plane" : pick !== null;
 }
 
-/** Tools that take something away. */
+/** Return whether the tool removes something. */
 export const takesAway = (armed: Armed): boolean => armed === "cut" || armed === "erase" || armed === "lesion-cut";
 
+/** Return whether the tool edits the airway tree. */
 export const isTreeTool = (armed: Armed | null): armed is TreeTool =>
   armed !== null && (TREE_TOOLS as readonly string[]).includes(armed);
 
-/** Whether the way to the cursor is shown while this is in the hand; tools for the tree show what they would make. */
+/**
+ * Return whether the path to the cursor is shown while the tool is active; tree tools show a preview of the edit
+ * instead.
+ */
 export function wantsPath(armed: Armed | null, cost: Target["cost"] = "lumen"): boolean {
   return armed === "target" && cost === "lumen";
 }
 
-/** Whether the click is meant for a branch, not for a point. */
+/** Return whether the click selects a branch instead of a point. */
 export function wantsBranch(armed: Armed | null, forkHeld: boolean): boolean {
   return armed === "cut" || armed === "smooth" || (armed === "fork" && !forkHeld);
 }
 
+/** Return whether the tool is a brush for a target's boundary. */
 export const isLesionBrush = (armed: Armed | null): armed is LesionTool =>
   armed === "lesion-add" || armed === "lesion-cut";
 
+/** Return whether the tool is a brush. */
 export const isBrush = (armed: Armed | null): armed is "paint" | "erase" | LesionTool =>
   armed === "paint" || armed === "erase" || isLesionBrush(armed);
 
-/** Radii that the keys go through, mm. */
+/** Brush radii that the keys select, mm. */
 const BRUSHES_MM = [0.5, 0.75, 1, 1.5, 2, 3, 4, 6, 8, 12] as const;
+/** Initial brush radius, mm. */
 export const FIRST_BRUSH_MM = 1.5;
 
-/** The next larger (+1) or smaller (-1) brush. */
+/** Return the next larger (+1) or smaller (-1) brush radius, mm. */
 export function nextBrush(radiusMm: number, step: -1 | 1): number {
   if (step > 0) return BRUSHES_MM.find((mm) => mm > radiusMm + 1e-6) ?? radiusMm;
   return BRUSHES_MM.findLast((mm) => mm < radiusMm - 1e-6) ?? radiusMm;
 }
 
-/** A stroke, sent as few points: straight between them, never farther from what the hand drew than a quarter radius. */
+/**
+ * Reduce the points of a brush stroke: the straight lines between them deviate by at most a quarter radius from the
+ * drawn stroke.
+ */
 export function strokePoints<P extends readonly [number, number, number]>(drawn: readonly P[], radiusMm: number): P[] {
   const limit = radiusMm / 4;
   const kept: P[] = [];
@@ -166,5 +182,5 @@ export function strokePoints<P extends readonly [number, number, number]>(drawn:
   return kept.slice(0, MAX_STROKE);
 }
 
-/** The wire takes no longer stroke. */
+/** Largest number of stroke points that the wire accepts. */
 const MAX_STROKE = 2000;

@@ -23,7 +23,10 @@ function branch(
   return testBranch(id, parent, children, { points, radius: points.map(() => radius) });
 }
 
-/** A trunk down to a fork; right (-x), left (+x); behind the left one, seen from the front, another. */
+/**
+ * Return a tree with a trunk that leads down to a fork, a right (-x) and a left (+x) branch, and a branch behind the
+ * left one as seen from the front.
+ */
 function made(): BranchTree {
   const tree = buildTree({
     format: "carina-tree",
@@ -42,7 +45,9 @@ function made(): BranchTree {
   return tree;
 }
 
-/** From in front (anterior), 200 mm away, straight back: +x of the picture is the patient's left. */
+/**
+ * A camera 200 mm in front of the patient (anterior) that looks straight back: +x of the picture is the patient's left.
+ */
 const FRONT: SeenGeometry = {
   kind: "seen",
   camera: { right: [1, 0, 0], down: [0, 0, -1], forward: [0, 1, 0], position: [0, -200, -40] },
@@ -63,7 +68,7 @@ describe("the branch under a cursor", () => {
     expect(placeInLumen(TREE.index, [6, 0, -20])?.branchId).toBe(0);
     expect(placeInLumen(TREE.index, [-30, 0, -55])?.branchId).toBe(1);
     expect(placeInLumen(TREE.index, [0, 30, -20])).toBeNull();
-    // Nearer to the thin one's centreline than to the thick one's, yet inside the thick one alone.
+    // A point nearer to the thin branch's centreline than to the thick one's, but inside the thick branch only.
     expect(placeInLumen(TREE.index, [36, 4, -58])?.branchId).toBe(2);
   });
 
@@ -74,7 +79,7 @@ describe("the branch under a cursor", () => {
   it("from outside is the one in front, and a thin one is caught beside it", () => {
     expect(placeFromOutside(TREE.index, FRONT, onScreen(0, 0, -20), 1)?.branchId).toBe(0);
     expect(placeFromOutside(TREE.index, FRONT, onScreen(-20, 0, -50), 1)?.branchId).toBe(1);
-    // The thin one lies behind the left one's end, and shows only beyond it.
+    // The thin branch is behind the end of the left branch, and visible only beyond that end.
     expect(placeFromOutside(TREE.index, FRONT, onScreen(39, 0, -60), 1)?.branchId).toBe(2);
     const { column, row } = onScreen(40, 30, -58);
     expect(placeFromOutside(TREE.index, FRONT, { column: column - 4, row: row - 12 }, 1)?.branchId).not.toBeNull();

@@ -1,4 +1,6 @@
-/** Which branch lies under a cursor: in a slice, from outside, and in the airway view. All from the tree's centrelines. */
+/**
+ * Search of the branch under the cursor in slices, outside views and the airway view, by the centrelines of the tree.
+ */
 
 import type { BranchNode, BranchTree, TreeIndex } from "./branch-tree";
 import { type Geometry, type PixelPoint, pixelFromLps, type SeenGeometry } from "./projection";
@@ -9,15 +11,16 @@ export type { TreeIndex } from "./branch-tree";
 /** A place on the tree. */
 export interface TreePlace {
   readonly branchId: number;
-  /** Along the branch, from its beginning. */
+  /** Distance along the branch from its beginning, mm. */
   readonly alongMm: number;
-  /** On the centreline. */
+  /** Point on the centreline, LPS mm. */
   readonly lps: Vec3;
   readonly radiusMm: number;
-  /** From the point that was asked about to the centreline. */
+  /** Distance from the searched point to the centreline, mm. */
   readonly distanceMm: number;
 }
 
+/** Return the index of all centreline points. */
 export function indexOf(nodes: Iterable<BranchNode>): TreeIndex {
   const all = [...nodes];
   const count = all.reduce((sum, node) => sum + node.branch.points.length, 0);
@@ -59,7 +62,7 @@ function placeOf(index: TreeIndex, n: number, distanceMm: number): TreePlace {
   };
 }
 
-/** The nearest place of the centrelines; null where there are none. At a fork the thinner, later branch wins. */
+/** Return the nearest place on the centrelines; null if there are none. At a fork the thinner child branch wins. */
 export function nearestPlace(index: TreeIndex, lps: Vec3): TreePlace | null {
   let best = -1;
   let least = Number.POSITIVE_INFINITY;
@@ -76,12 +79,13 @@ export function nearestPlace(index: TreeIndex, lps: Vec3): TreePlace | null {
   return best < 0 ? null : placeOf(index, best, Math.sqrt(least));
 }
 
-/** Beyond the stated radius a place still counts as in the lumen: half a voxel of a usual CT, and centrelines are not exact. */
+/** Tolerance of the lumen test: half a voxel of a common CT, and the error of the centrelines. */
 const IN_LUMEN = { times: 1.15, plusMm: 0.6 };
 
-/** The branch whose lumen a point lies in, or null. */
+/** Return the branch whose lumen contains a point, or null. */
 export function placeInLumen(index: TreeIndex, lps: Vec3): TreePlace | null {
-  // Not the nearest centreline: near a thick airway's wall a thin one's may be nearer and yet not reach so far.
+  // The nearest centreline is not sufficient: near the wall of a thick airway, a thin airway's centreline may be nearer
+  // although its lumen does not contain the point.
   let best = -1;
   let least = 1;
   for (let n = 0; n < index.x.length; n += 1) {
@@ -101,10 +105,10 @@ export function placeInLumen(index: TreeIndex, lps: Vec3): TreePlace | null {
   return { ...place, distanceMm: distance(place.lps, lps) };
 }
 
-/** A thin branch can still be pointed at from this far, screen px. */
+/** Distance in screen px up to which the cursor selects a thin branch. */
 const REACH_PX = 7;
 
-/** The place of the tree under a cursor that sees it from outside: of all lumens under it the one in front. */
+/** Return the place of the tree under a cursor in an outside view: the frontmost of the lumens under the cursor. */
 export function placeFromOutside(
   index: TreeIndex,
   geometry: SeenGeometry,
@@ -129,7 +133,8 @@ export function placeFromOutside(
     );
     const radius = index.radius[n] ?? 0;
     if (away > radius * perMm + REACH_PX * pxPerScreenPx) continue;
-    // In front first; beside one another the nearer to the cursor. A lumen's near wall hides what lies in and behind it.
+    // The frontmost branch wins; among branches at the same depth, the one nearest to the cursor. The near wall of a
+    // lumen hides what is inside and behind the lumen.
     const worth = depth - radius + (2 * away) / perMm;
     if (worth < bestWorth) {
       bestWorth = worth;
@@ -140,13 +145,13 @@ export function placeFromOutside(
   return placeOf(index, best, 0);
 }
 
-/** How far ahead an opening can be told from the wall around it. */
+/** Distance ahead up to which an opening is distinguishable from the wall, mm. */
 const AHEAD_MM = 90;
 const GENERATIONS_AHEAD = 3;
 
 /**
- * The branch that a place in the airway picture leads into, as far as the openings ahead tell: of those under the cursor
- * the farthest one in, else the branch that the tip is in.
+ * Return the branch that a place in the airway view leads into: the farthest of the openings under the cursor, else the
+ * branch that contains the tip.
  */
 export function branchAhead(tree: BranchTree, hereId: number, geometry: Geometry, pixel: PixelPoint): number | null {
   const here = tree.byId.get(hereId);
@@ -165,14 +170,18 @@ export function branchAhead(tree: BranchTree, hereId: number, geometry: Geometry
   return best;
 }
 
+/** A branch opening in a picture. */
 export interface Opening extends PixelPoint {
   readonly radiusPx: number;
 }
 
-/** Where a branch's beginning shows in a picture from a camera, and how large; null where it is not ahead. */
+/**
+ * Return the position and size of a branch's opening in a camera picture; null if the opening is not in front of the
+ * camera.
+ */
 export function openingOf(node: BranchNode, geometry: SeenGeometry): Opening | null {
   const { branch } = node;
-  // Past the spur: where the branch is its own.
+  // Measure past the spur, where the branch is separate from its parent.
   const far = Math.min(Math.max(node.diameterMm, 3), 8);
   let along = 0;
   let at = 0;
@@ -183,7 +192,7 @@ export function openingOf(node: BranchNode, geometry: SeenGeometry): Opening | n
   const lps = pointOf(branch.points[at]);
   const seen = pixelFromLps(geometry, lps);
   if (seen === null || seen.depthMm < 1 || seen.depthMm > AHEAD_MM) return null;
-  // One radius aside, as the lens sees it: exact for any lens, not only a pinhole.
+  // Project a point one radius aside, which is exact for every lens model, not only for a pinhole.
   const aside = pixelFromLps(geometry, add(lps, scale(sideways(geometry.camera), branch.radius[at] ?? 1)));
   if (aside === null) return null;
   return {
@@ -197,7 +206,7 @@ const sideways = (camera: Camera): Vec3 => unit(camera.right);
 
 const pointOf = (point: readonly [number, number, number] | undefined): Vec3 => point ?? [0, 0, 0];
 
-/** Points of a branch from a place along it to its end, that place included. */
+/** Return the points of a branch from a position along it to its end, including the position. */
 export function pointsFrom(node: BranchNode, alongMm: number): Vec3[] {
   const { points } = node.branch;
   let along = 0;
@@ -214,7 +223,7 @@ export function pointsFrom(node: BranchNode, alongMm: number): Vec3[] {
   return points.slice(-1).map(pointOf);
 }
 
-/** All that hangs on a branch, itself first. */
+/** Return a branch and all its descendants, the branch first. */
 export function below(node: BranchNode): BranchNode[] {
   const found = [node];
   for (let n = 0; n < found.length; n += 1) {

@@ -3,7 +3,7 @@ import { type Geometry, geometryOf, pixelFromLps, type SeenGeometry } from "./pr
 import { dragMm, isInside, outlineOf, planeUnder } from "./tri-plane";
 import type { Vec3 } from "./vec";
 
-/** An oblique, anisotropic box round the origin: i runs mostly along +y, j along -x, k along +z, tilted by 10 degrees. */
+/** An oblique, anisotropic box around the origin: i mostly along +y, j along -x, k along +z, tilted by 10 degrees. */
 const c = Math.cos(0.17);
 const s = Math.sin(0.17);
 const STEPS = [
@@ -21,7 +21,7 @@ const GRID = {
     .concat([0, 0, 0, 1]),
 };
 
-/** From anterior, left and above, 400 mm away, looking at the origin. */
+/** Return a camera anterior, left and above, 400 mm from the origin, which looks at the origin. */
 function camera(): SeenGeometry {
   const [azimuth, elevation] = [0.6, 0.4];
   const out: Vec3 = [
@@ -70,7 +70,7 @@ describe("the planes of the tri-plane view", () => {
   });
 
   it("hide those behind them, and the background is none", () => {
-    // Below the axial plane, seen from above: the axial plane is met first.
+    // Below the axial plane, but seen from above, the ray meets the axial plane first.
     const pixel = pixelFromLps(geometry, [5, -4, -10]);
     if (pixel === null) throw new Error("not seen");
     expect(planeUnder(geometry, GRID, CENTRE, pixel)?.plane).toBe("axial");
@@ -97,14 +97,14 @@ describe("the planes of the tri-plane view", () => {
     const to = pixelFromLps(geometry, [15, -14, 9]);
     if (from === null || to === null) throw new Error("not seen");
     const mm = dragMm(geometry, grabbed, { dx: to.column - from.column, dy: to.row - from.row });
-    // 3 mm; perspective makes a little of it.
+    // 3 mm, slightly reduced by perspective.
     expect(mm).toBeCloseTo(3, 1);
-    // Across its normal on the screen nothing moves.
+    // A drag perpendicular to the projected normal moves nothing.
     expect(dragMm(geometry, grabbed, { dx: -(to.row - from.row), dy: to.column - from.column })).toBeCloseTo(0, 6);
   });
 
   it("come nearer with a drag upwards where they face the viewer", () => {
-    // Straight from above: the axial plane's normal is a point on the screen.
+    // Seen straight from above, the axial plane's normal projects to a point.
     const above = geometryOf({
       width: 200,
       height: 200,

@@ -1,6 +1,7 @@
 /**
- * The three planes of the tri-plane view, as its camera sees them: outlines, which one lies under the cursor, and how far
- * a drag moves one along its normal. The rule is the caster's: along a ray the nearest plane that is in the volume there.
+ * The three planes of the tri-plane view as its camera sees them: outlines, the plane under the cursor, and the
+ * distance that a drag moves a plane along its normal. As in the ray caster, the nearest plane inside the volume along
+ * a ray is visible.
  */
 
 import type { PlaneName } from "../wire/views";
@@ -15,6 +16,7 @@ const AXES: readonly [Vec3, Vec3, Vec3] = [
   [0, 0, 1],
 ];
 
+/** The plane under the cursor, and the point on it. */
 export interface PlaneHit {
   readonly plane: PlaneName;
   readonly axis: 0 | 1 | 2;
@@ -34,7 +36,7 @@ function box(grid: Grid): { origin: Vec3; edges: readonly [Vec3, Vec3, Vec3] } {
   };
 }
 
-/** Whether a point lies in the box of the voxels. */
+/** Return whether a point is inside the box of the voxels. */
 export function isInside(grid: Grid, lps: Vec3): boolean {
   const { origin, edges } = box(grid);
   const volume = dot(edges[0], cross(edges[1], edges[2]));
@@ -46,7 +48,7 @@ export function isInside(grid: Grid, lps: Vec3): boolean {
   });
 }
 
-/** Direction of the ray through a place of the picture, unit length. */
+/** Return the unit direction of the ray through a place of the picture. */
 function rayThrough(geometry: SeenGeometry, pixel: PixelPoint): Vec3 {
   const { camera, focalPx, width, height } = geometry;
   const across = scale(camera.right, (pixel.column - width / 2) / focalPx);
@@ -54,7 +56,7 @@ function rayThrough(geometry: SeenGeometry, pixel: PixelPoint): Vec3 {
   return unit(add(camera.forward, add(across, along)));
 }
 
-/** The plane under the cursor, and the point of it; null on the background. */
+/** Return the plane under the cursor with the point on it; null on the background. */
 export function planeUnder(geometry: SeenGeometry, grid: Grid, centre: Vec3, pixel: PixelPoint): PlaneHit | null {
   const dir = rayThrough(geometry, pixel);
   const origin = geometry.camera.position;
@@ -69,13 +71,16 @@ export function planeUnder(geometry: SeenGeometry, grid: Grid, centre: Vec3, pix
   return null;
 }
 
-/** The two after one of three, in their cyclic order. */
+/** Return the two elements after one of three, in cyclic order. */
 function others(three: readonly [Vec3, Vec3, Vec3], one: 0 | 1 | 2): [Vec3, Vec3] {
   const [x, y, z] = three;
   return one === 0 ? [y, z] : one === 1 ? [z, x] : [x, y];
 }
 
-/** Corners of a plane's part in the volume, in order round it; fewer than three where it misses the volume. */
+/**
+ * Return the corners of a plane's part inside the volume, in order around it; fewer than three if the plane misses the
+ * volume.
+ */
 export function outlineOf(grid: Grid, centre: Vec3, axis: 0 | 1 | 2): Vec3[] {
   const { origin, edges } = box(grid);
   const corners: Vec3[] = [];
@@ -103,10 +108,13 @@ export function outlineOf(grid: Grid, centre: Vec3, axis: 0 | 1 | 2): Vec3[] {
   return corners.sort((a, b) => angle(a) - angle(b));
 }
 
-/** A normal shorter than this on the screen points at the viewer: then a drag upwards brings the plane nearer. */
+/**
+ * Projected length of a normal, px per mm, below which the normal points to the viewer; an upward drag then moves the
+ * plane nearer.
+ */
 const FACE_ON_PX_PER_MM = 0.35;
 
-/** How many mm along its normal a drag (picture px) moves the plane that was grabbed at a point. */
+/** Return the distance, mm along its normal, by which a drag (picture px) moves the plane grabbed at a point. */
 export function dragMm(
   geometry: SeenGeometry,
   grabbed: PlaneHit,

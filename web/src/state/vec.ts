@@ -1,30 +1,40 @@
 /** Small vectors and matrices. Points and directions are LPS (patient left, posterior, superior), lengths in mm. */
 
+/** A point or vector, LPS. */
 export type Vec3 = readonly [number, number, number];
 
+/** Return a + b. */
 export const add = (a: Vec3, b: Vec3): Vec3 => [a[0] + b[0], a[1] + b[1], a[2] + b[2]];
+/** Return a - b. */
 export const sub = (a: Vec3, b: Vec3): Vec3 => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
+/** Return a times a factor. */
 export const scale = (a: Vec3, s: number): Vec3 => [a[0] * s, a[1] * s, a[2] * s];
+/** Return the dot product. */
 export const dot = (a: Vec3, b: Vec3): number => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+/** Return the cross product a x b. */
 export const cross = (a: Vec3, b: Vec3): Vec3 => [
   a[1] * b[2] - a[2] * b[1],
   a[2] * b[0] - a[0] * b[2],
   a[0] * b[1] - a[1] * b[0],
 ];
+/** Return the length of a vector. */
 export const length = (a: Vec3): number => Math.hypot(a[0], a[1], a[2]);
+/** Return the distance between two points. */
 export const distance = (a: Vec3, b: Vec3): number => length(sub(a, b));
+/** Return the linear interpolation between a (t = 0) and b (t = 1). */
 export const lerp = (a: Vec3, b: Vec3, t: number): Vec3 => [
   a[0] + (b[0] - a[0]) * t,
   a[1] + (b[1] - a[1]) * t,
   a[2] + (b[2] - a[2]) * t,
 ];
 
+/** Return the unit vector of a; a zero vector is returned unchanged. */
 export function unit(a: Vec3): Vec3 {
   const n = length(a);
   return n > 0 ? scale(a, 1 / n) : a;
 }
 
-/** A list of three numbers as a point; anything else is a fault of the caller. */
+/** Return a list of three numbers as a point; throw an Error for any other length. */
 export function asVec3(values: readonly number[]): Vec3 {
   const [x, y, z] = values;
   if (values.length !== 3 || x === undefined || y === undefined || z === undefined) {
@@ -33,12 +43,12 @@ export function asVec3(values: readonly number[]): Vec3 {
   return [x, y, z];
 }
 
-/** Column `index` (0..3) of a row-major 4x4 matrix, without its last row. */
+/** Return column `index` (0..3) of a row-major 4x4 matrix, without its last row. */
 export function column(matrix: readonly number[], index: number): Vec3 {
   return [matrix[index] ?? 0, matrix[4 + index] ?? 0, matrix[8 + index] ?? 0];
 }
 
-/** The axes and the place of a camera: +x right, +y down, +z forward. */
+/** Axes and position of a camera: +x right, +y down, +z forward. */
 export interface Camera {
   right: Vec3;
   down: Vec3;
@@ -46,7 +56,7 @@ export interface Camera {
   position: Vec3;
 }
 
-/** A camera turned upwards about its right: forward-oblique scopes look up from their shaft. */
+/** Return a camera tilted upwards about its right axis, as in a forward-oblique scope. */
 export function lookingUp(camera: Camera, deg: number): Camera {
   const c = Math.cos((deg * Math.PI) / 180);
   const s = Math.sin((deg * Math.PI) / 180);
@@ -57,6 +67,7 @@ export function lookingUp(camera: Camera, deg: number): Camera {
   };
 }
 
+/** Return the camera of a row-major matrix `lps_from_camera`. */
 export function cameraFromMatrix(lpsFromCamera: readonly number[]): Camera {
   return {
     right: column(lpsFromCamera, 0),

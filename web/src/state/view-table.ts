@@ -1,4 +1,4 @@
-/** Questions to the table of views (`wire/views.ts`). No other file compares a view's name. */
+/** Queries of the table of views (`wire/views.ts`). Other files must not compare view names. */
 
 import type { ViewName } from "../wire/messages";
 import { CELLS, type CellName, LEAD_VIEW, PLANES, type PlaneName, VIEWS } from "../wire/views";
@@ -6,40 +6,47 @@ import { CELLS, type CellName, LEAD_VIEW, PLANES, type PlaneName, VIEWS } from "
 type Zoom = (typeof VIEWS)[ViewName]["zoom"];
 type ViewsWith<Z extends Zoom> = { [V in ViewName]: (typeof VIEWS)[V]["zoom"] extends Z ? V : never }[ViewName];
 
-/** Views that are zoomed and panned in their own plane. */
+/** Views with zoom and pan in their own plane. */
 export type FlatView = ViewsWith<"slice" | "extent">;
-/** Views whose camera goes round what they show. */
+/** Views whose camera orbits the displayed object. */
 export type OrbitView = ViewsWith<"orbit">;
-/** Places beside the airway view. */
+/** Places of the window beside the airway view. */
 export type SideCell = Exclude<CellName, typeof LEAD_VIEW>;
-/** What each place of the window shows. */
+/** The view that each place of the window shows. */
 export type ShownViews = Readonly<Record<CellName, ViewName>>;
 
+/** Names of all views. */
 export const VIEW_NAMES = Object.keys(VIEWS) as ViewName[];
+/** Places beside the airway view, in order. */
 export const SIDE_CELLS = (Object.keys(CELLS) as CellName[]).filter((cell): cell is SideCell => cell !== LEAD_VIEW);
 
+/** Return whether a view is zoomed and panned in its own plane. */
 export const isFlatView = (view: ViewName): view is FlatView =>
   VIEWS[view].zoom === "slice" || VIEWS[view].zoom === "extent";
+/** Return whether a view's camera orbits the displayed object. */
 export const isOrbitView = (view: ViewName): view is OrbitView => VIEWS[view].zoom === "orbit";
+/** Views with zoom and pan in their own plane. */
 export const FLAT_VIEWS = VIEW_NAMES.filter(isFlatView);
 
+/** Return the views that a place can show. */
 export const viewsOf = (cell: CellName): readonly ViewName[] => CELLS[cell].views;
 
 const firstOf = (cell: CellName): ViewName => CELLS[cell].views[0];
+/** The view that each place shows at first. */
 export const FIRST_SHOWN: ShownViews = Object.fromEntries(
   (Object.keys(CELLS) as CellName[]).map((cell) => [cell, firstOf(cell)]),
 ) as Record<CellName, ViewName>;
 
-/** The view after the one that a place shows. */
+/** Return the view after the current view of a place, in cyclic order. */
 export function nextIn(cell: CellName, shown: ShownViews): ViewName {
   const views = viewsOf(cell);
   return views[(views.indexOf(shown[cell]) + 1) % views.length] ?? firstOf(cell);
 }
 
-/** A view brought to its place. */
+/** Return the shown views after a view was brought to its place. */
 export const showing = (view: ViewName, shown: ShownViews): ShownViews => ({ ...shown, [VIEWS[view].cell]: view });
 
-/** The view that is turned, or moved, like this. */
+/** Return the view with this kind of zoom. */
 export function viewZoomedBy(zoom: Zoom): ViewName {
   const found = VIEW_NAMES.find((view) => VIEWS[view].zoom === zoom);
   if (found === undefined) throw new Error(`no view is moved by ${zoom}`);
@@ -48,7 +55,7 @@ export function viewZoomedBy(zoom: Zoom): ViewName {
 
 const PLANE_ORDER = Object.keys(PLANES) as PlaneName[];
 
-/** The anatomical plane that stands across a patient axis. */
+/** Return the anatomical plane perpendicular to a patient axis. */
 export function planeAcross(axis: 0 | 1 | 2): PlaneName {
   const found = PLANE_ORDER.find((plane) => PLANES[plane].axis === axis);
   if (found === undefined) throw new Error(`no plane stands across axis ${axis}`);

@@ -3,7 +3,7 @@ import { randomAxes, randomOf } from "./rotations.testing";
 import { add, distance, scale, type Vec3 } from "./vec";
 import { clampToVolume, type Grid } from "./volume";
 
-/** An oblique, anisotropic grid: swapped axes cannot pass. */
+/** Return an oblique, anisotropic grid, on which swapped axes fail the test. */
 function obliqueGrid(random: () => number) {
   const { right, down, forward } = randomAxes(random);
   const [a, b, c] = [scale(right, 0.6), scale(down, 0.8), scale(forward, 2.5)];
@@ -35,7 +35,7 @@ describe("the volume's box", () => {
     const random = randomOf(22);
     for (let round = 0; round < 100; round += 1) {
       const { grid, at } = obliqueGrid(random);
-      // 1e-6 mm: rounding of coordinates of some hundred mm.
+      // Tolerance 1e-6 mm: rounding of coordinates of some hundred mm.
       expect(distance(clampToVolume(grid, at(50, 3, 2)), at(30.499, 3, 2))).toBeLessThan(1e-6);
       expect(distance(clampToVolume(grid, at(4, -9, 2)), at(4, -0.499, 2))).toBeLessThan(1e-6);
       expect(distance(clampToVolume(grid, at(4, 3, 70)), at(4, 3, 6.499))).toBeLessThan(1e-6);

@@ -1,11 +1,12 @@
-/** The box of the open volume: its voxels span -0.5 to n-0.5 of each index axis. */
+/** The box of the open volume: its voxels span -0.5 to n-0.5 on each index axis. */
 
 import type { CaseInfo } from "../wire/messages";
 import { add, asVec3, column, cross, dot, scale, sub, type Vec3 } from "./vec";
 
+/** The voxel grid of the open volume: its affine matrix and shape. */
 export type Grid = Pick<CaseInfo, "lps_from_ijk" | "shape_zyx">;
 
-/** The point of the box that lies at the same voxel coordinates, each kept within the box; exact on oblique grids. */
+/** Return a point with its voxel coordinates limited to the box; exact on oblique grids. */
 export function clampToVolume(grid: Grid, lps: Vec3): Vec3 {
   const axes = [column(grid.lps_from_ijk, 0), column(grid.lps_from_ijk, 1), column(grid.lps_from_ijk, 2)] as const;
   const origin = column(grid.lps_from_ijk, 3);
@@ -19,17 +20,17 @@ export function clampToVolume(grid: Grid, lps: Vec3): Vec3 {
   ] as const;
   const [nz, ny, nx] = grid.shape_zyx;
   const clamped = [clamp(ijk[0], nx), clamp(ijk[1], ny), clamp(ijk[2], nz)] as const;
-  // A point inside comes back as it was given, without the rounding of a way there and back.
+  // A point inside is returned unchanged, without the rounding of a conversion to voxel coordinates and back.
   if (clamped.every((value, axis) => value === ijk[axis])) return lps;
   return add(origin, add(add(scale(axes[0], clamped[0]), scale(axes[1], clamped[1])), scale(axes[2], clamped[2])));
 }
 
-/** Just inside: a point on the very edge may fall out of the box by rounding on its way. */
+/** Limit slightly inside the box, because rounding may move a point on the edge outside. */
 const EDGE_VOX = 0.499;
 
 const clamp = (value: number, count: number): number => Math.min(Math.max(value, -EDGE_VOX), count - 1 + EDGE_VOX);
 
-/** The middle of the voxels' box. */
+/** Return the middle of the box. */
 export function middleOf(info: Grid): Vec3 {
   const [nz, ny, nx] = asVec3(info.shape_zyx);
   return [nx, ny, nz].reduce<Vec3>(

@@ -1,23 +1,24 @@
-/** Points of the airway wall that a person clicked: where, how far from the lens, what the scan shows there. */
+/** Points of the airway wall that the user has clicked: position, distance from the lens, and voxel value. */
 
 import type { PickedMessage } from "../wire/messages";
 import { coordinates, fixed, mm } from "./format";
 import { asVec3, distance, type Vec3 } from "./vec";
 
+/** A clicked point of the airway wall. */
 export interface WallPoint {
   readonly lps: Vec3;
   readonly depthMm: number;
-  /** HU, or the file's numbers; null outside the volume. */
+  /** Voxel value in HU, or in the file's units; null outside the volume. */
   readonly voxelValue: number | null;
   readonly branchName: string | null;
   readonly branchId: number | null;
   readonly generation: number | null;
 }
 
-/** Two, so that a distance can be read. */
+/** Largest number of points: two, for a distance measurement. */
 const MAX_POINTS = 2;
 
-/** With one more point, of an answer that met a wall. */
+/** Return the points with the point of an answer; unchanged if the click hit no wall. */
 export function addPick(points: readonly WallPoint[], answer: PickedMessage): readonly WallPoint[] {
   if (answer.lps === null || answer.depth_mm === null) return points;
   const point = {
@@ -31,23 +32,23 @@ export function addPick(points: readonly WallPoint[], answer: PickedMessage): re
   return [...points, point].slice(-MAX_POINTS);
 }
 
-/** Straight from the point before to the newest; null while there is one point only. */
+/** Return the straight distance between the last two points, mm; null with fewer than two. */
 export function pointsApartMm(points: readonly WallPoint[]): number | null {
   const [before, newest] = points.slice(-MAX_POINTS);
   return before === undefined || newest === undefined ? null : distance(before.lps, newest.lps);
 }
 
-/** The newest point in words, one fact a line. `label` names its branch where the tree knows it. */
+/** Return the facts about the latest point, one per line. `label` is the name of its branch, if the tree has one. */
 export function wallPointLines(points: readonly WallPoint[], label: string | null, isHu: boolean): readonly string[] {
   const newest = points.at(-1);
   if (newest === undefined) return [];
-  // Long lines first: they stand where the round picture leaves the most room.
+  // Longer lines come first, where the round picture leaves more space.
   const lines = [coordinates(newest.lps)];
   const branch = newest.branchName ?? label;
   if (branch !== null) {
     lines.push(newest.generation === null ? branch : `${branch}, generation ${newest.generation}`);
   }
-  // The tip goes on, and this stays as it was measured.
+  // The tip moves on, so the text states that the distance was measured at the click.
   lines.push(`${mm(newest.depthMm)} away when clicked`);
   if (newest.voxelValue !== null) lines.push(`${fixed(newest.voxelValue)}${isHu ? " HU" : " (not HU)"}`);
   const apart = pointsApartMm(points);

@@ -1,16 +1,16 @@
-/** What a window may do that only watches, and what is said of those who do. */
+/** Rights of a window that only watches, and texts about watchers. */
 
 import { type ClientMessage, SETS, type WatchPage } from "../wire/messages";
 import { plural } from "./format";
 
-/** What the server answers a watcher: its own sight, and questions about what it sees. */
+/** Return whether a watcher may send a message: its own view settings, and queries about the displayed data. */
 export function mayWatcherSend(message: ClientMessage): boolean {
   const { type } = message;
   if (type in SETS) return SETS[type as keyof typeof SETS].of === "sight";
   return type === "pick" || type === "probe" || type === "branch_detail";
 }
 
-/** For the top bar of the workstation that is watched. */
+/** Return the text of the top bar about the watchers of this workstation. */
 export function watchingWords(page: WatchPage): string {
   const num = page.watchers.length;
   return num === 0 ? "on the network" : `${plural(num, "person", "people")} watching`;

@@ -4,7 +4,7 @@ import { inFrontOf, type NewestPicture, PictureScreen, product } from "./headset
 
 const IDENTITY = new Float32Array([1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]);
 
-/** A head at a place that looks to an angle, seen from above: 0 is -z, 90 degrees is its left. */
+/** Return the matrix of a head at a place with a viewing angle, seen from above: 0 is -z, 90 degrees is to its left. */
 function head(x: number, y: number, z: number, deg: number, upDeg = 0): Float32Array {
   const [c, s] = [Math.cos((deg * Math.PI) / 180), Math.sin((deg * Math.PI) / 180)];
   const [cu, su] = [Math.cos((upDeg * Math.PI) / 180), Math.sin((upDeg * Math.PI) / 180)];
@@ -40,7 +40,7 @@ describe("the screen in the room", () => {
       const up = head(0, 1.7, 0, 0, 90);
       up[8] = x ?? 0;
       up[10] = z ?? 0;
-      // Which way its feet point is noise: the screen stands where the room's front is.
+      // The horizontal direction of a head that looks straight up is noise, so the screen is at the front of the room.
       close(at(inFrontOf({ matrix: up }, 1), 0, 0), [0, 1.7, -1.5]);
     }
   });
@@ -60,7 +60,7 @@ describe("matrices", () => {
   });
 });
 
-/** As much of WebGL as is called, which writes down what is drawn. */
+/** Return a fake of the WebGL functions in use, which records the draw calls. */
 function fakeGl(log: string[], linksWell: boolean, places: Float32Array[]): WebGL2RenderingContext {
   const known: Record<string, unknown> = {
     uniformMatrix4fv: (_: unknown, __: boolean, place: Float32Array) => places.push(place),
@@ -123,7 +123,7 @@ describe("its pictures", () => {
     const projection = new Float32Array([2, 0, 0, 0, 0, 3, 0, 0, 0, 0, -1, -1, 0, 0, -0.2, 0]);
     const view = { projectionMatrix: projection, transform: { inverse: { matrix: eye } } };
     screen.draw({ transform: { matrix: IDENTITY }, views: [view] } as unknown as XrViewerPose);
-    // The screen's middle, 1.5 m ahead: 3 cm to the right of this eye, twice as far on its picture, and as deep as it is away.
+    // The screen's middle is 1.5 m ahead and 3 cm to the right of this eye; the projection doubles the 3 cm.
     close([...(places[0] ?? [])].slice(12), [0.06, 0, 1.3, 1.5]);
   });
 

@@ -1,36 +1,37 @@
 /**
- * A screen in the headset's room that shows the newest airway picture. It is drawn at the headset's own rate, from the
- * picture that is there: a slow renderer makes the picture older, never the head's movement.
+ * A virtual screen in the headset that shows the latest airway picture. It is drawn at the headset's frame rate; a slow
+ * renderer delays the picture but not the response to head movement.
  */
 
 import type { HeadsetScreen, XrSession, XrTransform, XrView, XrViewerPose } from "../input/devices/webxr";
 import fragmentText from "./shaders/screen.frag?raw";
 import vertexText from "./shaders/screen.vert?raw";
 
-/** How far away, and half its height, m: about 55 degrees, as a monitor that is looked at closely. */
+/** Distance of the screen and half its height, m: about 55 degrees, as a monitor viewed from near. */
 const AWAY_M = 1.5;
 const HALF_M = 0.8;
 
-/** The newest picture, and a number that changes with it. */
+/** The latest picture, with a version number that changes with it. */
 export interface NewestPicture {
   readonly image: TexImageSource & { readonly width: number; readonly height: number };
   readonly frameId: number;
   readonly round: boolean;
 }
 
-/** What the browser calls `XRWebGLLayer`. */
+/** The part of the browser's `XRWebGLLayer` that is used. */
 export interface XrLayer {
   readonly framebuffer: WebGLFramebuffer | null;
   getViewport(view: XrView): { x: number; y: number; width: number; height: number } | null;
 }
 
+/** Page functions that {@link PictureScreen} uses; tests supply fakes. */
 export interface ScreenSurroundings {
   newest(): NewestPicture | null;
   canvas(): HTMLCanvasElement;
   layer(session: XrSession, gl: WebGL2RenderingContext): XrLayer;
 }
 
-/** Column-major 4x4 product, as WebGL takes it. */
+/** Return the column-major 4x4 matrix product a b, as WebGL uses it. */
 export function product(a: ArrayLike<number>, b: ArrayLike<number>): Float32Array {
   const found = new Float32Array(16);
   for (let column = 0; column < 4; column += 1) {
@@ -43,19 +44,21 @@ export function product(a: ArrayLike<number>, b: ArrayLike<number>): Float32Arra
   return found;
 }
 
-/** `room_from_screen`, column-major: upright in front of where the head looks, at its height. */
+/** Return the column-major matrix `room_from_screen` of an upright screen in front of the head, at its height. */
 export function inFrontOf(head: Pick<XrTransform, "matrix">, aspect: number): Float32Array {
   const m = head.matrix;
-  // The head looks along -z; up and down do not count, and who looks straight up gets the screen where z is.
+  // The head looks along -z. The vertical direction is ignored; for a head that looks straight up the screen is in
+  // direction -z of the room.
   let [x, z] = [-(m[8] ?? 0), -(m[10] ?? -1)];
   const flat = Math.hypot(x, z);
   [x, z] = flat < 1e-3 ? [0, -1] : [x / flat, z / flat];
   const [wide, high] = aspect >= 1 ? [HALF_M * aspect, HALF_M] : [HALF_M, HALF_M / aspect];
   const [px, py, pz] = [(m[12] ?? 0) + AWAY_M * x, m[13] ?? 0, (m[14] ?? 0) + AWAY_M * z];
-  // Right is ahead turned a quarter clockwise seen from above; the screen's own z comes to the head.
+  // The screen's x axis is perpendicular to the viewing direction; its z axis points to the head.
   return new Float32Array([-z * wide, 0, x * wide, 0, 0, high, 0, 0, -x, 0, -z, 0, px, py, pz, 1]);
 }
 
+/** A WebGL screen in the headset. */
 export class PictureScreen implements HeadsetScreen {
   readonly #around: ScreenSurroundings;
   #gl: WebGL2RenderingContext | null = null;
@@ -63,7 +66,7 @@ export class PictureScreen implements HeadsetScreen {
   #program: WebGLProgram | null = null;
   #texture: WebGLTexture | null = null;
   #uploaded: number | null = null;
-  /** Where the head was when the screen came in front of it. */
+  /** Pose of the head when the screen was last placed. */
   #head: Pick<XrTransform, "matrix"> | null = null;
 
   constructor(around: ScreenSurroundings) {
@@ -108,9 +111,10 @@ export class PictureScreen implements HeadsetScreen {
       gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, newest.image);
       this.#uploaded = newest.frameId;
     }
-    // A copy: what a frame hands on need not last.
+    // Copy, because WebXR may reuse the matrix of a frame.
     this.#head ??= { matrix: Float32Array.from(viewer.transform.matrix) };
-    // Of this picture: the panels on the desk may be moved meanwhile, and a round lumen must stay round.
+    // Use the aspect ratio of the current picture, because the page layout may change and a round lumen must stay
+    // round.
     const room = inFrontOf(this.#head, newest.image.width / newest.image.height);
     gl.uniform1i(gl.getUniformLocation(this.#program as WebGLProgram, "is_round"), newest.round ? 1 : 0);
     const place = gl.getUniformLocation(this.#program as WebGLProgram, "eye_from_screen");

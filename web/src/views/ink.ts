@@ -1,15 +1,17 @@
-/** Colours and strokes of what is drawn over the pictures. Red, yellow and green mean planes and nothing else. */
+/** Colours and strokes of the overlays. Red, yellow and green are reserved for the three planes. */
 
+/** Colours of the planes. */
 export const PLANE_COLOURS = { axial: "#ff6f61", coronal: "#63d28c", sagittal: "#f3d34f" } as const;
 
+/** Colours of the overlays. */
 export const INK = {
   text: "#e6e8ea",
   quiet: "#a9b1b8",
   accent: "#4fd3e6",
   warning: "#f4b44c",
-  /** Outline of the lumen: a hue that no plane, lobe or mark has. */
+  /** Outline of the lumen: a hue that no plane, lobe or mark uses. */
   lumen: "#f08ce0",
-  /** A target with a size, and the needle's way to it. */
+  /** A target with a size, and the needle path to the target. */
   lesion: "#b79cff",
   needle: "#ffffff",
   halo: "rgba(8, 10, 12, 0.85)",
@@ -17,15 +19,19 @@ export const INK = {
   ringTick: "#5b666e",
 } as const;
 
+/** Font family of the overlays. */
 export const FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Noto Sans", "DejaVu Sans", sans-serif';
 
+/** Drawing context of an overlay. */
 export type Ink = CanvasRenderingContext2D;
 
+/** A point on the screen, CSS px. */
 export interface ScreenPoint {
   x: number;
   y: number;
 }
 
+/** A rectangle on the screen, CSS px. */
 export interface Rect {
   x: number;
   y: number;
@@ -33,7 +39,7 @@ export interface Rect {
   height: number;
 }
 
-/** Text that can be read on any picture: light on a dark edge. */
+/** Draw text that is readable on any picture: light with a dark outline. */
 export function label(
   ink: Ink,
   text: string,
@@ -57,6 +63,7 @@ export function label(
   ink.fillText(text, at.x, at.y);
 }
 
+/** Draw a polyline. */
 export function line(ink: Ink, points: readonly ScreenPoint[], colour: string, width: number, alpha = 1): void {
   if (points.length < 2) return;
   ink.save();
@@ -74,7 +81,7 @@ export function line(ink: Ink, points: readonly ScreenPoint[], colour: string, w
   ink.restore();
 }
 
-/** The tip: a disc with its viewing direction; hollow where it lies off the plane. */
+/** Draw the tip: a disc with its viewing direction; hollow if the tip is off the plane. */
 export function tipMark(ink: Ink, at: ScreenPoint, look: ScreenPoint | null, onPlane: boolean): void {
   ink.save();
   ink.lineWidth = 2;
@@ -105,7 +112,7 @@ export function tipMark(ink: Ink, at: ScreenPoint, look: ScreenPoint | null, onP
   ink.restore();
 }
 
-/** The tip of a tracked pen: a nib whose point lies on it; hollow where it lies off the plane. */
+/** Draw the tip of a tracked pen: a nib whose point is at the tip; hollow if the tip is off the plane. */
 export function penMark(ink: Ink, at: ScreenPoint, onPlane: boolean): void {
   ink.save();
   ink.lineJoin = "round";
@@ -131,7 +138,7 @@ export function penMark(ink: Ink, at: ScreenPoint, onPlane: boolean): void {
   ink.restore();
 }
 
-/** A target: a diamond, amber where there is no way to it. */
+/** Draw a target: a diamond, amber if there is no path to the target. */
 export function targetMark(ink: Ink, at: ScreenPoint, colour: string, alpha: number): void {
   ink.save();
   ink.globalAlpha = alpha;
@@ -152,11 +159,11 @@ export function targetMark(ink: Ink, at: ScreenPoint, colour: string, alpha: num
   ink.restore();
 }
 
-/** Names beside their marks, moved to another side (or left out) where one would print over another. */
+/** Placement of names beside their marks without overlap: a name moves to another side or is left out. */
 export class NamePlaces {
   readonly #taken: { left: number; right: number; top: number; bottom: number }[] = [];
 
-  /** False where it was left out. `sides`: 1 to the right of its mark, -1 to the left, in the order they are tried. */
+  /** Draw a name; return false if it was left out. `sides` are tried in order: 1 is right of the mark, -1 is left. */
   name(
     ink: Ink,
     text: string,
@@ -183,7 +190,7 @@ export class NamePlaces {
   }
 }
 
-/** Where a path begins: a ring with its word. */
+/** Draw the start of a path: a ring with its label. */
 export function startMark(
   ink: Ink,
   at: ScreenPoint,

@@ -1,19 +1,21 @@
-/** The lines of a layer as they came with a picture, ready to be drawn: in their own unit, rounded between voxels. */
+/** Conversion of a layer's lines, as received with a picture, to canvas paths; corners between voxels are rounded. */
 
 import type { LayerName } from "../state/lungs";
 import type { PixelPoint } from "../state/projection";
 import type { WireLayer } from "../wire/parse";
 import { outlineLines } from "./outline-path";
 
+/** A layer that can be drawn. */
 export interface DrawnLayer {
   readonly layer: LayerName;
   readonly part: string;
   readonly path: Path2D;
-  /** From the path to the picture's pixels, as a canvas's `transform` takes it. */
+  /** Transform from path to picture pixels, in the order of the canvas method `transform`. */
   readonly place: readonly [number, number, number, number, number, number];
   readonly complete: boolean;
 }
 
+/** Return the layers of a picture as canvas paths. */
 export function drawnLayers(layers: readonly WireLayer[]): DrawnLayer[] {
   return layers.map(({ header, bytes }) => {
     const [a = 1, b = 0, c = 0, d = 1, e = 0, f = 0] = header.pixel_from_line;
@@ -27,7 +29,9 @@ export function drawnLayers(layers: readonly WireLayer[]): DrawnLayer[] {
   });
 }
 
-/** Through the middles of the pieces: what a mask's corners say of the border between two voxels is no more than that. */
+/**
+ * Return a smooth path through the middles of the line pieces; the corners of a mask are not more exact than a voxel.
+ */
 function smoothPath(lines: readonly (readonly PixelPoint[])[]): Path2D {
   const path = new Path2D();
   for (const points of lines) {
@@ -53,7 +57,7 @@ function smoothPath(lines: readonly (readonly PixelPoint[])[]): Path2D {
   return path;
 }
 
-/** Its corners, each once; null where the line is open. */
+/** Return the corners of a closed line, each once; null for an open line. */
 export function closedRing(points: readonly PixelPoint[]): PixelPoint[] | null {
   const [first, last] = [points[0], points.at(-1)];
   const closes = first !== undefined && first.column === last?.column && first.row === last.row;

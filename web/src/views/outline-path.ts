@@ -1,11 +1,11 @@
-/** The outline of the lumen as it came with a picture, ready to be drawn. */
+/** Conversion of the lumen outline, as received with a picture, to a canvas path. */
 
 import type { PixelPoint } from "../state/projection";
 
-/** Of a pixel in the wire's numbers. */
+/** Units of the wire per pixel. */
 const PARTS = 16;
 
-/** The lines of an outline in pixels of its picture; the wire's form is checked where it is read. */
+/** Return the lines of an outline in pixels of its picture; the parser of the wire has validated the bytes. */
 export function outlineLines(bytes: Uint8Array): PixelPoint[][] {
   const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
   const lines: PixelPoint[][] = [];
@@ -22,7 +22,7 @@ export function outlineLines(bytes: Uint8Array): PixelPoint[][] {
   return lines;
 }
 
-/** One path in pixels of the picture, drawn again with each repaint. */
+/** Return the outline as one path in pixels of the picture. */
 export function outlinePath(bytes: Uint8Array): Path2D {
   const path = new Path2D();
   for (const points of outlineLines(bytes)) {

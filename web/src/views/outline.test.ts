@@ -11,7 +11,7 @@ describe("the outline of a picture", () => {
     expect(inside(0, 0)).toEqual([true, true, true]);
     expect(inside(-99, 0)).toEqual([true, true, true]);
     expect(inside(0, 101)).toEqual([false, false, false]);
-    // Beside the top: in the octagon's side, out of the circle.
+    // A point beside the top: inside the octagon, outside the circle.
     expect(inside(40, -99)).toEqual([true, true, false]);
     expect(inside(80, 80)).toEqual([true, false, false]);
     expect(inside(99, 99)).toEqual([true, false, false]);

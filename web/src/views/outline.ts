@@ -1,18 +1,20 @@
-/** The outline of a picture on the screen: the whole frame, or what a bronchoscope's monitor shows. */
+/** Shape of a picture on the screen: the whole frame, or the shape of a bronchoscope's monitor image. */
 
 import type { Outline } from "../wire/messages";
 import type { Ink, Rect, ScreenPoint } from "./ink";
 
+/** Shape of a picture. */
 export type Shape = "fill" | "round" | "octagon";
 
-/** Half an octagon's side, in half widths: its cut corners are as far from the middle as its sides. */
+/** Half the side of an octagon in half widths; all sides are equally far from the middle. */
 const HALF_SIDE = Math.tan(Math.PI / 8);
 
+/** Return the shape of an outline setting. */
 export function shapeOf(outline: Outline): Shape {
   return outline === "none" ? "fill" : outline;
 }
 
-/** The corners of an octagon in half widths from its middle, clockwise. */
+/** Corners of an octagon in half widths from its middle, clockwise. */
 const CORNERS: readonly (readonly [number, number])[] = [
   [HALF_SIDE, -1],
   [1, -HALF_SIDE],
@@ -24,7 +26,7 @@ const CORNERS: readonly (readonly [number, number])[] = [
   [-HALF_SIDE, -1],
 ];
 
-/** Begins a path round a frame. */
+/** Begin a path along a frame's shape. */
 export function traceOutline(ink: Ink, shape: Shape, frame: Rect): void {
   const half = frame.width / 2;
   const [x, y] = [frame.x + half, frame.y + frame.height / 2];
@@ -35,6 +37,7 @@ export function traceOutline(ink: Ink, shape: Shape, frame: Rect): void {
   ink.closePath();
 }
 
+/** Return whether a point is inside the shape. */
 export function isInside(shape: Shape, frame: Rect, at: ScreenPoint): boolean {
   const half = frame.width / 2;
   const dx = Math.abs(at.x - frame.x - half);
@@ -49,7 +52,7 @@ export function isInside(shape: Shape, frame: Rect, at: ScreenPoint): boolean {
   }
 }
 
-/** As a CSS clip path of the picture's element. */
+/** Return the shape as a CSS clip path. */
 export function clipPathOf(shape: Shape): string {
   if (shape === "fill") return "none";
   if (shape === "round") return "circle(50%)";

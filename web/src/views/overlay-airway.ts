@@ -1,4 +1,6 @@
-/** Round the airway picture: the orientation ring, the way on, and a thin line of the route. All from the shown frame. */
+/**
+ * Overlay of the airway view: orientation ring, path ahead, and route line, all computed from the displayed picture.
+ */
 
 import { angleBetween, type RingMark, ringMarks } from "../state/letters";
 import { geometryOf, projectLine, type SeenGeometry } from "../state/projection";
@@ -16,17 +18,21 @@ import type { Scene } from "./scene";
 import { RING_PX, type Viewport } from "./viewport";
 import { paintWallMarks } from "./wall-marks";
 
-/** The line begins where it no longer covers what the tip touches, and ends before it shines through walls. */
+/**
+ * Distances along the route, mm, between which the line is drawn: it must not cover the region at the tip or show
+ * through walls.
+ */
 const LINE_FROM_MM = 6;
 const LINE_TO_MM = 45;
-/** A target behind the wall is shown from this distance on. */
+/** Distance, mm, up to which a target behind the wall is shown. */
 const TARGET_TO_MM = 80;
-/** Between places of the route that are looked at whether a wall hides them. */
+/** Step along the route, mm, of the visibility test. */
 const LOOK_APART_MM = 1;
 const HOURS = 12;
-/** Room that a letter of the ring needs. */
+/** Space for a letter of the ring, px. */
 const LETTER_PX = 16;
 
+/** Draw the overlay of the airway view. */
 export function paintAirway(ink: Ink, viewport: Viewport, scene: Scene): void {
   const { header, frame } = viewport;
   const centre = { x: frame.x + frame.width / 2, y: frame.y + frame.height / 2 };
@@ -44,7 +50,7 @@ export function paintAirway(ink: Ink, viewport: Viewport, scene: Scene): void {
   ink.clip();
   if (scene.routeLineVisible && scene.route !== null && scene.pathMm !== null) {
     const { route, pathMm } = scene;
-    // What a person drew is dashed already, as a branch.
+    // The part drawn by hand is already dashed as a branch.
     const seenToMm = inViewTo(route, pathMm, geometry.camera.position);
     const ahead = route.spans
       .filter((span) => span.kind === "tracked")
@@ -77,7 +83,7 @@ export function paintAirway(ink: Ink, viewport: Viewport, scene: Scene): void {
   paintCursorNote(ink, viewport, scene);
 }
 
-/** How far along the route the lens sees before a wall hides the line. */
+/** Return the distance along the route up to which the lens sees it before a wall hides the line. */
 function inViewTo(route: RouteInfo, fromMm: number, lens: Vec3): number {
   const places: number[] = [];
   for (let mm = fromMm + LINE_FROM_MM; mm <= Math.min(fromMm + LINE_TO_MM, route.length_mm); mm += LOOK_APART_MM)
@@ -88,7 +94,7 @@ function inViewTo(route: RouteInfo, fromMm: number, lens: Vec3): number {
   return count === places.length ? fromMm + LINE_TO_MM : (places[count] ?? fromMm);
 }
 
-/** What a person drew that begins near enough to be looked into: the others lie behind walls. */
+/** Return the scene with the hand-drawn branches that begin near enough to be visible; walls hide the others. */
 function aheadOf(geometry: SeenGeometry, scene: Scene): Scene {
   if (scene.drawn.length === 0) return scene;
   const near = scene.drawn.filter(({ branch }) =>
@@ -97,7 +103,7 @@ function aheadOf(geometry: SeenGeometry, scene: Scene): Scene {
   return { ...scene, drawn: near };
 }
 
-/** What a click would make as far as it lies near enough to be looked into. */
+/** Return the scene with the part of the edit preview that is near enough to be visible. */
 function previewInView(geometry: SeenGeometry, scene: Scene): Scene {
   if (scene.preview === null) return scene;
   const runs = scene.preview.runs.filter(({ points }) =>
@@ -106,7 +112,10 @@ function previewInView(geometry: SeenGeometry, scene: Scene): Scene {
   return { ...scene, preview: { ...scene.preview, runs } };
 }
 
-/** The way to the cursor from where it comes nearest to the lens: what lies before that is behind, or behind walls. */
+/**
+ * Return the scene with the path to the cursor from its point nearest to the lens; the part before that point is
+ * hidden.
+ */
 function withinReach(geometry: SeenGeometry, scene: Scene): Scene {
   const { live } = scene;
   if (live === null) return scene;
@@ -115,7 +124,7 @@ function withinReach(geometry: SeenGeometry, scene: Scene): Scene {
   return { ...scene, live: { points: live.points.slice(first), leavesAt: Math.max(live.leavesAt - first, 0) } };
 }
 
-/** The clock round the picture; an hour's tick gives way to a letter that stands there. */
+/** Draw the clock dial around the picture; a letter replaces the tick of its hour. */
 function paintDial(ink: Ink, centre: ScreenPoint, radius: number, marks: readonly RingMark[]): void {
   ink.save();
   ink.strokeStyle = INK.ring;

@@ -1,4 +1,6 @@
-/** At the cursor: the way to it with what is known about it, the brush, and the name of the branch under it. */
+/**
+ * Overlay at the cursor: the path to the cursor with its text, the brush, and the name of the branch under the cursor.
+ */
 
 import { type Geometry, projectLine } from "../state/projection";
 import type { Vec3 } from "../state/vec";
@@ -6,7 +8,7 @@ import { FONT, INK, type Ink, line, type ScreenPoint } from "./ink";
 import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
 
-/** The way to the cursor: white where the tree has it already, the accent where it is new, faint off a slice. */
+/** Draw the path to the cursor: white inside the tree, in the accent colour where it is new, faint off a slice. */
 export function paintLivePath(
   ink: Ink,
   viewport: Viewport,
@@ -23,7 +25,9 @@ export function paintLivePath(
   for (const { points, colour } of parts) strokeWay(ink, viewport, geometry, points, inPlane, { colour });
 }
 
-/** What a click would make: solid where the CT shows an airway, dashed in amber where it would be drawn by hand. */
+/**
+ * Draw the preview of an edit: solid where the CT shows an airway, dashed amber where the line would be drawn by hand.
+ */
 export function paintPreview(
   ink: Ink,
   viewport: Viewport,
@@ -39,7 +43,7 @@ export function paintPreview(
   }
 }
 
-/** A way over a picture; thin where it lies off a slice. */
+/** Draw a path over a picture; thin off a slice. */
 function strokeWay(
   ink: Ink,
   viewport: Viewport,
@@ -76,7 +80,7 @@ function strokeWay(
   }
 }
 
-/** The brush as large as it is, and what it has drawn since it was put down. `mmPerPx` is of the screen. */
+/** Draw the brush in its true size, and its current stroke. `mmPerPx` refers to screen pixels. */
 export function paintBrush(
   ink: Ink,
   viewport: Viewport,
@@ -109,11 +113,11 @@ export function paintBrush(
 const LINE_PX = 15;
 const MAX_CHARS = 36;
 
-/** What is said at the cursor, in the picture that it is over. */
+/** Draw the text at the cursor, in the view that contains the cursor. */
 export function paintCursorNote(ink: Ink, viewport: Viewport, scene: Scene): void {
   const { cursor } = scene;
   if (cursor === null || cursor.view !== viewport.view) return;
-  // Read only here: in the other pictures nothing changes with it.
+  // Read the note only in the view with the cursor, so that the other views are not repainted when it changes.
   const { note } = scene;
   if (note === null) return;
   const lines = note.lines.flatMap((words) => wrapped(words, MAX_CHARS));
@@ -123,7 +127,7 @@ export function paintCursorNote(ink: Ink, viewport: Viewport, scene: Scene): voi
   const width = Math.max(...lines.map((words) => ink.measureText(words).width)) + 12;
   const height = lines.length * LINE_PX + 7;
   const { width: right, height: bottom } = viewport.size;
-  // Beside the cursor, on the side where there is room; never under it.
+  // Place the text beside the cursor, on the side with enough space, and never under the cursor.
   const x = cursor.x + 16 + width <= right ? cursor.x + 16 : Math.max(cursor.x - 16 - width, 2);
   const y = Math.min(Math.max(cursor.y + 12 + height <= bottom ? cursor.y + 12 : cursor.y - 12 - height, 2), bottom);
   ink.fillStyle = "rgba(8, 10, 12, 0.82)";
@@ -137,7 +141,7 @@ export function paintCursorNote(ink: Ink, viewport: Viewport, scene: Scene): voi
   ink.restore();
 }
 
-/** Broken between words. */
+/** Break a text between words. */
 export function wrapped(words: string, maxChars: number): string[] {
   const lines: string[] = [];
   for (const word of words.split(" ")) {

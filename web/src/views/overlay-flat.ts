@@ -1,4 +1,4 @@
-/** Over slices, cut-plane and X-ray: crosshair, route, targets, tip, letters, scale. */
+/** Overlay of slices, cut-plane and X-ray: crosshair, route, targets, tip, orientation letters, scale bar. */
 
 import { edgeLetters, lettersOf } from "../state/letters";
 import {
@@ -35,10 +35,11 @@ import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
 import { paintWallMarks } from "./wall-marks";
 
-/** Within this distance something counts as lying in a slice. */
+/** Distance, mm, up to which an object counts as being in a slice. */
 const IN_PLANE_MM = 2.5;
 const GAP_PX = 9;
 
+/** Draw the overlay of a planar picture. */
 export function paintFlat(ink: Ink, viewport: Viewport, scene: Scene): void {
   const { header } = viewport;
   if (header === null) return;
@@ -48,7 +49,7 @@ export function paintFlat(ink: Ink, viewport: Viewport, scene: Scene): void {
   const seesThrough = pick === null;
   const standsIn = header.stands_for !== null;
   ink.save();
-  // In the place of a round airway view the picture is round, and nothing is drawn beyond it but the letters.
+  // A planar picture that replaces the round airway view is round, and only the letters are outside it.
   if (standsIn) clipToPicture(ink, viewport);
   const inPlane = (depthMm: number) => seesThrough || Math.abs(depthMm) <= IN_PLANE_MM;
   if (plane !== null) paintCrosshair(ink, viewport, geometry, scene, plane);
@@ -75,7 +76,7 @@ export function paintFlat(ink: Ink, viewport: Viewport, scene: Scene): void {
     const near = inPlane(seen.depthMm);
     const at = viewport.screenAt(seen);
     const colour = target.reachable ? INK.accent : INK.warning;
-    // What has a size is drawn as what it is, where it is cut.
+    // A target with a size is drawn as its cross-section where the slice cuts it.
     if (!target.hasSize || !near || seesThrough) targetMark(ink, at, colour, near ? 1 : 0.35);
     if (near && !seesThrough) names.name(ink, target.name, at, colour, viewport.size);
   }
@@ -130,7 +131,7 @@ function paintCrosshair(ink: Ink, viewport: Viewport, geometry: FlatGeometry, sc
   const at = viewport.screenAt(seen);
   const { width, height } = viewport.size;
   const alpha = scene.followsTip ? 0.55 : 0.9;
-  // A line of the crosshair is where another plane cuts this one.
+  // Each line of the crosshair is the intersection with another plane.
   const vertical = planeAcross(PLANES[plane].right_axis);
   const horizontal = planeAcross(PLANES[plane].down_axis);
   line(
@@ -204,7 +205,10 @@ function paintRoute(
   }
 }
 
-/** Letters at the four edges; with `sides` in the upper corners between them, since an axis and names stand there. */
+/**
+ * Draw the letters of the four edges; with `sides`, the side letters are in the upper corners, because the axis and the
+ * names use the sides.
+ */
 export function paintLetters(
   ink: Ink,
   viewport: Viewport,
@@ -225,7 +229,7 @@ export function paintLetters(
 
 const SLAB_WORDS = { min: "min", max: "max", mean: "mean" } as const;
 
-/** A slice that is thick says so. */
+/** Draw the thickness of a thick slice. */
 export function paintSlab(ink: Ink, viewport: Viewport, scene: Scene): void {
   if (scene.slab.thickness_mm <= 0) return;
   const { width, height } = viewport.size;
@@ -234,7 +238,7 @@ export function paintSlab(ink: Ink, viewport: Viewport, scene: Scene): void {
   label(ink, words, { x: width - 8, y: height - 12 }, { size: 11, align: "right" });
 }
 
-/** In the lower left corner, or with its middle at a place. */
+/** Draw the scale bar in the lower left corner, or centred at a place. */
 export function paintScale(
   ink: Ink,
   viewport: Viewport,

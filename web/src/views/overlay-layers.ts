@@ -1,4 +1,7 @@
-/** What was mapped round the targets, over slices and the cut-plane: vessels, fissures, lobes, and where a tool gets to. */
+/**
+ * Overlay of the structures around the targets on slices and the cut-plane: vessels, fissures, lobes, and the reach of
+ * a tool.
+ */
 
 import type { LayerName, ShownLayer } from "../state/lungs";
 import { INK, type Ink, label, type NamePlaces } from "./ink";
@@ -8,14 +11,14 @@ import type { Viewport } from "./viewport";
 
 interface Style {
   readonly stroke: number;
-  /** 0 leaves the inside as it is. */
+  /** Opacity of the filled inside; 0 draws no fill. */
   readonly fill: number;
   readonly alpha: number;
   readonly dash: readonly number[];
   readonly widthPx: number;
 }
 
-/** What is less sure is dashed and fainter, and never filled as what is sure. */
+/** Styles of the layers; uncertain parts are dashed, fainter, and not filled. */
 const STYLES: Readonly<Record<LayerName, Readonly<Record<string, Style>>>> = {
   vessels: {
     sure: { stroke: 1, fill: 0.16, alpha: 0.95, dash: [], widthPx: 1 },
@@ -36,7 +39,7 @@ const LAYER_COLOURS = {
   stations: "#ffb3c7",
 } as const;
 
-/** In the pictures and in the list beside them; lobes have one each. */
+/** Return the colour of a layer in the pictures and the list; each lobe has its own colour. */
 export function layerColour(layer: ShownLayer, part = ""): string {
   if (layer !== "lobes") return LAYER_COLOURS[layer];
   return part in LOBE_COLOURS ? LOBE_COLOURS[part as keyof typeof LOBE_COLOURS] : INK.quiet;
@@ -44,6 +47,7 @@ export function layerColour(layer: ShownLayer, part = ""): string {
 
 const styleOf = (layer: LayerName, part: string): Style | undefined => STYLES[layer][part] ?? STYLES[layer][""];
 
+/** Draw the layers of a picture. */
 export function paintLayers(ink: Ink, viewport: Viewport, scene: Scene): void {
   const { header, layers } = viewport;
   if (header === null || layers.length === 0) return;
@@ -85,7 +89,9 @@ export function paintLayers(ink: Ink, viewport: Viewport, scene: Scene): void {
   }
 }
 
-/** A lymph node station is a place on an airway and a way to look from there: no node is drawn, since none is looked for. */
+/**
+ * Draw the lymph node stations. A station is a place on an airway with a direction; no lymph node is detected or drawn.
+ */
 export function paintStations(
   ink: Ink,
   viewport: Viewport,
@@ -108,7 +114,7 @@ export function paintStations(
       ink.arc(at.x, at.y, 3, 0, 2 * Math.PI);
       ink.stroke();
       if (away < 4) continue;
-      // Dashed: where the station is looked for, not where a node was found.
+      // The dashed line is the search direction, not a detected lymph node.
       ink.setLineDash([3, 2]);
       ink.beginPath();
       ink.moveTo(at.x, at.y);

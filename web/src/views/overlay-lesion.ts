@@ -1,4 +1,7 @@
-/** Targets with a size, and the needle's way to the one that is chosen: in slices, projections and the airway view. */
+/**
+ * Overlay of targets with a size, and of the needle path to the selected target, in slices, projections and the airway
+ * view.
+ */
 
 import { type FlatGeometry, type Geometry, normalOf, pixelFromLps } from "../state/projection";
 import { type Surface, sectionOf } from "../state/section";
@@ -10,14 +13,14 @@ import type { Viewport } from "./viewport";
 const OUTLINE_PX = 1.75;
 const NEEDLE_PX = 2.5;
 const DASH: readonly number[] = [6, 3];
-/** A silhouette behind a wall is seen through it, so faint that the wall is what is looked at. */
+/** Opacity of a silhouette behind a wall, low enough that the wall stays visible. */
 const BEHIND_ALPHA = 0.22;
 const PARTS = 24;
 const LABEL_PX = 24;
-/** So far before the parking position the needle's line begins to be shown in the airway view. */
+/** Distance before the parking position, mm, from which the airway view shows the needle path. */
 const NEEDLE_FROM_MM = 25;
 
-/** In a slice its outline; where a picture sees through the body, its silhouette. */
+/** Draw a target's outline in a slice, or its silhouette in a projection. */
 export function paintLesionsFlat(
   ink: Ink,
   viewport: Viewport,
@@ -33,7 +36,7 @@ export function paintLesionsFlat(
   paintNeedle(ink, viewport, geometry, scene, inPlane);
 }
 
-/** In pictures from outside: silhouettes, and the needle's line. */
+/** Draw silhouettes and the needle path in outside views. */
 export function paintLesionsOutside(ink: Ink, viewport: Viewport, geometry: Geometry, scene: Scene): void {
   for (const lesion of scene.lesions) {
     paintSilhouette(ink, viewport, geometry, lesion.surface, lesion.chosen ? 0.45 : 0.25);
@@ -41,7 +44,7 @@ export function paintLesionsOutside(ink: Ink, viewport: Viewport, geometry: Geom
   paintNeedle(ink, viewport, geometry, scene, () => true);
 }
 
-/** Through the airway's wall: where the target lies, and how far from the lens. */
+/** Draw targets behind the airway wall, with their distance from the lens. */
 export function paintLesionsSeen(ink: Ink, viewport: Viewport, geometry: Geometry, scene: Scene, mostMm: number): void {
   if (geometry.kind !== "seen") return;
   for (const lesion of scene.lesions) {
@@ -51,12 +54,12 @@ export function paintLesionsSeen(ink: Ink, viewport: Viewport, geometry: Geometr
     if (awayMm > mostMm) continue;
     paintSilhouette(ink, viewport, geometry, lesion.surface, lesion.chosen ? BEHIND_ALPHA : BEHIND_ALPHA / 2);
     const at = viewport.screenAt(seen);
-    // Beside the needle, which ends in its middle.
+    // The label is above the target's middle, where the needle path ends.
     const beside = { x: at.x, y: at.y - LABEL_PX };
     label(ink, `${lesion.name}, ${awayMm.toFixed(0)} mm`, beside, { size: 11, colour: INK.lesion });
   }
   const toGoMm = scene.needle?.toGoMm ?? null;
-  // Farther away a wall lies between.
+  // Farther away, a wall is between the lens and the needle path.
   if (toGoMm === null || toGoMm <= NEEDLE_FROM_MM)
     paintNeedle(ink, viewport, geometry, scene, (depthMm) => depthMm < mostMm);
 }
@@ -86,7 +89,9 @@ function paintSection(ink: Ink, viewport: Viewport, geometry: FlatGeometry, lesi
   ink.restore();
 }
 
-/** The hull of what it covers: a nodule is nearly convex, and its silhouette is no measure. */
+/**
+ * Draw the convex hull of the projected surface; a nodule is nearly convex, and its silhouette is not a measurement.
+ */
 function paintSilhouette(ink: Ink, viewport: Viewport, geometry: Geometry, surface: Surface, alpha: number): void {
   const points: ScreenPoint[] = [];
   for (const vertex of surface.vertices) {
@@ -112,7 +117,7 @@ function paintSilhouette(ink: Ink, viewport: Viewport, geometry: Geometry, surfa
   ink.restore();
 }
 
-/** Andrew's monotone chain. */
+/** Return the convex hull of points (Andrew's monotone chain). */
 export function hullOf(points: readonly ScreenPoint[]): ScreenPoint[] {
   const sorted = [...points].sort((a, b) => a.x - b.x || a.y - b.y);
   const half = (list: readonly ScreenPoint[]): ScreenPoint[] => {

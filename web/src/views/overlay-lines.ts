@@ -1,4 +1,7 @@
-/** Over the pictures along the route: distances and names on the axis, the lumen, targets, tip, letters, scale. */
+/**
+ * Overlay of the curved pictures along the route: distances and names on the axis, lumen, targets, tip, letters, scale
+ * bar.
+ */
 
 import { kindWords } from "../state/branch-words";
 import { fixed } from "../state/format";
@@ -12,14 +15,14 @@ import { paintLetters, paintScale, paintSlab } from "./overlay-flat";
 import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
 
-/** Within this distance something counts as lying in the picture's surface. */
+/** Distance, mm, up to which an object counts as being in the picture's surface. */
 const IN_SURFACE_MM = 2.5;
-/** Farther than this from the surface a target is not drawn at all. */
+/** Distance from the surface, mm, beyond which a target is not drawn. */
 const NEAR_SURFACE_MM = 15;
-/** Half the width of a straightened airway's strip, as the server draws it. */
+/** Half the width of the strip of a straightened airway, mm, as the server renders it. */
 const STRIP_MM = 40;
 const AXIS_PX = 7;
-/** Room beside a strip for distances and names, CSS px. */
+/** Space beside a strip for distances and names, CSS px. */
 const AXIS_ROOM_PX = 66;
 const NAMES_ROOM_PX = 110;
 const TICK_PX = 4;
@@ -28,6 +31,7 @@ const NAMES_APART_PX = 15;
 const DASH: readonly number[] = [5, 4];
 const TICKS_MM = [1, 2, 5, 10, 20, 50, 100, 200] as const;
 
+/** Draw the overlay of a curved picture. */
 export function paintLines(ink: Ink, viewport: Viewport, scene: Scene): void {
   const { header } = viewport;
   const geometry = header === null ? null : linesOf(header.lines);
@@ -64,7 +68,7 @@ export function paintLines(ink: Ink, viewport: Viewport, scene: Scene): void {
   paintCursorNote(ink, viewport, scene);
 }
 
-/** Where the axis and the names stand: at the picture's sides, or beside the strip where that leaves room. */
+/** Return the positions of the axis and the names: at the picture's sides, or beside the strip if there is space. */
 function sidesOf(viewport: Viewport, geometry: LinesGeometry, isStrip: boolean): { left: number; right: number } {
   const { width } = viewport.size;
   if (!isStrip) return { left: AXIS_PX, right: width - 8 };
@@ -76,7 +80,7 @@ function sidesOf(viewport: Viewport, geometry: LinesGeometry, isStrip: boolean):
   };
 }
 
-/** Rows of the picture that lie on the route, its ends included. */
+/** Return the rows of the picture that are on the route, its ends included. */
 function rowsOnPath(geometry: LinesGeometry): number[] {
   const first = pixelOfPath(geometry, geometry.pathMm[0] ?? 0)?.row ?? 0;
   const last = pixelOfPath(geometry, geometry.pathMm.at(-1) ?? 0)?.row ?? 0;
@@ -88,9 +92,9 @@ function rowsOnPath(geometry: LinesGeometry): number[] {
     });
 }
 
-/** The lumen's width as measured, beside what the picture shows of it. */
+/** Draw the measured width of the lumen. */
 function paintLumen(ink: Ink, viewport: Viewport, geometry: LinesGeometry, route: RouteInfo): void {
-  // What a person drew has no lumen that was measured.
+  // Parts drawn by hand have no measured lumen.
   const seen = partsOnPath(geometry, route).filter((part) => !part.drawn);
   for (const [side, rows] of [-1, 1].flatMap((side) => seen.map((part) => [side, part.rows] as const))) {
     const points: ScreenPoint[] = [];
@@ -119,7 +123,7 @@ function paintPath(ink: Ink, viewport: Viewport, geometry: LinesGeometry, route:
   }
 }
 
-/** The rows on the route in runs that the CT shows and runs that a person drew; neighbours share a row. */
+/** Split the rows on the route into runs that the CT shows and runs drawn by hand; neighbouring runs share a row. */
 function partsOnPath(geometry: LinesGeometry, route: RouteInfo): { rows: number[]; drawn: boolean }[] {
   const parts: { rows: number[]; drawn: boolean }[] = [];
   for (const index of rowsOnPath(geometry)) {

@@ -6,7 +6,7 @@ import { paintNames } from "./overlay-names";
 import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
 
-/** Ten pixels a letter; what is written, and where. */
+/** Return a fake canvas with ten pixels per letter, which records the texts and their positions. */
 function inkOf(written: { text: string; x: number }[]): Ink {
   const fill = (text: string, x: number) => written.push({ text, x });
   return new Proxy({} as Ink, {
@@ -24,7 +24,7 @@ const viewport = {
   screenAt: (at: { column: number; row: number }) => ({ x: at.column, y: at.row }),
 } as unknown as Viewport;
 
-/** Looked at from the front: at 1000 mm a millimetre is a pixel, and the patient's left is on the right. */
+/** A front view with one pixel per mm at a distance of 1000 mm; the patient's left is on the right. */
 const geometry: SeenGeometry = {
   kind: "seen",
   camera: { position: [200, -1000, 200], right: [1, 0, 0], down: [0, 0, -1], forward: [0, 1, 0] },
@@ -49,7 +49,7 @@ describe("names on the tree", () => {
     const at = Object.fromEntries(written.map(({ text, x }) => [text, x]));
     expect(at["LLL"]).toBeGreaterThan(230);
     expect(at["RLL"]).toBeLessThan(170);
-    // Sixteen letters have no room to the right of it, and none may lie over the right lung.
+    // Sixteen letters do not fit to the right, and no name may cover the right lung.
     expect(at["left basal trunk"]).toBeUndefined();
   });
 

@@ -1,4 +1,4 @@
-/** The tree from outside in the colours of its lobes, with names that never print over one another. */
+/** Overlay of the airway tree view: branches in the colours of their lobes, with names that do not overlap. */
 
 import type { BranchNode } from "../state/airways";
 import { pixelFromLps, type SeenGeometry } from "../state/projection";
@@ -7,7 +7,10 @@ import { INK, type Ink, line, type NamePlaces, type ScreenPoint } from "./ink";
 import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
 
-/** Right in oranges, left in blues, told apart by lightness too (as in the list). A colour never stands without names. */
+/**
+ * Lobe colours, as in the list: oranges on the right and blues on the left, which also differ in lightness. Names
+ * always accompany the colours.
+ */
 export const LOBE_COLOURS = {
   RUL: "#e69f00",
   RML: "#fdd49a",
@@ -17,17 +20,18 @@ export const LOBE_COLOURS = {
   LLL: "#3f7fd0",
 } as const;
 
-/** Of the rings across what a person drew, and of the gaps between them, CSS px. */
+/** Width of the rings on hand-drawn branches, and of the gaps between the rings, CSS px. */
 const RING_PX = 4;
-/** A name needs so much of the picture, CSS px squared: a small cell shows the large branches' names only. */
+/** Picture area per name, CSS px squared: a small view shows only the names of large branches. */
 const PX2_A_NAME = 4800;
 
+/** Draw the branches in the colours of their lobes. */
 export function paintLobes(ink: Ink, viewport: Viewport, geometry: SeenGeometry, scene: Scene): void {
   for (const node of scene.named) {
     const band = node.lobe === null ? null : bandOf(viewport, geometry, node);
     if (band !== null && node.lobe !== null) line(ink, band.points, LOBE_COLOURS[node.lobe], band.width, 0.5);
   }
-  // The tube of what a person drew is cast like any other: amber rings across it say that it is none.
+  // The renderer draws hand-drawn branches like any other tube; amber rings distinguish them.
   for (const node of scene.drawn) {
     const band = bandOf(viewport, geometry, node);
     if (band === null) continue;
@@ -48,7 +52,7 @@ export function paintLobes(ink: Ink, viewport: Viewport, geometry: SeenGeometry,
   }
 }
 
-/** A branch as a band as wide as its lumen. */
+/** Return a branch as a band of its lumen's width. */
 function bandOf(
   viewport: Viewport,
   geometry: SeenGeometry,
@@ -64,9 +68,9 @@ function bandOf(
 }
 
 /**
- * Names at the middle of their branches, large branches first; those of targets and stations are there before. A bronchus
- * in several pieces is named once. Names stand on the side away from the trachea: across the tree they would name the
- * airways of the other lung.
+ * Draw names at the middle of their branches, large branches first, after the names of targets and stations. A bronchus
+ * in several pieces is named once. The name is on the side away from the trachea, so that it does not cover the other
+ * lung's airways.
  */
 export function paintNames(
   ink: Ink,

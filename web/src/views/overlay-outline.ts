@@ -1,4 +1,4 @@
-/** Over slices and the cut-plane: what was found. The outline of the lumen, and the centreline of each branch near the plane. */
+/** Overlay of the airways on slices and the cut-plane: outline of the lumen, and the centrelines near the plane. */
 
 import type { BranchNode, BranchTree } from "../state/airways";
 import { isDoubtful } from "../state/branch-words";
@@ -12,19 +12,22 @@ import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
 
 const OUTLINE_PX = 1.25;
-/** Half way through the voxels of a thick slice another plane would have another outline. */
+/** Opacity of the outline on a thick slice, because the outline differs between the planes within the slab. */
 const SLAB_ALPHA = 0.6;
 const LINE_PX = 1.5;
-/** In a lumen so narrow the line is thinner, so that the lumen is seen beside it. */
+/** Radius of the lumen, px, below which the line is thinner, so that the lumen stays visible. */
 const NARROW_PX = 4;
-/** A centreline fades out over this distance from where it counts as lying in the plane. */
+/** Distance, mm, over which a centreline fades out beyond the plane. */
 const FADE_MM = 2;
 const ALPHAS = [1, 0.7, 0.45, 0.2] as const;
 const DOTTED: readonly number[] = [1, 3];
 const DOT_PX = { least: 1.25, most: 3, ofRadius: 0.25 } as const;
-/** A centreline that winds about the plane crosses it often: one dot says so. */
+/**
+ * Smallest distance, px, between dots at which a centreline crosses the plane; a winding centreline crosses it often.
+ */
 const DOTS_APART_PX = 8;
 
+/** Draw the outline of the lumen. */
 export function paintOutline(ink: Ink, viewport: Viewport, scene: Scene): void {
   const { header, outline } = viewport;
   if (!scene.outlineVisible || header === null) return;
@@ -48,21 +51,25 @@ export function paintOutline(ink: Ink, viewport: Viewport, scene: Scene): void {
   ink.restore();
 }
 
-/** The slab is shown in slices, not in every plane. */
+/** Return whether the picture is a thick slab; only slices can be. */
 const isThick = ({ header }: Viewport, scene: Scene): boolean =>
   header !== null && VIEWS[header.view].slab === "window" && scene.slab.thickness_mm > 0;
 
+/** Draw the centrelines near the plane. */
 export function paintCentrelines(ink: Ink, viewport: Viewport, geometry: FlatGeometry, scene: Scene): void {
   if (!scene.outlineVisible || scene.tree === null) return;
   const solidMm = solidWithin(geometry, viewport, scene);
   const normal = normalOf(geometry);
   for (const node of branchesNear(scene.tree, geometry.origin, normal, solidMm + FADE_MM)) {
-    // What a person drew is dashed, over all else, and hidden by no key.
+    // Hand-drawn branches are dashed, above everything else, and cannot be hidden.
     if (node.branch.kind === "tracked") paintBranch(ink, viewport, geometry, node, solidMm);
   }
 }
 
-/** A branch this far from the plane counts as lying in it: half a voxel across the plane, or half the slab. */
+/**
+ * Return the distance from the plane, mm, within which a branch counts as in the plane: half a voxel across the plane,
+ * or half the slab.
+ */
 function solidWithin(geometry: FlatGeometry, viewport: Viewport, scene: Scene): number {
   if (isThick(viewport, scene)) return scene.slab.thickness_mm / 2;
   const { grid } = scene;
@@ -133,7 +140,7 @@ function paintBranch(ink: Ink, viewport: Viewport, geometry: FlatGeometry, node:
   }
 }
 
-/** Which of the alphas a distance from the plane has; beyond them nothing is drawn. */
+/** Return the opacity level for a distance from the plane; beyond the last level nothing is drawn. */
 function levelOf(depthMm: number, solidMm: number): number {
   if (depthMm <= solidMm) return 0;
   return 1 + Math.floor(((depthMm - solidMm) / FADE_MM) * (ALPHAS.length - 1));

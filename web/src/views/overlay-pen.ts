@@ -1,10 +1,11 @@
-/** The tip of a tracked pen over the pictures, with the way's first words where the pen leads. */
+/** Overlay of the tip of a tracked pen, with the first line of the path's text if the path leads to the pen. */
 
 import { type Geometry, pixelFromLps } from "../state/projection";
 import { INK, type Ink, NamePlaces, penMark } from "./ink";
 import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
 
+/** Draw the tip of the pen. */
 export function paintPen(
   ink: Ink,
   viewport: Viewport,

@@ -1,4 +1,6 @@
-/** Over the outside pictures (tree, tri-plane, radiograph): the route, the targets and the tip as their camera sees them. */
+/**
+ * Overlay of the outside views (tree, tri-plane, radiograph): route, targets and tip, projected by the view's camera.
+ */
 
 import { carmWords } from "../state/format";
 import { axesOf, geometryOf, pixelFromLps, projectLine, type SeenGeometry } from "../state/projection";
@@ -30,9 +32,10 @@ import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
 import { paintWallMarks } from "./wall-marks";
 
-/** The length of the look arrow in the patient. */
+/** Length of the arrow of the viewing direction, mm. */
 const LOOK_MM = 12;
 
+/** Draw the overlay of an outside view. */
 export function paintSeen(ink: Ink, viewport: Viewport, scene: Scene): void {
   const { header } = viewport;
   if (header === null) return;
@@ -92,7 +95,7 @@ export function paintSeen(ink: Ink, viewport: Viewport, scene: Scene): void {
   paintCursorNote(ink, viewport, scene);
 }
 
-/** The planes' edges in their colours, with their names; the one that a drag would move is drawn stronger. */
+/** Draw the edges of the planes in their colours, with names; the plane that a drag would move is drawn stronger. */
 function paintPlanes(ink: Ink, viewport: Viewport, geometry: SeenGeometry, scene: Scene): void {
   const { grid, crosshair } = scene;
   if (grid === null || crosshair === null) return;
@@ -113,7 +116,7 @@ function paintPlanes(ink: Ink, viewport: Viewport, geometry: SeenGeometry, scene
   }
 }
 
-/** The C-arm's angles, as fluoroscopy writes them. */
+/** Draw the angles of the C-arm in the notation of fluoroscopy. */
 function paintAngles(ink: Ink, scene: Scene): void {
   carmWords(scene.carm).forEach((words, index) => {
     label(ink, words, { x: 7, y: 13 + 15 * index }, { size: 11, align: "left" });

@@ -1,4 +1,7 @@
-/** The airway tree over the pictures: what a person drew, what could not be followed, and the branch that is pointed at or chosen. */
+/**
+ * Overlay of the airway tree on pictures: hand-drawn branches, places that could not be followed, and the hovered or
+ * selected branch.
+ */
 
 import type { BranchNode } from "../state/airways";
 import { kindWords } from "../state/branch-words";
@@ -14,7 +17,9 @@ const DASH: readonly number[] = [5, 4];
 const FAINT = 0.3;
 const NAMED_FROM_PX = 300;
 
-/** Over slices and X-rays, and over what is seen from outside. `inPlane` tells from the depth what belongs to a slice. */
+/**
+ * Draw the tree on slices, X-rays and outside views. `inPlane` decides by the depth whether a point belongs to a slice.
+ */
 export function paintTree(
   ink: Ink,
   viewport: Viewport,
@@ -24,26 +29,26 @@ export function paintTree(
 ): void {
   const names = new NamePlaces();
   for (const place of scene.uncertain) paintUncertain(ink, viewport, geometry, asVec3(place.lps), inPlane);
-  // All pieces of the bronchus, as its one row of the list says.
+  // Draw all pieces of the bronchus, which the list shows as one row.
   for (const piece of scene.selected?.row ?? []) {
     if (piece !== scene.hovered?.node) paintNode(ink, viewport, geometry, piece, inPlane);
   }
   if (scene.hovered !== null) {
     const { node } = scene.hovered;
-    // A slice shows the lumen itself where its outline is on, and nothing lies over it.
+    // If the outline is visible, a slice already shows the lumen, so the band is not drawn.
     const cut = geometry.kind === "flat" && !inPlane(Number.MAX_VALUE);
     if (!(cut && scene.outlineVisible)) paintLumen(ink, viewport, geometry, node, inPlane);
     paintNode(ink, viewport, geometry, node, inPlane);
     const middle = node.branch.points[node.branch.points.length >> 1];
     const seen = middle === undefined ? null : pixelFromLps(geometry, asVec3(middle));
-    // In the picture under the cursor the name stands at the cursor.
+    // In the view under the cursor, the text at the cursor contains the name.
     if (seen !== null && scene.cursor?.view !== viewport.view && (geometry.kind === "seen" || inPlane(seen.depthMm))) {
       names.name(ink, node.label, viewport.screenAt(seen), INK.text, viewport.size);
     }
   }
 }
 
-/** What the tool in the hand would act on: amber, over the route as well. */
+/** Draw the object that the active tool would change: amber, above the route. */
 export function paintActedOn(
   ink: Ink,
   viewport: Viewport,
@@ -60,7 +65,7 @@ export function paintActedOn(
   if (scene.heldFork !== null) paintFork(ink, viewport, geometry, scene.heldFork, inPlane);
 }
 
-/** Bridges and what a person drew, over whatever else is drawn: amber, dashed, and called so. */
+/** Draw bridges and hand-drawn branches above all else: amber, dashed and labelled. */
 export function paintDrawn(
   ink: Ink,
   viewport: Viewport,
@@ -72,7 +77,7 @@ export function paintDrawn(
   for (const node of scene.drawn) paintDrawnBranch(ink, viewport, geometry, node, inPlane, names);
 }
 
-/** In the airway view: the opening of the branch that is pointed at. */
+/** Draw the opening of the hovered branch in the airway view. */
 export function paintTreeAhead(ink: Ink, viewport: Viewport, geometry: Geometry, scene: Scene): void {
   if (geometry.kind !== "seen") return;
   const node = scene.hovered?.node ?? null;
@@ -96,9 +101,10 @@ export function paintTreeAhead(ink: Ink, viewport: Viewport, geometry: Geometry,
   if (scene.cursor?.view !== LEAD_VIEW) label(ink, node.label, { x: at.x, y: at.y - radius - 9 }, { size: 12 });
 }
 
+/** Return the centreline points of a branch, LPS mm. */
 export const pointsOf = (node: BranchNode): Vec3[] => node.branch.points.map((point) => asVec3(point));
 
-/** Parts of a line that belong to the picture, in screen coordinates. */
+/** Return the parts of a line that belong to the picture, in screen coordinates. */
 function runsOf(
   viewport: Viewport,
   geometry: Geometry,
@@ -120,7 +126,7 @@ function runsOf(
   return runs;
 }
 
-/** The centreline of a branch; what a person drew is among `drawn`, and never a solid line. */
+/** Draw the centreline of a branch; hand-drawn branches are in `drawn` and never a solid line. */
 function paintNode(
   ink: Ink,
   viewport: Viewport,
@@ -140,7 +146,7 @@ function paintCentreline(
   inPlane: (depthMm: number) => boolean,
 ): void {
   if (geometry.kind === "flat") {
-    // What lies off the slice is there, but faint.
+    // Parts off the slice are drawn faintly.
     for (const run of projectLine(geometry, points)) {
       line(
         ink,
@@ -157,7 +163,7 @@ function paintCentreline(
   }
 }
 
-/** The lumen of a branch: a band as wide as it from outside, its cuts in a slice. */
+/** Draw the lumen of a branch: a band of its width in outside views, its cross-sections in a slice. */
 function paintLumen(
   ink: Ink,
   viewport: Viewport,
@@ -184,7 +190,7 @@ function paintLumen(
   ink.restore();
 }
 
-/** Half the width of a lumen in the picture, CSS px; 0 where a slice does not cut it. */
+/** Return half the width of a lumen in the picture, CSS px; 0 if the slice does not cut the lumen. */
 function chordPx(
   viewport: Viewport,
   geometry: Geometry,
@@ -195,7 +201,7 @@ function chordPx(
   if (geometry.kind === "seen") return ((radiusMm * geometry.focalPx) / seen.depthMm) * viewport.magnification;
   const perMm = viewport.magnification / Math.hypot(...geometry.perColumn);
   if (Math.abs(seen.depthMm) < radiusMm) return Math.sqrt(radiusMm ** 2 - seen.depthMm ** 2) * perMm;
-  // Seen through, as in an X-ray: whole.
+  // In a projection such as an X-ray the whole lumen is visible.
   return inPlane(Number.MAX_VALUE) ? radiusMm * perMm : 0;
 }
 
@@ -218,13 +224,13 @@ function paintDrawnBranch(
   ink.restore();
   const longest = runs.reduce<ScreenPoint[]>((best, run) => (run.length > best.length ? run : best), []);
   const middle = longest[longest.length >> 1];
-  // In a small slice the words would cover what they are about.
+  // In a small slice the text would cover the structure that it names.
   const hasRoom = geometry.kind === "seen" || viewport.size.width >= NAMED_FROM_PX;
   if (middle !== undefined && hasRoom)
     names.name(ink, kindWords(node.branch.kind) ?? "", middle, INK.warning, viewport.size);
 }
 
-/** A small amber ring with a gap: the airway goes on, but nobody knows where. */
+/** Draw a small amber ring with a gap at a place where the airway continues in an unknown direction. */
 function paintUncertain(
   ink: Ink,
   viewport: Viewport,

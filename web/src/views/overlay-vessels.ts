@@ -1,4 +1,4 @@
-/** Vessels round the airway tree, as lines: what lies in front hides what lies behind, and the airways hide both. */
+/** Overlay of vessels around the airway tree, as lines; near vessels hide far vessels, and airways hide both. */
 
 import { pixelFromLps, type SeenGeometry } from "../state/projection";
 import { asVec3, dot, sub, type Vec3 } from "../state/vec";
@@ -7,14 +7,14 @@ import { layerColour } from "./overlay-layers";
 import type { Scene, SceneLesion } from "./scene";
 import type { Viewport } from "./viewport";
 
-/** Strokes in so many depths, from far to near; far ones are fainter. */
+/** Number of depth levels of the strokes, from far to near; far strokes are fainter. */
 const NUM_DEPTHS = 8;
 const ALPHAS = [0.22, 0.7] as const;
-/** Widths that are drawn as one; a vessel is never thinner than the least line. */
+/** Step of the line widths, px; vessels of similar width are stroked together. */
 const WIDTH_STEP_PX = 0.5;
 const LEAST_PX = 0.75;
 
-/** Lines of one width and depth, which are stroked together. */
+/** Lines of equal width and depth, which are stroked together. */
 class Strokes {
   readonly #paths = new Map<string, { path: Path2D; depth: number; width: number; sure: boolean }>();
 
@@ -38,10 +38,10 @@ interface Kept {
   readonly of: readonly unknown[];
 }
 
-/** Of each viewport the last: while the tip moves, the camera of this picture stands still. */
+/** The last strokes of each viewport, valid until its camera moves; the camera of this view does not follow the tip. */
 const KEPT = new WeakMap<Viewport, Kept>();
 
-/** Round the airway tree: middle lines of vessels as wide as these. What is less sure is dashed and fainter. */
+/** Draw the centrelines of vessels in their width; uncertain vessels are dashed and fainter. */
 export function paintVessels(ink: Ink, viewport: Viewport, geometry: SeenGeometry, scene: Scene): void {
   if (scene.vessels.length === 0) {
     KEPT.delete(viewport);
@@ -112,7 +112,7 @@ function strokeVessels(ink: Ink, viewport: Viewport, geometry: SeenGeometry, sce
       ink.setLineDash(sure ? [] : [2, 2.5]);
       ink.stroke(path);
     }
-    // The airway is in the picture beneath.
+    // Erase the lines over the airways, because the airway picture is beneath the overlay.
     ink.globalCompositeOperation = "destination-out";
     ink.globalAlpha = 1;
     ink.setLineDash([]);
@@ -124,7 +124,7 @@ function strokeVessels(ink: Ink, viewport: Viewport, geometry: SeenGeometry, sce
   ink.restore();
 }
 
-/** What is a target is no vessel. */
+/** Return whether a point is inside a target; lines inside a target are not drawn as vessels. */
 function isInside({ centre, surface }: SceneLesion, point: Vec3): boolean {
   const [first] = surface.vertices;
   if (first === undefined) return false;

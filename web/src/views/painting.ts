@@ -1,17 +1,18 @@
-/** What was read of the scene for what is drawn over a picture: as long as that is the same, so is the drawing. */
+/** Record of the scene values that an overlay has read; the overlay is repainted only if one of them changes. */
 
 import type { Scene } from "./scene";
 
+/** Record of one painting of an overlay. */
 export class Painting {
   readonly #version: number;
   readonly #read = new Map<keyof Scene, unknown>();
 
-  /** Of a picture as it is now. */
+  /** Record the version of the picture. */
   constructor(of: { readonly version: number }) {
     this.#version = of.version;
   }
 
-  /** The scene for whoever paints; each part that is read is remembered. */
+  /** Return a proxy of the scene that records each value that is read. */
   watched(scene: Scene): Scene {
     return new Proxy(scene, {
       get: (target, key) => {
@@ -22,7 +23,7 @@ export class Painting {
     });
   }
 
-  /** Whether painting again would draw the same. */
+  /** Return whether repainting would draw the same. */
   holds(of: { readonly version: number }, scene: Scene): boolean {
     if (of.version !== this.#version) return false;
     for (const [key, value] of this.#read) if (!Object.is(scene[key], value)) return false;

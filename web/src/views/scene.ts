@@ -1,4 +1,4 @@
-/** What is drawn over the pictures, taken from the state once per repaint. */
+/** Contents of the overlays, computed from the state once per repaint. */
 
 import type { BranchNode, BranchTree } from "../state/airways";
 import { type AppState, type Cursor, crosshairLps, pathMm } from "../state/app-state";
@@ -20,6 +20,7 @@ import type { Carm, EditLine, PlansMessage, RouteInfo, Slab, UncertainPlace, Ves
 import type { PlaneName } from "../wire/views";
 import { type Shape, shapeOf } from "./outline";
 
+/** A target. */
 export interface SceneTarget {
   lps: Vec3;
   name: string;
@@ -36,67 +37,71 @@ export interface SceneLesion {
   chosen: boolean;
 }
 
+/** Contents of the overlays. */
 export interface Scene {
-  /** The newest pose, ahead of the pictures. */
+  /** Camera of the latest pose, which may be newer than the pictures. */
   tip: Camera | null;
-  /** Where the slices meet. */
+  /** Intersection of the slices, LPS mm. */
   crosshair: Vec3 | null;
   followsTip: boolean;
   route: RouteInfo | null;
-  /** The parts of it that the CT shows: a solid line. The others are among `drawn`, dashed. */
+  /** Parts of the route that the CT shows, drawn as a solid line. The other parts are in `drawn` and dashed. */
   routeRuns: readonly (readonly Vec3[])[];
   routeLineVisible: boolean;
-  /** Outline of the lumen and centrelines in slices and the cut-plane. */
+  /** Whether slices and the cut-plane show the lumen outline and the centrelines. */
   outlineVisible: boolean;
-  /** Of what was mapped round the targets, what is switched off. */
+  /** Layers around the targets that the user has hidden. */
   hiddenLayers: readonly ShownLayer[];
   stations: readonly SeenStation[];
-  /** Middle lines of vessels, where they are shown. */
+  /** Centrelines of vessels, if they are visible. */
   vessels: readonly VesselLine[];
   tree: BranchTree | null;
   pathMm: number | null;
   targets: readonly SceneTarget[];
   lesions: readonly SceneLesion[];
-  /** The last leg of the route, from the scope's tip into the target, and how far the tip has still to go there. */
+  /** Needle path from the scope's tip into the target, and the distance between the tip and the parking position. */
   needle: { tip: Vec3; aim: Vec3; toGoMm: number | null } | null;
   root: Vec3 | null;
-  /** Where a path begins that is searched through any scan, while such paths are chosen. */
+  /** Start of a path search through the whole scan, while that cost function is selected. */
   start: Vec3 | null;
   airwayShape: Shape;
-  /** The volume's box. */
+  /** Box of the volume. */
   grid: Grid | null;
   carm: Carm;
   slab: Slab;
   /** The plane of the tri-plane view under the cursor. */
   overPlane: PlaneName | null;
-  /** Clicked points of the wall, newest last. */
+  /** Clicked points of the wall, oldest first. */
   wallPoints: readonly Vec3[];
-  /** Branches that the CT does not show: bridges, and what a person drew. */
+  /** Branches that the CT does not show: bridges and hand-drawn branches. */
   drawn: readonly BranchNode[];
-  /** Branches of a known lobe. */
+  /** Branches with a known lobe. */
   named: readonly BranchNode[];
-  /** Branches with an anatomical name or a person's, large ones first. */
+  /** Branches with a name (anatomical or by the user), large branches first. */
   titled: readonly BranchNode[];
-  /** Where the first branch, as a rule the trachea, ends. */
+  /** End of the first branch, usually the trachea. */
   trunkEnd: Vec3 | null;
   uncertain: readonly UncertainPlace[];
-  /** The branch that is pointed at. */
+  /** The branch under the cursor. */
   hovered: { node: BranchNode; place: TreePlace | null } | null;
   selected: BranchNode | null;
-  /** The branch that the tip is in. */
+  /** The branch that contains the tip. */
   hereId: number | null;
-  /** What a cut under the cursor would take away, or smoothing would change. */
+  /** Lines that a cut at the cursor would remove, or smoothing would change. */
   doomed: readonly (readonly Vec3[])[];
-  /** The fork that is being moved, or that a click would take hold of. */
+  /** The fork that is being moved, or that a click would select. */
   heldFork: Vec3 | null;
-  /** What a click would make, or what is asked about; faint where the cursor is elsewhere by now. */
+  /** Preview of an edit or of a question; faint while the answer is for an earlier cursor position. */
   preview: { runs: readonly PreviewRun[]; faint: boolean } | null;
-  /** The way to the cursor; leaves the tree at a point of its own. */
+  /** Path to the cursor, with the index of the point at which it leaves the tree. */
   live: { points: readonly Vec3[]; leavesAt: number } | null;
-  /** The tip of the tracked pen, while its button marks it or the scope follows it, and what is said there: the first that there is room for. */
+  /**
+   * Tip of the tracked pen, while its button marks the tip or the scope follows it, and its text; the first text that
+   * fits is drawn.
+   */
   pen: { lps: Vec3; words: readonly string[] } | null;
   cursor: Cursor | null;
-  /** What is said at the cursor. */
+  /** Text at the cursor. */
   note: { lines: readonly string[]; warns: boolean } | null;
   brush: { radiusMm: number; erase: boolean } | null;
   stroke: readonly Vec3[];
@@ -154,7 +159,7 @@ function endOf(tree: BranchTree | null): Vec3 | null {
   return point === undefined ? null : asVec3(point);
 }
 
-/** What is pointed at, and what is in the hand. */
+/** Return the hovered and selected objects, and those of the active tool. */
 function pointedAt(
   state: AppState,
 ): Pick<
@@ -198,7 +203,7 @@ function pointedAt(
   }
   const node = ui.hovered === null ? undefined : tree?.byId.get(ui.hovered.branchId);
   const hovered = node === undefined || ui.hovered === null ? null : { node, place: ui.hovered.place };
-  // The route's end is no choice of its own: its line is drawn already.
+  // The end of the route is not a selection, because the route line already shows it.
   const selected = ui.selected === null ? null : (tree?.byId.get(ui.selected) ?? null);
   const meant =
     tree !== null && ui.armed === "fork" && hovered !== null
@@ -228,9 +233,9 @@ function actedOn(armed: Armed | null, node: BranchNode, alongMm: number): Vec3[]
 
 function noteOf(state: AppState, hovered: BranchNode | null): Scene["note"] {
   const { ui, livePath, preview, doubt } = state;
-  // The question stands at the tool.
+  // The text of the question is shown beside the tool.
   if (doubt !== null) return null;
-  // It is said at the pen.
+  // The text is shown at the pen.
   if (ui.penLeads) return null;
   if (previewTool(ui.armed, ui.forkHeld !== null) !== null) return preview === null ? null : previewWords(preview);
   if (wantsPath(ui.armed)) return livePath === null ? null : livePathLines(livePath.answer);
@@ -254,7 +259,7 @@ function branchLine(node: BranchNode): string {
   return lumen === null ? node.label : `${node.label}, ${mm(lumen)}`;
 }
 
-/** What is known of a way, and the same in fewer words. */
+/** Return the text about a path in a long and a shorter form. */
 function shorter({ answer }: LiveAnswer): string[] {
   const { lines } = livePathLines(answer);
   const length = answer.length_mm === null ? "no path" : mm(answer.length_mm, 0);
@@ -287,7 +292,7 @@ function shownRuns(route: RouteInfo | null): readonly (readonly Vec3[])[] {
 
 let last: Scene | null = null;
 
-/** Parts that are made anew each time but say the same stay the same objects: whoever drew from them need not again. */
+/** Return the scene. Parts with equal contents stay the same objects, so that overlays need no repaint. */
 export function sceneOf(state: AppState): Scene {
   const made = madeOf(state);
   const before = last;
@@ -322,7 +327,7 @@ const MADE = [
   "slab",
 ] as const satisfies readonly (keyof Scene)[];
 
-/** Lists and plain objects by what is in them, to the depth that a scene's small parts have; others by identity. */
+/** Compare lists and plain objects by content to a limited depth, other values by identity. */
 function isSame(a: unknown, b: unknown, depth = 3): boolean {
   if (Object.is(a, b)) return true;
   if (depth === 0 || typeof a !== "object" || typeof b !== "object" || a === null || b === null) return false;
@@ -332,7 +337,7 @@ function isSame(a: unknown, b: unknown, depth = 3): boolean {
   return keys.every((key) => isSame(Reflect.get(a, key), Reflect.get(b, key), depth - 1));
 }
 
-/** What has more is long to compare, and does not come anew with every move. */
+/** Number of elements above which lists are compared by identity: long lists are slow to compare and rarely change. */
 const MOST_PARTS = 64;
 
 function madeOf(state: AppState): Scene {

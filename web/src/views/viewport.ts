@@ -1,4 +1,7 @@
-/** One picture on the screen: a canvas for the pixels, one for what is drawn over them, and the way between both. */
+/**
+ * One view on the screen: a canvas for the picture, a canvas for the overlay, and the conversion between their
+ * coordinates.
+ */
 
 import type { PixelPoint } from "../state/projection";
 import type { PictureHeader, ViewName } from "../wire/messages";
@@ -9,21 +12,22 @@ import { type DrawnLayer, drawnLayers } from "./layer-path";
 import { clipPathOf, type Shape } from "./outline";
 import { outlinePath } from "./outline-path";
 
-/** The wire's smallest and largest picture side. */
+/** Smallest and largest picture side on the wire, px. */
 const MIN_SIDE_PX = 16;
-/** Room for the letters round a round picture, CSS px. */
+/** Space for the letters around a round picture, CSS px. */
 export const RING_PX = 26;
 
+/** One view on the screen. */
 export class Viewport {
   readonly host: HTMLElement;
   readonly picture: HTMLCanvasElement;
   readonly overlay: HTMLCanvasElement;
   header: PictureHeader | null = null;
-  /** Of the lumen, in pixels of the picture shown. */
+  /** Outline of the lumen, in pixels of the displayed picture. */
   outline: Path2D | null = null;
-  /** What was mapped round the targets, in this picture. */
+  /** Layers of the displayed picture. */
   layers: readonly DrawnLayer[] = [];
-  /** Changes with all of it but what is drawn over the picture. */
+  /** Number that changes with the picture, its size or its shape, but not with the overlay. */
   version = 0;
   #view: ViewName;
   #shape: Shape;
@@ -39,7 +43,7 @@ export class Viewport {
     this.overlay = document.createElement("canvas");
     this.overlay.className = "overlay";
     this.overlay.setAttribute("aria-hidden", "true");
-    // What a browser lost while it slept is drawn again.
+    // The browser may discard a canvas in the background; it is painted again on return.
     this.overlay.addEventListener("contextrestored", () => {
       this.version += 1;
     });
@@ -55,7 +59,7 @@ export class Viewport {
     return this.#shape;
   }
 
-  /** Another view in the same place; the old picture must not pose as the new one. */
+  /** Show another view in the same place; the old picture is cleared, so that it is not mistaken for the new view. */
   show(view: ViewName, shape: Shape): void {
     const changed = view !== this.#view;
     this.#view = view;
@@ -83,7 +87,7 @@ export class Viewport {
     this.#place();
   }
 
-  /** Where the picture lies in the host, CSS px. */
+  /** Position of the picture in the host element, CSS px. */
   get frame(): Rect {
     const { width, height } = this.#hostSize;
     if (this.#shape === "fill") return { x: 0, y: 0, width, height };
@@ -100,7 +104,7 @@ export class Viewport {
     return this.#hostSize;
   }
 
-  /** What to ask of the server, device pixels; null while there is no room for a picture. */
+  /** Picture size to request from the server, device pixels; null without space for a picture. */
   get wantedPixels(): { width: number; height: number } | null {
     const { width, height } = this.frame;
     const scale = Math.min(this.#ratio, VIEWS[this.#view].max_px / Math.max(width, height, 1));
@@ -122,7 +126,7 @@ export class Viewport {
     this.layers = drawnLayers(layers);
     const { width, height } = this.picture;
     const fit = fitInside(header, width, height);
-    // A picture of other proportions only comes while a cell changes its size; the rest must not show an older one.
+    // While a cell changes its size, pictures of other proportions arrive; the rest must not show an older picture.
     if (fit.width < width || fit.height < height) ink.clearRect(0, 0, width, height);
     ink.imageSmoothingEnabled = true;
     ink.imageSmoothingQuality = "high";
@@ -130,7 +134,7 @@ export class Viewport {
     this.#describe();
   }
 
-  /** From a place in the host (CSS px) to picture coordinates. */
+  /** Convert a place in the host element (CSS px) to picture coordinates. */
   pixelAt(at: ScreenPoint): PixelPoint | null {
     if (this.header === null) return null;
     const place = this.#pictureOnHost(this.header);
@@ -154,7 +158,7 @@ export class Viewport {
     return this.header === null ? 1 : this.#pictureOnHost(this.header).width / this.header.width;
   }
 
-  /** A cleared overlay in CSS px. */
+  /** Return the cleared overlay canvas with coordinates in CSS px; null if there is none. */
   ink(): Ink | null {
     const ink = this.overlay.getContext("2d");
     if (ink === null) return null;
@@ -177,7 +181,7 @@ export class Viewport {
 
   #place(): void {
     const frame = this.frame;
-    // Behind a picture that is full: what it showed is kept, not shrunk to one pixel, until it is seen again.
+    // A view hidden behind an enlarged one keeps its picture until it is visible again.
     if (frame.width < 1 || frame.height < 1) return;
     const { style } = this.picture;
     style.left = `${frame.x}px`;
@@ -188,12 +192,12 @@ export class Viewport {
     const width = Math.max(Math.round(frame.width * this.#ratio), 1);
     const height = Math.max(Math.round(frame.height * this.#ratio), 1);
     if (this.picture.width === width && this.picture.height === height) return;
-    // Changing a canvas's size empties it: the last picture is kept until the new one comes, scaled.
+    // A change of a canvas's size clears it, so the last picture is copied and scaled until the next one arrives.
     const kept = this.header === null ? null : copyOf(this.picture);
     this.picture.width = width;
     this.picture.height = height;
     if (kept !== null && this.header !== null) {
-      // By the picture's proportions, not the old canvas's: what is drawn over it goes by those.
+      // Use the picture's proportions, as the overlay does, and not those of the old canvas.
       const from = fitInside(this.header, kept.width, kept.height);
       const to = fitInside(this.header, width, height);
       this.picture
@@ -202,7 +206,7 @@ export class Viewport {
     }
   }
 
-  /** For browser tests: what this canvas shows. */
+  /** Write the state of this canvas to data attributes, for browser tests. */
   #describe(): void {
     const { dataset } = this.picture;
     dataset.view = this.#view;
@@ -210,14 +214,14 @@ export class Viewport {
     dataset.frameId = this.header === null ? "" : String(this.header.frame_id);
     dataset.poseId = this.header === null ? "" : String(this.header.pose_id);
     dataset.full = this.header === null ? "" : String(this.header.full);
-    // Empty unless another picture stands in for the view.
+    // Empty unless another picture replaces the view's picture.
     dataset.shows = this.header === null || this.header.stands_for === null ? "" : this.header.view;
   }
 }
 
 function fitInside(of: { width: number; height: number }, width: number, height: number): Rect {
   const scale = Math.min(width / of.width, height / of.height);
-  // Pixel rounding of the same proportions must not leave a hairline.
+  // A rounding error of the same proportions must not leave a thin line.
   const near = Math.abs(width / of.width - height / of.height) < 0.02 * scale;
   const fitted = near ? { width, height } : { width: of.width * scale, height: of.height * scale };
   return { x: (width - fitted.width) / 2, y: (height - fitted.height) / 2, ...fitted };

@@ -1,4 +1,4 @@
-/** Marks at clicked points of the airway wall, fixed to the patient, in every kind of picture. */
+/** Marks at clicked points of the airway wall, at fixed patient positions, in all views. */
 
 import { mm } from "../state/format";
 import { type Geometry, pixelFromLps } from "../state/projection";
@@ -7,17 +7,19 @@ import { INK, type Ink, label, line, type ScreenPoint } from "./ink";
 import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
 
-/** Further away than this a wall point of the airway view most likely lies behind another wall. */
+/** Distance, mm, beyond which a wall point in the airway view is most likely behind another wall. */
 const FAR_MM = 60;
 const FAINT = 0.35;
 const ARM_PX = 6;
-/** Nearer together than this, a label would cover the marks. */
+/** Distance between two marks, px, below which a label would cover them. */
 const LABEL_FROM_PX = 70;
-/** In a smaller cell the marks are smaller too. */
+/** Size of a view, px, below which the marks are smaller. */
 const SMALL_CELL_PX = 400;
 const GAP_PX = 2.5;
 
-/** `isNear` tells from the depth behind a plane, or before a camera, whether a point belongs to what is shown. */
+/**
+ * Draw the marks. `isNear` decides by the depth (behind a plane, or in front of a camera) whether a point is visible.
+ */
 export function paintWallMarks(
   ink: Ink,
   viewport: Viewport,
@@ -46,7 +48,7 @@ export function paintWallMarks(
   }
 }
 
-/** A cross that leaves its middle free; the newest one has a ring. */
+/** Draw a cross with a free middle; the latest one has a ring. */
 function wallMark(ink: Ink, at: ScreenPoint, alpha: number, newest: boolean, size: number): void {
   for (const [colour, width] of [
     [INK.halo, 4],

@@ -1,4 +1,7 @@
-/** All pictures on the screen: hands each its frames, repaints what is drawn over them, tells the server what is visible. */
+/**
+ * All views on the screen: distributes received pictures, repaints overlays, and reports the visible views to the
+ * server.
+ */
 
 import type { PictureHeader, ViewName, ViewSize } from "../wire/messages";
 import type { WireLayer } from "../wire/parse";
@@ -12,15 +15,17 @@ import { Painting } from "./painting";
 import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
 
+/** Page functions that {@link Wall} uses; tests supply fakes. */
 export interface WallHooks {
   scene(): Scene;
   layoutChanged(views: ViewSize[]): void;
-  /** Whether anybody sees the pictures: those of a window in the background are not asked for. */
+  /** Return whether the window is visible; a window in the background requests no pictures. */
   isSeen(): boolean;
-  /** Runs a task at the next screen refresh. */
+  /** Run a task at the next display refresh. */
   nextRefresh(task: () => void): void;
 }
 
+/** All views on the screen. */
 export class Wall {
   readonly #viewports = new Set<Viewport>();
   readonly #hooks: WallHooks;
@@ -57,7 +62,7 @@ export class Wall {
     const viewport = this.find(header.stands_for ?? header.view);
     if (viewport === null) return false;
     viewport.draw(header, image, outline, layers);
-    // At once: the outline of one picture is never seen over another.
+    // Paint immediately, so that the outline of one picture never appears over another.
     if (outline !== null || layers.length > 0) this.#paint(viewport, this.#hooks.scene());
     this.touch();
     return true;
@@ -73,7 +78,7 @@ export class Wall {
     this.touch();
   }
 
-  /** Something that is drawn over the pictures has changed. */
+  /** Schedule a repaint, because the contents of an overlay have changed. */
   touch(): void {
     if (this.#repaintDue) return;
     this.#repaintDue = true;
@@ -84,7 +89,7 @@ export class Wall {
     });
   }
 
-  /** Only what has changed: most of what happens, such as the cursor's moves, concerns one picture. */
+  /** Repaint a view only if something it shows has changed; most events, such as cursor movement, concern one view. */
   #paint(viewport: Viewport, scene: Scene): void {
     const seen = sceneIn(viewport, scene);
     if (this.#painted.get(viewport)?.holds(viewport, seen) === true) return;
@@ -102,7 +107,7 @@ export class Wall {
     });
   }
 
-  /** Tells the server what is visible; `again` also where nothing changed, for a new connection. */
+  /** Report the visible views to the server; with `again` also without a change, for a new connection. */
   tellLayout(again: boolean): void {
     const views: ViewSize[] = [];
     for (const viewport of this.#hooks.isSeen() ? this.#viewports : []) {
@@ -116,16 +121,16 @@ export class Wall {
   }
 }
 
-/** Whether there was anything to paint on. */
+/** Paint an overlay; return false if there was no canvas. */
 function paint(viewport: Viewport, scene: Scene): boolean {
   const ink = viewport.ink();
   if (ink === null) return false;
-  // What the picture shows decides, not the place that it is in: the view finder is a cut-plane in the airway's place.
+  // The displayed picture selects the overlay, because a cut-plane may replace the airway view in its place.
   PAINTERS[VIEWS[viewport.header?.view ?? viewport.view].overlay](ink, viewport, scene);
   return true;
 }
 
-/** The cursor is in one picture, and concerns no other. */
+/** Return the scene for one view; only the view under the cursor receives the cursor. */
 function sceneIn(viewport: Viewport, scene: Scene): Scene {
   return scene.cursor === null || scene.cursor.view === viewport.view ? scene : { ...scene, cursor: null };
 }

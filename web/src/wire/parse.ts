@@ -1,15 +1,16 @@
 /**
- * Reads what the server sends, and refuses whatever the schema does not promise: a fault in a message must not become a
- * wrong picture. The rules are those of `protocol/schema.json`, which both languages share.
+ * Parser of the server's messages. It rejects everything that violates `protocol/schema.json`, which both languages
+ * share, because a defective message must not cause a wrong picture.
  */
 
 import schemaJson from "../../../protocol/schema.json";
 import type { ClientMessage, PictureHeader, PictureLayer, ServerMessage, ToPhoneMessage } from "./messages";
 import { clientProblem, doubledKey, layersOf, pictureProblem } from "./second-checks";
 
+/** The error of a message that violates the protocol. */
 export class WireError extends Error {}
 
-/** The part of JSON Schema that the generator writes. */
+/** The part of JSON Schema that the schema generator uses. */
 interface Schema {
   readonly $ref?: string;
   readonly const?: unknown;
@@ -41,7 +42,7 @@ function resolve(schema: Schema): Schema {
   return schema.$ref === undefined ? schema : definition(schema.$ref.replace("#/$defs/", ""));
 }
 
-/** The first thing wrong with a value, in words, or null where it is as promised. */
+/** Return the first violation of a schema as text, or null for a valid value. */
 function problem(given: Schema, value: unknown, where: string): string | null {
   const schema = resolve(given);
   if (schema.const !== undefined) return value === schema.const ? null : `${where} must be ${String(schema.const)}`;
@@ -83,7 +84,7 @@ function numberProblem(schema: Schema, value: unknown, where: string): string | 
 
 function stringProblem(schema: Schema, value: unknown, where: string): string | null {
   if (typeof value !== "string") return `${where} must be text`;
-  // Counted in code points, as Python does.
+  // Count code points, as Python does.
   const count = schema.minLength === undefined && schema.maxLength === undefined ? 0 : [...value].length;
   if (schema.minLength !== undefined && count < schema.minLength) return `${where} is too short`;
   if (schema.maxLength !== undefined && count > schema.maxLength) return `${where} is too long`;
@@ -125,7 +126,7 @@ function objectProblem(schema: Schema, value: unknown, where: string): string | 
   return null;
 }
 
-/** Definition name by wire type, for one direction. */
+/** Return the definition of each message type of one direction. */
 function byType(union: string): ReadonlyMap<unknown, Schema> {
   return new Map(
     (definition(union).oneOf ?? []).map((choice) => {
@@ -162,43 +163,47 @@ function parseJson(text: string): unknown {
   }
 }
 
+/** Parse a message of the server; throw a {@link WireError} if it violates the schema. */
 export function parseServerMessage(text: string): ServerMessage {
   return parseMessage(SERVER_TYPES, text) as ServerMessage;
 }
 
-/** The same rules for the other direction: what this client sends must be what the server reads. */
+/** Check a message of this client by the schema; throw a {@link WireError} if it violates the schema. */
 export function checkClientMessage(text: string): void {
   const found = clientProblem(parseMessage(CLIENT_TYPES, text) as ClientMessage);
   if (found !== null) throw new WireError(found);
 }
 
-/** What the server tells the page for a phone. */
+/** Parse a message of the server to the phone page. */
 export function parseToPhone(text: string): ToPhoneMessage {
   return parseMessage(TO_PHONE_TYPES, text) as ToPhoneMessage;
 }
 
+/** Check a message of the phone page by the schema. */
 export function checkPhoneMessage(text: string): void {
   parseMessage(PHONE_TYPES, text);
 }
 
-/** A header longer than this lies about its length. */
+/** Largest accepted header length; a larger value is invalid. */
 const MAX_HEADER_BYTES = 65_536;
 
+/** A received picture. */
 export interface WirePicture {
   readonly header: PictureHeader;
   readonly payload: Uint8Array<ArrayBuffer>;
-  /** The lines of its outline, as the wire has them; null where it has none. */
+  /** Lines of the lumen outline in the wire's encoding; null if the picture has none. */
   readonly outline: Uint8Array<ArrayBuffer> | null;
-  /** The lines of what was mapped round the targets. */
+  /** Lines of the structures around the targets. */
   readonly layers: readonly WireLayer[];
 }
 
+/** A received layer. */
 export interface WireLayer {
   readonly header: PictureLayer;
   readonly bytes: Uint8Array<ArrayBuffer>;
 }
 
-/** Splits one binary message: u32 little-endian header length, JSON header, payload. */
+/** Split a binary message: header length (u32, little-endian), JSON header, payload. */
 export function parsePicture(data: ArrayBuffer): WirePicture {
   if (data.byteLength < 4) throw new WireError("an image message is truncated: it ends within its header");
   const headerBytes = new DataView(data).getUint32(0, true);

@@ -1,12 +1,14 @@
-/** What no schema can say: the "second checks" of `protocol/README.md`. */
+/** Checks that a schema cannot express: the "second checks" of `protocol/README.md`. */
 
 import type { AskEditPreviewMessage, AskLivePathMessage, ClientMessage, PictureHeader, PictureLayer } from "./messages";
 
-/** A key that stands twice in one object of a JSON text, or null. `JSON.parse` would silently keep the last. */
+/**
+ * Return a key that occurs twice in one object of a JSON text, or null. `JSON.parse` would silently use the last value.
+ */
 export function doubledKey(text: string): string | null {
   const objects: (Set<string> | null)[] = [];
   let index = 0;
-  /** In an object, a string is a key if it comes after `{` or `,`. */
+  /** Whether the next string is a key: in an object, a string after `{` or `,` is a key. */
   let keyDue = false;
   while (index < text.length) {
     const char = text[index];
@@ -39,13 +41,14 @@ export function doubledKey(text: string): string | null {
   return null;
 }
 
-/** One past the closing quote of the string that begins at `start`; the text is known to be JSON. */
+/** Return the index after the closing quote of the string that begins at `start`, in a valid JSON text. */
 function endOfString(text: string, start: number): number {
   let index = start + 1;
   while (index < text.length && text[index] !== '"') index += text[index] === "\\" ? 2 : 1;
   return index + 1;
 }
 
+/** Return a violation of the second checks in a client message as text, or null. */
 export function clientProblem(message: ClientMessage): string | null {
   switch (message.type) {
     case "layout":
@@ -82,7 +85,7 @@ export function clientProblem(message: ClientMessage): string | null {
   }
 }
 
-/** A point, or all of a place in a picture. */
+/** Return a violation in a message that must contain either a point or a complete picture place, or null. */
 function placeProblem(message: AskLivePathMessage | AskEditPreviewMessage): string | null {
   const inPicture = [message.frame_id, message.column, message.row].filter((part) => part !== null).length;
   return inPicture === (message.lps === null ? 3 : 0) ? null : `${message.type} needs a point or a place in a picture`;
@@ -91,7 +94,10 @@ function placeProblem(message: AskLivePathMessage | AskEditPreviewMessage): stri
 const PNG_MAGIC = [0x89, 0x50, 0x4e, 0x47];
 const JPEG_MAGIC = [0xff, 0xd8, 0xff];
 
-/** The payload must begin as its codec does, and end with whole lines of the outline. */
+/**
+ * Return a violation in a picture's payload: the payload must begin with its codec's signature and end with complete
+ * outline lines.
+ */
 export function pictureProblem(header: PictureHeader, payload: Uint8Array): string | null {
   const magic = header.codec === "png" ? PNG_MAGIC : JPEG_MAGIC;
   if (!magic.every((byte, index) => payload[index] === byte))
@@ -110,7 +116,7 @@ export function pictureProblem(header: PictureHeader, payload: Uint8Array): stri
   return null;
 }
 
-/** A server of before sends none. */
+/** Return the layers of a picture; none from an older server. */
 export const layersOf = (header: PictureHeader): readonly PictureLayer[] => header.layers ?? [];
 
 function linesProblem(payload: Uint8Array, end: number, numBytes: number): string | null {

@@ -9,6 +9,7 @@ import { MaskPicker } from "../MaskImport";
 import { PenWords } from "../ToolTag";
 import { Threshold } from "./Threshold";
 
+/** Render the Airways step. */
 export function AirwaysStep() {
   const station = useStation();
   const session = useApp((state) => state.session);
@@ -67,7 +68,7 @@ export function AirwaysStep() {
   );
 }
 
-/** Where the search begins, and what it takes for air. */
+/** Render the root and the air threshold of the search. */
 function Root() {
   const station = useStation();
   const rootLps = useApp((state) => state.session?.root_lps ?? null);

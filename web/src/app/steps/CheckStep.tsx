@@ -25,6 +25,7 @@ const SLABS = [
 type SlabName = (typeof SLABS)[number]["value"];
 const NO_BADGES: readonly CaseNote[] = [];
 
+/** Render the Check step. */
 export function CheckStep() {
   const station = useStation();
   const info = useApp((state) => state.session?.case ?? null);

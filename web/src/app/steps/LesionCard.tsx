@@ -1,4 +1,4 @@
-/** A target with a size: what it is, how large, what a person says of it, and the way to it. */
+/** Card of a target with a size: its kind, its dimensions, the user's description, and the path to the target. */
 
 import { useId, useState } from "react";
 import { Input, Label, TextArea, TextField } from "react-aria-components";
@@ -10,6 +10,7 @@ import { useApp, useStation } from "../context";
 import { Act, Choice, SwitchKey } from "../controls";
 import { Icon } from "../icons";
 
+/** Render the card of a target with a size. */
 export function LesionCard({ target }: { target: Target }) {
   const station = useStation();
   const plan = useApp((state) => planOf(state.plans, target.target_id));
@@ -91,7 +92,7 @@ export function LesionCard({ target }: { target: Target }) {
   );
 }
 
-/** Typed in place: Enter in the name keeps it, Esc leaves it as it was. */
+/** Render the description as editable fields: Enter in the name saves it, Escape restores it. */
 function Describe({ target, onDone }: { target: Target; onDone: () => void }) {
   const station = useStation();
   const hint = useId();
@@ -171,7 +172,7 @@ function Describe({ target, onDone }: { target: Target; onDone: () => void }) {
   );
 }
 
-/** The boundary by hand: a diameter, or a brush; and what in it is aimed at. */
+/** Render the manual changes of the boundary (a diameter, or a brush) and the aim point. */
 function Boundary({ target, plan }: { target: Target; plan: TargetPlan }) {
   const station = useStation();
   const armed = useApp((state) => (state.ui.brushedTarget === target.target_id ? state.ui.armed : null));

@@ -1,4 +1,4 @@
-/** What lies round the target, and where an instrument gets: asked for here, switched on and off here. */
+/** Panel of the structures around the target and the reach of an instrument: buttons to compute, show and hide them. */
 
 import { sentence } from "../../state/format";
 import { layerRows } from "../../state/lungs";
@@ -7,6 +7,7 @@ import { useApp, useStation } from "../context";
 import { Act, SwitchKey } from "../controls";
 import { Icon } from "../icons";
 
+/** Render the panel of the structures around the target. */
 export function LungsPanel({ scope, tool }: { scope: string; tool: string }) {
   const station = useStation();
   const lungs = useApp((state) => state.lungs);
@@ -93,7 +94,7 @@ export function LungsPanel({ scope, tool }: { scope: string; tool: string }) {
   );
 }
 
-/** The colour in the pictures. */
+/** Render the colour of a layer. */
 function Swatch({ colour }: { colour: string }) {
   return <span className="swatch" aria-hidden="true" style={{ background: colour }} />;
 }

@@ -4,6 +4,7 @@ import { Act } from "../controls";
 import { MaskPicker } from "../MaskImport";
 import { PathForm, Pickers } from "../StartPage";
 
+/** Render the Open step. */
 export function OpenStep() {
   const station = useStation();
   const info = useApp((state) => state.session?.case ?? null);

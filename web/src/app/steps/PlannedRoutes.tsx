@@ -1,4 +1,4 @@
-/** The routes to a target side by side, what instruments can do on the one that is taken, and the plan to print. */
+/** Comparison of the routes to a target, the verdicts of instruments on the selected route, and the printable plan. */
 
 import { useState } from "react";
 import { Button } from "react-aria-components";
@@ -11,6 +11,7 @@ import { Act } from "../controls";
 import { Icon } from "../icons";
 import type { PlanSuffix } from "../workstation";
 
+/** Render the planned routes of a target. */
 export function PlannedRoutes({ target, plan }: { target: Target; plan: TargetPlan }) {
   const plans = useApp((state) => state.plans);
   const chosen = plan.chosen === null ? null : (plan.routes[plan.chosen - 1] ?? null);
@@ -177,7 +178,7 @@ function Options({ target, plan }: { target: Target; plan: TargetPlan }) {
   );
 }
 
-/** A number that may be left out; kept when the field is left or Enter is pressed. */
+/** Render an optional number, saved when the field loses focus or on Enter. */
 function Millimetres({
   title,
   value,
@@ -302,7 +303,10 @@ const PLAN_FILES: readonly [PlanSuffix, string, string][] = [
   [".seg.nrrd", "Segmentation", "The target as a segmentation for 3D Slicer"],
 ];
 
-/** Fork by fork; a click puts the tip where the fork is seen from, so that the picture tells the same hour. */
+/**
+ * Render the list of turns; a click moves the tip to the viewpoint of the fork, so that the view shows the same clock
+ * hour.
+ */
 function Turns({ plans }: { plans: PlansMessage }) {
   const station = useStation();
   const operator = useApp((state) => state.look.operator);
@@ -378,7 +382,7 @@ const ARCHIVE_FILES: readonly [PlanSuffix, string, string][] = [
   [".pdf.dcm", "PDF", "The report as a PDF in a DICOM file"],
 ];
 
-/** DICOM refers to the CT's images: where their folder is not known, it says what is missing. */
+/** Render the export to DICOM, which refers to the CT's images; if their folder is unknown, state what is missing. */
 function Archive({ target }: { target: Target }) {
   const station = useStation();
   const problem = useApp((state) => state.plans?.dicom_problem ?? null);

@@ -8,6 +8,7 @@ import { FlightList, RecordSwitch } from "../FlightList";
 import { Icon } from "../icons";
 import { ScopeSelect } from "../ScopeSelect";
 
+/** Render the Rehearse step. */
 export function RehearseStep() {
   const station = useStation();
   const route = useApp((state) => state.route);
@@ -26,9 +27,10 @@ export function RehearseStep() {
   }
   const scope = scopes?.find((each) => each.name === name) ?? null;
   const begin = (fromMm: number | null) => {
-    // Out of the mode and in again: the scope is laid anew, and its contacts are counted from nought.
+    // Leave and re-enter the mode: the simulated scope restarts, and its contact count is reset to 0.
     station.send({ type: "set_mode", mode: "path" });
-    // At once, not with the next frame as station.goTo: it enters path mode, and would end the scope's.
+    // Send immediately, not at the next refresh as station.goTo does, which would enter path mode and end the scope
+    // mode.
     if (fromMm !== null) station.send({ type: "go_to", path_mm: fromMm });
     station.send({ type: "set_mode", mode: "scope" });
   };
@@ -86,7 +88,7 @@ export function RehearseStep() {
   );
 }
 
-/** How far the chosen instrument fits, and which others come farther. */
+/** Render how far the selected instrument fits, and which others advance farther. */
 function Fit({ route, scope, scopes }: { route: RouteInfo; scope: Scope; scopes: readonly Scope[] }) {
   const stop = firstTooNarrow(route, scope.fit_mm);
   const passing = thatPass(route, scopes);
@@ -127,7 +129,7 @@ function Fit({ route, scope, scopes }: { route: RouteInfo; scope: Scope; scopes:
   );
 }
 
-/** What the rehearsal counted so far. */
+/** Render the counts of the rehearsal. */
 function Score({ held }: { held: HeldScope }) {
   return (
     <dl className="facts" data-testid="score">

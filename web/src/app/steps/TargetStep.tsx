@@ -14,6 +14,7 @@ import { LesionCard } from "./LesionCard";
 import { LungsPanel } from "./LungsPanel";
 import { useReachOf } from "./reach-of";
 
+/** Render the Target step. */
 export function TargetStep() {
   const station = useStation();
   const targets = useApp((state) => state.session?.targets ?? null);
@@ -54,13 +55,13 @@ export function TargetStep() {
 
 const COSTS: readonly PathCost[] = ["lumen", "walls", "paper"];
 
-/** What paths cost, and where those begin that need no airways. */
+/** Render the cost function of the path search, and the start of paths that need no airways. */
 function PathSearch() {
   const station = useStation();
   const cost = useApp((state) => state.ui.pathCost);
   const found = useApp((state) => state.session?.airways === "found");
   const armed = useApp((state) => state.ui.armed === "start");
-  // As text: a point would be another one each time.
+  // Select the start as text, because a point would be a new object each time.
   const start = useApp((state) => {
     const lps = startOf(state.ui, state.session);
     return lps === null ? null : coordinates(lps);
@@ -99,6 +100,7 @@ function PathSearch() {
   );
 }
 
+/** Render the row of a target. */
 export function TargetRow({ target }: { target: Target }) {
   const station = useStation();
   const chosen = useApp((state) => state.route?.target_id === target.target_id);
@@ -151,7 +153,7 @@ export function TargetRow({ target }: { target: Target }) {
   );
 }
 
-/** A target that another program drew. */
+/** Render the import of a target drawn in another program. */
 function FromFile() {
   const station = useStation();
   const [structure, setStructure] = useState("");
@@ -187,7 +189,7 @@ function FromFile() {
   );
 }
 
-/** A point that was typed, in the scanner's coordinates. */
+/** Render the input of coordinates in the scanner's frame. */
 function Coordinates() {
   const station = useStation();
   const [text, setText] = useState("");
@@ -207,7 +209,7 @@ function Coordinates() {
         event.preventDefault();
         if (point === null) return;
         add();
-        // Done with typing: the keys fly again.
+        // Return the focus to the flight after the input.
         if (document.activeElement instanceof HTMLElement) document.activeElement.blur();
       }}
     >

@@ -1,4 +1,4 @@
-/** What counts as air: movable by hand, and given back to Carina with one press. */
+/** The threshold of air: a slider for the user's value, and a button that restores Carina's value. */
 
 import { useEffect, useState } from "react";
 import { Label, Slider, SliderOutput, SliderThumb, SliderTrack } from "react-aria-components";
@@ -6,6 +6,7 @@ import { fixed } from "../../state/format";
 import { useApp, useStation } from "../context";
 import { Act } from "../controls";
 
+/** Render the threshold of air. */
 export function Threshold() {
   const station = useStation();
   const value = useApp((state) => state.session?.lumen_threshold ?? null);

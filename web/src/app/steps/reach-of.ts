@@ -1,11 +1,11 @@
-/** The instrument and the tool whose reach is asked for. */
+/** The instrument and tool for which the reach is computed. */
 
 import { planOf } from "../../state/plan";
 import { useApp } from "../context";
 
 const USUAL = { scope: "thin", tool: "needle-21g" } as const;
 
-/** As the target is planned with; without a plan the scope that is looked through. */
+/** Return the instrument and tool of the target's plan; without a plan, the scope of the airway view. */
 export function useReachOf(): { scope: string; tool: string } {
   const plan = useApp(
     (state) => planOf(state.plans, state.route?.target_id ?? null) ?? state.plans?.targets[0] ?? null,

@@ -1,8 +1,8 @@
-/** When the hand should feel that the tip has met the wall. */
+/** Detection of contacts between the tip and the airway wall, for haptic feedback. */
 
 import type { PoseMessage } from "../../wire/messages";
 
-/** Looks at every pose in turn; true where a contact has begun. */
+/** Detector that receives every pose and returns true at the beginning of a contact. */
 export class ContactSense {
   #wasInside = true;
   #contacts: number | null = null;
@@ -20,7 +20,8 @@ export class ContactSense {
       this.#contacts = null;
       return wasInside && !pose.inside;
     }
-    // A held scope never leaves the lumen: the wall holds it, and its contacts are counted. Laid anew it counts from 0.
+    // With the scope simulation the tip never leaves the lumen, because the wall stops it; the simulation counts its
+    // contacts. The count restarts at 0 with a new simulation.
     this.#contacts = pose.scope.num_contacts;
     return before !== null && pose.scope.num_contacts > before;
   }

@@ -1,11 +1,15 @@
-/** Gamepads: sticks and triggers fly, buttons do what keys do, and the pad shakes when the tip meets the wall. */
+/**
+ * Gamepads: sticks and triggers move the tip, buttons run key actions, and the gamepad vibrates when the tip touches
+ * the wall.
+ */
 
 import type { ClientMessage } from "../../wire/messages";
 import type { Action } from "../keymap";
 
+/** Values of six axes: three translations and three rotations, each -1 to 1. */
 export type SixAxes = readonly [number, number, number, number, number, number];
 
-/** What of the browser's `Gamepad` is read. */
+/** The fields of the browser's `Gamepad` that are read. */
 export interface Pad {
   readonly index: number;
   readonly id: string;
@@ -16,6 +20,7 @@ export interface Pad {
   readonly vibrationActuator?: { playEffect?(kind: string, effect: object): Promise<unknown> } | null;
 }
 
+/** Browser and page functions that {@link Gamepads} uses; tests supply fakes. */
 export interface PadSurroundings {
   pads(): readonly (Pad | null)[];
   nowS(): number;
@@ -24,9 +29,9 @@ export interface PadSurroundings {
   enabled(): boolean;
 }
 
-/** A stick's rest: worn ones stand this far off. */
+/** Dead zone of a stick: worn sticks rest at up to this value. */
 const DEAD = 0.12;
-/** Buttons of the standard mapping, by the key's action. */
+/** Actions of the buttons in the standard mapping. */
 const BUTTON_ACTIONS: ReadonlyMap<number, Action> = new Map([
   [0, "auto_advance"],
   [1, "previous_fork"],
@@ -39,22 +44,29 @@ const BUTTON_ACTIONS: ReadonlyMap<number, Action> = new Map([
 const WITHDRAW = 6;
 const ADVANCE = 7;
 
-/** Beyond the rest from 0 again, and finer near it: half the way is a quarter of the speed. */
+/**
+ * Return the response of a stick: 0 inside the dead zone, then continuous and finer near the centre (half of the travel
+ * gives a quarter of the speed).
+ */
 export function shaped(value: number): number {
   if (!Number.isFinite(value)) return 0;
   const beyond = (Math.min(Math.abs(value), 1) - DEAD) / (1 - DEAD);
   return beyond <= 0 ? 0 : Math.sign(value) * beyond * beyond;
 }
 
-/** Left stick: forward and roll. Right stick: where the tip looks. Triggers: withdraw and advance. */
+/**
+ * Return the axes of a gamepad. Left stick: advance and roll. Right stick: viewing direction. Triggers: withdraw and
+ * advance.
+ */
 export function padAxes(pad: Pad): SixAxes {
   const stick = (n: number) => shaped(pad.axes[n] ?? 0);
   const trigger = (n: number) => shaped(pad.buttons[n]?.value ?? 0);
   const forward = Math.max(-1, Math.min(1, -stick(1) + trigger(ADVANCE) - trigger(WITHDRAW)));
-  // + 0: no -0 on the wire.
+  // Adding 0 replaces -0, which the wire does not expect.
   return [forward + 0, 0, 0, stick(2) + 0, -stick(3) + 0, stick(0) + 0];
 }
 
+/** All connected gamepads. */
 export class Gamepads {
   readonly #around: PadSurroundings;
   readonly #moving = new Set<number>();
@@ -65,12 +77,12 @@ export class Gamepads {
     this.#around = around;
   }
 
-  /** Names of the pads that are there. */
+  /** Names of the connected gamepads. */
   get names(): readonly string[] {
     return [...this.#names.values()];
   }
 
-  /** Once per refresh: the newest of each pad. */
+  /** Send the current state of each gamepad; call it once per display refresh. */
   tick(): void {
     const pads = this.#around.pads().filter((pad): pad is Pad => pad?.connected === true);
     for (const [index, name] of this.#names) {
@@ -87,7 +99,7 @@ export class Gamepads {
     }
   }
 
-  /** Shakes every pad that can; nothing where the browser or the pad cannot. */
+  /** Vibrate every gamepad that supports it. */
   rumble(strength: number, ms: number): void {
     for (const pad of this.#around.pads()) {
       const effect = { duration: ms, strongMagnitude: strength, weakMagnitude: strength };
@@ -98,7 +110,7 @@ export class Gamepads {
   #read(pad: Pad, name: string): void {
     const axes = padAxes(pad);
     const rests = axes.every((value) => value === 0);
-    // At rest nothing is sent but the rest itself, once.
+    // A resting gamepad sends its rest position once, then nothing.
     if (!rests || this.#moving.has(pad.index)) {
       this.#around.send({
         type: "device_sample",
@@ -117,7 +129,7 @@ export class Gamepads {
     const before = this.#pressed.get(pad.index);
     const now = new Set(pad.buttons.flatMap((button, n) => (button.pressed ? [n] : [])));
     this.#pressed.set(pad.index, now);
-    // What was held when the pad was first seen was not pressed for us.
+    // Ignore buttons that were already pressed when the gamepad was first seen.
     if (before === undefined || pad.mapping !== "standard") return;
     for (const n of now) {
       const action = BUTTON_ACTIONS.get(n);

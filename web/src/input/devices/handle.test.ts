@@ -7,7 +7,7 @@ import type { HidCollection } from "./hid";
 import { collectionsOf } from "./hid-descriptor.testing";
 import { type Hid, type HidDevice, HidPort } from "./hid-port";
 
-/** The descriptor that the firmware sketch sends, byte by byte. */
+/** Return the report descriptor of the example firmware, byte by byte. */
 function sketchDescriptor(): Uint8Array {
   const sketch = readFileSync(
     new URL("../../../../examples/03_scope_handle/scope_handle.ino", import.meta.url),
@@ -40,7 +40,7 @@ class FakeDevice extends EventTarget implements HidDevice {
     this.opened = false;
     return Promise.resolve();
   }
-  /** The report as the sketch's struct lies in memory. */
+  /** Send a report in the memory layout of the firmware's struct. */
   report(clockMs: number, insertion: number, roll: number, lever: number, buttons: number, bytes = 15): void {
     const data = new DataView(new ArrayBuffer(15));
     data.setUint32(0, clockMs, true);
@@ -172,7 +172,7 @@ describe("a handle", () => {
     expect(samples()[0]).toMatchObject({ time_s: 99 });
     expect(samples()[0]?.handle?.[0]).toBeCloseTo(400, 9);
     expect(samples()[0]?.handle?.[1]).toBeCloseTo(Math.PI, 9);
-    // The lever's lower end is the farther one.
+    // The lever is scaled by the limit with the larger magnitude, here the lower one (-128).
     expect(samples()[0]?.handle?.[2]).toBe(-1);
   });
 
@@ -313,7 +313,7 @@ describe("the place for a device", () => {
     expect([port.name, failed]).toEqual(["scope handle Test handle", []]);
     hid.event("disconnect", device);
     await settled();
-    // One after the other, as browsers tell of interfaces.
+    // Browsers report the interfaces of a device one after the other.
     hid.event("connect", keys);
     hid.event("connect", device);
     await settled();

@@ -1,12 +1,13 @@
-/** A scope handle by WebHID (`docs/scope-handle.md`): how far it is in, how it is rolled, and its lever. */
+/** A scope handle connected by WebHID (`docs/scope-handle.md`): insertion, roll and lever. */
 
 import type { ClientMessage } from "../../wire/messages";
 import { buttonBit, type HidField, isButton, readField } from "./hid";
 import type { HidDevice } from "./hid-port";
 import { FieldReader } from "./hid-reader";
 
-/** Of a page that belongs to no standard: nothing else in the machine takes the handle for a mouse or a gamepad. */
+/** Vendor-defined usage page, so that no other software treats the handle as a mouse or a gamepad. */
 const PAGE = 0xff42;
+/** Filters of the browser's device selection. */
 export const HANDLE_FILTERS = [{ usagePage: PAGE, usage: 0x01 }];
 const CLOCK = PAGE * 0x10000 + 0x21;
 const INSERTION = PAGE * 0x10000 + 0x22;
@@ -22,6 +23,7 @@ interface Values {
   buttons: number;
 }
 
+/** Reader of a scope handle. */
 export class Handle extends FieldReader {
   readonly #send: (message: ClientMessage) => void;
   readonly #nowS: () => number;
@@ -31,7 +33,7 @@ export class Handle extends FieldReader {
   #wraps = 0;
   numBad = 0;
 
-  /** `bad` is told of the first report that is not as the descriptor says. */
+  /** `bad` is called at the first report that does not match the descriptor. */
   constructor(device: HidDevice, send: (message: ClientMessage) => void, nowS: () => number, bad: () => void) {
     super("scope handle", device);
     this.#send = send;
@@ -63,7 +65,7 @@ export class Handle extends FieldReader {
   }
 
   protected heard(fields: readonly HidField[], data: DataView): void {
-    // A report of something else that the device may be as well.
+    // The device also sends reports that do not belong to the handle.
     if (!fields.some((field) => field.usage === INSERTION)) return;
     const values = this.#values(fields, data);
     if (values === null) {
@@ -77,19 +79,21 @@ export class Handle extends FieldReader {
     let buttons = 0;
     for (const field of fields) {
       const value = readField(data, field);
-      // Out of the range that the descriptor gives: HID's own way to say that there is no value.
+      // A value outside the descriptor's range is HID's standard form of a missing value.
       if (value === null || value < field.minimum || value > field.maximum) return null;
       if (isButton(field.usage)) buttons |= buttonBit(field, value);
       else found.set(field.usage, field.usage === LEVER ? value / Math.max(field.maximum, -field.minimum) : value);
     }
     const [insertion, roll, lever] = [found.get(INSERTION), found.get(ROLL), found.get(LEVER)];
     if (insertion === undefined || roll === undefined || lever === undefined) return null;
-    // A lever whose descriptor gives it no way.
+    // The descriptor gives the lever an empty range.
     if (!Number.isFinite(lever)) return null;
     return { timeS: this.#timeS(found.get(CLOCK)), handle: [insertion * MM, roll * RAD, lever], buttons };
   }
 
-  /** On the handle's own clock, unwrapped; on the page's where it has none. */
+  /**
+   * Return the time on the handle's clock without wrap-around, s; the time on the page's clock if the handle has none.
+   */
   #timeS(clockMs: number | undefined): number {
     if (clockMs === undefined) return this.#nowS();
     if (this.#clockMs !== null && this.#clockMs - clockMs > CLOCK_WRAPS_MS / 2) this.#wraps += 1;

@@ -1,6 +1,6 @@
 /**
- * A report descriptor's bytes as the collections that WebHID would hand on: an independent reader of the HID
- * specification (1.11, section 6.2.2), as far as input reports go.
+ * Parser of HID report descriptors for tests: converts descriptor bytes to the collections that WebHID would return.
+ * Independent implementation of the HID specification (1.11, section 6.2.2) for input reports.
  */
 
 import type { HidCollection, HidItem } from "./hid";
@@ -12,6 +12,7 @@ interface Mutable {
   inputReports: { reportId: number; items: HidItem[] }[];
 }
 
+/** Return the collections of a report descriptor. */
 export function collectionsOf(bytes: Uint8Array): readonly HidCollection[] {
   const roots: Mutable[] = [];
   const open: Mutable[] = [];
@@ -34,7 +35,7 @@ export function collectionsOf(bytes: Uint8Array): readonly HidCollection[] {
         minimum = signed;
         break;
       case 0x24:
-        // Unsigned where the minimum is: FF FF with a minimum of 0 is 65535.
+        // The maximum is unsigned if the minimum is not negative: FF FF with a minimum of 0 is 65535.
         maximum = minimum < 0 ? signed : value;
         break;
       case 0x74:

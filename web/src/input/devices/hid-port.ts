@@ -1,8 +1,11 @@
-/** A place for one HID device: asked for by a click, lost when it is pulled out, and back when it is plugged in again. */
+/**
+ * Connection to one HID device: the user selects the device by a click; the port closes it when it is unplugged and
+ * reopens it when it is plugged in again.
+ */
 
 import type { HidCollection } from "./hid";
 
-/** What of the browser's `HIDDevice` is used. */
+/** The part of the browser's `HIDDevice` that is used. */
 export interface HidDevice extends EventTarget {
   readonly vendorId: number;
   readonly productId: number;
@@ -13,31 +16,35 @@ export interface HidDevice extends EventTarget {
   close(): Promise<void>;
 }
 
+/** The part of the browser's `navigator.hid` that is used. */
 export interface Hid extends EventTarget {
   requestDevice(options: { filters: readonly object[] }): Promise<readonly HidDevice[]>;
 }
 
+/** The browser's event of an input report. */
 export interface InputReport extends Event {
   readonly reportId: number;
   readonly data: DataView;
 }
 
-/** Reads one device. */
+/** Reader of one device. */
 export interface HidReader {
   readonly name: string;
-  /** Why it cannot be used, in words. */
+  /** The reason why the device cannot be used, as text; null if it can. */
   readonly problem: string | null;
   open(): Promise<void>;
   close(): Promise<void>;
-  /** Once per refresh. */
+  /** Send the current values; call it once per display refresh. */
   tick(): void;
 }
 
+/** Callbacks of a {@link HidPort}. */
 export interface HidPortSurroundings {
   gone(name: string): void;
   failed(words: string): void;
 }
 
+/** Connection to one HID device. */
 export class HidPort {
   readonly #hid: Hid;
   readonly #filters: readonly object[];
@@ -45,7 +52,7 @@ export class HidPort {
   readonly #around: HidPortSurroundings;
   #device: HidDevice | null = null;
   #reader: HidReader | null = null;
-  /** What is being opened; the newest counts. */
+  /** The device that is being opened; a later device replaces it. */
   #taking: { readonly device: HidDevice } | null = null;
   #stopped = false;
 
@@ -67,10 +74,10 @@ export class HidPort {
     return this.#reader?.name ?? null;
   }
 
-  /** The browser asks which device; needs a click. */
+  /** Show the browser's device selection; browsers require a click. */
   async ask(): Promise<void> {
     try {
-      // A device of several interfaces is handed on as several, of which one is what was asked for.
+      // The browser returns one device per interface; use the interface that the reader supports.
       const devices = await this.#hid.requestDevice({ filters: this.#filters });
       const device = devices.find((one) => this.#read(one).problem === null) ?? devices[0];
       if (device !== undefined) await this.#take(device);
@@ -105,7 +112,7 @@ export class HidPort {
       await this.#letGo();
       await reader.open();
       if (this.#taking !== taking) {
-        // Another one was taken, or the page was left, while it was opened.
+        // Another device was selected or the port was stopped while this device was opened.
         await reader.close().catch(() => undefined);
         return;
       }
@@ -131,16 +138,16 @@ export class HidPort {
   readonly #pluggedIn = (event: Event): void => {
     const { device } = event as Event & { device?: HidDevice };
     const before = this.#device;
-    // Browsers may hand out another object for the same device.
+    // Compare by vendor and product, because browsers may use a new object for the same device.
     if (device === undefined || before === null || this.#reader !== null) return;
     if (device.vendorId !== before.vendorId || device.productId !== before.productId) return;
-    // Another interface of the same device.
+    // This is another interface of the same device.
     if (this.#read(device).problem !== null) return;
     this.#take(device).catch((trouble) => this.#fail(trouble));
   };
 
   #fail(trouble: unknown): void {
-    // A DOMException is no Error everywhere.
+    // In some environments a DOMException is not an Error.
     const why = trouble instanceof DOMException || trouble instanceof Error ? trouble.message : "";
     this.#around.failed(`The device could not be opened: ${why.replace(/\.$/, "") || "access was denied"}.`);
   }

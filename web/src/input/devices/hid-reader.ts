@@ -1,13 +1,14 @@
-/** What readers of HID devices share: the device opened and closed, its reports taken apart by their descriptor. */
+/** Base class of HID device readers: opens and closes the device and decodes its reports by the descriptor. */
 
 import { fieldsOf, type HidField } from "./hid";
 import type { HidDevice, HidReader, InputReport } from "./hid-port";
 
 const NAME_LENGTH = 200;
 
+/** Base class of a reader that decodes reports into fields. */
 export abstract class FieldReader implements HidReader {
   readonly #device: HidDevice;
-  /** Of each report, by its number. */
+  /** Fields by report number. */
   protected readonly fields: ReadonlyMap<number, readonly HidField[]>;
   readonly name: string;
 
@@ -21,7 +22,7 @@ export abstract class FieldReader implements HidReader {
 
   abstract tick(): void;
 
-  /** A report that the descriptor knows. */
+  /** Handle a report that the descriptor defines. */
   protected abstract heard(fields: readonly HidField[], data: DataView): void;
 
   async open(): Promise<void> {

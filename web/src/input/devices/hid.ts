@@ -1,9 +1,13 @@
-/** Where a HID device's report descriptor puts its axes and buttons, as WebHID hands it on, and reading them. */
+/**
+ * Location of axes and buttons in the reports of a HID device, from the descriptor that WebHID returns, and decoding of
+ * their values.
+ */
 
 /** Usages of the Generic Desktop page (HID Usage Tables 1.4, page 0x01): X, Y, Z, Rx, Ry, Rz. */
 export const AXIS_USAGES = [0x10030, 0x10031, 0x10032, 0x10033, 0x10034, 0x10035] as const;
 const BUTTON_PAGE = 0x09;
 
+/** The part of WebHID's `HIDReportItem` that is used. */
 export interface HidItem {
   readonly usages?: readonly number[];
   readonly usageMinimum?: number;
@@ -16,6 +20,7 @@ export interface HidItem {
   readonly isArray?: boolean;
 }
 
+/** The part of WebHID's `HIDCollectionInfo` that is used. */
 export interface HidCollection {
   readonly usagePage?: number;
   readonly usage?: number;
@@ -23,7 +28,7 @@ export interface HidCollection {
   readonly inputReports?: readonly { readonly reportId?: number; readonly items?: readonly HidItem[] }[];
 }
 
-/** A number in a report. */
+/** Location and range of a number in a report. */
 export interface HidField {
   readonly usage: number;
   readonly bit: number;
@@ -32,7 +37,7 @@ export interface HidField {
   readonly maximum: number;
 }
 
-/** The fields of every input report, by its id. */
+/** Return the fields of every input report by its identifier. */
 export function fieldsOf(collections: readonly HidCollection[]): ReadonlyMap<number, readonly HidField[]> {
   const found = new Map<number, HidField[]>();
   const visit = (collection: HidCollection) => {
@@ -52,7 +57,7 @@ export function fieldsOf(collections: readonly HidCollection[]): ReadonlyMap<num
           bit += size;
         }
       }
-      // The same report may be listed by a collection and by the one round it.
+      // A collection and its parent may list the same report.
       if ((found.get(id)?.length ?? 0) < fields.length) found.set(id, fields);
     }
     for (const child of collection.children ?? []) visit(child);
@@ -68,11 +73,11 @@ function usageOf(item: HidItem, n: number): number | null {
     return usage <= (item.usageMaximum ?? usage) ? usage : null;
   }
   const usages = item.usages ?? [];
-  // The last usage counts for all that follow.
+  // The last usage applies to all following fields.
   return usages[Math.min(n, usages.length - 1)] ?? null;
 }
 
-/** A field's number, with its sign where the descriptor gives it one; null beyond the report's end. */
+/** Return the value of a field, signed if the descriptor's range is; null beyond the end of the report. */
 export function readField(data: DataView, field: HidField): number | null {
   let value = 0;
   for (let n = 0; n < field.size; n += 1) {
@@ -84,7 +89,7 @@ export function readField(data: DataView, field: HidField): number | null {
   return field.minimum < 0 && value >= 2 ** (field.size - 1) ? value - 2 ** field.size : value;
 }
 
-/** -1 to 1 of the field's own range; 0 in its middle. */
+/** Scale a value from the field's range to -1..1; the middle of the range is 0. */
 export function scaled(value: number, field: HidField): number {
   const middle = (field.minimum + field.maximum) / 2;
   const half = (field.maximum - field.minimum) / 2;
@@ -92,11 +97,12 @@ export function scaled(value: number, field: HidField): number {
   return Math.max(-1, Math.min(1, (value - middle) / half));
 }
 
+/** Return whether a usage is a button. */
 export function isButton(usage: number): boolean {
   return usage >> 16 === BUTTON_PAGE;
 }
 
-/** The bit of a pressed button: button 1 is bit 0. What has no place in a sample's 31 bits is left out. */
+/** Return the bit of a pressed button: button 1 is bit 0. Buttons beyond the 31 bits of a sample are ignored. */
 export function buttonBit(field: HidField, value: number): number {
   const number = (field.usage & 0xffff) - 1;
   return value !== 0 && number >= 0 && number < 31 ? 1 << number : 0;

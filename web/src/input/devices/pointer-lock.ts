@@ -1,20 +1,23 @@
-/** Pointer Lock: the mouse turns the tip without an edge of the screen to stop at. Escape gives the cursor back. */
+/** Pointer Lock: the mouse turns the tip without the limit of the screen's edge. Escape releases the pointer. */
 
+/** Rotation of the tip per pixel of mouse movement, rad. */
 export const LOCK_RAD_PER_PX = 0.0025;
 
+/** Callbacks of a {@link PointerLock}. */
 export interface LockHandlers {
   look(yawRad: number, pitchRad: number): void;
-  /** The wheel, in px of scrolling. */
+  /** Handle a turn of the wheel, in px of scrolling. */
   wheel(deltaPx: number): void;
   changed(locked: boolean): void;
   refused(why: string): void;
 }
 
-/** Whether this browser has it. */
+/** Return whether this browser supports Pointer Lock. */
 export function hasPointerLock(page: Document): boolean {
   return "pointerLockElement" in page;
 }
 
+/** Lock of the mouse pointer to an element. */
 export class PointerLock {
   readonly #page: Document;
   readonly #handlers: LockHandlers;
@@ -34,7 +37,7 @@ export class PointerLock {
     this.#element = element;
     try {
       try {
-        // Without the system's acceleration, where the system can.
+        // Request raw movement without the system's pointer acceleration, if the system supports it.
         await element.requestPointerLock({ unadjustedMovement: true });
       } catch (trouble) {
         if (!(trouble instanceof DOMException) || trouble.name !== "NotSupportedError") throw trouble;
@@ -42,7 +45,7 @@ export class PointerLock {
       }
     } catch (trouble) {
       this.#element = null;
-      // A DOMException is no Error everywhere.
+      // In some environments a DOMException is not an Error.
       this.#handlers.refused(trouble instanceof DOMException || trouble instanceof Error ? trouble.message : "refused");
     }
   }

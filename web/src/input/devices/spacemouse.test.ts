@@ -18,7 +18,7 @@ const axes = (first: number): HidCollection["inputReports"] => [
     ],
   },
 ];
-/** As a SpaceMouse Compact describes itself: two reports of three axes, one of buttons. */
+/** The descriptor of a SpaceMouse Compact: two reports of three axes, one report of buttons. */
 const COMPACT: readonly HidCollection[] = [
   {
     inputReports: [
@@ -115,7 +115,7 @@ describe("a SpaceMouse", () => {
     device.report(3, 0b10);
     mouse.tick();
     expect(sent[1]).toMatchObject({ axes: [0, 0, 0, 0, 0, 0], buttons: 2 });
-    // Reports of the cap say nothing of its buttons.
+    // Reports of the cap do not contain the buttons.
     device.report(1, 0, 0, 0);
     mouse.tick();
     expect(sent[2]).toMatchObject({ buttons: 2 });

@@ -1,4 +1,4 @@
-/** A SpaceMouse by WebHID: its cap pushes and turns the tip in all six ways. */
+/** A SpaceMouse connected by WebHID: its cap moves and rotates the tip in six degrees of freedom. */
 
 import type { ClientMessage } from "../../wire/messages";
 import { type SixAxes, shaped } from "./gamepad";
@@ -6,19 +6,22 @@ import { AXIS_USAGES, buttonBit, type HidField, isButton, readField, scaled } fr
 import type { HidDevice } from "./hid-port";
 import { FieldReader } from "./hid-reader";
 
-/** 3Dconnexion, and Logitech, which made the older ones. */
+/** Vendors of the devices: 3Dconnexion, and Logitech for older models. */
 export const SPACEMOUSE_FILTERS = [{ vendorId: 0x256f }, { vendorId: 0x046d, usagePage: 0x01, usage: 0x08 }];
 
-/** X right, Y towards the hand, Z down; a turn about each. */
+/**
+ * Return the axes of the tip for the axes of the cap (X right, Y towards the user, Z down, and a rotation about each).
+ */
 export function capAxes(values: readonly number[]): SixAxes {
   const at = (n: number) => shaped(values[n] ?? 0);
   return [-at(1) + 0, at(0) + 0, -at(2) + 0, at(5) + 0, -at(3) + 0, -at(4) + 0];
 }
 
+/** Reader of a SpaceMouse. */
 export class SpaceMouse extends FieldReader {
   readonly #send: (message: ClientMessage) => void;
   readonly #nowS: () => number;
-  /** The newest of each axis: translation and rotation come in reports of their own. */
+  /** The latest value of each axis; translation and rotation arrive in separate reports. */
   readonly #values = [0, 0, 0, 0, 0, 0];
   #buttons = 0;
   #rests = true;
@@ -34,7 +37,10 @@ export class SpaceMouse extends FieldReader {
     return some ? null : "it reports no movement axes";
   }
 
-  /** Once per refresh: the newest, while the cap is off its rest. A device that floods sends no more than that. */
+  /**
+   * Send the latest values while the cap is deflected; call it once per display refresh. This limits the rate of a
+   * device with many reports.
+   */
   tick(): void {
     const axes = capAxes(this.#values);
     const rests = axes.every((value) => value === 0) && this.#buttons === 0;

@@ -72,7 +72,7 @@ class FakeSession extends EventTarget implements XrSession {
     }
     return Promise.resolve();
   }
-  /** One refresh of the headset. */
+  /** Run one frame of the headset. */
   refresh(timeMs: number): void {
     const sources = this.inputSources;
     const frame: XrFrame = {
@@ -268,7 +268,7 @@ describe("a controller", () => {
     enabled = false;
     right.press(5, 1);
     xr.session.refresh(22);
-    // Held until it is listened to: that is no press.
+    // The trigger was held before the headset was enabled, which does not count as a press.
     enabled = true;
     xr.session.refresh(33);
     expect(acts).toEqual([]);
@@ -297,7 +297,7 @@ describe("a controller", () => {
     xr.session.refresh(0);
     headset.rumble(0.6, 120);
     expect(right.pulses).toEqual([0.6]);
-    // Some say no; nobody needs to hear of it (what is not caught fails the whole run).
+    // A controller may reject the vibration; an unhandled rejection would fail the test run.
     right.shakes = false;
     headset.rumble(0.6, 120);
     await new Promise((done) => setTimeout(done, 0));

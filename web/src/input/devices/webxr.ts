@@ -1,32 +1,40 @@
-/** A headset by WebXR: its controllers as tracked pens, and a frame loop of its own for what is shown in it. */
+/**
+ * A VR headset connected by WebXR: its controllers act as tracked pens, and its frame loop draws the airway picture.
+ */
 
 import type { ClientMessage } from "../../wire/messages";
 import type { Action } from "../keymap";
 import { shaped } from "./gamepad";
 
-// What of the browser's WebXR is used; TypeScript's own library does not know it.
+// The part of WebXR that is used; TypeScript's library does not declare it.
 
+/** WebXR `DOMPointReadOnly`: a point or a quaternion. */
 export interface XrPoint {
   readonly x: number;
   readonly y: number;
   readonly z: number;
   readonly w: number;
 }
+/** WebXR `XRRigidTransform`. */
 export interface XrTransform {
   readonly position: XrPoint;
   readonly orientation: XrPoint;
   readonly matrix: Float32Array;
   readonly inverse: { readonly matrix: Float32Array };
 }
+/** WebXR `XRView`: one eye. */
 export interface XrView {
   readonly projectionMatrix: Float32Array;
   readonly transform: XrTransform;
 }
+/** WebXR `XRViewerPose`. */
 export interface XrViewerPose {
   readonly transform: XrTransform;
   readonly views: readonly XrView[];
 }
+/** WebXR `XRSpace`. */
 export type XrSpace = object;
+/** WebXR `XRInputSource`: a controller. */
 export interface XrInputSource {
   readonly handedness: string;
   readonly gripSpace?: XrSpace | null;
@@ -37,10 +45,12 @@ export interface XrInputSource {
     readonly hapticActuators?: readonly { pulse?(strength: number, ms: number): Promise<unknown> }[] | null;
   } | null;
 }
+/** WebXR `XRFrame`. */
 export interface XrFrame {
   getPose(space: XrSpace, base: XrSpace): { readonly transform: XrTransform } | null | undefined;
   getViewerPose(base: XrSpace): XrViewerPose | null | undefined;
 }
+/** WebXR `XRSession`. */
 export interface XrSession extends EventTarget {
   readonly inputSources: Iterable<XrInputSource>;
   readonly visibilityState?: string;
@@ -49,35 +59,38 @@ export interface XrSession extends EventTarget {
   updateRenderState(state: object): void;
   end(): Promise<void>;
 }
+/** WebXR `XRSystem`. */
 export interface Xr extends EventTarget {
   isSessionSupported(mode: string): Promise<boolean>;
   requestSession(mode: string, options?: object): Promise<XrSession>;
 }
 
-/** What is shown in the headset; it draws whatever it has, and waits for nothing. */
+/** The picture inside the headset. It always draws the latest picture and does not wait for the next one. */
 export interface HeadsetScreen {
   open(session: XrSession): Promise<void>;
   draw(viewer: XrViewerPose): void;
-  /** The picture goes in front of the person again. */
+  /** Place the screen in front of the user again. */
   recenter(): void;
   close(): void;
 }
 
+/** Page functions that {@link Headset} uses; tests supply fakes. */
 export interface HeadsetSurroundings {
   readonly screen: HeadsetScreen;
   send(message: ClientMessage): void;
   act(action: Action): void;
-  /** Whether a case is open that may be flown in. */
+  /** Return whether an open case allows movement of the tip. */
   enabled(): boolean;
-  /** Pens that move the tip while their clutch is held, or while it is not (`controls.clutch`). */
+  /** Return whether pens move the tip while the clutch is held, instead of while it is released (`controls.clutch`). */
   clutchHeldMoves(): boolean;
   changed(inside: boolean): void;
   failed(words: string): void;
 }
 
+/** Availability of a headset. */
 export type HeadsetOffer = "no-webxr" | "no-headset" | "ready";
 
-/** What this browser and machine have. */
+/** Return the availability of a headset in this browser and computer. */
 export async function headsetOffer(xr: Xr | null): Promise<HeadsetOffer> {
   if (xr === null) return "no-webxr";
   try {
@@ -87,7 +100,7 @@ export async function headsetOffer(xr: Xr | null): Promise<HeadsetOffer> {
   }
 }
 
-/** Places in the gamepad of a controller, by the "xr-standard" mapping. */
+/** Button indices of a controller in the "xr-standard" mapping. */
 const TRIGGER = 0;
 const SQUEEZE = 1;
 const LOWER = 4;
@@ -98,7 +111,8 @@ const MM_PER_M = 1000;
 const CLUTCH_BIT = 2;
 
 /**
- * A grip's turn as a pen's: WebXR's axes are right, up, back, a pen's right, down, forward. Half a turn about x; wxyz.
+ * Convert the orientation of a controller grip to that of a pen (quaternion w, x, y, z). WebXR's axes are right, up,
+ * back; a pen's axes are right, down, forward. The conversion is a half turn about x.
  */
 export function penFromGrip({ x, y, z, w }: XrPoint): readonly [number, number, number, number] {
   return [-x + 0, w + 0, z + 0, -y + 0];
@@ -110,6 +124,7 @@ interface Controller {
   pressed: ReadonlySet<number>;
 }
 
+/** A session in a VR headset. */
 export class Headset {
   readonly #xr: Xr;
   readonly #around: HeadsetSurroundings;
@@ -132,7 +147,7 @@ export class Headset {
     return [...this.#controllers.values()].map((controller) => controller.name);
   }
 
-  /** Needs a click: browsers let no page into a headset by itself. */
+  /** Start the session; browsers require a click. */
   async enter(): Promise<void> {
     if (this.#session !== null || this.#entering) return;
     this.#entering = true;
@@ -167,7 +182,7 @@ export class Headset {
     await this.#session?.end().catch(() => undefined);
   }
 
-  /** Shakes every controller that can. */
+  /** Vibrate every controller that supports it. */
   rumble(strength: number, ms: number): void {
     for (const source of this.#controllers.keys()) {
       for (const actuator of source.gamepad?.hapticActuators ?? []) {
@@ -180,7 +195,7 @@ export class Headset {
     const session = this.#session;
     const space = this.#space;
     if (session === null || space === null) return;
-    // First: whatever fails below, the next picture comes.
+    // Request the next frame first, so that an error below does not stop the frame loop.
     session.requestAnimationFrame(this.#frame);
     try {
       this.#read(session, space, timeMs / 1000, frame);
@@ -193,7 +208,7 @@ export class Headset {
   };
 
   #read(session: XrSession, space: XrSpace, timeS: number, frame: XrFrame): void {
-    // While the headset's own menu is open, its controllers are not ours.
+    // While the headset's system menu is open, the controllers do not move the tip.
     const listens = this.#around.enabled() && (session.visibilityState ?? "visible") === "visible";
     for (const source of session.inputSources) {
       if (source.gamepad == null) continue;
@@ -211,7 +226,7 @@ export class Headset {
       const speaks = held || advance !== 0 || (listens && now.has(LOWER));
       const pose = speaks || controller.speaks ? frame.getPose(source.gripSpace ?? source.targetRaySpace, space) : null;
       if (pose == null) {
-        // Out of the cameras' sight: the tip stays, and the hand takes it up again where it is seen.
+        // Without tracking the tip stays; it follows the controller again once tracking returns.
         continue;
       }
       controller.speaks = speaks;
@@ -223,7 +238,7 @@ export class Headset {
         position_mm: [position.x * MM_PER_M, position.y * MM_PER_M, position.z * MM_PER_M],
         orientation_wxyz: penFromGrip(orientation),
         axes: null,
-        // The tip moves while the trigger is held, whatever is set for the clutch of pens.
+        // The tip moves while the trigger is held, whatever the clutch setting of pens is.
         buttons: Number(now.has(LOWER)) + (held === this.#around.clutchHeldMoves() ? CLUTCH_BIT : 0),
         handle: null,
         advance,
@@ -261,7 +276,7 @@ export class Headset {
 }
 
 function wordsOf(trouble: unknown): string {
-  // A DOMException is no Error everywhere.
+  // In some environments a DOMException is not an Error.
   const said = trouble instanceof DOMException || trouble instanceof Error ? trouble.message : "";
   return said.replace(/\.$/, "") || "the browser refused access";
 }
