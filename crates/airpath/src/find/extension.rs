@@ -65,12 +65,8 @@ pub fn extend(
             found: e.to_string(),
         })?;
         let open = open_from(values, &smooth, lumen, &reached, levels);
-        let limits = ExtensionLimits {
-            least_probability: limits.least_probability(levels, reached.len()),
-            ..*limits
-        };
         let mut search = Search::new(values, view, lumen, &reached, &open, levels);
-        followed = search.follow(&limits, watch)?;
+        followed = search.follow(limits, watch)?;
         kept = search.filled(&smooth, &followed);
     }
     for node in &reached {

@@ -30,25 +30,6 @@ pub struct ExtensionLimits {
 }
 
 impl ExtensionLimits {
-    /// Share of the lung at which the search is given up.
-    fn most_reached_at_all(&self) -> f64 {
-        if self.divided.is_some() {
-            self.most_reached.max(MOST_REACHED_DIVIDED)
-        } else {
-            self.most_reached
-        }
-    }
-
-    /// Least probability of a way if the search reached `num_reached` voxels.
-    pub(crate) fn least_probability(&self, levels: Levels, num_reached: usize) -> f64 {
-        let usual = levels.most_reached as f64 * self.most_reached / self.most_reached_at_all();
-        if num_reached as f64 > usual {
-            self.least_probability.max(SURE_PROBABILITY)
-        } else {
-            self.least_probability
-        }
-    }
-
     /// Whether a way of this probability may be open on one side.
     ///
     /// Thick slices blur the wall above and below an airway more than the wall beside it. In divided slices a missing
@@ -113,11 +94,7 @@ const NUM_SAMPLES: usize = 20_000;
 const MIN_SAMPLES: usize = 2_000;
 /// Strides of the sample, largest first. They are primes, so that they have no factor in common with rows and slices.
 const STRIDES: [usize; 6] = [1009, 499, 251, 127, 61, 31];
-/// In divided slices the search is given up only once it has reached more than this share of the lung, because
-/// interpolation joins the values of neighbouring slices (docs/decisions/0112).
-const MOST_REACHED_DIVIDED: f64 = 0.04;
-/// Least probability of a way in divided slices without the usual evidence: if the search reached more of the lung than
-/// [`ExtensionLimits::most_reached`], or if the way has no wall on one side.
+/// Least probability of a way in divided slices that has no wall on one side.
 const SURE_PROBABILITY: f64 = 0.8;
 
 /// Thresholds of the enclosure.
@@ -167,7 +144,7 @@ impl Levels {
             most_reached: if sample.len() < MIN_SAMPLES {
                 usize::MAX
             } else {
-                (limits.most_reached_at_all() * sample.len() as f64 * stride as f64) as usize
+                (limits.most_reached * sample.len() as f64 * stride as f64) as usize
             },
             followed: followed.ceil() as i16,
             kept: share(KEPT_SHARE).max(1.2 * followed),
