@@ -107,9 +107,7 @@ def test_insertion_counts_from_the_start_of_the_path(chest: Phantom, field: Wall
     assert drive.drive(-5.0, 0.0, 0.0, 0.1).limit == "entry"
 
 
-def test_depth_counts_from_the_cords_and_facing_operator_has_a_turned_picture(
-    chest: Phantom, field: WallField
-) -> None:
+def test_depth_counts_from_the_cords_and_facing_operator_has_a_turned_picture(chest: Phantom, field: WallField) -> None:
     path = path_to(chest, 0)
     # The vocal cords are 12 mm above the scan.
     head = ScopeDrive(field, "standard", path, cords_mm=-12.0)
