@@ -62,7 +62,7 @@ def test_a_scan_without_airways_has_paths_that_are_undone_and_kept_in_a_file(ves
         np.testing.assert_array_equal(found.route.points_lps, route.points_lps)
 
 
-def test_missing_arguments_are_reported(vessel):
+def test_what_is_missing_is_said(vessel):
     volume, _, root, _, end = vessel
     with carina.Case.open(volume) as case:
         with pytest.raises(UsageError, match="mark the start point") as caught:

@@ -237,7 +237,7 @@ def test_4d_and_colour_files_of_the_library_are_refused(tmp_path):
         assert refusal(tmp_path / f"colour.{suffix}").code in ("import.not-3d", "import.not-supported")
 
 
-def test_volume_of_one_value_is_refused(tmp_path):
+def test_a_volume_of_one_value_is_refused(tmp_path):
     assert refusal(write(tmp_path / "empty.nrrd", np.zeros(SIZE_IJK[::-1], dtype=np.int16))).code == "import.values"
 
 
