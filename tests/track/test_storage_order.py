@@ -1,4 +1,4 @@
-"""What is found does not depend on the order in which a file stores the voxels."""
+"""Tests that results do not depend on the order in which a file stores the voxels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The mask that is handed out: the voxels inside the surface, which lies on the half-maximum."""
+"""Tests of the exported mask: the voxels inside the surface at the half-maximum of the wall edge."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def dice(found, truth):
 
 
 @pytest.mark.parametrize("chest", [SMALL_CHEST, MASKED_CHEST], ids=["small", "masked"])
-def test_the_mask_ends_where_the_lumen_truly_does(chest):
+def test_mask_ends_at_the_true_wall_of_the_lumen(chest):
     made, airways = made_phantom(**chest), made_airways(**chest)
     truth, found, mask = made.lumen_zyx != 0, airways.lumen_zyx != 0, lumen_mask(made.volume, airways) != 0
     assert dice(mask, truth) > 0.96
@@ -59,7 +59,7 @@ def test_the_last_voxels_of_air_before_a_wall_are_in_the_mask():
     assert not mask[:, off >= 5.0].any()
 
 
-def test_where_no_wall_is_seen_nothing_is_added():
+def test_nothing_is_added_where_no_wall_is_visible():
     """A closed breach: the search ended there for another reason."""
     lumen, mask = in_tube(-1000, -1000)
     assert np.array_equal(mask, lumen)
