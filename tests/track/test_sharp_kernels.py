@@ -32,7 +32,7 @@ def patient():
 
 @pytest.fixture(scope="module")
 def sharp(patient):
-    """The bundled patient through a kernel that flooded both lungs before."""
+    """Return the bundled patient with a sharp kernel, in which an earlier search flooded both lungs."""
     volume = sharpened(patient[0], 0.8, 15.0)
     return volume, carina.find_airways(volume)
 

@@ -39,7 +39,7 @@ def test_a_mask_from_another_tool_stays_as_it_was_drawn():
 
 
 def tube(wall_hu, lung_hu):
-    """A tube of air along k with a wall two voxels thick in even lung, and the lumen of its inner part."""
+    """Return a tube of air along k with a wall of two voxels in uniform lung, and the lumen of its inner part."""
     off = np.hypot(*(np.mgrid[:24, :24] - 11.5))
     plane = np.where(off < 5.0, -1000, np.where(off < 7.0, wall_hu, lung_hu))
     return np.repeat(plane[None].astype(np.int16), 12, axis=0), np.repeat((off < 4.0)[None], 12, axis=0)

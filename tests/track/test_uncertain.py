@@ -15,7 +15,7 @@ from carina.volume.model import Volume
 
 
 def tree_of(ends: list[tuple[list[float], float]]) -> AirwayTree:
-    """A trunk from (40, 40, 70) to (40, 40, 50), and a straight child to each end with its radius."""
+    """Return a tree: a trunk from (40, 40, 70) to (40, 40, 50), and a straight child to each end with its radius."""
     children = tuple(range(1, len(ends) + 1))
     fork = np.array([40.0, 40.0, 50.0])
     trunk = Branch(0, None, children, 0, None, "tracked", np.linspace([40.0, 40.0, 70.0], fork, 21), np.full(21, 8.0))
