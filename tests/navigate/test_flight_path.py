@@ -1,4 +1,4 @@
-"""A path to fly on: places, frames, forks."""
+"""Tests of the path of a flight: positions, camera frames and forks."""
 
 import itertools
 
@@ -14,32 +14,32 @@ from carina.track.tree.airway_tree import Route
 
 
 def bent_path() -> np.ndarray:
-    """Down the trachea, then 60 degrees into the left side: the shape of a real route, LPS mm, unevenly spaced."""
+    """Return a path down the trachea and then 60 degrees to the left, unevenly spaced like a real route, LPS mm."""
     down = [[2.0, -5.0, 120.0 - z] for z in (0.0, 7.0, 20.0, 55.0, 80.0)]
     aside = np.array([np.sin(np.radians(60.0)), 0.1, -np.cos(np.radians(60.0))])
     corner = np.array(down[-1])
     return np.array([*down, *(corner + s * aside / np.linalg.norm(aside) for s in (3.0, 9.0, 25.0, 40.0))])
 
 
-def test_places_are_millimetres_of_the_given_points() -> None:
+def test_path_positions_are_millimetres_along_the_given_points() -> None:
     points = bent_path()
     path = FlightPath(points)
     cumulative = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     assert path.length_mm == pytest.approx(cumulative[-1], abs=1e-9)
     for point, mm in zip(points, cumulative, strict=True):
-        # 0.5 mm: the stated deviation.
+        # Tolerance 0.5 mm: the documented deviation.
         assert np.linalg.norm(path.pose_at(mm).position_lps - point) <= 0.5
         assert path.nearest_mm(point) == pytest.approx(mm, abs=0.5)
 
 
-def test_the_view_from_the_head_end_has_anterior_up_and_the_patients_right_on_the_right() -> None:
+def test_head_end_view_has_anterior_up_and_patient_right_on_the_right() -> None:
     pose = FlightPath(bent_path()).pose_at(10.0)
     np.testing.assert_allclose(pose.forward_lps, [0, 0, -1], atol=1e-6)
     np.testing.assert_allclose(-pose.down_lps, [0, -1, 0], atol=1e-6)
     np.testing.assert_allclose(pose.right_lps, [-1, 0, 0], atol=1e-6)
 
 
-def test_the_gaze_turns_into_the_bend_before_the_tip_is_there_and_never_by_jumps() -> None:
+def test_view_turns_into_the_bend_ahead_of_the_tip_without_jumps() -> None:
     path = FlightPath(bent_path())
     before = path.pose_at(78.0)
     assert np.degrees(np.arccos(-before.forward_lps[2])) > 10.0
@@ -50,7 +50,7 @@ def test_the_gaze_turns_into_the_bend_before_the_tip_is_there_and_never_by_jumps
         )
         for a, b in itertools.pairwise(steps)
     ]
-    # A 60 degree bend under a Gaussian gaze of 4 mm: at most 60 / (4 sqrt(2 pi)) = 6 degrees per mm.
+    # For a bend of 60 degrees under a Gaussian of 4 mm the limit is 60 / (4 sqrt(2 pi)) = 6 degrees per mm.
     assert max(turns) < 3.1
 
 
@@ -61,7 +61,7 @@ def test_every_pose_is_rigid_on_any_path(steps: list[tuple[float, float, float]]
         path = FlightPath(points)
     except UsageError:
         return  # all points the same
-    path.pose_at(path_mm)  # Pose itself refuses what is not rigid
+    path.pose_at(path_mm)  # Pose refuses a matrix that is not rigid
 
 
 def test_forks_are_found_ahead_and_behind() -> None:
@@ -85,20 +85,20 @@ def test_forks_are_found_ahead_and_behind() -> None:
         ([[0, 0, 0], [0, 0, 9]], {"forks_mm": [11.0]}, "forks must lie on the path"),
     ],
 )
-def test_what_is_no_path_is_refused_with_the_reason(points: list, options: dict, says: str) -> None:
+def test_invalid_path_is_refused_with_the_reason(points: list, options: dict, says: str) -> None:
     with pytest.raises(UsageError, match=says):
         FlightPath(points, **options)
 
 
 def route() -> Route:
-    """The route to the second of two branches, with one fork."""
+    """Return the route to the second of two branches, with one fork."""
     points = bent_path()
     trunk = Branch(0, None, (1,), 0, "Trachea", "tracked", points[:5], np.full(5, 8.0))
     child = Branch(1, 0, (), 1, "LMB", "tracked", points[4:], np.full(5, 5.0))
     return AirwayTree((trunk, child)).route_to(1)
 
 
-def test_a_path_of_a_route_has_the_points_and_forks_of_the_route() -> None:
+def test_path_of_a_route_has_the_points_and_forks_of_the_route() -> None:
     path, by_points = FlightPath(route()), FlightPath(route().points_lps)
     assert path.forks_mm == tuple(route().forks_mm) and len(path.forks_mm) == 1
     assert path.lookouts_mm == path.forks_mm
@@ -107,13 +107,13 @@ def test_a_path_of_a_route_has_the_points_and_forks_of_the_route() -> None:
     assert FlightPath(route(), forks_mm=[30.0]).forks_mm == (30.0,)
 
 
-def test_a_path_of_a_tracked_path_has_its_points() -> None:
+def test_path_of_a_tracked_path_has_its_points() -> None:
     points = bent_path()
     empty = np.zeros(len(points))
     tracked = TrackedPath(points, empty, empty, 1.0, 1.0, empty, empty, points, 0, 0.0)
     np.testing.assert_array_equal(FlightPath(tracked).source_lps, points)
 
 
-def test_an_object_without_points_is_refused() -> None:
+def test_object_without_points_is_refused() -> None:
     with pytest.raises(UsageError, match="FlightPath: points_lps: expected finite numbers"):
         FlightPath(object())

@@ -1,4 +1,4 @@
-"""OpenIGTLink: our own codec beside pyigtl, which others wrote; and everything a broken peer can send."""
+"""Tests of OpenIGTLink: the codec against the independent pyigtl, and resistance to damaged messages of a peer."""
 
 from __future__ import annotations
 
@@ -51,22 +51,22 @@ def wait_for(what, seconds=120.0):
 
 def same_pose(found: IgtlPose, expected: IgtlPose) -> None:
     assert found.name == expected.name
-    np.testing.assert_allclose(pose_matrix(found), pose_matrix(expected), atol=1e-4)  # f32 on the wire
+    np.testing.assert_allclose(pose_matrix(found), pose_matrix(expected), atol=1e-4)  # float32 on the wire
 
 
 @settings(max_examples=30, deadline=None)
 @given(st.binary(max_size=300))
-def test_the_checksum_by_table_equals_the_one_by_bits_and_that_of_pyigtl(data):
+def test_table_checksum_equals_bitwise_checksum_and_pyigtl(data):
     assert crc64(data) == crc64_bitwise(data) == pyigtl.messages.CRC64(data)
 
 
-def test_the_checksum_of_a_picture_in_lanes_is_the_same():
+def test_checksum_of_a_picture_in_lanes_is_the_same():
     data = np.random.default_rng(1).integers(0, 256, 100_001, dtype=np.uint8).tobytes()
     assert crc64(data) == pyigtl.messages.CRC64(data)
 
 
 @pytest.mark.parametrize("version", [1, 2, 3])
-def test_all_kinds_of_poses_are_read_in_all_versions_however_they_are_cut(version):
+def test_all_kinds_of_poses_are_read_in_all_versions_and_fragmentations(version):
     data = (
         pack_transform("Pen", pose_matrix(POSE), time_s=12.5, version=version)
         + pack_message("STATUS", "x", b"\0" * 30, version=version)
@@ -83,7 +83,7 @@ def test_all_kinds_of_poses_are_read_in_all_versions_however_they_are_cut(versio
         assert (stream.num_skipped, stream.num_bad) == (1, {})
 
 
-def test_pyigtl_reads_ours_and_we_read_pyigtls():
+def test_pyigtl_and_carina_read_each_other():
     packed = pack_transform("Pen", pose_matrix(POSE), time_s=12.5)
     fields = pyigtl.messages.MessageBase.parse_header(packed[:58])
     theirs = pyigtl.messages.MessageBase.create_message(fields["message_type"])
@@ -102,7 +102,7 @@ def test_pyigtl_reads_ours_and_we_read_pyigtls():
     same_pose(ours, POSE)
 
 
-def test_pyigtl_reads_our_picture():
+def test_pyigtl_reads_a_carina_picture():
     pixels = np.random.default_rng(2).integers(0, 256, (30, 40, 3), dtype=np.uint8)
     packed = pack_image("View", pixels)
     fields = pyigtl.messages.MessageBase.parse_header(packed[:58])
@@ -111,7 +111,7 @@ def test_pyigtl_reads_our_picture():
     np.testing.assert_array_equal(np.asarray(theirs.image).reshape(30, 40, 3), pixels)
 
 
-def test_a_wrong_checksum_costs_its_message_only():
+def test_wrong_checksum_drops_only_its_message():
     good, broken = pack_transform("Pen", np.eye(4)), bytearray(pack_transform("Pen", np.eye(4)))
     broken[80] ^= 1
     stream = IgtlStream()
@@ -130,14 +130,14 @@ def test_a_wrong_checksum_costs_its_message_only():
         (b"\0" * 51, "QTDATA"),
     ],
 )
-def test_content_that_is_none_is_counted_and_passed_over(content, kind):
+def test_invalid_content_is_counted_and_skipped(content, kind):
     stream = IgtlStream()
     found = stream.feed(pack_message(kind, "x", content) + pack_transform("Pen", np.eye(4)))
     assert [m.name for m in found] == ["Pen"]
     assert stream.num_bad == {"malformed content": 1}
 
 
-def test_a_length_of_four_gibibytes_takes_no_memory_and_ends_the_stream():
+def test_length_of_four_gibibytes_takes_no_memory_and_ends_the_stream():
     for num_bytes in (4 << 30, (1 << 64) - 1):
         stream = IgtlStream()
         with pytest.raises(ProtocolError, match="bytes"):
@@ -153,7 +153,7 @@ def test_a_length_of_four_gibibytes_takes_no_memory_and_ends_the_stream():
 
 @settings(max_examples=100, deadline=None)
 @given(st.binary(max_size=400), st.integers(0, 2))
-def test_noise_is_refused_or_passed_over_and_never_more(data, version):
+def test_noise_is_refused_or_skipped_without_other_effects(data, version):
     stream = IgtlStream()
     with contextlib.suppress(ProtocolError):
         stream.feed(data)
@@ -167,7 +167,7 @@ class Heard:
         self.listener = Listener(lambda device, sample: self.samples.append((device, sample)), self.gone.append)
 
 
-def test_nothing_is_lost_at_120_hz_and_we_come_back_after_the_peer_did():
+def test_no_pose_is_lost_at_120_hz_and_the_source_reconnects():
     heard = Heard()
     with socket.create_server(("127.0.0.1", 0)) as listening:
         listening.settimeout(10.0)
@@ -177,7 +177,7 @@ def test_nothing_is_lost_at_120_hz_and_we_come_back_after_the_peer_did():
         client.start()
         try:
             peer, _ = listening.accept()
-            # By the clock: sleeps add up to less than 120 Hz.
+            # Send by the clock, because repeated sleeps give less than 120 Hz.
             began = time.monotonic()
             for n in range(240):
                 matrix = np.eye(4)
@@ -188,7 +188,7 @@ def test_nothing_is_lost_at_120_hz_and_we_come_back_after_the_peer_did():
             assert [s.position_mm[0] for _, s in heard.samples] == list(range(240))
             device = f"openigtlink:127.0.0.1:{port}/Pen"
             assert {d for d, _ in heard.samples} == {device}
-            # A header with a length of 4 GiB: this connection is given up, and opened again.
+            # A header with a length of 4 GiB: the source closes the connection and opens a new one.
             peer.sendall(HEADER.pack(1, b"TRANSFORM", b"x", 0, 4 << 30, 0))
             peer.close()
             again, _ = listening.accept()
@@ -201,7 +201,7 @@ def test_nothing_is_lost_at_120_hz_and_we_come_back_after_the_peer_did():
             client.stop()
 
 
-def test_pyigtl_as_tracker_drives_us_at_60_hz():
+def test_pyigtl_tracker_at_60_hz_drives_the_tip():
     heard = Heard()
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
@@ -232,8 +232,8 @@ def received(peer: socket.socket) -> bytes:
 
 
 def picture_among_poses(peer: socket.socket):
-    """The first IMAGE that comes, read by pyigtl."""
-    # What came last may have been cut in the midst of a pose.
+    """Return the first IMAGE message that arrives, as pyigtl reads it."""
+    # The data received last may end in the middle of a pose message.
     data, mark = b"", b"IMAGE".ljust(12, b"\0") + b"CarinaView"
     until = time.monotonic() + 60.0
     while (at := data.find(mark) - 2) < 0 or len(data) < at + HEADER.size:
@@ -248,7 +248,7 @@ def picture_among_poses(peer: socket.socket):
     return picture
 
 
-def test_pyigtl_sees_our_tip_at_60_hz_and_gets_the_picture_when_it_asks():
+def test_pyigtl_receives_the_tip_at_60_hz_and_the_picture_on_request():
     count = itertools.count()
     pixels = np.random.default_rng(3).integers(0, 256, (12, 16, 3), dtype=np.uint8)
 
@@ -263,14 +263,14 @@ def test_pyigtl_sees_our_tip_at_60_hz_and_gets_the_picture_when_it_asks():
     client = pyigtl.OpenIGTLinkClient(host="127.0.0.1", port=server.port)
     try:
         first = wait_for(lambda: client.wait_for_message("CarinaTip", timeout=2))
-        # RAS: left and posterior change their signs.
+        # In RAS, left and posterior have the opposite signs of LPS.
         assert (first.matrix[0, 3], first.matrix[1, 3]) == (-1.0, -2.0)
         client.stop()
         wait_for(lambda: server.num_peers == 0)
-        # Every peer is asked for with a pose of its own; a plain receiver that is alone misses none.
+        # A plain receiver that is the only peer misses no pose.
         with socket.create_connection(("127.0.0.1", server.port), timeout=10.0) as plain:
             stream, until, rate_hz = IgtlStream(), time.monotonic() + 60.0, 0.0
-            # A second in which the machine has nothing else to do.
+            # Repeat until the machine is idle enough for one second at full rate.
             while rate_hz <= 60.0:
                 assert time.monotonic() < until, f"{rate_hz:.0f} poses a second"
                 began, first = time.monotonic(), len(seen)
@@ -287,7 +287,7 @@ def test_pyigtl_sees_our_tip_at_60_hz_and_gets_the_picture_when_it_asks():
         server.stop()
 
 
-def test_a_peer_that_sends_noise_or_goes_does_not_end_the_server():
+def test_noise_or_disconnection_of_a_peer_does_not_stop_the_server():
     server = IgtlServer(lambda: np.eye(4), port=0)
     server.start()
     try:
@@ -301,16 +301,16 @@ def test_a_peer_that_sends_noise_or_goes_does_not_end_the_server():
 
 
 @pytest.mark.parametrize("reads", [True, False])
-def test_the_server_ends_while_a_peer_is_connected(reads, monkeypatch):
+def test_server_stops_while_a_peer_is_connected(reads, monkeypatch):
     if sys.version_info < (3, 12):
 
         async def wait_closed(self):
-            # As from Python 3.12 on: until the last connection is closed.
+            # Behaves as Python 3.12 and later: waits until the last connection is closed.
             while self._active_count:
                 await asyncio.sleep(0.005)
 
         monkeypatch.setattr(asyncio.base_events.Server, "wait_closed", wait_closed)
-    pixels = np.zeros((1500, 2000, 3), dtype=np.uint8)  # more than the sockets hold
+    pixels = np.zeros((1500, 2000, 3), dtype=np.uint8)  # more than the socket buffers take
     server = IgtlServer(lambda: np.eye(4), picture=lambda: pixels, port=0)
     server.start()
     with socket.create_connection(("127.0.0.1", server.port)) as peer:
@@ -320,7 +320,7 @@ def test_the_server_ends_while_a_peer_is_connected(reads, monkeypatch):
                 peer.sendall(pack_message("GET_IMAGE", "v", b""))
 
             def held_up() -> bool:
-                # At 60 poses a second.
+                # At 60 poses per second.
                 sent = server.num_sent
                 threading.Event().wait(0.2)
                 return server.num_sent == sent
@@ -332,7 +332,7 @@ def test_the_server_ends_while_a_peer_is_connected(reads, monkeypatch):
         assert not ending.is_alive()
 
 
-def test_a_connection_that_says_nothing_is_opened_again():
+def test_silent_connection_is_opened_again():
     heard = Heard()
     with socket.create_server(("127.0.0.1", 0)) as listening:
         listening.settimeout(8.0)
@@ -343,7 +343,7 @@ def test_a_connection_that_says_nothing_is_opened_again():
             silent, _ = listening.accept()
             silent.sendall(pack_transform("Pen", np.eye(4), time_s=1.0))
             wait_for(lambda: len(heard.samples) == 1)
-            # No farewell: as after the peer lost its power.
+            # The peer disappears without closing the connection, as after a loss of power.
             again, _ = listening.accept()
             assert heard.gone[0].endswith("/Pen")
             again.sendall(pack_transform("Pen", np.eye(4), time_s=2.0))
@@ -355,7 +355,7 @@ def test_a_connection_that_says_nothing_is_opened_again():
             client.stop()
 
 
-def test_a_name_that_is_none_ends_no_source():
+def test_invalid_device_name_does_not_stop_the_source():
     heard = Heard()
     client = IgtlClient("a" * 64 + "..b", 18944, heard.listener)
     client.RETRY_S = 0.02
@@ -367,7 +367,7 @@ def test_a_name_that_is_none_ends_no_source():
         client.stop()
 
 
-def test_an_idle_connection_stays_and_the_system_looks_after_it():
+def test_idle_connection_stays_open_with_tcp_keepalive():
     heard = Heard()
     with socket.create_server(("127.0.0.1", 0)) as listening:
         listening.settimeout(0.6)
@@ -390,7 +390,7 @@ def test_an_idle_connection_stays_and_the_system_looks_after_it():
             client.stop()
 
 
-def test_the_system_asks_whether_an_idle_peer_is_still_there(monkeypatch):
+def test_tcp_keepalive_detects_a_lost_idle_peer_within_10_seconds(monkeypatch):
     writers, connect = [], asyncio.open_connection
 
     async def noted(*address):
@@ -415,7 +415,7 @@ def test_the_system_asks_whether_an_idle_peer_is_still_there(monkeypatch):
             client.stop()
 
 
-def test_a_person_can_say_how_long_a_peer_may_be_silent():
+def test_silence_limit_of_a_peer_can_be_set():
     heard = Heard()
     with socket.create_server(("127.0.0.1", 0)) as listening:
         listening.settimeout(8.0)

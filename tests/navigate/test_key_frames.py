@@ -1,4 +1,4 @@
-"""Flights through key frames at speeds, through space and along airways, and their files."""
+"""Tests of flights through key frames, in space and along airways, and of key frame files."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ numbers = st.floats(-60, 60)
 places = st.lists(st.tuples(numbers, numbers, numbers), min_size=2, max_size=7)
 
 
-def test_each_leg_is_flown_at_its_speed_and_its_duration_is_length_by_speed_and_ramps():
+def test_leg_has_its_speed_and_duration_is_length_by_speed_plus_ramps():
     frames = [
         KeyFrame(None, LINE[0]),
         KeyFrame(None, LINE[1]),
@@ -45,20 +45,21 @@ def test_each_leg_is_flown_at_its_speed_and_its_duration_is_length_by_speed_and_
     ]
     flight = KeyFrameFlight(frames, speed_mm_s=20.0)
     a, b, c, d = flight.key_times_s
-    # From rest to 20 mm/s takes 0.5 s and 5 mm; from 5 to 20 mm/s 0.375 s and 4.6875 mm, and as much back.
+    # Reaching 20 mm/s from rest takes 0.5 s and 5 mm; from 5 mm/s it takes 0.375 s and 4.6875 mm, and the same to slow
+    # down.
     assert b - a == pytest.approx(0.5 + 30.3125 / 20.0 + 0.375)
     assert c - b == pytest.approx(40.0 / 5.0)
     assert d - c == pytest.approx(b - a)
     speed = speeds_mm_s(flight)
     assert speed.max() == pytest.approx(20.0, abs=1e-6)
     assert speed[int((b + c) / 2 / 0.002)] == pytest.approx(5.0, abs=1e-6)
-    # No leap in the speed anywhere: 15 mm/s in 0.375 s are 0.08 mm/s in 2 ms.
+    # The speed has no jump: 15 mm/s in 0.375 s are 0.08 mm/s in 2 ms.
     assert np.abs(np.diff(speed)).max() < 0.1
 
 
 @settings(max_examples=25, deadline=None)
 @given(places, st.floats(1.0, 100.0), st.integers(0, 2**31))
-def test_a_flight_passes_its_key_frames_to_the_bit_at_no_more_than_its_speed(points, speed, seed):
+def test_flight_passes_key_frames_exactly_within_its_speed(points, speed, seed):
     rng = np.random.default_rng(seed)
     poses = []
     for at in points:
@@ -74,13 +75,14 @@ def test_a_flight_passes_its_key_frames_to_the_bit_at_no_more_than_its_speed(poi
     flown_at = [flight.pose_at(t) for t in times]
     at = np.array([one.position_lps for one in flown_at])
     step_s = times[1] - times[0]
-    # 1e-3: the cubic between samples is a thousandth longer than its chord at the sharpest bend it passes without rest.
+    # Tolerance 1e-3: the cubic between samples is 0.1 % longer than its chord at the sharpest bend passed without a
+    # rest.
     assert np.linalg.norm(np.diff(at, axis=0), axis=1).max() <= speed * step_s * 1.02 + 1e-3
 
 
 @settings(max_examples=25, deadline=None)
 @given(places)
-def test_the_curve_through_space_stays_near_its_chords_and_goes_on_in_one_direction(points):
+def test_curve_in_space_stays_near_its_chords_without_turning_back(points):
     at = np.array(points)
     flight = KeyFrameFlight([KeyFrame(None, pose(p)) for p in points], speed_mm_s=50.0)
     for n, (start, end) in enumerate(itertools.pairwise(at)):
@@ -88,20 +90,22 @@ def test_the_curve_through_space_stays_near_its_chords_and_goes_on_in_one_direct
         for t in np.linspace(flight.key_times_s[n], flight.key_times_s[n + 1], 20):
             here = flight.pose_at(t).position_lps
             along = 0.0 if chord < 1e-9 else np.clip((here - start) @ (end - start) / chord**2, 0, 1)
-            # Centripetal: the control points lie within a third of a chord and of what the neighbours' bend adds.
+            # The curve is centripetal: control points are within a third of a chord plus the effect of the neighbours'
+            # bend.
             assert np.linalg.norm(here - (start + along * (end - start))) <= 0.34 * chord + 1e-6
 
 
-def test_velocity_has_no_step_at_a_key_frame_in_a_bend():
+def test_velocity_is_continuous_at_a_key_frame_in_a_bend():
     bend = [(0, 0, 0), (0, 0, -30), (12, 0, -55), (35, 10, -70)]
     flight = KeyFrameFlight([KeyFrame(None, pose(p)) for p in bend], speed_mm_s=20.0)
     _, at = flown(flight, 0.001)
     velocity = np.diff(at, axis=0) / 0.001
-    # 20 mm/s round a bend of 5 mm are 80 mm/s^2, gathering speed 40: 0.2 mm/s in 1 ms is no step.
+    # 20 mm/s round a bend of 5 mm is 80 mm/s^2 and the ramp is 40 mm/s^2, so the velocity changes less than 0.2 mm/s in
+    # 1 ms.
     assert np.abs(np.diff(velocity, axis=0)).max() < 0.2
 
 
-def test_the_flight_rests_where_the_way_turns_back():
+def test_flight_rests_where_the_path_turns_back():
     there_and_back = [(0, 0, 0), (0, 0, -30), (0, 0, -2)]
     flight = KeyFrameFlight([KeyFrame(None, pose(p)) for p in there_and_back], speed_mm_s=20.0)
     turn_s = flight.key_times_s[1]
@@ -110,7 +114,7 @@ def test_the_flight_rests_where_the_way_turns_back():
     assert speed.max() == pytest.approx(20.0, rel=1e-3)
 
 
-def test_a_look_around_on_the_spot_takes_its_time_and_keeps_the_horizon():
+def test_rotation_in_place_takes_time_and_keeps_the_horizon():
     at = (3.0, 4.0, 5.0)
     flight = KeyFrameFlight([KeyFrame(None, pose(at, (0, 0, -1))), KeyFrame(None, pose(at, (1, 0, -0.2)))])
     angle = math.acos(np.array([0, 0, -1]) @ (np.array([1, 0, -0.2]) / math.hypot(1, 0.2)))
@@ -123,11 +127,11 @@ def test_a_look_around_on_the_spot_takes_its_time_and_keeps_the_horizon():
 
 @settings(max_examples=25, deadline=None)
 @given(st.tuples(numbers, numbers, numbers), st.tuples(numbers, numbers, numbers))
-def test_between_two_level_poses_the_picture_stays_level(one, other):
+def test_picture_stays_level_between_two_level_poses(one, other):
     looks = [np.array(v) / max(np.linalg.norm(v), 1e-9) for v in (one, other)]
     if any(np.linalg.norm(v) < 0.5 for v in looks) or looks[0] @ looks[1] < -0.9:
         return
-    # Along the anterior axis there is no horizon.
+    # A view along the anterior axis has no horizon.
     middle = (looks[0] + looks[1]) / np.linalg.norm(looks[0] + looks[1])
     if max(abs(v[1]) for v in (*looks, middle)) > 0.8:
         return
@@ -137,11 +141,11 @@ def test_between_two_level_poses_the_picture_stays_level(one, other):
         np.testing.assert_allclose(-matrix[:3, 1], upright(matrix[:3, 2]), atol=1e-6)
 
 
-# ------------------------------------------------------------ along airways
+# Flights along airways.
 
 
 def fork_way() -> AirwayWay:
-    """Up one bronchus, over the carina, down the other: 60 degrees between their axes."""
+    """Return a path up one bronchus, over the carina and down the other bronchus; their axes are 60 degrees apart."""
     up = [(-20.0 + n, 0.0, -35.0 + 1.7 * n) for n in range(21)]
     down = [(float(n), 0.0, -1.0 - 1.7 * n) for n in range(1, 21)]
     return AirwayWay(np.array(up + down), 20)
@@ -153,7 +157,7 @@ def distance_to(points, polyline) -> np.ndarray:
     return np.linalg.norm(points[:, None] - (a + along[..., None] * (b - a)), axis=-1).min(axis=1)
 
 
-def test_along_airways_the_flight_follows_their_middle_where_the_chord_would_cut_through_the_lung():
+def test_flight_along_airways_follows_centrelines_where_the_chord_leaves_the_lumen():
     way = fork_way()
     start, end = way.points_lps[0] + (1.0, 0.5, 0.0), way.points_lps[-1] - (0.0, 0.0, 0.0)
     frames = [KeyFrame(None, pose(start, (-0.5, 0, -0.85))), KeyFrame(None, pose(end, (0.5, 0, -0.85)), way=way)]
@@ -161,7 +165,8 @@ def test_along_airways_the_flight_follows_their_middle_where_the_chord_would_cut
     assert flight.through_airways == (True,)
     _, at = flown(flight, 0.01)
     away = distance_to(at, way.points_lps)
-    # The curve smooths by at most 0.5 mm; the key frame lies 1.1 mm beside the middle, and that eases out.
+    # The curve smooths by at most 0.5 mm; the key frame is 1.1 mm off the centreline, and this offset decreases
+    # gradually.
     assert away.max() < 1.7
     assert away[len(away) // 4 :].max() < 0.6
     chord = start + np.linspace(0, 1, 50)[:, None] * (end - start)
@@ -170,22 +175,22 @@ def test_along_airways_the_flight_follows_their_middle_where_the_chord_would_cut
     assert speed.max() == pytest.approx(20.0, rel=0.01)
 
 
-def test_along_airways_the_camera_looks_distally_and_turns_at_the_fork():
+def test_camera_looks_distally_along_airways_and_turns_at_the_fork():
     way = fork_way()
     left, right = np.array([-0.507, 0, -0.862]), np.array([0.507, 0, -0.862])
     frames = [KeyFrame(None, pose(way.points_lps[0], left)), KeyFrame(None, pose(way.points_lps[-1], right), way=way)]
     flight = KeyFrameFlight(frames, speed_mm_s=20.0)
     looks = np.array([flight.pose_at(t).forward_lps for t in np.linspace(0, flight.duration_s, 400)])
-    # It withdraws looking down the bronchus it leaves, and never at a wall beside or backwards.
+    # During withdrawal the camera looks down the bronchus that it leaves, not at a wall and not backwards.
     assert looks[60] @ left > 0.99
     assert looks[340] @ right > 0.99
     assert (looks[:, 2] < -0.8).all()
-    # No swing: 50 degrees within 16 mm at 20 mm/s.
+    # The view does not swing: 50 degrees within 16 mm at 20 mm/s.
     turns = np.degrees(np.arccos(np.clip((looks[1:] * looks[:-1]).sum(axis=1), -1, 1))) / (flight.duration_s / 399)
     assert turns.max() < 140.0
 
 
-def test_consecutive_legs_along_one_airway_run_into_each_other_without_a_rest():
+def test_consecutive_legs_along_one_airway_have_no_rest_between_them():
     points = np.array([(0.3 * math.sin(n / 9), 0.0, -float(n)) for n in range(121)])
     poses = [pose(points[n] + (0.5, 0, 0)) for n in (0, 40, 80, 120)]
     ways = [None, *(AirwayWay(points[n : n + 41], 0) for n in (0, 40, 80))]
@@ -196,14 +201,14 @@ def test_consecutive_legs_along_one_airway_run_into_each_other_without_a_rest():
     assert np.abs(np.diff(np.diff(at, axis=0) / 0.001, axis=0)).max() < 0.5
 
 
-def test_key_frames_across_one_place_of_an_airway_are_joined_straight():
+def test_key_frames_beside_one_airway_position_are_joined_by_a_straight_line():
     way = AirwayWay(np.array([(0.0, 0, 0), (0.0, 0, -1.0)]), 0)
     flight = KeyFrameFlight([KeyFrame(None, pose((-4, 0, 0))), KeyFrame(None, pose((4, 0, -1)), way=way)])
     assert flight.through_airways == (False,)
     assert flight.leg_mm[0] == pytest.approx(math.hypot(8, 1))
 
 
-# ------------------------------------------------------------ refused
+# Refused input.
 
 
 @pytest.mark.parametrize("speed", [0.0, -1.0, 501.0, math.nan, math.inf])
@@ -214,7 +219,7 @@ def test_speeds_out_of_range_are_refused(speed):
         KeyFrameFlight([KeyFrame(None, LINE[0]), KeyFrame(None, LINE[1], speed_mm_s=speed)])
 
 
-def test_a_mixture_of_times_and_speeds_and_a_single_key_frame_are_refused():
+def test_mixed_times_and_speeds_or_a_single_key_frame_are_refused():
     with pytest.raises(UsageError, match="all key frames must have times"):
         KeyFrameFlight([KeyFrame(0.0, LINE[0]), KeyFrame(None, LINE[1])])
     with pytest.raises(UsageError, match="at least two"):
@@ -225,12 +230,12 @@ def test_a_mixture_of_times_and_speeds_and_a_single_key_frame_are_refused():
 
 
 @pytest.mark.parametrize("points", [[(0.0, 0, 0)], [(0.0, 0), (1.0, 0)], [(0.0, 0, math.nan), (0, 0, 1)]])
-def test_ways_that_are_none_are_refused(points):
+def test_invalid_leg_paths_are_refused(points):
     with pytest.raises(UsageError, match="at least two points"):
         AirwayWay(np.array(points), 0)
 
 
-# ------------------------------------------------------------ files
+# Files.
 
 
 def inside(volume, *ijk) -> Pose:
@@ -242,7 +247,7 @@ def written(path, file: KeyFrameFile):
     return path
 
 
-def test_a_file_gives_the_same_flight_to_the_last_bit(tmp_path):
+def test_file_gives_the_same_flight_to_the_last_bit(tmp_path):
     volume = small_volume()
     way = AirwayWay(np.array([volume.to_lps(np.array((16.0, 14.0, k))) for k in (30.0, 25.0, 20.0)]), 2)
     frames = (
@@ -288,7 +293,7 @@ def test_key_frames_of_another_case_are_refused_by_name(tmp_path):
         {"view": []},
     ],
 )
-def test_files_that_hold_no_key_frames_are_refused(tmp_path, change):
+def test_files_without_key_frames_are_refused(tmp_path, change):
     volume = small_volume()
     frames = (KeyFrame(None, inside(volume, 16, 14, 30)), KeyFrame(None, inside(volume, 16, 14, 20)))
     document = KeyFrameFile(frames, case=case_key(volume)).to_json() | change
@@ -301,7 +306,7 @@ def test_files_that_hold_no_key_frames_are_refused(tmp_path, change):
 @pytest.mark.parametrize(
     "text", ["", "{", "[]", "[" * 100_000, "\ud800".encode("utf-8", "surrogatepass").decode("latin1")]
 )
-def test_files_that_are_no_json_are_refused(tmp_path, text):
+def test_files_that_are_not_json_are_refused(tmp_path, text):
     path = tmp_path / "k.json"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(VolumeImportError):

@@ -1,4 +1,4 @@
-"""The tip's movement: free, on a path, between the two, and which way is up."""
+"""Tests of the tip's movement: free, on a path, between both modes, and the up direction of the view."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ ROUTE = np.array([[0, 0, 100], [0, 0, 60], [0, 0, 30], [10, 2, 10], [30, 5, 0], 
 
 
 def oblique_volume() -> Volume:
-    """A small grid, different on every axis and turned in space, so that swapped axes cannot pass."""
+    """Return a small oblique volume that differs on every axis, so that a test with swapped axes fails."""
     c, s = np.cos(0.4), np.sin(0.4)
     turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]) @ np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
     matrix = np.eye(4)
@@ -36,20 +36,20 @@ def on_path(at_mm: float = 20.0) -> Navigator:
     return tip
 
 
-# Which way is up.
+# Up direction.
 
 
-def test_from_the_head_end_looking_caudally_the_patients_right_is_on_the_right_of_the_picture() -> None:
+def test_caudal_view_from_the_head_end_has_patient_right_on_the_right() -> None:
     # docs/conventions.md: view = inferior, up = anterior, right-hand = patient right. LPS: +x left, +y posterior.
     tip = Navigator(Pose.looking([0, 0, 0], [0, 0, -1]))
     np.testing.assert_allclose(tip.pose.right_lps, [-1, 0, 0], atol=1e-12)
     np.testing.assert_allclose(-tip.pose.down_lps, [0, -1, 0], atol=1e-12)
 
 
-def test_facing_the_patient_turns_the_picture_by_180_degrees() -> None:
+def test_operator_facing_the_patient_sees_the_picture_turned_by_180_degrees() -> None:
     tip = Navigator(Pose.looking([1, 2, 3], [0, 0, -1]))
     tip.set_operator("facing")
-    # Membranous (posterior) wall at 12 o'clock, the patient's right on the left.
+    # The membranous (posterior) wall is at 12 o'clock, and the patient's right is on the left.
     np.testing.assert_allclose(-tip.pose.down_lps, [0, 1, 0], atol=1e-12)
     np.testing.assert_allclose(tip.pose.right_lps, [1, 0, 0], atol=1e-12)
     np.testing.assert_allclose(tip.pose.forward_lps, [0, 0, -1], atol=1e-12)
@@ -63,7 +63,7 @@ def test_facing_the_patient_turns_the_picture_by_180_degrees() -> None:
     ("look", "up"), [([0.2, 0.1, -1], [0, -1, 0]), ([0, -1, 0], [0, 0, 1]), ([1, 0, 0], [0, -1, 0])]
 )
 @pytest.mark.parametrize("mode", ["free", "path"])
-def test_levelling_puts_anterior_up_or_superior_where_the_view_is_antero_posterior(
+def test_levelling_puts_anterior_up_or_superior_in_antero_posterior_views(
     look: list[float], up: list[float], mode: str
 ) -> None:
     look_dir = np.array(look) / np.linalg.norm(look)
@@ -87,10 +87,10 @@ def test_levelling_on_a_path_stays_while_the_tip_advances() -> None:
     np.testing.assert_allclose(tip.pose.down_lps, [0, -1, 0], atol=1e-2)
 
 
-# Free.
+# Free movement.
 
 
-def test_free_steering_turns_about_the_cameras_own_axes_and_advances_along_the_view() -> None:
+def test_free_steering_turns_about_camera_axes_and_advances_along_the_view() -> None:
     tip = Navigator(Pose.looking([0, 0, 0], [0, 0, -1]))
     tip.steer(yaw_rad=np.pi / 2)  # right is the patient's right, -x
     tip.steer(advance_mm=3.0)
@@ -103,19 +103,19 @@ def test_free_steering_turns_about_the_cameras_own_axes_and_advances_along_the_v
 
 
 @pytest.mark.parametrize("num_turns", [4000, pytest.param(100_000, marks=pytest.mark.soak)])
-def test_the_pose_is_rigid_after_thousands_of_random_turns(rng: np.random.Generator, num_turns: int) -> None:
+def test_pose_is_rigid_after_thousands_of_random_turns(rng: np.random.Generator, num_turns: int) -> None:
     tip = Navigator(Pose.looking([0, 0, 0], [0.3, 0.2, -1]), volume=oblique_volume())
     amounts = rng.normal(0.0, 0.2, size=(num_turns, 4))
     for advance, yaw, pitch, roll in amounts:
         tip.steer(advance, yaw, pitch, roll)
     r = tip.pose.lps_from_camera[:3, :3]
-    # 1e-14: made square in each step, so nothing adds up.
+    # Tolerance 1e-14: each step makes the matrix orthogonal again, so errors do not accumulate.
     assert np.abs(r.T @ r - np.eye(3)).max() < 1e-14
     assert np.linalg.det(r) > 0
 
 
 @given(st.lists(st.tuples(st.floats(-60, 60), st.floats(-3, 3), st.floats(-3, 3), st.floats(-3, 3)), max_size=12))
-def test_the_free_tip_never_leaves_the_volume_and_says_when_it_is_held(moves: list[tuple[float, ...]]) -> None:
+def test_free_tip_stops_at_the_volume_border_and_reports_it(moves: list[tuple[float, ...]]) -> None:
     volume = oblique_volume()
     tip = Navigator(Pose.looking(volume.centre_lps, [0, 0, -1]), volume=volume)
     for move in moves:
@@ -126,12 +126,12 @@ def test_the_free_tip_never_leaves_the_volume_and_says_when_it_is_held(moves: li
         ijk = volume.to_ijk(tip.pose.position_lps)
         at_face = np.abs(np.concatenate([ijk + 0.5, np.array([50, 40, 17]) - 0.5 - ijk])).min() < 1e-4
         assert at_face if tip.limit == "volume" else abs(went - abs(move[0])) < 1e-9
-        # It stops on its way and does not slide along the face.
+        # The tip stops on its line of movement and does not slide along the face of the volume.
         along = np.sign(move[0]) * tip.pose.forward_lps
         np.testing.assert_allclose(tip.pose.position_lps, start + went * along, atol=1e-4)
 
 
-def test_a_tip_placed_outside_the_volume_is_put_at_its_edge_and_says_so() -> None:
+def test_tip_placed_outside_the_volume_is_moved_to_its_border_and_reported() -> None:
     volume = oblique_volume()
     tip = Navigator(Pose.looking(volume.centre_lps, [0, 0, -1]), volume=volume)
     tip.place_at(volume.to_lps(np.array([70.0, 20.0, 8.0])))
@@ -142,7 +142,7 @@ def test_a_tip_placed_outside_the_volume_is_put_at_its_edge_and_says_so() -> Non
     np.testing.assert_array_equal(tip.pose.forward_lps, [0, 0, -1])
 
 
-# On the path.
+# Movement on a path.
 
 
 def test_advancing_follows_the_path_and_stops_at_its_ends() -> None:
@@ -159,7 +159,7 @@ def test_advancing_follows_the_path_and_stops_at_its_ends() -> None:
     assert tip.limit == "none"
 
 
-def test_a_free_look_leaves_the_way_alone_stays_while_advancing_and_can_be_reset() -> None:
+def test_free_look_keeps_the_path_position_persists_and_can_be_reset() -> None:
     tip, plain = on_path(), on_path()
     tip.steer(yaw_rad=0.5)
     tip.steer(pitch_rad=0.2)
@@ -172,13 +172,13 @@ def test_a_free_look_leaves_the_way_alone_stays_while_advancing_and_can_be_reset
     np.testing.assert_array_equal(tip.pose.lps_from_camera, plain.pose.lps_from_camera)
 
 
-def test_forks_are_stops_forward_and_back() -> None:
+def test_forks_are_stops_forward_and_backward() -> None:
     tip = on_path(0.0)
     assert [tip.next_fork() for _ in range(3)] == [40.0, 70.0, pytest.approx(tip.path.length_mm)]  # type: ignore[union-attr]
     assert [tip.previous_fork() for _ in range(3)] == [70.0, 40.0, 0.0]
 
 
-def test_a_free_tip_goes_to_the_fork_after_the_place_it_is_nearest_to() -> None:
+def test_free_tip_goes_to_the_fork_after_its_nearest_path_position() -> None:
     tip = on_path(0.0)
     tip.set_mode("free")
     tip.place_at([3.0, 0.0, 55.0])
@@ -186,10 +186,10 @@ def test_a_free_tip_goes_to_the_fork_after_the_place_it_is_nearest_to() -> None:
     assert tip.mode == "path"
 
 
-# Between the two.
+# Changes between free movement and a path.
 
 
-def test_leaving_the_path_keeps_the_pose_to_the_bit() -> None:
+def test_leaving_the_path_keeps_the_pose_exactly() -> None:
     tip = on_path(33.0)
     tip.steer(2.0, 0.3, -0.1, 0.7)
     before = tip.pose
@@ -204,7 +204,7 @@ def test_leaving_the_path_keeps_the_pose_to_the_bit() -> None:
     st.tuples(*[st.floats(-3, 3)] * 3),
     st.sampled_from(["head", "facing"]),
 )
-def test_entering_the_path_nearby_makes_no_jump_and_eases_onto_it(
+def test_entering_a_nearby_path_eases_onto_it_without_a_jump(
     path_mm: float, away: tuple[float, ...], turn: tuple[float, ...], operator: str
 ) -> None:
     tip = on_path(path_mm)
@@ -215,9 +215,9 @@ def test_entering_the_path_nearby_makes_no_jump_and_eases_onto_it(
     before = tip.pose
     assert tip.toggle_mode() == "path"
     np.testing.assert_array_equal(tip.pose.lps_from_camera, before.lps_from_camera)
-    tip.steer()  # nothing moved: only rounding may differ
+    tip.steer()  # no movement: only rounding may differ
     np.testing.assert_allclose(tip.pose.lps_from_camera, before.lps_from_camera, atol=1e-7)
-    # Per 0.1 mm: 4 degrees per mm of easing, and the path's own turning (below 7 degrees per mm on this route).
+    # Limit per 0.1 mm: 4 degrees per mm of easing plus the turning of the path (below 7 degrees per mm on this route).
     direction = 1.0 if tip.path_mm < 60.0 else -1.0  # type: ignore[operator]
     for _ in range(20):
         last = tip.pose
@@ -232,7 +232,7 @@ def test_entering_the_path_nearby_makes_no_jump_and_eases_onto_it(
     np.testing.assert_allclose(tip.pose.forward_lps, end.forward_lps, atol=1e-6)
 
 
-def test_easing_does_not_depend_on_how_the_way_is_cut_into_steps() -> None:
+def test_easing_is_independent_of_the_step_size() -> None:
     tips = [on_path(10.0), on_path(10.0)]
     for tip in tips:
         tip.toggle_mode()
@@ -242,11 +242,11 @@ def test_easing_does_not_depend_on_how_the_way_is_cut_into_steps() -> None:
     tips[0].steer(advance_mm=25.0)
     for _ in range(50):
         tips[1].steer(advance_mm=0.5)
-    # 1e-9: rounding of 50 closed forms.
+    # Tolerance 1e-9: rounding of 50 closed-form steps.
     np.testing.assert_allclose(tips[0].pose.lps_from_camera, tips[1].pose.lps_from_camera, atol=1e-9)
 
 
-def test_entering_from_far_away_goes_to_the_nearest_place_and_looks_along_the_path() -> None:
+def test_entering_a_distant_path_goes_to_its_nearest_position_and_looks_along_it() -> None:
     tip = on_path(10.0)
     tip.toggle_mode()
     tip.place_at([40.0, 0.0, 70.0])
@@ -255,7 +255,7 @@ def test_entering_from_far_away_goes_to_the_nearest_place_and_looks_along_the_pa
     np.testing.assert_allclose(tip.pose.lps_from_camera, tip.path.pose_at(30.0).lps_from_camera, atol=1e-9)
 
 
-def test_a_new_path_nearby_is_joined_without_a_jump_and_no_path_sets_the_tip_free() -> None:
+def test_new_nearby_path_is_joined_without_a_jump_and_removed_path_frees_the_tip() -> None:
     tip = on_path(20.0)
     tip.steer(yaw_rad=0.2)
     before = tip.pose
@@ -268,7 +268,7 @@ def test_a_new_path_nearby_is_joined_without_a_jump_and_no_path_sets_the_tip_fre
     np.testing.assert_array_equal(tip.pose.lps_from_camera, before.lps_from_camera)
 
 
-def test_what_cannot_be_done_is_refused_and_changes_nothing() -> None:
+def test_impossible_movements_are_refused_without_effect() -> None:
     tip = Navigator(Pose.looking([0, 0, 0], [0, 0, -1]))
     before = tip.pose
     for wrong in (

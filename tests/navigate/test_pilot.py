@@ -1,4 +1,4 @@
-"""Devices move the tip: three ways, no jump between them, and every bad hand survived."""
+"""Tests of device control of the tip: three modes, changes between modes without jumps, and invalid device input."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from carina.navigate.rotation import rotation_from_vector, wxyz_from_rotation
 from carina.scopes import Pose
 
 PLAIN = DeviceControls(filter_on=False)
-# A trachea down 60 mm, then on to the right; the other way leads left.
+# A trachea of 60 mm, then the right main bronchus; the other path leads left.
 DOWN = [(0.0, 0.0, -float(z)) for z in range(61)]
 RIGHT = (-math.sin(0.7), 0.0, -math.cos(0.7))
 LEFT = (math.sin(0.7), 0.0, -math.cos(0.7))
@@ -33,7 +33,7 @@ PATH = m.SetPath(
 
 
 class Hand:
-    """A pilot, and a device that says something 100 times a second."""
+    """A pilot with a device that sends 100 samples per second."""
 
     def __init__(self, *, path: bool = False, controls: DeviceControls = PLAIN) -> None:
         self.pilot = Pilot(Navigator(Pose.looking([0.0, 0.0, -5.0], [0.0, 0.0, -1.0])))
@@ -64,7 +64,7 @@ def moved(a: Pose, b: Pose) -> float:
     return float(np.linalg.norm(a.position_lps - b.position_lps))
 
 
-def test_in_relative_the_tip_does_what_the_hand_does_from_where_it_is():
+def test_relative_mode_moves_the_tip_as_the_hand_moves():
     hand = Hand()
     start = hand.pose
     hand.pen((100.0, 50.0, 25.0), (0.3, 0.2, 0.1))
@@ -75,7 +75,7 @@ def test_in_relative_the_tip_does_what_the_hand_does_from_where_it_is():
     np.testing.assert_allclose(hand.pose.position_lps, [0.0, 0.0, -9.0], atol=1e-9)
 
 
-def test_gain_scales_and_the_clutch_lifts_the_hand():
+def test_gain_scales_the_movement_and_the_clutch_disengages_the_hand():
     hand = Hand(controls=DeviceControls(gain_mm=2.0, filter_on=False))
     hand.pen()
     hand.pen((0.0, 0.0, 3.0))
@@ -87,7 +87,7 @@ def test_gain_scales_and_the_clutch_lifts_the_hand():
     np.testing.assert_allclose(hand.pose.position_lps, [0.0, 0.0, -13.0], atol=1e-9)
 
 
-def test_absolute_needs_a_registration_and_does_not_jump_but_comes_to_where_the_pen_is():
+def test_absolute_mode_needs_a_registration_and_eases_to_the_pen():
     hand = Hand()
     hand.pen((10.0, 0.0, 0.0))
     with pytest.raises(UsageError, match="register the pen first"):
@@ -110,7 +110,7 @@ def test_absolute_needs_a_registration_and_does_not_jump_but_comes_to_where_the_
     np.testing.assert_allclose(hand.pose.lps_from_camera, pen.lps_from_camera, atol=0.1)
 
 
-def test_one_button_cycles_the_three_ways_without_a_jump_in_the_picture():
+def test_one_button_cycles_the_three_modes_without_a_jump():
     hand = Hand(path=True)
     hand.pilot.apply(m.Register("pen", tuple(np.eye(4).ravel())))
     hand.pen((3.0, 1.0, -4.0))
@@ -122,14 +122,14 @@ def test_one_button_cycles_the_three_ways_without_a_jump_in_the_picture():
         seen.append(hand.pilot.control)
         assert moved(hand.pose, before) < 1e-9, n
         np.testing.assert_allclose(hand.pose.lps_from_camera, before.lps_from_camera, atol=1e-9)
-        # And the hand goes on smoothly after it.
+        # After the change the tip continues to follow the hand smoothly.
         hand.pen((3.0, 1.0, -4.0 + 0.1))
         assert moved(hand.pose, before) < 0.3
         hand.pen((3.0, 1.0, -4.0))
     assert seen == ["path", "absolute", "relative", "path", "absolute", "relative", "path"]
 
 
-def test_on_the_path_only_forward_counts_and_turns_are_a_free_look():
+def test_on_the_path_only_forward_movement_counts_and_turns_are_a_free_look():
     hand = Hand(path=True)
     hand.pilot.apply(c.SetControl("path"))
     hand.pen()
@@ -138,8 +138,8 @@ def test_on_the_path_only_forward_counts_and_turns_are_a_free_look():
     assert hand.pilot.navigator.look_offset_rad[0] == pytest.approx(0.4)
 
 
-def test_at_a_fork_the_way_that_the_stick_is_held_to_is_asked_for():
-    # The camera looks down the trachea, anterior up: the patient's right is on the right of the picture.
+def test_stick_direction_at_a_fork_requests_that_branch():
+    # The camera looks down the trachea with anterior up, so the patient's right is on the right of the picture.
     for yaw, wanted in ((1.0, None), (0.0, None), (-1.0, 2)):
         hand = Hand(path=True)
         hand.pilot.apply(c.SetControl("path"))
@@ -162,10 +162,10 @@ def test_at_a_fork_the_way_that_the_stick_is_held_to_is_asked_for():
     assert hand.pilot.navigator.path_mm == 60.0
 
 
-def test_speed_does_not_depend_on_how_often_the_device_or_the_frame_comes():
+def test_speed_is_independent_of_device_rate_and_frame_rate():
     def far(samples_hz: int, frames_hz: int) -> float:
         hand = Hand()
-        for n in range(samples_hz * frames_hz):  # one second in ticks that both divide
+        for n in range(samples_hz * frames_hz):  # one second in ticks that both rates divide
             at = n / (samples_hz * frames_hz)
             if n % frames_hz == 0:
                 hand.pilot.apply(m.DeviceSaid("stick", AxesSample(at, (1.0, 0, 0, 0, 0, 0)), at))
@@ -174,11 +174,11 @@ def test_speed_does_not_depend_on_how_often_the_device_or_the_frame_comes():
         return float(np.linalg.norm(hand.pose.position_lps - [0, 0, -5.0]))
 
     distances = [far(20, 30), far(250, 30), far(60, 120)]
-    # 25 mm/s over the second, less the first frame, which has nothing before it.
+    # 25 mm/s over one second, less the first frame, which has no frame before it.
     assert distances == pytest.approx([25.0] * 3, abs=1.0)
 
 
-def test_a_stick_that_stalls_stops_the_tip_and_a_pause_makes_no_leap():
+def test_stalled_stick_stops_the_tip_and_a_pause_causes_no_jump():
     hand = Hand()
     hand.stick(1.0)
     hand.stick(1.0)
@@ -190,7 +190,7 @@ def test_a_stick_that_stalls_stops_the_tip_and_a_pause_makes_no_leap():
     assert moved(hand.pose, before) <= 2.5
 
 
-def test_a_pen_unplugged_and_back_at_another_place_makes_no_jump():
+def test_reconnected_pen_at_another_position_causes_no_jump():
     hand = Hand()
     hand.pen()
     hand.pen((0.0, 0.0, 1.0))
@@ -202,7 +202,7 @@ def test_a_pen_unplugged_and_back_at_another_place_makes_no_jump():
     assert 0.0 < moved(hand.pose, before) < 0.51
 
 
-def test_the_handle_advances_rolls_and_lever_down_lifts_the_tip():
+def test_scope_handle_advances_and_rolls_and_lever_down_lifts_the_tip():
     hand = Hand()
     hand.say(HandleSample(0.0, 100.0, 0.0, 0.0), "handle")
     hand.say(HandleSample(0.0, 104.0, 0.0, 0.0), "handle")
@@ -215,7 +215,7 @@ def test_the_handle_advances_rolls_and_lever_down_lifts_the_tip():
     assert inverted.pose.forward_lps[1] > 0.4
 
 
-def test_an_armed_pen_marks_and_does_not_change_the_way_to_move():
+def test_armed_pen_marks_a_point_and_keeps_the_mode():
     hand = Hand(path=True)
     hand.pilot.apply(c.ArmPen("target"))
     hand.pen(buttons=0)
@@ -227,7 +227,7 @@ def test_an_armed_pen_marks_and_does_not_change_the_way_to_move():
     assert hand.pilot.take_marks() == ()
 
 
-def test_keys_and_a_device_move_one_tip_and_neither_makes_the_other_jump():
+def test_keys_and_a_device_move_one_tip_without_jumps():
     hand = Hand()
     hand.pen((0.0, 0.0, 0.0))
     hand.pilot.apply(c.Steer(10.0, 0.0, 0.0, 0.0))
@@ -253,18 +253,18 @@ SAMPLE = st.one_of(
 
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.tuples(st.sampled_from(["a", "b"]), SAMPLE), max_size=40))
-def test_whatever_devices_say_the_pose_stays_a_pose(said):
+def test_pose_stays_rigid_for_any_device_input(said):
     hand = Hand(path=True, controls=DeviceControls())
     hand.pilot.apply(m.Register("a", tuple(np.eye(4).ravel())))
     for n, (device, sample) in enumerate(said):
         hand.pilot.apply(m.DeviceSaid(device, sample, n * 0.1))
         hand.pilot.apply(m.Frame(n * 0.1))
-    Pose(hand.pose.lps_from_camera)  # refuses what is none
+    Pose(hand.pose.lps_from_camera)  # Pose refuses an invalid matrix
 
 
 @settings(max_examples=30, deadline=None)
 @given(st.lists(st.tuples(*[st.floats(-1, 1)] * 6), min_size=1, max_size=30), st.integers(0, 2))
-def test_moves_read_back_from_json_give_the_same_poses_bit_for_bit(pushes, presses):
+def test_moves_read_from_json_give_the_same_poses_bit_for_bit(pushes, presses):
     made: list[str] = []
     first = Hand(path=True, controls=DeviceControls())
     state = first.pilot.navigator.state()
@@ -294,7 +294,7 @@ def test_moves_read_back_from_json_give_the_same_poses_bit_for_bit(pushes, press
         {"move": 7},
     ],
 )
-def test_what_is_no_move_is_refused(value):
+def test_invalid_move_is_refused(value):
     with pytest.raises(UsageError) as refused:
         m.move_from_json(value)
     assert refused.value.code == "navigate.recording"
@@ -305,12 +305,12 @@ def step(hand: Hand, sample, now_s: float) -> None:
     hand.pilot.apply(m.Frame(now_s))
 
 
-def test_the_shaft_that_is_drawn_back_draws_the_tip_back_unless_it_was_silent_meanwhile():
+def test_withdrawn_shaft_withdraws_the_tip_unless_the_device_was_silent():
     for silent_s, expected_mm in ((0.02, 15.0), (1.0, 20.0)):
         hand = Hand(path=True)
         hand.pilot.apply(c.GoTo(20.0))
         step(hand, HandleSample(1.0, 215.0, 0.0, 0.0), 1.0)
-        # Something else brings the tip elsewhere, and a frame passes before the handle says more.
+        # A key press moves the tip elsewhere, and a frame passes before the next sample of the handle.
         hand.pilot.apply(c.GoTo(20.0))
         hand.pilot.apply(m.Frame(1.5))
         step(hand, HandleSample(1.0 + silent_s, 210.0, 0.0, 0.0), 2.0)
@@ -324,12 +324,12 @@ def test_the_shaft_that_is_drawn_back_draws_the_tip_back_unless_it_was_silent_me
         lambda time_s, mm: PoseSample(time_s, (0.0, 0.0, mm), (1.0, 0.0, 0.0, 0.0)),
     ],
 )
-def test_a_device_that_starts_again_elsewhere_does_not_throw_the_tip(made):
+def test_restarted_device_at_another_position_does_not_move_the_tip(made):
     hand = Hand()
     step(hand, made(100.0, 300.0), 1.0)
     step(hand, made(100.01, 301.0), 1.01)
     at = hand.pose
-    # Its clock and its origin begin anew; half a second later the gate believes it.
+    # The clock and the origin of the device restart; the gate accepts them after half a second.
     for n in range(60):
         step(hand, made(0.01 * n, 0.0), 1.02 + 0.01 * n)
     assert moved(hand.pose, at) == 0.0
@@ -337,7 +337,7 @@ def test_a_device_that_starts_again_elsewhere_does_not_throw_the_tip(made):
     assert moved(hand.pose, at) == pytest.approx(2.0)
 
 
-def test_a_pen_that_comes_back_after_a_gap_does_not_throw_the_tip():
+def test_pen_after_a_gap_does_not_move_the_tip():
     hand = Hand()
     for control in ("relative", "absolute"):
         hand.pilot.apply(m.Register("pen", tuple(np.eye(4).ravel())))
@@ -353,7 +353,7 @@ def test_a_pen_that_comes_back_after_a_gap_does_not_throw_the_tip():
         hand.now += 1.0
 
 
-def test_frames_that_see_a_sample_twice_or_late_follow_it_once():
+def test_frames_with_a_repeated_or_late_sample_apply_it_once():
     hand = Hand()
     for n in range(5):
         hand.pen((0.0, 0.0, float(n)))
@@ -362,7 +362,7 @@ def test_frames_that_see_a_sample_twice_or_late_follow_it_once():
     np.testing.assert_allclose(hand.pose.position_lps, [0.0, 0.0, -9.0], atol=1e-9)
 
 
-def test_devices_without_end_are_no_more_than_are_told_apart():
+def test_number_of_distinguished_devices_is_limited():
     hand = Hand()
     hand.pilot.apply(m.Register("registered", tuple(np.eye(4).ravel())))
     sample = PoseSample(0.0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
@@ -385,19 +385,19 @@ def test_devices_without_end_are_no_more_than_are_told_apart():
 
 
 @pytest.mark.parametrize("path", [True, False])
-def test_a_pen_that_cannot_be_carried_goes_forward_by_its_key_and_turns_meanwhile(path):
+def test_orientation_only_pen_advances_by_its_key_and_turns(path):
     hand = Hand(path=path)
     start = hand.pose
     for n in range(50):
         turn = wxyz_from_rotation(rotation_from_vector(np.array([0.0, 0.01 * n, 0.0])))
         hand.say(PoseSample(0.0, None, turn, 0, 1.0))
-    # The first frame begins the time.
+    # The first frame starts the clock.
     went = moved(hand.pose, start)
     assert went == pytest.approx(25.0 * 0.49, rel=0.06), "free, the turn makes an arc of it"
     assert hand.pilot.is_moving
     cosine = float(hand.pose.forward_lps @ start.forward_lps)
     assert cosine == pytest.approx(math.cos(0.49), abs=1e-6)
-    # Its link is lost with the key down: a quarter of a second later it stops.
+    # The device is disconnected while the key is down: the tip stops after a quarter of a second.
     for _ in range(100):
         hand.now += 0.01
         hand.pilot.apply(m.Frame(hand.now))
@@ -409,7 +409,7 @@ def test_a_pen_that_cannot_be_carried_goes_forward_by_its_key_and_turns_meanwhil
     assert not hand.pilot.is_moving
 
 
-# A tracker that stands beside the patient, turned about two axes.
+# A tracker beside the patient, turned about two axes.
 STANDS = np.eye(4)
 STANDS[:3, :3] = rotation_from_vector(np.array([0.4, -0.9, 0.2]))
 STANDS[:3, 3] = (120.0, -45.0, 300.0)
@@ -425,7 +425,7 @@ def in_tracker(lps) -> tuple[float, ...]:
     return tuple(np.linalg.inv(STANDS[:3, :3]) @ (np.array(lps) - STANDS[:3, 3]))
 
 
-def test_a_registered_pens_own_point_is_known_in_every_way_to_move_also_while_the_hand_hurries():
+def test_point_of_a_registered_pen_is_known_in_every_mode_and_at_high_speed():
     hand = registered(path=True, controls=DeviceControls())
     for n, control in enumerate(("path", "relative", "absolute", "path", "absolute")):
         hand.pilot.apply(c.SetControl(control))
@@ -437,7 +437,7 @@ def test_a_registered_pens_own_point_is_known_in_every_way_to_move_also_while_th
     assert hand.pilot.pen_lps("another") is None
 
 
-def test_a_pen_that_is_not_registered_or_has_no_position_has_no_point_of_its_own():
+def test_unregistered_pen_or_pen_without_position_has_no_point():
     hand = Hand()
     assert hand.pilot.pen() is None
     hand.pen((1.0, 2.0, 3.0))
@@ -450,7 +450,7 @@ def test_a_pen_that_is_not_registered_or_has_no_position_has_no_point_of_its_own
     assert hand.pilot.pen() is None
 
 
-def test_what_is_left_between_pen_and_tip_is_told_in_absolute_until_it_is_gone():
+def test_distance_between_pen_and_tip_is_reported_in_absolute_mode_until_it_is_zero():
     hand = registered(path=True)
     hand.pen(in_tracker((30.0, 0.0, -20.0)))
     assert hand.pilot.pen().off_mm is None, "elsewhere the pen says no place of the tip"
@@ -465,7 +465,7 @@ def test_what_is_left_between_pen_and_tip_is_told_in_absolute_until_it_is_gone()
     assert left[-1] < 0.05
 
 
-def test_the_tip_joins_the_pen_at_once_and_goes_on_with_it_exactly():
+def test_joined_tip_is_at_the_pen_immediately_and_follows_exactly():
     hand = registered(path=True)
     hand.pen(in_tracker((30.0, 10.0, -20.0)), (0.3, -0.2, 0.5))
     with pytest.raises(UsageError, match="absolute") as refused:
@@ -484,7 +484,7 @@ def test_the_tip_joins_the_pen_at_once_and_goes_on_with_it_exactly():
     assert m.move_from_json(m.move_to_json(c.JoinPen())) == (c.JoinPen(), 0.0)
 
 
-def test_joining_leaves_nothing_of_the_filters_delay_either():
+def test_joining_removes_the_delay_of_the_filter():
     hand = registered(controls=DeviceControls())
     hand.pilot.apply(c.SetControl("absolute"))
     for n in range(10):

@@ -1,4 +1,4 @@
-"""Recordings are replayed through gate, filter and mapper, bit for bit; other cases and broken files are refused."""
+"""Tests of flight recordings: exact replay, and refusal of recordings of other cases and of damaged files."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ VOLUME = small_volume()
 
 @pytest.fixture
 def flown():
-    """A session in which the small case is open, and its clock."""
+    """Return a session with the small case open, and its clock."""
     bench = small_bench()
     bench.open()
     yield bench.session, bench.clock
@@ -59,7 +59,7 @@ def flown():
 
 
 def fly(session: Session, clock: Clock, *, seed: int = 1) -> None:
-    """A pen, a stick and keys, with two ways to move, forks, a change of the view, NaN and a device that goes."""
+    """Record a flight by pen, stick and keys with two modes, forks, a view change, NaN samples and a lost device."""
     rng = random.Random(seed)
     session.do(Calibrate("pen", [(0, 0, 0), (50, 0, 0), (0, 50, 0)], [(1, 2, 3), (51, 2, 3), (1, 52, 3)]))
     turn = np.eye(3)
@@ -94,9 +94,9 @@ def fly(session: Session, clock: Clock, *, seed: int = 1) -> None:
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_a_replay_gives_the_recorded_poses_bit_for_bit(flown, tmp_path, seed):
+def test_replay_gives_the_recorded_poses_bit_for_bit(flown, tmp_path, seed):
     session, clock = flown
-    fly(session, clock, seed=seed + 10)  # what went before must not matter
+    fly(session, clock, seed=seed + 10)  # flight before the recording, which must not affect the replay
     session.do(RecordFlight(tmp_path / "a.jsonl"))
     fly(session, clock, seed=seed)
     before = session.pose_info().pose
@@ -114,12 +114,12 @@ def test_a_replay_gives_the_recorded_poses_bit_for_bit(flown, tmp_path, seed):
 
 
 RECORDINGS = Path(__file__).parent / "recordings"
-# Of the machine that recorded: another one multiplies its matrices in another order of the same sums.
+# Tolerance for recordings of another machine, which adds the products of a matrix product in another order.
 ROUNDED_MM = 1e-9
 
 
 def same_flight(recording, wall=None) -> int:
-    """Every recorded pose comes out again; how many there are."""
+    """Assert that the replay gives every recorded pose, and return the number of poses."""
     replayed = iter([moment for moment, _ in recording.replay(VOLUME, wall=wall)][1:])
     num = 0
     for line in recording.lines:
@@ -131,7 +131,7 @@ def same_flight(recording, wall=None) -> int:
     return num
 
 
-def test_a_recording_of_before_with_every_move_still_flies():
+def test_earlier_recording_with_every_move_still_replays():
     recording = open_recording(RECORDINGS / "every-move-1.jsonl")
     recording.check(VOLUME, carina="0.1.0")
     told = {line["move"]["move"] for line in recording.lines if "move" in line}
@@ -140,7 +140,7 @@ def test_a_recording_of_before_with_every_move_still_flies():
     assert same_flight(recording) == 100
 
 
-def test_a_recording_of_before_with_a_scope_in_the_lumen_still_flies():
+def test_earlier_recording_with_a_scope_in_the_lumen_still_replays():
     recording = open_recording(RECORDINGS / "scope-in-a-tube-1.jsonl")
     assert recording.needs_wall
     _, y, x = np.mgrid[0:60, -10:11, -10:11].astype(np.float32)
@@ -149,8 +149,8 @@ def test_a_recording_of_before_with_a_scope_in_the_lumen_still_flies():
     assert same_flight(recording, WallField.from_distances(6.0 - np.hypot(x, y), place)) > 40
 
 
-def test_moves_are_kept_as_they_were_written_before():
-    """A recording read and written again is the same text: other programs read these files, too."""
+def test_moves_of_earlier_recordings_are_written_unchanged():
+    """Assert that reading and writing a recording gives the same text. Other programs read these files."""
     for place in sorted(RECORDINGS.glob("*.jsonl")):
         recording = open_recording(place)
         kept = [line["move"] for line in recording.lines if "move" in line] + recording.header["begin"]
@@ -158,7 +158,7 @@ def test_moves_are_kept_as_they_were_written_before():
             assert json.dumps(m.move_to_json(*m.move_from_json(value))) == json.dumps(value)
 
 
-def test_another_volume_or_version_is_refused(flown, tmp_path):
+def test_recording_of_another_volume_or_version_is_refused(flown, tmp_path):
     session, clock = flown
     session.do(RecordFlight(tmp_path / "a.jsonl"))
     clock.advance(1.0)
@@ -174,7 +174,7 @@ def test_another_volume_or_version_is_refused(flown, tmp_path):
         recording.check(VOLUME, carina="0.2.0")
 
 
-def test_a_recording_that_was_cut_off_is_read_as_far_as_it_goes(flown, tmp_path):
+def test_truncated_recording_is_read_up_to_its_last_whole_line(flown, tmp_path):
     session, clock = flown
     session.do(RecordFlight(tmp_path / "a.jsonl"))
     for _ in range(10):
@@ -186,7 +186,7 @@ def test_a_recording_that_was_cut_off_is_read_as_far_as_it_goes(flown, tmp_path)
     cut.write_text(text[: text.rindex('"move"') + 20])
     recording = open_recording(cut)
     assert not recording.complete
-    # All lines but the first, the one that was cut and the end.
+    # All lines except the header, the truncated line and the end line.
     assert list(recording.lines) == [json.loads(line) for line in text.splitlines()[1:-2]]
     replayed = list(recording.replay(VOLUME))
     assert len(replayed) > 5
@@ -218,14 +218,14 @@ def test_broken_lines_are_refused_with_their_number(flown, tmp_path, line):
 @pytest.mark.parametrize(
     "text", ["", "hello", '{"format":"carina-recording","version":2}', '{"format":"carina-tree"}', "\xff"]
 )
-def test_what_is_no_recording_is_refused(tmp_path, text):
+def test_file_that_is_no_recording_is_refused(tmp_path, text):
     place = tmp_path / "x.jsonl"
     place.write_bytes(text.encode("latin-1"))
     with pytest.raises(VolumeImportError):
         open_recording(place)
 
 
-def test_a_move_that_is_none_ends_the_replay_with_words(flown, tmp_path):
+def test_invalid_move_ends_the_replay_with_a_message(flown, tmp_path):
     session, _ = flown
     session.do(RecordFlight(tmp_path / "a.jsonl"))
     session.do(StopRecording())
@@ -235,7 +235,7 @@ def test_a_move_that_is_none_ends_the_replay_with_words(flown, tmp_path):
         list(open_recording(tmp_path / "b.jsonl").replay(VOLUME))
 
 
-def test_only_one_recording_is_made_at_a_time_and_it_ends_with_the_case(flown, tmp_path):
+def test_only_one_recording_runs_at_a_time_and_ends_with_the_case(flown, tmp_path):
     session, _ = flown
     session.do(RecordFlight(tmp_path / "a.jsonl"))
     with pytest.raises(UsageError, match="already"):
@@ -245,7 +245,7 @@ def test_only_one_recording_is_made_at_a_time_and_it_ends_with_the_case(flown, t
     assert open_recording(tmp_path / "a.jsonl").complete
 
 
-def test_the_recorder_keeps_no_patient_data(flown, tmp_path):
+def test_recorder_stores_no_patient_data(flown, tmp_path):
     session, clock = flown
     session.do(RecordFlight(tmp_path / "a.jsonl"))
     fly(session, clock)
@@ -257,7 +257,7 @@ def test_the_recorder_keeps_no_patient_data(flown, tmp_path):
 
 
 class FullDisk(io.StringIO):
-    """A file for which there is room or none."""
+    """A file in memory whose disk can be made full."""
 
     full = False
 
@@ -272,7 +272,7 @@ class FullDisk(io.StringIO):
 
 
 def full_disk():
-    """A file whose disk is full, of the system's where it has one."""
+    """Open a file on a full disk: /dev/full where the system has it, else a simulation."""
     device = Path("/dev/full")
     if device.exists():
         return device.open("w", encoding="utf-8")
@@ -294,7 +294,7 @@ def troubles(session: Session) -> list[Trouble]:
 
 
 @pytest.mark.parametrize("made", [full_disk, FullDisk])
-def test_a_full_disk_ends_the_recording_with_one_sentence_and_the_flight_goes_on(flown, tmp_path, made):
+def test_full_disk_ends_the_recording_with_one_message_and_the_flight_continues(flown, tmp_path, made):
     session, clock = flown
     said = troubles(session)
     file = made()
@@ -309,7 +309,7 @@ def test_a_full_disk_ends_the_recording_with_one_sentence_and_the_flight_goes_on
     assert "the disk is full" in trouble.message
     assert session.devices.recording_path is None
     assert file.closed
-    # And another one can be made.
+    # Another recording can be started afterwards.
     session.do(RecordFlight(tmp_path / "b.jsonl"))
     session.do(StopRecording())
     assert open_recording(tmp_path / "b.jsonl").complete
@@ -317,7 +317,7 @@ def test_a_full_disk_ends_the_recording_with_one_sentence_and_the_flight_goes_on
 
 
 @pytest.mark.parametrize("end", [StopRecording(), CloseCase()])
-def test_a_disk_that_is_full_at_the_end_of_a_recording_is_said_and_stops_nothing(flown, tmp_path, end):
+def test_full_disk_at_the_end_of_a_recording_is_reported_without_other_effects(flown, tmp_path, end):
     session, _ = flown
     said = troubles(session)
     recorded_to(session, tmp_path / "a.jsonl", full_disk())
@@ -326,7 +326,7 @@ def test_a_disk_that_is_full_at_the_end_of_a_recording_is_said_and_stops_nothing
     assert session.devices.recording_path is None
 
 
-def test_a_case_is_opened_though_the_recording_of_the_last_cannot_be_ended(tmp_path):
+def test_case_opens_although_the_previous_recording_cannot_be_closed(tmp_path):
     bench = small_bench()
     bench.open()
     before = bench.session.snapshot().case
@@ -336,7 +336,7 @@ def test_a_case_is_opened_though_the_recording_of_the_last_cannot_be_ended(tmp_p
     bench.session.close()
 
 
-def test_a_recording_that_cannot_begin_is_refused_and_leaves_no_file(flown, tmp_path, monkeypatch):
+def test_recording_that_cannot_start_is_refused_and_leaves_no_file(flown, tmp_path, monkeypatch):
     session, _ = flown
     file = full_disk()
 
@@ -353,14 +353,14 @@ def test_a_recording_that_cannot_begin_is_refused_and_leaves_no_file(flown, tmp_
     session.do(Steer(1.0, 0.0, 0.0, 0.0))
 
 
-# ------------------------------------------------------------ flights that nobody steers
+# Automatic flights.
 
 BENT = FlightPath(
     [[0, 0, 0], [0, 0, -40], [20, 0, -70], [20, 10, -110]], forks_mm=[40.0, 76.0], lookouts_mm=[32.0, 70.0]
 )
 
 
-def test_a_flight_along_a_route_keeps_its_speed_and_pauses_at_each_fork():
+def test_flight_along_a_route_keeps_its_speed_and_pauses_at_each_fork():
     flight = AutoFlight(BENT, speed_mm_s=10.0, pause_s=2.0)
     assert flight.duration_s == pytest.approx(BENT.length_mm / 10.0 + 3 * 2.0)
     places = [flight.path_mm(t) for t in np.arange(0.0, flight.duration_s, 0.1)]
@@ -377,7 +377,7 @@ def test_flights_without_a_speed_are_refused(bad_value):
         AutoFlight(BENT, **bad_value)
 
 
-def test_key_frames_are_passed_through_exactly_and_without_jerks():
+def test_key_frames_are_passed_exactly_and_smoothly():
     rng = np.random.default_rng(4)
     keys = []
     for n in range(6):
@@ -405,12 +405,12 @@ def test_slerp_turns_evenly_about_one_axis():
 
 
 @pytest.mark.parametrize("times", [[0.0], [0.0, 0.0], [1.0, 0.0], [0.0, math.nan]])
-def test_key_frames_at_no_times_are_refused(times):
+def test_key_frames_without_valid_times_are_refused(times):
     with pytest.raises(UsageError):
         KeyFrameFlight([KeyFrame(t, Pose(np.eye(4))) for t in times])
 
 
-def test_a_flight_of_more_than_a_day_is_refused():
+def test_flight_longer_than_a_day_is_refused():
     with pytest.raises(UsageError, match="24 hours"):
         KeyFrameFlight([KeyFrame(t, Pose(np.eye(4))) for t in (0.0, 1e12)])
     for duration_s in (1e12, math.inf, math.nan):
@@ -419,7 +419,7 @@ def test_a_flight_of_more_than_a_day_is_refused():
     assert KeyFrameFlight([KeyFrame(t, Pose(np.eye(4))) for t in (0.0, 86_400.0)]).duration_s == 86_400.0
 
 
-def test_a_video_has_as_many_frames_as_its_length_needs():
+def test_video_has_the_number_of_frames_of_its_length():
     assert len(frame_times_s(2.0, 30.0)) == 60
     assert len(frame_times_s(0.0, 30.0)) == 1
     assert all(b > a for a, b in itertools.pairwise(frame_times_s(1.0, 24.0)))

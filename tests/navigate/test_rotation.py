@@ -1,4 +1,4 @@
-"""Rotations of the camera's axes, also where formulas break: near nothing and near half a turn."""
+"""Tests of camera rotations, including angles near zero and near half a turn."""
 
 import numpy as np
 from hypothesis import given
@@ -16,10 +16,10 @@ angles = st.one_of(st.floats(0.0, np.pi), st.floats(0.0, 1e-5), st.floats(0.0, 1
 
 
 @given(unit_vectors, angles)
-def test_a_rotation_gives_its_vector_back(axis: np.ndarray, angle: float) -> None:
+def test_rotation_vector_round_trip_gives_the_same_rotation(axis: np.ndarray, angle: float) -> None:
     rotation = rotation_from_vector(axis * angle)
     again = rotation_from_vector(vector_from_rotation(rotation))
-    # 1e-12: some tens of roundings of numbers near 1.
+    # Tolerance 1e-12: rounding of several tens of operations on numbers near 1.
     np.testing.assert_allclose(again, rotation, rtol=0, atol=1e-12)
     assert np.linalg.norm(vector_from_rotation(rotation)) <= np.pi + 1e-9
 
@@ -32,7 +32,7 @@ def test_yaw_looks_right_pitch_looks_up_and_roll_turns_clockwise() -> None:
 
 
 @given(unit_vectors, st.floats(0, 3), st.lists(st.floats(-1e-3, 1e-3), min_size=9, max_size=9))
-def test_axes_are_made_square_and_forward_is_kept(axis: np.ndarray, angle: float, noise: list[float]) -> None:
+def test_axes_are_made_orthogonal_and_forward_is_unchanged(axis: np.ndarray, angle: float, noise: list[float]) -> None:
     dented = rotation_from_vector(axis * angle) + np.array(noise).reshape(3, 3)
     square = orthonormal(dented)
     np.testing.assert_allclose(square.T @ square, np.eye(3), atol=1e-12)

@@ -1,4 +1,4 @@
-"""What is let through to the tip, and how it is smoothed."""
+"""Tests of the sample gate, which accepts device samples, of the smoothing filter, and of pen registration."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def pen(time_s: float, x: float = 0.0, wxyz: tuple[float, ...] = IDENTITY, butto
         (pen(0.0001), "too many samples"),
     ],
 )
-def test_a_bad_sample_is_ignored_and_counted(sample, why):
+def test_bad_sample_is_ignored_and_counted(sample, why):
     gate = SampleGate()
     assert gate.admit("pen", pen(0.0), 0.0) is not None
     assert gate.admit("pen", sample, 0.01) is None
@@ -61,7 +61,7 @@ def test_quaternions_of_any_length_become_unit_length():
         assert admitted.orientation_wxyz == pytest.approx((0.0, 0.6, 0.0, 0.8), abs=1e-15)
 
 
-def test_a_flood_gives_one_message_in_ten_seconds_and_no_more_samples_than_can_be_used():
+def test_flood_of_samples_is_limited_with_one_message_in_ten_seconds():
     gate, messages, used = SampleGate(), [], 0
     for n in range(200_000):
         at = n * 1e-4
@@ -74,7 +74,7 @@ def test_a_flood_gives_one_message_in_ten_seconds_and_no_more_samples_than_can_b
     assert "too many samples" in messages[1]
 
 
-def test_a_clock_that_was_set_back_is_followed_after_half_a_second():
+def test_clock_that_was_set_back_is_accepted_after_half_a_second():
     gate = SampleGate()
     gate.admit("pen", pen(100.0), 0.0)
     taken = [gate.admit("pen", pen(n * 0.01), n * 0.01) is not None for n in range(1, 80)]
@@ -82,7 +82,7 @@ def test_a_clock_that_was_set_back_is_followed_after_half_a_second():
     assert all(taken[52:])
 
 
-def test_two_devices_at_once_the_first_keeps_the_scope_until_it_is_silent():
+def test_first_of_two_devices_controls_the_scope_until_it_is_silent():
     gate = SampleGate()
     assert gate.admit("pen", pen(0.0), 0.0) is not None
     assert gate.admit("stick", AxesSample(0.0, (1.0, *REST[1:])), 0.1) is None
@@ -93,7 +93,7 @@ def test_two_devices_at_once_the_first_keeps_the_scope_until_it_is_silent():
     assert gate.holder == "stick"
 
 
-def test_a_device_that_was_given_the_scope_and_stays_silent_lets_go_of_it():
+def test_device_with_control_that_stays_silent_loses_control():
     gate = SampleGate()
     gate.admit("pen", pen(0.0), 0.0)
     gate.take("handle")
@@ -104,7 +104,7 @@ def test_a_device_that_was_given_the_scope_and_stays_silent_lets_go_of_it():
     assert gate.holder == "pen"
 
 
-def test_a_stick_that_is_let_go_is_heard_however_soon_and_a_flood_of_it_is_not():
+def test_released_stick_is_accepted_at_any_rate_but_not_in_a_flood():
     gate = SampleGate()
     full = (1.0, *REST[1:])
     assert gate.admit("stick", AxesSample(0.0, full), 0.0) is not None
@@ -118,12 +118,12 @@ def test_a_stick_that_is_let_go_is_heard_however_soon_and_a_flood_of_it_is_not()
     assert used <= 2 * 20 + 2, "two in half a millisecond at most"
 
 
-def test_no_more_devices_are_told_apart_than_can_be_used_and_the_sentence_names_three():
+def test_number_of_devices_is_limited_and_the_message_names_three():
     gate = SampleGate()
     gate.admit("pen", pen(0.0), 0.0)
     for n in range(10_000):
         gate.admit(f"stick {n}", AxesSample(0.0, (5.0, *REST[1:])), 0.1)
-    # All are refused as they come; those that said nothing of use give way first.
+    # Samples of all these devices are refused; devices without a valid sample are forgotten first.
     assert len(gate._seen) <= 64
     assert len(gate._unsaid) <= 66
     assert gate.holder == "pen"
@@ -133,7 +133,7 @@ def test_no_more_devices_are_told_apart_than_can_be_used_and_the_sentence_names_
     assert len(words) < 200
 
 
-def test_a_device_too_many_waits_until_another_is_silent():
+def test_device_over_the_limit_waits_until_another_is_silent():
     gate = SampleGate()
     for n in range(64):
         assert gate.admit(f"stick {n}", AxesSample(1.0, REST), 1.0 + 0.001 * n) is not None
@@ -144,7 +144,7 @@ def test_a_device_too_many_waits_until_another_is_silent():
     assert gate.knows("stick 1")
 
 
-def test_an_unplugged_device_comes_back_with_another_clock():
+def test_reconnected_device_may_have_another_clock():
     gate = SampleGate()
     gate.admit("pen", pen(500.0), 0.0)
     gate.gone("pen")
@@ -152,10 +152,10 @@ def test_an_unplugged_device_comes_back_with_another_clock():
     assert gate.admit("pen", pen(0.1), 0.2) is not None
 
 
-def test_the_filter_is_late_by_at_most_ten_milliseconds_as_it_says():
+def test_filter_delay_is_at_most_ten_milliseconds_and_as_reported():
     settings = DeviceControls()
     assert filter_latency_ms(settings) <= 10.0
-    # A hand at 20 mm/s, sampled at 120 Hz: in the steady state the lag is a distance, and so a time.
+    # A hand at 20 mm/s, sampled at 120 Hz: in the steady state the lag in mm gives the delay.
     smooth, speed, rate = SampleFilter(settings), 20.0, 120.0
     for n in range(600):
         out = smooth.apply(pen(n / rate, speed * n / rate))
@@ -163,12 +163,12 @@ def test_the_filter_is_late_by_at_most_ten_milliseconds_as_it_says():
     assert out.position_mm is not None
     lag_ms = 1000.0 * (speed * 599 / rate - out.position_mm[0]) / speed
     assert lag_ms <= filter_latency_ms(settings)
-    # The lag of a ramp is the time constant at the speed reached; the orientation rests and is later.
+    # The lag of a ramp is the time constant at its speed; the orientation does not move and has a longer delay.
     assert lag_ms == pytest.approx(1000.0 / (2 * math.pi * (20.0 + 0.1 * speed)), rel=1e-3)
     assert smooth.latency_ms == pytest.approx(filter_latency_ms(settings))
 
 
-def test_the_filter_smooths_tremor_more_the_lower_its_cutoff():
+def test_filter_with_a_lower_cutoff_reduces_tremor_more():
     rng = np.random.default_rng(7)
     noise = rng.normal(0.0, 0.5, 2000)
 
@@ -183,19 +183,19 @@ def test_the_filter_smooths_tremor_more_the_lower_its_cutoff():
     assert left(DeviceControls(filter_on=False)) == float(np.std(noise[200:]))
 
 
-def test_turns_are_smoothed_on_the_shortest_way_and_stay_rotations():
+def test_turns_are_smoothed_along_the_shortest_rotation():
     smooth = SampleFilter(DeviceControls(min_cutoff_hz=3.0))
     for n in range(400):
         turn = rotation_from_vector(np.array([0.0, 0.0, 0.05 * n]))
         wxyz = wxyz_from_rotation(turn)
-        flipped = tuple(-v for v in wxyz) if n % 2 else wxyz  # q and -q are one turn
+        flipped = tuple(-v for v in wxyz) if n % 2 else wxyz  # q and -q are the same rotation
         out = smooth.apply(pen(n / 60.0, wxyz=flipped))
         assert math.sqrt(sum(v * v for v in out.orientation_wxyz)) == pytest.approx(1.0, abs=1e-12)
     lag = rotation_from_wxyz(out.orientation_wxyz).T @ turn
     assert 0.0 < math.acos((np.trace(lag) - 1.0) / 2.0) < 0.3
 
 
-def test_after_a_gap_the_filter_begins_anew():
+def test_filter_restarts_after_a_gap():
     smooth = SampleFilter(DeviceControls(min_cutoff_hz=1.0, beta_per_mm=0.0))
     smooth.apply(pen(0.0))
     assert smooth.apply(pen(0.01, 10.0)).position_mm[0] < 5.0
@@ -213,7 +213,7 @@ def test_filter_settings_out_of_range_are_refused():
             SampleFilter(DeviceControls(**bad))
 
 
-def test_registration_finds_a_turn_and_a_shift_and_says_what_is_left():
+def test_registration_finds_rotation_and_shift_and_reports_the_residual():
     rng = np.random.default_rng(3)
     turn, shift = rotation_from_vector(np.array([0.3, -2.0, 1.1])), np.array([12.0, -300.0, 45.0])
     points = rng.uniform(-80, 80, (6, 3))
@@ -226,7 +226,7 @@ def test_registration_finds_a_turn_and_a_shift_and_says_what_is_left():
     assert np.linalg.det(noisy.lps_from_tracker[:3, :3]) == pytest.approx(1.0)
 
 
-def test_points_in_a_plane_are_enough_and_a_mirror_is_never_the_answer():
+def test_points_in_a_plane_are_enough_and_the_result_is_never_a_mirror():
     flat = np.array([[0.0, 0, 0], [50, 0, 0], [0, 30, 0], [40, 40, 0]])
     fit = fit_registration(flat, flat * [1, -1, 1])
     assert np.linalg.det(fit.lps_from_tracker[:3, :3]) == pytest.approx(1.0)
@@ -235,11 +235,11 @@ def test_points_in_a_plane_are_enough_and_a_mirror_is_never_the_answer():
 @pytest.mark.parametrize(
     "points", [[[0, 0, 0], [1, 0, 0]], [[0, 0, 0], [10, 0, 0], [20, 0, 0]], [[0, 0, 0], [np.nan, 0, 0], [0, 9, 0]]]
 )
-def test_too_few_points_points_on_a_line_and_no_numbers_are_refused(points):
+def test_too_few_collinear_or_non_finite_points_are_refused(points):
     with pytest.raises(UsageError) as refused:
         fit_registration(points, points)
     assert refused.value.code == "navigate.registration"
 
 
-def test_samples_are_values():
+def test_samples_are_immutable_values():
     assert structs.replace(pen(1.0), buttons=2) == pen(1.0, buttons=2)

@@ -1,4 +1,4 @@
-"""FASTRAK and scope handle at a pseudo-terminal, also when they misbehave."""
+"""Tests of the FASTRAK tracker and the scope handle on a pseudo-terminal, including damaged data."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Heard:
 @pytest.mark.parametrize("binary", [False, True])
 @settings(max_examples=25, deadline=None)
 @given(data=st.data())
-def test_records_are_found_however_they_are_cut(binary, data):
+def test_records_are_found_in_any_fragmentation(binary, data):
     record = FORMS[binary]
     stream, whole = FastrakStream(binary=binary), b"".join(record(float(n)) for n in range(8))
     cuts = sorted(data.draw(st.lists(st.integers(0, len(whole)), max_size=12)))
@@ -65,7 +65,7 @@ def test_records_are_found_however_they_are_cut(binary, data):
 @pytest.mark.parametrize("binary", [False, True])
 @settings(max_examples=25, deadline=None)
 @given(noise=st.binary(max_size=120))
-def test_after_noise_records_are_found_again(binary, noise):
+def test_records_are_found_after_noise(binary, noise):
     record = FORMS[binary]
     stream = FastrakStream(binary=binary)
     stream.feed(noise)
@@ -75,7 +75,7 @@ def test_after_noise_records_are_found_again(binary, noise):
 
 
 @pytest.mark.parametrize("binary", [False, True])
-def test_half_records_and_letters_for_out_of_range_cost_only_themselves(binary):
+def test_half_records_and_letters_for_out_of_range_drop_only_themselves(binary):
     record = FORMS[binary]
     stream = FastrakStream(binary=binary)
     letter = "Y" if not binary else b"Y"
@@ -85,21 +85,21 @@ def test_half_records_and_letters_for_out_of_range_cost_only_themselves(binary):
     assert stream.num_bad["measurements outside the tracker's range"] == 1
 
 
-def test_the_stylus_points_along_the_receivers_x():
+def test_stylus_points_along_the_x_axis_of_the_receiver():
     (record,) = FastrakStream().feed(ascii_record(0.0))
     pen = rotation_from_wxyz(record.orientation_wxyz)
     np.testing.assert_allclose(pen[:, 2], [1, 0, 0], atol=1e-12)  # forward
-    np.testing.assert_allclose(pen[:, 1], [0, 0, 1], atol=1e-12)  # down: the tracker's z
+    np.testing.assert_allclose(pen[:, 1], [0, 0, 1], atol=1e-12)  # down: the z axis of the tracker
     assert np.linalg.det(pen) == pytest.approx(1.0)
 
 
-def test_binary_numbers_that_are_none_are_left_out():
+def test_non_finite_binary_numbers_are_skipped():
     stream = FastrakStream(binary=True)
     assert stream.feed(binary_record(math.nan) + binary_record(1.0, (0.0, 0.0, 0.0, 0.0))) == []
     assert stream.num_bad["invalid position"] == 2
 
 
-def test_records_that_arrive_together_were_measured_one_after_the_other():
+def test_records_that_arrive_together_have_successive_times():
     spread = StampSpreader(1 / 120)
     first, second = spread.stamps(4, 10.0), spread.stamps(3, 10.001)
     stamps = first + second
@@ -108,7 +108,7 @@ def test_records_that_arrive_together_were_measured_one_after_the_other():
 
 
 @pytest.mark.parametrize("binary", [False, True])
-def test_a_fastrak_is_read_at_its_rate_survives_what_it_does_and_comes_back_when_plugged_in(binary, tmp_path):
+def test_fastrak_is_read_at_its_rate_and_reconnects_after_unplugging(binary, tmp_path):
     record, port, heard = FORMS[binary], PseudoPort(), Heard()
     link = tmp_path / "ttyPen"
     link.symlink_to(port.path)
@@ -130,7 +130,7 @@ def test_a_fastrak_is_read_at_its_rate_survives_what_it_does_and_comes_back_when
         assert source.status().state == "live"
         assert source.status().rate_hz > 60
         xs = [s.position_mm[0] for s in heard.samples]
-        np.testing.assert_allclose(np.diff(xs), 1.0, atol=1e-3)  # none lost, none twice
+        np.testing.assert_allclose(np.diff(xs), 1.0, atol=1e-3)  # no record lost, none repeated
         assert sum(s.buttons for s in heard.samples) == 1
         assert all(isinstance(s, PoseSample) for s in heard.samples)
         port.send(record(50.0)[:11] + b"\x00\xff noise \r\n" + record(51.0) + record(52.0))
@@ -151,7 +151,7 @@ def test_a_fastrak_is_read_at_its_rate_survives_what_it_does_and_comes_back_when
         port.unplug()
 
 
-def test_a_port_that_is_not_there_is_said_and_stopping_does_not_wait():
+def test_missing_port_is_reported_and_stopping_does_not_wait():
     heard = Heard()
     source = FastrakSource("/dev/there-is-none", heard.listener)
     source.start()
@@ -167,8 +167,8 @@ def test_handle_lines_carry_three_controls_and_two_buttons():
     assert line.roll_rad == pytest.approx(-math.pi / 2)
 
 
-def test_the_line_in_the_documentation_is_one():
-    # docs/scope-handle.md prints it.
+def test_line_in_the_documentation_is_valid():
+    # docs/scope-handle.md contains this line.
     (line,) = HandleStream().feed(b"S,41,20533,12345,-9000,500,1*%02X\n" % crc8(b"S,41,20533,12345,-9000,500,1"))
     assert line.insertion_mm == 123.45
 
@@ -185,13 +185,13 @@ def test_damaged_and_lost_handle_lines_are_counted_and_the_clock_may_wrap():
 
 @settings(max_examples=50, deadline=None)
 @given(st.binary(max_size=300))
-def test_noise_never_ends_a_handle(noise):
+def test_noise_never_stops_a_handle(noise):
     stream = HandleStream()
     stream.feed(noise + b"\n")
     assert len(stream.feed(format_line(0, 10, 1.0))) == 1
 
 
-def test_a_handle_drives_us_over_a_port():
+def test_handle_on_a_serial_port_drives_the_tip():
     port, heard = PseudoPort(), Heard()
     source = HandleSource(port.path, heard.listener)
     source.start()
@@ -208,6 +208,6 @@ def test_a_handle_drives_us_over_a_port():
 
 
 @pytest.mark.parametrize("address", ["", "pen", "fastrak:", "openigtlink:host:0", "openigtlink:host:x", "usb:1"])
-def test_what_names_no_device_is_refused(address):
+def test_invalid_device_name_is_refused(address):
     with pytest.raises(UsageError, match="expected a device address such as"):
         open_source(address, Heard().listener)

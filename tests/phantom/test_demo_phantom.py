@@ -1,4 +1,4 @@
-"""The demo case: made once, read back, made anew when damaged; and the pin that keeps caches honest."""
+"""Tests of the demo case: its cache on disk, and the checksum of the generated phantom."""
 
 import hashlib
 import json
@@ -13,12 +13,12 @@ from carina.phantom import GENERATOR_VERSION, demo_phantom, generate_phantom
 
 @pytest.fixture
 def small_demo(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The demo's way with small options: its own take seconds."""
+    """Replace the options of the demo by small ones, because the real options take seconds."""
     monkeypatch.setattr(phantom, "DEMO_OPTIONS", {"seed": 1, "spacing_mm": 5.0, "generations": 4, "nodule": True})
 
 
 @pytest.mark.usefixtures("small_demo")
-def test_the_demo_is_made_once_and_then_read(tmp_path: Path) -> None:
+def test_demo_is_generated_once_and_then_read_from_the_cache(tmp_path: Path) -> None:
     said: list[str] = []
     made = demo_phantom(cache_dir=tmp_path, progress=lambda what, _: said.append(what))
     assert said
@@ -36,7 +36,7 @@ def test_the_demo_is_made_once_and_then_read(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("small_demo")
 @pytest.mark.parametrize("name", ["ct.npy", "lumen.npy", "truth.json", "sums.json"])
 @pytest.mark.parametrize("damage", ["cut", "changed", "gone"])
-def test_a_damaged_cache_is_made_anew(tmp_path: Path, name: str, damage: str) -> None:
+def test_damaged_cache_is_generated_again(tmp_path: Path, name: str, damage: str) -> None:
     made = demo_phantom(cache_dir=tmp_path)
     (file,) = tmp_path.glob(f"phantom-*/{name}")
     data = file.read_bytes()
@@ -57,7 +57,7 @@ def test_a_damaged_cache_is_made_anew(tmp_path: Path, name: str, damage: str) ->
 
 
 @pytest.mark.usefixtures("small_demo")
-def test_a_cached_demo_in_the_spelling_of_earlier_versions_is_read_in_that_of_python(tmp_path: Path) -> None:
+def test_cached_demo_with_earlier_spelling_is_read_with_current_spelling(tmp_path: Path) -> None:
     made = demo_phantom(cache_dir=tmp_path)
     (file,) = tmp_path.glob("phantom-*/truth.json")
     file.write_text(file.read_text(encoding="utf-8").replace('"centre_lps"', '"center_lps"'), encoding="utf-8")
@@ -72,15 +72,15 @@ def test_a_cached_demo_in_the_spelling_of_earlier_versions_is_read_in_that_of_py
 
 
 @pytest.mark.usefixtures("small_demo")
-def test_a_cache_that_cannot_be_written_costs_time_only(tmp_path: Path) -> None:
+def test_demo_is_generated_when_the_cache_cannot_be_written(tmp_path: Path) -> None:
     blocked = tmp_path / "file"
     blocked.write_text("not a folder", encoding="utf-8")
     assert demo_phantom(cache_dir=blocked).volume.shape_zyx[0] > 10
 
 
-def test_the_generators_output_is_pinned_to_its_version() -> None:
+def test_generator_output_matches_the_checksum_of_its_version() -> None:
     made = generate_phantom(seed=7, spacing_mm=6.0, generations=5, stenosis=True, nodule=True)
     found = hashlib.sha256(made.volume.hu_zyx.tobytes() + made.lumen_zyx.tobytes()).hexdigest()[:16]
-    # If this fails, the same options give another chest: raise GENERATOR_VERSION, so that cached demos are made anew,
-    # and pin the new checksum beside it.
+    # If this assertion fails, the same options give a different chest: raise GENERATOR_VERSION, so that cached demos
+    # are generated again, and replace the checksum.
     assert (GENERATOR_VERSION, found) == (2, "893589dcaaf69299")

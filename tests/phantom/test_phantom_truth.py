@@ -1,4 +1,4 @@
-"""The phantom's truth is what its voxels show."""
+"""Tests that the ground truth of the phantom agrees with its voxels."""
 
 import json
 from pathlib import Path
@@ -15,19 +15,19 @@ CENTRAL = ((-60.0, -45.0, -98.0), (70.0, 50.0, 40.0))
 
 
 def some_of(num: int) -> list[object]:
-    """So many seeds, each a chest to its last generation: three for ``make test``, the rest for the soak."""
+    """Return the first ``num`` seeds as test parameters: three run in ``make test``, all in ``make soak``."""
     return [*range(3), *(pytest.param(seed, marks=pytest.mark.soak) for seed in range(3, num))]
 
 
 @pytest.fixture(scope="module")
 def chest() -> Phantom:
-    """A whole chest, coarse and anisotropic."""
+    """Return a whole chest with coarse anisotropic voxels."""
     return generate_phantom(seed=3, spacing_mm=(1.6, 1.8, 2.0), nodule=True)
 
 
 @pytest.fixture(scope="module")
 def central() -> Phantom:
-    """The central airways, fine, with distances and without noise."""
+    """Return the central airways with fine voxels and wall distances, without noise."""
     return generate_phantom(seed=3, spacing_mm=SPACING, noise_hu=0.0, box_lps=CENTRAL, with_distance=True)
 
 
@@ -36,7 +36,7 @@ def branches_of(made: Phantom) -> dict[str, dict]:
 
 
 def at(values: np.ndarray, made: Phantom, points_lps: np.ndarray) -> np.ndarray:
-    """Values at the nearest voxels; points outside the grid are left out."""
+    """Return the values of the voxels nearest to points; points outside the grid are left out."""
     ijk = np.floor(made.volume.to_ijk(np.asarray(points_lps)) + 0.5).astype(int)
     shape = np.array(values.shape[::-1])
     inside = np.all((ijk >= 0) & (ijk < shape), axis=1)
@@ -45,14 +45,14 @@ def at(values: np.ndarray, made: Phantom, points_lps: np.ndarray) -> np.ndarray:
 
 
 def section_radius(made: Phantom, branch: dict, n: int) -> float:
-    """Radius of the circle with the area of the lumen's voxels cut across a branch at its nth point."""
+    """Return the radius of the circle that has the area of the lumen's cross-section at the nth point of a branch."""
     points = np.array(branch["points"])
     tangent = points[n + 1] - points[n - 1]
     tangent /= np.linalg.norm(tangent)
     across = np.cross(tangent, [0.3, 0.9, 0.1])
     across /= np.linalg.norm(across)
     up = np.cross(tangent, across)
-    # The plane through the point, sampled finely.
+    # Sample points in the plane of the cross-section.
     step = 0.1
     reach = 1.8 * branch["radius"][n]
     s = np.arange(-reach, reach, step)
@@ -61,11 +61,11 @@ def section_radius(made: Phantom, branch: dict, n: int) -> float:
     return float(np.sqrt(area / np.pi))
 
 
-# The tree.
+# The tree of the ground truth.
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_the_tree_is_a_tree_with_all_segments_and_reaches_the_generation(seed: int) -> None:
+def test_tree_has_all_segments_and_reaches_the_generation(seed: int) -> None:
     made = generate_phantom(seed=seed, spacing_mm=8.0, generations=6)
     branches = made.truth["branches"]
     assert [b["id"] for b in branches] == list(range(len(branches)))
@@ -80,12 +80,12 @@ def test_the_tree_is_a_tree_with_all_segments_and_reaches_the_generation(seed: i
             assert branches[child]["parent"] == b["id"]
             assert branches[child]["generation"] == b["generation"] + 1
             assert branches[child]["points"][0] == b["points"][-1], "a child starts where its parent ends, bit for bit"
-            # Sizes vary by 5 %, and a stem and its main branch differ little.
+            # Diameters vary by 5 %, and a common stem is hardly wider than the wider of its branches.
             assert branches[child]["radius"][0] < 1.05 * b["radius"][0]
     assert sum(len(b["children"]) for b in branches) == len(branches) - 1
 
 
-def test_right_is_right_and_upper_lobes_are_above_lower_ones(chest: Phantom) -> None:
+def test_right_branches_are_right_and_upper_lobes_above_lower_lobes(chest: Phantom) -> None:
     names = branches_of(chest)
     for name, branch in names.items():
         x = np.array(branch["points"])[-1, 0]
@@ -110,13 +110,13 @@ def test_more_generations_only_add_branches() -> None:
 
 
 @pytest.mark.parametrize("seed", some_of(6))
-def test_strangers_keep_their_distance(seed: int) -> None:
+def test_unrelated_branches_do_not_touch(seed: int) -> None:
     branches = generate_phantom(seed=seed, spacing_mm=8.0, generations=7).truth["branches"]
     kin = {(b["id"], other) for b in branches for other in [b["parent"], *b["children"]] if other is not None}
     points = [np.array(b["points"]) for b in branches]
     for a in branches:
         for b in branches[a["id"] + 1 :]:
-            # Relatives of one fork, and those a short stem apart, lie close by nature.
+            # Branches of one fork, or of two forks that a short stem joins, are close to each other.
             near = {a["parent"], *a["children"], *(c for x in a["children"] for c in branches[x]["children"])}
             sibling = a["parent"] is not None and (
                 a["parent"] == b["parent"] or branches[a["parent"]]["parent"] in {b["parent"], b["id"]}
@@ -132,44 +132,46 @@ def test_strangers_keep_their_distance(seed: int) -> None:
 # The voxels.
 
 
-def test_every_centreline_point_lies_in_the_lumen(central: Phantom, chest: Phantom) -> None:
+def test_every_centreline_point_is_in_the_lumen(central: Phantom, chest: Phantom) -> None:
     for made, least_radius in ((central, 1.2), (chest, 2.2)):
-        # A voxel's centre may lie beyond a lumen thinner than half a voxel's diagonal; those are left out.
+        # In a lumen thinner than half a voxel's diagonal the nearest voxel centre may be outside; such points are left
+        # out.
         for b in made.truth["branches"]:
             wide = np.array(b["radius"]) > least_radius
             values = at(made.lumen_zyx, made, np.array(b["points"])[wide])
             assert values.all(), b["name"] or b["id"]
 
 
-def test_the_trachea_reaches_the_top_slice(chest: Phantom) -> None:
+def test_trachea_reaches_the_top_slice(chest: Phantom) -> None:
     top = np.array(chest.truth["branches"][0]["points"][0])
     assert chest.volume.to_ijk(top)[2] == pytest.approx(chest.volume.shape_zyx[0] - 1, abs=1e-9)
     assert at(chest.lumen_zyx, chest, top[None]).tolist() == [1]
 
 
 @pytest.mark.parametrize("name", ["Trachea", "LMB", "BI", "RB1", "LB10"])
-def test_the_radius_in_the_truth_is_that_of_the_lumens_cross_section(central: Phantom, name: str) -> None:
+def test_true_radius_equals_the_radius_of_the_lumen_cross_section(central: Phantom, name: str) -> None:
     branch = branches_of(central)[name]
     points = np.array(branch["points"])
     inside = [n for n, p in enumerate(points) if central.volume.contains_lps(p)]
-    # The middle of the branch, away from the fillets at its forks.
+    # The middle of the branch is away from the rounded edges of its forks.
     n = inside[len(inside) // 2]
-    # 6 % or 0.15 mm: the section is cut from voxels of 0.8 to 1.1 mm, and the trachea's rounded corners take 1 %.
+    # Tolerance 6 % or 0.15 mm: the voxels are 0.8 to 1.1 mm, and the rounded corners of the trachea reduce its area by
+    # 1 %.
     assert section_radius(central, branch, n) == pytest.approx(branch["radius"][n], rel=0.06, abs=0.15)
 
 
-def test_the_distance_is_negative_just_where_the_lumen_is_and_fits_the_radius(central: Phantom) -> None:
+def test_distance_is_negative_exactly_in_the_lumen_and_fits_the_radius(central: Phantom) -> None:
     distance = central.lumen_distance_mm
     assert distance is not None
     np.testing.assert_array_equal(distance < 0, central.lumen_zyx == 1)
     branch = branches_of(central)["LMB"]
     n = len(branch["points"]) // 2
     value = at(distance, central, np.array([branch["points"][n]]))[0]
-    # Half a voxel's diagonal: the value is that of the nearest voxel's centre.
+    # Tolerance: half a voxel's diagonal, because the distance is that of the nearest voxel centre.
     assert value == pytest.approx(-branch["radius"][n], abs=0.82)
 
 
-def test_the_tracheas_back_wall_is_flat(central: Phantom) -> None:
+def test_back_wall_of_the_trachea_is_flat(central: Phantom) -> None:
     points = np.array(branches_of(central)["Trachea"]["points"])
     p = points[np.argmin(abs(points[:, 2] - 25.0))]
     k = round(float(central.volume.to_ijk(p)[2]))
@@ -182,7 +184,7 @@ def test_the_tracheas_back_wall_is_flat(central: Phantom) -> None:
         right = i + np.argmax(row[i:] == 0) if row[i] else i
         own[n] = right - left
     own = own[own > 0]
-    # Behind (+y, the last rows) the section ends broad, in front it ends narrow.
+    # The cross-section is broad at the back (+y, the last rows) and narrow at the front.
     assert own[-1] > 1.5 * own[0] or own[-2] > 1.5 * own[1]
 
 
@@ -191,7 +193,7 @@ def test_tissues_have_their_hounsfield_values(central: Phantom, chest: Phantom) 
     trachea = np.array(branches_of(central)["Trachea"]["points"])
     assert at(hu, central, trachea).max() <= -990
     deep = chest.volume.hu_zyx[at_index(chest, (-85.0, -20.0, -60.0))]
-    # Parenchyma -862 with texture and 20 HU of noise: 5 deviations.
+    # Parenchyma is -862 HU with texture and 20 HU of noise; the limits are 5 standard deviations away.
     assert -1010 < deep < -690
     assert at(hu, central, np.array([[0.0, 53.0 - 0.00085 * 80**2, 14.0]]))[0] > 100  # a vertebra
     assert chest.volume.hu_zyx.min() >= -1024
@@ -204,8 +206,8 @@ def at_index(made: Phantom, point: tuple[float, float, float]) -> tuple[int, ...
     return int(k), int(j), int(i)
 
 
-def test_lungs_are_denser_behind(chest: Phantom) -> None:
-    # Gravity, lying on the back: 0.32 HU per mm. Medians, for vessels lie between.
+def test_lungs_are_denser_posteriorly(chest: Phantom) -> None:
+    # In a supine patient density rises by 0.32 HU per mm towards the back. Medians exclude the vessels.
     def median(y: float) -> float:
         k, j, i = at_index(chest, (-80.0, y, -60.0))
         return float(np.median(chest.volume.hu_zyx[k - 6 : k + 6, j - 4 : j + 4, i - 12 : i + 12]))
@@ -213,8 +215,8 @@ def test_lungs_are_denser_behind(chest: Phantom) -> None:
     assert median(40.0) - median(-50.0) == pytest.approx(0.32 * 90, abs=10)
 
 
-def test_a_wall_stands_between_the_lumen_and_the_lung(central: Phantom) -> None:
-    # Around a segment well inside the lung the wall shows, lowered by partial volume, all the way round.
+def test_wall_separates_lumen_and_lung(central: Phantom) -> None:
+    # Around a segmental bronchus in the lung the wall is visible on all sides, with lower HU by partial volume.
     branch = branches_of(central)["RB10"]
     points, radius = np.array(branch["points"]), np.array(branch["radius"])
     n = len(points) // 2
@@ -229,10 +231,11 @@ def test_a_wall_stands_between_the_lumen_and_the_lung(central: Phantom) -> None:
         assert at(central.volume.hu_zyx, central, rim).max() > -450
 
 
-def test_a_thick_slice_averages_over_its_thickness() -> None:
+def test_thick_slice_averages_over_its_thickness() -> None:
     fine = generate_phantom(seed=2, spacing_mm=(1.0, 1.0, 0.6), noise_hu=0.0, box_lps=CENTRAL)
     thick = generate_phantom(seed=2, spacing_mm=(1.0, 1.0, 3.0), noise_hu=0.0, box_lps=CENTRAL)
-    # Thick slice n from the top lies on fine slice 5 n; the mean of the five round it is what it should show.
+    # Thick slice n from the top is at fine slice 5 n; its expected values are the mean of the five slices around that
+    # slice.
     top = fine.volume.hu_zyx[::-1].astype(float)
     names = branches_of(fine)
     band = thick.volume.hu_zyx[::-1]
@@ -245,17 +248,17 @@ def test_a_thick_slice_averages_over_its_thickness() -> None:
             continue
         window = np.s_[j - 6 : j + 7, i - 6 : i + 7]
         mean = top[5 * n - 2 : 5 * n + 3][(slice(None), *window)].mean(axis=0)
-        # 60 HU in the mean: texture is read at the slice's middle only, not averaged.
+        # Tolerance 60 HU in the mean: the texture is sampled in the middle of a slice and not averaged.
         assert np.abs(mean - band[n][window]).mean() < 60
         checked += 1
     assert checked >= 3
 
 
-# Extras.
+# Stenosis and nodule.
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2, 5])
-def test_a_stenosis_narrows_one_bronchus_in_truth_and_voxels(seed: int) -> None:
+def test_stenosis_narrows_one_bronchus_in_truth_and_voxels(seed: int) -> None:
     options = {"seed": seed, "spacing_mm": 0.9, "noise_hu": 0.0, "box_lps": ((-40, -20, -60), (60, 30, 5))}
     healthy, ill = generate_phantom(**options), generate_phantom(**options, stenosis=True)
     stenosis = ill.truth["stenosis"]
@@ -270,14 +273,14 @@ def test_a_stenosis_narrows_one_bronchus_in_truth_and_voxels(seed: int) -> None:
     assert before["points"] == branch["points"]
     assert before["radius"][n] == stenosis["reference_radius_mm"]
     centre = np.array(stenosis["centre_lps"])
-    # 8 % or 0.2 mm: voxels of 0.9 mm, and in front of and behind the plane the lumen is wider.
+    # Tolerance 8 % or 0.2 mm: voxels are 0.9 mm, and the lumen widens on both sides of the plane.
     assert section_radius(ill, branch, n) == pytest.approx(stenosis["min_radius_mm"], rel=0.08, abs=0.2)
     assert section_radius(healthy, before, n) == pytest.approx(stenosis["reference_radius_mm"], rel=0.08, abs=0.2)
     assert at(ill.lumen_zyx, ill, centre[None]).tolist() == [1], "narrow, not closed"
 
 
 @pytest.mark.parametrize("seed", some_of(8))
-def test_a_nodule_lies_in_the_lung_clear_of_the_airways(seed: int) -> None:
+def test_nodule_is_in_the_lung_and_clear_of_the_airways(seed: int) -> None:
     made = generate_phantom(seed=seed, spacing_mm=3.0, nodule=True, noise_hu=0.0)
     nodule = made.truth["nodule"]
     centre = np.array(nodule["centre_lps"])
@@ -291,10 +294,10 @@ def test_a_nodule_lies_in_the_lung_clear_of_the_airways(seed: int) -> None:
     assert plain["branches"] == made.truth["branches"], "a nodule does not change the airways"
 
 
-# Repeatable, refused, cancelled, written.
+# Repeatability, refused options, cancellation and files.
 
 
-def test_the_same_seed_gives_the_same_chest_and_another_seed_another() -> None:
+def test_same_seed_gives_the_same_chest_and_another_seed_another() -> None:
     options = {"spacing_mm": 4.0, "generations": 5, "stenosis": True, "nodule": True}
     first, again = generate_phantom(seed=9, **options), generate_phantom(seed=9, **options)
     other = generate_phantom(seed=10, **options)
@@ -325,7 +328,7 @@ def test_options_out_of_range_are_refused_by_name(options: dict, says: str) -> N
         generate_phantom(**options)
 
 
-def test_generating_reports_progress_and_stops_when_asked() -> None:
+def test_generation_reports_progress_and_can_be_cancelled() -> None:
     seen: list[float] = []
     generate_phantom(spacing_mm=4.0, progress=lambda _, fraction: seen.append(fraction or 0.0))
     assert seen == sorted(seen)
@@ -334,7 +337,7 @@ def test_generating_reports_progress_and_stops_when_asked() -> None:
         generate_phantom(spacing_mm=2.0, cancel=lambda: True)
 
 
-def test_written_files_read_back_with_the_same_voxels_in_the_same_place(tmp_path: Path) -> None:
+def test_written_files_have_the_same_voxels_at_the_same_positions(tmp_path: Path) -> None:
     made = generate_phantom(seed=4, spacing_mm=(3.0, 3.5, 4.0), generations=4, nodule=True)
     files = write_phantom(made, tmp_path / "case")
     assert [f.name for f in files] == ["ct.nii.gz", "lumen.nii.gz", "truth.json"]
@@ -344,7 +347,7 @@ def test_written_files_read_back_with_the_same_voxels_in_the_same_place(tmp_path
     np.testing.assert_array_equal(SimpleITK.GetArrayFromImage(SimpleITK.ReadImage(str(files[1]))), made.lumen_zyx)
     shape = made.volume.shape_zyx
     for ijk in ((0, 0, 0), (5, 7, 9), (shape[2] - 1, shape[1] - 1, shape[0] - 1)):
-        # 1e-4 mm: NIfTI keeps its matrix in float32.
+        # Tolerance 1e-4 mm: NIfTI stores its matrix in float32.
         np.testing.assert_allclose(
             ct.TransformContinuousIndexToPhysicalPoint([float(v) for v in ijk]),
             made.volume.to_lps(np.array(ijk, dtype=float)),

@@ -1,4 +1,4 @@
-"""Measures of trees that were made by hand: a section at each point of a centreline, as wide as the test wants it."""
+"""Cross-section measures of trees made by hand: one section per centreline point, with the widths that a test sets."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ def exact_measures(
     missing: Mapping[int, slice] | None = None,
     method: int = 2,
 ) -> TreeMeasures:
-    """Return measures of a tree.
+    """Return cross-section measures of a tree with given diameters and errors.
 
     Parameters
     ----------
     error_mm
-        Of each section.
+        Error of the diameter of each section.
     widths_mm
-        Diameters of some branches, (n,); others have those of the lumen found.
+        Diameters (n,) by branch ID; other branches have the diameters of the lumen in the tree.
     flat
-        Least width of each section over its diameter.
+        Ratio of the smallest width of each section to its diameter.
     missing
-        Sections of some branches that could not be measured.
+        Slices of sections, by branch ID, that could not be measured.
     method
-        As `BranchMeasures.method`.
+        Value of `BranchMeasures.method`.
     """
     widths_mm, missing = widths_mm or {}, missing or {}
     forks = [

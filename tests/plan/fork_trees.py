@@ -1,4 +1,4 @@
-"""Random airway trees without voxels, and routes in them, for tests of what is told of forks."""
+"""Random airway trees without voxels, and routes in these trees, for tests of fork descriptions."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def unit(vector: Points) -> Points:
 
 
 def bent(start: Points, first: Points, last: Points, length_mm: float, num: int = 16) -> Points:
-    """A line that turns evenly from one direction to another."""
+    """Return a polyline that turns evenly from one direction to another."""
     share = (np.arange(num) + 0.5)[:, None] / num
     steps = (1.0 - share) * first + share * last
     steps = length_mm / num * steps / np.linalg.norm(steps, axis=1, keepdims=True)
@@ -34,7 +34,10 @@ def random_tree(
     lengths_mm: Sequence[float] = (60.0, 25.0, 14.0, 9.0),
     curl: float = 0.15,
 ) -> AirwayTree:
-    """A trachea downwards, two named main bronchi, then forks of 2 or 3 in all directions; more bent by ``curl``."""
+    """Return a tree: a trachea, two named main bronchi, then forks of 2 or 3 in all directions.
+
+    ``curl`` sets the curvature.
+    """
     rng = np.random.default_rng(seed)
     branches: list[dict] = []
 
@@ -83,7 +86,7 @@ def made_tree(rows: Sequence[dict]) -> AirwayTree:
 
 
 def moved(tree: AirwayTree, matrix: Points, shift: Points) -> AirwayTree:
-    """The same tree with every point turned (or mirrored) and shifted."""
+    """Return the tree with every point rotated or mirrored and shifted."""
     ends: dict[int, Points] = {}
     rows = []
     for branch in tree.branches:
@@ -106,7 +109,7 @@ def moved(tree: AirwayTree, matrix: Points, shift: Points) -> AirwayTree:
 
 
 def route_in(tree: AirwayTree, branch_id: int, *, share: float = 0.6, carina: bool = True) -> PlannedRoute:
-    """A route that stands in a branch; its main carina is where the second branch of the way begins."""
+    """Return a route that ends in a branch; its main carina is at the start of the second branch on the route."""
     lineage = tree.lineage(branch_id)
     branch = lineage[-1]
     index = max(1, int(share * (len(branch.points) - 1)))

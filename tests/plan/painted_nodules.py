@@ -1,4 +1,4 @@
-"""A piece of lung with a nodule in it, painted from exact shapes: what the boundary is compared with."""
+"""Synthetic CTs of a piece of lung with a nodule of exact shape: the reference for nodule segmentation."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ Point = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Scene:
-    """What is painted; lengths in mm, the middle of the piece at the origin."""
+    """Description of a synthetic CT; lengths in mm, with the origin in the middle of the volume."""
 
     radii_mm: Point = (5.0, 5.0, 5.0)
     level_hu: float = 30.0
     core_mm: float = 0.0
-    """Radius of a denser part in its middle; 0 for none."""
+    """Radius of a denser core in the middle of the nodule; 0 for none."""
     core_hu: float = 30.0
     vessels: tuple[tuple[Point, Point, float], ...] = ()
-    """A point on the axis, its direction, the radius."""
+    """For each vessel: a point on the axis, the direction, and the radius."""
     pleura_mm: float | None = None
-    """How far to the left the chest wall begins."""
+    """Distance from the middle to the chest wall on the left."""
     wall_radius_mm: float = 110.0
     spacing_mm: Point = (0.7, 0.7, 0.8)
     sigma_mm: float = 0.6
@@ -43,12 +43,12 @@ class Scene:
 
 
 def cover(distance: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Share of a fine voxel inside a surface."""
+    """Return the fraction of a fine voxel that is inside a surface."""
     return np.clip(0.5 - distance / FINE_MM, 0.0, 1.0).astype(np.float32)
 
 
 def ellipsoid(x: Values, y: Values, z: Values, radii: Point) -> Values:
-    """Signed distance to its surface, to first order."""
+    """Return the first-order signed distance to the surface of an ellipsoid."""
     a, b, c = radii
     k0 = np.sqrt((x / a) ** 2 + (y / b) ** 2 + (z / c) ** 2)
     k1 = np.sqrt((x / a**2) ** 2 + (y / b**2) ** 2 + (z / c**2) ** 2)
@@ -56,7 +56,7 @@ def ellipsoid(x: Values, y: Values, z: Values, radii: Point) -> Values:
 
 
 def painted(scene: Scene) -> tuple[Volume, float, NDArray[np.float64]]:
-    """The CT, the nodule's true volume in mm3 and its middle (LPS)."""
+    """Return the CT, the true volume of the nodule in mm3, and its middle in LPS mm."""
     num_fine = int(2 * HALF_MM / FINE_MM) + 1
     axis = (np.arange(num_fine) - (num_fine - 1) / 2) * FINE_MM
     z, y, x = np.meshgrid(axis, axis, axis, indexing="ij", sparse=True)
@@ -65,7 +65,7 @@ def painted(scene: Scene) -> tuple[Volume, float, NDArray[np.float64]]:
     hu = np.full(nodule.shape, LUNG_HU, np.float32)
     wall = np.zeros_like(nodule)
     if scene.pleura_mm is not None:
-        # The lung lies inside a large sphere, whose middle is to the right.
+        # The lung is inside a large sphere, whose middle is to the right.
         far = np.sqrt((x - scene.pleura_mm + scene.wall_radius_mm) ** 2 + y**2 + z**2) - scene.wall_radius_mm
         wall = cover(-far)
     dense = wall.copy()
@@ -86,7 +86,7 @@ def painted(scene: Scene) -> tuple[Volume, float, NDArray[np.float64]]:
     image.SetSpacing([FINE_MM] * 3)
     image.SetOrigin([axis[0]] * 3)
     smooth = sitk.SmoothingRecursiveGaussian(image, [scene.sigma_mm] * 3)
-    # A slice shows the mean of its thickness.
+    # A slice shows the mean over its thickness.
     width = max(round(scene.spacing_mm[2] / FINE_MM), 1)
     total = np.cumsum(np.pad(sitk.GetArrayFromImage(smooth), ((width, width), (0, 0), (0, 0)), mode="edge"), axis=0)
     first = width - (width - 1) // 2 - 1
@@ -111,7 +111,7 @@ def painted(scene: Scene) -> tuple[Volume, float, NDArray[np.float64]]:
 
 
 def random_scene(kind: str, rng: np.random.Generator) -> Scene:
-    """A nodule of a kind, scanned somehow."""
+    """Return a random scene with a nodule of a given kind and random scan parameters."""
     least_mm = 3.0 if kind == "solid" else 6.0 if kind == "part-solid" else 4.0
     longest_mm = rng.uniform(least_mm, 10.0)
     x, y, z = np.maximum(longest_mm * rng.uniform(0.75, 1.0, 3), least_mm)

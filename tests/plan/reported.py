@@ -1,4 +1,4 @@
-"""One phantom's plan, and the sheet that its report is made from. One worker runs all files that read them."""
+"""One plan in the phantom and the sheet of its report; one test process runs all files that use this plan."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def verdicts() -> tuple[Verdict, ...]:
 
 
 def turns(found: Airways, planned: Plan, *, ridge_mm: float | None = 9.0) -> TurnList:
-    """The list of turns of the first route, with a move to each millimetre that a fork stands at."""
+    """Return the list of turns of the first route, with one move to each fork."""
     route = planned.routes[0]
     lineage = found.tree.lineage(route.branch_id)
     ends = [float(mm) for mm in np.cumsum([branch.length_mm for branch in lineage[:-1]])]
@@ -70,7 +70,10 @@ def _key(one: Any) -> object:
 
 
 def once(make: Callable[..., Any]) -> Callable[..., Any]:
-    """The same as before of the same objects and equal arrays; these are kept, so that no others take their ids."""
+    """Cache results by the identity of objects and the content of arrays.
+
+    Arguments are stored, so that their ids stay unique.
+    """
     made: dict[tuple[object, ...], tuple[Any, Any]] = {}
 
     def same(*given: Any) -> Any:
@@ -82,8 +85,8 @@ def once(make: Callable[..., Any]) -> Callable[..., Any]:
     return same
 
 
-# What shows the same target in the same CT is rendered once: it takes most of two seconds of the processor, and some
-# thirty sheets differ in their words alone.
+# Pictures of the same target in the same CT are rendered once: rendering takes about two seconds of CPU time, and about
+# thirty sheets differ only in their text.
 RENDERED = {
     name: once(getattr(sheet_module, name))
     for name in ("Renderer", "LumenOutline", "surroundings", "target_slices", "needle_slice", "place_slices")
@@ -91,7 +94,7 @@ RENDERED = {
 
 
 def sheet(**more: Any) -> PlanSheet:
-    """The usual sheet, or one made anew with other choices."""
+    """Return the usual sheet, or a new sheet with other options."""
     if not more:
         return _usual()
     told: dict[str, Any] = {"verdicts": verdicts(), "made_on": DAY, "wall": wall()} | more
@@ -109,20 +112,20 @@ def _usual() -> PlanSheet:
 
 
 def still(turn: Turn, *, operator: Operator = "head", in_view: bool = True, shade: int = 0) -> TurnPicture:
-    """A picture without a renderer."""
+    """Return the picture of a turn without rendering."""
     rgb = np.full((8, 12, 3), shade, np.uint8)
     picture = Picture(rgb, "airway", RenderStats("leap", 12, 8, 96, 96, 0, 0, 0, 0, 0, 0.0), lps_from_camera=np.eye(4))
     return TurnPicture(turn, operator, picture, in_view, np.zeros((8, 12), bool))
 
 
 def clip(turn: Turn, *, operator: Operator = "head") -> TurnClip:
-    """Three frames without a renderer."""
+    """Return a clip of three frames without rendering."""
     frames = tuple(np.full((16, 16, 3), shade, np.uint8) for shade in (0, 100, 200))
     return TurnClip(turn, operator, frames, (Pose(np.eye(4)),) * 3, 1.5)
 
 
 def with_drawn_branch() -> tuple[Airways, Plan]:
-    """The same airways, the branch before the last of the first route drawn by hand, and a plan in them."""
+    """Return the airways with the second last branch of the first route marked as drawn by hand, and a plan in them."""
     found, route = airways(), plan().routes[0]
     drawn = found.tree.lineage(route.branch_id)[-2].id
     branches = tuple(

@@ -1,4 +1,4 @@
-"""DICOM SEG and RTSTRUCT files of exact structures, as other tools write them, and a CT to put them on."""
+"""DICOM SEG and RTSTRUCT files of exact structures, as other tools write them, and a CT for these files."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Outlines = dict[int, list[NDArray[np.float64]]]
 
 
 def oblique() -> NDArray[np.float64]:
-    """A place whose axes are those of no coordinate system."""
+    """Return an oblique voxel-to-LPS matrix whose axes are not those of a coordinate system."""
     a, b = np.radians(9.0), np.radians(-6.0)
     turn = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1.0]])
     turn @= np.array([[1.0, 0, 0], [0, np.cos(b), -np.sin(b)], [0, np.sin(b), np.cos(b)]])
@@ -32,7 +32,7 @@ def oblique() -> NDArray[np.float64]:
 
 
 def lung_with_ball(radius_mm: float = 6.0) -> tuple[Volume, NDArray[np.float64]]:
-    """A CT of a ball in lung, and the ball's middle, LPS mm."""
+    """Return a CT of a ball in lung, and the middle of the ball, LPS mm."""
     matrix = oblique()
     empty = Volume(np.zeros(SHAPE_ZYX, dtype=np.int16), matrix)
     centre = empty.to_lps(np.array([29.3, 24.6, 19.7]))
@@ -50,7 +50,7 @@ def ball_voxels(volume: Volume, centre: NDArray[np.float64], radius_mm: float) -
 
 
 def ball_outlines(volume: Volume, centre: NDArray[np.float64], radius_mm: float) -> Outlines:
-    """The circles in which the slices cut a ball, LPS mm."""
+    """Return the circles in which the slices cut a ball, LPS mm."""
     normal = volume.lps_from_ijk[:3, 2] / volume.spacing_mm[2]
     across, up = (volume.lps_from_ijk[:3, n] / volume.spacing_mm[n] for n in (0, 1))
     found: Outlines = {}
@@ -64,7 +64,7 @@ def ball_outlines(volume: Volume, centre: NDArray[np.float64], radius_mm: float)
 
 
 def edge_outlines(volume: Volume, inside: NDArray[np.bool_]) -> Outlines:
-    """Round the outer edges of a mask's voxels."""
+    """Return outlines along the outer edges of the voxels of a mask."""
     found: Outlines = {}
     for k, plane in enumerate(np.pad(inside, ((0, 0), (1, 1), (1, 1)))):
         following: dict[tuple[float, float], list[tuple[float, float]]] = {}
@@ -96,7 +96,7 @@ def edge_outlines(volume: Volume, inside: NDArray[np.bool_]) -> Outlines:
 
 
 def centre_outlines(volume: Volume, inside: NDArray[np.bool_]) -> Outlines:
-    """Through the centres of a convex mask's outer voxels, as tools that trace pixels write them."""
+    """Return outlines through the centres of a convex mask's outer voxels, as tools that trace pixels write them."""
     found: Outlines = {}
     for k, plane in enumerate(inside):
         rows = np.flatnonzero(plane.any(axis=1))
@@ -118,7 +118,7 @@ def structure_set(
     study: str = STUDY,
     series: str = SERIES,
 ) -> Path:
-    """An RTSTRUCT as planning systems write it."""
+    """Return an RTSTRUCT as planning systems write it."""
     data = Dataset()
     data.file_meta = FileMetaDataset()
     data.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
@@ -159,7 +159,7 @@ def segmentation(
     study: str = STUDY,
     series: str = SERIES,
 ) -> Path:
-    """A SEG: one frame per segment and plane that is not empty."""
+    """Return a SEG with one frame for each segment and each plane that is not empty."""
     spacing = volume.spacing_mm
     direction = volume.lps_from_ijk[:3, :3] / spacing
     data, measures, orientation, shared = Dataset(), Dataset(), Dataset(), Dataset()
@@ -202,7 +202,7 @@ def segmentation(
 
 
 def ct_files(folder: Path, volume: Volume, *, frame: str = FRAME, study: str = STUDY, series: str = SERIES) -> Path:
-    """The CT as a DICOM series."""
+    """Write the CT as a DICOM series."""
     folder.mkdir(parents=True)
     spacing = volume.spacing_mm
     direction = volume.lps_from_ijk[:3, :3] / spacing

@@ -1,4 +1,4 @@
-"""What of the lungs an instrument gets to: against a slow look at single points, and between instruments."""
+"""Tests of the reach atlas, which marks the parts of the lungs that a scope and a tool can reach."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ def chest():
     return volume, airways, wall_field(volume, airways)
 
 
-def test_points_are_reached_as_a_slow_look_at_each_tells(chest) -> None:
+def test_reach_of_points_equals_a_direct_search(chest) -> None:
     volume, airways, wall = chest
-    # As thin as nothing, and as bent as wished: every place of every airway is reached.
+    # This scope is very thin and bends without limit, so that it reaches every position in every airway.
     wire = dataclasses.replace(scope_preset("ultrathin"), tip_mm=0.1, tube_mm=0.1, flexion_deg=(360.0, 360.0))
     found = reach_atlas(volume, airways, scope=wire, wall=wall)
     points = np.concatenate([b.points for b in airways.tree.branches])
@@ -37,11 +37,11 @@ def test_points_are_reached_as_a_slow_look_at_each_tells(chest) -> None:
         off = at - points
         away = np.linalg.norm(off, axis=1)
         angle = np.degrees(np.arccos(np.clip((off * forward).sum(axis=1) / np.maximum(away, 1e-9), -1.0, 1.0)))
-        # A place every 2 mm: at the border either answer holds.
+        # The atlas has a position every 2 mm, so that both results are correct near the limit.
         surely = bool(((away <= found.tool.reach_mm - 2.0) & (angle <= MOST_ANGLE_DEG - 10.0)).any())
         never = not bool(((away <= found.tool.reach_mm + 2.0) & (angle <= MOST_ANGLE_DEG + 10.0)).any())
         told = found.reach_zyx[k, j, i]
-        # By a doubtful branch it may.
+        # A point near a doubtful branch may be marked "may reach".
         assert not surely or told != NOT
         assert not never or told == NOT
         assert found.at(at) == ("does not reach", "may reach", "reaches")[told]
@@ -49,7 +49,7 @@ def test_points_are_reached_as_a_slow_look_at_each_tells(chest) -> None:
     assert all(mm > 0.0 for mm in found.tip_mm.values())
 
 
-def test_a_thinner_scope_and_a_longer_tool_never_reach_less(chest) -> None:
+def test_thinner_scope_and_longer_tool_never_reach_less(chest) -> None:
     volume, airways, wall = chest
     thin = reach_atlas(volume, airways, scope="ultrathin", wall=wall)
     thick = reach_atlas(volume, airways, scope="therapeutic", wall=wall)
@@ -62,7 +62,7 @@ def test_a_thinner_scope_and_a_longer_tool_never_reach_less(chest) -> None:
     assert set(thin.to_json()) == {"scope", "tool", "lung_ml", "reached_ml", "tip_mm"}
 
 
-def test_it_can_be_stopped(chest) -> None:
+def test_reach_atlas_can_be_cancelled(chest) -> None:
     volume, airways, wall = chest
     told: list[float] = []
     reach_atlas(volume, airways, wall=wall, progress=lambda _what, share: told.append(share))

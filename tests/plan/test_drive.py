@@ -1,4 +1,4 @@
-"""Drives: what is told as moves is carried out again by a script that knows nothing else."""
+"""Tests of driven routes: an independent script executes the listed moves again."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from carina.track import AirwayTree
 from made import made_airways
 
 BRANCHES = (100, 24, 139)
-"""Tips of the tree, 4 to 6 forks on the way."""
+"""IDs of branches without children, 4 to 6 forks from the root."""
 
 
 def thin() -> ScopePreset:
@@ -42,7 +42,7 @@ def thin() -> ScopePreset:
 
 @cache
 def chest_way(branch_id: int) -> DriveWay:
-    """The way to a tip, as far as the airway is wider than the scope by half a millimetre."""
+    """Return the route to a branch, up to the point where the airway is less than 0.5 mm wider than the scope."""
     tree, wall = made_airways(**CHEST).tree, chest_wall()
     route = tree.route_to(branch_id)
     at = np.arange(20.0, route.length_mm - 4.0, 0.5)
@@ -62,7 +62,7 @@ def chest_drive(branch_id: int) -> DrivenRoute:
 
 
 def carried_out(way: DriveWay, wall: WallField, told: dict[str, Any]) -> ScopeDrive:
-    """A script that has the told moves and nothing else: turn, set the lever, advance in steps of 1 mm."""
+    """Execute the listed moves only: rotate, set the flexion, advance in steps of 1 mm."""
     drive = ScopeDrive(wall, thin(), way.points)
     state = drive.place(way.points, told["start_mm"])
     roll_deg = 0.0
@@ -77,7 +77,7 @@ def carried_out(way: DriveWay, wall: WallField, told: dict[str, Any]) -> ScopeDr
 
 
 @pytest.mark.parametrize("branch_id", BRANCHES)
-def test_a_blind_replay_of_the_told_moves_ends_in_the_right_branch(branch_id: int) -> None:
+def test_replay_of_the_listed_moves_ends_in_the_right_branch(branch_id: int) -> None:
     way, driven = chest_way(branch_id), chest_drive(branch_id)
     assert driven.arrived, driven.why
     drive = carried_out(way, chest_wall(), json.loads(json.dumps(driven.to_json(poses=False))))
@@ -87,12 +87,12 @@ def test_a_blind_replay_of_the_told_moves_ends_in_the_right_branch(branch_id: in
     tree = made_airways(**CHEST).tree
     found, _, _ = tree.nearest_branch(tip)
     assert found.id in {branch.id for branch in tree.lineage(branch_id)}
-    # Further on than the last fork that lies clearly behind it.
+    # The scope passed the last fork that is clearly behind its final position.
     passed = way.forks_mm[way.forks_mm < way.park_mm - 6.0]
     assert found.generation >= len(passed)
 
 
-def test_a_drive_of_a_chest_is_few_moves_in_steps_that_a_hand_can_set() -> None:
+def test_drive_in_a_chest_has_few_moves_in_steps_of_a_hand() -> None:
     driven = chest_drive(BRANCHES[0])
     assert len(driven.moves) <= 80
     for move in driven.moves:
@@ -101,14 +101,14 @@ def test_a_drive_of_a_chest_is_few_moves_in_steps_that_a_hand_can_set() -> None:
     assert list(driven.ends_mm) == sorted(driven.ends_mm)
     assert len(driven.samples) == len(driven.lps_from_camera) == len(driven.time_s)
     assert (np.diff(driven.time_s) >= 0.0).all()
-    # Between samples of an advance the tip goes a millimetre, no more: it can be flown.
+    # Between samples of an advance the tip moves at most one millimetre, so a flight can show the drive.
     steps = np.linalg.norm(np.diff(driven.lps_from_camera[:, :3, 3], axis=0), axis=1)
     advanced = np.diff(driven.samples[:, 0]) > 0.01
     assert np.median(steps[advanced]) < 1.5
     assert np.isin(np.round(driven.lps_from_camera[:, 3], 9), [0.0, 1.0]).all()
 
 
-def test_a_condensed_drive_has_fewer_moves_and_still_arrives() -> None:
+def test_condensed_drive_has_fewer_moves_and_still_arrives() -> None:
     way = chest_way(BRANCHES[0])
     condensed = condense_drive(way, chest_wall(), thin(), chest_drive(BRANCHES[0]), tries=25)
     assert condensed.arrived and len(condensed.moves) < len(chest_drive(BRANCHES[0]).moves)
@@ -117,12 +117,12 @@ def test_a_condensed_drive_has_fewer_moves_and_still_arrives() -> None:
     assert np.linalg.norm(tip.position_lps - way.at(way.park_mm)) <= 2.0 + way.radius_mm(way.park_mm)
 
 
-def test_the_same_search_gives_the_same_drive() -> None:
+def test_same_search_gives_the_same_drive() -> None:
     again = search_drive(chest_way(BRANCHES[0]), chest_wall(), thin(), effort=30_000.0)
     assert again.moves == chest_drive(BRANCHES[0]).moves
 
 
-def test_the_moves_between_places_are_all_the_moves() -> None:
+def test_moves_between_positions_are_all_moves() -> None:
     driven = chest_drive(BRANCHES[0])
     last = driven.ends_mm[-1]
     cuts = [driven.start_mm, 100.0, 150.5, 180.0, last]
@@ -134,7 +134,7 @@ def test_the_moves_between_places_are_all_the_moves() -> None:
 
 
 def zigzag() -> tuple[AirwayTree, WallField, PlannedRoute]:
-    """A bent tube whose centreline was found in voxels, beside the middle by turns; the smooth route is shorter."""
+    """Return a bent tube whose centreline alternates between both sides of the middle; the smooth route is shorter."""
     straight, field, points = tube(60.0)
     beside = np.zeros_like(points)
     beside[1:-1:2, 1] = 0.15
@@ -149,12 +149,12 @@ def zigzag() -> tuple[AirwayTree, WallField, PlannedRoute]:
     return tree, field, dataclasses.replace(planned, along_mm=along_mm)
 
 
-def test_all_that_is_told_counts_along_the_centrelines_as_the_plan_does() -> None:
-    """A place is told as one number: by the plan, the verdict's checks, the drive and the list of turns."""
+def test_all_distances_count_along_centrelines_as_in_the_plan() -> None:
+    """Assert that plan, verdict checks, drive and list of turns state the same distance for one position."""
     tree, wall, planned = zigzag()
     slim = dataclasses.replace(thin(), tip_mm=2.6)
     way = DriveWay(tree, planned, wall)
-    # The measures differ, or nothing is shown here.
+    # The smooth route and the centreline differ in length; otherwise the test would show nothing.
     assert planned.along_mm - way.park_mm > 3.0
     assert way.told_mm(way.park_mm) == pytest.approx(planned.along_mm)
     assert [way.told_mm(mm) for mm in way.forks_mm] == pytest.approx([tree.root.length_mm])
@@ -179,14 +179,14 @@ def _place_of(tree: AirwayTree, planned: PlannedRoute) -> int:
     return int(mine[np.argmin(np.abs(ways.along_mm[mine] - planned.along_mm))])
 
 
-def test_in_a_bent_tube_the_scope_arrives_and_is_pointed_at_what_lies_beside() -> None:
+def test_scope_arrives_in_a_bent_tube_and_points_at_a_target_beside_it() -> None:
     tree, field, points = tube(60.0)
     plan = plan_in(points)
     scope = dataclasses.replace(thin(), tip_mm=2.6)
     way = DriveWay(tree, plan.routes[0], field)
     driven = search_drive(way, field, scope)
     assert driven.arrived and driven.stopped_mm == pytest.approx(way.park_mm, abs=1.1)
-    # The needle must go 15 degrees beside the tube's axis.
+    # The needle direction is 15 degrees from the axis of the tube.
     beside = way.at(way.park_mm) + 12.0 * way.direction(way.park_mm) + np.array([0.0, 3.0, 0.0])
     way.aim = beside
 
@@ -204,9 +204,9 @@ def test_in_a_bent_tube_the_scope_arrives_and_is_pointed_at_what_lies_beside() -
     assert share(tip[:3, 3], tip[:3, 2]) == aimed.share
 
 
-def test_a_scope_that_does_not_pass_stops_before_the_narrow_place_and_says_why() -> None:
+def test_too_thick_scope_stops_before_the_narrow_position_with_the_reason() -> None:
     tree, _, points = tube(30.0)
-    # From 60 mm on the tube is 2.4 mm wide instead of 4.
+    # From 60 mm on the tube is 2.4 mm wide instead of 4 mm.
     step = 0.5
     lo, hi = points.min(axis=0) - 4.0, points.max(axis=0) + 4.0
     z, y, x = (np.arange(lo[a], hi[a] + step, step) for a in (2, 1, 0))
@@ -225,7 +225,7 @@ def test_a_scope_that_does_not_pass_stops_before_the_narrow_place_and_says_why()
     assert json.loads(json.dumps(driven.to_json()))["why"] == driven.why
 
 
-def test_a_search_can_be_cancelled_and_half_a_millimetre_is_refused() -> None:
+def test_search_can_be_cancelled_and_moves_of_half_a_millimetre_are_refused() -> None:
     tree, field, points = tube(60.0)
     way = DriveWay(tree, plan_in(points).routes[0], field)
     slim = dataclasses.replace(thin(), tip_mm=2.6)

@@ -1,4 +1,4 @@
-"""Stations of lymph nodes as seen from the airways: levels, hours, and what is said where no airway shows them."""
+"""Tests of lymph node stations for EBUS: levels, clock hours, and messages where the airways do not show a station."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def tree(seed: int = 2) -> AirwayTree:
 
 
 def changed(one: AirwayTree, *, drop: str | None = None, **names: str | None) -> AirwayTree:
-    """With other names, and without a bronchus and all beyond it."""
+    """Return the tree with other names, and without one bronchus and everything beyond it."""
     gone = set()
     kept: list[Branch] = []
     for branch in one.branches:
@@ -39,7 +39,7 @@ def changed(one: AirwayTree, *, drop: str | None = None, **names: str | None) ->
 
 
 def mirrored(one: AirwayTree) -> AirwayTree:
-    """The chest in a mirror, named as `name_tree` names it."""
+    """Return the mirrored tree, named by `name_tree`."""
     swap = str.maketrans("RL", "LR")
     branches = []
     for branch in one.branches:
@@ -56,7 +56,7 @@ def of(one: AirwayTree, station: str) -> list[Landmark]:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_hours_and_levels_are_those_of_the_textbook(seed: int) -> None:
+def test_hours_and_levels_match_the_textbook(seed: int) -> None:
     marks = {(mark.station, mark.seen_from): mark for mark in ebus_landmarks(tree(seed))}
     expected = {
         ("4R", "trachea"): (1.0, 2.0),
@@ -78,7 +78,7 @@ def test_hours_and_levels_are_those_of_the_textbook(seed: int) -> None:
         assert (mark.from_carina_mm < 0.0) == key[0].startswith("4"), mark.words
 
 
-def test_seven_is_sought_towards_the_other_main_bronchus() -> None:
+def test_station_7_is_seen_towards_the_other_main_bronchus() -> None:
     right, left = of(tree(), "7")
     assert right.point_lps is not None
     assert left.point_lps is not None
@@ -87,11 +87,11 @@ def test_seven_is_sought_towards_the_other_main_bronchus() -> None:
     apart = np.array(left.point_lps) - np.array(right.point_lps)
     assert apart @ np.array(right.direction_lps) > 0.0
     assert apart @ np.array(left.direction_lps) < 0.0
-    # The same way from the carina on both sides: needles from both meet.
+    # The distance from the carina is equal on both sides, because needles from both sides meet.
     assert right.from_carina_mm == pytest.approx(left.from_carina_mm)
 
 
-def test_a_place_lies_on_its_branch_and_its_distance_is_that_along_the_tree() -> None:
+def test_station_is_on_its_branch_and_its_distance_is_along_the_tree() -> None:
     for mark in ebus_landmarks(tree()):
         assert mark.branch_id is not None
         assert mark.point_lps is not None
@@ -112,7 +112,7 @@ def test_a_place_lies_on_its_branch_and_its_distance_is_that_along_the_tree() ->
         assert np.linalg.norm(mark.direction_lps) == pytest.approx(1.0)
 
 
-def test_a_mirrored_chest_has_its_stations_on_the_other_side_and_says_so() -> None:
+def test_mirrored_chest_has_its_stations_on_the_other_side_with_a_note() -> None:
     plain, other = ebus_landmarks(tree()), ebus_landmarks(mirrored(tree()))
     told = {"4R": "4L", "4L": "4R", "10R": "10L", "10L": "10R", "11Rs": "11Ls", "11Ri": "11Li", "11L": "11R"}
     by_place = {(mark.station, mark.point_lps): mark for mark in other}
@@ -127,7 +127,7 @@ def test_a_mirrored_chest_has_its_stations_on_the_other_side_and_says_so() -> No
         assert not mark.doubts
 
 
-def test_what_the_tree_does_not_show_has_no_place() -> None:
+def test_station_that_the_tree_does_not_show_has_no_position() -> None:
     (lost,) = of(changed(tree(), drop="RUL"), "11Rs")
     assert lost.point_lps is None
     assert lost.clock_head is None
@@ -136,21 +136,21 @@ def test_what_the_tree_does_not_show_has_no_place() -> None:
     assert [mark.station for mark in without if mark.point_lps is not None] == ["4R", "4L", "10R", "11Rs", "11Ri"]
     nameless = ebus_landmarks(changed(tree(), RMB=None, LMB=None))
     assert {mark.station for mark in nameless if mark.point_lps is not None} == {"11Rs", "11Ri", "11L"}
-    # Where no carina is known no distance from it is told.
+    # Without a known carina, no distance from the carina is stated.
     assert all(mark.from_carina_mm is None for mark in nameless)
     assert "not on the tree" in of(changed(tree(), drop="RML"), "11Ri")[0].words or (
         "no bronchus of the middle lobe" in of(changed(tree(), drop="RML"), "11Ri")[0].words
     )
 
 
-def test_a_short_trachea_has_no_paratracheal_place() -> None:
+def test_short_trachea_has_no_paratracheal_station() -> None:
     short = dataclasses.replace(tree().root, points=np.array([[0.0, 0, 8.0], [0, 0, 0]]), radius=np.full(2, 8.0))
     cut = AirwayTree((short, *tree().branches[1:]))
     assert of(cut, "4R")[0].point_lps is None
     assert of(cut, "4L")[0].point_lps is not None
 
 
-def test_a_bronchus_drawn_by_hand_is_said() -> None:
+def test_bronchus_drawn_by_hand_is_reported() -> None:
     drawn = AirwayTree(tuple(dataclasses.replace(b, kind="manual") if b.name == "RUL" else b for b in tree().branches))
     assert of(drawn, "11Rs")[0].doubts == ("RUL was drawn by hand",)
     assert of(drawn, "11L")[0].doubts == ()
@@ -170,7 +170,7 @@ def test_hours_are_the_angle_in_the_levelled_picture(turn: float, tilt: float, a
     assert (facing - head) % 12.0 == pytest.approx(6.0)
 
 
-def test_json_is_plain_and_a_stranger_is_refused() -> None:
+def test_json_is_plain_and_an_argument_that_is_no_tree_is_refused() -> None:
     written = json.loads(json.dumps([mark.to_json() for mark in ebus_landmarks(tree())], allow_nan=False))
     assert written[0]["station"] == "4R"
     assert "IASLC" in written[0]["source"]

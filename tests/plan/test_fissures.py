@@ -1,4 +1,4 @@
-"""A fissure that is seen on a needle's way, and a CT in which there is none."""
+"""Tests of fissures that needles cross, and of a CT without fissures."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ CHEST: dict[str, Any] = {"seed": 4, "spacing_mm": 1.2, "generations": 4}
 
 
 def plate(at_mm: float) -> FissureBox:
-    """Across x there."""
+    """Return a fissure plate across x at this position."""
     box = Box(np.zeros((81, 81, 81), np.float32), np.ones((81, 81, 81), dtype=bool), 1.0, np.eye(4))
     box.lps_from_ijk[:3, 3] = -40.0
     mask = np.zeros(box.known.shape, dtype=bool)
@@ -26,7 +26,7 @@ def plate(at_mm: float) -> FissureBox:
     return FissureBox(mask, box)
 
 
-def test_a_fissure_on_the_way_of_a_needle_is_named_where_it_lies() -> None:
+def test_fissure_on_a_needle_path_is_named_at_its_position() -> None:
     _, y, x = np.indices((81, 81, 81)) - 40.0
     off = np.hypot(x, y)
     hu = np.where(off < 3.0, -990, np.where(off < 4.2, 20, -860)).astype(np.int16)
@@ -45,16 +45,16 @@ def test_a_fissure_on_the_way_of_a_needle_is_named_where_it_lies() -> None:
     assert abs(found["fissure"] - 11.5) < 0.6
     assert found["target"] > found["fissure"]
     assert "fissure" not in crossed(None)
-    # Beyond the target's far side by more than the needle goes.
+    # The fissure is farther beyond the far side of the target than the needle goes.
     assert "fissure" not in crossed(plate(-30.0))
 
 
-def test_lungs_without_fissures_have_lobes_by_airways_and_hardly_a_plate() -> None:
+def test_lungs_without_fissures_have_lobes_from_airways_and_almost_no_plate() -> None:
     made = made_phantom(**CHEST)
     found = lobes(made.volume, AirwayTree.from_json(made.truth))
     assert found.missing == ()
     assert found.fissure is not None
-    # In mm3: a fissure has some 20,000.
+    # Limit in mm3: a fissure has about 20,000.
     assert found.fissure.mask.sum() < 2000
     total = sum(found.ml(name) for name in ("RUL", "RML", "RLL", "LUL", "LLL"))
     assert 3000.0 < total < 9000.0

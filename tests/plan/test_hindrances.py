@@ -1,4 +1,4 @@
-"""What stands against a plan: another CT, the scan's end, airways that were lost, lobes without a bronchus."""
+"""Tests of the reasons that prevent a plan: another CT, the end of the scan, lost airways, lobes without a bronchus."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def airways() -> Airways:
 
 
 def far_off() -> np.ndarray:
-    """A place in the right lung, farther from every airway than a needle reaches."""
+    """Return a point in the right lung that is farther from every airway than a needle reaches."""
     points = np.concatenate([one.points for one in airways().tree.branches])
     grid = np.stack(np.meshgrid(*(np.arange(lo, hi, 8.0) for lo, hi in ((-130, -20), (-80, 80), (-120, 90)))), -1)
     places = grid.reshape(-1, 3)
@@ -48,7 +48,7 @@ def far_off() -> np.ndarray:
 
 
 def without(tree: AirwayTree, name: str) -> AirwayTree:
-    """A tree that lacks a bronchus and all beyond it."""
+    """Return the tree without one bronchus and everything beyond it."""
     gone = {tree.named(name).id}
     for one in tree.branches:
         if one.parent in gone:
@@ -63,7 +63,7 @@ def without(tree: AirwayTree, name: str) -> AirwayTree:
     )
 
 
-def test_no_airway_near_says_how_far_the_nearest_is_where_and_what_would_help() -> None:
+def test_target_far_from_airways_reports_the_nearest_airway_and_remedies() -> None:
     found = plan_route(volume(), airways(), ellipsoid((4.0, 4.0, 4.0), far_off()), wall=wall())
     assert found.routes == () and isinstance(found.nearest, NearestPlace)
     points = np.concatenate([one.points for one in airways().tree.branches])
@@ -89,7 +89,7 @@ def lost_at(place: np.ndarray, above_mm: float) -> Airways:
     return dataclasses.replace(airways(), uncertain=(lost,))
 
 
-def test_an_airway_that_was_lost_near_the_target_is_said_and_what_to_do() -> None:
+def test_lost_airway_near_the_target_is_reported_with_a_remedy() -> None:
     target = ellipsoid((4.0, 4.0, 4.0), far_off())
     found = plan_route(volume(), lost_at(far_off(), 14.0), target, wall=wall())
     assert any(note.startswith("an airway ends 10 mm from the target: lost here, 3.1 mm wide") for note in found.notes)
@@ -98,7 +98,7 @@ def test_an_airway_that_was_lost_near_the_target_is_said_and_what_to_do() -> Non
     assert not any("lost here" in note for note in quiet.notes) and "was lost" not in quiet.why
 
 
-def test_a_lobe_without_a_bronchus_is_said_on_its_side_alone() -> None:
+def test_lobe_without_a_bronchus_is_reported_on_its_side_only() -> None:
     blocked = dataclasses.replace(airways(), tree=without(airways().tree, "RUL"))
     found = plan_route(volume(), blocked, ellipsoid((4.0, 4.0, 4.0), far_off()), wall=wall())
     assert any(note.startswith("RUL") and "was not found" in note for note in found.notes)
@@ -108,13 +108,13 @@ def test_a_lobe_without_a_bronchus_is_said_on_its_side_alone() -> None:
     assert not any("was not found" in note for note in left.notes)
 
 
-def test_a_target_that_the_scan_cuts_is_said_to_be_cut() -> None:
+def test_target_cut_by_the_end_of_the_scan_is_reported() -> None:
     cut = dataclasses.replace(ellipsoid((4.0, 4.0, 4.0), far_off()), touches=("edge of the CT",))
     found = plan_route(volume(), airways(), cut, wall=wall())
     assert any(note.startswith("the CT ends within the target") for note in found.notes)
 
 
-def test_a_target_of_another_ct_is_refused_or_said() -> None:
+def test_target_of_another_ct_is_refused_or_reported() -> None:
     with pytest.raises(UsageError, match="lies outside this CT; mark the target in this CT") as refused:
         plan_route(volume(), airways(), ellipsoid((4.0, 4.0, 4.0), (900.0, 0.0, 0.0)), wall=wall())
     assert refused.value.code == "plan.target"
@@ -129,7 +129,7 @@ def test_airways_of_another_grid_are_refused() -> None:
     assert refused.value.code == "plan.airways"
 
 
-def test_a_trachea_alone_asks_for_airways() -> None:
+def test_tree_of_a_trachea_alone_reports_missing_airways() -> None:
     root = dataclasses.replace(airways().tree.root, children=())
     alone = dataclasses.replace(airways(), tree=AirwayTree((root,)))
     found = plan_route(volume(), alone, ellipsoid((4.0, 4.0, 4.0), far_off()), wall=wall())

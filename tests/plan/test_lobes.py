@@ -1,4 +1,4 @@
-"""Lobes by the nearest airways, and fissures that move their borders."""
+"""Tests of lobes assigned by the nearest airways, and of fissures that change the borders."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def tree() -> AirwayTree:
 
 @cache
 def lungs() -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-    """A block for each lung, the mediastinum between them."""
+    """Return a mask with one block for each lung, separated by the mediastinum, and its matrix."""
     matrix = np.diag([STEP_MM, STEP_MM, STEP_MM, 1.0])
     matrix[:3, 3] = LOW
     inside = np.ones((100, 90, 110), dtype=bool)
@@ -40,7 +40,7 @@ def lungs() -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
 
 
 def plate(at_mm: float, seen_share: float = 1.0) -> FissureBox:
-    """A level plate across the right lung that high, seen from its back forwards."""
+    """Return a horizontal fissure across the right lung at this height, visible from the back over this fraction."""
     box = Box(np.zeros((200, 180, 110), np.float32), np.ones((200, 180, 110), dtype=bool), 1.0, np.eye(4))
     box.lps_from_ijk[:3, 3] = LOW
     mask = np.zeros(box.known.shape, dtype=bool)
@@ -54,7 +54,7 @@ def by_airways() -> Lobes:
     return nearest_lobe(*lungs(), tree())
 
 
-def test_the_lungs_end_at_the_pleura_and_not_in_the_chest_wall() -> None:
+def test_lungs_end_at_the_pleura_and_exclude_the_chest_wall() -> None:
     step_mm, shape = 1.5, (150, 130, 200)
     z, y, x = (step_mm * (np.arange(n) - 0.5 * n) for n in shape)
     true_ml = 0.0
@@ -71,7 +71,7 @@ def test_the_lungs_end_at_the_pleura_and_not_in_the_chest_wall() -> None:
     assert inside.sum() * STEP_MM**3 / 1000.0 == pytest.approx(true_ml, rel=0.04)
 
 
-def test_airways_lie_in_their_own_lobe_and_sides_do_not_mix() -> None:
+def test_airways_are_in_their_own_lobe_and_sides_are_separate() -> None:
     lobe_of = branch_side_and_lobe(tree())
     for branch in tree().branches:
         lobe = lobe_of[branch.id]
@@ -87,12 +87,12 @@ def test_airways_lie_in_their_own_lobe_and_sides_do_not_mix() -> None:
     assert sum(found.ml(name) for name in LOBE_NAMES) == pytest.approx(lungs()[0].sum() * 0.008)
 
 
-def test_it_is_less_sure_at_a_border_and_knows_nothing_outside() -> None:
+def test_probability_is_lower_at_a_border_and_undefined_outside() -> None:
     found = by_airways()
     inner = found.label_zyx > 0
     near, far = inner & (found.border_mm < 3.0), inner & (found.border_mm > 20.0) & np.isfinite(found.border_mm)
     assert found.sure_zyx[near].max() < 0.75
-    # Less sure, too, where the nearest airway is far.
+    # The probability is also lower far from the nearest airway.
     on_airway = max(found.at(branch.tip_lps)[1] for branch in tree().tips())
     assert on_airway > 0.95
     assert found.sure_zyx[far].min() < 0.9 < np.quantile(found.sure_zyx[far], 0.8)
@@ -100,8 +100,8 @@ def test_it_is_less_sure_at_a_border_and_knows_nothing_outside() -> None:
     assert found.at(np.array([900.0, 0.0, 0.0])) == (None, 0.0)
 
 
-def test_a_fissure_that_is_seen_draws_the_border_to_it_and_makes_it_surer() -> None:
-    # Between the airways of the right upper and lower lobes, at the side of the chest.
+def test_visible_fissure_moves_the_border_and_raises_the_probability() -> None:
+    # A line at the side of the chest, between the airways of the right upper and lower lobes.
     line = np.stack([np.full(60, -70.0), np.full(60, 40.0), np.linspace(-100.0, 40.0, 60)], axis=1)
     names = [by_airways().at(p)[0] for p in line]
     assert names[0] == "RLL"
@@ -118,7 +118,7 @@ def test_a_fissure_that_is_seen_draws_the_border_to_it_and_makes_it_surer() -> N
     assert by_airways().at(below)[1] < 0.9
 
 
-def test_a_lobe_without_a_bronchus_is_said_and_a_tree_without_lobes_refused() -> None:
+def test_lobe_without_a_bronchus_is_reported_and_tree_without_lobes_refused() -> None:
     lobe_of = branch_side_and_lobe(tree())
     gone = {one.id for one in tree().branches if lobe_of[one.id] == "RML"}
     kept = tuple(
@@ -133,7 +133,7 @@ def test_a_lobe_without_a_bronchus_is_said_and_a_tree_without_lobes_refused() ->
 
 
 def scan(thick_mm: float, at_mm: float, noise_hu: float, tube: bool = False) -> Box:
-    """60 mm of lung with a tilted plate, and a vessel that runs through it."""
+    """Return a scan of 60 mm of lung with a tilted plate, and a vessel through the plate."""
     num = 64
     z, y, x = (np.indices((num, num, num)) - num / 2.0).astype(np.float32)
     off = np.abs(z - 0.4 * y - at_mm)
@@ -146,7 +146,7 @@ def scan(thick_mm: float, at_mm: float, noise_hu: float, tube: bool = False) -> 
 
 
 def sought(box: Box) -> FissureBox:
-    """Looked for everywhere."""
+    """Search for fissures in the whole scan."""
     grid = np.diag([STEP_MM, STEP_MM, STEP_MM, 1.0])
     grid[:3, 3] = -20.0
     label = np.ones((52, 52, 52), np.uint8)
@@ -154,18 +154,18 @@ def sought(box: Box) -> FissureBox:
 
 
 @pytest.mark.parametrize("at_mm", [0.0, 5.3])
-def test_a_thin_plate_is_seen_where_it_is(at_mm: float) -> None:
+def test_thin_plate_is_found_at_its_position(at_mm: float) -> None:
     found = sought(scan(0.5, at_mm, 20.0, tube=True)).mask
     z, y, x = np.nonzero(found)
     off = np.abs((z - 32.0) - 0.4 * (y - 32.0) - at_mm) / np.hypot(1.0, 0.4)
     assert (off < 2.0).mean() > 0.97
-    # Most of its area: one voxel and more in each column.
+    # Most of the plate's area is found: at least one voxel in 70 % of the columns.
     assert len({(a, b) for a, b in zip(y, x, strict=True)}) > 0.7 * 64 * 64
     crossing = np.stack([np.full(81, 20.0), np.full(81, 32.0), np.linspace(12.0, 52.0, 81)], axis=1)
     hit = crossing[sought(scan(0.5, at_mm, 20.0)).crossed(crossing), 2]
     assert np.median(hit) == pytest.approx(32.0 + at_mm, abs=1.0)
 
 
-def test_lung_and_vessels_alone_are_no_fissure() -> None:
+def test_lung_and_vessels_alone_have_no_fissure() -> None:
     assert not sought(scan(0.0, 0.0, 30.0)).mask.any()
     assert not sought(scan(0.0, 0.0, 20.0, tube=True)).mask.any()

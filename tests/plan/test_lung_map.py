@@ -1,4 +1,4 @@
-"""Which vessels are drawn: those amid lung, and no folds of the mediastinum or steps along the pleura."""
+"""Tests of the lung map: vessels inside the lungs, without mediastinal folds and steps along the pleura."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from carina.plan.vessels import VesselBranch, VesselTree
 
 MATRIX = np.eye(4)
 MATRIX[:3, 3] = (-30.0, -20.0, -40.0)
-# As wide as a chest round the trachea: lung at both sides of the middle, where the closing has filled it too.
+# As wide as a chest around the trachea: lung on both sides of the middle, which the closing also fills.
 SHAPE = (50, 40, 60)
 MIDDLE = slice(22, 38)
 
@@ -36,7 +36,7 @@ def tree(*, trachea: bool) -> SimpleNamespace:
     return SimpleNamespace(branches=(branch,) if trachea else ())
 
 
-def test_what_has_mediastinum_round_it_is_no_vessel_of_the_lungs_and_air_of_the_trachea_is_no_lung():
+def test_structures_in_mediastinum_are_no_lung_vessels_and_trachea_is_no_lung():
     for trachea in (False, True):
         seen = SimpleNamespace(box=box(trachea=trachea), lung_hu=-850.0)
         amid = _amid_lung(seen, tree(trachea=trachea))
@@ -44,13 +44,13 @@ def test_what_has_mediastinum_round_it_is_no_vessel_of_the_lungs_and_air_of_the_
         z, y = 25, 20
         assert amid[z, y, 6:16].all()
         assert not amid[z, y, 24:36].any(), "between the lungs"
-        # Beside the mediastinum a vessel has lung on one side.
+        # A vessel beside the mediastinum has lung on one side.
         assert amid[z, y, 19]
         # Between trachea and spine.
         assert not amid[z, 30, 24:36].any()
 
 
-def test_lines_along_the_edge_are_left_out_and_pieces_begin_where_their_trunk_was():
+def test_lines_along_the_edge_are_removed_and_pieces_start_at_their_trunk():
     def along_z(x: float, y: float, parent: int | None) -> VesselBranch:
         z = np.arange(10.0) - 20.0
         points = np.stack([np.full_like(z, x), np.full_like(z, y), z], axis=1)
@@ -62,8 +62,8 @@ def test_lines_along_the_edge_are_left_out_and_pieces_begin_where_their_trunk_wa
     assert made.branches[0].points_lps is lines.branches[1].points_lps
 
 
-def test_how_far_fissures_are_seen_is_told_by_side_along_the_borders_of_the_lobes():
-    # At 2 mm: right lung at low x with a flat border between two lobes, left lung beside it with another.
+def test_visible_share_of_fissures_is_stated_by_side_along_lobe_borders():
+    # At 2 mm: right lung at low x with a flat border between two lobes, left lung with another border.
     label = np.zeros((20, 20, 40), dtype=np.uint8)
     border = np.full(label.shape, np.inf, dtype=np.float32)
     for part, upper, lower in ((slice(0, 18), "RUL", "RLL"), (slice(22, 40), "LUL", "LLL")):
@@ -71,7 +71,8 @@ def test_how_far_fissures_are_seen_is_told_by_side_along_the_borders_of_the_lobe
         label[:10, :, part] = LOBE_NAMES.index(lower) + 1
         border[9:11, :, part] = 1.0
     told = SimpleNamespace(label_zyx=label, border_mm=border, lps_from_ijk=np.diag([2.0, 2.0, 2.0, 1.0]))
-    # On a finer grid that begins elsewhere: along the front half of the right border, and far from the left one.
+    # The fissures are on a finer grid with another origin: along the front half of the right border, and far from the
+    # left one.
     place = np.eye(4)
     place[:3, 3] = (-5.0, -5.0, -5.0)
     mask = np.zeros((50, 50, 90), dtype=bool)
@@ -81,6 +82,6 @@ def test_how_far_fissures_are_seen_is_told_by_side_along_the_borders_of_the_lobe
     right, left = _seen_shares(told, fissure)
     assert 0.5 <= right <= 0.6
     assert left == 0.0
-    # A side whose lung is one lobe has no border, and says nothing of fissures.
+    # A side whose lung is one lobe has no border, and no statement on fissures.
     one = SimpleNamespace(**{**vars(told), "border_mm": np.where(np.arange(40) < 20, border, np.inf)})
     assert _seen_shares(one, fissure) == (right, None)

@@ -1,4 +1,4 @@
-"""How often a needle hits, against an independent Monte Carlo."""
+"""Tests of the probability that a needle hits, against an independent Monte Carlo simulation."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from carina.plan import NeedleErrors, hit_share
 
 
 def drawn_share(nodule, tip, aim, reach_mm, errors, *, moved_mm, num, rng):
-    """Needles drawn one by one: the tip off across the needle, the direction off, the nodule moved."""
+    """Return the fraction of hits of random needles: lateral tip error, direction error, and movement of the nodule."""
     along = (aim - tip) / np.linalg.norm(aim - tip)
     across = np.linalg.svd(along[None])[2][1:]
     tips = tip + rng.normal(0.0, errors.tip_mm, (num, 2)) @ across
@@ -28,7 +28,7 @@ def drawn_share(nodule, tip, aim, reach_mm, errors, *, moved_mm, num, rng):
 
 @pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize("moved_mm", [0.0, 12.0])
-def test_the_share_of_needles_that_hit_is_within_two_points_of_a_monte_carlo(seed: int, moved_mm: float) -> None:
+def test_hit_probability_is_within_two_points_of_a_monte_carlo(seed: int, moved_mm: float) -> None:
     rng = np.random.default_rng(seed)
     nodule = ellipsoid(rng.uniform(2.5, 8.0, 3))
     aim = np.array(nodule.centre_lps)
@@ -42,7 +42,7 @@ def test_the_share_of_needles_that_hit_is_within_two_points_of_a_monte_carlo(see
     )
 
 
-def test_a_needle_without_errors_hits_and_one_too_short_misses() -> None:
+def test_needle_without_errors_hits_and_too_short_needle_misses() -> None:
     nodule = ellipsoid((4.0, 4.0, 4.0))
     aim = np.array(nodule.centre_lps)
     tip = aim + np.array([0.0, 0.0, 15.0])
@@ -53,7 +53,7 @@ def test_a_needle_without_errors_hits_and_one_too_short_misses() -> None:
     assert shares == sorted(shares, reverse=True) and shares[-1] < 0.5
 
 
-def test_errors_that_are_none_are_refused() -> None:
+def test_invalid_errors_are_refused() -> None:
     with pytest.raises(UsageError, match="angle_deg: expected 0 to 45; found -1"):
         NeedleErrors(-1.0)
     with pytest.raises(UsageError, match="tip_mm: expected 0 to 20; found nan"):

@@ -1,4 +1,4 @@
-"""A nodule from one click: its volume, its error and its words, against exact shapes (docs/decisions/0121)."""
+"""Tests of a nodule grown from one click against exact shapes: volume, error and messages (docs/decisions/0121)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from carina.volume import Volume
 
 @functools.cache
 def grown(kind: str, seed: int) -> tuple[Nodule, float]:
-    """What a click some way from the middle gives, and the true volume."""
+    """Return the nodule grown from a click at an offset from the middle, and the true volume."""
     rng = np.random.default_rng([seed, *kind.encode()])
     scene = random_scene(kind, rng)
     volume, true_mm3, middle = painted(scene)
@@ -39,7 +39,7 @@ def grown(kind: str, seed: int) -> tuple[Nodule, float]:
         ("3 mm", 0.15),
     ],
 )
-def test_the_volume_is_right(kind, most, seed):
+def test_nodule_has_the_true_volume(kind, most, seed):
     nodule, true_mm3 = grown(kind, seed)
     assert nodule.volume_mm3 == pytest.approx(true_mm3, rel=most)
     assert nodule.kind == (kind if kind in ("part-solid", "ground-glass") else "solid")
@@ -47,7 +47,7 @@ def test_the_volume_is_right(kind, most, seed):
 
 
 @pytest.mark.parametrize("shift_mm", [(0.07, 0.14, -0.02), (-0.3, 0.35, 0.2)])
-def test_a_thin_faint_rim_beside_a_large_core_is_not_lost(shift_mm):
+def test_thin_faint_rim_of_a_large_core_is_included(shift_mm):
     scene = Scene(
         radii_mm=(6.0, 6.0, 6.0),
         level_hu=-644.0,
@@ -65,11 +65,11 @@ def test_a_thin_faint_rim_beside_a_large_core_is_not_lost(shift_mm):
 
 @pytest.mark.soak
 @pytest.mark.parametrize("kind", ["solid", "vessel", "pleura", "ground-glass", "part-solid", "2 mm", "3 mm"])
-def test_the_error_that_is_told_holds_the_truth_nine_times_of_ten(kind):
+def test_volume_error_covers_the_truth_in_nine_of_ten_nodules(kind):
     found = [grown(kind, seed) for seed in range(100, 140)]
     off = np.array([abs(nodule.volume_mm3 - true) / nodule.volume_error_mm3 for nodule, true in found])
     assert (off <= 1.0).mean() >= 0.9
-    # And it is not bought with an interval that says nothing.
+    # The error must also be small enough to be useful.
     assert np.median([nodule.volume_error_mm3 / true for nodule, true in found]) < 0.25
 
 
@@ -81,9 +81,9 @@ def in_phantom(seed: int) -> tuple[Nodule, float]:
     return grow_nodule(made.volume, middle + np.array([0.3, -0.2, 0.0]) * radius_mm), radius_mm
 
 
-# Vessels and airways lie as they do in a lung; the soak takes twenty.
+# The vessels and airways around the nodule are those of a lung; make soak runs twenty seeds.
 @pytest.mark.parametrize("seed", [1, 4, 6, *(pytest.param(seed, marks=pytest.mark.soak) for seed in range(7, 24))])
-def test_the_nodule_of_a_phantom_has_its_volume_and_diameter(seed):
+def test_nodule_of_a_phantom_has_its_volume_and_diameter(seed):
     nodule, radius_mm = in_phantom(seed)
     true_mm3 = 4.0 / 3.0 * np.pi * radius_mm**3
     assert nodule.volume_mm3 == pytest.approx(true_mm3, rel=0.15 if "vessel" in nodule.touches else 0.05)
@@ -91,7 +91,7 @@ def test_the_nodule_of_a_phantom_has_its_volume_and_diameter(seed):
     assert nodule.short_mm == pytest.approx(2.0 * radius_mm, abs=1.0)
 
 
-def test_any_click_in_it_gives_the_same_nodule():
+def test_any_click_inside_gives_the_same_nodule():
     volume, _, middle = painted(Scene(radii_mm=(7.0, 5.0, 5.0)))
     one = grow_nodule(volume, middle)
     for aside in ((4.0, 0.0, 0.0), (0.0, -3.5, 1.0), (-7.5, 0.0, 0.0)):
@@ -103,7 +103,7 @@ def test_any_click_in_it_gives_the_same_nodule():
     assert one.short_mm == pytest.approx(10.0, abs=0.8)
 
 
-def test_the_order_and_the_tilt_of_the_axes_change_nothing():
+def test_axis_order_and_tilt_do_not_change_the_nodule():
     volume, _, middle = painted(Scene())
     turned = volume.lps_from_ijk.copy()
     turned[:3, 0] *= -1.0
@@ -117,14 +117,14 @@ def test_the_order_and_the_tilt_of_the_axes_change_nothing():
     assert found.volume_mm3 == pytest.approx(grow_nodule(volume, middle).volume_mm3, rel=0.01)
 
 
-def test_how_far_places_are_from_it():
+def test_distances_of_points_from_a_nodule_are_exact():
     volume, _, middle = painted(Scene())
     nodule = grow_nodule(volume, middle)
     off = nodule.distance_mm([middle, middle + np.array([9.0, 0.0, 0.0]), middle + np.array([0.0, 0.0, -12.0])])
     assert off == pytest.approx([0.0, 4.0, 7.0], abs=0.5)
 
 
-def test_what_is_no_nodule_is_said_in_words():
+def test_click_on_no_nodule_is_refused_with_a_message():
     volume, _, middle = painted(Scene(pleura_mm=14.0))
     with pytest.raises(
         NoResultError, match=f"no nodule at this point.* the lung around it is {LUNG_HU / 10:.0f}"
@@ -143,7 +143,7 @@ def test_what_is_no_nodule_is_said_in_words():
             grow_nodule(volume, wrong)
 
 
-def test_a_nodule_at_the_end_of_the_scan_says_so():
+def test_nodule_at_the_end_of_the_scan_is_reported():
     volume, _, middle = painted(Scene())
     k = int(volume.to_ijk(middle)[2]) - 3
     place = volume.lps_from_ijk.copy()
@@ -152,7 +152,7 @@ def test_a_nodule_at_the_end_of_the_scan_says_so():
     assert "edge of the CT" in grow_nodule(cut, middle).touches
 
 
-def test_a_click_at_the_edge_cuts_a_vessel_off_as_one_in_the_middle_does():
+def test_click_at_the_edge_cuts_off_a_vessel_like_a_click_in_the_middle():
     volume, true_mm3, middle = painted(Scene(radii_mm=(6.0, 6.0, 6.0), vessels=(((0, 0, 0), (1, 0.3, 0.2), 2.2),)))
     for aside in ((0.0, 0.0, 0.0), (0.0, 5.0, 0.0), (0.0, 0.0, -5.0)):
         nodule = grow_nodule(volume, middle + np.array(aside))

@@ -1,4 +1,4 @@
-"""Outlines of structure sets as solids: volumes of exact shapes, repeated boundaries, outlines between slices."""
+"""Tests of solids built from structure set outlines: exact volumes, repeated boundaries, outlines between slices."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SLICE_MM = 1.0
 
 @functools.cache
 def grid():
-    """Return an oblique CT with unequal axes; the shapes are off its middle."""
+    """Return an oblique CT with unequal axes; the shapes are not in its middle."""
     turn = made.oblique()[:3, :3] / made.SPACING_MM
     matrix = np.eye(4)
     matrix[:3, :3] = turn * (0.7, 0.8, SLICE_MM)
@@ -33,7 +33,7 @@ def grid():
 
 
 def ellipse(height_mm, *, radii=RADII_MM, grow=1.0, shift=(0.0, 0.0), centre=CENTRE_LPS, is_xor=False):
-    """Return the outline in which a plane at a height above the centre cuts an ellipsoid."""
+    """Return the outline of an ellipsoid in a plane at a height above its centre."""
     volume = grid()
     across, up, normal = (volume.lps_from_ijk[:3, n] / volume.spacing_mm[n] for n in range(3))
     turn = np.linspace(0.0, 2.0 * np.pi, 120, endpoint=False)[:, None]
@@ -43,7 +43,7 @@ def ellipse(height_mm, *, radii=RADII_MM, grow=1.0, shift=(0.0, 0.0), centre=CEN
 
 
 def slice_heights(*, every=1, start=0, reach=RADII_MM[2], centre=CENTRE_LPS):
-    """Heights above a centre of every n-th slice that cuts a shape, mm."""
+    """Return the heights (mm) above the centre of every n-th slice that cuts a shape."""
     volume = grid()
     normal = volume.lps_from_ijk[:3, 2] / volume.spacing_mm[2]
     found = [float((volume.to_lps(np.array([0.0, 0.0, k])) - centre) @ normal) for k in range(volume.shape_zyx[0])]
@@ -51,7 +51,7 @@ def slice_heights(*, every=1, start=0, reach=RADII_MM[2], centre=CENTRE_LPS):
 
 
 def measured(contours, **options):
-    """Volume (mm3), centroid (LPS mm) and notes."""
+    """Return the volume (mm3), centroid (LPS mm) and notes of outlines."""
     volume = grid()
     drawn, notes, _ = drawn_in(volume, contours, **options)
     k, j, i = np.indices(drawn.share_zyx.shape)
@@ -65,19 +65,19 @@ def area_mm2(height_mm, *, radii=RADII_MM):
     return np.pi * radii[0] * radii[1] * max(1.0 - (height_mm / radii[2]) ** 2, 0.0)
 
 
-# What sampling a ball at so few planes leaves: for every fifth slice, 9 mm hold 3 or 4 planes.
+# Relative error of sampling a ball at few planes: with every fifth slice, 3 or 4 planes cut a ball of 9 mm.
 TOLERANCE = {1: 0.01, 2: 0.02, 3: 0.03, 5: 0.08}
 
 
 @pytest.mark.parametrize(("every", "start"), [(n, start) for n in TOLERANCE for start in range(n)])
-def test_outlines_on_every_nth_slice_hold_the_volume_of_an_ellipsoid(every, start):
+def test_outlines_on_every_nth_slice_have_the_volume_of_an_ellipsoid(every, start):
     heights = slice_heights(every=every, start=start)
     mm3, middle, notes = measured([ellipse(h) for h in heights])
     slabs = sum(area_mm2(h) for h in heights) * every * SLICE_MM
-    # Each outline has exactly its slab; the rest is rasterisation.
+    # Each outline has exactly its slab; the remaining error is rasterisation.
     assert mm3 == pytest.approx(slabs, rel=0.005)
     assert mm3 == pytest.approx(4.0 / 3.0 * np.pi * np.prod(RADII_MM), rel=TOLERANCE[every])
-    # Planes that are not symmetric about the centre move the centroid along the normal only.
+    # Planes that are not symmetric about the centre shift the centroid along the normal only.
     normal = grid().lps_from_ijk[:3, 2] / SLICE_MM
     off = middle - CENTRE_LPS
     along = sum(area_mm2(h) * h for h in heights) / sum(area_mm2(h) for h in heights)
@@ -86,7 +86,7 @@ def test_outlines_on_every_nth_slice_hold_the_volume_of_an_ellipsoid(every, star
 
 
 @pytest.mark.parametrize("every", [3, 5])
-def test_sparse_outlines_give_one_target_at_the_right_place(tmp_path, every):
+def test_sparse_outlines_give_one_target_at_the_right_position(tmp_path, every):
     contours = {n: [ellipse(h).points_lps] for n, h in enumerate(slice_heights(every=every))}
     path = made.structure_set(tmp_path / "rs.dcm", [("GTV", contours)])
     target = target_from_file(path, grid())
@@ -95,7 +95,7 @@ def test_sparse_outlines_give_one_target_at_the_right_place(tmp_path, every):
     assert not any("other part" in note for note in target.nodule.notes)
 
 
-def test_a_cylinder_reaches_half_the_distance_of_its_outlines_beyond_the_ends():
+def test_cylinder_extends_half_an_outline_distance_beyond_its_ends():
     radii = (6.0, 6.0, 1e6)
     for every, start in ((1, 0), (2, 0), (3, 1), (4, 1)):
         heights = slice_heights(every=every, start=start, reach=9.0)
@@ -105,14 +105,14 @@ def test_a_cylinder_reaches_half_the_distance_of_its_outlines_beyond_the_ends():
         assert (middle - CENTRE_LPS) @ normal == pytest.approx(np.mean(heights), abs=0.02)
 
 
-def test_an_outline_on_one_slice_is_one_slice_thick():
+def test_outline_on_one_slice_is_one_slice_thick():
     height = slice_heights()[8]
     mm3, _, notes = measured([ellipse(height)])
     assert mm3 == pytest.approx(area_mm2(height) * SLICE_MM, rel=0.005)
     assert notes == ()
 
 
-def test_a_slab_ends_with_the_ct():
+def test_slab_ends_at_the_end_of_the_ct():
     normal = grid().lps_from_ijk[:3, 2] / SLICE_MM
     first = slice_heights(reach=1e3)[0]
     contours = [
@@ -127,7 +127,7 @@ def test_a_slab_ends_with_the_ct():
     ("grow", "words"),
     [((1.0, 1.0), "identical"), ((1.0, 1.01), "mm apart"), ((1.0, 0.96, 1.02), "mm apart"), ((1.0,) * 5, "identical")],
 )
-def test_a_boundary_drawn_several_times_counts_once(grow, words):
+def test_boundary_drawn_several_times_counts_once(grow, words):
     heights = slice_heights()
     mm3, middle, notes = measured([ellipse(h, grow=part) for h in heights for part in grow])
     expected = sum(area_mm2(h) for h in heights) * SLICE_MM * np.mean(np.square(grow))
@@ -138,7 +138,7 @@ def test_a_boundary_drawn_several_times_counts_once(grow, words):
     assert notes[0].startswith(f"on {len(heights)} slices the boundary was drawn more than once")
 
 
-def test_one_repeated_outline_does_not_part_the_target(tmp_path):
+def test_one_repeated_outline_does_not_divide_the_target(tmp_path):
     heights = slice_heights()
     contours = {n: [ellipse(h).points_lps] for n, h in enumerate(heights)}
     contours[7] = contours[7] * 2
@@ -147,7 +147,7 @@ def test_one_repeated_outline_does_not_part_the_target(tmp_path):
     assert any(note.startswith("on 1 slice the boundary was drawn more than once") for note in nodule.notes)
 
 
-def test_two_observers_whose_outlines_cross_are_averaged():
+def test_crossing_outlines_of_two_observers_are_averaged():
     heights = slice_heights()
     contours = [ellipse(h, shift=shift) for h in heights for shift in ((0.0, 0.0), (0.3, -0.3))]
     mm3, _, notes = measured(contours)
@@ -155,7 +155,7 @@ def test_two_observers_whose_outlines_cross_are_averaged():
     assert "more than once" in notes[0]
 
 
-def test_one_outline_that_goes_round_twice_counts_once():
+def test_outline_that_winds_twice_counts_once():
     heights = slice_heights()
     contours = [Contour(np.concatenate([one, one]), False) for one in (ellipse(h).points_lps for h in heights)]
     mm3, _, _ = measured(contours)
@@ -178,7 +178,7 @@ def test_two_items_of_one_structure_with_equal_outlines_count_once(tmp_path):
 
 
 @pytest.mark.parametrize(("inner", "is_xor"), [(0.88, False), (0.87, False), (1.0, True), (0.99, True)])
-def test_outlines_that_may_be_one_boundary_or_a_wall_are_refused(inner, is_xor):
+def test_outlines_that_may_be_a_boundary_or_a_wall_are_refused(inner, is_xor):
     contours = [ellipse(h, grow=part, is_xor=is_xor) for h in slice_heights() for part in (1.0, inner)]
     with pytest.raises(OutlineError, match=r"nearly equal and cancel|drawn twice, or a thin wall") as error:
         measured(contours)
@@ -202,7 +202,7 @@ def test_nested_outlines_are_holes_and_islands_with_a_note():
     assert measured(as_xor)[2] == ()
 
 
-def test_parts_of_one_slice_add_up_and_a_part_that_ends_leaves_the_other_as_it_is():
+def test_parts_of_one_slice_add_up_and_an_ending_part_leaves_the_other_unchanged():
     radii = (3.0, 3.0, 1e6)
     heights = slice_heights(every=3, reach=11.0)
     long = [ellipse(h, radii=radii, shift=(-8.0, 0.0)) for h in heights]
@@ -210,7 +210,7 @@ def test_parts_of_one_slice_add_up_and_a_part_that_ends_leaves_the_other_as_it_i
     drawn, _, _ = drawn_in(grid(), long + short)
     half = drawn.share_zyx.shape[2] // 2
     voxel_mm3 = float(np.prod(grid().spacing_mm))
-    # Side by side along columns: each has its own slabs.
+    # The two parts are beside each other along the columns, and each has its own slabs.
     for part, num in ((drawn.share_zyx[..., :half], len(heights)), (drawn.share_zyx[..., half:], 3)):
         assert float(part.sum()) * voxel_mm3 == pytest.approx(np.pi * 9.0 * 3.0 * num, rel=0.01)
 
@@ -233,7 +233,7 @@ def test_outlines_between_slices_need_the_ct_s_frame_of_reference(tmp_path):
     folder = made.ct_files(tmp_path / "ct", volume)
     opened = carina.open_volume(folder)
     normal = volume.lps_from_ijk[:3, 2] / volume.spacing_mm[2]
-    # Planes half a millimetre beside the slices cut the ball about its own centre.
+    # Planes half a millimetre from the slices cut the ball around its own centre.
     lower = made.ball_outlines(volume, centre - 0.5 * normal, 6.0)
     outlines = {k: [points + 0.5 * normal for points in one] for k, one in lower.items()}
     path = made.structure_set(tmp_path / "rs.dcm", [("GTV", outlines)])
@@ -260,13 +260,13 @@ def test_two_lesions_with_sparse_outlines_stay_two(tmp_path):
     path = made.structure_set(tmp_path / "rs.dcm", [("GTV", contours)])
     with pytest.raises(NoResultError, match="2 separate parts"):
         target_from_file(path, grid())
-    # A gap of two typical distances is filled: one outline was left out.
+    # A gap of two typical distances is filled: one outline is missing.
     del contours[1]
     near = target_from_file(path, grid(), at_lps=CENTRE_LPS + other[1] * normal).nodule
     assert near.volume_mm3 == pytest.approx(sum(area_mm2(h - other[1], radii=(4, 4, 5)) for h in other) * 3.0, rel=0.01)
 
 
-def test_slices_left_out_of_a_dense_structure_are_filled_without_longer_ends():
+def test_missing_slices_of_a_dense_structure_are_filled_without_longer_ends():
     heights = slice_heights()
     kept = heights[:5] + heights[6:]
     whole, _, _ = measured([ellipse(h) for h in heights])

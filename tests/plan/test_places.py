@@ -1,4 +1,4 @@
-"""What the way to a place asks of a scope, on trees whose bends and widths are known."""
+"""Tests of the width and bend that a route to a point requires of a scope, on trees with known bends and widths."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SECTION_MM = 50.0
 
 
 def bent(bend_deg: float, radius_mm: float, *, straight_mm: float = 80.0) -> AirwayTree:
-    """Straight down, along a circle, and straight on; 6 mm wide."""
+    """Return a tree 6 mm wide: straight down, along a circle, then straight."""
     down = [np.array([0.0, 0.0, -z]) for z in np.arange(0.0, straight_mm, 0.5)]
     bend = math.radians(bend_deg)
     angles = np.linspace(0.0, bend, int(2.0 * bend * radius_mm) + 2)
@@ -38,20 +38,20 @@ def bent(bend_deg: float, radius_mm: float, *, straight_mm: float = 80.0) -> Air
 
 @settings(deadline=None, max_examples=30)
 @given(bend_deg=st.floats(5.0, 150.0), radius_mm=st.floats(8.0, 16.0))
-def test_the_bend_of_one_circle_is_its_angle(bend_deg: float, radius_mm: float) -> None:
+def test_bend_of_one_circle_is_its_angle(bend_deg: float, radius_mm: float) -> None:
     tree = bent(bend_deg, radius_mm)
     places = Places(
         tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]), measures=exact_measures(tree, error_mm=0.28)
     )
     asked = places.asks(len(places.points) - 1, SECTION_MM)
-    # The circle is shorter than the section, so that the section's ends lie on the straights.
+    # The circle is shorter than the section, so that both ends of the section are on the straight parts.
     assert math.radians(bend_deg) * radius_mm < SECTION_MM - 8.0
     assert asked.bend_deg.value == pytest.approx(bend_deg, abs=1.0)
     assert 80.0 < asked.bend_deg.at_mm < 80.0 + math.radians(bend_deg) * radius_mm + SECTION_MM
     assert places.asks(len(tree.root.points) + 30, SECTION_MM).bend_deg.value < 1.0, "before the bend there is none"
 
 
-def test_a_sharper_bend_is_never_told_to_be_easier_farther_on() -> None:
+def test_sharper_bend_is_never_reported_as_easier_farther_on() -> None:
     tree = bent(110.0, 12.0)
     places = Places(
         tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]), measures=exact_measures(tree, error_mm=0.28)
@@ -60,7 +60,7 @@ def test_a_sharper_bend_is_never_told_to_be_easier_farther_on() -> None:
     assert bends == sorted(bends)
 
 
-def test_the_narrowest_place_is_where_the_lumen_is_narrow() -> None:
+def test_narrowest_point_is_where_the_lumen_is_narrow() -> None:
     tree = bent(30.0, 15.0)
     radius = tree.branches[1].radius.copy()
     radius[40:44] = 1.4
@@ -68,7 +68,7 @@ def test_the_narrowest_place_is_where_the_lumen_is_narrow() -> None:
     tree = AirwayTree((tree.root, narrowed))
     places = Places(tree, ellipsoid((3.0, 3.0, 3.0), narrowed.points[-1]), measures=exact_measures(tree))
     asked = places.asks(len(places.points) - 1, SECTION_MM)
-    # Shorter than a diameter, and beyond the error of a section.
+    # The narrow part is shorter than a diameter and exceeds the error of a section.
     assert asked.width.mm == pytest.approx(2.9) and asked.width.lower_mm < 2.8
     assert asked.width.at_mm == pytest.approx(30.0 + 0.5 * 41.5, abs=1.1)
     before = places.asks(len(tree.root.points) + 20, SECTION_MM)
@@ -77,7 +77,7 @@ def test_the_narrowest_place_is_where_the_lumen_is_narrow() -> None:
 
 @settings(deadline=None, max_examples=10)
 @given(at_mm=st.floats(31.0, 130.0))
-def test_places_beside_one_lie_on_the_centreline_and_are_no_wider_than_its_points(at_mm: float) -> None:
+def test_points_beside_a_position_are_on_the_centreline_and_not_wider(at_mm: float) -> None:
     tree = bent(70.0, 12.0)
     radius = np.interp(np.arange(len(tree.branches[1].points)), [0, 400], [3.0, 0.5])
     tree = AirwayTree((tree.root, dataclasses.replace(tree.branches[1], radius=radius)))
@@ -107,7 +107,7 @@ def test_places_beside_one_lie_on_the_centreline_and_are_no_wider_than_its_point
 
 @settings(deadline=None, max_examples=30)
 @given(tip_mm=st.floats(3.0, 7.0), more_mm=st.floats(0.01, 2.0))
-def test_a_thicker_scope_is_never_likelier_to_get_there(tip_mm: float, more_mm: float) -> None:
+def test_thicker_scope_is_never_more_likely_to_arrive(tip_mm: float, more_mm: float) -> None:
     tree = bent(90.0, 14.0)
     places = Places(
         tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]), measures=exact_measures(tree, error_mm=0.28)
@@ -133,7 +133,7 @@ def test_a_thicker_scope_is_never_likelier_to_get_there(tip_mm: float, more_mm: 
         (6.5, 60.0, "does not reach"),
     ],
 )
-def test_the_outlook_is_the_worst_of_width_and_bend(tip_mm: float, most_deg: float, outlook: str) -> None:
+def test_outlook_is_the_worst_of_width_and_bend(tip_mm: float, most_deg: float, outlook: str) -> None:
     scope = dataclasses.replace(
         scope_preset("thin"), tip_mm=tip_mm, tube_mm=None, flexion_deg=(most_deg, most_deg), bending_mm=(40.0, 40.0)
     )
@@ -148,7 +148,7 @@ def test_the_outlook_is_the_worst_of_width_and_bend(tip_mm: float, most_deg: flo
     assert found == outlook and (limits == ()) == (outlook == "reaches")
 
 
-def test_of_a_scope_whose_flexion_is_not_known_nothing_sure_is_said() -> None:
+def test_scope_of_unknown_flexion_has_no_certain_outlook() -> None:
     tree = bent(90.0, 14.0)
     places = Places(
         tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]), measures=exact_measures(tree, error_mm=0.28)
@@ -161,7 +161,7 @@ def test_of_a_scope_whose_flexion_is_not_known_nothing_sure_is_said() -> None:
 @pytest.mark.parametrize(
     ("to_target_mm", "outlook"), [(9.0, "reaches"), (14.8, "may reach"), (15.0, "may reach"), (15.9, "does not reach")]
 )
-def test_a_tool_that_only_just_gets_to_the_edge_may_reach_it(to_target_mm: float, outlook: str) -> None:
+def test_tool_that_just_reaches_the_edge_may_reach_the_target(to_target_mm: float, outlook: str) -> None:
     tree = bent(20.0, 14.0)
     end = tree.branches[1].points[-1]
     places = Places(tree, ellipsoid((3.0, 3.0, 3.0), end), measures=exact_measures(tree, error_mm=0.28))

@@ -1,4 +1,4 @@
-"""The report of a plan: page, PDF and JSON tell the same, nothing leaves the page, and what is doubtful is red."""
+"""Tests of the plan report: page, PDF and JSON agree, the page loads nothing, and doubtful facts are red."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def page(tmp_path: Path, **more) -> str:
 
 
 def words_of(block: Block) -> Iterator[str]:
-    """All text of a block, with that in its drawings."""
+    """Return all text of a block, including the text in its drawings."""
     match block:
         case Words(text=text):
             yield text
@@ -61,13 +61,13 @@ def everything() -> list[str]:
     return [text for part in sections(sheet()) for block in part.blocks for text in words_of(block) if text]
 
 
-def test_the_json_is_that_of_carina_plan_and_what_only_the_report_tells(tmp_path) -> None:
+def test_json_has_the_plan_and_the_facts_of_the_report(tmp_path) -> None:
     told = json.loads(write_report(tmp_path / "plan.json", sheet()).read_text())
     own = told.pop("report")
     made = plan().to_json() | {
         "verdicts": [one.to_json() for one in verdicts()],
         "turns": turns(airways(), plan()).to_json(),
-        # The voxels are 1.1 mm.
+        # The CT has voxels of 1.1 mm, so it has no calibrated shares.
         "calibrated_shares": None,
     }
     assert told == json.loads(json.dumps(made, allow_nan=False))
@@ -98,7 +98,7 @@ def test_all_outputs_state_the_same_narrowest_diameter_of_a_route() -> None:
     assert (offer.fit == "fits") == stored["fits"] == (route.width.chance(plan().scope) >= 0.9)
 
 
-def test_the_page_loads_nothing_and_allows_only_what_is_in_it(tmp_path) -> None:
+def test_page_loads_nothing_and_allows_only_its_own_content(tmp_path) -> None:
     text = page(tmp_path)
     assert "http" not in text.replace("http://www.w3.org/2000/svg", "").replace("http-equiv", "")
     assert not re.search(r"<(img|iframe|object|embed|form|base)\b", text) and " style=" not in text
@@ -111,7 +111,7 @@ def test_the_page_loads_nothing_and_allows_only_what_is_in_it(tmp_path) -> None:
         assert f"{directive} 'sha256-{digest}'" in policy
 
 
-def test_what_people_wrote_is_shown_and_never_run(tmp_path) -> None:
+def test_user_text_is_shown_and_never_executed(tmp_path) -> None:
     nasty = "</script><script>alert(1)</script><img src=x>"
     text = page(tmp_path, notes=(nasty,), patient=f"A & B {nasty}")
     assert text.count("alert(1)") >= 2 and "<script>alert" not in text and "<img" not in text
@@ -120,7 +120,7 @@ def test_what_people_wrote_is_shown_and_never_run(tmp_path) -> None:
     assert json.loads(data)["needle"] and "<" not in data
 
 
-def test_a_name_of_a_branch_cannot_end_the_trees_data(tmp_path) -> None:
+def test_branch_name_cannot_end_the_tree_data(tmp_path) -> None:
     first = sheet().shape.branches[0]
     shape = dataclasses.replace(
         sheet().shape, branches=(dataclasses.replace(first, name="</script><b>"), *sheet().shape.branches[1:])
@@ -129,19 +129,19 @@ def test_a_name_of_a_branch_cannot_end_the_trees_data(tmp_path) -> None:
     assert "</script><b>" not in text
 
 
-def test_no_patient_is_named_unless_asked(tmp_path) -> None:
+def test_patient_is_named_only_on_request(tmp_path) -> None:
     scan = volume()
     source = dataclasses.replace(scan.source, title="DOE^JANE.nii.gz", acquired_on="2026-01-02")
     named = dataclasses.replace(scan, source=source)
     for suffix in (".html", ".json"):
         text = write_report(tmp_path / f"plan{suffix}", sheet(volume=named)).read_text()
-        # Three letters may stand in the bytes of a picture by chance.
+        # The bytes of a picture may contain these three letters by chance.
         text = re.sub(r"base64,[A-Za-z0-9+/=]+", "", text)
         assert "DOE" not in text and "2026-01-02" not in text
     assert "Jane Doe" in page(tmp_path, patient="Jane Doe")
 
 
-def test_the_page_tells_all_sections_in_order_with_every_word_of_them(tmp_path) -> None:
+def test_page_has_all_sections_in_order_with_all_their_text(tmp_path) -> None:
     text = html.unescape(page(tmp_path))
     places = [text.index(f'<section id="{part.name}"') for part in sections(sheet())]
     assert places == sorted(places)
@@ -152,7 +152,7 @@ def test_the_page_tells_all_sections_in_order_with_every_word_of_them(tmp_path) 
     assert all(text.count(words) >= 2 for words in SAFETY)
 
 
-def test_the_figures_of_the_report_are_those_of_the_plan() -> None:
+def test_figures_of_the_report_are_those_of_the_plan() -> None:
     route, nodule, text = plan().routes[0], plan().nodule, "\n".join(everything())
     assert f"{nodule.volume_mm3 / 1000:.2f} \u00b1 {nodule.volume_error_mm3 / 1000:.2f} ml" in text
     assert f"{route.leg.to_target_mm:.1f} mm, of which {route.leg.outside_mm:.1f} mm outside the lumen" in text
@@ -167,7 +167,7 @@ def test_the_figures_of_the_report_are_those_of_the_plan() -> None:
         assert turn.straight_ahead or f"{turn.hour('head')} o\u2019clock" in text
 
 
-def test_what_was_drawn_by_hand_is_red_wherever_the_route_is_told(tmp_path) -> None:
+def test_parts_drawn_by_hand_are_red_wherever_the_route_is_described(tmp_path) -> None:
     found, drawn_plan = with_drawn_branch()
     (doubt,) = drawn_plan.routes[0].doubts
     told = sheet(airways=found, plan=drawn_plan, turns=turns(found, drawn_plan))
@@ -190,7 +190,7 @@ def _strokes(told) -> list:
     return [shape for shape in drawing.shapes if isinstance(shape, Stroke)]
 
 
-def test_a_plan_without_a_route_says_why_and_has_no_tracing_sheet(tmp_path) -> None:
+def test_plan_without_a_route_gives_the_reason_and_no_tracing_sheet(tmp_path) -> None:
     none = dataclasses.replace(
         plan(), routes=(), why="no route: the nearest airway found is RB4, 31 mm from the nodule"
     )
@@ -203,7 +203,7 @@ def test_a_plan_without_a_route_says_why_and_has_no_tracing_sheet(tmp_path) -> N
         write_report(tmp_path / "sheet.html", told, kind="tracing")
 
 
-def test_the_tracing_sheet_is_a_page_of_its_own_without_a_script(tmp_path) -> None:
+def test_tracing_sheet_is_a_separate_page_without_a_script(tmp_path) -> None:
     text = write_report(tmp_path / "sheet.html", sheet(), kind="tracing").read_text()
     assert text.count("<section") == 1 and "<script" not in text and "script-src 'none'" in html.unescape(text)
     for fork in sheet().forks:
@@ -211,7 +211,7 @@ def test_the_tracing_sheet_is_a_page_of_its_own_without_a_script(tmp_path) -> No
     assert all(words in html.unescape(text) for words in SAFETY)
 
 
-def test_a_way_of_many_forks_goes_on_on_a_second_sheet() -> None:
+def test_route_of_many_forks_continues_on_a_second_sheet() -> None:
     fork = sheet().forks[0]
     many = tuple(dataclasses.replace(fork, number=n, to_name=f"branch {n:03}") for n in range(1, 20))
     parts = [part for part in sections(dataclasses.replace(sheet(), forks=many)) if part.name.startswith("tracing")]
@@ -220,7 +220,7 @@ def test_a_way_of_many_forks_goes_on_on_a_second_sheet() -> None:
     assert all(f"branch {n:03}" in text for n in range(1, 20))
 
 
-def test_another_route_can_be_told_in_full() -> None:
+def test_another_route_can_be_described_in_full() -> None:
     told = sheet(route_number=2)
     route = plan().routes[1]
     assert told.route is route and told.forks[-1].to_branch_id == route.branch_id
@@ -229,7 +229,7 @@ def test_another_route_can_be_told_in_full() -> None:
     assert told.forks[0].carina_mm == pytest.approx(0.0, abs=0.5)
 
 
-def test_places_are_counted_from_the_ridge_that_the_list_of_turns_knows() -> None:
+def test_distances_count_from_the_carina_ridge_of_the_list_of_turns() -> None:
     route, other = plan().routes[:2]
     assert sheet().carina_mm(route) == pytest.approx(route.from_carina_mm - 9.0)
     assert sheet().carina_mm(other) == pytest.approx(other.from_carina_mm - 9.0)
@@ -238,7 +238,7 @@ def test_places_are_counted_from_the_ridge_that_the_list_of_turns_knows() -> Non
     assert ridge is not None and 3.0 < ridge < 20.0
     alone = sheet(turns=None)
     assert alone.carina_mm(other) == pytest.approx(other.from_carina_mm - ridge)
-    # The forks of the report's own list are counted alike, but for the one at the carina.
+    # The report's own list of forks has the same distances, except for the fork at the carina.
     told = [fork.carina_mm for fork in sheet(turns=turns(airways(), plan(), ridge_mm=ridge)).forks]
     assert [fork.carina_mm for fork in alone.forks] == pytest.approx(told, abs=1e-6)
     park = f"{route.from_carina_mm - 9.0:.0f}"
@@ -246,12 +246,12 @@ def test_places_are_counted_from_the_ridge_that_the_list_of_turns_knows() -> Non
     assert text.count(f"{park} mm") >= 3 and f"{route.from_carina_mm:.0f} mm beyond the carina" not in text
 
 
-def test_a_list_of_turns_of_another_route_is_refused() -> None:
+def test_list_of_turns_of_another_route_is_refused() -> None:
     with pytest.raises(UsageError, match="the list of turns is that of another route: it turns into"):
         sheet(route_number=2, turns=sheet().turns)
 
 
-def test_an_opening_straight_ahead_is_told_no_hour() -> None:
+def test_opening_straight_ahead_has_no_hour() -> None:
     told = sheet().turns
     ahead = dataclasses.replace(told.turns[1], straight_ahead=True, clock_head=7.123)
     changed = sheet(turns=dataclasses.replace(told, turns=(told.turns[0], ahead, *told.turns[2:])))
@@ -263,7 +263,7 @@ def test_an_opening_straight_ahead_is_told_no_hour() -> None:
     assert "straight ahead" in list(words_of(figure))
 
 
-def test_hours_are_those_of_where_the_operator_stands(tmp_path) -> None:
+def test_hours_depend_on_the_position_of_the_operator(tmp_path) -> None:
     told = sheet(turns=sheet().turns, operator="facing")
     grid = next(b for part in sections(told) for b in part.blocks if part.name == "turns" and isinstance(b, Grid))
     assert grid.head[2:4] == ("Facing", "Head")
@@ -272,7 +272,7 @@ def test_hours_are_those_of_where_the_operator_stands(tmp_path) -> None:
     assert "operator facing the patient: posterior at 12" in write_report(tmp_path / "p.html", told).read_text()
 
 
-def test_pictures_of_turns_stand_with_their_turns(tmp_path) -> None:
+def test_pictures_of_turns_are_beside_their_turns(tmp_path) -> None:
     told = turns(airways(), plan())
     pictures = [still(turn, in_view=n != 1, shade=n) for n, turn in enumerate(told.turns)]
     text = page(tmp_path, turns=told, turn_pictures=pictures)
@@ -289,7 +289,7 @@ def test_pictures_of_turns_stand_with_their_turns(tmp_path) -> None:
         sheet(turns=told, turn_pictures=[still(turn, operator="facing") for turn in told.turns])
 
 
-def test_clips_of_turns_lie_hidden_beside_their_pictures_and_change_no_paper(tmp_path) -> None:
+def test_clips_of_turns_are_hidden_beside_their_pictures_and_not_printed(tmp_path) -> None:
     told = turns(airways(), plan())
     pictures = [still(turn) for turn in told.turns]
     clips = [None if n == 1 else clip(turn) for n, turn in enumerate(told.turns)]
@@ -301,7 +301,7 @@ def test_clips_of_turns_lie_hidden_beside_their_pictures_and_change_no_paper(tmp
     (strip,) = re.findall(r"data:image/jpeg;base64,([^\"]+)", figures[0])
     assert base64.b64decode(strip) == clips[0].strip()
     assert 'class="clip on-screen" data-seconds="1.50" hidden' in figures[0] and 'max="3" value="3"' in figures[0]
-    # What plays them is allowed by its own digest, and is in no page without clips.
+    # The page's policy allows the clip player by its digest; a page without clips has no player.
     policy = html.unescape(re.search(r'Content-Security-Policy" content="([^"]*)"', text)[1])
     scripts = re.findall(r"<script>(.*?)</script>", text, re.DOTALL)
     digests = [base64.b64encode(hashlib.sha256(one.encode()).digest()).decode() for one in scripts]
@@ -317,7 +317,7 @@ def test_clips_of_turns_lie_hidden_beside_their_pictures_and_change_no_paper(tmp
         sheet(turns=told, turn_clips=clips)
 
 
-def test_the_proof_of_a_bronchus_sign_has_its_place_in_the_middle(tmp_path) -> None:
+def test_proof_of_a_bronchus_sign_is_in_the_middle(tmp_path) -> None:
     place = plan().routes[0].leg.tip_lps
     signed = dataclasses.replace(plan(), bronchus_sign="into", sign_branch="RB4a", sign_lps=place)
     told = sheet(plan=signed)
@@ -327,7 +327,7 @@ def test_the_proof_of_a_bronchus_sign_has_its_place_in_the_middle(tmp_path) -> N
     assert "Bronchus sign positive: an airway leads into the target (RB4a)." in text
 
 
-def test_the_score_is_told_with_the_weights_that_the_plan_was_made_with() -> None:
+def test_score_is_stated_with_the_weights_of_the_plan() -> None:
     weighed = dataclasses.replace(plan(), weights=ScoreWeights(misses=0.0, way=0.0, angle=1.0, narrow=1.0))
     (part,) = [part for part in sections(sheet(plan=weighed)) if part.name == "score"]
     (grid,) = [block for block in part.blocks if isinstance(block, Grid)]
@@ -335,7 +335,7 @@ def test_the_score_is_told_with_the_weights_that_the_plan_was_made_with() -> Non
     assert shares["needle passes that miss"] == "0 %" and shares["narrowest place"] == f"{100 / 2.25:.0f} %"
 
 
-def test_a_boundary_that_a_person_drew_is_told_as_such() -> None:
+def test_boundary_drawn_by_hand_is_reported() -> None:
     drawn = dataclasses.replace(plan().nodule, notes=(BRUSHED, "with a cavity of 0.2 ml"))
     told = sheet(plan=dataclasses.replace(plan(), nodule=drawn))
     assert told.by_hand[0] == "Target: boundary edited by hand."
@@ -343,7 +343,7 @@ def test_a_boundary_that_a_person_drew_is_told_as_such() -> None:
     assert "Target: with a cavity of 0.2 ml." not in told.by_hand
 
 
-def test_what_stands_against_a_route_is_red_in_it(tmp_path) -> None:
+def test_obstacles_of_a_route_are_red(tmp_path) -> None:
     route = plan().routes[0]
     leg = dataclasses.replace(route.leg, mediastinum_mm=6.0, vessels=(NearVessel(9.0, 0.4, route.leg.aim_lps),))
     limited = dataclasses.replace(route, limits=("the bend asks 190 degrees", "too narrow"), leg=leg)
@@ -358,7 +358,7 @@ def test_what_stands_against_a_route_is_red_in_it(tmp_path) -> None:
 @pytest.mark.parametrize(
     ("change", "words"), [({"route_number": 9}, "expected 1 to"), ({"route_number": 0}, "found 0")]
 )
-def test_a_route_that_is_not_in_the_plan_is_refused(change, words) -> None:
+def test_route_outside_the_plan_is_refused(change, words) -> None:
     with pytest.raises(UsageError, match=words):
         sheet(**change)
 
@@ -372,13 +372,13 @@ def test_a_route_that_is_not_in_the_plan_is_refused(change, words) -> None:
         ("plan.pdf", {"paper": "A5"}, "expected A4 or Letter; found 'A5'"),
     ],
 )
-def test_a_file_of_another_kind_is_refused_in_words(tmp_path, name, choice, words) -> None:
+def test_file_of_another_kind_is_refused_with_a_message(tmp_path, name, choice, words) -> None:
     with pytest.raises(UsageError, match=words):
         write_report(tmp_path / name, sheet(), **choice)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_report_that_is_cancelled_leaves_no_file(tmp_path) -> None:
+def test_cancelled_report_leaves_no_file(tmp_path) -> None:
     shares: list[float] = []
     with pytest.raises(CancelledError):
         make_sheet(
@@ -395,26 +395,26 @@ def test_a_report_that_is_cancelled_leaves_no_file(tmp_path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_without_its_library_a_pdf_is_refused_with_the_way_to_get_it(tmp_path, monkeypatch) -> None:
+def test_pdf_without_its_library_is_refused_with_a_remedy(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(CarinaError, match=r"'reportlab>=") as caught:
         write_report(tmp_path / "plan.pdf", sheet())
     assert caught.value.exit_code == 1 and list(tmp_path.iterdir()) == []
 
 
-def test_the_same_plan_gives_the_same_page(tmp_path) -> None:
+def test_same_plan_gives_the_same_page(tmp_path) -> None:
     first = page(tmp_path)
     assert write_report(tmp_path / "again.html", sheet()).read_text() == first
 
 
-def test_a_target_as_dense_as_contrast_medium_is_doubted_in_red(tmp_path) -> None:
+def test_target_as_dense_as_contrast_medium_is_reported_in_red(tmp_path) -> None:
     dense = dataclasses.replace(plan(), nodule=dataclasses.replace(plan().nodule, density_hu=189.0))
     part = write_report(tmp_path / "p.html", sheet(plan=dense)).read_text()
     assert re.search(r'<section id="target".*?<p class="warning">At 189 HU the target is denser than soft tissue', part)
     assert "denser than soft tissue" not in page(tmp_path)
 
 
-def test_notes_that_do_not_fit_the_tracing_sheet_say_where_they_are() -> None:
+def test_notes_too_long_for_the_tracing_sheet_have_a_reference() -> None:
     told = sheet(notes=tuple(f"Note number {n}" for n in range(12)))
     texts = {part.name: [w for b in part.blocks for w in words_of(b)] for part in sections(told)}
     assert sum(words.startswith("Note number") for words in texts["tracing"]) == 6
@@ -433,7 +433,7 @@ def test_notes_that_do_not_fit_the_tracing_sheet_say_where_they_are() -> None:
         ),
     ],
 )
-def test_the_first_sentence_sums_up_the_instruments(outcomes, words) -> None:
+def test_first_sentence_summarises_the_instruments(outcomes, words) -> None:
     told = tuple(dataclasses.replace(one, outcome=outcome) for one, outcome in zip(verdicts(), outcomes, strict=True))
     (target, *_) = sections(dataclasses.replace(sheet(), verdicts=told))
     (lead,) = [block.text for block in target.blocks if isinstance(block, Words) and block.tone == "lead"]
@@ -441,7 +441,7 @@ def test_the_first_sentence_sums_up_the_instruments(outcomes, words) -> None:
 
 
 @pytest.mark.parametrize(("tissue", "before"), [("vessel", True), ("fissure", True), ("vessel", False)])
-def test_a_needle_through_a_vessel_or_a_fissure_is_warned_of_up_to_the_targets_far_edge(tissue, before) -> None:
+def test_needle_through_vessel_or_fissure_is_warned_of_to_the_far_edge_of_the_target(tissue, before) -> None:
     route = plan().routes[0]
     way = [("lumen", 3.0), ("lung", 2.0), (tissue if before else "lung", 1.0), ("target", 9.0), (tissue, 2.0)]
     ends = np.cumsum([length for _, length in way])

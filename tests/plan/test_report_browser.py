@@ -1,4 +1,4 @@
-"""The report in a real browser with the network off: nothing is asked for, nothing fails, and the tree stands right."""
+"""Tests of the report in a real browser without network: no requests, no errors, and a correctly oriented tree."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ sync_api = pytest.importorskip("playwright.sync_api")
 pytestmark = pytest.mark.browser
 
 FLAGS = ["--no-sandbox", "--disable-quic", "--disable-background-networking", "--disable-component-update"]
-# Orange is the target and the last leg, blue the route: where on the canvas they lie, as shares of its width.
+# Return the mean position of orange pixels (target, last leg) and blue pixels (route) as fractions of the canvas width.
 WHERE = """() => {
   const canvas = document.getElementById('tree'), {width, height} = canvas;
   const data = canvas.getContext('2d').getImageData(0, 0, width, height).data;
@@ -63,7 +63,7 @@ def filmed_report(folder: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def tab(browser) -> Iterator[Any]:
-    """One page with the network off for all tests: a process of its own for each took most of their time."""
+    """Open one page without network for all tests, because a new process for each test takes most of the time."""
     context = browser.new_context(offline=True)
     yield context.new_page()
     context.close()
@@ -83,7 +83,7 @@ def filmed(tab, tmp_path_factory) -> Iterator[Any]:
 
 @contextmanager
 def shown(page: Any, path: Path) -> Iterator[None]:
-    """A file, loaded anew; it asks for nothing, and nothing fails in it."""
+    """Load a file, and assert that it makes no requests and causes no errors."""
     asked: list[str] = []
     troubles: list[str] = []
     heard = {
@@ -92,7 +92,7 @@ def shown(page: Any, path: Path) -> Iterator[None]:
         "pageerror": lambda error: troubles.append(str(error)),
     }
     page.set_viewport_size({"width": 1280, "height": 800})
-    # On paper as paper: what is emulated holds in print, too.
+    # Reset the emulated media, because emulation also applies to printing.
     page.emulate_media(media="null", reduced_motion="no-preference")
     for name, hear in heard.items():
         page.on(name, hear)
@@ -111,10 +111,10 @@ def letters(page: Any) -> dict[str, list[float]]:
     return found
 
 
-def test_the_tree_is_drawn_and_the_patients_right_is_on_the_left(opened) -> None:
+def test_tree_is_drawn_with_the_patient_right_on_the_left(opened) -> None:
     where = opened.evaluate(WHERE)
     assert where["grey"] > 2000 and where["num_blue"] > 500 and where["num_orange"] > 50
-    # The target lies in the right lung: LPS x below the middle of the tree.
+    # The target is in the right lung: its LPS x is below that of the middle of the tree.
     points = [point for one in sheet().shape.branches for point in one.points_lps]
     middle = 0.5 * (min(p[0] for p in points) + max(p[0] for p in points))
     assert sheet().plan.nodule.centre_lps[0] < middle - 20.0
@@ -135,7 +135,7 @@ def test_the_tree_is_drawn_and_the_patients_right_is_on_the_left(opened) -> None
         ("Below", "i", "RLAP"),
     ],
 )
-def test_from_every_side_the_letters_are_right_and_nothing_is_mirrored(opened, name, key, sides) -> None:
+def test_letters_are_correct_from_every_side_and_nothing_is_mirrored(opened, name, key, sides) -> None:
     left, right, up, down = sides
     opened.get_by_role("button", name=name).click()
     opened.evaluate(DRAWN)
@@ -147,12 +147,12 @@ def test_from_every_side_the_letters_are_right_and_nothing_is_mirrored(opened, n
     opened.keyboard.press(key)
     opened.evaluate(DRAWN)
     assert letters(opened) == by_button
-    # The pixels agree with the letters: from behind the target lies on the other side.
+    # The pixels agree with the letters: seen from behind, the target is on the other side.
     if name == "Back":
         assert opened.evaluate(WHERE)["orange"] > 0.55
 
 
-def test_pointer_and_keys_turn_the_tree_the_way_the_hand_goes(opened) -> None:
+def test_pointer_and_keys_turn_the_tree_in_the_direction_of_the_hand(opened) -> None:
     tree = opened.locator("#tree")
     tree.scroll_into_view_if_needed()
     box = tree.bounding_box()
@@ -163,7 +163,7 @@ def test_pointer_and_keys_turn_the_tree_the_way_the_hand_goes(opened) -> None:
     opened.mouse.up()
     opened.evaluate(DRAWN)
     dragged = json.loads(tree.get_attribute("data-view"))
-    # What is in front goes to the right with the hand, so the camera goes to the patient's right.
+    # The front of the tree follows the pointer to the right, so the camera moves to the patient's right.
     assert dragged["azimuth"] == pytest.approx(-30.0) and dragged["elevation"] == pytest.approx(0.0)
     seen = letters(opened)
     assert seen["A"][0] > seen["P"][0]
@@ -183,7 +183,7 @@ def test_nothing_is_wider_than_the_screen(opened, width) -> None:
 
 
 @pytest.mark.parametrize("paper", ["A4", "Letter"])
-def test_on_paper_every_page_has_its_head_and_foot_and_nothing_is_cut(opened, paper) -> None:
+def test_every_printed_page_has_header_and_footer_and_nothing_is_cut(opened, paper) -> None:
     pypdf = pytest.importorskip("pypdf", reason="needs pypdf")
     printed = pypdf.PdfReader(io.BytesIO(opened.pdf(format=paper, print_background=True)))
     texts = [page.extract_text() for page in printed.pages]
@@ -193,7 +193,7 @@ def test_on_paper_every_page_has_its_head_and_foot_and_nothing_is_cut(opened, pa
     assert all(sheet().plan.nodule.words in text for text in texts)
     assert "Tracing sheet" in texts[-1] and "Notes" in texts[-1], "the tracing sheet is one page"
     assert "Airways and route" in texts[0], "target and way stand on the first page"
-    # Printing lays the page out for paper; in that width no element may stick out.
+    # Printing lays the page out at paper width; no element may be wider.
     opened.emulate_media(media="print")
     mm = {"A4": 210.0, "Letter": 215.9}[paper] - 24.0
     opened.set_viewport_size({"width": round(mm / 25.4 * 96), "height": 1000})
@@ -201,7 +201,8 @@ def test_on_paper_every_page_has_its_head_and_foot_and_nothing_is_cut(opened, pa
     opened.emulate_media(media="null")
 
 
-# How the first clip stands: the grey that its canvas shows, to tens (a JPEG rounds it); None where the still is seen.
+# State of the first clip: grey level of its canvas rounded to tens (JPEG changes it a little), or None while the still
+# is shown.
 SHADE = """() => {
   const canvas = document.querySelector('.picture canvas');
   if (canvas.offsetParent === null) return null;
@@ -209,13 +210,13 @@ SHADE = """() => {
   probe.drawImage(canvas, 0, 0, 1, 1);
   return Math.round(probe.getImageData(0, 0, 1, 1).data[0] / 10) * 10;
 }"""
-# What is seen of it from now on, picture by picture.
+# Record the state in each animation frame from now on.
 NOTED = f"""() => {{
   window.seen = [];
   const note = () => {{ window.seen.push(({SHADE})()); requestAnimationFrame(note); }};
   note();
 }}"""
-# The page's policy allows no conditions in text, which Playwright would ask for again and again.
+# The page's policy forbids evaluated text, which Playwright would need to wait for a condition.
 PLAYED = """() => new Promise((done) => {
   const look = () => {
     if (window.seen.some((shade) => shade !== null) && window.seen.at(-1) === null) done();
@@ -225,7 +226,7 @@ PLAYED = """() => new Promise((done) => {
 })"""
 
 
-def test_a_clip_plays_over_its_picture_on_a_click_and_leaves_it_at_its_end(filmed) -> None:
+def test_clip_plays_over_its_picture_on_a_click_and_stops_at_its_end(filmed) -> None:
     first = filmed.locator(".clip").first
     button, slider = first.get_by_role("button"), first.get_by_role("slider")
     assert filmed.evaluate(SHADE) is None and slider.input_value() == "3"
@@ -234,12 +235,12 @@ def test_a_clip_plays_over_its_picture_on_a_click_and_leaves_it_at_its_end(filme
     button.click()
     filmed.evaluate(PLAYED)
     assert slider.input_value() == "3" and button.inner_text() == "Play the way there"
-    # In their order, whichever of them a busy machine left out.
+    # The frames are in order; a busy machine may skip some.
     played = [shade for shade in filmed.evaluate("window.seen") if shade is not None]
     assert played == sorted(played) and set(played) <= {0, 100, 200}
 
 
-def test_a_clip_moves_by_hand_and_paper_shows_the_still(filmed) -> None:
+def test_clip_can_be_moved_by_hand_and_paper_shows_the_still(filmed) -> None:
     slider = filmed.locator(".clip").first.get_by_role("slider")
     slider.focus()
     shades = []
@@ -256,7 +257,7 @@ def test_a_clip_moves_by_hand_and_paper_shows_the_still(filmed) -> None:
     assert filmed.locator(".picture svg").first.is_visible()
 
 
-def test_who_asks_for_less_motion_is_offered_none(filmed) -> None:
+def test_reduced_motion_setting_hides_the_play_button(filmed) -> None:
     button, slider = (filmed.locator(".clip").first.locator(name) for name in ("button", "input"))
     button.click()
     filmed.emulate_media(reduced_motion="reduce")

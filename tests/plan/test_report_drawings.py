@@ -1,4 +1,4 @@
-"""What a report draws: outlines, surfaces, slices, the needle's bar, the tree, the clock."""
+"""Tests of the drawings of a report: outlines, surfaces, slices, the needle bar, the tree and the clock face."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ UNIT = st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda v: np.linalg.norm(v)
 
 
 def plane(normal: tuple[float, float, float], centre: np.ndarray, mm_per_px: float, size: int) -> np.ndarray:
-    """An oblique picture plane through a point, that point in its middle."""
+    """Return an oblique picture plane with this point in its middle."""
     into = np.array(normal) / np.linalg.norm(normal)
     right = np.cross(into, np.eye(3)[int(np.argmin(np.abs(into)))])
     right /= np.linalg.norm(right)
@@ -39,7 +39,7 @@ def plane(normal: tuple[float, float, float], centre: np.ndarray, mm_per_px: flo
 
 @settings(max_examples=20, deadline=None)
 @given(radii_mm=radii, normal=UNIT)
-def test_the_outline_of_an_ellipsoid_lies_on_it_in_any_plane(radii_mm, normal) -> None:
+def test_outline_of_an_ellipsoid_is_on_its_surface_in_any_plane(radii_mm, normal) -> None:
     nodule = ellipsoid(radii_mm)
     centre, mm_per_px, size = np.array(nodule.centre_lps), 0.15, 240
     matrix = plane(normal, centre, mm_per_px, size)
@@ -47,7 +47,7 @@ def test_the_outline_of_an_ellipsoid_lies_on_it_in_any_plane(radii_mm, normal) -
     assert np.array_equal(line[0], line[-1])
     points = line @ matrix[:3, :2].T + matrix[:3, 3]
     scaled = (points - centre) / np.array(radii_mm)
-    # To first order the distance to the surface; half a voxel of its box and the plane's own step.
+    # First-order distance to the surface; tolerance: half a voxel of the nodule's box and the step of the plane.
     off = (np.linalg.norm(scaled, axis=1) - 1.0) / np.linalg.norm(scaled / np.array(radii_mm), axis=1)
     assert np.abs(off).max() < 0.45
     assert abs(float(np.median(off))) < 0.12
@@ -57,7 +57,7 @@ def test_the_outline_of_an_ellipsoid_lies_on_it_in_any_plane(radii_mm, normal) -
 
 @settings(max_examples=10, deadline=None)
 @given(radii_mm=radii)
-def test_the_surface_of_an_ellipsoid_is_closed_and_holds_its_volume(radii_mm) -> None:
+def test_surface_of_an_ellipsoid_is_closed_and_has_its_volume(radii_mm) -> None:
     vertices, quads = surface_of(ellipsoid(radii_mm))
     edges = {}
     for quad in quads.tolist():
@@ -67,11 +67,11 @@ def test_the_surface_of_an_ellipsoid_is_closed_and_holds_its_volume(radii_mm) ->
     corners = vertices[quads] - vertices.mean(axis=0)
     halves = (corners[:, [0, 1, 2]], corners[:, [0, 2, 3]])
     volume = sum(float(np.einsum("ij,ij->i", h[:, 0], np.cross(h[:, 1], h[:, 2])).sum()) for h in halves) / 6.0
-    # Coarse cells cut the corners off.
+    # Coarse cells reduce the volume at the corners.
     assert volume == pytest.approx(4.0 / 3.0 * np.pi * np.prod(radii_mm), rel=0.12)
 
 
-def test_slices_show_the_target_in_its_middle_with_the_patients_sides_right() -> None:
+def test_slices_show_the_target_in_the_middle_with_correct_sides() -> None:
     told = sheet()
     letters = {one.title: one.letters for one in told.slices}
     assert letters == {
@@ -92,7 +92,7 @@ def test_slices_show_the_target_in_its_middle_with_the_patients_sides_right() ->
         assert np.allclose((np.array(one.tip) - middle) * one.mm_per_px, [off[across], sign * off[down]], atol=0.01)
 
 
-def test_the_needles_plane_holds_tip_aim_and_target() -> None:
+def test_needle_plane_contains_tip_aim_and_target() -> None:
     one = sheet().needle_slice
     leg = plan().routes[0].leg
     assert one is not None and [lies_in for _, lies_in in one.needle] == [True]
@@ -105,7 +105,7 @@ def test_the_needles_plane_holds_tip_aim_and_target() -> None:
     assert edge_mm == pytest.approx(leg.to_target_mm, abs=0.8)
 
 
-def test_a_needle_that_leaves_the_slice_is_dotted_there() -> None:
+def test_needle_outside_the_slice_is_dotted() -> None:
     told = sheet()
     centre, tip = np.array(told.plan.nodule.centre_lps), np.array(told.plan.routes[0].leg.tip_lps)
     for one, axis in zip(told.slices, (2, 1, 0), strict=True):
@@ -122,7 +122,7 @@ TISSUES = get_args(Tissue)
 
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.tuples(st.sampled_from(TISSUES), st.floats(0.5, 20.0)), min_size=1, max_size=9))
-def test_the_bar_shows_every_tissue_to_scale_and_no_name_over_another(parts) -> None:
+def test_bar_shows_every_tissue_to_scale_without_overlapping_names(parts) -> None:
     at, crossed = 0.0, []
     for tissue, length in parts:
         crossed.append(Crossed(tissue, at, length))
@@ -141,7 +141,7 @@ def test_the_bar_shows_every_tissue_to_scale_and_no_name_over_another(parts) -> 
     assert all(0.0 <= label.at[1] <= drawing.height for label in drawing.shapes if isinstance(label, Label))
 
 
-def test_the_tree_from_the_front_has_the_patients_right_on_the_left() -> None:
+def test_tree_from_the_front_has_the_patient_right_on_the_left() -> None:
     told = sheet()
     shapes = tree_drawing(told.shape, told.forks, "front", width=255.0, height=160.0).shapes
     target = [s for s in shapes if isinstance(s, Stroke) and s.closed and s.pen.opacity < 1.0]
@@ -152,7 +152,7 @@ def test_the_tree_from_the_front_has_the_patients_right_on_the_left() -> None:
     assert 1 <= len(forks) <= len(told.forks)
 
 
-def test_a_branch_drawn_by_hand_is_red_and_dashed_in_the_tree() -> None:
+def test_branch_drawn_by_hand_is_red_and_dashed_in_the_tree() -> None:
     told = sheet()
     first = told.shape.branches[-1]
     changed = dataclasses.replace(first, is_found=False)
@@ -162,7 +162,7 @@ def test_a_branch_drawn_by_hand_is_red_and_dashed_in_the_tree() -> None:
     assert all(s.pen.dash is not None for s in strokes if s.pen.line == "#c1001f")
 
 
-def test_the_clock_face_shows_the_opening_at_its_hour() -> None:
+def test_clock_face_shows_the_opening_at_its_hour() -> None:
     told = sheet()
     (drawing,) = tracing_drawings(told)
     faces = [s for s in drawing.shapes if isinstance(s, Disc) and s.middle[0] == 196.0 and s.pen.line == "#14181c"]
@@ -179,13 +179,13 @@ def test_the_clock_face_shows_the_opening_at_its_hour() -> None:
 
 
 @given(st.lists(st.text("abc", min_size=1, max_size=12), max_size=30), st.floats(80.0, 300.0))
-def test_broken_lines_keep_every_word_and_fit(words, width) -> None:
+def test_wrapped_lines_have_every_word_and_fit(words, width) -> None:
     lines = lines_of(" ".join(words), 9.0, width)
     assert " ".join(lines).split() == words
     assert all(text_width(line, 9.0) <= width or " " not in line for line in lines)
 
 
-def test_svg_shows_text_as_it_is_and_has_no_style_attribute() -> None:
+def test_svg_escapes_text_and_has_no_style_attribute() -> None:
     told = slice_drawing(sheet().slices[0])
     nasty = dataclasses.replace(told, shapes=(*told.shapes, Label((1.0, 1.0), '<script>"&')), says='"><x>')
     text = svg(nasty)
@@ -193,7 +193,7 @@ def test_svg_shows_text_as_it_is_and_has_no_style_attribute() -> None:
     assert sum(isinstance(shape, Raster) for shape in told.shapes) == text.count("<image")
 
 
-def test_where_the_route_was_drawn_by_hand_its_line_is_red_in_tree_and_tracing_sheet() -> None:
+def test_route_drawn_by_hand_is_red_in_tree_and_tracing_sheet() -> None:
     told = sheet()
     drawn = told.forks[2]
     branches = tuple(dataclasses.replace(b, is_found=b.id != drawn.to_branch_id) for b in told.shape.branches)

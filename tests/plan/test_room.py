@@ -1,4 +1,4 @@
-"""How wide the way is, where the centreline is not in the middle and where the lumen is no circle."""
+"""Tests of the clearance along a route where the centreline is off-centre and where the lumen is not circular."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ STEP_MM = 0.4
 
 
 def field(half_x_mm: float, half_y_mm: float) -> WallField:
-    """A straight lumen along z: round, or a slit with round ends."""
+    """Return the wall field of a straight lumen along z: round, or a slit with round ends."""
     axis = np.arange(-7.0, 7.0 + 1e-9, STEP_MM)
     _, y, x = np.meshgrid(np.arange(0.0, 30.0, STEP_MM), axis, axis, indexing="ij")
     least = min(half_x_mm, half_y_mm)
@@ -31,18 +31,18 @@ def line(off_mm: float, radius_mm: float) -> Branch:
 
 @pytest.mark.parametrize("radius_mm", [1.2, 1.7, 2.6, 4.0])
 @pytest.mark.parametrize("off_mm", [0.0, 0.35, 0.6])
-def test_a_centreline_beside_the_middle_does_not_make_a_round_lumen_narrow(radius_mm: float, off_mm: float) -> None:
+def test_off_centre_centreline_does_not_narrow_a_round_lumen(radius_mm: float, off_mm: float) -> None:
     found = rooms_mm(line(off_mm, radius_mm), field(radius_mm, radius_mm))
-    # The field is exact at samples 0.4 mm apart, and read between them.
+    # Tolerance: the field is exact at samples 0.4 mm apart and interpolated between them.
     assert found == pytest.approx(2.0 * radius_mm, abs=0.12)
 
 
-def test_a_slit_lets_no_more_pass_than_its_narrow_side() -> None:
+def test_slit_passes_no_more_than_its_narrow_side() -> None:
     found = rooms_mm(line(0.4, 2.4), field(4.0, 1.5))
     assert (found <= 3.0 + 2.0 * INWARDS_MM + 0.05).all() and (found >= 2.9).all()
 
 
-def test_without_a_wall_or_outside_it_the_branch_knows_its_width() -> None:
+def test_branch_gives_its_width_without_a_wall_or_outside_it() -> None:
     branch = line(0.5, 2.0)
     assert rooms_mm(branch, None) == pytest.approx(3.0)
     aside = Branch(

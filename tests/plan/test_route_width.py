@@ -1,4 +1,4 @@
-"""The narrowest diameter of a route: what it rests on, its error, and what follows for scopes."""
+"""Tests of the narrowest diameter of a route: its source, its error, and which scopes fit."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SPACING_MM = 1.5
 
 
 def straight(*kinds: str, radius_mm: float = 3.0, step_mm: float = 0.7, num: int = 60) -> AirwayTree:
-    """A trachea and branches below it in a line, 42 mm each, all as wide."""
+    """Return a trachea and branches below it in a straight line, each 42 mm long and equally wide."""
     branches = []
     for n, kind in enumerate(("tracked", *kinds)):
         points = np.zeros((num, 3))
@@ -39,7 +39,7 @@ def end_of(tree: AirwayTree, **options) -> RouteWidth:
     return widths_on_the_way(tree, None, measures, SPACING_MM)[tree.branches[-1].id][-1]
 
 
-def test_a_measured_route_has_the_diameter_of_its_sections_and_not_of_the_lumen_found() -> None:
+def test_measured_route_has_the_diameter_of_its_sections_not_of_the_lumen() -> None:
     tree = straight("tracked", radius_mm=1.1)
     found = end_of(tree, widths_mm={0: np.full(60, 14.0), 1: np.full(60, 3.4)})
     assert found.mm == pytest.approx(3.4) and found.source == "sections" and found.why is None
@@ -49,7 +49,7 @@ def test_a_measured_route_has_the_diameter_of_its_sections_and_not_of_the_lumen_
 
 
 @pytest.mark.parametrize("num_noisy", [40, 160, 640])
-def test_many_noisy_sections_bias_the_narrowest_diameter_half_as_much_as_a_minimum_and_within_its_error(
+def test_noise_of_many_sections_biases_the_narrowest_diameter_within_its_error(
     num_noisy: int,
 ) -> None:
     noise_mm, found, single, inside = 0.2, [], [], []
@@ -66,7 +66,7 @@ def test_many_noisy_sections_bias_the_narrowest_diameter_half_as_much_as_a_minim
 
 @settings(deadline=None, max_examples=30)
 @given(at=st.integers(5, 50), num=st.integers(2, 8), narrow_mm=st.floats(1.0, 3.0))
-def test_a_narrowing_shorter_than_a_diameter_is_never_passed_over(at: int, num: int, narrow_mm: float) -> None:
+def test_narrowing_shorter_than_a_diameter_is_never_ignored(at: int, num: int, narrow_mm: float) -> None:
     tree = straight("tracked")
     widths = np.full(60, 6.0)
     widths[at : at + num] = narrow_mm
@@ -77,7 +77,7 @@ def test_a_narrowing_shorter_than_a_diameter_is_never_passed_over(at: int, num: 
     assert found.fit(thick) == "does not fit"
 
 
-def test_a_place_where_a_branch_begins_is_as_narrow_as_its_first_section_that_counts() -> None:
+def test_start_of_a_branch_is_as_narrow_as_its_first_valid_section() -> None:
     tree = straight("tracked")
     measures = exact_measures(tree, widths_mm={0: np.full(60, 14.0), 1: np.full(60, 3.0)})
     at_junction = np.arange(60) < 20
@@ -91,7 +91,7 @@ def test_a_place_where_a_branch_begins_is_as_narrow_as_its_first_section_that_co
         assert measures.narrowest_of_route([0, 1], until_mm=until).mm == pytest.approx(3.0)
 
 
-def test_one_narrow_section_widens_the_error_and_leaves_the_diameter() -> None:
+def test_one_narrow_section_widens_the_error_and_not_the_diameter() -> None:
     tree = straight("tracked")
     widths = np.full(60, 6.0)
     widths[30] = 3.0
@@ -99,7 +99,7 @@ def test_one_narrow_section_widens_the_error_and_leaves_the_diameter() -> None:
     assert found.mm == pytest.approx(6.0) and found.lower_mm <= 3.0
 
 
-def test_a_slit_lets_no_more_pass_than_its_narrow_side() -> None:
+def test_slit_passes_no_more_than_its_narrow_side() -> None:
     tree = straight("tracked")
     found = end_of(tree, flat=0.5, error_mm=0.2)
     assert found.mm == pytest.approx(3.2) and found.lower_mm <= 3.0
@@ -108,7 +108,7 @@ def test_a_slit_lets_no_more_pass_than_its_narrow_side() -> None:
 
 
 @pytest.mark.parametrize(("kind", "reason"), [("manual", "was drawn by hand"), ("bridge", "is a bridge")])
-def test_a_branch_that_the_ct_does_not_show_falls_back_to_the_ball_and_says_so(kind: str, reason: str) -> None:
+def test_branch_not_visible_in_the_ct_uses_the_inscribed_ball_with_a_note(kind: str, reason: str) -> None:
     tree = straight("tracked", kind)
     found = end_of(tree)
     assert found.source == "ball" and reason in found.why and "branch 2" in found.why
@@ -117,7 +117,7 @@ def test_a_branch_that_the_ct_does_not_show_falls_back_to_the_ball_and_says_so(k
     assert before.source == "sections" and before.error_mm < found.error_mm
 
 
-def test_the_last_sections_that_could_not_be_measured_never_make_a_route_surer() -> None:
+def test_unmeasured_last_sections_never_make_a_route_more_certain() -> None:
     tree = straight("tracked")
     whole = end_of(tree)
     part = end_of(tree, missing={1: slice(45, 60)})
@@ -134,7 +134,7 @@ def test_the_last_sections_that_could_not_be_measured_never_make_a_route_surer()
     errors=st.floats(0.05, 0.6),
     drawn=st.integers(0, 4),
 )
-def test_the_way_never_gets_wider_and_its_lower_end_covers_every_place(
+def test_route_never_widens_and_its_lower_bound_covers_every_position(
     widths: list[float], errors: float, drawn: int
 ) -> None:
     kinds = ["manual" if n == drawn else "tracked" for n in range(len(widths))]
@@ -151,7 +151,7 @@ def test_the_way_never_gets_wider_and_its_lower_end_covers_every_place(
 
 @settings(deadline=None, max_examples=50)
 @given(mm=st.floats(1.0, 9.0), error_mm=st.floats(0.0, 3.0), tip_mm=st.floats(2.0, 7.0), more_mm=st.floats(0.0, 2.0))
-def test_a_scope_fits_only_where_the_interval_allows_it(
+def test_scope_fits_only_where_the_interval_allows_it(
     mm: float, error_mm: float, tip_mm: float, more_mm: float
 ) -> None:
     width = RouteWidth(mm, error_mm, 50.0)
@@ -160,7 +160,7 @@ def test_a_scope_fits_only_where_the_interval_allows_it(
     )
     assert width.chance(thin) >= width.chance(thick)
     if width.fit(thin) == "fits":
-        # 9 chances of 10 on one side are 1.28 of the 1.645 deviations of the interval.
+        # A one-sided probability of 90 % is 1.28 of the 1.645 standard deviations of the interval.
         assert mm - 0.779 * error_mm >= thin.fit_mm - 1e-9
     if width.fit(thin) == "does not fit":
         assert mm < thin.fit_mm
@@ -172,7 +172,7 @@ def test_a_scope_fits_only_where_the_interval_allows_it(
     assert f"{mm:.1f} \u00b1 {error_mm:.1f} mm wide" in check.words
 
 
-def test_measures_of_another_tree_or_by_an_earlier_method_are_not_used() -> None:
+def test_measures_of_another_tree_or_an_earlier_method_are_not_used() -> None:
     tree = straight("tracked")
     assert matches_tree(exact_measures(tree), tree)
     assert not matches_tree(exact_measures(tree, method=1), tree)
@@ -180,7 +180,7 @@ def test_measures_of_another_tree_or_by_an_earlier_method_are_not_used() -> None
     assert not matches_tree(exact_measures(straight("tracked", num=50)), tree)
 
 
-def test_a_width_is_plain_json_and_refuses_what_is_no_width() -> None:
+def test_width_is_plain_json_and_invalid_widths_are_refused() -> None:
     width = RouteWidth(3.2, 0.4, 91.0, "ball", "branch 7 was drawn by hand 91 mm along the route")
     assert json.loads(json.dumps(width.to_json())) == {
         "narrowest_mm": 3.2,

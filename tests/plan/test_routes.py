@@ -1,4 +1,4 @@
-"""Routes to nodules: where a scope stands, what the needle crosses, and which way is the best."""
+"""Tests of routes to nodules: final tip position, tissue on the needle path, and ranking of routes."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ def truth() -> dict[str, Any]:
 
 
 def slim() -> ScopePreset:
-    """Thin enough for all airways near the nodule."""
+    """Return a scope that is thin enough for all airways near the nodule."""
     return dataclasses.replace(scope_preset("ultrathin"), tip_mm=1.5)
 
 
 def retreed(airways: Airways, branch_id: int, **changes: Any) -> Airways:
-    """The same airways with one branch changed."""
+    """Return the airways with one changed branch."""
     branches = tuple(
         dataclasses.replace(one, **changes) if one.id == branch_id else one for one in airways.tree.branches
     )
@@ -56,13 +56,13 @@ def retreed(airways: Airways, branch_id: int, **changes: Any) -> Airways:
 
 
 def off_line_mm(line: np.ndarray, point: np.ndarray) -> float:
-    """From a point to the nearest place on a line of straight pieces."""
+    """Return the distance from a point to a polyline, mm."""
     start, step = line[:-1], np.diff(line, axis=0)
     share = np.clip(((point - start) * step).sum(axis=1) / (step * step).sum(axis=1), 0.0, 1.0)
     return float(np.linalg.norm(start + share[:, None] * step - point, axis=1).min())
 
 
-def test_a_nodule_beside_an_airway_gets_a_route_that_reaches_it_in_the_truth() -> None:
+def test_nodule_beside_an_airway_has_a_route_that_reaches_it_in_the_truth() -> None:
     best = plan().routes[0]
     tip, aim = np.array(best.leg.tip_lps), np.array(truth()["centre_lps"])
     to_edge = np.linalg.norm(aim - tip) - truth()["radius_mm"]
@@ -74,7 +74,7 @@ def test_a_nodule_beside_an_airway_gets_a_route_that_reaches_it_in_the_truth() -
     assert 0.0 < best.from_carina_mm < best.along_mm < 1.02 * route.length_mm
 
 
-def test_tissue_on_the_way_comes_in_order_without_a_gap() -> None:
+def test_tissue_on_the_needle_path_is_listed_in_order_without_gaps() -> None:
     for route in plan().routes:
         crossed = route.leg.crossed
         assert crossed[0].tissue == "lumen" and crossed[0].start_mm == 0.0
@@ -85,7 +85,7 @@ def test_tissue_on_the_way_comes_in_order_without_a_gap() -> None:
         assert route.leg.hit_share_moved < route.leg.hit_share
 
 
-def test_no_place_on_any_branch_scores_better_than_the_first_route() -> None:
+def test_no_position_on_any_branch_scores_better_than_the_first_route() -> None:
     volume, airways, found = made_phantom(**CHEST).volume, made_airways(**CHEST), plan()
     nodule = found.nodule
     around = surroundings(volume, np.array(nodule.centre_lps), 50.0, nodule, wall())
@@ -111,13 +111,13 @@ def test_no_place_on_any_branch_scores_better_than_the_first_route() -> None:
             )
             total = sum(getattr(weights, name) for name in weights.__slots__)
             best = max(best, 1.0 - lost / total)
-    # The branch's narrowest place may lie beyond where the tip stands: this search is no less strict.
+    # The narrowest point of the branch may be beyond the tip; this search is at least as strict.
     assert {route.outlook for route in plan().routes} == {"does not reach"}, "the score alone ranks them"
     assert plan().routes[0].score >= best - 0.02
     assert [route.score for route in plan().routes] == sorted((route.score for route in plan().routes), reverse=True)
 
 
-def test_no_place_between_two_points_of_the_first_routes_branch_scores_better() -> None:
+def test_no_position_between_points_of_the_branch_scores_better_than_the_first_route() -> None:
     airways, found = made_airways(**CHEST), plan()
     first, nodule = found.routes[0], found.nodule
     around = surroundings(made_phantom(**CHEST).volume, np.array(nodule.centre_lps), 50.0, nodule, wall())
@@ -143,13 +143,13 @@ def test_no_place_between_two_points_of_the_first_routes_branch_scores_better() 
     assert first.score * (first.chance if first.outlook == "may reach" else 1.0) >= max(scores) - 0.004
 
 
-def test_routes_stand_apart_and_at_least_two_are_told() -> None:
+def test_routes_are_apart_and_at_least_two_are_listed() -> None:
     tips = [np.array(route.leg.tip_lps) for route in plan().routes]
     assert len(tips) >= 2
     assert min(np.linalg.norm(a - b) for n, a in enumerate(tips) for b in tips[:n]) > 4.0
 
 
-def test_of_two_routes_that_stand_together_the_better_is_told() -> None:
+def test_better_of_two_routes_close_together_is_listed() -> None:
     best, other = plan().routes[:2]
     x, y, z = best.leg.tip_lps
     beside = dataclasses.replace(
@@ -162,7 +162,7 @@ def test_of_two_routes_that_stand_together_the_better_is_told() -> None:
     assert standing_apart([best, apart]) == (best, apart)
 
 
-def test_a_route_that_the_scope_gets_to_comes_before_a_better_one_that_it_does_not() -> None:
+def test_route_that_the_scope_reaches_precedes_a_better_unreachable_route() -> None:
     best, other = plan().routes[:2]
     near = dataclasses.replace(best, outlook="does not reach")
     far = dataclasses.replace(other, outlook="reaches", score=0.1)
@@ -172,7 +172,7 @@ def test_a_route_that_the_scope_gets_to_comes_before_a_better_one_that_it_does_n
     assert sorted([dataclasses.replace(doubtful, chance=0.5), likelier], key=order)[0] == likelier
 
 
-def test_what_the_scope_cannot_do_is_told_with_its_figures() -> None:
+def test_limits_of_the_scope_are_reported_with_their_figures() -> None:
     volume, airways, nodule = made_phantom(**CHEST).volume, made_airways(**CHEST), plan().nodule
     (stiff, *_) = plan_route(
         volume, airways, nodule, wall=wall(), scope=dataclasses.replace(slim(), flexion_deg=(40.0, 40.0))
@@ -189,7 +189,7 @@ def test_what_the_scope_cannot_do_is_told_with_its_figures() -> None:
     )
 
 
-def test_a_doubtful_branch_is_left_to_the_end_where_another_way_is_sure() -> None:
+def test_doubtful_branch_is_last_where_another_route_is_certain() -> None:
     airways, volume = made_airways(**CHEST), made_phantom(**CHEST).volume
     sure = plan_route(volume, airways, plan().nodule, wall=wall(), scope=slim()).routes
     doubted = plan_route(
@@ -200,7 +200,7 @@ def test_a_doubtful_branch_is_left_to_the_end_where_another_way_is_sure() -> Non
     assert next(one for one in doubted if one.branch_id == sure[0].branch_id).outlook == "may reach"
 
 
-def test_each_aim_gets_its_best_route_and_the_route_tells_which() -> None:
+def test_each_aim_has_its_best_route_and_the_route_names_its_aim() -> None:
     volume, airways, nodule = made_phantom(**CHEST).volume, made_airways(**CHEST), plan().nodule
     centre = np.array(nodule.centre_lps)
     aims = [centre, centre - [0.0, 5.0, 0.0], centre - [0.0, 0.0, 5.0]]
@@ -236,7 +236,7 @@ def test_tools_are_those_that_pass_the_channel_and_reach_the_target() -> None:
     )
 
 
-def test_a_target_in_the_lumen_is_reached_by_forceps_and_one_outside_is_not() -> None:
+def test_target_in_the_lumen_is_reached_by_forceps_and_one_outside_is_not() -> None:
     volume, airways = made_phantom(**CHEST).volume, made_airways(**CHEST)
     bronchus = airways.tree.named("LMB")
     middle = len(bronchus.points) // 2
@@ -251,7 +251,7 @@ def test_a_target_in_the_lumen_is_reached_by_forceps_and_one_outside_is_not() ->
     assert outside.nearest.branch_name in outside.why
 
 
-def test_a_target_in_the_trachea_is_reached_from_the_trachea() -> None:
+def test_target_in_the_trachea_is_reached_from_the_trachea() -> None:
     volume, airways = made_phantom(**CHEST).volume, made_airways(**CHEST)
     trachea = airways.tree.root
     inside = ellipsoid((3.0, 3.0, 3.0), trachea.points[int(0.7 * len(trachea.points))])
@@ -260,7 +260,7 @@ def test_a_target_in_the_trachea_is_reached_from_the_trachea() -> None:
     assert best.from_carina_mm < 0.0 and best.from_carina_mm == pytest.approx(best.along_mm - trachea.length_mm)
 
 
-def test_a_plan_is_plain_json_and_a_grown_nodule_plans_the_same() -> None:
+def test_plan_is_plain_json_and_a_grown_nodule_gives_the_same_plan() -> None:
     said = plan().to_json()
     assert json.loads(json.dumps(said)) == said
     assert said["weights"] == {name: getattr(ScoreWeights(), name) for name in ScoreWeights.__slots__}
@@ -275,7 +275,7 @@ def test_a_plan_is_plain_json_and_a_grown_nodule_plans_the_same() -> None:
     assert again.to_json() == said
 
 
-def test_a_way_over_a_drawn_bridged_or_doubtful_branch_says_so() -> None:
+def test_route_over_a_drawn_bridged_or_doubtful_branch_reports_it() -> None:
     airways, best = made_airways(**CHEST), plan().routes[0]
     parent = airways.tree.branch(best.branch_id).parent
     name = airways.tree.branch(parent).name or f"branch {parent}"
@@ -292,7 +292,7 @@ def test_a_way_over_a_drawn_bridged_or_doubtful_branch_says_so() -> None:
     assert best.doubts == ()
 
 
-def test_where_no_airway_is_near_the_plan_says_so_and_what_would_help() -> None:
+def test_plan_without_a_near_airway_reports_it_with_a_remedy() -> None:
     short = Tool("short", "A short needle", 1.8, 1.0, True, None, "k")
     found = plan_route(made_phantom(**CHEST).volume, made_airways(**CHEST), plan().nodule, tool=short, wall=wall())
     assert found.routes == ()
@@ -300,7 +300,7 @@ def test_where_no_airway_is_near_the_plan_says_so_and_what_would_help() -> None:
     assert "A short needle reaches 1 mm" in found.why and "percutaneous" in found.why
 
 
-def test_a_bronchus_that_leads_into_a_nodule_one_beside_it_and_none() -> None:
+def test_bronchus_sign_distinguishes_a_bronchus_into_and_beside_a_nodule() -> None:
     airways, volume = made_airways(**CHEST), made_phantom(**CHEST).volume
     tip = next(one for one in airways.tree.tips() if one.generation >= 5 and one.length_mm > 8.0)
     ahead = tip.points[-1] - tip.points[-4]
@@ -320,14 +320,14 @@ def test_a_bronchus_that_leads_into_a_nodule_one_beside_it_and_none() -> None:
     assert sign(far).bronchus_sign == "none"
 
 
-def test_a_lower_lobe_is_taken_to_have_moved_farther() -> None:
+def test_lower_lobe_is_assumed_to_move_farther() -> None:
     airways, volume = made_airways(**CHEST), made_phantom(**CHEST).volume
     for name, moved_mm in (("RLL", 20.0), ("RUL", 15.0)):
         place = airways.tree.named(name).points[-1]
         assert plan_route(volume, airways, ellipsoid((3.0, 3.0, 3.0), place), wall=wall()).moved_mm == moved_mm
 
 
-def test_bad_input_is_refused_in_words() -> None:
+def test_bad_input_is_refused_with_a_message() -> None:
     airways, volume = made_airways(**CHEST), made_phantom(**CHEST).volume
     with pytest.raises(UsageError, match="no tool is called 'saw'; expected one of needle-21g"):
         plan_route(volume, airways, plan().nodule, tool="saw")
@@ -341,7 +341,7 @@ def test_bad_input_is_refused_in_words() -> None:
         plan_route(volume, airways, plan().nodule, wall=wall(), cancel=lambda: True)
 
 
-def test_progress_ends_at_one_and_never_goes_back() -> None:
+def test_progress_never_decreases_and_ends_at_one() -> None:
     told: list[float] = []
     plan_route(
         made_phantom(**CHEST).volume,
@@ -355,7 +355,7 @@ def test_progress_ends_at_one_and_never_goes_back() -> None:
 
 @cache
 def tube() -> tuple[Volume, WallField]:
-    """A straight airway of 3 mm radius along z in lung, and a vessel beside it."""
+    """Return a straight airway of 3 mm radius along z in lung, with a vessel beside it."""
     z, y, x = np.mgrid[-40:41, -40:41, -40:41].astype(np.float32)
     off = np.hypot(x, y)
     hu = np.where(off < 3.0, -1000.0, np.where(off < 4.0, 0.0, -860.0))
@@ -365,7 +365,7 @@ def tube() -> tuple[Volume, WallField]:
     return Volume(hu.astype(np.int16), place), WallField.from_distances(3.0 - off, place)
 
 
-def test_the_last_leg_in_a_straight_tube_is_as_drawn() -> None:
+def test_last_leg_in_a_straight_tube_has_the_drawn_figures() -> None:
     volume, field = tube()
     nodule = ellipsoid((5.0, 5.0, 5.0), (20.0, 0.0, 0.0))
     around = surroundings(volume, np.array(nodule.centre_lps), 30.0, nodule, field)
@@ -377,12 +377,12 @@ def test_the_last_leg_in_a_straight_tube_is_as_drawn() -> None:
     assert leg.to_target_mm == pytest.approx(15.0, abs=0.55)
     assert leg.outside_mm == pytest.approx(12.0, abs=0.8)
     assert leg.in_target_mm == pytest.approx(5.0, abs=0.6)
-    # The vessel's middle runs 9 mm beside the needle and is 2 mm thick.
+    # The vessel axis is 9 mm from the needle, and the vessel is 2 mm thick.
     assert leg.vessel_mm == pytest.approx(7.0, abs=0.8)
     assert [one.tissue for one in leg.crossed] == ["lumen", "airway wall", "lung", "target", "lung"]
 
 
-def test_vessels_nearer_than_the_margin_are_listed_with_their_place() -> None:
+def test_vessels_nearer_than_the_margin_are_listed_with_their_position() -> None:
     volume, field = tube()
     nodule = ellipsoid((5.0, 5.0, 5.0), (20.0, 0.0, 0.0))
     around = surroundings(volume, np.array(nodule.centre_lps), 30.0, nodule, field)
@@ -390,14 +390,14 @@ def test_vessels_nearer_than_the_margin_are_listed_with_their_place() -> None:
     leg = last_leg(scene, np.zeros(3), np.array([0.0, 0.0, 1.0]))
     (vessel,) = leg.vessels
     assert vessel.distance_mm == leg.vessel_mm == pytest.approx(7.0, abs=0.8)
-    # 2 mm along the needle change the distance by 0.2 mm, less than a voxel shows.
+    # Moving 2 mm along the needle changes the distance by 0.2 mm, less than a voxel shows.
     assert vessel.at_mm == pytest.approx(12.0, abs=2.0)
     assert np.allclose(vessel.place_lps, [vessel.at_mm, 0.0, 0.0])
     closer = dataclasses.replace(scene, margin_mm=3.0)
     assert last_leg(closer, np.zeros(3), np.array([0.0, 0.0, 1.0])).vessels == ()
 
 
-def test_a_vessel_and_the_chest_wall_beyond_the_target_are_measured_from_its_far_edge() -> None:
+def test_vessel_and_chest_wall_beyond_the_target_are_measured_from_its_far_edge() -> None:
     z, y, x = np.mgrid[-40:41, -40:41, -40:41].astype(np.float32)
     off = np.hypot(x, y)
     hu = np.where(off < 3.0, -1000.0, np.where(off < 4.0, 0.0, -860.0))
@@ -409,7 +409,7 @@ def test_a_vessel_and_the_chest_wall_beyond_the_target_are_measured_from_its_far
     around = surroundings(volume, np.array(nodule.centre_lps), 34.0, nodule, field)
     scene = NeedleScene(nodule, field, around, tool("needle-21g"), NeedleErrors())
     leg = last_leg(scene, np.zeros(3), np.array([0.0, 0.0, 1.0]))
-    # The far edge lies at 13 mm, the vessel begins at 17.5 mm, and the chest wall at 24 mm is farther than 10 mm.
+    # The far edge is at 13 mm, the vessel begins at 17.5 mm, and the chest wall at 24 mm is more than 10 mm away.
     assert leg.vessel_beyond_mm == pytest.approx(4.5, abs=0.9)
     assert leg.beyond_mm is None and leg.vessels == () and leg.mediastinum_mm == 0.0
     nearer = last_leg(scene, np.array([-2.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), aim_lps=np.array([12.5, 0.0, 0.0]))
@@ -419,7 +419,7 @@ def test_a_vessel_and_the_chest_wall_beyond_the_target_are_measured_from_its_far
     assert crossed.mediastinum_mm == pytest.approx(6.0, abs=1.3)
 
 
-def test_a_vessel_in_the_way_is_named() -> None:
+def test_vessel_on_the_needle_path_is_named() -> None:
     volume, field = tube()
     nodule = ellipsoid((5.0, 5.0, 5.0), (20.0, 0.0, 9.0))
     around = surroundings(volume, np.array(nodule.centre_lps), 30.0, nodule, field)
@@ -429,11 +429,11 @@ def test_a_vessel_in_the_way_is_named() -> None:
     assert leg.vessel_mm == 0.0
 
 
-def test_the_public_door_has_it() -> None:
+def test_public_function_plan_route_is_available() -> None:
     assert carina.plan_route is plan_route
 
 
-def test_what_was_not_examined_is_neither_lung_nor_vessel() -> None:
+def test_unexamined_tissue_is_neither_lung_nor_vessel() -> None:
     volume, field = tube()
     nodule = ellipsoid((5.0, 5.0, 5.0), (20.0, 0.0, 0.0))
     scene = NeedleScene(
@@ -455,13 +455,13 @@ def test_what_was_not_examined_is_neither_lung_nor_vessel() -> None:
     ]
 
 
-def test_the_left_lower_lobe_moves_as_far_as_the_right() -> None:
+def test_left_lower_lobe_moves_as_far_as_the_right() -> None:
     airways, volume = made_airways(**CHEST), made_phantom(**CHEST).volume
     place = airways.tree.named("LLL").points[-1]
     assert plan_route(volume, airways, ellipsoid((3.0, 3.0, 3.0), place), wall=wall()).moved_mm == 20.0
 
 
-def test_a_tool_of_no_size_is_refused() -> None:
+def test_tool_without_size_is_refused() -> None:
     with pytest.raises(UsageError, match="reach_mm: expected above 0 up to 100; found inf"):
         Tool("endless", "An endless needle", 1.8, float("inf"), True, None, "k")
     with pytest.raises(UsageError, match="outer_mm: expected above 0 up to 10; found 0"):

@@ -1,4 +1,4 @@
-"""The vessels of whole lungs."""
+"""Tests of the vessels of whole lungs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SMALL_CHEST: dict[str, Any] = {"seed": 4, "spacing_mm": 2.0, "generations": 4}
 
 
 def nowhere() -> WallField:
-    """An airway far from the chest: walls are taken for vessels."""
+    """Return the wall field of an airway far from the chest, because walls are taken for vessels."""
     k, j, i = np.indices((9, 9, 9)) - 4.0
     matrix = np.eye(4)
     matrix[:3, 3] = 900.0
@@ -33,7 +33,7 @@ def test_whole_lungs_have_vessels_on_both_sides_and_the_values_of_the_ct() -> No
     tips = np.array([branch.points_lps[-1] for branch in tree.branches])
     assert (tips[:, 0] < -40.0).sum() > 20
     assert (tips[:, 0] > 40.0).sum() > 20
-    # Each voxel of the box stands where it is told to stand.
+    # Each voxel of the box has the CT value at its stated position.
     rng = np.random.default_rng(1)
     at = rng.integers(0, np.array(found.box.hu_zyx.shape), (400, 3))
     places = at[:, ::-1] + found.box.lps_from_ijk[:3, 3]
@@ -48,7 +48,7 @@ def test_whole_lungs_have_vessels_on_both_sides_and_the_values_of_the_ct() -> No
 
 
 @pytest.mark.parametrize("turn", [np.diag([-1.0, 1.0, 1.0]), np.diag([1.0, 1.0, -1.0])[[1, 0, 2]]])
-def test_axes_of_any_order_give_one_box(turn: NDArray[np.float64]) -> None:
+def test_axes_of_any_order_give_the_same_box(turn: NDArray[np.float64]) -> None:
     volume = made_phantom(**SMALL_CHEST).volume
     plain = lung_box(volume)
     order = np.argmax(np.abs(turn), axis=0)
@@ -70,7 +70,7 @@ def test_axes_of_any_order_give_one_box(turn: NDArray[np.float64]) -> None:
     np.testing.assert_allclose(turned.hu_zyx, plain.hu_zyx, atol=0.5)
 
 
-def test_a_ct_that_is_cut_through_the_lungs_has_them_still() -> None:
+def test_ct_cut_through_the_lungs_has_vessels() -> None:
     volume = made_phantom(**SMALL_CHEST).volume
     whole = lung_box(volume)
     nx = volume.shape_zyx[2]
@@ -81,6 +81,6 @@ def test_a_ct_that_is_cut_through_the_lungs_has_them_still() -> None:
     assert 0.3 * whole.known.sum() < cut.known.sum() < 0.95 * whole.known.sum()
 
 
-def test_a_ct_without_lungs_is_refused() -> None:
+def test_ct_without_lungs_is_refused() -> None:
     with pytest.raises(NoResultError):
         lung_box(Volume(np.full((40, 60, 60), 40, np.int16), np.diag([2.0, 2.0, 2.0, 1.0])))

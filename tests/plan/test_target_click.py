@@ -1,4 +1,4 @@
-"""A click becomes a target."""
+"""Tests of a target created by a click."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from painted_nodules import Scene, painted
 from carina.plan import target_from_click
 
 
-def test_a_click_becomes_a_target_with_a_place():
+def test_click_gives_a_target_with_its_region():
     volume, _, middle = painted(Scene(pleura_mm=3.0))
     at = middle + np.array([-1.5, 0.0, 0.5])
     target = target_from_click(volume, at, target_id="t7", name="nodule in RB2")

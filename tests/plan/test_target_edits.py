@@ -1,4 +1,4 @@
-"""A boundary changed by hand: what is asked for comes about, is said, and leaves a nodule."""
+"""Tests of target boundaries edited by hand: the edit has its effect, is reported, and leaves a valid nodule."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ def scene():
 
 
 @pytest.mark.parametrize("diameter_mm", [8.0, 11.0, 16.0, 20.0, 30.0])
-def test_a_boundary_goes_to_the_diameter_that_was_asked_for(diameter_mm):
+def test_boundary_reaches_the_requested_diameter(diameter_mm):
     volume, nodule = scene()
     found = resized(nodule, volume, diameter_mm)
     assert found.long_mm == diameter_mm
     by_mm = 0.5 * (diameter_mm - nodule.long_mm)
     radii = np.array([8.0, 6.0, 6.0]) + by_mm
-    # Everywhere by the same distance: that is no ellipsoid, and nearly one.
+    # The boundary moves by the same distance everywhere, so the result is only approximately an ellipsoid.
     expected = 4.0 / 3.0 * np.pi * radii.prod()
     assert found.volume_mm3 == pytest.approx(expected, abs=found.volume_error_mm3)
     assert found.volume_mm3 == pytest.approx(expected, rel=0.12)
@@ -40,7 +40,7 @@ def test_a_boundary_goes_to_the_diameter_that_was_asked_for(diameter_mm):
     assert found.inside_zyx.sum() * step**3 == pytest.approx(found.volume_mm3)
 
 
-def test_larger_diameters_hold_smaller_ones():
+def test_larger_diameters_contain_smaller_ones():
     volume, nodule = scene()
     sizes = [resized(nodule, volume, mm) for mm in (8.0, 12.0, 15.0, 18.0)]
     for small, large in pairwise(sizes):
@@ -55,7 +55,7 @@ def test_larger_diameters_hold_smaller_ones():
     off=st.tuples(*[st.floats(-9.0, 9.0)] * 3),
     radius_mm=st.floats(1.0, 7.0),
 )
-def test_a_brush_adds_and_takes_its_ball(off, radius_mm):
+def test_brush_adds_and_removes_its_ball(off, radius_mm):
     volume, nodule = scene()
     centre = np.array(nodule.centre_lps) + off
     points = centre + np.random.default_rng(1).normal(size=(300, 3)) * 0.6 * radius_mm
@@ -99,7 +99,7 @@ def test_edits_that_leave_no_target_are_refused():
             sphere(volume, centre, wrong)
 
 
-def test_what_reaches_out_of_the_ct_ends_there_and_says_so():
+def test_edit_beyond_the_ct_ends_at_its_border_with_a_note():
     volume, nodule = scene()
     k = int(volume.to_ijk(np.array(nodule.centre_lps))[2]) - 4
     place = volume.lps_from_ijk.copy()
@@ -113,7 +113,7 @@ def test_what_reaches_out_of_the_ct_ends_there_and_says_so():
         sphere(cut, low, 20.0)
 
 
-def test_what_a_brush_cuts_off_goes_with_it():
+def test_part_that_a_brush_cuts_off_is_removed():
     volume, nodule = scene()
     centre = np.array(nodule.centre_lps)
     less = brushed(nodule, volume, centre + np.array([4.0, 0.0, 0.0]), 6.2, add=False)
@@ -121,7 +121,7 @@ def test_what_a_brush_cuts_off_goes_with_it():
     assert less.contains([centre - np.array([5.0, 0.0, 0.0])])[0]
 
 
-def test_a_sphere_is_a_target_where_the_ct_shows_no_boundary():
+def test_sphere_is_a_target_where_the_ct_shows_no_boundary():
     volume, _ = scene()
     made = sphere(volume, (3.0, 4.0, 5.0), 12.0)
     assert made.volume_mm3 == pytest.approx(np.pi / 6.0 * 12.0**3, rel=0.03)
@@ -131,7 +131,7 @@ def test_a_sphere_is_a_target_where_the_ct_shows_no_boundary():
     assert made.diameter_error_mm > 2.0
 
 
-def test_a_cavity_stays_when_the_boundary_moves():
+def test_cavity_stays_when_the_boundary_moves():
     volume, _, middle = painted(Scene(radii_mm=(9.0, 9.0, 9.0), core_mm=5.0, core_hu=-980.0))
     nodule = grow_nodule(volume, middle)
     wider = resized(nodule, volume, nodule.long_mm + 3.0)

@@ -1,4 +1,4 @@
-"""Targets from masks, segmentations and structure sets: measured as drawn, refused where they do not belong."""
+"""Tests of targets from masks, segmentations and structure sets: measures as drawn, refusal of files of another CT."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ def nifti(path, volume, values):
     return path
 
 
-def test_a_mask_is_measured_as_it_was_drawn():
+def test_mask_is_measured_as_drawn():
     volume, centre, inside = scene()
     nodule = nodule_from_mask(volume, inside)
     voxel_mm3 = float(np.prod(volume.spacing_mm))
     assert nodule.volume_mm3 == pytest.approx(inside.sum() * voxel_mm3)
     assert abs(nodule.volume_mm3 - BALL_MM3) <= nodule.volume_error_mm3 < 0.3 * BALL_MM3
-    # The voxels that the needle meets hold the same volume.
+    # The voxels that the needle test uses have the same volume.
     step = np.linalg.norm(nodule.lps_from_ijk[:3, 0])
     assert nodule.inside_zyx.sum() * step**3 == pytest.approx(nodule.volume_mm3, rel=0.01)
     assert nodule.long_mm == pytest.approx(12.0, abs=nodule.diameter_error_mm)
@@ -71,7 +71,7 @@ def test_segmentation_structure_set_and_mask_of_one_nodule_agree(tmp_path):
             assert apart <= 0.02 * BALL_MM3
             assert off_voxels(volume, one.nodule.centre_lps, other.nodule.centre_lps) < 0.1
             assert abs(one.nodule.long_mm - other.nodule.long_mm) <= one.nodule.diameter_error_mm
-    # Circles drawn exactly are rasterised exactly: what is off is the sum over slices.
+    # Exact circles are rasterised exactly; the error comes from the sum over slices.
     areas = sum(np.pi * (RADIUS_MM**2 - h**2) for h in _heights(volume, centre))
     assert found["rtstruct"].nodule.volume_mm3 == pytest.approx(areas * volume.spacing_mm[2], rel=3e-3)
 
@@ -82,7 +82,7 @@ def _heights(volume, centre):
     return [h for h in heights if abs(h) < RADIUS_MM]
 
 
-def test_outlines_round_voxels_and_through_their_centres_give_the_mask_back(tmp_path):
+def test_outlines_round_voxels_and_through_their_centres_give_the_same_mask(tmp_path):
     volume, _, inside = scene()
     expected = nodule_from_mask(volume, inside)
     for outlines, note in (
@@ -91,13 +91,13 @@ def test_outlines_round_voxels_and_through_their_centres_give_the_mask_back(tmp_
     ):
         path = made.structure_set(tmp_path / "rs.dcm", [("GTV", outlines)])
         nodule = target_from_file(path, volume).nodule
-        # Coordinates in files are rounded to 0.001 mm.
+        # Files round coordinates to 0.001 mm.
         assert nodule.volume_mm3 == pytest.approx(expected.volume_mm3, rel=2e-3 if note is None else 0.01)
         assert off_voxels(volume, nodule.centre_lps, expected.centre_lps) < 0.1
         assert any(one.startswith(note) for one in nodule.notes) if note else len(nodule.notes) == 1
 
 
-def test_a_hole_and_a_keyhole_are_holes(tmp_path):
+def test_nested_outline_and_keyhole_outline_are_holes(tmp_path):
     volume, centre, _ = scene()
     outer, inner = (made.ball_outlines(volume, centre, r) for r in (RADIUS_MM, 3.0))
     shell = {k: [*loops, *inner.get(k, [])] for k, loops in outer.items()}
@@ -118,7 +118,7 @@ def test_a_hole_and_a_keyhole_are_holes(tmp_path):
         assert nodule.contains([nodule.middle_lps])[0]
 
 
-def test_of_several_structures_one_must_be_chosen(tmp_path):
+def test_one_of_several_structures_must_be_chosen(tmp_path):
     volume, centre, inside = scene()
     small = made.ball_outlines(volume, centre, 3.0)
     rs = made.structure_set(
@@ -171,7 +171,7 @@ def _raised(outlines, mm):
         (lambda outlines: {k: [np.repeat(p[:1], 5, axis=0) for p in one] for k, one in outlines.items()}, "no area"),
     ],
 )
-def test_outlines_that_are_no_target_here_are_refused(tmp_path, change, words):
+def test_invalid_outlines_for_this_ct_are_refused(tmp_path, change, words):
     volume, centre, _ = scene()
     outlines = change(made.ball_outlines(volume, centre, RADIUS_MM))
     path = made.structure_set(tmp_path / "rs.dcm", [("GTV", outlines)])
@@ -180,7 +180,7 @@ def test_outlines_that_are_no_target_here_are_refused(tmp_path, change, words):
         target_from_file(path, volume, structure=chosen)
 
 
-def test_points_and_open_lines_are_said_to_enclose_nothing(tmp_path):
+def test_points_and_open_lines_are_refused_because_they_enclose_nothing(tmp_path):
     volume, centre, _ = scene()
     path = made.structure_set(
         tmp_path / "rs.dcm", [("line", made.ball_outlines(volume, centre, 5.0))], kind="OPEN_PLANAR"
@@ -190,20 +190,20 @@ def test_points_and_open_lines_are_said_to_enclose_nothing(tmp_path):
 
 
 @pytest.mark.parametrize("left_out", [1, 2])
-def test_a_slice_without_an_outline_is_filled_and_said(tmp_path, left_out):
+def test_slice_without_an_outline_is_filled_with_a_note(tmp_path, left_out):
     volume, centre, _ = scene()
     outlines = made.ball_outlines(volume, centre, RADIUS_MM)
     whole = target_from_file(made.structure_set(tmp_path / "a.dcm", [("GTV", outlines)]), volume).nodule
     for k in sorted(outlines)[3 : 3 + left_out]:
         del outlines[k]
     nodule = target_from_file(made.structure_set(tmp_path / "b.dcm", [("GTV", outlines)]), volume).nodule
-    # Between circles a ball bulges.
+    # The ball is wider between its circles than the interpolation.
     assert nodule.volume_mm3 == pytest.approx(whole.volume_mm3, rel=0.02 * left_out)
     assert nodule.volume_error_mm3 > whole.volume_error_mm3
     assert f"{left_out} slice{'s' if left_out > 1 else ''} without an outline: interpolated" in nodule.notes[1]
 
 
-def test_two_lesions_in_one_structure_ask_for_a_point(tmp_path):
+def test_two_lesions_in_one_structure_need_a_point(tmp_path):
     volume, centre, inside = scene()
     other = centre + 14.0 * volume.lps_from_ijk[:3, 2] / volume.spacing_mm[2]
     both = {**made.ball_outlines(volume, centre, 4.0), **made.ball_outlines(volume, other, 3.0)}
@@ -216,13 +216,13 @@ def test_two_lesions_in_one_structure_ask_for_a_point(tmp_path):
     assert any("1 other part of the mask" in note for note in nodule.notes)
     with pytest.raises(NoResultError, match="nearest is"):
         target_from_file(path, volume, at_lps=centre + 25.0)
-    # A stray voxel is no second lesion.
+    # A single stray voxel does not count as a second lesion.
     stray = inside.copy()
     stray[2, 3, 4] = True
     assert nodule_from_mask(volume, stray).notes == ("1 other part of the mask (0.0007 ml) left out",)
 
 
-def test_what_was_drawn_on_another_ct_is_refused(tmp_path):
+def test_structures_drawn_on_another_ct_are_refused(tmp_path):
     volume, centre, inside = scene()
     folder = made.ct_files(tmp_path / "ct", volume)
     opened = carina.open_volume(folder)
@@ -248,7 +248,7 @@ def test_what_was_drawn_on_another_ct_is_refused(tmp_path):
         assert "1.2.826" not in str(error.value)
 
 
-def test_masks_that_do_not_belong_are_refused(tmp_path):
+def test_masks_of_another_ct_are_refused(tmp_path):
     volume, _, inside = scene()
     with pytest.raises(UsageError, match="drawn on another grid"):
         target_from_mask(volume, inside[:-1])
@@ -278,7 +278,7 @@ def test_masks_that_do_not_belong_are_refused(tmp_path):
         lambda data: data.ROIContourSequence.clear(),
     ],
 )
-def test_a_damaged_structure_set_is_refused(tmp_path, change):
+def test_damaged_structure_set_is_refused(tmp_path, change):
     volume, centre, _ = scene()
     path = made.structure_set(tmp_path / "rs.dcm", [("GTV", made.ball_outlines(volume, centre, 5.0))], change=change)
     with pytest.raises(VolumeImportError):
@@ -288,11 +288,11 @@ def test_a_damaged_structure_set_is_refused(tmp_path, change):
         target_from_file(path, volume)
 
 
-def test_the_axes_of_the_ct_may_lie_as_they_like(tmp_path):
+def test_axes_of_the_ct_may_have_any_order(tmp_path):
     volume, centre, _ = scene()
     path = made.structure_set(tmp_path / "rs.dcm", [("GTV", made.ball_outlines(volume, centre, RADIUS_MM))])
     expected = target_from_file(path, volume).nodule
-    # i, j, k become j, k, i, one of them the other way.
+    # The axes i, j, k become j, k, i, and one axis is reversed.
     turned = np.ascontiguousarray(volume.hu_zyx.transpose(2, 0, 1)[:, ::-1])
     matrix = volume.lps_from_ijk[:, [1, 2, 0, 3]].copy()
     matrix[:3, 3] += matrix[:3, 1] * (volume.shape_zyx[0] - 1)
@@ -302,7 +302,7 @@ def test_the_axes_of_the_ct_may_lie_as_they_like(tmp_path):
     assert found.centre_lps == pytest.approx(expected.centre_lps, abs=1e-2)
 
 
-def test_a_target_of_a_file_has_a_place_and_goes_into_its_record():
+def test_target_of_a_file_has_a_region_and_a_record():
     volume, _, inside = scene()
     target = target_from_mask(volume, inside, target_id="a", name="from a mask")
     assert (target.where, target.source) == ("lung", "mask")

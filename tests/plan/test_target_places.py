@@ -1,4 +1,4 @@
-"""Where a click may fall: airways, their walls, the heart, the chest wall, outside the body; and what is told of it."""
+"""Tests of clicks in airways, airway walls, heart, chest wall and outside the body, and of the described region."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TRACHEA_MM, WALL_MM = 8.0, 1.5
 
 @functools.cache
 def airway(polyp_mm: float, radius_mm: float = TRACHEA_MM, around_hu: float = 20.0):
-    """A tube along z through tissue (a trachea) or lung (a bronchus), a ball half in its wall, and its wall field."""
+    """Return a tube along z in tissue (a trachea) or lung (a bronchus), a ball half in its wall, and the wall field."""
     shape = (70, 84, 74)
     matrix = np.diag([*SPACING_MM, 1.0])
     matrix[:3, 3] = (-29.2, -29.0, -35.0)
@@ -41,7 +41,7 @@ def airway(polyp_mm: float, radius_mm: float = TRACHEA_MM, around_hu: float = 20
     volume = Volume(np.rint(hu).astype(np.int16), matrix)
     lumen = np.maximum(tube, -ball) if polyp_mm > 0.0 else tube
     wall = WallField.from_distances(np.clip(-lumen, -2.5, 4.5).astype(np.float32), matrix)
-    # What of the ball stands into the lumen.
+    # The part of the ball inside the lumen.
     rng = np.random.default_rng(4)
     centre = np.array([radius_mm - 0.5 * polyp_mm, 0.0, 0.0])
     points = centre + rng.uniform(-polyp_mm, polyp_mm, (200_000, 3))
@@ -51,7 +51,7 @@ def airway(polyp_mm: float, radius_mm: float = TRACHEA_MM, around_hu: float = 20
 
 @pytest.mark.parametrize("around_hu", [20.0, -860.0])
 @pytest.mark.parametrize("polyp_mm", [3.0, 4.5, 6.0])
-def test_a_lesion_in_the_trachea_is_a_target(polyp_mm, around_hu):
+def test_lesion_in_the_trachea_is_a_target(polyp_mm, around_hu):
     volume, wall, centre, true_mm3 = airway(polyp_mm, around_hu=around_hu)
     for at in (centre, centre + np.array([-0.5 * polyp_mm, 0.0, 1.0]), centre + np.array([-1.3 * polyp_mm, 0.0, 0.0])):
         nodule = grow_nodule(volume, at, wall=wall)
@@ -64,18 +64,18 @@ def test_a_lesion_in_the_trachea_is_a_target(polyp_mm, around_hu):
         assert target.words.endswith("in an airway")
 
 
-def test_a_click_into_an_empty_lumen_says_so():
+def test_click_in_an_empty_lumen_is_refused_with_the_reason():
     volume, wall, _, _ = airway(0.0)
     with pytest.raises(NoResultError, match="lies in the lumen of an airway, and nothing stands into it") as error:
         grow_nodule(volume, (0.0, 0.0, 3.0), wall=wall)
     assert error.value.code == "plan.in-airway"
-    # Beside the wall, and no lesion: the mediastinum round it has no boundary.
+    # Beside the wall, without a lesion: the surrounding mediastinum has no boundary.
     with pytest.raises(NoResultError, match=r"lumen of an airway|no boundary"):
         grow_nodule(volume, (9.0, 0.0, 0.0), wall=wall)
 
 
 def to_axis(x, y, z, start, direction):
-    """Distance of places from a half line."""
+    """Return the distance of points from a half line."""
     d = np.array(direction) / np.linalg.norm(direction)
     off = np.stack([x - start[0], y - start[1], z - start[2]])
     along = np.maximum(np.tensordot(d, off, 1), 0.0)
@@ -86,11 +86,12 @@ ALONG = ((9.0, 0.0, -60.0), (0.0, 0.0, 1.0))
 FORK = (((0.0, 0.0, 11.0), (0.5, 0.0, -0.87)), ((0.0, 0.0, 11.0), (-0.5, 0.0, -0.87)))
 
 
-# Beside one bronchus, and between the two of a fork: the lumen closed by a ball holds a good part of it there.
+# Beside one bronchus, and between the two bronchi of a fork, where closing the lumen with a ball covers much of the
+# nodule.
 @pytest.mark.parametrize(
     ("bronchi", "radius_mm", "lumen_mm"), [((ALONG,), 5.0, 2.0), (FORK, 3.6, 2.0), (FORK, 3.0, 2.6)]
 )
-def test_a_nodule_beside_a_bronchus_is_none_in_it(bronchi, radius_mm, lumen_mm):
+def test_nodule_beside_a_bronchus_is_not_in_its_lumen(bronchi, radius_mm, lumen_mm):
     volume, true_mm3, middle = painted(Scene(radii_mm=(radius_mm,) * 3))
     hu = volume.hu_zyx.astype(float)
     k, j, i = np.indices(volume.shape_zyx)
@@ -107,7 +108,7 @@ def test_a_nodule_beside_a_bronchus_is_none_in_it(bronchi, radius_mm, lumen_mm):
 
 
 def chest() -> Volume:
-    """A body with two lungs, a heart between them, and air and a lead outside, 2 mm."""
+    """Return a body with two lungs and a heart between them, and air and a lead outside, at 2 mm."""
     shape = (40, 120, 160)
     k, j, i = np.indices(shape)
     x, y, z = (i - 79.5) * 2.0, (j - 59.5) * 2.0, (k - 19.5) * 2.0
@@ -133,13 +134,13 @@ def chest() -> Volume:
         ((-60.0, -30.0, 0.0), "plan.no-nodule", "no nodule at this point"),
     ],
 )
-def test_places_without_a_nodule_are_told_apart(at, code, words):
+def test_clicks_outside_nodules_are_refused_with_their_region(at, code, words):
     with pytest.raises(NoResultError, match=words) as error:
         grow_nodule(chest(), at)
     assert error.value.code == code
 
 
-def test_growing_can_be_stopped_between_its_steps():
+def test_growing_can_be_cancelled_between_its_steps():
     told = []
 
     def stop(what, share):
@@ -152,7 +153,7 @@ def test_growing_can_be_stopped_between_its_steps():
     assert told == 3 * [("looking for a nodule", None)]
 
 
-def test_where_a_target_lies_is_told():
+def test_region_of_a_target_is_described():
     volume = chest()
     in_lung = grow_nodule(volume, (-60.0, 10.0, 0.0))
     assert whereabouts(volume, in_lung) == "lung"
@@ -162,7 +163,7 @@ def test_where_a_target_lies_is_told():
 
 
 @pytest.mark.parametrize("hollow_mm", [4.0, 6.5])
-def test_a_cavity_is_clicked_or_its_wall_and_both_are_one_nodule(hollow_mm):
+def test_click_in_a_cavity_or_its_wall_gives_the_same_nodule(hollow_mm):
     scene = Scene(radii_mm=(9.0, 9.0, 9.0), core_mm=hollow_mm, core_hu=-980.0)
     volume, true_mm3, middle = painted(scene)
     for aside in (0.0, hollow_mm, 0.5 * (9.0 + hollow_mm)):
@@ -172,7 +173,7 @@ def test_a_cavity_is_clicked_or_its_wall_and_both_are_one_nodule(hollow_mm):
         assert nodule.kind == "solid"
         assert nodule.long_mm == pytest.approx(18.0, abs=1.0)
         assert "cavity" in nodule.notes[0]
-        # A needle finds tissue in the wall alone.
+        # A needle finds tissue only in the wall.
         assert not nodule.contains([middle])[0]
         assert nodule.contains([nodule.middle_lps])[0]
         wall_mm3 = true_mm3 - 4.0 / 3.0 * np.pi * hollow_mm**3
@@ -190,7 +191,7 @@ def test_a_cavity_is_clicked_or_its_wall_and_both_are_one_nodule(hollow_mm):
         (Scene(radii_mm=(21.0, 20.0, 21.0)), "solid", 0.02),
     ],
 )
-def test_small_calcified_ground_glass_and_large_ones_are_what_they_are(scene, kind, most):
+def test_small_calcified_ground_glass_and_large_nodules_are_classified(scene, kind, most):
     volume, true_mm3, middle = painted(scene)
     nodule = grow_nodule(volume, middle)
     assert nodule.kind == kind

@@ -1,4 +1,4 @@
-"""Tools: the library, own ones by file, and what a file must not say."""
+"""Tests of biopsy tools and scopes: the library, tools from a user's file, and refused files."""
 
 from __future__ import annotations
 
@@ -33,18 +33,18 @@ def written(folder: Path, document: object) -> Path:
 
 
 @pytest.mark.parametrize("one", tools(), ids=lambda one: one.name)
-def test_each_tool_of_the_library_is_read_back_from_its_file(one: Tool, tmp_path: Path) -> None:
+def test_each_tool_of_the_library_round_trips_through_its_file(one: Tool, tmp_path: Path) -> None:
     assert tool_from_file(written(tmp_path, one.to_json())) == one
 
 
-def test_what_is_said_to_be_read_has_a_source_and_names_are_told_once() -> None:
+def test_figures_marked_as_read_have_a_source_and_names_are_unique() -> None:
     assert len({one.name for one in tools()}) == len(tools())
     for one in tools():
         assert ("s" not in one.basis.replace("rest", "").split(",")[0].split()) or one.source is not None
         assert one.basis == "k" or one.source is not None
 
 
-def test_an_own_tool_comes_from_a_file(tmp_path: Path) -> None:
+def test_user_tool_is_read_from_a_file(tmp_path: Path) -> None:
     own = tool_from_file(written(tmp_path, OWN))
     assert own.outer_mm == 1.75 and own.reach_mm == 18.0 and own.flexion_loss_deg is None
     assert own.passes(2.0) and not own.passes(1.8)
@@ -67,14 +67,14 @@ def test_an_own_tool_comes_from_a_file(tmp_path: Path) -> None:
         ({"outer": 1.8}, r"names: expected only .*; found \['outer'\]"),
     ],
 )
-def test_a_file_that_says_what_no_tool_can_be_is_refused_in_words(
+def test_file_with_impossible_tool_figures_is_refused_with_a_message(
     changes: dict[str, Any], words: str, tmp_path: Path
 ) -> None:
     with pytest.raises(UsageError, match=words):
         tool_from_file(written(tmp_path, {**OWN, **changes}))
 
 
-def test_what_is_no_file_of_a_tool_is_refused(tmp_path: Path) -> None:
+def test_file_that_is_no_tool_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"none\.json: expected a JSON file with one instrument"):
         tool_from_file(tmp_path / "none.json")
     broken = tmp_path / "broken.json"
@@ -90,13 +90,13 @@ def test_what_is_no_file_of_a_tool_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("one", scope_presets(), ids=lambda one: one.name)
-def test_each_scope_of_the_library_is_read_back_from_its_file(one: ScopePreset, tmp_path: Path) -> None:
+def test_each_scope_of_the_library_round_trips_through_its_file(one: ScopePreset, tmp_path: Path) -> None:
     found = scope_from_file(written(tmp_path, scope_to_json(one)))
     assert scope_to_json(found) == scope_to_json(one)
     assert found.fit_mm == one.fit_mm
 
 
-def test_what_a_scope_file_leaves_out_is_unknown(tmp_path: Path) -> None:
+def test_figures_missing_in_a_scope_file_are_unknown(tmp_path: Path) -> None:
     few = {"format": "carina-scope", "version": 1, "name": "own", "title": "Own", "scope_class": "thin", "basis": "k"}
     found = scope_from_file(written(tmp_path, {**few, "tip_mm": 4.0}))
     assert found.channel_mm is None and found.flexion_deg is None and found.bending_mm is None
@@ -115,7 +115,7 @@ def test_what_a_scope_file_leaves_out_is_unknown(tmp_path: Path) -> None:
         ({"scope_class": "magic"}, r"scope_class: expected one of diagnostic, .*; found 'magic'"),
     ],
 )
-def test_a_scope_that_cannot_be_is_refused_in_words(changes: dict[str, Any], words: str, tmp_path: Path) -> None:
+def test_impossible_scope_is_refused_with_a_message(changes: dict[str, Any], words: str, tmp_path: Path) -> None:
     document = {**scope_to_json(scope_preset("ultrathin")), **changes}
     with pytest.raises(UsageError, match=words):
         scope_from_file(written(tmp_path, document))

@@ -1,4 +1,4 @@
-"""The clips of the turns: each flies from one turn's picture to the next one's, and nothing in it is decoration."""
+"""Tests of turn clips, each of which flies from the picture of one turn to the picture of the next."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def clips() -> tuple[TurnClip | None, ...]:
     return clips_of(turns())
 
 
-def test_a_clip_flies_from_the_turn_before_and_ends_in_the_picture_of_its_own() -> None:
+def test_clip_flies_from_the_previous_turn_and_ends_in_its_own_picture() -> None:
     stills = turn_pictures(
         made_phantom(**CHEST).volume,
         made_airways(**CHEST),
@@ -68,22 +68,22 @@ def test_a_clip_flies_from_the_turn_before_and_ends_in_the_picture_of_its_own() 
         for camera, pose in ((clip.cameras[0], poses[0]), (clip.cameras[-1], poses[-1])):
             assert np.array_equal(camera.lps_from_camera, pose.lps_from_camera)
         assert 0.0 < clip.duration_s <= min(times[-1], 4.0)
-        # The still is without the mottling and relief that are not the patient's, and so is the clip. The flight comes
-        # to the still's own camera but for rounding.
+        # Still and clip are rendered without mottling and relief, which do not come from the patient. The flight ends
+        # at the camera of the still, except for rounding.
         off = np.abs(end.frames[-1].astype(int) - letter_edges(still.picture).rgb.astype(int))
         assert np.mean(off.max(axis=2) > 1) < 0.001, clip.turn
 
 
-def test_the_frames_are_evenly_spaced_along_the_flight() -> None:
+def test_frames_are_evenly_spaced_along_the_flight() -> None:
     for clip in clips():
         assert clip is not None
         steps = np.linalg.norm(np.diff([camera.position_lps for camera in clip.cameras], axis=0), axis=1)
         assert steps.min() > 0.0
-        # Slow at both ends: an eased flight.
+        # The flight is eased: slow at both ends.
         assert steps.max() == steps[1:-1].max()
 
 
-def test_for_an_operator_who_faces_the_patient_the_clip_is_turned_by_half() -> None:
+def test_clip_for_an_operator_facing_the_patient_is_turned_by_half() -> None:
     first = dataclasses.replace(turns(), turns=turns().turns[:2])
     for head, facing in zip(clips(), clips_of(first, operator="facing"), strict=False):
         assert head is not None and facing is not None
@@ -91,25 +91,25 @@ def test_for_an_operator_who_faces_the_patient_the_clip_is_turned_by_half() -> N
             assert np.allclose(one.right_lps, -two.right_lps, atol=1e-5)
 
 
-def test_a_strip_holds_all_frames_from_the_first_down() -> None:
+def test_strip_has_all_frames_from_the_first_at_the_top() -> None:
     clip = clips()[0]
     assert clip is not None
     strip = simplejpeg.decode_jpeg(clip.strip())
     assert strip.shape == (FRAMES * SIZE, SIZE, 3)
     for n, frame in enumerate(clip.frames):
         off = strip[n * SIZE : (n + 1) * SIZE].astype(float) - frame
-        # What a JPEG loses; another frame is three times as far off.
+        # Limit of the JPEG error; the difference to another frame is three times as large.
         assert np.abs(off).mean() < 8.0, n
 
 
-def test_a_stretch_without_length_has_no_clip() -> None:
+def test_stretch_without_length_has_no_clip() -> None:
     first = turns().turns[0]
     doubled = dataclasses.replace(turns(), turns=(first, dataclasses.replace(first, from_fork_mm=0.0)))
     made, none = clips_of(doubled)
     assert made is not None and none is None
 
 
-def test_what_cannot_be_filmed_is_refused() -> None:
+def test_clip_with_invalid_input_is_refused() -> None:
     with pytest.raises(UsageError, match="size_px: expected 64 to 512; found 10"):
         clips_of(turns(), size_px=10)
     for num in (1, 25):

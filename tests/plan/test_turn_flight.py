@@ -1,4 +1,4 @@
-"""Flights between turns: from one turn's picture to the next one's, level at both and steady between."""
+"""Tests of flights between turns: from the picture of one turn to the next, level at both ends and smooth between."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def angle_deg(one: Pose, other: Pose) -> float:
 
 
 def away_mm(points: np.ndarray, line: np.ndarray) -> float:
-    """The largest distance of points from a polyline."""
+    """Return the largest distance of points from a polyline, mm."""
     a, b = line[:-1], line[1:]
     along = b - a
     squared = (along**2).sum(axis=1)
@@ -36,7 +36,7 @@ def away_mm(points: np.ndarray, line: np.ndarray) -> float:
 
 @quick
 @given(SEEDS, st.sampled_from(["head", "facing"]))
-def test_a_flight_begins_and_ends_with_the_pictures_of_its_turns(seed: int, operator: str) -> None:
+def test_flight_begins_and_ends_with_the_pictures_of_its_turns(seed: int, operator: str) -> None:
     tree = random_tree(seed)
     route = route_in(tree, tree.tips()[seed % len(tree.tips())].id)
     found = turn_list(tree, route)
@@ -55,14 +55,14 @@ def test_a_flight_begins_and_ends_with_the_pictures_of_its_turns(seed: int, oper
         sign = 1.0 if operator == "head" else -1.0
         for pose in (poses[0], poses[-1]):
             assert np.allclose(-pose.down_lps, sign * upright(pose.forward_lps), atol=1e-6)
-        # The path's own smoothing, and what it is off at the ends.
+        # Tolerance: the smoothing of the path plus the offset at its ends.
         assert away_mm(np.array([pose.position_lps for pose in poses]), line) < 1.1
         assert max(angle_deg(a, b) for a, b in itertools.pairwise(poses)) < 12.0
 
 
 @quick
 @given(SEEDS)
-def test_facing_the_patient_is_the_same_flight_turned_by_half(seed: int) -> None:
+def test_flight_facing_the_patient_is_the_same_turned_by_half(seed: int) -> None:
     tree = random_tree(seed)
     route = route_in(tree, tree.tips()[0].id)
     found = turn_list(tree, route)
@@ -75,7 +75,7 @@ def test_facing_the_patient_is_the_same_flight_turned_by_half(seed: int) -> None
             assert np.allclose(one.right_lps, -two.right_lps, atol=1e-5)
 
 
-def test_the_flights_of_a_route_join_without_a_jump() -> None:
+def test_flights_of_a_route_join_without_a_jump() -> None:
     tree = random_tree(7)
     route = route_in(tree, tree.tips()[2].id)
     found = turn_list(tree, route)
@@ -84,7 +84,7 @@ def test_the_flights_of_a_route_join_without_a_jump() -> None:
         assert np.allclose(before[-1].lps_from_camera, after[0].lps_from_camera, atol=1e-6)
 
 
-def test_speed_and_rate_are_kept() -> None:
+def test_speed_and_frame_rate_are_as_requested() -> None:
     tree = random_tree(1)
     route = route_in(tree, tree.tips()[0].id)
     times, poses = turn_flight(tree, route, turn_list(tree, route), 0, speed_mm_s=10.0, rate_hz=50.0)
@@ -93,7 +93,7 @@ def test_speed_and_rate_are_kept() -> None:
     assert max(steps) <= 10.0 * 0.02 * 1.1
 
 
-def test_what_cannot_be_flown_is_refused() -> None:
+def test_impossible_flight_is_refused() -> None:
     tree = random_tree(1)
     route = route_in(tree, tree.tips()[0].id)
     found = turn_list(tree, route)

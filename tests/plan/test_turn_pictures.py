@@ -1,4 +1,4 @@
-"""The pictures of the turns: what is outlined is the branch that is entered, and nothing in front of it."""
+"""Tests of turn pictures: the outline shows the branch that the scope enters, where no wall covers it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def renderer() -> Renderer:
 
 @cache
 def turns() -> TurnList:
-    """Of two tips of the phantom, one in each lung, in one list."""
+    """Return the turns to two tips of the phantom, one in each lung, in one list."""
     tree = made_airways(**CHEST).tree
     ends = [max(tree.tips(), key=lambda tip: sign * float(tip.tip_lps[0])) for sign in (-1.0, 1.0)]
     lists = [turn_list(tree, route_in(tree, end.id)) for end in ends]
@@ -57,7 +57,7 @@ def walls(made: TurnPicture) -> np.ndarray:
     return renderer().surface(view).position_lps
 
 
-def test_what_is_outlined_is_wall_of_the_branch_that_is_entered_in_the_truth() -> None:
+def test_outlined_pixels_are_wall_of_the_entered_branch_in_the_truth() -> None:
     tree = made_airways(**CHEST).tree
     truth = made_phantom(**CHEST).truth["branches"]
     lines = [(np.array(row["points"]), np.array(row["radius"])) for row in truth]
@@ -65,7 +65,7 @@ def test_what_is_outlined_is_wall_of_the_branch_that_is_entered_in_the_truth() -
         assert made.in_view, made.turn
         points = walls(made)[made.outline]
         points = points[np.isfinite(points).all(axis=1)][::7]
-        # The branch of the truth that runs where the tree's does, and those that come after it.
+        # The true branch at the position of the tree's branch, and the branches beyond it.
         daughter = tree.branch(made.turn.to_branch_id)
         middle = daughter.points[len(daughter.points) // 2]
         own = min(range(len(lines)), key=lambda n: np.linalg.norm(lines[n][0] - middle, axis=1).min())
@@ -78,11 +78,11 @@ def test_what_is_outlined_is_wall_of_the_branch_that_is_entered_in_the_truth() -
             gap = (np.linalg.norm(points[:, None] - line[None], axis=2) - radius).min(axis=1)
             side = row["id"] in ours
             gaps[side] = np.minimum(gaps[side], gap)
-        # A millimetre at the mouth, where the walls of both are one.
+        # Tolerance of a millimetre at the opening, where both branches share their wall.
         assert np.mean(gaps[True] <= gaps[False] + 1.0) > 0.97, made.turn
 
 
-def test_the_outline_lies_where_the_hour_points() -> None:
+def test_outline_is_in_the_direction_of_the_hour() -> None:
     rows, columns = np.mgrid[0:SIZE, 0:SIZE] + 0.5 - SIZE / 2
     for made in pictures():
         if made.turn.straight_ahead:
@@ -93,19 +93,19 @@ def test_the_outline_lies_where_the_hour_points() -> None:
         assert min(gap, 12.0 - gap) < 1.0, made.turn
 
 
-def test_the_middle_of_the_opening_is_inside_its_outline() -> None:
+def test_middle_of_the_opening_is_inside_its_outline() -> None:
     for made in pictures():
         assert made.turn.opening_lps is not None
         at = made.picture.pixel_of(made.turn.opening_lps)
         assert at is not None and made.outline[int(at[1]), int(at[0])], made.turn
 
 
-def test_the_other_openings_are_outside_it() -> None:
+def test_other_openings_are_outside_the_outline() -> None:
     tree = made_airways(**CHEST).tree
     for made in pictures():
         for other in made.turn.others:
             branch = tree.branch(other.branch_id)
-            # A place well inside, if it is seen.
+            # A point well inside the branch, if it is visible.
             place = branch.points[len(branch.points) // 2]
             at = made.picture.pixel_of(place)
             if at is None or not (0 <= at[0] < SIZE and 0 <= at[1] < SIZE):
@@ -116,22 +116,22 @@ def test_the_other_openings_are_outside_it() -> None:
                 assert not made.outline[int(at[1]), int(at[0])], (made.turn, other)
 
 
-def test_for_an_operator_who_faces_the_patient_the_picture_is_turned_by_half() -> None:
+def test_picture_for_an_operator_facing_the_patient_is_turned_by_half() -> None:
     for head, facing in zip(pictures(), pictures_of(turns(), operator="facing"), strict=True):
         turned = facing.outline[::-1, ::-1]
-        # Rays of the turned picture sample the wall a hair apart, and every second pixel is looked at.
+        # Rays of the turned picture sample the wall at slightly different points; the test compares every second pixel.
         both = np.mean(turned != head.outline)
         assert both < 0.01
         assert np.allclose(facing.camera.right_lps, -head.camera.right_lps)
 
 
-def test_a_branch_begins_where_its_middle_has_left_the_lumen_of_the_others() -> None:
+def test_branch_begins_where_its_axis_has_left_the_other_lumens() -> None:
     def tube(number: int, a: list[float], b: list[float], radius: float) -> dict[str, Any]:
         parent, children = (0, []) if number else (None, [1, 2])
         points = np.linspace(np.array(a, dtype=float), np.array(b, dtype=float), 41)
         return {"id": number, "parent": parent, "children": children, "points": points, "radius": np.full(41, radius)}
 
-    # The side branch is the widest: a ball of its own width at the fork would take the wall opposite for its own.
+    # The side branch is the widest: a ball of its width at the fork would include the opposite wall.
     fork = [0.0, 0.0, 0.0]
     tree = made_tree([tube(0, [0, 0, 20], fork, 4.0), tube(1, fork, [0, 0, -20], 4.0), tube(2, fork, [20, 0, 0], 4.6)])
     turn = next(one for one in turn_list(tree, route_in(tree, 2, carina=False)).turns)
@@ -142,14 +142,14 @@ def test_a_branch_begins_where_its_middle_has_left_the_lumen_of_the_others() -> 
 
 
 def hidden(turn: Turn) -> Turn:
-    """The same turn looked at from the other lung, through all that lies between."""
+    """Return the same turn seen from the other lung, with all tissue in between."""
     tree = made_airways(**CHEST).tree
     away = max(tree.tips(), key=lambda tip: float(np.linalg.norm(tip.tip_lps - np.array(turn.fork_lps))))
     eye = away.points[len(away.points) // 2]
     return dataclasses.replace(turn, seen_from_lps=(float(eye[0]), float(eye[1]), float(eye[2])))
 
 
-def test_an_opening_behind_a_wall_is_not_outlined_and_said_to_be_out_of_view() -> None:
+def test_opening_behind_a_wall_is_not_outlined_and_reported_out_of_view() -> None:
     far = dataclasses.replace(turns(), turns=(hidden(turns().turns[2]),))
     (made,) = pictures_of(far)
     assert not made.in_view and not made.outline.any()
@@ -159,7 +159,7 @@ def test_an_opening_behind_a_wall_is_not_outlined_and_said_to_be_out_of_view() -
     assert np.array_equal(made.rgb[middle, middle], plain[middle, middle]), "nothing is drawn where it would be"
 
 
-def test_the_line_is_in_the_colour_of_the_route_and_of_doubt_where_there_is_some() -> None:
+def test_line_has_the_colour_of_the_route_or_of_doubt() -> None:
     turn = turns().turns[1]
     doubted = dataclasses.replace(turn, doubts=("it was drawn by hand",))
     for one, colour, other in ((turn, ROUTE_RGB, DOUBTFUL_RGB), (doubted, DOUBTFUL_RGB, ROUTE_RGB)):
@@ -169,7 +169,7 @@ def test_the_line_is_in_the_colour_of_the_route_and_of_doubt_where_there_is_some
 
 
 @pytest.mark.parametrize("radius_px", [15.0, 40.0, 90.0])
-def test_the_line_has_one_width(radius_px: float) -> None:
+def test_line_has_one_width(radius_px: float) -> None:
     rows, columns = np.mgrid[0:256, 0:256] + 0.5 - 128
     field = 1.0 / (1.0 + np.exp((np.hypot(rows, columns) - radius_px) / 2.0))
     rgb = np.zeros((256, 256, 3), dtype=np.uint8)
@@ -178,7 +178,7 @@ def test_the_line_has_one_width(radius_px: float) -> None:
     assert covered.sum() / (math.tau * radius_px) == pytest.approx(3.0, abs=0.35)
 
 
-def test_a_picture_says_where_it_was_seen_from(tmp_path: Any) -> None:
+def test_picture_states_its_camera_position(tmp_path: Any) -> None:
     made = pictures()[1]
     path = tmp_path / "turn.png"
     path.write_bytes(made.png())
@@ -189,7 +189,7 @@ def test_a_picture_says_where_it_was_seen_from(tmp_path: Any) -> None:
     assert len(made.png()) > len(png_bytes(np.ascontiguousarray(made.rgb)))
 
 
-def test_mottling_is_off_and_unmarked_pictures_have_nothing_drawn() -> None:
+def test_mottling_is_off_and_unmarked_pictures_have_no_drawings() -> None:
     made, plain = pictures()[1], pictures_of(dataclasses.replace(turns(), turns=turns().turns[1:2]), marked=False)[0]
     view = AirwayView(
         made.camera, fov_deg=FOV_DEG, width=SIZE, height=SIZE, lens=Lens.equidistant(), method="brute", texture=False
@@ -199,7 +199,7 @@ def test_mottling_is_off_and_unmarked_pictures_have_nothing_drawn() -> None:
     assert np.array_equal(plain.outline, made.outline)
 
 
-def test_what_cannot_be_drawn_is_refused() -> None:
+def test_picture_with_invalid_input_is_refused() -> None:
     with pytest.raises(UsageError):
         pictures_of(turns(), size_px=10)
     blind = dataclasses.replace(turns().turns[0], seen_from_lps=None)

@@ -1,4 +1,4 @@
-"""The list of turns against geometry: hours, sides and millimetres, for random trees, poses and both operators."""
+"""Tests of the list of turns against geometry, for both operators: hours, sides and distances in random trees."""
 
 from __future__ import annotations
 
@@ -43,7 +43,10 @@ def hours_apart(one: float, other: float) -> float:
 
 
 def oracle_hours(turn: Turn) -> float:
-    """By the angle between two planes through the line of sight: that of anterior and that of the opening."""
+    """Return the hours as the angle between two planes through the line of sight.
+
+    One plane contains the anterior direction, the other the opening.
+    """
     eye, fork, place = (np.array(p) for p in (turn.seen_from_lps, turn.fork_lps, turn.opening_lps))
     sight = unit(fork - eye)
     up = np.array([0.0, -1.0, 0.0])
@@ -51,7 +54,7 @@ def oracle_hours(turn: Turn) -> float:
         up = np.array([0.0, 0.0, 1.0])
     of_up, of_place = unit(np.cross(sight, up)), unit(np.cross(sight, place - eye))
     angle = math.acos(float(np.clip(of_up @ of_place, -1.0, 1.0)))
-    # Looking along the sight, a right-handed turn about it is clockwise.
+    # Seen along the line of sight, a right-handed rotation about it is clockwise.
     if float(np.cross(of_up, of_place) @ sight) < 0.0:
         angle = -angle
     return (angle / math.tau * 12.0) % 12.0
@@ -69,7 +72,7 @@ def test_hours_are_the_angle_between_two_planes_through_the_line_of_sight(seed: 
 
 @quick
 @given(SEEDS)
-def test_an_operator_who_faces_the_patient_reads_the_hour_in_the_picture_turned_by_half(seed: int) -> None:
+def test_operator_facing_the_patient_reads_hours_in_the_picture_turned_by_half(seed: int) -> None:
     for tree, found in lists(seed):
         for turn in found.turns:
             daughters = [tree.branch(turn.to_branch_id), *(tree.branch(one.branch_id) for one in turn.others)]
@@ -83,7 +86,7 @@ def test_an_operator_who_faces_the_patient_reads_the_hour_in_the_picture_turned_
 
 @quick
 @given(SEEDS)
-def test_millimetres_add_up_to_the_place_where_the_scope_stands(seed: int) -> None:
+def test_distances_add_up_to_the_final_tip_position(seed: int) -> None:
     tree = random_tree(seed)
     for tip in tree.tips()[::3]:
         route = route_in(tree, tip.id)
@@ -95,7 +98,7 @@ def test_millimetres_add_up_to_the_place_where_the_scope_stands(seed: int) -> No
         for before, turn in zip(found.turns, found.turns[1:], strict=False):
             assert turn.from_carina_mm - before.from_carina_mm == pytest.approx(turn.from_fork_mm, abs=1e-9)
             assert found.depth_mm(turn.from_carina_mm) == pytest.approx(250.0 + turn.from_carina_mm)
-        # The polyline itself, point by point.
+        # Compare with the polyline, point by point.
         way = np.concatenate([branch.points for branch in tree.lineage(tip.id)])
         last = np.array(found.turns[-1].fork_lps)
         index = int(np.argmin(np.linalg.norm(way - last, axis=1)))
@@ -105,7 +108,7 @@ def test_millimetres_add_up_to_the_place_where_the_scope_stands(seed: int) -> No
 
 @quick
 @given(SEEDS)
-def test_a_mirrored_patient_has_the_mirrored_hours_and_sides(seed: int) -> None:
+def test_mirrored_patient_has_mirrored_hours_and_sides(seed: int) -> None:
     swapped = {"right": "left", "left": "right"}
     for tree, found in lists(seed):
         mirror = moved(tree, np.diag([-1.0, 1.0, 1.0]), np.zeros(3))
@@ -119,13 +122,11 @@ def test_a_mirrored_patient_has_the_mirrored_hours_and_sides(seed: int) -> None:
 
 @quick
 @given(SEEDS, st.floats(-math.pi, math.pi), st.floats(-200.0, 200.0))
-def test_hours_stay_when_the_patient_is_turned_about_the_anterior_axis_that_levels_the_picture(
-    seed: int, angle: float, shift: float
-) -> None:
+def test_hours_stay_when_the_patient_turns_about_the_anterior_axis(seed: int, angle: float, shift: float) -> None:
     c, s = math.cos(angle), math.sin(angle)
     turned = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
     for tree, found in lists(seed):
-        # Where the view runs along that axis, superior is up, and that turns with the patient.
+        # Where the view runs along the anterior axis, superior is up and turns with the patient.
         sights = [unit(np.array(t.fork_lps) - np.array(t.seen_from_lps)) for t in found.turns]
         assume(all(abs(sight[1]) < 0.98 for sight in sights))
         there = moved(tree, turned, np.array([shift, -shift, 3.0]))
@@ -138,8 +139,8 @@ def test_hours_stay_when_the_patient_is_turned_about_the_anterior_axis_that_leve
 
 @quick
 @given(SEEDS, st.integers(0, 10_000))
-def test_hours_follow_the_roll_that_levelling_takes_out_of_any_pose(seed: int, other: int) -> None:
-    """Turned in space by anything: the hour is that of the opening less the roll to the new up."""
+def test_hours_change_by_the_roll_of_levelling_in_any_pose(seed: int, other: int) -> None:
+    """Assert that after any rotation the hour is that of the opening minus the roll to the new up direction."""
     rng = np.random.default_rng(other)
     q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     q *= np.sign(np.linalg.det(q))
@@ -147,7 +148,7 @@ def test_hours_follow_the_roll_that_levelling_takes_out_of_any_pose(seed: int, o
     there = moved(tree, q, np.zeros(3))
     turned = turn_list(there, route_in(there, found.turns[-1].to_branch_id))
     for one, two in zip(found.turns, turned.turns, strict=True):
-        # The old picture carried along with the patient, against the one levelled there.
+        # The original camera rotated with the patient, and the camera levelled after the rotation.
         carried, level = q @ one.camera("head").lps_from_camera[:3, :3], two.camera("head").lps_from_camera[:3, :3]
         roll = math.atan2(float(carried[:, 0] @ -level[:, 1]), float(carried[:, 0] @ level[:, 0]))
         assert hours_apart(two.clock_head, one.clock_head - roll / math.tau * 12.0) < 1e-6
@@ -156,7 +157,7 @@ def test_hours_follow_the_roll_that_levelling_takes_out_of_any_pose(seed: int, o
 
 @quick
 @given(SEEDS)
-def test_the_side_in_words_is_where_the_opening_lies_in_the_patient(seed: int) -> None:
+def test_side_in_words_is_the_side_of_the_opening_in_the_patient(seed: int) -> None:
     axis = {"right": (0, -1), "left": (0, 1), "anterior": (1, -1), "posterior": (1, 1), "inferior": (2, -1)}
     axis["superior"] = (2, 1)
     for _, found in lists(seed):
@@ -173,18 +174,19 @@ def test_the_side_in_words_is_where_the_opening_lies_in_the_patient(seed: int) -
 
 @quick
 @given(SEEDS)
-def test_the_eye_stands_on_the_way_where_a_flight_stops_to_look(seed: int) -> None:
+def test_camera_is_on_the_route_where_a_flight_pauses(seed: int) -> None:
     tree = random_tree(seed, lengths_mm=(60.0, 30.0, 20.0, 15.0))
     tip = tree.tips()[seed % len(tree.tips())]
     found = turn_list(tree, route_in(tree, tip.id))
     flown = route_to_branch(tree, tip.id)
     for turn, stop, fork in zip(found.turns, flown.lookouts_mm, flown.forks_mm, strict=True):
         stand = [np.interp(stop, flown.cumulative_mm, flown.points_lps[:, axis]) for axis in range(3)]
-        # In a route the first radius of a branch is that of the branch before: half a point in the median.
+        # In a route, the first radius of a branch is that of the previous branch, which shifts the median by half a
+        # point.
         assert np.linalg.norm(np.array(turn.seen_from_lps) - stand) < max(0.08 * (fork - stop), 0.3)
 
 
-def test_the_picture_is_the_one_that_the_window_levels() -> None:
+def test_picture_has_the_up_direction_of_the_window() -> None:
     rng = np.random.default_rng(5)
     for _ in range(60):
         eye, look = rng.normal(size=3), unit(rng.normal(size=3))
@@ -197,7 +199,7 @@ def test_the_picture_is_the_one_that_the_window_levels() -> None:
 
 
 def from_head() -> tuple[Pose, list[Branch]]:
-    """The case of the window's own test (web/src/state/route.test.ts)."""
+    """Return the fork of the window's own test (web/src/state/route.test.ts), seen from the head end."""
     rows = [
         {"id": 0, "parent": None, "children": [1, 2], "points": np.array([[0.0, 0, 0], [0, 0, -30]])},
         {"id": 1, "parent": 0, "children": [], "points": np.array([[0.0, 0, -30], [-10, 0, -40]])},
@@ -208,7 +210,7 @@ def from_head() -> tuple[Pose, list[Branch]]:
     return Pose.looking([0, 0, 0], [0, 0, -1]), [tree.branch(1), tree.branch(2)]
 
 
-def test_hours_are_the_windows() -> None:
+def test_hours_equal_those_of_the_window() -> None:
     camera, ways = from_head()
     assert [one.hours for one in openings_seen(camera, ways)] == pytest.approx([3.0, 9.0])
     into = np.eye(4)
@@ -220,7 +222,7 @@ def test_hours_are_the_windows() -> None:
 
 
 def nearly_straight(near: float, far: float) -> dict[str, Any]:
-    """Two openings to either side of the line of sight, as tangents of their angle to it."""
+    """Return two openings on both sides of the line of sight, as tangents of their angle to this line."""
     rows = [{"id": 0, "parent": None, "children": [1, 2], "points": [[0.0, 0, 0], [0, 0, -20]], "radius": [3.0, 3.0]}]
     for number, tangent in ((1, near), (2, -far)):
         end = [-25.0 * tangent, 0.0, -25.0]
@@ -237,7 +239,7 @@ def nearly_straight(near: float, far: float) -> dict[str, Any]:
 
 
 def golden_cases() -> list[dict[str, Any]]:
-    """Turns of random trees for both operators, as the window must tell them from the same camera."""
+    """Return turns of random trees for both operators, which the window must compute from the same camera."""
     made = [nearly_straight(*tangents) for tangents in ((0.11, 0.46), (0.11, 0.42), (0.13, 0.6), (0.02, 0.09))]
     for seed in range(8):
         tree = random_tree(seed, num_children=(2, 3 if seed % 2 else 2), lengths_mm=(40.0, 15.0, 12.0), curl=1.5)
@@ -269,8 +271,11 @@ def golden_cases() -> list[dict[str, Any]]:
     return made
 
 
-def test_golden_hours_are_what_python_tells() -> None:
-    """``web/src/state/fork-hours.test.ts`` reads the same file. ``make golden`` alone writes it anew."""
+def test_golden_hours_equal_those_of_python() -> None:
+    """Compare with the file that ``web/src/state/fork-hours.test.ts`` also reads.
+
+    Only ``make golden`` rewrites the file.
+    """
     made = json.loads(json.dumps(golden_cases()))
     if os.environ.get("CARINA_GOLDEN") == "rewrite":
         FILE.write_text(json.dumps(made) + "\n", encoding="utf-8")
@@ -295,7 +300,7 @@ def straight(number: int, parent: int | None, children: list[int], a: Any, b: An
     }
 
 
-def test_forks_two_millimetres_apart_are_one_turn_that_names_what_is_passed() -> None:
+def test_forks_two_millimetres_apart_are_one_turn_that_names_passed_branches() -> None:
     tree = made_tree(
         [
             straight(0, None, [1, 2], [0, 0, 0], [0, 0, -40], name="RMB"),
@@ -315,7 +320,7 @@ def test_forks_two_millimetres_apart_are_one_turn_that_names_what_is_passed() ->
     assert turn.words("head").startswith(
         "At 40 mm past the previous fork, enter RB3 just past RUL (3 o\u2019clock, right, 4.0 mm, "
     )
-    # A little farther apart, they are two.
+    # Forks a little farther apart are two turns.
     rows = [straight(1, 0, [3, 4], [0, 0, -40], [0, 0, -43.0], name="RUL")]
     apart = {branch.id: branch for branch in tree.branches}
     shifted = [
@@ -331,7 +336,7 @@ def test_forks_two_millimetres_apart_are_one_turn_that_names_what_is_passed() ->
     assert len(turn_list(made_tree(rows), route_in(made_tree(rows), 3, carina=False)).turns) == 2
 
 
-def test_a_tree_without_a_main_carina_counts_from_fork_to_fork_and_says_so() -> None:
+def test_tree_without_a_main_carina_counts_from_fork_to_fork_with_a_note() -> None:
     tree = random_tree(3)
     bare = dataclasses.replace(tree, branches=tuple(dataclasses.replace(b, name=None) for b in tree.branches))
     found = turn_list(bare, route_in(bare, bare.tips()[0].id, carina=False), carina_depth_mm=250.0)
@@ -344,7 +349,7 @@ def test_a_tree_without_a_main_carina_counts_from_fork_to_fork_and_says_so() -> 
     assert not any("estimate" in line for line in lines)
 
 
-def test_a_route_that_ends_before_the_first_fork_has_no_turns() -> None:
+def test_route_that_ends_before_the_first_fork_has_no_turns() -> None:
     tree = random_tree(1)
     found = turn_list(tree, route_in(tree, 0))
     assert found.turns == () and found.park_from_fork_mm == pytest.approx(0.58 * tree.root.length_mm, rel=0.1)
@@ -352,7 +357,7 @@ def test_a_route_that_ends_before_the_first_fork_has_no_turns() -> None:
     assert line.endswith("from the start of the route, stop")
 
 
-def test_one_branch_that_goes_on_alone_is_no_fork() -> None:
+def test_single_continuing_branch_is_no_fork() -> None:
     tree = made_tree(
         [
             straight(0, None, [1], [0, 0, 0], [0, 0, -40]),
@@ -365,7 +370,7 @@ def test_one_branch_that_goes_on_alone_is_no_fork() -> None:
     assert turn.from_fork_mm == pytest.approx(60.0) and turn.from_branch == "branch 1"
 
 
-def test_doubts_and_depths_stand_in_the_line() -> None:
+def test_doubts_and_depths_are_in_the_line() -> None:
     tree = random_tree(2)
     tip = tree.tips()[0]
     drawn = dataclasses.replace(
@@ -383,7 +388,7 @@ def test_doubts_and_depths_stand_in_the_line() -> None:
     json.dumps(found.to_json(), allow_nan=False)
 
 
-def test_the_opening_is_measured_past_the_lumen_of_the_branch_before() -> None:
+def test_opening_is_measured_beyond_the_lumen_of_the_previous_branch() -> None:
     tree = made_tree(
         [
             straight(0, None, [1, 2], [0, 0, 0], [0, 0, -40]),
@@ -401,7 +406,7 @@ def test_the_opening_is_measured_past_the_lumen_of_the_branch_before() -> None:
 
 @quick
 @given(SEEDS, st.lists(st.floats(-3.0, 15.0), min_size=0, max_size=30))
-def test_each_move_of_a_drive_is_told_once_and_in_order(seed: int, advances: list[float]) -> None:
+def test_each_move_of_a_drive_is_listed_once_and_in_order(seed: int, advances: list[float]) -> None:
     tree = random_tree(seed)
     route = route_in(tree, tree.tips()[0].id)
     moves = [Move(float(n), 1.0, mm) for n, mm in enumerate(advances)]
@@ -409,7 +414,7 @@ def test_each_move_of_a_drive_is_told_once_and_in_order(seed: int, advances: lis
     found = turn_list(tree, route, moves=moves, ends_along_mm=ends)
     told = [move for turn in found.turns for move in turn.moves or ()]
     assert [*told, *(found.park_moves or ())] == moves
-    # A move that begins before a fork belongs to it.
+    # A move that begins before a fork is listed with that fork.
     places = np.cumsum([turn.from_fork_mm for turn in found.turns])
     for turn, place, before in zip(found.turns, places, [-1.0, *places], strict=False):
         for move in turn.moves or ():
@@ -418,7 +423,7 @@ def test_each_move_of_a_drive_is_told_once_and_in_order(seed: int, advances: lis
     assert turn_list(tree, route).turns[0].moves is None
 
 
-def test_a_move_that_begins_past_a_fork_belongs_to_the_next() -> None:
+def test_move_that_begins_past_a_fork_is_listed_with_the_next() -> None:
     tree = random_tree(4)
     route = route_in(tree, tree.tips()[0].id)
     num = int(route.along_mm)
@@ -433,7 +438,7 @@ def test_a_move_that_begins_past_a_fork_belongs_to_the_next() -> None:
         first = last
 
 
-def test_moves_are_said_as_they_are_made() -> None:
+def test_text_of_moves_matches_their_values() -> None:
     moves = [Move(40.2, 35.0, 12.0), Move(0.0, 35.0, 3.0), Move(-90.0, 0.0, 0.0), Move(0.0, -20.0, -4.0)]
     assert moves_words(moves) == (
         "rotate 40° clockwise, flex up 35°, advance 15 mm; then rotate 90° counterclockwise, tip straight; "
@@ -453,14 +458,14 @@ def test_moves_are_said_as_they_are_made() -> None:
         ({"moves": [Move(0.0, 0.0, 1.0)], "ends_along_mm": [math.inf]}, "plan.moves"),
     ],
 )
-def test_what_makes_no_list_is_refused(change: dict[str, Any], code: str) -> None:
+def test_invalid_input_for_a_list_is_refused(change: dict[str, Any], code: str) -> None:
     tree = random_tree(0)
     with pytest.raises(UsageError) as refused:
         turn_list(tree, route_in(tree, tree.tips()[0].id), **change)
     assert refused.value.code == code
 
 
-def test_forks_without_length_are_told_without_a_fault() -> None:
+def test_forks_without_length_are_listed_without_an_error() -> None:
     tree = made_tree(
         [
             {**straight(0, None, [1, 2], [0, 0, 0], [0, 0, 0])},
@@ -476,7 +481,7 @@ def test_forks_without_length_are_told_without_a_fault() -> None:
     json.dumps(found.to_json(), allow_nan=False)
 
 
-def test_the_main_carina_is_the_ridge_that_is_seen() -> None:
+def test_main_carina_is_the_visible_ridge() -> None:
     options: dict[str, Any] = {"seed": 4, "spacing_mm": 1.2, "generations": 4}
     airways, volume = made_airways(**options), made_phantom(**options).volume
     right = airways.tree.named("RMB")
@@ -484,7 +489,7 @@ def test_the_main_carina_is_the_ridge_that_is_seen() -> None:
     planned = route_in(airways.tree, right.id)
     ridge = main_carina_ridge_mm(volume, airways, planned)
     assert ridge is not None
-    # Straight down the trachea from where the axes meet the air ends at the ridge, within a voxel or so of it.
+    # The line straight down the trachea from the fork of the axes leaves the air at the ridge, within about a voxel.
     trachea = airways.tree.root
     ahead = unit(trachea.points[-1] - trachea.points[-8])
     steps = trachea.points[-1] + np.arange(0.0, 30.0, 0.2)[:, None] * ahead
@@ -494,7 +499,7 @@ def test_the_main_carina_is_the_ridge_that_is_seen() -> None:
     assert main_carina_ridge_mm(volume, airways, dataclasses.replace(planned, from_carina_mm=None)) is None
 
 
-def test_the_stand_is_never_so_near_that_there_is_no_line_of_sight() -> None:
+def test_camera_is_far_enough_for_a_line_of_sight() -> None:
     short = made_tree([straight(0, None, [], [0, 0, 0], [0, 0, -2])]).root
     assert stand_mm(short) == 3.0
     long = dataclasses.replace(short, points=bent(np.zeros(3), unit(np.ones(3)), unit(np.ones(3)), 60.0, 8))

@@ -1,4 +1,4 @@
-"""Verdicts against tubes whose answers are known: what passes, what bends far enough, and what cannot be said."""
+"""Tests of scope verdicts in tubes with known results: which scopes pass, bend far enough, or remain undecided."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ STRAIGHT_MM = 70.0
 
 
 def centreline(bend_deg: float, bend_radius_mm: float) -> np.ndarray:
-    """Straight down for 70 mm, then along a circle towards +x, then straight for 10 mm."""
+    """Return points straight down for 70 mm, along a circle towards +x, then straight for 10 mm."""
     down = [np.array([0.0, 0.0, -z]) for z in np.arange(0.0, STRAIGHT_MM, 0.5)]
     bend = math.radians(bend_deg)
     angles = np.linspace(0.0, bend, int(2.0 * bend * bend_radius_mm) + 2)
@@ -49,7 +49,7 @@ def tube(bend_deg: float, bend_radius_mm: float = 20.0) -> tuple[AirwayTree, Wal
     step = 0.5
     num = np.ceil((hi - lo) / step).astype(int) + 1
     axes = [lo[a] + step * np.arange(num[a]) for a in range(3)]
-    # Farther from the middle line no scope comes, and one distance does for all.
+    # No scope moves farther from the centreline, so one distance is enough for all samples beyond.
     far = 8.0
     off = np.full(num, far, dtype=np.float32)
     at = np.arange(0.0, len(points) - 1.0, 0.25)
@@ -69,7 +69,7 @@ def tube(bend_deg: float, bend_radius_mm: float = 20.0) -> tuple[AirwayTree, Wal
 
 
 def plan_in(points: np.ndarray, park: int = -8, error_mm: float = 0.2) -> Plan:
-    """A plan by hand: the nodule lies straight ahead of where the scope stands."""
+    """Return a plan made by hand: the nodule is straight ahead of the final tip position."""
     tip = points[park]
     ahead = points[-1] - points[-3]
     ahead /= np.linalg.norm(ahead)
@@ -91,12 +91,12 @@ def check(found: Verdict, name: str):
 
 
 def judged(*args: Any, **options: Any) -> Verdict:
-    """For tests that ask nothing of the drive: one attempt at it, whatever comes of that."""
+    """Return a verdict with one attempt at the drive, for tests that do not depend on the drive."""
     return judge_scope(*args, **options, effort=1.0)
 
 
 @pytest.mark.parametrize("tip_mm", [3.0, 3.8, 3.95, 4.05, 4.2, 5.0])
-def test_without_errors_what_is_thinner_than_the_tube_passes_to_a_tenth_of_a_millimetre(tip_mm: float) -> None:
+def test_without_errors_scopes_thinner_than_the_tube_pass_to_0_1_mm(tip_mm: float) -> None:
     tree, field, points = tube(30.0)
     thick = dataclasses.replace(scope(), tip_mm=tip_mm)
     answer = check(judged(tree, plan_in(points), field, thick, errors=False), "diameter").answer
@@ -104,19 +104,19 @@ def test_without_errors_what_is_thinner_than_the_tube_passes_to_a_tenth_of_a_mil
 
 
 @pytest.mark.parametrize(("bend_deg", "bend_radius_mm"), [(30.0, 20.0), (60.0, 20.0), (100.0, 20.0), (120.0, 15.0)])
-def test_the_angle_that_a_bend_asks_is_within_two_degrees_of_the_circle(bend_deg: float, bend_radius_mm: float) -> None:
+def test_required_bend_angle_is_within_two_degrees_of_the_circle(bend_deg: float, bend_radius_mm: float) -> None:
     tree, field, points = tube(bend_deg, bend_radius_mm)
     section_mm = 40.0 + 10.0
     asked = min(bend_deg, math.degrees(section_mm / bend_radius_mm))
     for spare, answer in ((2.0, "yes"), (-2.0, "no")):
         bends = scope(flexion_deg=(asked + spare, 10.0), bending_mm=(40.0, 40.0), rigid_tip_mm=10.0)
-        # Thin enough that its rigid tip passes the bend.
+        # This scope is so thin that its rigid tip passes the bend.
         bends = dataclasses.replace(bends, tip_mm=1.5)
         found = check(judged(tree, plan_in(points), field, bends, errors=False), "bend")
         assert found.answer == answer, found.words
 
 
-def test_a_wider_tip_a_stiffer_bend_and_a_shorter_scope_are_never_better() -> None:
+def test_wider_tip_stiffer_bend_and_shorter_scope_are_never_better() -> None:
     tree, field, points = tube(100.0)
     plan = plan_in(points)
 
@@ -136,7 +136,7 @@ def test_a_wider_tip_a_stiffer_bend_and_a_shorter_scope_are_never_better() -> No
         assert lengths == sorted(lengths, reverse=True) and (lengths[0], lengths[-1]) == (2, 0)
 
 
-def test_between_yes_and_no_lies_perhaps_as_wide_as_the_errors() -> None:
+def test_uncertain_range_between_yes_and_no_is_as_wide_as_the_errors() -> None:
     tree, field, points = tube(30.0, 80.0)
     fits = dataclasses.replace(scope(), tip_mm=2 * RADIUS_MM - 0.4)
     coarse = judged(tree, plan_in(points, error_mm=0.7), field, fits)
@@ -144,7 +144,7 @@ def test_between_yes_and_no_lies_perhaps_as_wide_as_the_errors() -> None:
     assert coarse.outcome == "may reach" and coarse.words.startswith("may reach: needs 4.0 mm; the narrowest place")
 
 
-def test_a_scope_that_fits_and_bends_reaches_and_points_at_what_lies_ahead() -> None:
+def test_scope_that_fits_and_bends_reaches_and_points_straight_ahead() -> None:
     tree, field, points = tube(60.0)
     found = judge_scope(tree, plan_in(points), field, scope())
     assert found.outcome == "reaches", found.words
@@ -157,7 +157,7 @@ def test_a_scope_that_fits_and_bends_reaches_and_points_at_what_lies_ahead() -> 
     assert json.loads(json.dumps(found.to_json())) == found.to_json()
 
 
-def test_a_bend_that_figures_leave_open_is_settled_by_drives_with_less_lever(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_undecided_bend_is_settled_by_drives_with_less_flexion(monkeypatch: pytest.MonkeyPatch) -> None:
     tree, field, points = tube(60.0)
     near = dataclasses.replace(scope(flexion_deg=(62.0, 62.0)), tip_mm=1.8)
     plan = plan_in(points)
@@ -169,7 +169,7 @@ def test_a_bend_that_figures_leave_open_is_settled_by_drives_with_less_lever(mon
     assert (told.answer, told.share) == ("yes", 0.95) and found.driven is not None
     assert told.words == f"{figures.words}; with 13 degrees less flexion, the drive still arrives"
 
-    # Where the lever is needed: a drive arrives with so much of it and no less.
+    # Where flexion is needed, a drive with this fraction of the flexion arrives, and a drive with less does not.
     for needs_deg, share, words in (
         (62.0, 0.62, "5 degrees less flexion, no drive"),
         (56.5, 0.85, "5 degrees less flexion, the drive"),
@@ -186,7 +186,7 @@ def test_a_bend_that_figures_leave_open_is_settled_by_drives_with_less_lever(mon
     assert lever_check(way, field, near, figures, held_up, effort=1.0) is figures
 
 
-def test_what_is_unknown_cannot_be_said() -> None:
+def test_unknown_figures_give_an_undecided_verdict() -> None:
     tree, field, points = tube(60.0)
     robot = dataclasses.replace(scope_preset("ion"), tip_mm=3.0)
     found = judge_scope(tree, plan_in(points), field, robot)
@@ -194,7 +194,7 @@ def test_what_is_unknown_cannot_be_said() -> None:
     assert found.hold is None and found.would.startswith("could reach only if ")
 
 
-def test_a_tool_that_does_not_pass_the_channel_is_said() -> None:
+def test_tool_that_does_not_pass_the_channel_is_reported() -> None:
     tree, field, points = tube(60.0)
     found = judge_scope(tree, plan_in(points), field, scope(channel_mm=1.7))
     assert found.outcome == "does not reach"
@@ -203,7 +203,7 @@ def test_a_tool_that_does_not_pass_the_channel_is_said() -> None:
     assert found.driven is not None and found.driven.arrived, "that nothing else hinders it is said of a drive"
 
 
-def test_what_may_not_fit_is_not_promised_to_reach_with_another_tool() -> None:
+def test_scope_that_may_not_fit_is_not_promised_to_reach_with_another_tool() -> None:
     tree, field, points = tube(30.0, 80.0)
     tight = dataclasses.replace(scope(), tip_mm=2 * RADIUS_MM - 0.4, channel_mm=1.2)
     found = judged(tree, plan_in(points), field, tight)
@@ -211,7 +211,7 @@ def test_what_may_not_fit_is_not_promised_to_reach_with_another_tool() -> None:
     assert all(one.words.startswith("if it fits: ") for one in found.checks[4:] if one.answer == "perhaps")
 
 
-def test_what_figures_rule_out_is_told_first_and_where_it_stops() -> None:
+def test_failed_check_is_listed_first_with_the_position_of_the_stop() -> None:
     tree, field, points = tube(60.0)
     told: list[Verdict] = []
     presets = [scope(name="fits"), scope(name="wide", title="wide")]
@@ -221,14 +221,14 @@ def test_what_figures_rule_out_is_told_first_and_where_it_stops() -> None:
     assert [one.scope.name for one in told] == ["wide", "fits"]
     assert told[0].driven is None and told[0].words.startswith("stops at ")
     assert told[0].would == "could reach only if the airway were wider or the scope thinner"
-    # Nothing is known of where an instrument stops whose bending section is unknown.
+    # For a scope with an unknown bending section, the position of the stop is unknown.
     unknown = dataclasses.replace(presets[1], flexion_deg=None, bending_mm=None)
     (told_of,) = judge_scopes(tree, plan_in(points), field, scopes=[unknown])
     assert told_of.outcome == "does not reach" and told_of.words.startswith("does not reach: needs ")
     assert told[1].outcome == "reaches"
 
 
-def test_the_whole_library_is_judged_in_a_chest_with_progress_and_can_be_cancelled() -> None:
+def test_whole_library_is_judged_in_a_chest_with_progress_and_cancellation() -> None:
     tree, wall, plan = reported.airways().tree, reported.wall(), reported.plan()
     told: list[float] = []
     found = judge_scopes(tree, plan, wall, effort=4000.0, progress=lambda _what, share: told.append(share))
@@ -244,7 +244,7 @@ def test_the_whole_library_is_judged_in_a_chest_with_progress_and_can_be_cancell
         judge_scopes(tree, plan, wall, cancel=lambda: True)
 
 
-def test_a_plan_without_a_route_and_a_bad_spacing_are_refused() -> None:
+def test_plan_without_a_route_and_bad_spacing_are_refused() -> None:
     tree, field, points = tube(60.0)
     plan = plan_in(points)
     with pytest.raises(UsageError, match="the plan has no route to judge"):

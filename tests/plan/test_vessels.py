@@ -1,4 +1,4 @@
-"""Vessels round a target: thin ones, none where a plate or noise is, and the tree that they form."""
+"""Tests of vessels around a target: thin vessels, no vessels in plates or noise, and the vessel tree."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from carina.volume import Volume
 HALF_MM, STEP_MM, FINE = 15.0, 0.7, 2
 LUNG_HU, BLOOD_HU = -860.0, 40.0
 Line = tuple[tuple[float, float, float], tuple[float, float, float], float]
-"""Start, end, radius."""
+"""Start, end and radius of a vessel."""
 
 
 def nowhere() -> WallField:
-    """An airway's wall far from all that is looked at."""
+    """Return the wall field of an airway that is far from the scan."""
     k, j, i = np.indices((9, 9, 9)) - 4.0
     matrix = np.eye(4)
     matrix[:3, 3] = 200.0
@@ -31,7 +31,7 @@ def nowhere() -> WallField:
 
 
 def scan(lines: tuple[Line, ...] = (), plate_mm: float = 0.0, noise_hu: float = 20.0, seed: int = 1) -> Volume:
-    """Lung with tubes and a plate across x, blurred as a CT is."""
+    """Return a scan of lung with tubes and a plate across x, blurred like a CT."""
     num = 2 * int(HALF_MM / STEP_MM) + 1
     fine = STEP_MM / FINE
     axis = (np.arange(num * FINE) - (num * FINE - 1) / 2.0) * fine
@@ -64,13 +64,15 @@ def along(start: tuple[float, float, float], end: tuple[float, float, float]) ->
 @pytest.mark.parametrize(
     ("turn", "tilt", "radius", "aside"), [(0.1, 0.2, 0.55, 1.2), (1.1, 0.7, 0.6, -2.3), (2.6, 1.2, 1.4, 0.3)]
 )
-def test_a_vessel_of_any_direction_is_seen_where_it_is(turn: float, tilt: float, radius: float, aside: float) -> None:
+def test_vessel_of_any_direction_is_found_at_its_position(
+    turn: float, tilt: float, radius: float, aside: float
+) -> None:
     way = np.array([np.cos(tilt) * np.cos(turn), np.cos(tilt) * np.sin(turn), np.sin(tilt)])
     start, end = tuple(-14.0 * way + [aside, 0, 0]), tuple(14.0 * way + [aside, 0, 0])
     found = seen(scan(((start, end, radius),)))
     middle = along(tuple(-8.0 * way + [aside, 0, 0]), tuple(8.0 * way + [aside, 0, 0]))
     assert (found.read(found.vessel_mm, middle) == 0.0).mean() > 0.95
-    # A needle that passes 4 mm from it reads its distance to the edge.
+    # The distance map gives the distance to the vessel's edge for a needle that passes 4 mm from the vessel.
     across = np.cross(way, [0.3, 0.5, 0.8])
     beside = middle + 4.0 * across / np.linalg.norm(across)
     assert np.median(found.read(found.vessel_mm, beside)) == pytest.approx(4.0 - radius, abs=0.5)
@@ -78,7 +80,7 @@ def test_a_vessel_of_any_direction_is_seen_where_it_is(turn: float, tilt: float,
     assert (found.sure[~found.vessel] == 0.0).all()
 
 
-def test_lung_alone_and_a_plate_hold_no_vessel() -> None:
+def test_lung_alone_and_a_plate_have_no_vessel() -> None:
     for noise_hu in (10.0, 40.0):
         assert seen(scan(noise_hu=noise_hu)).vessel.mean() < 1e-4
     # A fissure: a plate of 0.3 mm.
@@ -90,10 +92,10 @@ def forked() -> Surroundings:
     return seen(scan((((0, 0, -14), (0, 0, 0), 2.0), ((0, 0, 0), (8, 0, 10), 1.2), ((0, 0, 0), (-8, 2, 10), 1.0))))
 
 
-def test_the_tree_follows_a_vessel_that_forks() -> None:
+def test_tree_follows_a_vessel_that_forks() -> None:
     tree = forked().vessel_tree()
     assert tree.is_whole
-    # From the widest place, wherever on the trunk noise puts it, to the three ends.
+    # The tree leads from the widest point, whose position on the trunk depends on noise, to the three ends.
     assert len(tree.branches) in {2, 3}
     assert [branch.parent for branch in tree.branches].count(None) == 1
     for branch in tree.branches:
@@ -111,7 +113,7 @@ def test_the_tree_follows_a_vessel_that_forks() -> None:
     assert tree.length_mm == pytest.approx(length, rel=0.12)
 
 
-def test_vessels_apart_are_trees_apart_and_none_is_none() -> None:
+def test_separate_vessels_are_separate_trees_and_no_vessel_is_no_tree() -> None:
     apart = seen(scan((((-6, 0, -14), (-6, 0, 14), 1.0), ((6, -14, 3), (6, 14, 3), 0.6)))).vessel_tree()
     assert [branch.parent for branch in apart.branches] == [None, None]
     assert seen(scan()).vessel_tree().branches == ()
@@ -119,7 +121,7 @@ def test_vessels_apart_are_trees_apart_and_none_is_none() -> None:
 
 @settings(deadline=None, max_examples=40)
 @given(st.lists(st.floats(-100, 100, width=32), min_size=6, max_size=6))
-def test_eigenvalues_are_numpys(second: list[float]) -> None:
+def test_eigenvalues_equal_those_of_numpy(second: list[float]) -> None:
     zz, yy, xx, zy, zx, yx = second
     expected = np.linalg.eigvalsh([[zz, zy, zx], [zy, yy, yx], [zx, yx, xx]])
     found = eigenvalues([np.array([value]) for value in second])

@@ -1,4 +1,4 @@
-"""A plan of exact places without a CT, for what writes plans into files."""
+"""A plan with exact positions and without a CT, for tests of files that contain plans."""
 
 from __future__ import annotations
 
@@ -21,7 +21,10 @@ AIM = (31.25, -17.5, -88.125)
 
 
 def a_tree() -> AirwayTree:
-    """Trachea, a branch to the patient's left that bends forwards, and one to the right; nothing runs along an axis."""
+    """Return a tree of a trachea, a left branch that bends forwards, and a right branch.
+
+    No branch is parallel to an axis.
+    """
     fork = np.array([1.5, 2.25, -40.0])
     down = np.linspace([-1.0, 4.0, 20.0], fork, 61)
     at = np.linspace(0.0, 1.0, 81)[:, None]
@@ -37,7 +40,7 @@ def a_tree() -> AirwayTree:
 
 
 def a_plan(*, doubts: tuple[str, ...] = (DOUBT,), aim_lps: tuple[float, float, float] = AIM) -> Plan:
-    """Two routes to one target: a sure one along branch 4 and one with doubts along branch 9."""
+    """Return a plan with two routes to one target: a certain one along branch 4 and a doubtful one along branch 9."""
     tree = a_tree()
     nodule = ellipsoid([6.0, 4.5, 5.0], aim_lps)
     return Plan(

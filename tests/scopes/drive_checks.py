@@ -1,4 +1,4 @@
-"""Random drives of the scope as a solid, looked at by a geometry that is not the product's."""
+"""Checks of random scope drives: depth of tip and shaft in the wall, measured by code independent of the product."""
 
 from __future__ import annotations
 
@@ -23,25 +23,25 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Shaft:
-    """Places of the shaft's axis (n, 3), its direction there, and the scope's radius."""
+    """Points (n, 3) on the axis of a shaft in LPS mm, with the unit direction and radius (mm) at each point."""
 
     points: Floats
     into: Floats
     radii: Floats
 
     def only(self, kept: NDArray[np.bool_]) -> Shaft:
-        """Some of them."""
+        """Return the shaft points that the mask ``kept`` selects."""
         return Shaft(self.points[kept], self.into[kept], self.radii[kept])
 
 
 def joined(shafts: list[Shaft]) -> Shaft:
-    """One after the other."""
+    """Concatenate several shafts."""
     return Shaft(*(np.concatenate([getattr(s, name) for s in shafts]) for name in ("points", "into", "radii")))
 
 
 @dataclass(frozen=True)
 class Seen:
-    """Of a drive: places of the tip's surface in all states that were looked at, and of the shaft."""
+    """Points (LPS mm) on the tip's surface and the shaft in all states of a drive that are to be checked."""
 
     tips: Floats
     shaft: Shaft
@@ -53,26 +53,26 @@ ShaftDepths = Callable[[Shaft], Floats]
 
 @dataclass(frozen=True)
 class Lumen:
-    """Where a scope is driven, and what looks at it."""
+    """An airway lumen in which scopes are driven, with the functions that measure depth in its wall."""
 
     wall: WallField
     start_path: Floats
     routes: list[Floats]
-    """From the root to each end."""
+    """Paths from the root to each end of the tree, LPS mm."""
     cells: LumenCells
     shaft_mm: ShaftDepths
-    """How deep the shaft is in the wall at some places."""
+    """Function that returns the depth (mm) of each shaft point in the wall."""
 
 
 @dataclass
 class Worst:
-    """The deepest of a kind of place."""
+    """The largest depth in the wall among the checked points of one kind, with a description."""
 
     mm: float = -np.inf
     told: str = ""
 
     def take(self, depths: Floats, points: Floats, told: str) -> None:
-        """Remember the deepest, if it is."""
+        """Store the largest of these depths if it exceeds the stored depth."""
         if len(depths) and not depths.max() <= self.mm:
             n = int(depths.argmax())
             self.mm, self.told = float(depths[n]), f"{depths[n]:.3f} mm {told} at {np.round(points[n], 2).tolist()}"
@@ -80,7 +80,7 @@ class Worst:
 
 @dataclass
 class Findings:
-    """What became of some drives."""
+    """Results of several drives."""
 
     tip: Worst = field(default_factory=Worst)
     shaft: Worst = field(default_factory=Worst)
@@ -91,18 +91,18 @@ class Findings:
     limits: Counter[str] = field(default_factory=Counter)
 
     def check(self) -> None:
-        """The bounds of `docs/decisions/0125`, and that these were drives along walls."""
+        """Assert the limits of `docs/decisions/0125`, and that the drives moved along walls."""
         print(self.told())
         assert self.tip.mm <= 0.1, self.tip.told
         assert self.shaft.mm <= 0.5, self.shaft.told
-        # The scope was near walls, went somewhere, and was pressed at walls.
+        # Assert that the scopes came near the walls, moved, and pressed against the walls.
         assert self.tip.mm > -1.0
         assert self.num_touched > 0.5 * self.num_drives
         assert np.median(self.travels_mm) > 5.0
         assert {"none", "wall", "narrow"} <= set(self.limits)
 
     def told(self) -> str:
-        """For people."""
+        """Return a readable summary of the results."""
         return "\n".join(
             [
                 f"{self.num_drives} drives, {self.num_looked_at} states looked at, {self.num_touched} drives touched",
@@ -113,11 +113,14 @@ class Findings:
 
 
 def check_drives(lumen: Lumen, runs: Iterable[int], *, num_samples: int, every: int) -> Findings:
-    """Drive, and look at every so many states (at others in every run) and at the last."""
+    """Drive each run, and check every ``every``-th state and the last state.
+
+    The first checked state depends on the run.
+    """
     found = Findings()
     waiting = list(runs)
     while waiting:
-        # The exact lumen takes a third of a second for any number of points.
+        # Points of 20 drives are measured together: the exact lumen takes a third of a second for any number of points.
         some, waiting = waiting[:20], waiting[20:]
         seen = [drive_and_look(lumen, run, found, num_samples=num_samples, every=every) for run in some]
         tips = lumen.cells.depths_mm(np.concatenate([s.tips for s in seen]))
@@ -130,12 +133,12 @@ def check_drives(lumen: Lumen, runs: Iterable[int], *, num_samples: int, every: 
 
 
 def drive_and_look(lumen: Lumen, run: int, found: Findings, *, num_samples: int, every: int) -> Seen:
-    """One drive, and the places of it that are to be looked at."""
+    """Perform one drive and return the points that are to be checked."""
     rng = np.random.default_rng([5, run])
     scope, kind = scope_of(run), kind_of(run)
     drive = ScopeDrive(lumen.wall, scope, lumen.start_path)
     route = lumen.routes[rng.integers(len(lumen.routes))]
-    # Many begin as deep as they can.
+    # Two of five drives begin as deep as the scope can be placed.
     deep = 400.0 if rng.uniform() < 0.4 else rng.uniform(0.0, 260.0)
     told = f"{scope.name}, {kind}, run {run}"
     states = [drive.place(route, deep)]
@@ -164,7 +167,7 @@ def drive_and_look(lumen: Lumen, run: int, found: Findings, *, num_samples: int,
 
 
 def tip_surface_lps(drive: ScopeDrive) -> Floats:
-    """(n, 3) points of the rigid tip's surface: a cylinder with a flat face and an edge rounded by 0.6 mm."""
+    """Return (n, 3) points on the rigid tip's surface: a cylinder with a flat face and an edge rounded by 0.6 mm."""
     r = drive.scope.tip_mm / 2.0
     edge = min(EDGE_MM, r / 2.0)
     outline = [(across, 0.0) for across in np.linspace(0.0, r - edge, 5)]
@@ -185,10 +188,10 @@ def tip_surface_lps(drive: ScopeDrive) -> Floats:
 
 
 def shaft_of(drive: ScopeDrive) -> Shaft:
-    """The shaft every 0.5 mm."""
+    """Return the points of the shaft at intervals of 0.5 mm."""
     nodes = drive.shaft_lps()[::-1]
     if len(nodes) < 2:
-        # Drawn back to the entry: nothing of it is inside.
+        # The scope is withdrawn to the entry, so no part of the shaft is inside.
         return Shaft(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
     steps = np.linspace(0.0, 1.0, 4, endpoint=False)[:, None]
     points = np.concatenate([a + steps * (b - a) for a, b in itertools.pairwise(nodes)])
@@ -196,13 +199,17 @@ def shaft_of(drive: ScopeDrive) -> Shaft:
     behind = 0.5 * np.arange(len(points))
     scope = drive.scope
     radii = np.where(behind < 50.0, scope.tip_mm / 2.0, (scope.tube_mm or scope.tip_mm) / 2.0)
-    # The rigid tip is looked at as a solid; the last node lies at the entry, or less than a node before it.
+    # Skip the rigid tip, which is checked as a solid. The last node is at the entry or less than one node before the
+    # entry.
     kept = (behind >= RIGID_MM) & (np.linalg.norm(into, axis=1) > 1e-9)
     return Shaft(points[kept], into[kept] / np.linalg.norm(into[kept], axis=1)[:, None], radii[kept])
 
 
 def by_surface(cells: LumenCells) -> ShaftDepths:
-    """The shaft's depth by 24 places round each of its axis' points, for a wall that tells distances near it only."""
+    """Return a function that measures shaft depth at 24 surface points around each axis point.
+
+    For walls whose distance is known only near the wall.
+    """
 
     def depths_mm(shaft: Shaft) -> Floats:
         across = np.cross(shaft.into, np.eye(3)[np.abs(shaft.into).argmin(axis=1)])
@@ -217,14 +224,20 @@ def by_surface(cells: LumenCells) -> ShaftDepths:
 
 
 def by_balls(signed_mm: SignedMm) -> ShaftDepths:
-    """The shaft's depth by the distance of its axis, for a wall that tells distances anywhere."""
+    """Return a function that computes shaft depth from the distance of its axis.
+
+    For walls whose distance is known everywhere.
+    """
     return lambda shaft: signed_mm(shaft.points) + shaft.radii
 
 
 def _inside(drive: ScopeDrive, points: Floats) -> Floats:
-    """Those beyond the plane through which the scope enters: behind it is the larynx, which no scan has."""
+    """Return the points beyond the plane through which the scope enters.
+
+    The larynx is behind that plane and not in the scan.
+    """
     nodes = drive.shaft_lps()
-    # Drawn back to the entry the scope is one point there, and straight.
+    # A scope that is withdrawn to the entry has a single node; its direction is then that of the camera.
     into = nodes[min(3, len(nodes) - 1)] - nodes[0] if len(nodes) > 1 else drive.state.pose.lps_from_camera[:3, 2]
     depth = (points - nodes[0]) @ (into / float(np.linalg.norm(into)))
     return points[depth >= 0.0]

@@ -1,4 +1,4 @@
-"""Hands that drive a scope at random: as doctors do, as beginners do, and as nobody should."""
+"""Random inputs for a scope: those of skilled operators, of beginners, and inputs that no operator should make."""
 
 from __future__ import annotations
 
@@ -10,27 +10,30 @@ import numpy as np
 
 from carina.scopes import ScopeDrive, ScopePreset, ScopeState, scope_preset, scope_presets
 
-# And one that is too thick for all but the widest airways.
+# The last scope is too thick for all airways except the widest.
 SCOPES = (*scope_presets(), replace(scope_preset("ebus"), name="thickest", tip_mm=7.8, tube_mm=7.8))
 KINDS = ("wander", "push", "fast", "retreat", "stops", "roll", "jump", "press")
 DT_S = 1.0 / 60.0
 
 Hand = Generator[tuple[float, float, float], ScopeState, None]
-"""Is sent a state and tells insertion, roll and flexion of the next sample; what it tells first does not count."""
+"""A generator that receives a scope state and yields insertion (mm), roll and flexion (radians) of the next sample.
+
+The first yielded value is ignored.
+"""
 
 
 def scope_of(run: int) -> ScopePreset:
-    """Every instrument of the library in turn."""
+    """Return the scope of a run; consecutive runs use the scopes of the library in turn."""
     return SCOPES[run % len(SCOPES)]
 
 
 def kind_of(run: int) -> str:
-    """Every kind of hand with every instrument in turn."""
+    """Return the kind of input of a run; the kinds alternate so that each kind meets each scope."""
     return KINDS[run % len(KINDS)]
 
 
 def random_samples(kind: str, drive: ScopeDrive, rng: np.random.Generator, num_samples: int) -> Iterator[ScopeState]:
-    """Drive a scope that is laid already; the state after each sample, ``DT_S`` apart."""
+    """Drive a placed scope with random input and yield the state after each sample; the time step is ``DT_S``."""
     low, high = drive.flexion_range_rad
     hand = _HANDS[kind](low, high, rng)
     next(hand)
@@ -42,7 +45,7 @@ def random_samples(kind: str, drive: ScopeDrive, rng: np.random.Generator, num_s
 
 
 def _wander(low: float, high: float, rng: np.random.Generator) -> Hand:
-    """Some push, some draw back; some let the lever go."""
+    """Move in small random steps that advance or withdraw on average; flexion drifts back to 0."""
     push, sway = rng.normal(0.3, 0.6), rng.uniform(0.02, 0.2)
     roll = flexion = 0.0
     state = yield (0.0, 0.0, 0.0)
@@ -54,7 +57,7 @@ def _wander(low: float, high: float, rng: np.random.Generator) -> Hand:
 
 
 def _push(low: float, high: float, rng: np.random.Generator) -> Hand:
-    """Pushes on, whatever is before it, and steers a little."""
+    """Advance steadily, whatever is in front of the tip, with little steering."""
     speed = rng.uniform(0.5, 3.0)
     roll, flexion = rng.uniform(-math.pi, math.pi), rng.normal(0.0, 0.4)
     state = yield (0.0, 0.0, 0.0)
@@ -65,7 +68,7 @@ def _push(low: float, high: float, rng: np.random.Generator) -> Hand:
 
 
 def _fast(low: float, high: float, rng: np.random.Generator) -> Hand:
-    """200 to 900 mm/s to and fro, the lever as fast."""
+    """Advance and withdraw at 200 to 900 mm/s, with flexion as fast."""
     state = yield (0.0, 0.0, 0.0)
     roll = flexion = 0.0
     while True:
@@ -78,7 +81,7 @@ def _fast(low: float, high: float, rng: np.random.Generator) -> Hand:
 
 
 def _retreat(low: float, high: float, rng: np.random.Generator) -> Hand:
-    """Draws back with the lever pulled, as one must not."""
+    """Withdraw while the tip is bent, which operators must not do."""
     speed = rng.uniform(1.0, 12.0)
     roll, flexion = rng.uniform(-1.0, 1.0), 0.0
     bend = rng.choice([low, high]) * rng.uniform(0.3, 1.0)
@@ -90,7 +93,7 @@ def _retreat(low: float, high: float, rng: np.random.Generator) -> Hand:
 
 
 def _stops(low: float, high: float, rng: np.random.Generator) -> Hand:
-    """The lever from stop to stop."""
+    """Move the flexion from one limit to the other."""
     speed, roll = rng.uniform(-0.5, 1.5), rng.uniform(-math.pi, math.pi)
     rate = rng.uniform(0.05, 0.6)
     flexion, towards = 0.0, rng.choice([low, high])
@@ -104,7 +107,7 @@ def _stops(low: float, high: float, rng: np.random.Generator) -> Hand:
 
 
 def _roll(low: float, high: float, rng: np.random.Generator) -> Hand:
-    """Turns round and round with a bent tip, pushing."""
+    """Rotate continuously with a bent tip while advancing."""
     rate, speed = rng.choice([-1.0, 1.0]) * rng.uniform(0.1, 1.5), rng.uniform(-0.3, 1.5)
     flexion = rng.uniform(low, high)
     roll = 0.0
@@ -115,7 +118,7 @@ def _roll(low: float, high: float, rng: np.random.Generator) -> Hand:
 
 
 def _jump(low: float, high: float, rng: np.random.Generator) -> Hand:
-    """A device that leaps: any insertion, any roll, any flexion in one sample; then it stays for a while."""
+    """Jump to any insertion, roll and flexion within one sample, then stay for a while."""
     state = yield (0.0, 0.0, 0.0)
     while True:
         far = rng.normal(0.0, 60.0)
@@ -125,7 +128,7 @@ def _jump(low: float, high: float, rng: np.random.Generator) -> Hand:
 
 
 def _press(low: float, high: float, rng: np.random.Generator) -> Hand:
-    """Bends against the wall, then slides along it both ways."""
+    """Bend the tip against the wall, then slide along the wall in both directions."""
     roll, bend = rng.uniform(-math.pi, math.pi), rng.choice([low, high]) * rng.uniform(0.2, 1.0)
     state = yield (0.0, 0.0, 0.0)
     flexion, n = 0.0, 0

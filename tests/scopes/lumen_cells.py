@@ -1,4 +1,4 @@
-"""Which cells of a lattice lie in the lumen as a whole: most points of a scope need no more than a look at theirs."""
+"""A lattice of cells known to be inside a lumen, so that exact distances are computed for few points only."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 SignedMm = Callable[[Floats], Floats]
-"""Signed distances of (n, 3) points, above 0 beyond the wall."""
+"""Function that returns signed distances (mm) of (n, 3) points; positive values are outside the lumen."""
 ROOM = 8
-"""Layers of cells that are told apart: 4 mm, and no scope has such a radius."""
+"""Number of cell layers from the wall that are distinguished: 4 mm, more than the radius of any scope."""
 
 
 class LumenCells:
-    """Asks for the distance only where a point's cell does not tell that it is in the lumen."""
+    """Lattice of cells inside a lumen; distances are computed only for points outside these cells."""
 
     def __init__(
         self,
@@ -30,7 +30,7 @@ class LumenCells:
         self._is_inside = is_inside
         self._told: dict[tuple[int, ...], bool] = {}
         self._low, self._cell_mm, self._inside, self._signed_mm = low, cell_mm, inside, signed_mm
-        # Cells whose neighbours all round are inside too, and theirs, and so on: 0 is a cell that is not.
+        # Number of layers by which a cell is surrounded by inside cells, plus 1; 0 for a cell that is not inside.
         self._room = inside.astype(np.uint8)
         layer = inside
         for _ in range(ROOM):
@@ -40,16 +40,16 @@ class LumenCells:
 
     @classmethod
     def unknown(cls, signed_mm: SignedMm) -> LumenCells:
-        """No cell tells anything: every point is asked for."""
+        """Return a lattice without inside cells, so that the distance is computed for every point."""
         return cls(np.zeros(3), 1.0, np.zeros((1, 1, 1), dtype=bool), signed_mm)
 
     @classmethod
     def of_mesh(cls, wall: MeshDistance, corners: Floats, seeds: Floats) -> LumenCells:
-        """Of a closed mesh: cells that it does not pass through and that are joined to seeds in the lumen."""
+        """Build the lattice of a closed mesh: inside cells do not touch the mesh and are connected to the seeds."""
         cell = 0.5
         low = corners.min(axis=(0, 1)) - 2.0 * cell
         num = (np.ptp(corners, axis=(0, 1)) / cell).astype(int) + 5
-        # No place of the mesh is farther from one of these than half of how far they are apart.
+        # Every point of the mesh is within half of ``apart`` of one of these points.
         apart = 0.6 * cell
         quarter = 0.25 * cell
         places = ((points_on(corners, apart) - low) / quarter).astype(int)
@@ -58,7 +58,7 @@ class LumenCells:
         is_wall = np.zeros(num, dtype=bool)
         for offset in itertools.product((-reach, 0.0, reach), repeat=3):
             is_wall[tuple(((places + 0.5) * 0.25 + offset).astype(int).T)] = True
-        # Outwards from the seeds, cell by cell; the lattice's outermost cells are no wall and lie outside.
+        # Grow from the seeds cell by cell. The outermost cells of the lattice are outside the mesh.
         open_ = ~is_wall.ravel()
         inside = np.zeros(open_.size, dtype=bool)
         front = np.ravel_multi_index(((seeds - low) / cell).astype(int).T, num)
@@ -73,15 +73,16 @@ class LumenCells:
         return cls(low, cell, inside, wall.signed_mm, wall.is_inside)
 
     def holds_balls(self, middles: Floats, radii: Floats) -> NDArray[np.bool_]:
-        """Balls that are in the lumen for certain."""
+        """Return which balls are certainly in the lumen."""
         return (self._at(middles).astype(float) - 1.0) * self._cell_mm >= radii
 
     def depths_mm(self, points: Floats) -> Floats:
-        """How deep points are in the wall; 0 for those whose cell is in the lumen, and infinite beyond all reach."""
+        """Return the depth (mm) of points in the wall: 0 in inside cells, infinite outside beyond the reach."""
         asked = self._at(points) == 0
         depths = np.zeros(len(points))
         depths[asked] = self._signed_mm(points[asked])
-        # Far from the wall, in a cell that no seed is joined to: a part of the lumen behind a narrow place, or beyond.
+        # Points beyond the reach in a cell that is not connected to a seed may be in the lumen behind a narrow part, or
+        # outside.
         for n in np.flatnonzero(np.isinf(depths)):
             cell = tuple(int(v) for v in (points[n] - self._low) // self._cell_mm)
             if cell not in self._told:
@@ -98,7 +99,7 @@ class LumenCells:
 
 
 def points_on(corners: Floats, apart_mm: float) -> Floats:
-    """Corners (n, 3, 3) of triangles, cut at their longest edges until none is longer; the corners of all."""
+    """Cut triangles (n, 3, 3) at their longest edges until no edge exceeds ``apart_mm``, and return all corners."""
     done = []
     while len(corners):
         edges = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
@@ -115,7 +116,7 @@ def points_on(corners: Floats, apart_mm: float) -> Floats:
 def lattice_of(
     distance_mm: SignedMm, low: Floats, spacing: tuple[float, float, float], shape_zyx: tuple[int, int, int]
 ) -> NDArray[np.float32]:
-    """A distance at the samples of a lattice; where a block is far from the wall, that of its middle."""
+    """Return a distance at the samples of a lattice; blocks far from the wall get the distance of their middle."""
     block = 4
     num = [-(-n // block) for n in shape_zyx]
     at = np.stack(np.meshgrid(*map(np.arange, num), indexing="ij"), axis=-1).reshape(-1, 3) * block
@@ -123,7 +124,8 @@ def lattice_of(
     middles = distance_mm(low + (at[:, ::-1] + 0.5 * block) * spacing)
     found = np.repeat(np.repeat(np.repeat(middles.reshape(num).astype(np.float32), block, 0), block, 1), block, 2)
     inner = np.stack(np.meshgrid(*[np.arange(block)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    # A field tells from -2.5 to 4.5 mm. Blocks beside such are asked too: beyond the phantom's box nothing is known.
+    # A wall field stores -2.5 to 4.5 mm. Neighbours of such blocks are computed too, because nothing is known beyond
+    # the phantom's box.
     is_near = ((middles > -2.5 - 1.3 * half) & (middles < 4.5 + 1.3 * half)).reshape(num)
     for axis in range(3):
         is_near = is_near | np.roll(is_near, 1, axis) | np.roll(is_near, -1, axis)

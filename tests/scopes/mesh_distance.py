@@ -1,7 +1,7 @@
-"""Signed distance to a closed mesh, by numpy alone and in few lines: what the compiled search is checked against.
+"""Signed distance to a closed mesh in plain numpy: the reference for tests of the compiled search.
 
-The triangles near a place are looked up in a lattice of cells; among them the distance is exact (Ericson, Real-Time
-Collision Detection, 2005, 5.1.5) and the side is told by angle-weighted normals (Baerentzen and Aanaes 2005).
+A lattice of cells lists the triangles near each point. The distance to these triangles is exact (Ericson, Real-Time
+Collision Detection, 2005, 5.1.5), and angle-weighted normals give the side (Baerentzen and Aanaes 2005).
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ CHUNK = 1_500
 
 @dataclass(frozen=True)
 class Nearest:
-    """What is nearest to each of n points."""
+    """The nearest feature of the mesh for each of n points."""
 
     signed_mm: Floats
-    """Above 0 beyond the wall, below 0 in the lumen; infinite where no triangle is within reach."""
+    """Signed distance (mm): positive outside the mesh, negative inside, infinite where no triangle is within reach."""
 
 
 class MeshDistance:
@@ -31,9 +31,9 @@ class MeshDistance:
     Parameters
     ----------
     vertices, triangles
-        Seen counterclockwise from outside.
+        The mesh; seen from outside, the corners of each triangle run counterclockwise.
     reach_mm
-        Farther points are told to be infinitely far outside or inside: see `side`.
+        The distance of points farther away is infinite; `is_inside` gives their side.
     """
 
     def __init__(self, vertices: Floats, triangles: NDArray[np.integer], *, reach_mm: float = 1.2) -> None:
@@ -43,7 +43,7 @@ class MeshDistance:
         self._radii = np.linalg.norm(corners - self._centres[:, None], axis=2).max(axis=1)
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         faces = across / np.maximum(np.linalg.norm(across, axis=1), 1e-300)[:, None]
-        # By feature of a triangle: 0 its face, 1 to 3 its edges (from corner 0, 1, 2), 4 to 6 its corners.
+        # Normals per feature of a triangle: 0 is the face, 1 to 3 the edges (from corner 0, 1, 2), 4 to 6 the corners.
         self._normals = np.zeros((len(corners), 7, 3))
         self._normals[:, 0] = faces
         count = int(triangles.max()) + 1
@@ -67,14 +67,14 @@ class MeshDistance:
         self._cells, self._first, self._members = self._registered()
 
     def _registered(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-        """Cells that triangles are within reach of (sorted), where each begins in the members, and the members."""
+        """Return the sorted keys of cells with triangles in reach, the index of each first member, and the members."""
         lows = ((self._corners.min(axis=1) - self._reach_mm - self._low) // CELL_MM).astype(np.int64)
         highs = ((self._corners.max(axis=1) + self._reach_mm - self._low) // CELL_MM).astype(np.int64)
         most = (highs - lows).max(axis=0) + 1
         keys, members = [], []
         for offset in itertools.product(*map(range, most)):
             held = ((lows + offset) <= highs).all(axis=1)
-            # A box is near that its triangle's ball is not.
+            # Exclude cells that are near the bounding box of the triangle but outside its bounding ball.
             middle = self._low + (lows[held] + offset + 0.5) * CELL_MM
             off = np.linalg.norm(middle - self._centres[held], axis=1)
             near = off <= self._radii[held] + self._reach_mm + 0.5 * np.sqrt(3.0) * CELL_MM
@@ -90,11 +90,14 @@ class MeshDistance:
         return (at[:, 2] * self._num[1] + at[:, 1]) * self._num[0] + at[:, 0]
 
     def signed_mm(self, points: Floats) -> Floats:
-        """Distances of (n, 3) points, above 0 outside; infinite beyond the reach (on which side is not known)."""
+        """Return signed distances (mm) of (n, 3) points, positive outside; infinite on both sides beyond the reach."""
         return np.concatenate([np.zeros(0), *(self._of(points[n : n + CHUNK]) for n in range(0, len(points), CHUNK))])
 
     def is_inside(self, point: Floats) -> bool:
-        """By the solid angle of the whole mesh (Van Oosterom and Strackee 1983), however far the wall is."""
+        """Return whether a point is inside, at any distance from the wall.
+
+        The solid angle of the whole mesh decides (Van Oosterom and Strackee 1983).
+        """
         return bool(solid_angles(point[None], self._corners)[0] > 0.5)
 
     def _of(self, points: Floats) -> Floats:
@@ -114,7 +117,7 @@ class MeshDistance:
         triangle = self._members[np.arange(ends[-1]) - np.repeat(ends - num - first, num)]
         p = points[asked]
         to_centre = np.linalg.norm(p[who] - self._centres[triangle], axis=1)
-        # What cannot be nearest to its point need not be measured.
+        # Skip triangles that cannot be the nearest to their point.
         nearest = np.minimum.reduceat(to_centre + self._radii[triangle], ends - num)
         kept = to_centre - self._radii[triangle] <= nearest[who]
         who, triangle = who[kept], triangle[kept]
@@ -129,7 +132,7 @@ class MeshDistance:
 
 
 def solid_angles(points: Floats, corners: Floats) -> Floats:
-    """How often a closed mesh of corners (m, 3, 3) goes round each point: 1 inside, 0 outside."""
+    """Return the winding number of a closed mesh with corners (m, 3, 3) around each point: 1 inside, 0 outside."""
     away = corners[None] - points[:, None, None]
     far = np.linalg.norm(away, axis=3)
     a, b, c = (away[:, :, n] for n in range(3))
@@ -146,7 +149,7 @@ def _dot(a: Floats, b: Floats) -> Floats:
 
 
 def _to_triangle(p: Floats, corners: Floats) -> tuple[Floats, NDArray[np.int64]]:
-    """From the nearest place of each triangle to its point, and which feature that place lies on."""
+    """Return the vector from each triangle's nearest point to the query point, and the feature at the nearest point."""
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     ab, ac, ap = b - a, c - a, p - a
     d1, d2 = _dot(ab, ap), _dot(ac, ap)
@@ -170,6 +173,6 @@ def _to_triangle(p: Floats, corners: Floats) -> tuple[Floats, NDArray[np.int64]]
         whole = va + vb + vc
         v = np.select(cases, [0 * d1, 1 + 0 * d1, along_ab, 0 * d1, 0 * d1, 1 - along_bc], vb / whole)
         w = np.select(cases, [0 * d1, 0 * d1, 0 * d1, 1 + 0 * d1, along_ac, along_bc], vc / whole)
-    # A triangle without area has a corner or an edge that is as near.
+    # For a triangle without area, the nearest point is on an edge or a corner.
     v, w = np.nan_to_num(v), np.nan_to_num(w)
     return ap - v[:, None] * ab - w[:, None] * ac, feature

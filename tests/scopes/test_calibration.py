@@ -1,4 +1,4 @@
-"""Calibration files as OpenCV writes them, and as people break them."""
+"""Tests of camera calibration files: files of OpenCV and damaged files."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ FISHEYE = {
 }
 
 
-def test_the_three_forms_of_one_calibration_are_one_lens():
+def test_three_file_forms_of_one_calibration_give_the_same_lens():
     lens = lens_from_text(YAML)
     assert lens == lens_from_text(XML) == lens_from_text(JSON)
     assert lens.model == "brown"
@@ -96,16 +96,16 @@ def test_the_three_forms_of_one_calibration_are_one_lens():
         2.3839153080878486e-01,
     )
     assert rest == [0.0, 0.0, 0.0]
-    # Half a pixel: OpenCV counts from the centre of the first.
+    # Offset of half a pixel: OpenCV counts from the centre of the first pixel.
     assert lens.calibration.centre_px == (342.28315473308373 + 0.5, 235.57082909788173 + 0.5)
 
 
-def test_a_calibration_scales_to_the_picture():
+def test_calibration_scales_to_the_picture_size():
     lens = lens_from_text(YAML)
     full, half = lens.optics(640, 480), lens.optics(320, 240)
     at = np.array([[10.0, 20.0], [600.0, 400.0]])
     assert np.allclose(full.directions_of(at), half.directions_of(at / 2), rtol=0, atol=1e-12)
-    # 480 pixels at a focal length of 536, and a little more for the barrel.
+    # 480 pixels at a focal length of 536 pixels, enlarged a little by the barrel distortion.
     assert 48.3 < full.fov_deg < 53.0
     with pytest.raises(ValueError, match=r"640 x 480, such as 512 x 384.*found 512 x 512"):
         lens.optics(512, 512)
@@ -113,15 +113,15 @@ def test_a_calibration_scales_to_the_picture():
         lens.optics(640, 480, 90.0)
 
 
-def test_a_fisheye_calibration_is_known_by_its_mark():
+def test_fisheye_calibration_is_recognised_by_its_key():
     lens = lens_from_text(json.dumps(FISHEYE))
     assert lens.model == "fisheye" and lens.coefficients == (0.03, -0.01, 0.004, -0.0007)
-    # Kannala and Brandt's formula at 30 degrees to the right.
+    # Formula of Kannala and Brandt at 30 degrees to the right.
     a = np.deg2rad(30.0)
     r = a * (1 + 0.03 * a**2 - 0.01 * a**4 + 0.004 * a**6 - 0.0007 * a**8)
     found = lens.optics(1280, 720).pixels_of([[np.sin(a), 0.0, np.cos(a)]])[0]
     assert found == pytest.approx([640.7 + 520 * r, 356.0], abs=1e-9)
-    # Four coefficients without the mark are OpenCV's default model.
+    # Four coefficients without the fisheye key belong to OpenCV's default model.
     plain = {key: value for key, value in FISHEYE.items() if key != "fisheye_model"}
     assert lens_from_text(json.dumps(plain)).model == "brown"
     ros = "image_width: 64\nimage_height: 48\ndistortion_model: equidistant\ncamera_matrix:\n  rows: 3\n  cols: 3\n"
@@ -162,7 +162,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("name", BROKEN)
-def test_a_broken_calibration_is_refused_with_what_is_wrong(name, tmp_path):
+def test_broken_calibration_is_refused_with_the_defect(name, tmp_path):
     text, words = BROKEN[name]
     path = tmp_path / "lens.yml"
     path.write_text(text, encoding="utf-8")
@@ -172,7 +172,7 @@ def test_a_broken_calibration_is_refused_with_what_is_wrong(name, tmp_path):
     assert refusal.value.exit_code == 3 and refusal.value.code == "render.lens"
 
 
-def test_a_file_that_is_none_is_refused(tmp_path):
+def test_file_without_calibration_is_refused(tmp_path):
     for name, data in (("binary.yml", b"\xff\xfe\x00\x81"), ("huge.yml", b"#" * 1_000_001)):
         (tmp_path / name).write_bytes(data)
         with pytest.raises(VolumeImportError):

@@ -1,4 +1,4 @@
-"""The scope in a lumen: what it does, and that it stays inside by a geometry that is not its own."""
+"""Tests of a scope driven in a lumen; an independent geometry checks that the scope stays inside."""
 
 from __future__ import annotations
 
@@ -21,12 +21,15 @@ Point = list[float]
 
 @pytest.fixture(scope="module")
 def chest() -> Phantom:
-    # The truth is exact at any spacing; the voxels are not needed.
+    # The ground truth is exact at any spacing, and the test does not use the voxels.
     return generate_phantom(seed=SEED, spacing_mm=9.0, noise_hu=0.0)
 
 
 def sampled(spacing: tuple[float, float, float]) -> WallField:
-    """The exact lumen's field on a lattice (x, y, z mm), slab by slab: all its points at once are half a gigabyte."""
+    """Return the wall field of the exact lumen on a lattice (x, y, z, mm).
+
+    Slabs limit the memory: all points at once take half a gigabyte.
+    """
     low, high = np.array([-70.0, -50.0, -90.0]), np.array([70.0, 50.0, 112.0])
     x, y, z = (np.arange(a, b, s) for a, b, s in zip(low, high, spacing, strict=True))
     distance = np.empty((len(z), len(y), len(x)), dtype=np.float32)
@@ -45,7 +48,7 @@ def field() -> WallField:
 
 
 def path_to(chest: Phantom, branch_id: int) -> NDArray[np.float64]:
-    """Root to a branch's end."""
+    """Return the path from the root to the end of a branch, LPS mm."""
     branches: dict[int, dict[str, Any]] = {b["id"]: b for b in chest.truth["branches"]}
     points: list[Point] = []
     at: int | None = branch_id
@@ -55,7 +58,7 @@ def path_to(chest: Phantom, branch_id: int) -> NDArray[np.float64]:
     return np.array(points)
 
 
-def test_the_same_samples_give_the_same_poses_bit_for_bit(chest: Phantom, field: WallField) -> None:
+def test_same_samples_give_the_same_poses_bit_for_bit(chest: Phantom, field: WallField) -> None:
     def run(kind: str) -> list[NDArray[np.float64]]:
         rng = np.random.default_rng(5)
         drive = ScopeDrive(field, "ebus", path_to(chest, 0))
@@ -65,7 +68,7 @@ def test_the_same_samples_give_the_same_poses_bit_for_bit(chest: Phantom, field:
         assert all(np.array_equal(a, b) for a, b in zip(run(kind), run(kind), strict=True)), kind
 
 
-def test_a_copy_lies_as_the_scope_does_and_goes_its_own_way(chest: Phantom, field: WallField) -> None:
+def test_copy_has_the_pose_of_the_scope_and_moves_independently(chest: Phantom, field: WallField) -> None:
     path = path_to(chest, 1)
     one = ScopeDrive(field, "thin", path)
     one.drive(60.0, 0.4, 0.3, 0.1)
@@ -79,7 +82,7 @@ def test_a_copy_lies_as_the_scope_does_and_goes_its_own_way(chest: Phantom, fiel
     assert np.array_equal(one.shaft_lps(), other.shaft_lps())
 
 
-def test_a_scope_that_is_too_thick_stops_and_says_what_would_pass(chest: Phantom, field: WallField) -> None:
+def test_too_thick_scope_stops_and_reports_the_diameter_that_passes(chest: Phantom, field: WallField) -> None:
     by_name = {b["name"]: b for b in chest.truth["branches"]}
     path = path_to(chest, by_name["RB10"]["id"])
     drive = ScopeDrive(field, "therapeutic", path_to(chest, 0))
@@ -98,29 +101,28 @@ def test_insertion_counts_from_the_start_of_the_path(chest: Phantom, field: Wall
     state = drive.drive(50.0, 0.0, 0.0, 0.1)
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     there = [np.interp(50.0, along, path[:, a]) for a in range(3)]
-    # The trachea bends; a stiff scope cuts the bend by less than its radius.
+    # The trachea is curved; a stiff scope deviates from its centreline by less than its radius.
     assert float(np.linalg.norm(state.pose.position_lps - there)) < 7.0
     assert state.limit == "none"
     assert drive.drive(-5.0, 0.0, 0.0, 0.1).limit == "entry"
 
 
-def test_depth_counts_from_the_cords_and_a_facing_operator_sees_the_picture_turned(
-    chest: Phantom, field: WallField
-) -> None:
+def test_depth_counts_from_the_cords_and_facing_operator_has_a_turned_picture(chest: Phantom, field: WallField) -> None:
     path = path_to(chest, 0)
-    # The cords lie 12 mm above the scan.
+    # The vocal cords are 12 mm above the scan.
     head = ScopeDrive(field, "standard", path, cords_mm=-12.0)
     facing = ScopeDrive(field, "standard", path, operator="facing")
     a, b = head.drive(40.0, 0.0, 0.0, 0.1), facing.drive(40.0, 0.0, 0.0, 0.1)
     assert head.depth_from_cords_mm == pytest.approx(52.0)
     assert facing.depth_from_cords_mm is None
-    # Anterior is up from the head end, and down for one who faces the patient; the tip lies the same.
+    # Anterior is up for an operator at the head end and down for one who faces the patient; the tip position is the
+    # same.
     assert a.pose.lps_from_camera[1, 1] > 0.9
     assert b.pose.lps_from_camera[1, 1] < -0.9
     for _ in range(3):
         assert np.array_equal(a.pose.lps_from_camera[:3, 2:], b.pose.lps_from_camera[:3, 2:])
         assert np.array_equal(a.pose.lps_from_camera[:3, :2], -b.pose.lps_from_camera[:3, :2])
-        # And so it is when the tip is bent, which a turn of the instrument would swing.
+        # The same holds for a bent tip, which would swing if the instrument itself were turned.
         a, b = (drive.drive(48.0, 0.4, 0.8, 0.1) for drive in (head, facing))
     b = facing.set_operator("head")
     assert facing.state is b
@@ -133,7 +135,7 @@ def test_depth_counts_from_the_cords_and_a_facing_operator_sees_the_picture_turn
         ScopeDrive(field, "standard", path, cords_mm=math.nan)
 
 
-def test_a_tip_pressed_at_a_wall_counts_contact_and_goes_red(chest: Phantom, field: WallField) -> None:
+def test_tip_pressed_against_a_wall_reports_contact_and_turns_red(chest: Phantom, field: WallField) -> None:
     drive = ScopeDrive(field, "standard", path_to(chest, 0))
     drive.drive(60.0, 0.0, 0.0, 0.1)
     assert drive.state.contact is None
@@ -146,12 +148,12 @@ def test_a_tip_pressed_at_a_wall_counts_contact_and_goes_red(chest: Phantom, fie
     touched = lumen_distance_at([state.contact.point_lps], seed=SEED)[0]
     assert abs(touched) < 0.3
     assert state.flexion_rad == math.radians(130)
-    # Let go, it lies on the bend of the trachea at most, and nothing presses it there.
+    # After release the tip touches the curved wall of the trachea at most, without pressure.
     released = drive.drive(60.0, 0.0, 0.0, 0.1).contact
     assert released is None or released.depth_mm < 0.3
 
 
-def test_a_lever_moves_the_tip_as_on_a_real_scope() -> None:
+def test_lever_moves_the_tip_as_on_a_real_scope() -> None:
     stops = (-math.radians(130), math.radians(180))
     assert lever_flexion(1.0, stops) == stops[1]
     assert lever_flexion(-1.0, stops) == stops[0]
@@ -161,7 +163,7 @@ def test_a_lever_moves_the_tip_as_on_a_real_scope() -> None:
         lever_flexion(math.nan, stops)
 
 
-def test_broken_samples_paths_and_fields_are_refused(chest: Phantom, field: WallField) -> None:
+def test_invalid_samples_paths_and_fields_are_refused(chest: Phantom, field: WallField) -> None:
     drive = ScopeDrive(field, "standard", path_to(chest, 0))
     before = drive.drive(30.0, 0.1, 0.2, 0.1)
     for bad in ((math.nan, 0, 0, 0.1), (0, math.inf, 0, 0.1), (0, 0, math.nan, 0.1), (0, 0, 0, -1.0)):
@@ -182,7 +184,7 @@ def test_broken_samples_paths_and_fields_are_refused(chest: Phantom, field: Wall
     assert refused.value.code == "usage.range"
 
 
-def test_the_field_of_a_mesh_can_be_stopped() -> None:
+def test_wall_field_of_a_mesh_can_be_cancelled() -> None:
     corners = np.array([[0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, 9]], dtype=np.float64)
     faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], dtype=np.uint32)
     made = WallField.from_mesh(corners, faces, spacing_mm=0.3)

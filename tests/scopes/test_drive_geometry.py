@@ -1,4 +1,4 @@
-"""What looks at the random drives is right itself: distances to a mesh, and cells that lie in a lumen."""
+"""Tests of the geometry that checks the random drives: distances to a mesh, and cells inside a lumen."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from mesh_distance import MeshDistance, solid_angles
 
 
 def tube_mesh() -> tuple[Floats, np.ndarray]:
-    """A closed bent tube with a ridge, its triangles some mm long; counterclockwise from outside."""
+    """Return a closed bent tube with a ridge as a mesh with edges of some mm, counterclockwise from outside."""
     rows, round_ = 40, 20
     turns = np.linspace(0.0, 2.0 * np.pi, round_, endpoint=False)
     vertices, triangles = [], []
@@ -28,7 +28,7 @@ def tube_mesh() -> tuple[Floats, np.ndarray]:
     return np.array(vertices), np.array(triangles)
 
 
-def test_distances_to_a_mesh_are_those_to_its_densest_points_and_its_sides_those_of_the_solid_angle(
+def test_mesh_distances_match_dense_points_and_sides_match_the_solid_angle(
     rng: np.random.Generator,
 ) -> None:
     vertices, triangles = tube_mesh()
@@ -40,7 +40,7 @@ def test_distances_to_a_mesh_are_those_to_its_densest_points_and_its_sides_those
     nearest = np.array([np.linalg.norm(dense - p, axis=1).min() for p in points])
     near = np.isfinite(found)
     assert near.sum() > 200
-    # No place of a triangle whose edges are 0.3 mm is farther than 0.174 mm from its corners.
+    # Every point of a triangle with edges of 0.3 mm is within 0.174 mm of its corners.
     assert (np.abs(found[near]) <= nearest[near] + 1e-9).all()
     assert (np.hypot(found[near], 0.174) >= nearest[near] - 1e-9).all()
     assert nearest[~near].min() > 1.2
@@ -48,7 +48,7 @@ def test_distances_to_a_mesh_are_those_to_its_densest_points_and_its_sides_those
     assert np.array_equal(found[near] < 0.0, inside[near])
 
 
-def test_cells_of_a_mesh_hold_only_what_is_in_the_lumen(rng: np.random.Generator) -> None:
+def test_cells_of_a_mesh_are_in_the_lumen(rng: np.random.Generator) -> None:
     vertices, triangles = tube_mesh()
     corners = vertices[triangles]
     cells = LumenCells.of_mesh(MeshDistance(vertices, triangles), corners, np.array([[0.0, 0.0, 2.0]]))
@@ -57,7 +57,7 @@ def test_cells_of_a_mesh_hold_only_what_is_in_the_lumen(rng: np.random.Generator
     depths = cells.depths_mm(points)
     assert (depths[inside] <= 0.0).all()
     assert (depths[~inside] > 0.0).all()
-    # Without seeds each cell that the mesh leaves alone is told by itself.
+    # Without seeds, the side of each cell that the mesh does not touch is computed separately.
     alone = LumenCells.of_mesh(MeshDistance(vertices, triangles), corners, np.zeros((0, 3)))
     assert np.array_equal(alone.depths_mm(points) > 0.0, ~inside)
     radii = rng.uniform(0.0, 2.0, 800)
@@ -68,7 +68,7 @@ def test_cells_of_a_mesh_hold_only_what_is_in_the_lumen(rng: np.random.Generator
     assert held.sum() > 10
 
 
-def test_a_lattice_has_the_distance_itself_wherever_the_wall_is_near() -> None:
+def test_lattice_has_the_exact_distance_near_the_wall() -> None:
     def tube(points: Floats) -> Floats:
         return np.hypot(points[:, 0], points[:, 1]) - 3.0
 

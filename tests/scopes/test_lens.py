@@ -1,4 +1,4 @@
-"""Lenses and image fields as Python sees them; the models themselves are tested in crates/grid."""
+"""Tests of lenses and image fields in Python; crates/grid tests the lens models."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ LENSES = {
 
 
 @pytest.mark.parametrize("name", LENSES)
-def test_pixels_and_directions_are_each_others_inverse(name):
+def test_pixels_and_directions_are_inverse(name):
     optics = LENSES[name].optics(320, 240, 110.0)
     rng = np.random.default_rng(5)
-    # Inside the image circle, where every lens has a direction.
+    # Points inside the image circle, where every lens has a direction.
     angle, distance = rng.uniform(0, 2 * np.pi, 500), 119.0 * np.sqrt(rng.uniform(0, 1, 500))
     pixels = np.column_stack([160 + distance * np.cos(angle), 120 + distance * np.sin(angle)])
     directions = optics.directions_of(pixels)
     assert np.allclose(np.linalg.norm(directions, axis=1), 1.0, rtol=0, atol=1e-12)
-    # 1e-8 px: double arithmetic on some hundred pixels, and Newton's last step.
+    # Tolerance 1e-8 px: double precision at several hundred pixels, and the last step of Newton's method.
     assert np.abs(optics.pixels_of(directions * rng.uniform(0.1, 50, (500, 1))) - pixels).max() < 1e-8
 
 
-def test_an_equidistant_lens_has_equal_angles_at_equal_distances():
+def test_equidistant_lens_has_equal_angles_at_equal_distances():
     optics = Lens.equidistant().optics(340, 340, 170.0)
     angles = np.deg2rad([0.0, 20.0, 60.0, 85.0])
     pixels = optics.pixels_of(np.column_stack([np.sin(angles), np.zeros(4), np.cos(angles)]))
     assert np.allclose(pixels[:, 0], 170 + np.array([0, 40, 120, 170]))
 
 
-def test_opencv_formulas_hold_at_a_point_worked_by_hand():
+def test_opencv_formulas_match_a_point_computed_by_hand():
     # x = 0.3, y = -0.4: r^2 = 0.25, radial 1 - 0.1 * 0.25 + 0.04 * 0.0625 = 0.9775.
     lens = Lens.brown(-0.1, 0.04, p1=0.01, p2=-0.02)
     optics = lens.optics(200, 200, 90.0)
@@ -49,27 +49,27 @@ def test_opencv_formulas_hold_at_a_point_worked_by_hand():
     assert optics.pixels_of([[0.6, -0.8, 2.0]])[0] == pytest.approx([100 + f * x, 100 + f * y], abs=1e-10)
 
 
-def test_what_a_lens_does_not_see_has_no_place():
+def test_directions_outside_the_field_of_a_lens_have_no_pixel():
     assert np.isnan(PINHOLE.optics(64, 64, 90.0).pixels_of([[0.0, 0.0, -1.0]])).all()
     assert np.isnan(PINHOLE.optics(64, 64, 90.0).pixels_of([[0.0, math.nan, 1.0]])).all()
-    # 120 degrees from the axis lies on a fisheye's picture, if that is large enough.
+    # A direction 120 degrees from the axis is in the picture of a fisheye lens if the picture is large enough.
     assert not np.isnan(Lens.equidistant().optics(64, 64, 90.0).pixels_of([[1.0, 0.0, -0.5]])).any()
 
 
 @pytest.mark.parametrize("fov_deg", [0.0, 0.99, 170.1, 180.0, -90.0, math.nan, math.inf])
 @pytest.mark.parametrize("name", LENSES)
-def test_a_field_of_view_out_of_range_is_refused_with_the_value(name, fov_deg):
+def test_field_of_view_out_of_range_is_refused_with_the_value(name, fov_deg):
     with pytest.raises(UsageError, match=r"1 to 170 degrees.*found"):
         LENSES[name].optics(64, 64, fov_deg)
 
 
-def test_a_pinhole_and_the_fitted_lens_go_to_170_degrees():
+def test_pinhole_and_fitted_lens_reach_170_degrees():
     for lens in (PINHOLE, Lens.equidistant(), Lens.fisheye(fit_generic_optics().k1)):
         assert lens.optics(64, 64, 170.0).fov_deg == 170.0
 
 
-def test_a_lens_that_folds_back_is_refused_with_the_angle_where_it_does():
-    # k1 = -0.3 alone, which is where many fits start, turns back at 46.5 degrees from the axis.
+def test_lens_that_folds_back_is_refused_with_the_angle():
+    # With k1 = -0.3 alone, a common start of fits, the image radius decreases beyond 46.5 degrees from the axis.
     with pytest.raises(RenderError, match=r"less than 93.0 degrees.*found 120.00"):
         Lens.brown(-0.3).optics(64, 64, 120.0)
     assert Lens.brown(-0.3).optics(64, 64, 90.0).limit_deg == pytest.approx(46.51, abs=0.01)
@@ -96,35 +96,36 @@ def test_settings_out_of_range_are_refused(make):
 
 
 @pytest.mark.parametrize("make", [lambda: Lens.brown(math.nan), lambda: Lens.fisheye(math.inf)])
-def test_coefficients_that_are_not_finite_are_refused(make):
+def test_non_finite_coefficients_are_refused(make):
     with pytest.raises(UsageError) as refusal:
         make()
     assert refusal.value.code == "usage.range"
 
 
-def test_the_fit_meets_the_published_figures_as_far_as_they_agree():
+def test_fit_meets_the_published_figures_as_far_as_they_agree():
     fit = fit_generic_optics()
     relative = {residual.what: residual.relative for residual in fit.residuals}
-    # They contradict each other: one pupil cannot give x9.55 at 10 mm and x40 at 3 mm, nor two distortions.
+    # The published figures contradict each other: one pupil cannot give x9.55 at 10 mm and x40 at 3 mm, nor two
+    # distortions.
     assert relative["magnification at 10 mm, relative to 100 mm"] == pytest.approx(0.092, abs=1e-3)
     assert relative["magnification at 3 mm, relative to 100 mm"] == pytest.approx(-0.022, abs=1e-3)
     assert relative["magnification at 15 mm, centre relative to edge"] == pytest.approx(0.014, abs=1e-3)
     assert relative["edge magnification at 3 mm, as a fraction of the distortion-free value"] == pytest.approx(
         0.014, abs=1e-3
     )
-    # A least-squares fit: no other pupil does better.
+    # The fit is a least-squares fit: no other pupil has a smaller sum of squares.
     logs = [math.log(1 + r) for what, r in relative.items() if what.startswith("magnification")]
     for face_mm in (fit.face_mm - 0.05, fit.face_mm + 0.05):
         other = [math.log((100 + face_mm) / (d + face_mm) / m) for d, m in ((10, 9.55), (3, 40))]
         assert sum(v * v for v in other) > sum(v * v for v in logs)
 
 
-def test_the_fitted_lens_shows_what_the_fit_says():
+def test_fitted_lens_has_the_magnifications_of_the_fit():
     fit = fit_generic_optics()
     optics = Lens.fisheye(fit.k1).optics(1000, 1000, 120.0)
 
     def size_px(distance_mm: float, at_mm: float) -> float:
-        """How large 0.02 mm of a chart before the tip's face appear, across the way from the middle."""
+        """Return the size in pixels of 0.02 mm on a chart before the tip, tangential at an offset from the middle."""
         z = distance_mm + fit.face_mm
         (x0, y0), (x1, y1) = optics.pixels_of([[at_mm, -0.01, z], [at_mm, 0.01, z]])
         return math.hypot(x1 - x0, y1 - y0)

@@ -1,7 +1,7 @@
-"""Random drives of every instrument, looked at by a geometry that is not the product's.
+"""Random drives of every scope of the library, checked by a geometry that is independent of the product.
 
-`make soak` drives 1,000 times in the phantom and as often in the patient; `make test` drives a few of the phantom's.
-All of it needs numpy alone.
+`make soak` runs 1,000 drives in the phantom and 1,000 in the patient; `make test` runs a few drives in the phantom.
+The checks need only numpy.
 """
 
 from __future__ import annotations
@@ -25,20 +25,21 @@ LOW, HIGH = np.array([-70.0, -50.0, -90.0]), np.array([70.0, 50.0, 112.0])
 TOP_MM = 110.0
 PHANTOM_SAMPLES, PATIENT_SAMPLES = 40, 25
 PARTS = 4
-"""Of a thousand drives, so that several processes can share them (-k)."""
+"""Groups of the thousand drives, so that several processes can share the drives (-k)."""
 
 
 def exact_mm(points: Floats) -> Floats:
-    """The phantom's lumen as it was made, above 0 beyond the wall."""
+    """Return the distance of points to the phantom's exact wall, positive outside the lumen, mm."""
     return lumen_distance_at(points, seed=SEED) if len(points) else np.zeros(0)
 
 
 def steady_mm(points: Floats) -> Floats:
-    """The same where it is a distance, which no more than 1.3 mm in a mm changes.
+    """Return the distance of points to the phantom's wall (mm), limited where the exact distance jumps.
 
-    The phantom's lumen jumps by up to 0.21 mm where another branch becomes the second nearest at a fork, or the cut at
-    the back of the trachea turns; no wall is there. What is deep counts as no deeper than places 0.1 mm round it allow.
-    Above the trachea's start nothing is known, and the windpipe goes on as it is there.
+    The exact distance jumps by up to 0.21 mm at forks, where another branch becomes the second nearest, and where the
+    flat back of the trachea turns; no wall is there. The result changes by at most 1.3 mm per mm: the depth of a point
+    is limited by the distances of points 0.1 mm around that point. Above the start of the trachea, the lumen continues
+    with the cross-section of the start.
     """
     points = np.minimum(points, [np.inf, np.inf, TOP_MM])
     found = exact_mm(points)
@@ -52,7 +53,7 @@ def steady_mm(points: Floats) -> Floats:
 
 @pytest.fixture(scope="module")
 def chest() -> Lumen:
-    # The truth is exact at any spacing; the voxels are not needed.
+    # The ground truth is exact at any spacing, and the test does not use the voxels.
     truth = generate_phantom(seed=SEED, spacing_mm=9.0, noise_hu=0.0).truth
     branches: dict[int, dict[str, Any]] = {b["id"]: b for b in truth["branches"]}
 
@@ -64,7 +65,7 @@ def chest() -> Lumen:
             at = branches[at]["parent"]
         return np.array(points)
 
-    # As fine as the field of a CT, anisotropic.
+    # As fine as the wall field of a CT, anisotropic.
     spacing = (0.4, 0.35, 0.45)
     shape = tuple(int(n) for n in np.ceil((HIGH - LOW) / spacing)[::-1])
     matrix = np.diag([*spacing, 1.0])
@@ -76,7 +77,7 @@ def chest() -> Lumen:
 
 @pytest.fixture(scope="module")
 def patient() -> Lumen:
-    """The bundled CT; the wall is its lumen's mesh, measured to triangle by triangle."""
+    """Return the lumen of the bundled CT, whose wall is the lumen's mesh with exact distances to its triangles."""
     volume, airways = the_patient()
     mesh = lumen_mesh(volume, airways)
     tree = airways.tree
@@ -93,19 +94,19 @@ def test_random_drives_stay_in_the_exact_lumen(chest: Lumen) -> None:
 
 
 @pytest.mark.slow
-def test_a_tip_pressed_at_the_edge_of_the_carina_does_not_sink_in(chest: Lumen) -> None:
-    # 0.111 and 0.119 mm before the skin of the tip's balls, and by a truth that jumps there.
+def test_tip_pressed_against_the_carina_edge_does_not_sink_in(chest: Lumen) -> None:
+    # Without the skin of the tip's balls (decision 0125), the tip sank in by 0.111 and 0.119 mm in these runs.
     found = check_drives(chest, [52, 261], num_samples=PHANTOM_SAMPLES, every=1)
     assert 0.0 < found.tip.mm <= 0.1, found.tip.told
 
 
 @pytest.mark.soak
 @pytest.mark.parametrize("part", range(PARTS))
-def test_a_thousand_random_drives_stay_in_the_exact_lumen(chest: Lumen, part: int) -> None:
+def test_thousand_random_drives_stay_in_the_exact_lumen(chest: Lumen, part: int) -> None:
     check_drives(chest, range(part, 1000, PARTS), num_samples=PHANTOM_SAMPLES, every=1).check()
 
 
 @pytest.mark.soak
 @pytest.mark.parametrize("part", range(PARTS))
-def test_a_thousand_random_drives_stay_in_the_patients_lumen(patient: Lumen, part: int) -> None:
+def test_thousand_random_drives_stay_in_the_patient_lumen(patient: Lumen, part: int) -> None:
     check_drives(patient, range(part, 1000, PARTS), num_samples=PATIENT_SAMPLES, every=4).check()

@@ -1,4 +1,4 @@
-"""Readings of the wall's distance between its samples, in lumens whose width is known."""
+"""Tests of interpolated wall distances in lumens of known width."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ STEP_MM = 0.4
 
 
 def tubes(radius_mm: float, axis: np.ndarray, *middles: np.ndarray) -> WallField:
-    """Parallel tubes, exact at samples 0.4 mm apart."""
+    """Return the wall field of parallel tubes, exact at samples 0.4 mm apart."""
     num = int(2.0 * (radius_mm + 2.2) / STEP_MM) + 3
     low = -0.5 * (num - 1) * STEP_MM
     k, j, i = np.indices((num, num, num)) * STEP_MM + low
@@ -27,7 +27,7 @@ def tubes(radius_mm: float, axis: np.ndarray, *middles: np.ndarray) -> WallField
 
 @pytest.mark.parametrize("diameter_mm", [1.0, 1.5, 2.0, 3.0, 4.0, 6.0])
 @pytest.mark.parametrize("off_mm", [0.0, 0.15, 0.3])
-def test_a_tube_is_as_wide_as_it_is_in_every_direction_and_wherever_it_lies(diameter_mm: float, off_mm: float) -> None:
+def test_tube_has_its_width_in_every_direction_and_at_every_position(diameter_mm: float, off_mm: float) -> None:
     rng = np.random.default_rng(int(10 * diameter_mm))
     ways = np.concatenate([np.eye(3), rng.normal(size=(9, 3))])
     biases = []
@@ -41,7 +41,7 @@ def test_a_tube_is_as_wide_as_it_is_in_every_direction_and_wherever_it_lies(diam
     assert abs(np.mean(biases)) <= 0.07
 
 
-def test_the_ball_beside_a_thin_wall_does_not_see_the_next_lumen() -> None:
+def test_ball_beside_a_thin_wall_ignores_the_next_lumen() -> None:
     axis = np.array([0.0, 0.0, 1.0])
     left, right = np.array([-0.9, 0.1, 0.0]), np.array([1.8, 0.1, 0.0])
     field = tubes(1.0, axis, left, right)
@@ -50,7 +50,7 @@ def test_the_ball_beside_a_thin_wall_does_not_see_the_next_lumen() -> None:
         assert field.ball_mm(at)[0] == pytest.approx(1.0 - off_mm, abs=0.06)
 
 
-def test_outside_the_lumen_and_far_in_it_the_ball_is_what_the_distance_says() -> None:
+def test_ball_equals_the_distance_outside_and_deep_inside_the_lumen() -> None:
     field = tubes(1.0, np.array([0.0, 0.0, 1.0]), np.zeros(3))
     outside = np.array([[1.5, 0.0, 0.0], [0.0, 2.0, 0.3], [99.0, 0.0, 0.0]])
     assert field.ball_mm(outside).tolist() == field.distance_mm(outside).tolist()
@@ -59,7 +59,7 @@ def test_outside_the_lumen_and_far_in_it_the_ball_is_what_the_distance_says() ->
     assert len(wide.ball_mm(np.empty((0, 3)))) == 0
 
 
-def test_the_bytes_of_equal_walls_are_equal_and_contain_all_samples() -> None:
+def test_bytes_of_equal_walls_are_equal_and_contain_all_samples() -> None:
     axis, middle = np.array([0.0, 0.0, 1.0]), np.zeros(3)
     wall = tubes(2.0, axis, middle)
     assert wall.to_bytes() == tubes(2.0, axis, middle).to_bytes()

@@ -1,4 +1,4 @@
-"""A small drawn airway tree to edit: quick enough for thousands of edits, on an oblique anisotropic grid."""
+"""A small synthetic airway tree for tests of edits, on an oblique anisotropic grid."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ class EditCase:
     volume: Volume
     airways: Airways
     tips: list[NDArray[np.float64]]
-    """Ends of the four small tubes, LPS mm: right, right, left, left."""
+    """Ends of the four small tubes, LPS mm: two on the right, two on the left."""
     hidden: NDArray[np.float64]
-    """End of a tube behind a plug of mucus, that the automatic search cannot reach."""
+    """End of a tube behind a mucus plug, which the automatic search cannot reach, LPS mm."""
     plug: NDArray[np.float64]
-    """The middle of the plug."""
+    """Middle of the plug, LPS mm."""
 
 
 def _off(points: NDArray[np.float64], a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -62,7 +62,7 @@ def edit_case() -> EditCase:
         (left, tips[2], 1.8),
         (left, tips[3], 1.9),
     ]
-    # A branch of the trachea, blocked near its beginning.
+    # A branch of the trachea that is blocked near its start.
     hidden = (at(1, 2, 18), at(8, 8, 8), 1.9)
     depth = np.min([_off(points, a, b) - r for a, b, r in [*tubes, hidden]], axis=0)
 
@@ -80,7 +80,7 @@ def edit_case() -> EditCase:
 
 @cache
 def open_ended_volume() -> Volume:
-    """The volume of the same case, in which the first two tubes have no end: ways lead from them into plain lung."""
+    """Return the volume with the first two tubes open, so that paths lead from the tubes into plain lung."""
     case = edit_case()
     values = case.volume.hu_zyx.copy()
     k, j, i = np.indices(values.shape)
@@ -93,7 +93,7 @@ def open_ended_volume() -> Volume:
 
 @cache
 def open_ended_airways() -> Airways:
-    """The airways of the same case, with paths in that volume."""
+    """Return the airways of this case with a tracker in the volume with open tubes."""
     airways, grid = edit_case().airways, PathGrid(open_ended_volume())
     told = airways.tracker
     recipe = CoreRecipe(airways.wall_levels, is_edited=False)
@@ -104,13 +104,13 @@ def open_ended_airways() -> Airways:
 
 
 def in_plain_lung() -> tuple[float, float, float]:
-    """A point of that volume to which a way without evidence leads, LPS mm."""
+    """Return a point (LPS mm) in the volume with open tubes that a path without evidence reaches."""
     x, y, z = (float(v) for v in edit_case().tips[0] + np.array([-3.0, 0.5, -3.0]))
     return x, y, z
 
 
 def assert_same_tree(found: AirwayTree, expected: AirwayTree) -> None:
-    """Branch by branch, bit for bit."""
+    """Assert that two trees have equal branches, bit for bit."""
     assert [b.id for b in found.branches] == [b.id for b in expected.branches]
     for one, other in zip(found.branches, expected.branches, strict=True):
         for key in (
@@ -131,7 +131,7 @@ def assert_same_tree(found: AirwayTree, expected: AirwayTree) -> None:
 
 
 def assert_same(found: Airways, expected: Airways) -> None:
-    """Tree, lumen, root, and what the trackers say of every voxel."""
+    """Assert equal trees, lumens, roots, and tracker results of every voxel."""
     assert_same_tree(found.tree, expected.tree)
     np.testing.assert_array_equal(found.lumen_zyx, expected.lumen_zyx)
     np.testing.assert_array_equal(found.root_lps, expected.root_lps)

@@ -1,4 +1,4 @@
-"""Random sequences of edits, undo and redo, from a seed or from what Hypothesis draws."""
+"""Random sequences of edits, undo and redo, from a seed or from values that Hypothesis draws."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PLANES = ("axial", "coronal", "sagittal", "ball")
 
 
 def some_edit(kind: str, airways: Airways, number: Callable[[int], int], case: EditCase) -> TreeEdit:
-    """An edit of that kind; ``number(n)`` chooses among n. Most fit, some are refused."""
+    """Return an edit of this kind; ``number(n)`` chooses among n. Most edits are valid, some are refused."""
     branches = airways.tree.branches
     branch = branches[number(len(branches))]
     place = branch.points[number(len(branch.points))]
@@ -61,7 +61,7 @@ def some_edit(kind: str, airways: Airways, number: Callable[[int], int], case: E
 
 @dataclass
 class Editing:
-    """Airways with what can be undone and done again."""
+    """Airways with their undo and redo stacks."""
 
     case: EditCase = field(default_factory=edit_case)
     done: list[Airways] = field(default_factory=list)
@@ -94,14 +94,14 @@ class Editing:
             self.done.append(self.undone.pop())
 
     def check(self, airways: Airways) -> None:
-        """What the edits gave one by one is what they give from scratch."""
+        """Assert that the edits one by one give the same airways as all edits from scratch."""
         assert_same(airways, rebuild_airways(self.case.volume, self.case.airways, airways.edits))
         for branch in airways.tree.branches:
             assert airways.tracker.inside(branch.points).all(), f"branch {branch.id} leaves the lumen"
 
 
 def run_sequence(seed: int) -> Editing:
-    """One random sequence of up to eight edits, undos and redos."""
+    """Run one random sequence of up to eight edits, undos and redos."""
     rng = np.random.default_rng(seed)
     editing = Editing()
     for _ in range(int(rng.integers(2, 9))):

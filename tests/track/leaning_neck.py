@@ -33,7 +33,7 @@ class LeaningNeck:
         return self.scale * np.array(self.made.truth["cricoid_lps"])
 
     def trachea_at(self, above_carina_mm: float) -> NDArray[np.float64]:
-        """The point of the trachea's centreline at a height, in mm of the unscaled phantom."""
+        """Return the point of the trachea's centreline at a height, in mm of the unscaled phantom."""
         points = np.array(self.made.truth["branches"][0]["points"])
         return self.scale * points[int(np.argmin(np.abs(points[:, 2] - above_carina_mm)))]
 
@@ -45,7 +45,7 @@ class LeaningNeck:
         return self.scale * gullet_at(self.made, above_carina_mm)
 
     def cropped(self, *, above_mm: float | None = None, below_mm: float | None = None) -> Volume:
-        """The slices above or below a height over the carina, in mm of the unscaled phantom."""
+        """Return the slices above or below a height over the carina, in mm of the unscaled phantom."""
         z0, step = float(self.volume.lps_from_ijk[2, 3]), self.volume.spacing_mm[2]
         first = 0 if above_mm is None else int(np.ceil((self.scale * above_mm - z0) / step))
         stop = None if below_mm is None else int(np.floor((self.scale * below_mm - z0) / step)) + 1
@@ -59,7 +59,7 @@ GULLET_MM = (45.0, 80.0)
 
 
 def gullet_at(made: Phantom, above_carina_mm: float) -> NDArray[np.float64]:
-    """The middle of the gullet: vertical, on the side that the trachea leans to, beside the top of its air."""
+    """Return the axis of the oesophagus: vertical, on the side to which the trachea leans."""
     points = np.array(made.truth["branches"][0]["points"])
     top = points[int(np.argmin(np.abs(points[:, 2] - GULLET_MM[1])))]
     side = 1.0 if made.truth["lean_deg"][0] >= 0.0 else -1.0
@@ -68,7 +68,7 @@ def gullet_at(made: Phantom, above_carina_mm: float) -> NDArray[np.float64]:
 
 
 def with_air_in_the_gullet(made: Phantom) -> Volume:
-    """The phantom's volume with air in a stretch of the gullet: while the trachea leans away, it lies vertically."""
+    """Return the volume with air in a vertical part of the oesophagus, from which the leaning trachea diverges."""
     volume = made.volume
     matrix = volume.lps_from_ijk
     nk, nj, ni = volume.shape_zyx
@@ -97,7 +97,10 @@ def leaning_neck(
     gullet: bool = True,
     noise_hu: float = 20.0,
 ) -> LeaningNeck:
-    """Make one; ``scale`` is the size of the patient relative to an adult, ``spacing_mm`` that of the scan."""
+    """Return a CT with a leaning trachea.
+
+    ``scale`` is the patient's size relative to an adult, ``spacing_mm`` the scan's.
+    """
     made = generate_phantom(
         seed=seed,
         spacing_mm=spacing_mm / scale,

@@ -1,4 +1,4 @@
-"""A phantom chest, and the same with mucus in one of its bronchi."""
+"""A phantom chest, and the same chest with mucus in one of its bronchi."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def named(airways, name):
 
 
 def plugged(volume, branch, length_mm):
-    """The CT with mucus in the first part of a branch: tissue as far as its wall."""
+    """Return the CT with mucus in the first part of a branch, out to the wall."""
     values = volume.hu_zyx.copy()
     steps = np.linalg.norm(np.diff(branch.points, axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(steps)])

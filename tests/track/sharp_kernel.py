@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from carina.volume import Volume
 
 SIGMA_VOX = 1.2
-"""Width of the blur that an unsharp mask takes away."""
+"""Standard deviation of the blur in the unsharp mask."""
 
 
 def sharpened(volume: Volume, amount: float, noise_hu: float = 0.0, *, seed: int = 1) -> Volume:
-    """The volume with noise, then an unsharp mask: ``values + amount * (values - blurred)``."""
+    """Return the volume with noise and an unsharp mask: ``values + amount * (values - blurred)``."""
     values = volume.hu_zyx.astype(np.float32)
     if noise_hu > 0.0:
         values += np.float32(noise_hu) * np.random.default_rng(seed).standard_normal(values.shape, dtype=np.float32)
@@ -41,7 +41,7 @@ def _blurred(values: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def grown(lumen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """A lumen and the voxels that touch it by a face."""
+    """Return a lumen with all voxels that share a face with it."""
     wide = lumen.copy()
     for axis in range(3):
         a, b = np.moveaxis(wide, axis, 0), np.moveaxis(lumen, axis, 0)

@@ -1,4 +1,4 @@
-"""Lobes and segments that a tree lacks are listed with what the CT proves, and a miss of the search is no disease."""
+"""Tests of absent lobes and segments: each is listed with the evidence in the CT, and a missed branch is no disease."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def chest():
 
 
 def without(tree, name):
-    """The tree with a named branch and all that hangs on it cut off."""
+    """Return the tree without a named branch and everything beyond it."""
     gone = {branch.id for branch in tree.branches if branch.name == name}
     for branch in tree.branches:
         if branch.parent in gone:
@@ -44,17 +44,17 @@ def without(tree, name):
     return dataclasses.replace(tree, branches=kept)
 
 
-def test_a_whole_tree_lacks_nothing(chest):
+def test_complete_tree_has_no_absent_segment(chest):
     assert chest[1].absent == ()
 
 
-def test_a_tree_without_names_says_nothing(chest):
+def test_tree_without_names_reports_nothing_absent(chest):
     bare = tuple(dataclasses.replace(branch, name=None) for branch in chest[1].tree.branches)
     assert find_absent(AirwayTree(bare)) == ()
 
 
 @pytest.mark.parametrize("name", ["RB6", "LB3", "RB10", "LB1+2"])
-def test_a_segment_that_the_search_missed_is_reported_on_its_own_parent_without_a_disease(chest, name):
+def test_missed_segment_is_reported_on_its_own_parent_without_a_disease(chest, name):
     made, airways = chest
     tree = without(airways.tree, name)
     (absence,) = find_absent(tree, (), made.volume)
@@ -70,7 +70,7 @@ def test_a_segment_that_the_search_missed_is_reported_on_its_own_parent_without_
 
 
 @pytest.mark.parametrize("name", ["RML", "LLL", "RUL"])
-def test_a_lobe_that_the_search_missed_is_reported_once_where_it_arises_without_a_disease(chest, name):
+def test_missed_lobe_is_reported_once_at_its_origin_without_a_disease(chest, name):
     made, airways = chest
     (absence,) = find_absent(without(airways.tree, name), (), made.volume)
     assert absence.name == name
@@ -79,7 +79,7 @@ def test_a_lobe_that_the_search_missed_is_reported_once_where_it_arises_without_
     assert np.linalg.norm(named(airways, name).points[0] - absence.lps) < 5.0
 
 
-def test_a_lobe_is_not_reported_at_the_lost_end_of_another_lobe(chest):
+def test_lobe_is_not_reported_at_the_lost_end_of_another_lobe(chest):
     made, airways = chest
     tree = without(without(airways.tree, "RML"), "Right basal trunk")
     lower = tree.named("RLL")
@@ -92,7 +92,7 @@ def test_a_lobe_is_not_reported_at_the_lost_end_of_another_lobe(chest):
 
 
 @pytest.mark.parametrize("name", ["RB6", "LB10", "RB4"])
-def test_a_branch_without_a_name_in_the_place_of_a_segment_is_reported_as_such(chest, name):
+def test_unnamed_branch_at_the_position_of_a_segment_is_reported_as_unnamed(chest, name):
     made, airways = chest
     branch = named(airways, name)
     beyond = {branch.id}
@@ -114,7 +114,10 @@ def test_a_branch_without_a_name_in_the_place_of_a_segment_is_reported_as_such(c
 
 
 def resected(seed, lobe, stump_mm=4.0):
-    """A true tree after a lobectomy: of the lobe a stump is left; its neighbours have moved a little to its place."""
+    """Return a true tree and the tree after a lobectomy.
+
+    A stump of the lobe remains, and its neighbours move towards it.
+    """
     box = ((-10.0, -10.0, -10.0), (10.0, 10.0, 10.0))
     made = carina.generate_phantom(seed=seed, spacing_mm=5.0, box_lps=box, generations=5)
     whole = AirwayTree.from_json(made.truth)
@@ -140,7 +143,7 @@ def resected(seed, lobe, stump_mm=4.0):
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize("lobe", ["RUL", "RML"])
-def test_a_lobe_that_a_tree_alone_lacks_is_not_reported_as_resected(seed, lobe):
+def test_lobe_absent_from_a_tree_without_ct_is_not_reported_as_resected(seed, lobe):
     whole, tree = resected(seed, lobe)
     read = name_tree(tree)
     assert read.notes == ()
@@ -153,7 +156,7 @@ def test_a_lobe_that_a_tree_alone_lacks_is_not_reported_as_resected(seed, lobe):
 
 
 @pytest.mark.parametrize("lobe", ["RUL", "RML", "LUL", "LLL"])
-def test_after_a_lobectomy_the_lobe_is_told_once_and_the_others_keep_their_names(lobe):
+def test_resected_lobe_is_listed_once_and_other_lobes_keep_their_names(lobe):
     made = carina.generate_phantom(seed=2, spacing_mm=1.0, noise_hu=25.0, resected=lobe)
     airways = carina.find_airways(made.volume)
     (absence,) = airways.absent
@@ -171,7 +174,7 @@ def test_after_a_lobectomy_the_lobe_is_told_once_and_the_others_keep_their_names
 
 
 @pytest.mark.parametrize(("name", "lacking", "carrier"), [("RML", {"RML", "RLL"}, "BI"), ("LB6", {"LB6"}, "LLL")])
-def test_mucus_in_a_bronchus_is_said_with_its_place(chest, name, lacking, carrier):
+def test_mucus_in_a_bronchus_is_reported_with_its_position(chest, name, lacking, carrier):
     made, whole = chest
     branch = named(whole, name)
     airways = carina.find_airways(plugged(made.volume, branch, 6.0))
@@ -179,27 +182,27 @@ def test_mucus_in_a_bronchus_is_said_with_its_place(chest, name, lacking, carrie
     for absence in airways.absent:
         assert (absence.kind, absence.carrier) == ("filled", carrier)
         assert absence.beyond_mm < 25.0
-        # The middle of the mucus, which reaches up to 14 mm into the branch.
+        # Middle of the mucus, which extends up to 14 mm into the branch.
         assert np.linalg.norm(np.array(absence.lps) - branch.points[0]) < 12.0
 
 
-def test_not_an_ordinary_tip_but_the_mucus_is_the_reason_for_a_segment_that_is_missing(chest):
+def test_mucus_and_not_an_ordinary_tip_explains_an_absent_segment(chest):
     made, whole = chest
     airways = carina.find_airways(plugged(made.volume, named(whole, "LB3"), 6.0))
     assert {one.name for one in airways.absent} == {"LB1+2", "LB3"}
     told = {absence.name: (absence.kind, absence.carrier) for absence in airways.absent}
-    # Without LB3 nothing tells LB1+2 from a common stem of all three; its branches are there without a name.
+    # Without LB3 nothing distinguishes LB1+2 from a common stem of all three; its branches are present without a name.
     assert told == {"LB1+2": ("unnamed", "Upper division"), "LB3": ("filled", "Upper division")}
 
 
-def test_a_scan_that_ends_above_the_bases_says_so(chest):
+def test_scan_that_ends_above_the_bases_reports_segments_outside(chest):
     made, _ = chest
     cut = made.volume.hu_zyx.shape[0] * 2 // 5
     place = made.volume.lps_from_ijk.copy()
     place[:3, 3] += cut * place[:3, 2]
     airways = carina.find_airways(Volume(np.ascontiguousarray(made.volume.hu_zyx[cut:]), place))
     kinds = {absence.name: absence.kind for absence in airways.absent}
-    # Of some segments the first millimetres are in the scan, too little for a name.
+    # For some segments only the first millimetres are in the scan, too little for a name.
     assert {"outside"} <= set(kinds.values()) <= {"outside", "unnamed"}
     assert not any(DISEASE.search(absence.words) for absence in airways.absent)
 
@@ -249,7 +252,7 @@ def end(kind, branch_id, width_mm):
     )
 
 
-def test_where_an_airway_ends_is_told_along_it():
+def test_reason_of_an_airway_end_is_reported_along_the_airway():
     trunk = Branch(0, None, (1, 2), 0, "Trachea", "tracked", np.array([[0.0, 0, 0], [0, 0, -90]]), np.full(2, 8.0))
     right = Branch(1, 0, (), 1, "RMB", "tracked", np.array([[0.0, 0, -90], [-30, 0, -130]]), np.full(2, 6.0))
     left = Branch(2, 0, (), 1, "LMB", "tracked", np.array([[0.0, 0, -90], [40, 0, -110]]), np.full(2, 6.0))
@@ -277,7 +280,7 @@ def test_an_end_stored_as_blocked_by_an_earlier_version_is_reported_as_lost():
     )
 
 
-def test_in_a_mirrored_chest_the_three_lobed_lung_is_the_left_one(chest):
+def test_mirrored_chest_has_the_three_lobed_lung_on_the_left(chest):
     made, _ = chest
     place = made.volume.lps_from_ijk.copy()
     place[0, :] *= -1.0
@@ -287,7 +290,7 @@ def test_in_a_mirrored_chest_the_three_lobed_lung_is_the_left_one(chest):
     assert [absence.name for absence in lacking] == ["LML"]
 
 
-def test_of_the_bundled_patient_only_segments_whose_branches_are_there_but_not_identified_are_absent():
+def test_bundled_patient_lacks_only_segments_with_unidentified_branches():
     airways = the_patient()[1]
     assert {"RML", "RB4", "RB5", "RB6"} <= {branch.name for branch in airways.tree.branches}
     assert {absence.name for absence in airways.absent} <= {"LB8", "LB9"}
@@ -298,7 +301,7 @@ def test_of_the_bundled_patient_only_segments_whose_branches_are_there_but_not_i
 
 
 @pytest.mark.parametrize("spacing_mm", [(1.0, 1.0, 4.0), 2.5, 3.0])
-def test_misses_in_coarse_scans_of_a_healthy_chest_are_never_reported_as_a_disease(spacing_mm):
+def test_misses_in_coarse_scans_of_a_healthy_chest_are_no_disease(spacing_mm):
     airways = carina.find_airways(made_phantom(seed=3, spacing_mm=spacing_mm, noise_hu=25.0).volume)
     assert len(airways.tree) < 120, "the search misses airways that the phantom has"
     told = [*(absence.words for absence in airways.absent), *(place.reason for place in airways.uncertain)]

@@ -1,4 +1,4 @@
-"""Finding the airways of a drawn chest, whichever way its grid is stored."""
+"""Tests of the automatic airway search in a synthetic chest with any storage order."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ def test_sides_and_branches_are_right_on_any_grid(draw_chest, axes, flips):
     # The patient's right is -x in LPS, whatever the grid's axes are.
     assert right.tip_lps[0] < trachea.tip_lps[0] - 5.0
     assert left.tip_lps[0] > trachea.tip_lps[0] + 5.0
-    # 4 mm: the drawn trachea ends in a rounded top, of which a tilted slice meets a part.
+    # Tolerance 4 mm: the drawn trachea has a rounded top, of which a tilted slice meets only a part.
     assert np.linalg.norm(airways.root_lps[:2] - chest.tubes[0][0][:2]) < 4.0
     assert airways.root_lps[2] > chest.tubes[0][1][2] + 40.0
 
 
-def test_the_lumen_is_the_drawn_one_and_stays_out_of_the_lung(chest):
+def test_lumen_is_the_drawn_lumen_and_excludes_the_lung(chest):
     airways = find_airways(chest.volume)
     nz, ny, nx = chest.volume.shape_zyx
     k, j, i = np.meshgrid(np.arange(nz), np.arange(ny), np.arange(nx), indexing="ij")
@@ -51,7 +51,7 @@ def test_the_lumen_is_the_drawn_one_and_stays_out_of_the_lung(chest):
     assert not (~lumen & (depth < -0.8)).any()
 
 
-def test_every_centreline_point_is_inside_and_children_begin_at_their_parents_end(chest):
+def test_centreline_points_are_inside_and_children_start_at_their_parent_end(chest):
     airways = find_airways(chest.volume)
     for branch in airways.tree.branches:
         assert airways.tracker.inside(branch.points).all()
@@ -60,7 +60,7 @@ def test_every_centreline_point_is_inside_and_children_begin_at_their_parents_en
             assert branch.points[0].tobytes() == airways.tree.branch(branch.parent).points[-1].tobytes()
 
 
-def test_routes_are_smooth_and_know_their_forks(chest):
+def test_routes_are_smooth_and_list_their_forks(chest):
     tree = find_airways(chest.volume).tree
     for tip in tree.tips():
         route = tree.route_to(tip.id)
@@ -71,7 +71,7 @@ def test_routes_are_smooth_and_know_their_forks(chest):
         assert (np.diff(route.generation) >= 0).all()
         assert route.branch_ids[-1] == tip.id
         assert chest.depth_mm(route.points_lps).max() < 0.0
-        # The generation changes at the forks, within one point's distance.
+        # The generation changes at the forks, within the distance of one point.
         changes = route.cumulative_mm[:-1][np.diff(route.generation) > 0]
         assert np.abs(changes - route.forks_mm).max() <= np.diff(route.cumulative_mm).max()
         steps = np.diff(route.points_lps, axis=0)
@@ -81,7 +81,7 @@ def test_routes_are_smooth_and_know_their_forks(chest):
         assert turns.max() < 9.0
 
 
-def test_a_root_off_the_lumen_is_moved_within_5_mm_or_refused(chest):
+def test_root_outside_the_lumen_is_moved_within_5_mm_or_refused(chest):
     start, end, _ = chest.tubes[0]
     middle = 0.5 * (start + end)
     beside = find_airways(chest.volume, root_lps=middle + np.array([8.5, 0.0, 0.0]))
@@ -95,9 +95,9 @@ def test_a_root_off_the_lumen_is_moved_within_5_mm_or_refused(chest):
         find_airways(chest.volume, root_lps=[1.0, 2.0])
 
 
-def test_a_root_in_a_crop_without_trachea_still_gives_a_tree(draw_chest):
+def test_root_in_a_crop_without_trachea_gives_a_tree(draw_chest):
     chest = draw_chest()
-    # Below the carina: only the right main bronchus and what hangs on it.
+    # Below the carina: only the right main bronchus and its branches.
     half = draw_chest(num_tubes=5)
     values = np.array(half.volume.hu_zyx)
     carina = chest.tubes[0][1]
@@ -113,7 +113,7 @@ def test_a_root_in_a_crop_without_trachea_still_gives_a_tree(draw_chest):
     assert all(branch.name is None for branch in airways.tree.branches)
 
 
-def test_a_root_in_the_lung_finds_no_airway(chest):
+def test_root_in_the_lung_finds_no_airway(chest):
     values = np.array(chest.volume.hu_zyx)
     # Emphysema: lung as dark as air.
     values[values < -700] = -950
@@ -123,24 +123,24 @@ def test_a_root_in_the_lung_finds_no_airway(chest):
         find_airways(volume, root_lps=lung)
 
 
-def test_a_chest_whose_trachea_does_not_split_is_refused_in_words(draw_chest):
+def test_chest_with_undivided_trachea_is_refused_with_a_message(draw_chest):
     with pytest.raises(NoResultError, match="trachea") as caught:
         find_airways(draw_chest(num_tubes=1).volume)
     assert caught.value.exit_code == 4
     assert "root" in str(caught.value)
 
 
-def test_a_trachea_with_one_main_bronchus_is_found_and_said_to_be_less_certain(draw_chest):
+def test_trachea_with_one_main_bronchus_is_reported_as_less_certain(draw_chest):
     both = find_airways(draw_chest().volume)
     assert not any("may not have been identified" in note for note in both.notes)
     one = find_airways(draw_chest(num_tubes=2).volume)
     assert any("only one main bronchus" in note for note in one.notes)
-    # The same trachea, to the slice.
+    # The same trachea, with a tolerance of one slice.
     assert np.linalg.norm(one.root_lps - both.root_lps) < 3.0
 
 
-def test_an_automatic_root_that_turns_out_to_be_a_lower_bronchus_is_refused(chest):
-    # Rooted at a segment, three ends in the lung are reached by going up first: what a wrong trachea looks like.
+def test_automatic_root_in_a_lower_bronchus_is_refused(chest):
+    # From a root in a segment, paths to three ends in the lung first go up, as with a wrongly detected trachea.
     start, end, _ = chest.tubes[3]
     lower = find_airways(chest.volume, lumen_zyx=find_airways(chest.volume).lumen_zyx, root_lps=0.2 * start + 0.8 * end)
     assert lower.root_lps[2] < chest.tubes[0][1][2] - 20.0
@@ -148,7 +148,7 @@ def test_an_automatic_root_that_turns_out_to_be_a_lower_bronchus_is_refused(ches
         refuse_a_root_below_the_carina(chest.volume, lower.tree.branches)
 
 
-def test_a_volume_of_one_value_is_refused(rng):
+def test_volume_of_one_value_is_refused(rng):
     for fill in (40, -1000):
         flat = Volume(np.full((20, 20, 20), fill, np.int16), np.eye(4))
         with pytest.raises(NoResultError, match="no trachea"):
@@ -158,7 +158,7 @@ def test_a_volume_of_one_value_is_refused(rng):
         find_airways(noise)
 
 
-def test_an_imported_mask_takes_the_place_of_the_lumen(chest):
+def test_imported_mask_replaces_the_lumen(chest):
     automatic = find_airways(chest.volume)
     given = find_airways(chest.volume, lumen_zyx=automatic.lumen_zyx * np.uint8(7))
     assert len(given.tree) == len(automatic.tree)
@@ -170,12 +170,12 @@ def test_an_imported_mask_takes_the_place_of_the_lumen(chest):
         find_airways(chest.volume, lumen_zyx=np.zeros_like(automatic.lumen_zyx))
 
 
-def test_an_8_bit_volume_takes_its_threshold_from_its_histogram(chest):
+def test_threshold_of_an_8_bit_volume_comes_from_its_histogram(chest):
     # The window of a lung display: -1050 to 450 HU on 0 to 255.
     grey = np.clip((chest.volume.hu_zyx.astype(np.float64) + 1050.0) / 1500.0 * 255.0, 0, 255)
     volume = Volume(np.rint(grey).astype(np.int16), chest.volume.lps_from_ijk, is_hu=False, not_hu_reason="8 bit")
     threshold = lumen_threshold_from_histogram(volume)
-    # -800 HU in that window is 42.5; the histogram knows it within 60 HU.
+    # -800 HU in that window is 42.5; the histogram determines this value within 60 HU.
     assert abs(threshold - 42.5) < 10.0
     airways = find_airways(volume)
     assert airways.threshold == threshold
@@ -184,12 +184,12 @@ def test_an_8_bit_volume_takes_its_threshold_from_its_histogram(chest):
     assert higher.lumen_zyx.sum() > airways.lumen_zyx.sum()
 
 
-def test_a_threshold_below_the_tracheas_air_is_refused(chest):
+def test_threshold_below_the_air_of_the_trachea_is_refused(chest):
     with pytest.raises(UsageError, match="choose at least"):
         find_airways(chest.volume, lumen_threshold=-1100)
 
 
-def test_work_stops_when_asked_and_reports_its_stages(chest):
+def test_search_can_be_cancelled_and_reports_its_stages(chest):
     stages = []
     find_airways(chest.volume, progress=lambda what, fraction: stages.append((what, fraction)))
     names = list(dict.fromkeys(what for what, _ in stages))
@@ -202,7 +202,7 @@ def test_work_stops_when_asked_and_reports_its_stages(chest):
             find_airways(chest.volume, cancel=lambda calls=calls, number=number: next(calls) >= number)
 
 
-def test_an_error_in_a_callback_is_handed_on(chest):
+def test_error_in_a_callback_is_passed_on(chest):
     def broken(what, fraction):
         raise ZeroDivisionError(what)
 
@@ -221,7 +221,7 @@ def test_targets_are_tracked_snapped_or_refused_one_by_one(chest):
     assert first.snapped_mm == 0.0
     assert first.problem is None
     assert list(first.path.generation[[0, -1]]) == [0, 2]
-    # Within half a voxel's diagonal of the target.
+    # Tolerance: half a voxel's diagonal.
     assert np.linalg.norm(first.path.points_lps[-1] - inside) < 1.1
     assert 0.0 < snapped.snapped_mm <= 5.0
     assert np.linalg.norm(snapped.used_lps - snapped.requested_lps) == pytest.approx(snapped.snapped_mm)
@@ -231,13 +231,13 @@ def test_targets_are_tracked_snapped_or_refused_one_by_one(chest):
         assert result.airways.tracker.inside(target.path.points_lps).all()
         assert result.airways.tracker.inside(target.path.voxel_path_lps).all()
         assert chest.depth_mm(target.path.points_lps).max() < 0.8
-    # Their tree: trachea, both main bronchi, a branch on each side.
+    # The tree of both paths: trachea, both main bronchi, one branch on each side.
     assert sorted(branch.generation for branch in result.tree.branches)[:3] == [0, 1, 1]
     assert {branch.name for branch in result.tree.branches if branch.generation < 2} == {"Trachea", "RMB", "LMB"}
 
 
-def test_paths_begin_at_a_start_given_in_the_trachea_or_in_a_bronchus(chest):
-    """The search itself begins the tree at the top of the trachea for any start in the trachea."""
+def test_paths_begin_at_a_given_start_in_the_trachea_or_a_bronchus(chest):
+    """Compare with the search, which begins the tree at the top of the trachea for any start in the trachea."""
     (top, end, _), tip = chest.tubes[0], chest.tubes[3][1]
     whole = find_airways(chest.volume)
     middle = 0.5 * (top + end)
@@ -252,7 +252,7 @@ def test_paths_begin_at_a_start_given_in_the_trachea_or_in_a_bronchus(chest):
     assert lengths[1] - lengths[2] > 0.4 * np.linalg.norm(end - top)
 
 
-def test_an_island_of_lumen_has_no_path(chest):
+def test_lumen_island_has_no_path(chest):
     lumen = np.array(find_airways(chest.volume).lumen_zyx)
     # Cut the left main bronchus in two.
     start, end, _ = chest.tubes[2]

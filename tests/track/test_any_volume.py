@@ -1,4 +1,4 @@
-"""Paths by the costs ``walls`` and ``paper`` in volumes that hold no airway: a vessel, 8-bit data, a head."""
+"""Tests of paths with the costs ``walls`` and ``paper`` in volumes without airways: a vessel, 8-bit data, a head."""
 
 from __future__ import annotations
 
@@ -23,29 +23,29 @@ def voxels_of(volume, points):
 
 
 @pytest.mark.parametrize("graph", ["voxel", "isoregion"])
-def test_walls_keep_a_path_in_a_vessel_round_its_bend(vessel, graph):
+def test_walls_cost_follows_a_vessel_round_its_bend(vessel, graph):
     volume, inside, root, corner, end = vessel
     result = carina.track_paths(volume, root=root, targets=[end, corner], cost="walls", graph=graph)
     assert result.airways is None
     assert [target.problem for target in result.targets] == [None, None]
     to_end = result.targets[0].path
     assert inside[voxels_of(volume, to_end.voxel_path_lps)].all()
-    # Round the bend and not straight there: 15.4 and 18.9 mm, and no detour beyond what steps of voxels cost.
+    # The path follows the bend of 15.4 and 18.9 mm instead of its chord; the tolerance allows for voxel steps.
     assert 0.85 * (15.4 + 18.9) < to_end.length_mm < 1.2 * (15.4 + 18.9)
-    # They begin and end in the voxels that were asked for; nothing is moved.
+    # The paths begin and end in the given voxels; no target is moved.
     half_mm = 0.5 * float(np.linalg.norm(volume.spacing_mm))
     assert np.linalg.norm(to_end.points_lps[0] - root) <= half_mm
     assert np.linalg.norm(to_end.points_lps[-1] - end) <= half_mm
     for row in result.search.targets:
         assert (row.num_outside, row.outside_mm) == (None, None)
         assert 1100 < row.value_range[0] <= row.value_range[1] < 1300
-    # One tree of both paths; what is not known is said with it wherever it goes.
+    # The tree of both paths carries the note that the lumen is unknown.
     assert result.tree.notes == (NO_LUMEN,)
     assert set(to_end.branch_ids) <= {branch.id for branch in result.tree.branches}
     assert not np.concatenate([branch.radius for branch in result.tree.branches]).any()
 
 
-def test_the_printed_cost_follows_edges_and_its_values_say_so(vessel):
+def test_paper_cost_follows_edges_and_its_values_show_it(vessel):
     volume, _, root, _, end = vessel
     result = carina.track_paths(volume, root=root, targets=[end], cost="paper")
     assert result.targets[0].path is not None
@@ -53,7 +53,7 @@ def test_the_printed_cost_follows_edges_and_its_values_say_so(vessel):
     assert result.airways is None
 
 
-def test_what_is_missing_is_said(vessel):
+def test_missing_arguments_are_reported(vessel):
     volume, _, root, _, end = vessel
     outside = np.asarray(end) + np.array([500.0, 0.0, 0.0])
     with pytest.raises(UsageError, match=r"the target .* lies outside the volume"):
@@ -72,7 +72,7 @@ def test_what_is_missing_is_said(vessel):
         track_on_graph(volume, None, [end], cost="walls", graph="voxel")
 
 
-def test_a_target_beyond_the_box_has_no_path_and_the_words_say_why(vessel):
+def test_target_outside_the_box_has_no_path_and_a_reason(vessel):
     volume, _, root, corner, end = vessel
     box = ((0, 0, 0), (20, 44, 26))
     result = track_on_graph(volume, None, [corner, end], cost="walls", graph="voxel", root_lps=root, box_ijk=box)
@@ -83,9 +83,9 @@ def test_a_target_beyond_the_box_has_no_path_and_the_words_say_why(vessel):
 
 
 @pytest.mark.data
-def test_the_aorta_of_the_papers_kind_of_data_is_followed_from_its_arch_to_the_abdomen(data_dir):
+def test_aorta_in_8_bit_data_is_followed_from_arch_to_abdomen(data_dir):
     volume = carina.open_volume(data_dir / HEAD_AND_LIDC2 / "LIDC2_256x256x133_uint8.mha")
-    # Looked at: the middle of the descending aorta in four slices.
+    # Read from four slices: the middle of the descending aorta.
     root, *targets = volume.to_lps(np.array([[133.0, 93, 46], [133, 93, 66], [135, 110, 86]]))
     result = carina.track_paths(volume, root=root, targets=targets, cost="walls")
     assert result.airways is None
@@ -96,14 +96,14 @@ def test_the_aorta_of_the_papers_kind_of_data_is_followed_from_its_arch_to_the_a
 
 
 @pytest.mark.data
-def test_in_the_nose_of_the_head_a_path_that_leaves_the_air_shows_it_in_its_values(data_dir):
+def test_path_that_leaves_the_air_of_the_head_shows_it_in_its_values(data_dir):
     volume = carina.open_volume(data_dir / HEAD_AND_LIDC2 / "headsq_64x64x93_int16.mha")
-    # Looked at: the nasopharynx, the maxillary air in the same slice, and the trachea 87 mm below.
+    # Read from the slices: nasopharynx, maxillary air in the same slice, and trachea 87 mm below.
     root, near, trachea = volume.to_lps(np.array([[27.0, 35, 32], [22, 42, 32], [30, 30, 90]]))
     result = carina.track_paths(volume, root=root, targets=[near, trachea], cost="walls")
     assert [target.problem for target in result.targets] == [None, None]
-    # No lumen is made up to compare with; voxels of 3.2 mm blur the walls of the throat, and the values along the path
-    # say that it runs through the tongue (soft tissue is 1000 to 1100 here, air 100 to 150).
+    # There is no lumen for comparison. Voxels of 3.2 mm blur the walls of the throat, and the path runs through the
+    # tongue, as its values show (soft tissue is 1000 to 1100 here, air 100 to 150).
     assert result.airways is None
     close, far = result.search.targets
     assert close.value_range[1] < 900
@@ -111,14 +111,14 @@ def test_in_the_nose_of_the_head_a_path_that_leaves_the_air_shows_it_in_its_valu
 
 
 @pytest.mark.data
-def test_walls_keep_99_percent_of_the_way_to_seven_lobar_bronchi_of_a_real_chest_inside(patient_dicom):
+def test_walls_cost_keeps_99_percent_of_paths_to_seven_lobar_bronchi_inside(patient_dicom):
     volume = carina.open_volume(patient_dicom)
     airways = carina.find_airways(volume)
     third = [branch for branch in airways.tree.branches if branch.generation == 3]
     ends = [branch.points[-1] for branch in third[:: max(len(third) // 7, 1)][:7]]
     box = search_box(volume, [airways.root_lps, *ends], max_bytes=1 << 28)
     search = track_on_graph(volume, airways, ends, cost="walls", graph="voxel", box_ijk=box).search
-    # 3 mm slices; to its segments the figure is lower: decision 0118.
+    # Slices of 3 mm; for paths to segments the figure is lower: decision 0118.
     outside, nodes = (sum(getattr(row, name) for row in search.targets) for name in ("num_outside", "num_path_nodes"))
     assert nodes > 900
     assert outside <= 0.01 * nodes

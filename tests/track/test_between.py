@@ -1,4 +1,4 @@
-"""The way through the airways between two places."""
+"""Tests of the path through the airways between two points."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from small_case import BRANCHES_IJK, small_tree, small_volume
 TREE = small_tree(small_volume().lps_from_ijk)
 
 
-def test_the_way_between_any_two_points_follows_centrelines_up_and_down_and_never_jumps():
+def test_path_between_two_points_follows_centrelines_up_and_down_without_jumps():
     places = [(branch, n) for branch in TREE.branches for n in range(0, len(branch.points), 4)]
     widest = max(np.linalg.norm(np.diff(b.points, axis=0), axis=1).max() for b in TREE.branches)
     known = {tuple(point) for branch in TREE.branches for point in branch.points}
@@ -36,12 +36,12 @@ def test_the_way_between_any_two_points_follows_centrelines_up_and_down_and_neve
         assert steps.min() > 0.0
         assert steps.max() <= widest + 1e-9
         depth = np.array([from_root[tuple(p)] for p in points])
-        # Towards the root, then away from it.
+        # The path first leads towards the root, then away from the root.
         assert (np.diff(depth[: apex + 1]) < 0).all()
         assert (np.diff(depth[apex:]) > 0).all()
 
 
-def test_points_beside_the_airways_take_the_nearest_places():
+def test_points_beside_the_airways_use_the_nearest_airway_positions():
     left, right = (small_volume().to_lps(np.array(BRANCHES_IJK[n][1][1])) for n in (2, 3))
     points, apex = way_between(TREE, left + np.array([0.4, 0.3, 0.0]), right + np.array([0.0, 0.5, -0.2]))
     np.testing.assert_array_equal(points[[0, -1]], [TREE.branch(2).points[-1], TREE.branch(3).points[-1]])

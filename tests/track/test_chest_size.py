@@ -1,4 +1,4 @@
-"""Chests that are smaller or larger than those on which confidence was calibrated."""
+"""Tests of chests that are smaller or larger than those used to calibrate confidence."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def half():
     return volume, carina.find_airways(volume)
 
 
-def test_a_chest_of_half_size_has_the_branches_of_full_size_and_no_confident_false_one(half):
+def test_chest_of_half_size_has_all_branches_and_no_confident_false_branch(half):
     _, airways = half
     full = ScaledTruth.of(made_airways(**MASKED_CHEST).tree, seed=SEED, scale=1.0, voxel_mm=VOXEL_MM)
     found = ScaledTruth.of(airways.tree, seed=SEED, scale=0.5, voxel_mm=VOXEL_MM)
@@ -44,7 +44,7 @@ def test_a_chest_of_half_size_has_the_branches_of_full_size_and_no_confident_fal
     assert len(found.true) >= 0.97 * len(full.true)
 
 
-def test_a_chest_of_half_size_has_limited_confidences_and_a_lasting_note(half):
+def test_chest_of_half_size_has_limited_confidences_and_a_lasting_note(half):
     _, airways = half
     assert max(confidences_of(airways.tree)) == 0.5
     assert UNCALIBRATED_SIZE in codes_of(airways.tree)
@@ -57,14 +57,14 @@ def test_a_chest_of_half_size_has_limited_confidences_and_a_lasting_note(half):
     assert codes_of(again) == codes_of(airways.tree)
 
 
-def test_a_chest_of_full_size_has_neither():
+def test_chest_of_full_size_has_no_limit_and_no_note():
     tree = made_airways(**MASKED_CHEST).tree
     assert UNCALIBRATED_SIZE not in codes_of(tree)
     assert max(confidences_of(tree)) > 0.9
     assert with_size_note(tree) is tree
 
 
-def test_an_edit_and_a_new_naming_keep_the_limit(half):
+def test_edit_and_renaming_keep_the_confidence_limit(half):
     volume, airways = half
     tip = max(airways.tree.tips(), key=lambda branch: branch.generation)
     edited = edit_airways(volume, airways, CutBranch(tip.id))
@@ -91,7 +91,7 @@ def test_an_edit_and_a_new_naming_keep_the_limit(half):
         (60.0, 0.5),
     ],
 )
-def test_the_limit_falls_without_a_step_outside_the_calibrated_range(trachea_mm, limit):
+def test_confidence_limit_decreases_continuously_outside_the_calibrated_range(trachea_mm, limit):
     assert limit_at(trachea_mm) == pytest.approx(limit, abs=0.001)
 
 
@@ -115,7 +115,7 @@ def tree_of(trachea_mm, right_mm, left_mm):
 ADULT = ([18.0] * 20, [15.0] * 8, [12.5] * 8)
 
 
-def test_a_stenosis_of_an_adult_trachea_lowers_nothing():
+def test_stenosis_of_an_adult_trachea_does_not_lower_the_limit():
     _, right, left = ADULT
     short = tree_of([18.0] * 7 + [5.0] * 13, right, left)
     assert with_size_note(short) is short
@@ -123,7 +123,7 @@ def test_a_stenosis_of_an_adult_trachea_lowers_nothing():
     assert with_size_note(along_all_of_it) is along_all_of_it
 
 
-def test_wide_main_bronchi_below_a_wide_trachea_lower_all():
+def test_wide_main_bronchi_below_a_wide_trachea_lower_all_confidences():
     one_alone = tree_of([34.0] * 20, *ADULT[1:])
     assert with_size_note(one_alone) is one_alone
     wide = with_size_note(tree_of([36.0] * 20, [30.0] * 8, [25.0] * 8))
@@ -131,14 +131,14 @@ def test_wide_main_bronchi_below_a_wide_trachea_lower_all():
     assert set(confidences_of(wide)) == {0.5}
 
 
-def test_a_tree_without_a_named_trachea_has_no_size():
+def test_tree_without_a_named_trachea_has_no_size():
     small = tree_of([9.0] * 20, [7.5] * 8, [6.2] * 8)
     assert codes_of(with_size_note(small)) == [UNCALIBRATED_SIZE]
     unnamed = AirwayTree((dataclasses.replace(small.root, name=None, name_from=None), *small.branches[1:]))
     assert with_size_note(unnamed) is unnamed
 
 
-def test_the_search_has_an_adults_unit_from_a_trachea_of_16_mm_on():
+def test_search_size_is_1_for_a_trachea_of_16_mm_or_more():
     volume = Volume(np.zeros((4, 4, 4), np.int16), np.diag([0.8, 0.8, 3.0, 1.0]))
     edge_mm = 0.5 * 0.8
     assert search_size(volume, np.full(9, 16.0 - edge_mm)) == 1.0
@@ -150,7 +150,7 @@ def test_the_search_has_an_adults_unit_from_a_trachea_of_16_mm_on():
     assert search_size(volume, np.array([18.0] * 10 + [7.0] * 20)) == 1.0
 
 
-def test_the_thinnest_airways_of_small_chests_are_not_sure():
+def test_thinnest_airways_of_small_chests_are_not_certain():
     assert thread_confidence(1.0) == 0.95
     assert 0.9 < thread_confidence(0.998) < 0.95
     assert thread_confidence(0.95) == thread_confidence(0.5) == 0.5
@@ -166,7 +166,7 @@ def test_no_phantom_at_any_scale_has_a_confident_false_branch(seed, capsys):
         try:
             tree = carina.find_airways(scaled(volume, scale)).tree
         except NoResultError:
-            # A trachea of about 7 mm may not be recognised; that is reported and gives no branch at all.
+            # A trachea of about 7 mm may not be recognised; the search then reports this and gives no branch at all.
             refused.append(scale)
             continue
         found = ScaledTruth.of(tree, seed=seed, scale=scale, voxel_mm=voxel_mm)

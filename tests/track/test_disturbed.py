@@ -1,4 +1,4 @@
-"""Parts of a CT that metal or a breath changed: no false airways, less confidence, and a lasting note."""
+"""Tests of CTs disturbed by metal or breathing: few false airways, less confidence, and a lasting note."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def badges(airways: Airways) -> set[str]:
 
 
 def num_false(airways: Airways, seed: int, volume: Volume) -> int:
-    """Count branches more than half of whose points are farther than a voxel outside every lumen."""
+    """Count branches with more than half of their points farther than a voxel outside every lumen."""
     voxel_mm = float(np.cbrt(np.prod(volume.spacing_mm)))
     return sum(
         bool((lumen_distance_at(branch.points, seed=seed) > voxel_mm).mean() > 0.5) for branch in airways.tree.branches
@@ -58,7 +58,7 @@ def num_false(airways: Airways, seed: int, volume: Volume) -> int:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_streaks_of_clips_grow_hardly_any_false_branches_and_leave_a_note(seed: int) -> None:
+def test_streaks_of_clips_add_few_false_branches_and_leave_a_note(seed: int) -> None:
     phantom = made(seed)
     volume = with_clips(phantom.volume, hilum(phantom), seed=seed)
     found = find_airways(volume)
@@ -69,7 +69,7 @@ def test_streaks_of_clips_grow_hardly_any_false_branches_and_leave_a_note(seed: 
     changed = np.abs(volume.hu_zyx - phantom.volume.hu_zyx) > 100
     streaks = np.flatnonzero(changed.mean(axis=(1, 2)) > 0.02) + 1
     first, last, _ = slices_in(note.words)
-    # Slices within 2 mm are included.
+    # The note includes slices within 2 mm of the streaks.
     assert streaks[0] - 4 <= first <= streaks[0] + 1
     assert streaks[-1] - 1 <= last <= streaks[-1] + 4
 
@@ -112,7 +112,7 @@ def test_metal_disturbs_no_farther_than_its_streaks_reach() -> None:
     assert not near.any(axis=(1, 2)).all()
 
 
-def test_metal_is_found_in_a_file_that_ends_below_its_value() -> None:
+def test_metal_is_found_in_a_file_whose_values_are_clipped_below_metal() -> None:
     phantom = made(1)
     volume = with_clips(phantom.volume, hilum(phantom), seed=1)
     clipped = dataclasses.replace(volume, hu_zyx=np.minimum(volume.hu_zyx, np.int16(1400)))
@@ -142,8 +142,8 @@ def test_a_breathing_step_leaves_a_note_with_its_slices() -> None:
     assert note.badge
 
 
-def test_a_search_that_leaked_at_a_step_is_repeated_with_closed_lung() -> None:
-    """Air of a bronchus on one side of a step touches lung on the other side."""
+def test_search_that_leaked_at_a_breathing_step_is_repeated_with_closed_lung() -> None:
+    """Repeat the search because bronchial air on one side of a breathing step touches lung on the other side."""
     volume = made(1).volume
     values = volume.hu_zyx.copy()
     k = values.shape[0] // 2
@@ -157,7 +157,7 @@ def test_a_search_that_leaked_at_a_step_is_repeated_with_closed_lung() -> None:
     assert (closed.hu_zyx[k + 2] == values[k + 2]).all()
 
 
-def test_divided_slices_have_the_streaks_and_steps_of_the_slices_of_the_ct() -> None:
+def test_divided_slices_have_the_streaks_and_steps_of_the_ct_slices() -> None:
     phantom = made_phantom(**THICK, seed=1)
     volume = stepped(with_clips(phantom.volume, hilum(phantom), seed=1), Step(-60.0))
     scale = air_scale(volume)
@@ -185,7 +185,7 @@ def test_divided_slices_have_the_streaks_and_steps_of_the_slices_of_the_ct() -> 
     assert found.share_of(points) == in_ct.share_of(points) == 1.0
 
 
-def test_streaks_in_divided_slices_grow_hardly_any_false_branches_and_leave_a_note() -> None:
+def test_streaks_in_divided_slices_add_few_false_branches_and_leave_a_note() -> None:
     phantom = made_phantom(**THICK, seed=1)
     volume = with_clips(phantom.volume, hilum(phantom), seed=1)
     found = find_airways(volume)
@@ -209,7 +209,7 @@ def test_a_step_in_divided_slices_is_stated_with_slices_of_the_ct() -> None:
 
 @pytest.mark.parametrize("noise_hu", [60.0, 100.0])
 @pytest.mark.parametrize("sigma_mm", [0.0, 0.8])
-def test_noise_is_no_step_and_no_metal(noise_hu: float, sigma_mm: float) -> None:
+def test_noise_is_neither_breathing_step_nor_metal(noise_hu: float, sigma_mm: float) -> None:
     volume = noisy(made(1).volume, noise_hu, seed=1, sigma_mm=sigma_mm)
     assert find_steps(volume, air_scale(volume)) == ()
     assert find_streaks(volume, air_scale(volume)) is None
@@ -224,7 +224,7 @@ def test_correlated_noise_and_streaks_are_no_tube_and_no_opening(seed: int) -> N
 
 
 @pytest.mark.parametrize(("plastic_hu", "is_tube"), [(-350.0, True), (-760.0, False)])
-def test_a_tube_needs_plastic_that_is_brighter_than_noise(plastic_hu: float, is_tube: bool) -> None:
+def test_tube_is_found_only_if_its_plastic_is_brighter_than_noise(plastic_hu: float, is_tube: bool) -> None:
     one = np.ones((1, 1), dtype=np.bool_)
     sections = [
         Section(
@@ -249,7 +249,7 @@ def test_a_tube_needs_plastic_that_is_brighter_than_noise(plastic_hu: float, is_
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_plain_chest_has_no_note_of_metal_or_a_step(seed: int) -> None:
+def test_plain_chest_has_no_note_of_metal_or_a_step(seed: int) -> None:
     assert not badges(made_airways(**CHEST, seed=seed)) & {METAL, STEP}
     volume, found = the_patient()
     assert find_steps(volume, air_scale(volume)) == ()

@@ -1,4 +1,4 @@
-"""What the CT does not show is counted apart, and never measured."""
+"""Tests that airway parts not visible in the CT are counted separately and never measured."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from made import SMALL_CHEST, made_airways, made_phantom
 
 @pytest.fixture(scope="module")
 def case():
-    """A phantom, its airways, and a leaf far down."""
+    """Return a phantom, its airways, and a distal branch without children."""
     airways = made_airways(**SMALL_CHEST)
     leaf = max(airways.tree.tips(), key=lambda branch: (branch.generation, branch.length_mm))
     return made_phantom(**SMALL_CHEST).volume, airways, leaf
@@ -26,12 +26,12 @@ def of_kind(airways, branch_id: int, kind: str):
 
 
 @pytest.mark.parametrize("kind", ["manual", "bridge"])
-def test_a_route_counts_the_way_along_branches_that_the_ct_does_not_show(case, kind):
+def test_route_counts_its_length_along_branches_not_visible_in_the_ct(case, kind):
     _, airways, leaf = case
     tree = of_kind(airways, leaf.id, kind).tree
     route = route_to_branch(tree, leaf.id)
     found = {"manual": route.drawn.drawn_mm, "bridge": route.drawn.bridge_mm}
-    # The route is smoothed as a whole: its last branch is a little shorter than by itself.
+    # The route is smoothed as a whole, so its last branch is slightly shorter than the branch itself.
     assert found.pop(kind) == pytest.approx(leaf.length_mm, rel=0.05)
     assert list(found.values()) == [0.0]
     assert route.drawn.length_mm == pytest.approx(route.length_mm)
@@ -39,21 +39,21 @@ def test_a_route_counts_the_way_along_branches_that_the_ct_does_not_show(case, k
     assert route_to_branch(airways.tree, leaf.id).drawn.words is None
 
 
-def test_the_words_say_how_much_of_how_much():
+def test_text_states_the_drawn_and_the_total_length():
     assert DrawnPart(180.0, drawn_mm=21.0).words == "21 of 180 mm drawn by hand"
     assert DrawnPart(180.0, 21.0, 8.0).words == "21 of 180 mm drawn by hand; 8 of 180 mm bridged across an obstruction"
     assert DrawnPart(180.0).words is None
 
 
 @pytest.mark.parametrize(("places_mm", "length_mm"), [([], 0.0), ([4.0], 0.0), ([4.0, 9.0], 5.0)])
-def test_the_shortest_ways_are_counted_too(case, places_mm, length_mm):
+def test_shortest_paths_are_counted_too(case, places_mm, length_mm):
     _, airways, leaf = case
     tree = of_kind(airways, leaf.id, "manual").tree
     ids = np.full(len(places_mm), leaf.id)
     assert drawn_part(tree, ids, np.array(places_mm)) == DrawnPart(length_mm, drawn_mm=length_mm)
 
 
-def test_lumen_beyond_the_tree_is_not_drawn(case):
+def test_lumen_beyond_the_tree_does_not_count_as_drawn(case):
     _, airways, _ = case
     assert drawn_part(airways.tree, np.array([-1, -1, -1]), np.array([0.0, 1.0, 3.0])) == DrawnPart(3.0)
     assert drawn_tree(airways.tree).words is None
@@ -61,7 +61,7 @@ def test_lumen_beyond_the_tree_is_not_drawn(case):
 
 
 @pytest.mark.parametrize("kind", ["manual", "bridge"])
-def test_what_a_person_drew_has_a_length_and_no_calibre(case, kind):
+def test_branch_drawn_by_hand_has_a_length_and_no_calibre(case, kind):
     volume, airways, leaf = case
     found = measure_tree(volume, airways)
     drawn = measure_tree(volume, of_kind(airways, leaf.id, kind), previous=found)

@@ -1,4 +1,4 @@
-"""Edits as values: what they refuse, their words, and their JSON."""
+"""Tests of edits as values: refused values, text and JSON."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ edits = st.one_of(
 
 
 @given(st.lists(edits, max_size=6))
-def test_edits_come_back_from_their_json_as_they_were(many):
+def test_edits_round_trip_through_json(many):
     assert list(edits_from_json(edits_to_json(many))) == many
 
 
@@ -68,7 +68,7 @@ def test_edits_come_back_from_their_json_as_they_were(many):
         (lambda: RenameBranch(1, "  "), "branch name: expected 1 to 80 characters"),
     ],
 )
-def test_an_edit_that_means_nothing_is_refused_with_what_was_expected(make, words):
+def test_edit_without_meaning_is_refused_with_the_expected_value(make, words):
     with pytest.raises(UsageError, match=words):
         make()
 
@@ -83,12 +83,12 @@ def test_an_edit_that_means_nothing_is_refused_with_what_was_expected(make, word
         ({"edits": "cut"}, "edits must be a list"),
     ],
 )
-def test_a_list_of_edits_that_is_none_is_refused_with_the_place(change, words):
+def test_invalid_list_of_edits_is_refused_with_the_position(change, words):
     with pytest.raises(TrackingError, match=words):
         edits_from_json(edits_to_json([CutBranch(1)]) | change)
 
 
-def test_words_name_the_branch_as_the_doctor_knows_it():
+def test_text_of_an_edit_uses_the_name_of_the_branch():
     trunk = Branch(0, None, (7,), 0, "Trachea", "tracked", np.array([[0.0, 0, 0], [0, 0, -9]]), np.array([8.0, 8]))
     child = Branch(7, 0, (), 1, None, "tracked", np.array([[0.0, 0, -9], [9, 0, -9]]), np.array([8.0, 8]))
     airways = SimpleNamespace(tree=AirwayTree((trunk, child)))

@@ -1,4 +1,4 @@
-"""The preview under the pointer equals the edit that a click makes, bit for bit."""
+"""Tests that the edit preview under the pointer equals the edit of a click, bit for bit."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ def case():
 
 @pytest.fixture(scope="module")
 def opened(case):
-    """The same case; two tubes have no end, so that ways lead into the lung, and a branch is cut that the CT shows."""
+    """Return the case with two open tubes, so that paths lead into the lung, and with a visible branch cut off."""
     volume = open_ended_volume()
     leaf = case.airways.tree.nearest_branch(case.tips[3])[0]
     return volume, edit_airways(volume, open_ended_airways(), CutBranch(leaf.id)), leaf
 
 
 def points_to_add(volume, case, leaf, count: int):
-    """Points on the branch that was cut, and in the lung round the tubes without an end."""
+    """Return points on the branch that was cut, and in the lung around the open tubes."""
     rng = np.random.default_rng(5)
     lung = np.array(case.tips[:2])[rng.integers(2, size=count)] + rng.normal(0.0, 4.0, (count, 3))
     inside = [point for point in lung if volume.contains_lps(point)]
@@ -35,13 +35,13 @@ def points_to_add(volume, case, leaf, count: int):
 
 
 def joined(lines):
-    """Lines that go on in each other, as one."""
+    """Join lines, each of which begins at the end of the previous line."""
     for one, other in itertools.pairwise(lines):
         assert np.array_equal(one.points_lps[-1], other.points_lps[0])
     return np.concatenate([lines[0].points_lps, *(line.points_lps[1:] for line in lines[1:])])
 
 
-def test_a_branch_is_added_along_the_very_line_that_was_shown(case, opened):
+def test_branch_is_added_along_the_previewed_line(case, opened):
     volume, airways, leaf = opened
     taken = refused = 0
     for lps in points_to_add(volume, case, leaf, 30):
@@ -68,12 +68,12 @@ def test_a_branch_is_added_along_the_very_line_that_was_shown(case, opened):
         assert doubt.value.doubtful_mm == pytest.approx(preview.doubtful_mm)
         drawn = [branch for branch in edited.tree.branches if branch.kind == "manual"]
         assert sum(branch.doubtful_mm for branch in drawn) == pytest.approx(preview.doubtful_mm)
-    # Else the test shows nothing.
+    # Too few accepted points would make this test meaningless.
     assert taken >= 2
     assert refused > 5
 
 
-def test_a_bridge_is_made_along_the_very_line_that_was_shown(case):
+def test_bridge_is_added_along_the_previewed_line(case):
     edit = Bridge(tuple(float(v) for v in case.hidden))
     preview = preview_edit(case.volume, case.airways, edit)
     edited = edit_airways(case.volume, case.airways, edit)
@@ -84,7 +84,7 @@ def test_a_bridge_is_made_along_the_very_line_that_was_shown(case):
     assert [line.points_lps.tobytes() for line in preview.lines] == [line.points_lps.tobytes() for line in made]
 
 
-def test_a_fork_is_moved_to_the_very_lines_that_were_shown(case):
+def test_fork_is_moved_to_the_previewed_lines(case):
     branch = next(b for b in case.airways.tree.branches if b.parent is not None and b.children)
     edit = MoveFork(branch.id, tuple(float(v) for v in branch.points[-1] + np.array([0.4, 0.2, 0.3])))
     preview = preview_edit(case.volume, case.airways, edit)
@@ -95,7 +95,7 @@ def test_a_fork_is_moved_to_the_very_lines_that_were_shown(case):
     assert preview.doubtful_mm == 0.0
 
 
-def test_what_cannot_be_made_is_said_and_nothing_is_shown(case):
+def test_impossible_edit_gives_a_reason_and_no_lines(case):
     tree = case.airways.tree
     leaf = tree.tips()[0]
     for edit, words in (
@@ -108,7 +108,7 @@ def test_what_cannot_be_made_is_said_and_nothing_is_shown(case):
         assert (preview.lines, preview.has_evidence, preview.length_mm) == ((), False, 0.0)
 
 
-def test_a_preview_changes_nothing(case):
+def test_preview_changes_nothing(case):
     before = [(b.id, b.points.tobytes(), b.radius.tobytes()) for b in case.airways.tree.branches]
     lumen = case.airways.lumen_zyx.tobytes()
     for edit in (Bridge(tuple(case.hidden)), AddBranch(tuple(case.hidden))):

@@ -1,4 +1,4 @@
-"""Evidence at the end of an airway: soft tissue in its wall, a closed end, or none where the search lost it."""
+"""Tests of the evidence at the end of an airway: soft tissue inside its wall, a closed end, or no evidence."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from carina.volume import Volume
 LUNG_HU, WALL_HU, AIR_HU, TISSUE_HU, CLIP_HU = -860.0, 20.0, -1000.0, 30.0, 3000.0
 RADIUS_MM, WALL_MM = 3.2, 1.2
 END_Z = 30.0
-"""The open lumen comes from above and ends at this height; the airway lies along z at x = y = 16 mm."""
+"""Height (mm) at which the open lumen from above ends; the airway is parallel to z at x = y = 16 mm."""
 
 
 def painted(paint, spacing=(0.8, 0.8, 0.8), noise=20.0):
-    """Return a CT of 32 x 32 x 60 mm: ``paint`` takes points (n, 3) and values, sampled three times as finely."""
+    """Return a CT of 32 x 32 x 60 mm. ``paint`` takes points (n, 3) and values, sampled three times as finely."""
     fine = 3
     shape = np.ceil(np.array([32.0, 32.0, 60.0]) / spacing).astype(int)
     axes = [(np.arange(n * fine) + 0.5) / fine * s - 0.5 * s for n, s in zip(shape, spacing, strict=True)]
@@ -51,7 +51,7 @@ SIDES = ((8.0, 16.0, 12.0), (24.0, 16.0, 12.0))
 
 
 def plugged(points, values):
-    """Soft tissue fills the lumen from the end on."""
+    """Paint an airway whose lumen is filled with soft tissue below its end."""
     values[tube(points, TOP, BOTTOM, RADIUS_MM + WALL_MM)] = WALL_HU
     values[tube(points, END, BOTTOM, RADIUS_MM)] = TISSUE_HU
     values[tube(points, TOP, END, RADIUS_MM)] = AIR_HU
@@ -59,14 +59,14 @@ def plugged(points, values):
 
 
 def stump(points, values):
-    """The lumen ends in a wall, with lung beyond it."""
+    """Paint an airway that ends in a wall, with lung beyond."""
     values[tube(points, TOP, (16.0, 16.0, END_Z - 2.6), RADIUS_MM + WALL_MM)] = WALL_HU
     values[tube(points, TOP, END, RADIUS_MM)] = AIR_HU
     return values
 
 
 def stump_with_clips(points, values):
-    """Two clips are at the closed end."""
+    """Paint a closed airway with two clips at its end."""
     values = stump(points, values)
     for x in (14.0, 18.0):
         values[tube(points, (x, 13.5, END_Z - 3.5), (x, 18.5, END_Z - 3.5), 0.8)] = CLIP_HU
@@ -74,7 +74,7 @@ def stump_with_clips(points, values):
 
 
 def forked(points, values):
-    """Two open airways go on, with an artery between them; the search missed both."""
+    """Paint an airway that divides into two open airways with an artery between them, which the search missed."""
     for side in SIDES:
         values[tube(points, END, side, 2.0 + WALL_MM)] = WALL_HU
     values[tube(points, TOP, END, RADIUS_MM + WALL_MM)] = WALL_HU
@@ -86,7 +86,7 @@ def forked(points, values):
 
 
 def narrowing(points, values):
-    """One open airway of half the width goes on."""
+    """Paint an airway that continues as an open airway of half the width."""
     values[tube(points, TOP, END, RADIUS_MM + WALL_MM)] = WALL_HU
     values[tube(points, (16.0, 16.0, END_Z + 1.0), BOTTOM, 1.6 + WALL_MM)] = WALL_HU
     values[tube(points, TOP, END, RADIUS_MM)] = AIR_HU
@@ -115,26 +115,26 @@ THIN, THICK = (0.8, 0.8, 0.8), (0.7, 0.7, 3.0)
 
 
 @pytest.mark.parametrize("spacing", [THIN, THICK])
-def test_soft_tissue_in_the_continuing_wall_is_seen_with_its_length(spacing):
+def test_soft_tissue_inside_the_continuing_wall_is_found_with_its_length(spacing):
     found = evidence(plugged, spacing)
     assert found.kind == "tissue"
     assert 12.0 <= found.length_mm <= 20.0
 
 
 @pytest.mark.parametrize("spacing", [THIN, THICK])
-def test_a_wall_across_the_end_closes_it(spacing):
+def test_wall_across_the_end_is_found_as_closed(spacing):
     found = evidence(stump, spacing)
     assert (found.kind, found.has_clips) == ("closed", False)
 
 
-def test_clips_at_a_closed_end_are_seen_in_thin_slices():
+def test_clips_at_a_closed_end_are_found_in_thin_slices():
     found = evidence(stump_with_clips, THIN)
     assert (found.kind, found.has_clips) == ("closed", True)
 
 
 @pytest.mark.parametrize("spacing", [THIN, THICK])
 @pytest.mark.parametrize("paint", [forked, narrowing])
-def test_an_airway_that_goes_on_is_neither_blocked_nor_closed(paint, spacing):
+def test_continuing_airway_is_neither_blocked_nor_closed(paint, spacing):
     assert evidence(paint, spacing) is None
 
 

@@ -1,4 +1,4 @@
-"""What a section of a way gains against a slow reading of the same rule, and what must hold for any."""
+"""Tests of the evidence verdict along a path, against a plain implementation of its rule and general properties."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def made(seed, num):
 
 
 def tube(num=40, **changes):
-    """A clear airway of 1.5 mm radius."""
+    """Return sections of a clear airway of 1.5 mm radius."""
     values = {
         "own": -950.0,
         "rise": 150.0,
@@ -50,7 +50,7 @@ def tube(num=40, **changes):
 
 
 def one_by_one(sections, lung, start):
-    """The rule, section by section, in HU."""
+    """Apply the rule section by section in HU."""
     found = []
     radii = [
         max(radius, 3.0) if rise < lung.rise and closed > lung.far_rise and own < -930.0 else radius
@@ -97,7 +97,7 @@ def one_by_one(sections, lung, start):
 
 
 @given(seed=st.integers(0, 2**32 - 1), num=st.integers(2, 60), inside_mm=st.one_of(st.none(), st.floats(0.0, 20.0)))
-def test_what_each_section_gains_is_what_the_rule_says_one_by_one(seed, num, inside_mm):
+def test_gain_of_each_section_equals_the_plain_rule(seed, num, inside_mm):
     sections = made(seed, num)
     start = None if inside_mm is None else Start(inside_mm, 1.3, np.array([0.0, 0.0, 1.0]))
     np.testing.assert_allclose(gains(sections, LUNG, HU, start), one_by_one(sections, LUNG, start), atol=1e-9)
@@ -109,24 +109,24 @@ def test_more_wall_never_makes_a_section_more_doubtful(seed, num, raised):
     walls = ("rise", "far_rise", "closed", "far_closed")
     fields = {name: getattr(sections, name) for name in Sections.__slots__}
     more = Sections(**{name: value + raised * (name in walls) for name, value in fields.items()})
-    # A lumen that is wide has no radius to be measured; one that is not has.
+    # Requires the same sections to have a measurable radius; wide sections have none.
     assume(np.array_equal(verdict._radii(sections, LUNG, HU), verdict._radii(more, LUNG, HU)))
     assert (gains(more, LUNG, HU) >= gains(sections, LUNG, HU) - 1e-9).all()
     assert not (doubtful_sections(more, LUNG, HU) & ~doubtful_sections(sections, LUNG, HU)).any()
 
 
-def test_where_nothing_is_brighter_than_the_middle_there_is_no_evidence():
+def test_no_evidence_where_nothing_is_brighter_than_the_middle():
     # Lung without noise: straight, even and not too wide, but without a wall.
     plain = tube(own=-860.0, rise=0.0, far_rise=20.0, closed=0.0, far_closed=0.0, around=-860.0, radius_mm=0.35)
     assert doubtful_sections(plain, LUNG, HU).all()
 
 
-def test_an_airway_with_a_wall_all_along_has_evidence():
+def test_airway_with_a_wall_all_along_has_evidence():
     start = Start(0.0, 1.8, np.array([0.0, 0.0, 1.0]))
     assert not doubtful_sections(tube(), LUNG, HU, start).any()
 
 
-def test_one_bright_wall_does_not_pay_for_a_long_way_without():
+def test_one_bright_wall_does_not_outweigh_a_long_path_without_walls():
     bare = np.arange(40) >= 12
     sections = tube(
         rise=np.where(bare, 0.0, 1000.0),
@@ -148,20 +148,20 @@ def test_one_bright_wall_does_not_pay_for_a_long_way_without():
         pytest.param({"radius_mm": np.tile([0.4, 2.8], 20), "closed": 10.0, "far_closed": 30.0}, id="uneven"),
     ],
 )
-def test_what_lies_between_vessels_has_no_evidence_although_it_is_bright_on_most_sides(change):
+def test_space_between_vessels_has_no_evidence_although_most_sides_are_bright(change):
     start = Start(0.0, 1.0, np.array([0.0, 0.0, 1.0]))
     usual = gains(tube(), LUNG, HU, start)
     assert (gains(tube(**change), LUNG, HU, start) < usual - 2.0).all()
 
 
-def test_beyond_a_wall_that_was_stepped_over_all_is_doubtful_from_its_top():
+def test_everything_beyond_a_crossed_wall_is_doubtful():
     own = np.full(40, -980.0)
     own[10:14] = [-800.0, -600.0, -600.0, -800.0]
     found = doubtful_sections(tube(own=own), LUNG, HU)
     assert found[11:].all()
 
 
-def test_a_main_bronchus_is_evident_although_its_walls_lie_beyond_the_reach_of_the_radius():
+def test_main_bronchus_is_evident_although_its_walls_are_out_of_reach():
     noise = np.random.default_rng(3)
     wide = tube(
         own=-985.0 + noise.normal(0.0, 5.0, 40),
@@ -174,7 +174,7 @@ def test_a_main_bronchus_is_evident_although_its_walls_lie_beyond_the_reach_of_t
     assert not doubtful_sections(wide, LUNG, HU, Start(0.0, 5.5, np.array([0.0, 0.0, 1.0]))).any()
 
 
-def test_a_middle_as_bright_as_tissue_is_no_lumen():
+def test_middle_as_bright_as_tissue_is_no_lumen():
     own = np.full(40, -900.0)
     own[20] = -440.0
     found = doubtful_sections(tube(own=own), LUNG, HU)

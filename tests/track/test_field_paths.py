@@ -1,4 +1,4 @@
-"""Least-cost paths through a volume of weights: equal to a heap, exact on whole numbers, regions, walls, errors."""
+"""Tests of least-cost paths through weights: equal to a heap, exact for integers; regions, walls and errors."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def at(volume: Volume, i: int, j: int, k: int) -> np.ndarray:
 
 
 def heap(field: np.ndarray, root_zyx: tuple[int, int, int], spacing: tuple[float, ...] | None) -> np.ndarray:
-    """Dijkstra in floating point: by both ends in mm, or (without a spacing) by the voxel entered."""
+    """Run Dijkstra in floating point: edge costs use both ends and mm, or (without a spacing) the entered voxel."""
     cost = np.full(field.shape, np.inf)
     cost[root_zyx] = 0.0
     queue = [(0.0, root_zyx)]
@@ -49,7 +49,7 @@ def heap(field: np.ndarray, root_zyx: tuple[int, int, int], spacing: tuple[float
 
 
 @pytest.mark.parametrize("cost", ["mean", "enter"])
-def test_costs_are_those_of_a_heap_within_half_a_percent(cost):
+def test_costs_equal_those_of_a_heap_within_half_a_percent(cost):
     rng = np.random.default_rng(5)
     volume = volume_of((6, 7, 8))
     field = rng.uniform(1.0, 40.0, volume.shape_zyx).astype(np.float32)
@@ -71,7 +71,7 @@ def test_costs_are_those_of_a_heap_within_half_a_percent(cost):
     assert paths.num_settled == np.isfinite(truth).sum()
 
 
-def test_whole_weights_are_counted_exactly():
+def test_integer_weights_are_added_exactly():
     rng = np.random.default_rng(6)
     volume = volume_of((7, 8, 9))
     field = rng.integers(0, 200, volume.shape_zyx).astype(np.float32)
@@ -82,10 +82,10 @@ def test_whole_weights_are_counted_exactly():
         assert paths.path_to(at(volume, i, j, k)).cost == truth[k, j, i]
 
 
-def test_a_path_stays_in_its_region_and_mask():
+def test_path_stays_in_its_region_and_mask():
     volume = volume_of((5, 20, 20))
     field = np.full(volume.shape_zyx, 10.0, np.float32)
-    # A cheap way round, outside the box.
+    # A cheap path outside the box.
     field[:, 15, :] = 1.0
     box = ((2, 18), (3, 12), (1, 4))
     paths = FieldPaths(volume, field, at(volume, 3, 4, 2), region_ijk=box)
@@ -104,7 +104,7 @@ def test_a_path_stays_in_its_region_and_mask():
         masked.path_to(at(volume, 17, 5, 2))
 
 
-def test_what_cannot_be_tracked_is_refused_in_words():
+def test_impossible_path_is_refused_with_a_message():
     volume = volume_of((4, 5, 6))
     ones = np.ones(volume.shape_zyx, np.float32)
     root = at(volume, 1, 1, 1)
@@ -129,13 +129,13 @@ def test_what_cannot_be_tracked_is_refused_in_words():
         FieldPaths(volume, walled, root)
 
 
-def test_it_stops_on_request_and_goes_on_from_there():
+def test_search_can_be_cancelled_and_resumed():
     volume = Volume(np.zeros((90, 90, 90), np.int16), np.eye(4))
     field = np.random.default_rng(1).uniform(1.0, 3.0, volume.shape_zyx).astype(np.float32)
     paths = FieldPaths(volume, field, (45.0, 45.0, 45.0))
     seen: list[tuple[str, float | None]] = []
     asked = iter([True])
-    # The clock of looks is real time: on a machine that is quick enough there may be none.
+    # Cancellation is checked by real time, so a fast machine may finish without a check.
     try:
         paths.solve_all(cancel=lambda: next(asked, False), progress=lambda what, share: seen.append((what, share)))
     except CancelledError:
@@ -146,7 +146,7 @@ def test_it_stops_on_request_and_goes_on_from_there():
 
 
 @pytest.mark.parametrize("cost", ["mean", "enter"])
-def test_an_aimed_path_costs_what_the_tree_says(cost):
+def test_cost_of_a_directed_search_equals_that_of_the_tree(cost):
     rng = np.random.default_rng(7)
     volume = volume_of((9, 10, 11))
     field = rng.uniform(1.0, 6.0, volume.shape_zyx).astype(np.float32)
@@ -175,7 +175,7 @@ def test_an_aimed_path_costs_what_the_tree_says(cost):
     assert 0 < refused < field.size
 
 
-def test_an_aimed_search_refuses_in_words():
+def test_directed_search_refuses_bad_input_with_a_message():
     volume = Volume(np.zeros((90, 90, 90), np.int16), np.eye(4))
     field = np.ones(volume.shape_zyx, np.float32)
     ends = ((1.0, 1.0, 1.0), (88.0, 88.0, 88.0))

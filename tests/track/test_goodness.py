@@ -1,4 +1,4 @@
-"""Goodness of fit: a tree that does not look like a human one says so, and its names lose confidence."""
+"""Tests of goodness of fit: a tree unlike a human airway tree is reported, and its names lose confidence."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def turned(tree: AirwayTree, *signs: float) -> AirwayTree:
 
 
 def random_tree(seed: int, generations: int = 6) -> AirwayTree:
-    """Forks in two at random angles; calibres by the cube law."""
+    """Return a tree with forks in two at random angles, and diameters by the cube law."""
     rng = np.random.default_rng(seed)
     made: dict[int, Branch] = {}
 
@@ -63,7 +63,7 @@ def surest_segment(tree: AirwayTree) -> float:
 
 
 @pytest.mark.parametrize("seed", range(1, 6))
-def test_a_bronchial_tree_is_taken_for_one_however_few_of_its_branches_are_there(seed):
+def test_bronchial_tree_with_few_branches_is_accepted(seed):
     for generations in (4, 6):
         for signs in ((1.0, 1.0, 1.0), (-1.0, 1.0, 1.0)):
             named = name_tree(turned(true_tree(seed, generations), *signs))
@@ -77,25 +77,25 @@ MISSED = pytest.mark.xfail(reason="a chest with plugs in two lobes fits no bette
 @pytest.mark.parametrize(
     "signs", [(1.0, -1.0, -1.0), (1.0, 1.0, -1.0), pytest.param((-1.0, -1.0, 1.0), marks=MISSED), (1.0, -1.0, 1.0)]
 )
-def test_a_tree_on_its_head_or_back_to_front_says_so_and_has_no_sure_segment(signs):
+def test_inverted_or_reversed_tree_is_reported_without_certain_segments(signs):
     named = name_tree(turned(true_tree(2), *signs))
     assert is_misfit(named)
     assert surest_segment(named) == 0.0
     assert max(branch.name_confidence or 0.0 for branch in named.branches) <= SURE_ENOUGH
     assert set(branch_side_and_lobe(named).values()) == {None}
-    # What cannot be named cannot be missing.
+    # Segments of a tree that cannot be named are not reported as absent.
     assert find_absent(named) == ()
     assert "orientation of the scan" in named.notes[0].words
 
 
 @MISSED
-def test_trees_that_branch_at_random_have_no_sure_segment():
+def test_trees_with_random_forks_have_no_certain_segment():
     trees = [name_tree(random_tree(seed)) for seed in range(8)]
     assert all(is_misfit(tree) for tree in trees)
     assert max(surest_segment(tree) for tree in trees) <= 0.5
 
 
-def test_the_doubt_of_a_tree_goes_with_it_and_ends_when_it_is_put_right():
+def test_doubt_stays_with_the_tree_until_its_orientation_is_corrected():
     named = name_tree(turned(true_tree(2), 1.0, -1.0, -1.0))
     again = AirwayTree.from_json(named.to_json())
     assert is_misfit(again)
@@ -103,7 +103,7 @@ def test_the_doubt_of_a_tree_goes_with_it_and_ends_when_it_is_put_right():
     assert name_tree(turned(again, 1.0, -1.0, -1.0)).notes == ()
 
 
-def test_names_that_a_person_gave_are_not_counted_as_misfit():
+def test_names_given_by_a_person_do_not_count_as_misfit():
     tree = true_tree(3)
     segment = tree.named("RB3")
     given = tuple(

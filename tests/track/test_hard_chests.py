@@ -1,4 +1,4 @@
-"""Chests that are hard on a trachea or on a growth: what lies round them, what is in them, what is missing of them."""
+"""Tests of chests that are difficult to segment, because of their surroundings, their contents or missing parts."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ HARD: list[Callable] = [
 
 
 def share_found(airways, made, generations):
-    """Of the true centreline down to a generation, the share whose voxel or a neighbour was found."""
+    """Return the fraction of the true centreline, down to a generation, whose voxel or a neighbour was found."""
     lumen = np.pad(airways.lumen_zyx, 1)
     grown = np.zeros_like(lumen)
     for axis in range(3):
@@ -188,7 +188,7 @@ def any_made(request) -> Phantom:
 
 
 def cut_above(made: Phantom, height_mm: float) -> Volume:
-    """The chest below a height above the carina."""
+    """Return the chest below a height above the carina."""
     carina = made.truth["branches"][0]["points"][-1]
     matrix = made.volume.lps_from_ijk
     heights = places(made.volume)[2][:, 0, 0]

@@ -1,4 +1,4 @@
-"""Divided slices: interpolating cubic B-splines, compared with a plain solution of their equations."""
+"""Tests of divided slices: interpolation by cubic B-splines, compared with a plain solution of the equations."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def mirrored(place, num):
 
 
 def slowly(values, parts):
-    """Solve for the coefficients of one column, and evaluate the sum of splines at the middle of each part."""
+    """Solve for the coefficients of one column, and return the spline at the middle of each part."""
     num = len(values)
     matrix = np.zeros((num, num))
     for k in range(num):
@@ -38,15 +38,15 @@ def slowly(values, parts):
     parts=st.integers(2, 6),
     seed=st.integers(0, 2**32 - 1),
 )
-def test_the_quick_interpolation_equals_the_plain_one(num, parts, seed):
+def test_fast_interpolation_equals_the_plain_solution(num, parts, seed):
     column = np.random.default_rng(seed).integers(-1024, 3000, num).astype(np.int16)
     found = with_divided_slices(column.reshape(num, 1, 1), parts)[:, 0, 0]
     assert np.abs(found - slowly(column, parts)).max() <= 0.6
 
 
-def test_columns_do_not_mix_and_the_layout_of_the_memory_does_not_matter():
+def test_columns_are_independent_of_each_other_and_of_the_memory_layout():
     stack = np.random.default_rng(1).integers(-1024, 1000, (7, 70, 5)).astype(np.int16)
-    # The range of the values limits the result.
+    # The result is limited to the range of the values.
     stack[0, 41, 2], stack[1, 41, 2] = -1024, 1000
     whole = with_divided_slices(stack, 3)
     assert whole.shape == (21, 70, 5)
@@ -57,12 +57,12 @@ def test_columns_do_not_mix_and_the_layout_of_the_memory_does_not_matter():
 
 
 @pytest.mark.parametrize("parts", [3, 5])
-def test_the_middle_of_an_odd_number_of_parts_is_the_slice_itself(parts):
+def test_middle_of_an_odd_number_of_parts_is_the_slice_itself(parts):
     stack = np.random.default_rng(2).integers(-1024, 1000, (6, 4, 5)).astype(np.int16)
     np.testing.assert_array_equal(with_divided_slices(stack, parts)[parts // 2 :: parts], stack)
 
 
-def test_one_slice_and_one_part_stay_as_they_are():
+def test_one_slice_or_one_part_stays_unchanged():
     stack = np.random.default_rng(3).integers(-1024, 1000, (5, 4, 3)).astype(np.int16)
     np.testing.assert_array_equal(with_divided_slices(stack, 1), stack)
     np.testing.assert_array_equal(with_divided_slices(stack[:1], 4), np.repeat(stack[:1], 4, axis=0))

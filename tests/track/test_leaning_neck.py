@@ -45,7 +45,7 @@ def begins_below_the_cricoid(neck: LeaningNeck, found: Airways) -> None:
 
 
 def right_side(found: Airways) -> dict[str, NDArray[np.float64]]:
-    """Where each named branch of the right lung ends."""
+    """Return the end of each named branch of the right lung."""
     return {
         branch.name: branch.points[-1]
         for branch in found.tree.branches
@@ -63,7 +63,7 @@ def named_as_without_the_neck(neck: LeaningNeck, found: Airways) -> None:
         assert np.linalg.norm(names[name] - end) <= 5.0, name
 
 
-def test_a_leaning_trachea_is_found_whole_beside_air_in_the_gullet() -> None:
+def test_leaning_trachea_is_found_whole_beside_air_in_the_oesophagus() -> None:
     neck, found = a_neck(), found_in_the_neck()
     begins_below_the_cricoid(neck, found)
     upper = found.upper_airway_zyx
@@ -71,12 +71,12 @@ def test_a_leaning_trachea_is_found_whole_beside_air_in_the_gullet() -> None:
     assert not (upper & found.lumen_zyx).any()
 
 
-def test_a_scan_with_the_neck_has_the_names_of_the_same_scan_without_it() -> None:
+def test_scan_with_the_neck_has_the_names_of_the_scan_without_it() -> None:
     named_as_without_the_neck(a_neck(), found_in_the_neck())
     assert "RLL" in right_side(found_in_the_neck())
 
 
-def test_a_trachea_with_its_lowest_voxels_in_a_main_bronchus_is_not_continued_into_the_bronchus() -> None:
+def test_trachea_whose_seeds_reach_a_main_bronchus_is_not_continued_into_it() -> None:
     neck, stage = a_neck(), Stages(lambda _what, _fraction: None, None)
     volume, scale = neck.volume, air_scale(neck.volume)
     trachea = found_trachea(volume, scale, stage)
@@ -95,7 +95,7 @@ def test_a_trachea_with_its_lowest_voxels_in_a_main_bronchus_is_not_continued_in
 
 
 @pytest.mark.parametrize("size", [0.4, 0.7, 1.0, 1.2])
-def test_the_tree_begins_within_10_mm_below_the_cricoid_for_each_height_of_the_cords(size: float) -> None:
+def test_tree_begins_within_10_mm_below_the_cricoid_at_any_height_of_the_cords(size: float) -> None:
     slice_mm = 1.0
     for cords_mm in CORDS_ABOVE_CRICOID_MM:
         below_mm = root_below_cords_mm(size) - size * cords_mm
@@ -103,14 +103,14 @@ def test_the_tree_begins_within_10_mm_below_the_cricoid_for_each_height_of_the_c
 
 
 @pytest.mark.slow
-def test_the_tree_of_a_child_with_a_leaning_trachea_begins_below_the_cricoid() -> None:
+def test_tree_of_a_child_with_a_leaning_trachea_begins_below_the_cricoid() -> None:
     neck = leaning_neck(2, (22.0, 10.0), scale=0.75, spacing_mm=1.2)
     begins_below_the_cricoid(neck, find_airways(neck.volume))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("above_carina_mm", [15.0, 90.0])
-def test_a_start_in_the_trachea_gives_the_tree_of_the_whole_trachea(above_carina_mm: float) -> None:
+def test_start_in_the_trachea_gives_the_tree_of_the_whole_trachea(above_carina_mm: float) -> None:
     neck = a_neck()
     found = find_airways(neck.volume, root_lps=neck.trachea_at(above_carina_mm))
     begins_below_the_cricoid(neck, found)
@@ -130,7 +130,7 @@ def in_the_throat(neck: LeaningNeck) -> NDArray[np.float64]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("place", ["larynx", "throat"])
-def test_a_start_in_the_larynx_or_the_throat_is_moved_to_the_trachea(place: str) -> None:
+def test_start_in_the_larynx_or_the_throat_is_moved_to_the_trachea(place: str) -> None:
     neck = a_neck()
     root = neck.in_larynx if place == "larynx" else in_the_throat(neck)
     found = find_airways(neck.volume, root_lps=root)
@@ -148,7 +148,7 @@ def test_a_start_in_the_larynx_or_the_throat_is_moved_to_the_trachea(place: str)
         ("tissue", "no voxel within 5 mm is as dark as air; choose a point inside the trachea"),
     ],
 )
-def test_a_start_outside_the_airways_is_refused_with_a_remedy(place: str, message: str) -> None:
+def test_start_outside_the_airways_is_refused_with_a_remedy(place: str, message: str) -> None:
     neck = a_neck()
     root = {
         "gullet": neck.in_gullet(62.0),
@@ -162,7 +162,7 @@ def test_a_start_outside_the_airways_is_refused_with_a_remedy(place: str, messag
 
 
 @pytest.mark.parametrize("start", [None, "trachea", "larynx", "throat"])
-def test_a_ct_of_head_and_neck_is_refused_as_one_without_lungs(start: str | None) -> None:
+def test_ct_of_head_and_neck_is_refused_as_one_without_lungs(start: str | None) -> None:
     neck = a_neck()
     head = neck.cropped(above_mm=88.0)
     root = {
@@ -176,7 +176,7 @@ def test_a_ct_of_head_and_neck_is_refused_as_one_without_lungs(start: str | None
 
 
 def with_a_web(made: Phantom, above_carina_mm: float) -> Volume:
-    """A short, tight stenosis of the trachea."""
+    """Return the volume with a short, tight stenosis of the trachea."""
     volume = made.volume
     matrix, values = volume.lps_from_ijk, volume.hu_zyx.copy()
     nk, nj, ni = volume.shape_zyx
@@ -191,7 +191,7 @@ def with_a_web(made: Phantom, above_carina_mm: float) -> Volume:
     return dataclasses.replace(volume, hu_zyx=values)
 
 
-def test_a_tree_begins_at_the_top_of_the_scan_though_the_trachea_is_narrow_half_way() -> None:
+def test_tree_begins_at_the_top_of_the_scan_above_a_stenosis() -> None:
     made = generate_phantom(
         seed=4, spacing_mm=1.8, generations=4, box_lps=((-130.0, -105.0, -110.0), (130.0, 105.0, 110.0))
     )
@@ -223,7 +223,7 @@ def test_trees_of_leaning_tracheas_begin_below_the_cricoid_and_keep_their_names(
         assert right_side(started).keys() == right_side(found).keys()
 
 
-def test_a_mask_smaller_than_the_radius_it_is_spread_by_keeps_its_shape() -> None:
+def test_mask_smaller_than_its_dilation_radius_keeps_its_shape() -> None:
     mask = np.eye(4, 3, dtype=np.bool_)
     np.testing.assert_array_equal(spread(mask, [(0, 4), (0, -4), (5, 0), (-5, 0), (-9, 9)]), mask)
     np.testing.assert_array_equal(spread(mask, [(1, 0)]), mask | np.eye(4, 3, -1, dtype=np.bool_))

@@ -1,4 +1,4 @@
-"""The phantom with a leaning trachea: voxels and truth lean together."""
+"""Tests of the phantom with a leaning trachea: voxels and ground truth lean by the same amount."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from carina.errors import UsageError
 from carina.phantom import generate_phantom
 
 
-def test_the_phantom_leans_above_the_carina_alone_and_its_truth_with_it() -> None:
+def test_phantom_and_its_truth_lean_only_above_the_carina() -> None:
     options: dict[str, Any] = {
         "seed": 3,
         "spacing_mm": (0.9, 0.9, 4.0),
@@ -30,7 +30,7 @@ def test_the_phantom_leans_above_the_carina_alone_and_its_truth_with_it() -> Non
     np.testing.assert_allclose(
         cricoid - before, [-np.tan(np.radians(20.0)) * before[2], np.tan(np.radians(10.0)) * before[2], 0.0]
     )
-    # The lumen follows the centreline, and the radius is that of a section across it.
+    # The lumen follows the centreline, and the true radius is that of a section across the centreline.
     trachea = leaning.truth["branches"][0]
     points, radius = np.array(trachea["points"]), np.array(trachea["radius"])
     inside, was_inside = np.argwhere(leaning.lumen_zyx > 0), np.argwhere(upright.lumen_zyx > 0)
@@ -47,6 +47,6 @@ def test_the_phantom_leans_above_the_carina_alone_and_its_truth_with_it() -> Non
 @pytest.mark.parametrize(
     "options", [{"lean_deg": (40.0, 0.0)}, {"lean_deg": (10.0,)}, {"lean_deg": (10.0, 0.0), "nodule": True}]
 )
-def test_a_lean_that_the_phantom_cannot_have_is_refused(options: dict[str, Any]) -> None:
+def test_impossible_lean_is_refused(options: dict[str, Any]) -> None:
     with pytest.raises(UsageError, match="lean"):
         generate_phantom(spacing_mm=6.0, generations=3, **options)

@@ -1,4 +1,4 @@
-"""The length above the carina from which on what was followed upwards is no trachea any more."""
+"""Tests of the limit above the carina beyond which air does not belong to the trachea."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def trachea(length_mm: int, diameter_mm: float = 17.3, *, bronchus_mm: int = 0) 
     return below + [section(float(z), diameter_mm) for z in range(length_mm + 1)]
 
 
-def test_a_way_longer_than_a_trachea_begins_at_a_usual_length():
+def test_airway_longer_than_a_trachea_begins_at_a_usual_length():
     cords = the_cords(trachea(170), None)
     assert cords is not None
     assert not cords.are_seen
@@ -63,14 +63,14 @@ def test_the_tree_begins_below_air_outside_that_was_reached_through_an_opening()
     assert found.root_above_carina_mm == pytest.approx(99.0, abs=1.0)
 
 
-def test_a_wide_trachea_may_be_longer():
+def test_wide_trachea_may_be_longer():
     assert the_cords(trachea(170, 22.0), None) is None
     cords = the_cords(trachea(190, 22.0), None)
     assert cords is not None
     assert cords.begins_at == round(110 * 1.2)
 
 
-def test_a_large_chest_without_a_neck_has_no_larynx():
+def test_large_chest_without_a_neck_has_no_larynx():
     phantom = generate_phantom(seed=1, spacing_mm=1.4, generations=3)
     larger = phantom.volume.lps_from_ijk.copy()
     larger[:3] *= 1.4

@@ -1,4 +1,4 @@
-"""The path under the pointer: what it says of length, width, place and how sure it is, and how long it takes."""
+"""Tests of the path under the pointer: length, width, position, confidence and time."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def tip_of(chest, number: int) -> np.ndarray:
     return end + 0.1 * (start - end)
 
 
-def test_it_is_the_path_that_a_click_gives(chest, found):
+def test_live_path_equals_the_path_of_a_click(chest, found):
     live = found.tracker.live_path(tip_of(chest, 3))
     path = found.tracker.path_to(tip_of(chest, 3))
     assert live.problem is None
@@ -30,23 +30,23 @@ def test_it_is_the_path_that_a_click_gives(chest, found):
     assert live.snapped_mm == 0.0
 
 
-def test_in_a_bronchus_with_a_wall_it_is_sure(chest, found):
+def test_path_in_a_bronchus_with_a_wall_is_certain(chest, found):
     for number in range(1, len(chest.tubes)):
         live = found.tracker.live_path(tip_of(chest, number))
         assert live.confidence > 0.7, (number, live.confidence)
-        # The narrowest tube on the way; a voxel is 1.0 to 1.6 mm.
+        # Radius of the narrowest tube on the path; a voxel is 1.0 to 1.6 mm.
         assert live.min_radius_mm == pytest.approx(chest.tubes[number][2], abs=1.3)
 
 
-def test_a_place_in_the_tree_is_new_only_from_its_middle(chest, found):
+def test_path_to_a_point_in_the_tree_is_new_only_beyond_its_middle(chest, found):
     live = found.tracker.live_path(tip_of(chest, 2))
     assert live.new_mm < 2.0 * chest.tubes[2][2]
     ids = {branch.id for branch in found.tree.branches}
     assert live.joins_branch_id in ids
 
 
-def test_a_leak_into_lung_is_not_believed(chest, found):
-    # A tube through lung, as a leak would be: values as the lung's, no wall anywhere.
+def test_leak_into_lung_has_low_confidence(chest, found):
+    # A tube through lung, like a leak: lung values and no wall anywhere.
     _start, end, _radius = chest.tubes[3]
     outward = end + np.linspace(-0.3, 1.0, 60)[:, None] * np.array([-12.0, 6.0, -14.0])
     lumen = found.lumen_zyx.copy()
@@ -66,7 +66,7 @@ def test_a_leak_into_lung_is_not_believed(chest, found):
     assert bronchus.confidence > leak.confidence + 0.3
 
 
-def test_a_place_beside_the_airway_stands_for_it_and_costs_confidence(chest, found):
+def test_point_beside_the_airway_uses_the_airway_with_less_confidence(chest, found):
     inside = found.tracker.live_path(tip_of(chest, 1))
     start, end, radius = chest.tubes[1]
     across = np.cross(end - start, [0.0, 0.0, 1.0])
@@ -78,7 +78,7 @@ def test_a_place_beside_the_airway_stands_for_it_and_costs_confidence(chest, fou
     assert found.tracker.live_path(beside, reach_mm=0.5).problem is not None
 
 
-def test_outside_the_lumen_it_says_where_the_pointer_is_and_what_to_do(chest, found):
+def test_pointer_outside_the_lumen_is_reported_with_a_remedy(chest, found):
     volume = chest.volume
     centre = volume.centre_lps
     lung = found.tracker.live_path(centre + np.array([-28.0, 18.0, -14.0]))
@@ -94,12 +94,12 @@ def test_outside_the_lumen_it_says_where_the_pointer_is_and_what_to_do(chest, fo
         assert live.confidence is None
 
 
-def test_outside_the_volume_is_an_error(found):
+def test_pointer_outside_the_volume_is_an_error(found):
     with pytest.raises(UsageError, match="outside the volume"):
         found.tracker.live_path((9000.0, 0.0, 0.0))
 
 
-def test_a_way_is_found_from_everywhere_in_the_lumen(chest, found):
+def test_path_exists_from_every_point_in_the_lumen(chest, found):
     voxels = np.argwhere(found.lumen_zyx)
     chosen = voxels[np.random.default_rng(3).integers(0, len(voxels), 200)][:, ::-1].astype(float)
     for point in chest.volume.to_lps(chosen):
@@ -109,7 +109,7 @@ def test_a_way_is_found_from_everywhere_in_the_lumen(chest, found):
         assert live.new_mm <= live.length_mm + 1e-9
 
 
-def test_noise_is_looked_for_across_a_path_however_dense_its_points_are():
+def test_noise_is_measured_across_a_path_of_any_point_density():
     along = np.array([1.0, 2.0, -2.0]) / 3.0
     path = np.linspace(0.0, 1.0, 11)[:, None] * along
     u, v = _across(path[3:6], path)

@@ -1,4 +1,4 @@
-"""Sections across the drawn chest's airways, forks, summaries, and what an edit measures again."""
+"""Tests of airway measures in the synthetic chest: sections, forks, summaries, and measures after an edit."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ def measured(chest):
     return airways, measure_tree(chest.volume, airways)
 
 
-def test_the_drawn_diameters_are_found_within_their_errors(chest, measured):
+def test_measured_diameters_are_within_their_errors(chest, measured):
     airways, measures = measured
     truth = {"Trachea": 13.0, "RMB": 10.0, "LMB": 9.2}
     for name, diameter in truth.items():
         summary = measures.of(airways.tree.named(name).id).summary
-        # 0.5 mm: the drawn edge is a straight ramp, no Gaussian blur.
+        # Tolerance 0.5 mm: the drawn edge is a straight ramp, not a Gaussian blur.
         assert abs(summary.mean_mm - diameter) < max(summary.mean_error_mm, 0.5)
     for branch in airways.tree.branches:
         own = measures.of(branch.id)
@@ -52,27 +52,27 @@ def test_sections_at_forks_are_flagged_and_left_out(chest, measured):
         assert own.at_junction[-1] == bool(branch.children)
         assert own.at_junction[0] == (branch.parent is not None)
         assert own.summary.num_sections == own.is_usable.sum()
-    # A section through a main carina is far wider than the trachea.
+    # A section through a main carina is much wider than the trachea.
     trachea = measures.of(tree.root.id)
     assert trachea.summary.mean_mm < 14.0
 
 
-def test_the_carina_lies_in_the_wall_between_the_main_bronchi_below_the_fork(chest, measured):
+def test_carina_is_in_the_wall_between_the_main_bronchi_below_the_fork(chest, measured):
     airways, measures = measured
     fork = measures.fork_of(airways.tree.root.id)
     assert set(fork.children) == set(airways.tree.root.children)
     assert fork.carina_lps is not None
     assert fork.carina_lps[2] < fork.fork_lps[2]
-    # In the lumen's surface: within a voxel of the drawn one.
+    # The carina is on the surface of the lumen, with a tolerance of one voxel.
     assert abs(chest.depth_mm(np.array(fork.carina_lps))) < 1.6
-    # Between the drawn axes.
+    # The carina is between the drawn axes.
     one, other = (end - start for start, end, _ in chest.tubes[1:3])
     drawn = np.degrees(np.arccos(one @ other / np.linalg.norm(one) / np.linalg.norm(other)))
     assert abs(fork.angle_between_deg - drawn) < 12.0
     assert all(measures.fork_of(tip.id) is None for tip in airways.tree.tips())
 
 
-def test_only_what_changed_is_measured_again(chest, measured, monkeypatch):
+def test_only_changed_branches_are_measured_again(chest, measured, monkeypatch):
     airways, measures = measured
     counts = []
 
@@ -91,7 +91,7 @@ def test_only_what_changed_is_measured_again(chest, measured, monkeypatch):
     fresh = measure_tree(chest.volume, edited, previous=measures)
     assert counts[1:] == [len(shorter.points)]
     whole = measure_tree(chest.volume, edited)
-    # The blur of the whole scan is kept; that of the shorter tree differs by a thousandth.
+    # The blur is that of the whole scan; that of the shorter tree differs by 0.1 %.
     np.testing.assert_allclose(fresh.of(tip.id).edge_mm, whole.of(tip.id).edge_mm, atol=2e-3)
 
 
@@ -112,7 +112,7 @@ def test_measures_by_an_earlier_method_are_not_reused(chest, measured, monkeypat
     assert branches[0].to_json()["by_earlier_method"]
 
 
-def test_a_route_is_as_narrow_as_its_narrowest_branch_before_its_end(measured):
+def test_route_is_as_narrow_as_its_narrowest_branch_before_its_end(measured):
     airways, measures = measured
     tree = airways.tree
     tip = tree.tips()[0]
@@ -129,7 +129,7 @@ def test_a_route_is_as_narrow_as_its_narrowest_branch_before_its_end(measured):
     assert measures.narrowest_of_route(ids[:1]).mm >= found.mm
 
 
-def test_sections_at_the_end_of_a_branch_count_by_their_narrow_side_and_those_at_its_start_do_not():
+def test_end_sections_count_by_their_narrow_side_and_start_sections_do_not_count():
     at = 0.7 * np.arange(40)
     equal, least, error = np.full(40, 4.0), np.full(40, 4.0), np.full(40, 0.1)
     at_junction = (at < 4.0) | (at > 24.0)
@@ -151,7 +151,7 @@ def test_sections_at_the_end_of_a_branch_count_by_their_narrow_side_and_those_at
     assert narrowest(has_fork=False) == pytest.approx(4.0)
 
 
-def test_a_branch_with_sections_at_forks_alone_has_an_error_that_covers_both_of_their_figures():
+def test_branch_with_only_fork_sections_has_an_error_that_covers_both_figures():
     at = 0.7 * np.arange(5)
     equal, least, error = np.full(5, 6.0), np.full(5, 4.0), np.full(5, 0.1)
     found = passage_of(
@@ -174,7 +174,7 @@ def test_a_branch_with_sections_at_forks_alone_has_an_error_that_covers_both_of_
     seed=st.integers(0, 2**32 - 1),
 )
 @settings(max_examples=80, deadline=None)
-def test_the_diameter_of_a_branch_is_that_of_its_sections_whatever_their_order(num, diameter, noise, seed):
+def test_branch_diameter_is_independent_of_the_order_of_sections(num, diameter, noise, seed):
     rng = np.random.default_rng(seed)
     at = 0.7 * np.arange(num)
     sections = diameter * (1.0 + noise * rng.standard_normal(num))
@@ -194,7 +194,7 @@ def test_the_diameter_of_a_branch_is_that_of_its_sections_whatever_their_order(n
     assert (error >= by_model).all()
 
 
-def test_one_disturbed_section_changes_neither_the_diameter_nor_the_narrowest_place():
+def test_one_disturbed_section_changes_neither_diameter_nor_narrowest_position():
     at = np.arange(20.0)
     sections, error = np.linspace(8.0, 6.0, 20), np.full(20, 0.2)
     plain = narrowest_diameter(at, sections, error)
@@ -206,7 +206,7 @@ def test_one_disturbed_section_changes_neither_the_diameter_nor_the_narrowest_pl
     assert branch_diameter(*(np.zeros(0),) * 3) is None
 
 
-def test_the_document_is_plain_json_and_a_missing_branch_is_refused(measured):
+def test_document_is_plain_json_and_a_missing_branch_is_refused(measured):
     airways, measures = measured
     document = json.loads(json.dumps(measures.to_json(), allow_nan=False))
     assert document["format"] == "carina-measures"
@@ -216,7 +216,7 @@ def test_the_document_is_plain_json_and_a_missing_branch_is_refused(measured):
         measures.of(99)
 
 
-def test_measuring_stops_when_asked_and_says_how_far_it_is(chest, measured):
+def test_measuring_can_be_cancelled_and_reports_progress(chest, measured):
     airways, _ = measured
     told = []
     measure_tree(chest.volume, airways, progress=lambda what, fraction: told.append((what, fraction)))
@@ -227,10 +227,10 @@ def test_measuring_stops_when_asked_and_says_how_far_it_is(chest, measured):
         measure_tree(chest.volume, airways, cancel=lambda: next(calls) >= 1)
 
 
-def test_a_branch_of_one_voxel_and_one_at_the_volumes_edge_are_measured_as_far_as_they_show(chest, measured):
+def test_one_voxel_branch_and_branch_at_the_volume_edge_are_measured_partly(chest, measured):
     airways, _ = measured
     root = airways.tree.root
-    # The point in the top slice, and a twig of a single point at the end of the trachea.
+    # A branch of one point in the top slice, and another at the end of the trachea.
     trunk = dataclasses.replace(root, children=(1,), points=root.points, radius=root.radius)
     twig = Branch(1, 0, (), 1, None, "tracked", root.points[-1:], root.radius[-1:])
     tree = AirwayTree((trunk, twig))
@@ -239,7 +239,7 @@ def test_a_branch_of_one_voxel_and_one_at_the_volumes_edge_are_measured_as_far_a
     assert single.at_mm.tolist() == [0.0]
     assert single.summary.length_mm == 0.0
     assert single.summary.angle_deg is None
-    # A volume that is cut through the trachea's middle: its sections are partial, and said to be.
+    # A volume cut through the middle of the trachea: its sections are partial and flagged.
     i = int(chest.volume.to_ijk(root.points[len(root.points) // 2])[0] + 0.5)
     half = Volume(np.ascontiguousarray(chest.volume.hu_zyx[:, :, :i]), chest.volume.lps_from_ijk)
     alone = AirwayTree((dataclasses.replace(root, children=()),))
@@ -251,7 +251,7 @@ def test_a_branch_of_one_voxel_and_one_at_the_volumes_edge_are_measured_as_far_a
 
 @given(st.floats(0.3, 0.9), st.floats(4.0, 14.0), st.floats(-0.08, 0.02))
 @settings(max_examples=40, deadline=None)
-def test_a_stenosis_is_measured_against_the_line_through_what_is_healthy(left, diameter, taper):
+def test_stenosis_is_measured_against_the_line_through_healthy_sections(left, diameter, taper):
     at = np.arange(0.0, 40.0)
     healthy = diameter + taper * at * diameter / 20.0
     narrowing = 1.0 - (1.0 - left) * np.clip(1.0 - np.abs(at - 22.0) / 6.0, 0.0, 1.0)
@@ -264,14 +264,14 @@ def test_a_stenosis_is_measured_against_the_line_through_what_is_healthy(left, d
         assert abs(found.area_percent - 100.0 * (1.0 - left**2)) < 6.0
 
 
-def test_a_branch_that_is_narrow_all_along_is_compared_with_its_neighbours():
+def test_branch_narrow_over_its_whole_length_is_compared_with_its_neighbours():
     at = np.arange(0.0, 8.0)
     narrow = np.full(8, 4.0) + 0.3 * np.abs(at - 4.0)
     expected = diameter_by_neighbours(12.0, [8.0], [7.0, 7.5])
     # Murray: 12^3 - 8^3 from above, 7^3 + 7.5^3 from below.
     above, below = 12.0**3 - 8.0**3, 7.0**3 + 7.5**3
     assert expected.mm == pytest.approx(np.sqrt(above ** (1 / 3) * below ** (1 / 3)))
-    # Subtracting the sibling's cube leaves the error of the parent's whole cube.
+    # Subtracting the sibling's cube leaves the error of the parent's cube.
     assert expected.error == pytest.approx(1.96 * 0.5 * np.hypot(0.15 * 12.0**3 / above, 0.15))
     found = stenosis_of(at, narrow, np.full(8, 0.1), np.ones(8, bool), expected=expected)
     assert found.reference_from == "neighbours"
@@ -282,7 +282,7 @@ def test_a_branch_that_is_narrow_all_along_is_compared_with_its_neighbours():
     )
 
 
-def test_neighbours_give_no_diameter_where_one_side_is_not_complete():
+def test_incomplete_neighbours_give_no_diameter():
     assert diameter_by_neighbours(None, [], []) is None
     assert diameter_by_neighbours(12.0, [8.0], []) is None, "siblings of a tip may be missing"
     assert diameter_by_neighbours(5.0, [6.0], [None]) is None
@@ -291,7 +291,7 @@ def test_neighbours_give_no_diameter_where_one_side_is_not_complete():
 
 
 @pytest.mark.parametrize(("percent", "error", "is_reported"), [(8.0, 7.9, True), (8.0, 8.0, False), (-3.0, 1.0, False)])
-def test_a_stenosis_is_reported_only_beyond_its_error(percent, error, is_reported):
+def test_stenosis_is_reported_only_beyond_its_error(percent, error, is_reported):
     measured = Stenosis(percent, error, percent, 10.0, 5.0, 6.0, "branch")
     assert measured.exceeds_error is is_reported
     at, even = np.arange(5.0), np.full(5, 6.0)
@@ -304,7 +304,7 @@ def test_a_stenosis_is_reported_only_beyond_its_error(percent, error, is_reporte
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([6, 20, 80]), st.floats(2.0, 14.0), st.floats(0.02, 0.1))
 @settings(max_examples=15, deadline=None)
-def test_noise_alone_makes_a_stenosis_in_no_more_branches_than_the_error_states(seed, num, diameter, share):
+def test_noise_causes_stenoses_in_no_more_branches_than_the_error_states(seed, num, diameter, share):
     random = np.random.default_rng(seed)
     at = np.arange(num) * diameter
     found = [
@@ -321,7 +321,7 @@ def test_noise_alone_makes_a_stenosis_in_no_more_branches_than_the_error_states(
     assert np.mean([one is not None for one in found]) < 0.06
 
 
-def test_a_narrowing_that_may_be_a_fork_without_its_other_daughter_is_no_stenosis():
+def test_narrowing_that_may_be_a_missed_fork_is_no_stenosis():
     at = np.arange(0.0, 30.0)
     one_fork = np.where(at < 20.0, 5.0, 5.0 * 2.0 ** (-1 / 3))
     measured = {"usable": np.ones(30, bool), "expected": None}
@@ -331,7 +331,7 @@ def test_a_narrowing_that_may_be_a_fork_without_its_other_daughter_is_no_stenosi
     half_closed = stenosis_of(at, np.where(at < 20.0, 5.0, 2.5), np.full(30, 0.1), **measured)
     assert half_closed.percent == pytest.approx(50.0)
     assert half_closed.at_mm >= 20.0
-    # No fork explains an airway that is wider farther on.
+    # A missed fork cannot explain an airway that is wider farther on.
     first_narrow = stenosis_of(at, one_fork[::-1], np.full(30, 0.1), **measured)
     assert first_narrow.percent == pytest.approx(100.0 * (1.0 - 2.0 ** (-1 / 3)))
     between = np.where((at > 15.0) & (at < 20.0), 4.0, 5.0)
@@ -339,11 +339,11 @@ def test_a_narrowing_that_may_be_a_fork_without_its_other_daughter_is_no_stenosi
 
 
 @pytest.mark.parametrize("seed", [1, 4])
-def test_a_phantom_reports_its_stenosis_and_no_other_beyond_chance(seed):
+def test_phantom_reports_its_stenosis_and_no_other_beyond_chance(seed):
     options = {"seed": seed, "spacing_mm": 1.2, "noise_hu": 25.0}
     healthy = measure_tree(made_phantom(**options).volume, made_airways(**options))
     reported = [one.branch_id for one in healthy.branches if one.summary.stenosis is not None]
-    # 97.5 % of the errors reach as far as healthy.
+    # The error covers 97.5 % of healthy branches.
     assert len(reported) <= 0.025 * len(healthy.branches)
 
     options["stenosis"] = True
@@ -375,8 +375,8 @@ def test_angles_and_directions_are_those_of_the_lines():
     np.testing.assert_allclose(directions(point.points, point.radius, trunk.points[-2]), [[0.0, 0.0, -1.0]])
 
 
-def test_the_directions_of_a_fine_branch_follow_its_bends():
-    """Over 2 mm at least, and no farther: a right angle is seen 0.9 mm before it, and not 1.2 mm before it."""
+def test_directions_of_a_fine_branch_follow_its_bends():
+    """Directions use 2 mm: a right angle affects the direction 0.9 mm before it, and not 1.2 mm before it."""
     at = np.linspace(0.0, 5.0, 51)
     points = np.concatenate(
         [np.stack([0 * at, 0 * at, -at], axis=1), np.stack([at[1:], 0 * at[1:], 0 * at[1:] - 5.0], 1)]
@@ -389,7 +389,7 @@ def test_the_directions_of_a_fine_branch_follow_its_bends():
 @pytest.mark.parametrize(
     ("num", "length_mm", "is_told"), [(5, 6.0, True), (21, 20.0, True), (4, 20.0, False), (21, 4.9, False)]
 )
-def test_taper_is_told_from_five_sections_over_five_millimetres(num, length_mm, is_told):
+def test_taper_needs_five_sections_over_five_millimetres(num, length_mm, is_told):
     at = np.linspace(0.0, length_mm, num)
     even = np.full(num, 0.1)
     summary = summed_up(
@@ -398,7 +398,7 @@ def test_taper_is_told_from_five_sections_over_five_millimetres(num, length_mm, 
     assert summary.taper == (pytest.approx(-0.05) if is_told else None)
 
 
-def test_planes_that_are_none_are_refused(chest):
+def test_invalid_planes_are_refused(chest):
     arguments = (chest.volume.hu_zyx, chest.volume.lps_from_ijk)
     levels = {"min_contrast": 100.0, "brightest_wall": 100.0, "wall_rise": 1020.0, "noise": 10.0}
     with pytest.raises(UsageError, match="normal with length"):

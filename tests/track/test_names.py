@@ -1,4 +1,4 @@
-"""Names of bronchi: true trees of phantoms, turned, mirrored, pruned, cut, grown over with twigs."""
+"""Tests of bronchus names in true phantom trees: rotated, mirrored, pruned, cropped, or with additional twigs."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LOBE_OF = {
 
 @functools.cache
 def true_tree(seed: int) -> AirwayTree:
-    """The exact tree; hardly any voxels are made."""
+    """Return the exact tree of a phantom that has almost no voxels."""
     box = ((-10.0, -10.0, -10.0), (10.0, 10.0, 10.0))
     return AirwayTree.from_json(generate_phantom(seed=seed, spacing_mm=5.0, box_lps=box).truth)
 
@@ -38,7 +38,7 @@ def is_segment(name: str | None) -> bool:
 
 
 def moved(tree: AirwayTree, matrix: np.ndarray, offset: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> AirwayTree:
-    """Every point x becomes ``matrix`` x + ``offset``; radii grow with the matrix."""
+    """Return the tree with every point x replaced by ``matrix`` x + ``offset``, and radii scaled accordingly."""
     scale = abs(float(np.linalg.det(matrix))) ** (1 / 3)
     return AirwayTree(
         tuple(
@@ -56,7 +56,7 @@ def turned(axis: tuple[float, float, float], deg: float) -> np.ndarray:
 
 
 def rooted_at(tree: AirwayTree, name: str) -> AirwayTree:
-    """What hangs on one branch, as a tree of its own."""
+    """Return a branch and everything beyond it as a separate tree."""
     root = tree.named(name)
     kept = {root.id}
     for b in tree.branches:
@@ -71,7 +71,7 @@ def rooted_at(tree: AirwayTree, name: str) -> AirwayTree:
 
 
 def without(tree: AirwayTree, cut: set[int]) -> AirwayTree:
-    """The tree without some branches and all that hangs on them; ids stay."""
+    """Return the tree without some branches and everything beyond them; IDs stay the same."""
     gone: set[int] = set()
     for b in tree.branches:
         if b.id in cut or b.parent in gone:
@@ -86,7 +86,7 @@ def without(tree: AirwayTree, cut: set[int]) -> AirwayTree:
 
 
 def with_twigs(tree: AirwayTree, rng: np.random.Generator, num: int) -> AirwayTree:
-    """Short blind tubes on the side of branches, each of which splits its branch in two."""
+    """Return the tree with short blind tubes on branches, each of which divides its branch in two."""
     branches = {b.id: b for b in tree.branches}
     order = [b.id for b in tree.branches]
     chosen = [b.id for b in tree.branches if len(b.points) > 8 and b.parent is not None]
@@ -118,13 +118,13 @@ def with_twigs(tree: AirwayTree, rng: np.random.Generator, num: int) -> AirwayTr
 
 
 def score(truth: AirwayTree, named: AirwayTree) -> tuple[int, int, int]:
-    """Segments: right, wrong, all. Without a name is neither right nor wrong."""
+    """Return the numbers of right, wrong and all segments; a segment without a name is neither right nor wrong."""
     right = wrong = total = 0
     for b in named.branches:
         true = next((t for t in truth.branches if t.id == b.id), None)
         if true is None or not is_segment(true.name):
             continue
-        # Where all its siblings were cut away it is the end of its stem, and has the stem's name.
+        # A branch whose siblings were all removed continues its stem and has the stem's name.
         if b.parent is not None and len(named.branch(b.parent).children) == 1:
             continue
         total += 1
@@ -142,7 +142,7 @@ def scores(change, *, seeds=SEEDS) -> tuple[float, float]:
     return right / total, wrong / total
 
 
-def test_nine_of_ten_segments_of_true_trees_are_named_rightly():
+def test_nine_of_ten_segments_of_true_trees_are_named_correctly():
     right, wrong = scores(lambda tree, _rng: tree)
     assert right >= 0.93
     assert wrong <= 0.05
@@ -151,13 +151,13 @@ def test_nine_of_ten_segments_of_true_trees_are_named_rightly():
 @pytest.mark.slow
 @pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, -1)])
 @pytest.mark.parametrize("deg", [-25.0, 25.0])
-def test_a_turned_or_tilted_patient_is_named_as_well(axis, deg):
+def test_rotated_or_tilted_patient_is_named_as_well(axis, deg):
     right, wrong = scores(lambda tree, _rng: moved(tree, turned(axis, deg), (40.0, -200.0, 900.0)), seeds=range(1, 4))
     assert right >= 0.90
     assert wrong <= 0.07
 
 
-def test_a_child_is_named_as_an_adult_is():
+def test_child_is_named_as_an_adult_is():
     for seed in (1, 2, 3):
         tree = true_tree(seed)
         adult, child = name_tree(tree), name_tree(moved(tree, 0.6 * np.eye(3)))
@@ -165,7 +165,7 @@ def test_a_child_is_named_as_an_adult_is():
 
 
 @pytest.mark.slow
-def test_a_pruned_tree_has_few_wrong_names():
+def test_pruned_tree_has_few_wrong_names():
     def prune(tree: AirwayTree, rng: np.random.Generator) -> AirwayTree:
         deep = [b.id for b in tree.branches if b.generation >= 5 and rng.random() < 0.25]
         segments = [b.id for b in tree.branches if is_segment(b.name)]
@@ -177,7 +177,7 @@ def test_a_pruned_tree_has_few_wrong_names():
 
 
 @pytest.mark.slow
-def test_a_tree_that_ends_at_the_segments_is_named():
+def test_tree_that_ends_at_the_segments_is_named():
     right, wrong = scores(
         lambda tree, _rng: without(tree, {c for b in tree.branches if is_segment(b.name) for c in b.children})
     )
@@ -192,7 +192,7 @@ def test_twigs_do_not_change_the_names():
     assert wrong <= 0.08
 
 
-def test_a_mirrored_chest_is_said_to_be_one_and_keeps_its_sides():
+def test_mirrored_chest_is_reported_and_keeps_its_sides():
     for seed in (1, 2, 3):
         tree = true_tree(seed)
         named = name_tree(moved(tree, np.diag([-1.0, 1.0, 1.0])))
@@ -212,7 +212,7 @@ def test_a_mirrored_chest_is_said_to_be_one_and_keeps_its_sides():
         assert {"LML", "LB1", "LB7", "RB1+2"} & {b.name for b in named.branches} >= {"LML", "LB1"}
 
 
-def test_a_part_of_a_turned_chest_is_not_said_to_be_mirrored():
+def test_part_of_a_rotated_chest_is_not_reported_as_mirrored():
     tree = moved(true_tree(5), turned((1.0, 0.0, 0.0), 30.0))
     is_outside = {b.id for b in tree.branches[1:] if b.points[:, 2].min() < -25.0 or b.points[:, 2].max() > 30.0}
     part = name_tree(without(tree, is_outside))
@@ -220,7 +220,7 @@ def test_a_part_of_a_turned_chest_is_not_said_to_be_mirrored():
     assert "track.mirrored" not in {note.code for note in part.notes}
 
 
-def test_an_ordinary_chest_is_not_said_to_be_mirrored():
+def test_ordinary_chest_is_not_reported_as_mirrored():
     for seed in SEEDS:
         named = name_tree(true_tree(seed))
         assert "mirrored" not in (named.root.variant or "")
@@ -228,7 +228,7 @@ def test_an_ordinary_chest_is_not_said_to_be_mirrored():
 
 
 @pytest.mark.slow
-def test_a_tree_that_begins_in_the_right_main_bronchus_is_named():
+def test_tree_that_begins_in_the_right_main_bronchus_is_named():
     rows = [score(true_tree(seed), name_tree(rooted_at(true_tree(seed), "RMB"))) for seed in SEEDS]
     right, wrong, total = np.sum(rows, axis=0)
     assert right >= 0.85 * total
@@ -251,7 +251,7 @@ def test_one_lung_alone_is_named():
 
 
 @pytest.mark.slow
-def test_a_trachea_cut_off_just_above_the_carina_is_still_named():
+def test_trachea_cut_off_just_above_the_carina_is_named():
     def cut(tree: AirwayTree, _rng: np.random.Generator) -> AirwayTree:
         root = dataclasses.replace(tree.root, points=tree.root.points[-6:], radius=tree.root.radius[-6:])
         return AirwayTree((root, *tree.branches[1:]))
@@ -261,7 +261,7 @@ def test_a_trachea_cut_off_just_above_the_carina_is_still_named():
     assert wrong <= 0.06
 
 
-def test_lobes_are_right_for_nearly_all_length():
+def test_lobes_are_right_for_nearly_all_of_the_length():
     good = length = 0.0
     for seed in SEEDS:
         tree = true_tree(seed)
@@ -274,7 +274,7 @@ def test_lobes_are_right_for_nearly_all_length():
     assert good >= 0.98 * length
 
 
-def test_a_persons_name_is_kept_and_holds_for_the_rest():
+def test_name_given_by_a_person_is_unchanged_and_used_for_other_names():
     tree = true_tree(3)
     segment = tree.named("RB3")
 
@@ -293,14 +293,14 @@ def test_a_persons_name_is_kept_and_holds_for_the_rest():
     ours = give("RB2")
     kept = ours.branch(segment.id)
     assert (kept.name, kept.name_from, kept.name_confidence) == ("RB2", "person", None)
-    # The person's RB2 is not given a second time.
+    # The automatic names do not contain the given RB2 again.
     assert [b.id for b in ours.branches if b.name == "RB2"] == [segment.id]
     free = give("the one with the stent")
     assert free.branch(segment.id).name == "the one with the stent"
     assert "RB2" in free.names
 
 
-def test_a_persons_name_below_the_segment_tells_the_segment():
+def test_given_name_below_a_segment_determines_the_segment():
     tree = true_tree(1)
     segment = tree.named("RB10")
     child = segment.children[0]
@@ -348,12 +348,12 @@ def test_letters_follow_the_rule():
             assert other.named(pair[0]).points[-1][1] > other.named(pair[1]).points[-1][1] - 5.0
 
 
-def test_nothing_is_named_in_a_tube_without_forks():
+def test_tube_without_forks_has_no_names():
     tube = Branch(0, None, (), 0, None, "tracked", np.array([[0.0, 0, 0], [0, 1, -40]]), np.array([8.0, 8.0]))
     assert name_tree(AirwayTree((tube,))).root.name is None
 
 
-def test_variants_of_phantoms_are_called_so():
+def test_variants_of_phantoms_are_named():
     for seed in SEEDS:
         tree, named = true_tree(seed), name_tree(true_tree(seed))
         said = " ".join(b.variant or "" for b in named.branches)
@@ -362,7 +362,7 @@ def test_variants_of_phantoms_are_called_so():
 
 
 def regrafted(tree: AirwayTree, name: str, host_name: str, share: float) -> tuple[AirwayTree, int]:
-    """A bronchus and all beyond it, moved to the side of another one; and its id."""
+    """Return the tree with a bronchus and everything beyond it moved to the side of another bronchus, and its ID."""
     branches = {b.id: b for b in tree.branches}
     sub, host = tree.named(name), tree.named(host_name)
     mid, lower = int(len(host.points) * share), max(branches) + 1
@@ -406,7 +406,7 @@ def regrafted(tree: AirwayTree, name: str, host_name: str, share: float) -> tupl
         ("RB6", "BI", 0.5, "at or above the middle lobe bronchus"),
     ],
 )
-def test_a_bronchus_that_leaves_higher_than_usual_is_said_to(name, host, share, words):
+def test_bronchus_with_an_unusually_high_origin_is_reported(name, host, share, words):
     changed, which = regrafted(true_tree(4), name, host, share)
     named = name_tree(changed)
     assert named.branch(which).name == name
@@ -416,7 +416,7 @@ def test_a_bronchus_that_leaves_higher_than_usual_is_said_to(name, host, share, 
     assert wrong == 0
 
 
-def test_words_of_names():
+def test_names_have_full_texts():
     for keys in LOBES.values():
         for key in keys:
             words = name_words(key)
@@ -431,7 +431,7 @@ def test_words_of_names():
     assert name_words("") is None
 
 
-def test_every_bronchus_of_one_lung_is_expected_to_run_to_its_own_side():
+def test_bronchi_of_one_lung_are_expected_on_their_own_side():
     rules = grammar()
     for name in ("RMB", "BI", *LOBES, "LMB"):
         right_or_left = -1.0 if name == "BI" or name.startswith("R") else 1.0
@@ -441,7 +441,7 @@ def test_every_bronchus_of_one_lung_is_expected_to_run_to_its_own_side():
         assert (rules.direction[states, 0] * right_or_left > 0.2).all(), name
 
 
-def test_the_odds_of_all_divisions_sum_to_one():
+def test_probabilities_of_all_divisions_sum_to_one():
     rules = grammar()
     division = rules.division
     for state in np.unique(division.state):
@@ -449,8 +449,8 @@ def test_the_odds_of_all_divisions_sum_to_one():
         assert total == pytest.approx(1.0, abs=0.061)
 
 
-def test_the_sums_over_readings_equal_plain_recursion():
-    """Every derivation of the grammar, one at a time, on a small tree of forks in two."""
+def test_sums_over_readings_equal_plain_recursion():
+    """Enumerate every derivation of the grammar on a small tree of forks in two."""
     tree = true_tree(5)
     small = without(tree, {b.id for b in tree.branches if b.generation >= 3})
     bronchi = bronchi_of(small)
@@ -488,6 +488,6 @@ def test_the_sums_over_readings_equal_plain_recursion():
     root = solver.posts[0]
     assert root.sum() == pytest.approx(1.0)
     for posts in solver.posts:
-        # A bronchus has one reading at most: none where it carries no segment or lies inside one.
+        # A bronchus has at most one reading, and none if it carries no segment or is inside one.
         assert posts.min() >= 0.0
         assert posts.sum() <= 1.0 + 1e-9

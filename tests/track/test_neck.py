@@ -1,4 +1,4 @@
-"""Scans that go on above the trachea, and tubes that lie in it: where the tree begins, and what is said."""
+"""Tests of scans that include the neck, and of tracheal tubes: the start of the tree, and the notes."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def begins_below_the_cricoid(made: Phantom, found: Airways) -> None:
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_the_tree_begins_below_the_cricoid_where_the_scan_includes_the_larynx(seed: int) -> None:
+def test_tree_begins_below_the_cricoid_if_the_scan_includes_the_larynx(seed: int) -> None:
     made, found = searched({**WITH_NECK, "seed": seed})
     begins_below_the_cricoid(made, found)
     assert "track.larynx" in codes(found)
@@ -51,19 +51,22 @@ def test_the_tree_begins_below_the_cricoid_where_the_scan_includes_the_larynx(se
     assert not (upper & found.lumen_zyx).any()
 
 
-def test_a_tracheal_tube_is_named_with_the_height_of_its_tip() -> None:
+def test_tracheal_tube_is_reported_with_the_height_of_its_tip() -> None:
     made, found = searched({**WITH_NECK, "seed": 1, "tube": "endotracheal"})
     begins_below_the_cricoid(made, found)
     names_the_tube(made, found, "a tracheal tube")
 
 
 @pytest.mark.parametrize("seed", [9, 16])
-def test_air_beside_a_tube_is_no_branch_and_the_cords_are_found_from_within_it(seed: int) -> None:
-    """In 9 the tube lies on the trachea's wall; in 16 what is followed begins in it, 57 mm below the cords' cone."""
+def test_air_beside_a_tube_is_no_branch_and_the_cords_are_found_from_inside_the_tube(seed: int) -> None:
+    """In seed 9 the tube touches the tracheal wall.
+
+    In seed 16 the followed lumen begins in the tube, 57 mm below the cords.
+    """
     begins_below_the_cricoid(*searched({**WITH_NECK, "seed": seed, "tube": "endotracheal"}))
 
 
-def test_a_tracheostomy_is_named_and_neither_leaks_nor_becomes_a_branch() -> None:
+def test_tracheostomy_is_reported_and_neither_leaks_nor_becomes_a_branch() -> None:
     made, found = searched({**WITH_NECK, "seed": 1, "tube": "tracheostomy"})
     begins_below_the_cricoid(made, found)
     names_the_tube(made, found, "a tracheostomy tube")
@@ -87,13 +90,13 @@ def names_the_tube(made: Phantom, found: Airways, name: str) -> None:
     assert abs(said - made.truth["tube"]["above_carina_mm"]) <= 4.0 + 1.5 * made.volume.spacing_mm[2]
 
 
-def test_a_chest_without_larynx_and_tube_has_no_note_of_them() -> None:
+def test_chest_without_larynx_and_tube_has_no_note_of_them() -> None:
     found = made_airways(**CHEST, seed=1)
     assert not codes(found) & {"track.larynx", "track.tube"}
     assert found.upper_airway_zyx is None
 
 
-def test_the_neck_is_there_above_the_cricoid_alone() -> None:
+def test_neck_is_only_above_the_cricoid() -> None:
     made = made_phantom(**WITH_NECK, seed=1)
     volume, upper = made.volume, made.upper_airway_zyx
     assert upper is not None
@@ -107,7 +110,7 @@ def test_the_neck_is_there_above_the_cricoid_alone() -> None:
     assert float(volume.hu_zyx[upper > 0].mean()) < -850.0
 
 
-def test_a_tracheostomy_needs_a_neck_and_a_tube_a_known_name() -> None:
+def test_tracheostomy_needs_a_neck_and_a_tube_needs_a_known_name() -> None:
     with pytest.raises(UsageError, match="tracheostomy"):
         generate_phantom(spacing_mm=6.0, generations=3, tube="tracheostomy")
     with pytest.raises(UsageError, match="endotracheal, tracheostomy"):
@@ -117,7 +120,7 @@ def test_a_tracheostomy_needs_a_neck_and_a_tube_a_known_name() -> None:
 @pytest.mark.soak
 @pytest.mark.parametrize("tube", [None, "endotracheal", "tracheostomy"])
 @pytest.mark.parametrize("seed", range(20))
-def test_necks_of_twenty_people(seed: int, tube: str | None) -> None:
+def test_necks_of_twenty_seeds_begin_below_the_cricoid(seed: int, tube: str | None) -> None:
     made = generate_phantom(**WITH_NECK, seed=seed, tube=tube)
     found = find_airways(made.volume)
     begins_below_the_cricoid(made, found)

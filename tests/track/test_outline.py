@@ -1,4 +1,4 @@
-"""The lumen's outline in a plane: by the truth of a drawn chest, by the voxels of the mask, and after edits."""
+"""Tests of the lumen outline in a plane: against a synthetic chest, the voxels of the mask, and after edits."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def found(chest):
 
 
 def plane(normal, middle_lps, mm_per_px, size=SIZE):
-    """``lps_from_pixel`` of a square picture."""
+    """Return ``lps_from_pixel`` of a square picture."""
     normal = np.asarray(normal, dtype=np.float64) / np.linalg.norm(normal)
     right = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
     right /= np.linalg.norm(right)
@@ -32,7 +32,7 @@ def plane(normal, middle_lps, mm_per_px, size=SIZE):
 
 
 def points_lps(lines, matrix):
-    """Points along the lines, a fifth of a pixel apart or nearer."""
+    """Return points along the lines, at most a fifth of a pixel apart."""
     places = []
     for line in lines:
         steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
@@ -44,14 +44,14 @@ def points_lps(lines, matrix):
 
 
 def half_voxel_mm(volume, directions):
-    """Half a voxel along each direction (n, 3): half the way across its box."""
+    """Return half the extent of a voxel along each direction (n, 3), mm."""
     axes = volume.lps_from_ijk[:3, :3] / np.linalg.norm(volume.lps_from_ijk[:3, :3], axis=0)
     along = np.abs(directions @ axes)
     return 0.5 / np.max(along / np.asarray(volume.spacing_mm), axis=1)
 
 
 def planes_through_airways(chest, count):
-    """Planes at any angle through places in the tubes."""
+    """Return planes at any angle through points in the tubes."""
     random = np.random.default_rng(3)
     for _ in range(count):
         start, end, radius = chest.tubes[random.integers(len(chest.tubes))]
@@ -59,14 +59,14 @@ def planes_through_airways(chest, count):
         yield plane(random.normal(size=3), middle, random.uniform(0.03, 0.2)), radius
 
 
-def test_on_any_zoomed_oblique_plane_the_outline_lies_within_half_a_voxel_of_the_true_wall(chest, found):
+def test_outline_on_any_plane_is_within_half_a_voxel_of_the_true_wall(chest, found):
     outline = LumenOutline(chest.volume, found)
     offs = []
     for matrix, _ in planes_through_airways(chest, 60):
         lines = outline.lines(matrix, SIZE, SIZE)
         places = points_lps(lines, matrix) if lines else np.empty((0, 3))
         depth = chest.depth_mm(places)
-        # Towards the wall: the steepest way of the true distance.
+        # Direction to the wall: the gradient of the true distance.
         step = 1e-3
         slope = np.stack([(chest.depth_mm(places + step * e) - depth) / step for e in np.eye(3)], axis=1)
         slope /= np.linalg.norm(slope, axis=1, keepdims=True)
@@ -87,14 +87,14 @@ def off_tube(points, start, end, radius):
 
 
 def inside_by(volume, points, margin_mm):
-    """Whether points lie farther than this inside the volume."""
+    """Return whether points are farther than this distance inside the volume."""
     ijk = volume.to_ijk(points)
     margin = margin_mm / np.asarray(volume.spacing_mm)
     return ((ijk > margin) & (ijk < np.array(volume.shape_zyx[::-1]) - 1 - margin)).all(axis=1)
 
 
 def sides(lumen_zyx, ijk):
-    """Whether lumen, and whether anything else, lies within half a voxel of voxel coordinates (n, 3)."""
+    """Return whether lumen, and whether other voxels, are within half a voxel of voxel coordinates (n, 3)."""
     nearest = np.rint(ijk).astype(int)
     found = np.zeros((2, len(ijk)), dtype=bool)
     shape = np.array(lumen_zyx.shape[::-1])
@@ -109,7 +109,7 @@ def sides(lumen_zyx, ijk):
     return found
 
 
-def test_on_random_oblique_planes_the_outline_parts_the_voxels_of_the_mask_to_half_a_voxel(chest, found):
+def test_outline_on_any_plane_separates_mask_voxels_to_half_a_voxel(chest, found):
     outline = LumenOutline(chest.volume, found)
     random = np.random.default_rng(5)
     num_points = 0
@@ -141,11 +141,11 @@ def winds_round(lines, places):
     return turns != 0
 
 
-def test_what_a_person_paints_and_erases_is_in_the_outline_voxel_for_voxel(chest, found):
+def test_painted_and_erased_voxels_are_in_the_outline(chest, found):
     start, end, _ = chest.tubes[3]
     at = tuple(float(v) for v in start + 0.6 * (end - start))
     matrix = plane((0.2, 1.0, 0.1), at, 0.1)
-    # 4.2 mm beside the middle of a bronchus of 3.2 mm: in its wall.
+    # 4.2 mm from the axis of a bronchus of 3.2 mm radius: in its wall.
     aside = np.array([[SIZE / 2 + 42.0, SIZE / 2]])
     aside_lps = tuple(float(v) for v in aside[0] @ matrix[:3, :2].T + matrix[:3, 3])
 
@@ -160,11 +160,11 @@ def test_what_a_person_paints_and_erases_is_in_the_outline_voxel_for_voxel(chest
     outline = LumenOutline(chest.volume, painted)
     erased = edit_airways(chest.volume, painted, PaintLumen((aside_lps,), 1.5, "ball", erase=True))
     assert not holds(erased)
-    # Cheap again where nothing moved: a name keeps the lumen, and with it the object.
+    # A rename keeps the lumen, so the outline keeps its object and is not computed again.
     assert outline.lumen_zyx is painted.lumen_zyx
 
 
-def test_a_mask_of_another_tool_is_outlined_half_way_between_its_voxels(chest):
+def test_mask_of_another_tool_is_outlined_half_way_between_its_voxels(chest):
     lumen = np.zeros(chest.volume.shape_zyx, dtype=np.uint8)
     lumen[40:50, 30:42, 20:37] = 1
     given = SimpleNamespace(lumen_zyx=lumen, wall_levels=None)
@@ -177,7 +177,7 @@ def test_a_mask_of_another_tool_is_outlined_half_way_between_its_voxels(chest):
     np.testing.assert_allclose(ijk.max(axis=0), (36.5, 41.5), atol=1e-6)
 
 
-def test_a_plane_beside_the_airways_has_no_lines_and_a_flat_matrix_is_refused(chest, found):
+def test_plane_beside_the_airways_has_no_lines_and_a_flat_matrix_is_refused(chest, found):
     outline = LumenOutline(chest.volume, found)
     corner = chest.volume.to_lps(np.zeros(3))
     assert outline.lines(plane((0, 0, 1), corner, 0.01), SIZE, SIZE) == ()

@@ -1,4 +1,4 @@
-"""The grid that airways are searched in: which slices are divided, and how masks and voxels go between the grids."""
+"""Tests of the search grid: which slices are divided, and conversion of masks and voxels between both grids."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_only_thick_slices_of_a_fine_ct_are_divided(spacing_mm, parts):
     assert PathGrid.parts_of(grid.ct, (20, 24, 29)) is None
 
 
-def test_a_grid_with_needlessly_thin_parts_is_none_of_a_ct():
+def test_grid_with_needlessly_thin_parts_is_refused_for_a_ct():
     # A damaged or hostile case file must not make Carina interpolate a volume of many times the memory.
     ct = volume((0.7, 0.7, 0.8))
     nz, ny, nx = ct.shape_zyx
@@ -57,7 +57,7 @@ def test_a_grid_with_needlessly_thin_parts_is_none_of_a_ct():
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_both_grids_cover_the_same_place(axis):
+def test_both_grids_cover_the_same_region(axis):
     spacing = [0.7, 0.7, 0.7]
     spacing[axis] = 3.0
     ct = volume(spacing)
@@ -66,7 +66,7 @@ def test_both_grids_cover_the_same_place(axis):
         at = np.zeros(3) + corner
         ends = [np.where(corner < 0, at, np.array(one.shape_zyx[::-1]) - 1 + at) for one in (ct, grid.volume)]
         np.testing.assert_allclose(ct.to_lps(ends[0]), grid.volume.to_lps(ends[1]), atol=1e-9)
-    # The middle part of each voxel is the voxel.
+    # The middle part of each divided voxel corresponds to the voxel.
     voxels = np.array([[3, 4, 5], [10, 11, 12]], dtype=np.uint16)
     parts = grid.voxels_in(voxels)
     assert len(parts) == 6
@@ -83,7 +83,7 @@ def test_a_turned_volume_is_interpolated_to_the_same_values():
     np.testing.assert_array_equal(PathGrid.of(other).volume.hu_zyx[::-1], PathGrid.of(ct).volume.hu_zyx)
 
 
-def test_a_mask_on_the_ct_holds_voxels_of_which_half_is_set_and_each_centreline():
+def test_mask_on_the_ct_has_voxels_at_least_half_set_and_each_centreline():
     ct = volume((0.7, 0.7, 3.0))
     grid = PathGrid.of(ct)
     lumen = np.zeros(grid.shape_zyx, dtype=np.uint8)
@@ -118,7 +118,7 @@ def test_paths_run_in_the_divided_grid_and_the_lumen_is_on_that_of_the_ct(thick)
     assert airways.tracker.inside(path.points_lps).all()
 
 
-def test_edits_equal_those_from_scratch_and_come_back_from_being_folded(thick):
+def test_edits_equal_those_from_scratch_and_survive_undo_storage(thick):
     ct, airways = thick
     tip = airways.tree.tips()[0]
     end = tuple(float(v) for v in tip.points[-1])
@@ -135,7 +135,7 @@ def test_edits_equal_those_from_scratch_and_come_back_from_being_folded(thick):
             np.testing.assert_array_equal(one.points, two.points)
 
 
-def test_the_brush_covers_whole_voxels_of_the_ct(thick):
+def test_brush_covers_whole_voxels_of_the_ct(thick):
     ct, airways = thick
     tip = airways.tree.tips()[0]
     end = tuple(float(v) for v in tip.points[-1])
@@ -195,7 +195,7 @@ def test_airways_of_another_ct_are_refused(thick):
         edit_airways(other, airways, CutBranch(airways.tree.tips()[0].id))
 
 
-def test_divided_slices_show_airways_that_the_slices_themselves_hide(thick, monkeypatch):
+def test_divided_slices_show_airways_not_visible_in_the_ct_slices(thick, monkeypatch):
     ct, airways = thick
     monkeypatch.setattr(PathGrid, "of", classmethod(lambda cls, volume: cls(volume)))
     whole = carina.find_airways(ct)

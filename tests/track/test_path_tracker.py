@@ -1,4 +1,4 @@
-"""The resumable tracker through its Python face."""
+"""Tests of the resumable path tracker through its Python interface."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from carina._core import LumenTracker
 
 
 def tracker_of(lumen: np.ndarray, root_ijk: tuple[int, int, int]) -> tuple[LumenTracker, np.ndarray]:
-    """A tracker on a lumen of 1 x 1.5 x 2.5 mm voxels, turned by 20 degrees."""
+    """Return a tracker on a lumen of 1 x 1.5 x 2.5 mm voxels, rotated by 20 degrees."""
     matrix = np.eye(4)
     c, s = np.cos(0.35), np.sin(0.35)
     matrix[:3, :3] = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) * [1.0, 1.5, 2.5]
@@ -26,7 +26,7 @@ def tracker_of(lumen: np.ndarray, root_ijk: tuple[int, int, int]) -> tuple[Lumen
 
 @settings(max_examples=25)
 @given(bits=st.lists(st.booleans(), min_size=210, max_size=210), order=st.permutations(range(12)))
-def test_targets_in_any_order_get_the_costs_of_a_whole_solve(bits, order):
+def test_targets_in_any_order_have_the_costs_of_a_whole_solve(bits, order):
     lumen = np.array(bits).reshape(5, 6, 7)
     lumen[0, 0, 0] = True
     whole, _ = tracker_of(lumen, (0, 0, 0))
@@ -41,7 +41,7 @@ def test_targets_in_any_order_get_the_costs_of_a_whole_solve(bits, order):
     assert resumed.num_settled <= whole.num_settled
 
 
-def test_a_straight_corridor_costs_its_length_times_its_weight():
+def test_straight_corridor_costs_its_length_times_its_weight():
     lumen = np.zeros((3, 3, 20), bool)
     lumen[1, 1, 2:18] = True
     core, matrix = tracker_of(lumen, (2, 1, 1))
@@ -59,7 +59,7 @@ def test_a_straight_corridor_costs_its_length_times_its_weight():
     assert core.cost(node) == pytest.approx(expected, rel=0.005)
 
 
-def test_several_threads_may_ask_while_another_solves():
+def test_several_threads_may_query_while_another_solves():
     lumen = np.ones((40, 40, 40), bool)
     lumen[0] = lumen[-1] = False
     core, _ = tracker_of(lumen, (20, 20, 20))

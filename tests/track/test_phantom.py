@@ -1,4 +1,4 @@
-"""The automatic tree against the phantom's exact truth."""
+"""Tests of the automatic tree against the exact ground truth of the phantom."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from made import MASKED_CHEST, OTHER_CHEST, made_airways, made_phantom
 
 @pytest.mark.slow
 @pytest.mark.parametrize("options", [MASKED_CHEST, OTHER_CHEST], ids=["1", "2"])
-def test_the_tree_of_a_phantom_has_the_true_branches(options):
+def test_tree_of_a_phantom_has_the_true_branches(options):
     same_as_its_truth(made_phantom(**options), made_airways(**options))
 
 
 @pytest.mark.soak
 @pytest.mark.parametrize("seed", range(1, 9))
-def test_the_tree_of_a_fine_phantom_has_the_true_branches(seed):
+def test_tree_of_a_fine_phantom_has_the_true_branches(seed):
     phantom = generate_phantom(seed=seed)
     same_as_its_truth(phantom, find_airways(phantom.volume))
 

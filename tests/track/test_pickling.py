@@ -1,4 +1,4 @@
-"""Airways and what they hold are copied and pickled, also for another process, and give the same results there."""
+"""Tests that copied and pickled airways, also in another process, give the same results."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ def by_pickle(value: Any) -> Any:
 
 
 def by_buffers(value: Any) -> Any:
-    """As Ray stores objects: arrays beside the pickle, which the other process maps read-only."""
+    """Pickle as Ray stores objects: arrays beside the pickle, mapped read-only by the other process."""
     buffers: list[pickle.PickleBuffer] = []
     data = pickle.dumps(value, protocol=5, buffer_callback=buffers.append)
     return pickle.loads(data, buffers=[bytes(one.raw()) for one in buffers])
 
 
 def by_mapped_files(value: Any, folder: Path) -> Any:
-    """As joblib passes arguments: large arrays are files that the other process maps."""
+    """Pass arguments as joblib does: large arrays are files that the other process maps."""
 
     class Mapping(pickle.Pickler):
         num_files = 0
@@ -207,7 +207,7 @@ def test_errors_of_every_kind_pass_from_process_to_process() -> None:
     assert by_pickle(MaskLabelError("several", labels=(label,))).labels == (label,)
 
 
-def test_what_is_bound_to_its_process_is_refused_with_what_to_pickle_instead() -> None:
+def test_process_bound_objects_are_refused_with_a_remedy() -> None:
     case = edit_case()
     wall = carina.wall_field(case.volume, case.airways)
     assert copy.copy(wall) is wall and copy.deepcopy({"wall": wall})["wall"] is wall
@@ -225,7 +225,7 @@ def test_what_is_bound_to_its_process_is_refused_with_what_to_pickle_instead() -
 
 
 @pytest.mark.parametrize("way", [copy.copy, copy.deepcopy, carina.ScopeDrive.copy])
-def test_a_copy_of_a_scope_moves_as_the_scope_and_alone(way: Callable[[Any], Any]) -> None:
+def test_copy_of_a_scope_moves_like_the_scope_and_independently(way: Callable[[Any], Any]) -> None:
     case = edit_case()
     wall = carina.wall_field(case.volume, case.airways)
     drive = carina.ScopeDrive(wall, "ultrathin", case.airways.tree.root.points)

@@ -1,4 +1,4 @@
-"""A bronchus that fluid or mucus fills is told as such: where, how wide from wall to wall, and what lies beyond."""
+"""Tests of bronchi filled with fluid or mucus: position, calibre from wall to wall, and airways beyond."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def filled(airways):
 
 @pytest.mark.parametrize("name", SEGMENTS)
 @pytest.mark.parametrize("share", [*LEVELS, 1.0])
-def test_a_bronchus_with_a_level_of_fluid_or_a_plug_is_told_with_its_calibre_from_wall_to_wall(name, share):
+def test_fluid_level_or_plug_is_reported_with_its_calibre_from_wall_to_wall(name, share):
     made, airways = wet(name, share)
     (place,) = filled(airways)
     assert np.linalg.norm(np.array(place.lps) - made.axis_lps[len(made.axis_lps) // 2]) < 5.0
@@ -50,7 +50,7 @@ def test_a_bronchus_with_a_level_of_fluid_or_a_plug_is_told_with_its_calibre_fro
 
 @pytest.mark.parametrize("share", [0.8, 1.0])
 @pytest.mark.parametrize("name", [*SEGMENTS, "RML"])
-def test_the_bridge_that_is_offered_brings_back_what_lies_beyond(name, share):
+def test_offered_bridge_restores_the_airways_beyond(name, share):
     made, airways = wet(name, share)
     (place,) = filled(airways)
     assert np.linalg.norm(np.array(place.beyond_lps) - made.axis_lps[-1]) < 6.0
@@ -67,7 +67,7 @@ def test_the_bridge_that_is_offered_brings_back_what_lies_beyond(name, share):
 
 
 @pytest.mark.parametrize("share", [0.8, 1.0])
-def test_where_the_border_is_not_seen_no_calibre_is_invented(share):
+def test_no_calibre_is_stated_where_the_border_is_not_visible(share):
     # The middle lobe bronchus lies in the hilum: tissue on all sides of it.
     _, airways = wet("RML", share)
     (place,) = filled(airways)
@@ -101,11 +101,11 @@ def test_a_lobe_that_is_missing_beyond_it_has_that_reason():
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3, 4, 5])
-def test_healthy_airways_have_none(seed):
+def test_healthy_airways_have_no_filled_bronchus(seed):
     assert filled(made_airways(**{**CHEST, "seed": seed})) == []
 
 
-def test_the_bundled_patient_has_none():
+def test_bundled_patient_has_no_filled_bronchus():
     assert filled(the_patient()[1]) == []
 
 
@@ -131,7 +131,7 @@ def test_a_bronchus_narrower_than_two_slices_is_not_called_filled(monkeypatch):
     assert narrowed([4.0] * 10 + [2.4] * 7 + [4.0] * 10, least_mm=6.0) == []
 
 
-def test_a_stenosis_is_told_as_no_more_than_narrowed():
+def test_stenosis_is_reported_as_narrowed_only():
     made = made_phantom(**CHEST, stenosis=True)
     # In the mediastinum its wall has no border to tell a thick one from what lines it.
     for place in filled(carina.find_airways(made.volume)):

@@ -1,4 +1,4 @@
-"""A search that runs out of the airways stops and says so: CTs with kernels from soft to sharp."""
+"""Tests of CTs with soft to sharp kernels: a search that leaks out of the airways stops with a note."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def patient():
 
 @pytest.fixture(scope="module")
 def sharp(patient):
-    """The bundled patient through a kernel that flooded both lungs before."""
+    """Return the bundled patient with a sharp kernel, in which an earlier search flooded both lungs."""
     volume = sharpened(patient[0], 0.8, 15.0)
     return volume, carina.find_airways(volume)
 
@@ -73,7 +73,7 @@ def test_the_rim_beside_edges_tells_how_sharp_a_kernel_is(patient, sharp):
     assert depths[1] > 40.0
 
 
-def test_where_voxels_are_too_long_or_edges_are_few_nothing_is_said_of_the_kernel(patient):
+def test_long_voxels_or_few_edges_give_no_statement_on_the_kernel(patient):
     volume = patient[0]
     matrix = volume.lps_from_ijk.copy()
     matrix[:3, :3] *= 4.0
@@ -103,7 +103,7 @@ def tube(number, length):
     return Branch(number, None if number == 0 else 0, (), generation, None, "tracked", points, np.ones(2))
 
 
-def test_a_trachea_that_splits_and_leads_nowhere_is_said_to_be_all_that_was_found():
+def test_trachea_that_divides_without_further_branches_is_reported():
     branches = (tube(0, 110.0), tube(1, 40.0), tube(2, 30.0))
     note = doubt_of_totals(branches, splits=True)
     assert (note.code, note.badge) == (CODE, True)
@@ -112,7 +112,7 @@ def test_a_trachea_that_splits_and_leads_nowhere_is_said_to_be_all_that_was_foun
     assert doubt_of_totals(branches, splits=False) is None
 
 
-def test_totals_that_no_chest_has_are_said_and_those_of_a_good_ct_are_not():
+def test_implausible_totals_are_reported_and_those_of_a_good_ct_are_not():
     chest = tuple(tube(n, 10.0) for n in range(600))
     assert doubt_of_totals(chest, splits=True) is None
     lung = tuple(tube(n, 10.0) for n in range(3000))
@@ -120,7 +120,7 @@ def test_totals_that_no_chest_has_are_said_and_those_of_a_good_ct_are_not():
 
 
 def spoilt(found, truth):
-    """Share of the found lumen that lies farther than a voxel from the true one."""
+    """Return the fraction of the found lumen that is farther than a voxel from the true lumen."""
     return np.count_nonzero(found & ~grown(truth)) / np.count_nonzero(found)
 
 
@@ -149,7 +149,7 @@ def test_where_noise_opens_the_walls_the_search_is_made_in_a_smoothed_copy(patie
 
 
 @pytest.mark.slow
-def test_a_threshold_that_a_person_gave_is_not_made_good_by_smoothing(patient):
+def test_smoothing_does_not_replace_a_threshold_given_by_a_person(patient):
     airways = carina.find_airways(patient[0], lumen_threshold=-700)
     assert not any("smoothed" in note for note in airways.notes)
 

@@ -1,4 +1,4 @@
-"""CTs with sharp kernels are searched in a softened copy: what the kernel raised is lowered again."""
+"""Tests of the softened copy in which CTs with sharp kernels are searched."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from made import patient as the_patient
 
 
 def in_plane(volume, amount, sigma_mm, noise_hu=15.0):
-    """As scanners' kernels do it: in the slice alone."""
+    """Apply the kernel in the slice only, as scanners do."""
     slices = []
     rng = np.random.default_rng(5)
     x, y = (sigma_mm / volume.spacing_mm[axis] for axis in (0, 1))

@@ -1,4 +1,4 @@
-"""What is found does not depend on the order in which a file stores the voxels."""
+"""Tests that results do not depend on the order in which a file stores the voxels."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SOME = [ORDERS[n] for n in (7, 10, 20, 27, 37, 46)]
 
 
 def stored(volume, axes, flips):
-    """The volume with array axis n being axis ``axes[n]`` of the original, the other way round where ``flips[n]``."""
+    """Return the volume with array axis n taken from the original axis ``axes[n]``, reversed where ``flips[n]``."""
     steps = tuple(slice(None, None, -1 if flip else 1) for flip in flips)
     values = np.ascontiguousarray(volume.hu_zyx.transpose(axes)[steps])
     old_from_new = np.zeros((4, 4))

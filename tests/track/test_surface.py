@@ -1,4 +1,4 @@
-"""The mask that is handed out: the voxels inside the surface, which lies on the half-maximum."""
+"""Tests of the exported mask: the voxels inside the surface at the half-maximum of the wall edge."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def dice(found, truth):
 
 
 @pytest.mark.parametrize("chest", [SMALL_CHEST, MASKED_CHEST], ids=["small", "masked"])
-def test_the_mask_ends_where_the_lumen_truly_does(chest):
+def test_mask_ends_at_the_true_wall_of_the_lumen(chest):
     made, airways = made_phantom(**chest), made_airways(**chest)
     truth, found, mask = made.lumen_zyx != 0, airways.lumen_zyx != 0, lumen_mask(made.volume, airways) != 0
     assert dice(mask, truth) > 0.96
@@ -39,7 +39,7 @@ def test_a_mask_from_another_tool_stays_as_it_was_drawn():
 
 
 def tube(wall_hu, lung_hu):
-    """A tube of air along k with a wall two voxels thick in even lung, and the lumen of its inner part."""
+    """Return a tube of air along k with a wall of two voxels in uniform lung, and the lumen of its inner part."""
     off = np.hypot(*(np.mgrid[:24, :24] - 11.5))
     plane = np.where(off < 5.0, -1000, np.where(off < 7.0, wall_hu, lung_hu))
     return np.repeat(plane[None].astype(np.int16), 12, axis=0), np.repeat((off < 4.0)[None], 12, axis=0)
@@ -59,7 +59,7 @@ def test_the_last_voxels_of_air_before_a_wall_are_in_the_mask():
     assert not mask[:, off >= 5.0].any()
 
 
-def test_where_no_wall_is_seen_nothing_is_added():
+def test_nothing_is_added_where_no_wall_is_visible():
     """A closed breach: the search ended there for another reason."""
     lumen, mask = in_tube(-1000, -1000)
     assert np.array_equal(mask, lumen)

@@ -1,4 +1,4 @@
-"""The thinnest airways are found by what blur makes of them, and only where nothing else looks like them."""
+"""Tests of the thinnest airways, which the search finds by their blurred appearance."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The tree document: round trip, and refusal of what would be a wrong geometry."""
+"""Tests of the tree document: round trip, and refusal of wrong geometry."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def tree() -> AirwayTree:
     )
 
 
-def test_a_tree_survives_its_document_bit_for_bit(tree):
+def test_tree_round_trips_through_its_document_bit_for_bit(tree):
     document = json.loads(json.dumps(tree.to_json(), allow_nan=False))
     assert document["format"] == "carina-tree"
     assert document["version"] == 1
@@ -85,7 +85,7 @@ def test_a_bronchus_that_a_side_branch_cuts_in_two_is_one_row():
 
 
 @pytest.mark.parametrize("lower", [{"name_from": "person"}, {"kind": "bridge"}, {"name": "RB7"}])
-def test_what_a_person_named_or_drew_is_a_row_of_its_own(lower):
+def test_branches_named_or_drawn_by_a_person_have_their_own_rows(lower):
     assert [[b.id for b in row.branches] for row in cut_in_two(**lower).rows()][1:3] == [[1], [2]]
 
 
@@ -134,7 +134,7 @@ def breakages():
 
 
 @pytest.mark.parametrize(("damage", "word"), [pytest.param(d, w, id=name) for name, d, w in breakages()])
-def test_a_broken_document_is_refused_with_its_reason(tree, damage, word):
+def test_broken_document_is_refused_with_its_reason(tree, damage, word):
     document = copy.deepcopy(tree.to_json())
     damage(document)
     with pytest.raises(TrackingError, match=word) as caught:
@@ -143,12 +143,12 @@ def test_a_broken_document_is_refused_with_its_reason(tree, damage, word):
 
 
 @pytest.mark.parametrize("document", [None, [], "tree", 3])
-def test_something_else_is_refused(document):
+def test_document_of_another_kind_is_refused(document):
     with pytest.raises(TrackingError, match="object"):
         AirwayTree.from_json(document)
 
 
-def test_questions_to_the_tree(tree):
+def test_tree_queries_return_the_expected_branches(tree):
     assert [b.id for b in tree.tips()] == [7, 5]
     assert [b.id for b in tree.lineage(5)] == [4, 5]
     branch, index, distance = tree.nearest_branch([-9.0, 1.0, -7.0])

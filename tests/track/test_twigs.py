@@ -1,4 +1,4 @@
-"""A spur at the upper end of the trachea is a part of the trachea, not a bronchus."""
+"""Tests that a spur at the upper end of the trachea is part of the trachea and not a bronchus."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from carina.volume import Volume
 
 
 def row(parent, generation, *points, radius=8.0):
-    """A branch as the compiled tracker returns it, with a point each 2 mm or less."""
+    """Return a branch as the compiled tracker returns it, with points at most 2 mm apart."""
     ends = np.array(points, dtype=np.float64)
     line = np.concatenate([np.linspace(a, b, 9)[:-1] for a, b in pairwise(ends)] + [ends[-1:]])
     number = int(1000 * abs(ends).sum())

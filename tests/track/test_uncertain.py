@@ -1,4 +1,4 @@
-"""Where the airways end, and why; how sure each branch is."""
+"""Tests of the reasons why airways end, and of the confidence of each branch."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from carina.volume.model import Volume
 
 
 def tree_of(ends: list[tuple[list[float], float]]) -> AirwayTree:
-    """A trunk from (40, 40, 70) to (40, 40, 50), and a straight child to each end with its radius."""
+    """Return a tree: a trunk from (40, 40, 70) to (40, 40, 50), and a straight child to each end with its radius."""
     children = tuple(range(1, len(ends) + 1))
     fork = np.array([40.0, 40.0, 50.0])
     trunk = Branch(0, None, children, 0, None, "tracked", np.linspace([40.0, 40.0, 70.0], fork, 21), np.full(21, 8.0))
@@ -32,7 +32,7 @@ VOLUME = Volume(np.full((80, 80, 80), -860, np.int16), np.eye(4))
 def test_each_end_that_is_too_wide_to_be_one_has_its_reason_the_widest_first():
     tree = tree_of(
         [
-            ([20.0, 40.0, 30.0], 3.0),  # in the middle of nothing
+            ([20.0, 40.0, 30.0], 3.0),  # no cause nearby
             ([60.0, 40.0, 30.0], 2.0),  # beside a leak
             ([40.0, 40.0, 1.0], 4.0),  # at the volume's face
             ([40.0, 60.0, 30.0], 0.9),  # thin

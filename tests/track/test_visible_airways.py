@@ -1,4 +1,4 @@
-"""The readings of airways in real CTs, and the rule by which a listed airway counts as found."""
+"""Tests of the readings of airways in real CTs, and of the rule by which a listed airway counts as found."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""No path crosses a wall between neighbouring airways, and what odd lumens and points are answered."""
+"""Tests that no path crosses a wall between neighbouring airways, and of unusual lumens and points."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SPACING = (0.8, 0.9, 1.0)
 
 
 def turned(seed: int) -> np.ndarray:
-    """A random rotation."""
+    """Return a random rotation."""
     q = np.random.default_rng(seed).normal(size=4)
     w, x, y, z = q / np.linalg.norm(q)
     return np.array(
@@ -109,7 +109,7 @@ def test_a_path_says_what_fits_beside_how_wide_the_lumen_is():
     assert (path.radius_mm[middle] > 5.0).all()
 
 
-def test_a_loop_is_walked_the_cheaper_way_and_once():
+def test_path_in_a_loop_takes_the_cheaper_side_once():
     lumen = np.zeros((9, 50, 50), bool)
     lumen[3:6, 5:45, 5:8] = lumen[3:6, 5:45, 42:45] = True
     lumen[3:6, 5:8, 5:45] = lumen[3:6, 42:45, 5:45] = True
@@ -121,7 +121,7 @@ def test_a_loop_is_walked_the_cheaper_way_and_once():
     assert len(set(ids)) == len(ids)
 
 
-def test_a_lumen_in_two_pieces_says_what_to_do():
+def test_lumen_in_two_pieces_is_refused_with_a_remedy():
     lumen = np.zeros((9, 9, 60), bool)
     lumen[3:6, 3:6, 2:28] = lumen[3:6, 3:6, 34:58] = True
     airways = painted(lumen, (3.0, 4.8, 6.0))
