@@ -61,7 +61,6 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
     web
         Folder of the built client; None shows a page that says how to build it.
     """
-
     downloads, reports = Downloads(hub.session), Reports(hub.session)
 
     async def index(request: Request) -> Response:

@@ -43,7 +43,8 @@ class EndSignals:
         self._is_closing = True
 
     def __enter__(self) -> EndSignals:
-        # Signals can only be handled in the main thread; a server in another one is stopped by its owner.
+        """Install the signal handlers."""
+        # Signals can only be handled in the main thread; in another thread, the caller stops the server.
         if threading.current_thread() is threading.main_thread():
             for name in ENDING:
                 number = getattr(signal, name, None)
@@ -52,6 +53,7 @@ class EndSignals:
         return self
 
     def __exit__(self, *_error: object) -> None:
+        """Restore the previous signal handlers."""
         for number, handler in self._former.items():
             signal.signal(number, handler)
 

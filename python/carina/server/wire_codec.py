@@ -1,8 +1,8 @@
 """Strict reading and writing of messages: frozen values (:mod:`carina.commands.value`) in JSON, by msgspec.
 
-The library refuses unknown and missing fields, wrong types (a bool is no number), numbers out of range, over-long text
-and lists. Ours is what it does not look at: doubled keys, NaN, over-long messages, and the depth of an object that is
-read elsewhere.
+msgspec refuses unknown and missing fields, wrong types (a bool is not a number), numbers out of range, and over-long
+texts and lists. This module also refuses what msgspec accepts: duplicate keys, NaN, over-long messages, and too deep
+objects that another module parses.
 """
 
 from __future__ import annotations
