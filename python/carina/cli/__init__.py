@@ -1,4 +1,7 @@
-"""The command line: ``carina open|demo|info|track|render|phantom|doctor``. Wires the parts; nobody imports it."""
+"""The command line: ``carina open|demo|info|track|render|phantom|doctor``.
+
+The command line assembles the application; no other part imports it.
+"""
 
 import sys
 
@@ -8,7 +11,7 @@ __all__ = ["main"]
 def main() -> None:
     """Entry point of the ``carina`` command."""
     try:
-        # Here, and not above: the libraries take a second to load, and Ctrl-C may come in it.
+        # Imported here because the imports take a second, in which the user may press Ctrl-C.
         from carina.cli.app import main as run
     except KeyboardInterrupt:
         print("stopped", file=sys.stderr)

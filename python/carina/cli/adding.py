@@ -1,4 +1,4 @@
-"""``carina airways --add-branch``: branches that a person adds, and what becomes of those without evidence."""
+"""``carina airways --add-branch``: addition of branches, and reports of those without evidence in the CT."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ __all__ = ["AddedBranches", "add_branches", "error_json"]
 
 @dataclass(frozen=True, slots=True)
 class AddedBranches:
-    """The airways with all branches that could be added, and what became of each point."""
+    """Airways with all branches that could be added, and the result for each point."""
 
     airways: Airways
     rows: tuple[dict[str, Any], ...]
-    """One for each point: ``lps``, ``branches`` (what was made: id, kind, doubtful_mm) and ``error`` or null."""
+    """Result for each point: ``lps``, ``branches`` (new branches: id, kind, doubtful_mm) and ``error`` or null."""
     refused: tuple[NoResultError, ...]
 
 
@@ -36,7 +36,7 @@ def add_branches(
     even_without_evidence: bool,
     progress: Progress | None = None,
 ) -> AddedBranches:
-    """Add branches one after the other; one that cannot be added is said, and the others are made all the same.
+    """Add branches one after the other; report each branch that cannot be added, and continue with the next.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def add_branches(
 
 
 def error_json(error: NoResultError) -> dict[str, Any]:
-    """An error as ``--json`` has it; one for want of evidence holds the way (LPS mm) and what of it is doubtful."""
+    """Return an error for ``--json``; a lack of evidence includes the path (LPS, mm) and its doubtful points."""
     found: dict[str, Any] = {"code": error.code, "message": str(error)}
     if isinstance(error, NoEvidenceError):
         found |= {

@@ -221,7 +221,7 @@ def _rows(airways: Airways, measures: TreeMeasures) -> list[dict[str, Any]]:
         {
             "id": branch.id,
             "parent": branch.parent,
-            # Pieces of one bronchus, which side branches cut in two, have the same.
+            # The pieces of a bronchus between its side branches have the same name.
             "row": row_of[branch.id],
             "generation": branch.generation,
             "name": branch.name,
@@ -239,7 +239,7 @@ def _rows(airways: Airways, measures: TreeMeasures) -> list[dict[str, Any]]:
 
 
 def _width(row: TreeRow, measures: TreeMeasures) -> str:
-    """Return the diameters of a row's pieces in words: "3.1 to 4.0", one number where both read the same."""
+    """Return the range of diameters of a row as text: "3.1 to 4.0", or one number if both ends round to the same."""
     found = [measures.of(branch.id).summary.mean_mm for branch in row.branches]
     known = [f"{mm:.1f}" for mm in sorted(mm for mm in found if mm is not None)]
     if not known:

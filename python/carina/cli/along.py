@@ -1,4 +1,4 @@
-"""The way that a view or a flight lies along: a tree from a file or from the scan, and where to."""
+"""Route of a view or a flight: airway tree from a file or from the scan, and destination."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MAX_NAMES_SAID = 12
 
 
 def check_destination(to: str | None, view: str) -> str:
-    """Refuse a missing or broken ``--to`` before the work."""
+    """Raise an error for a missing or invalid ``--to`` before the work begins."""
     if to is None:
         raise UsageError(
             f"the {view} view follows a route; specify its end with --to (a branch name or id, or a point x,y,z)"
@@ -30,7 +30,7 @@ def check_destination(to: str | None, view: str) -> str:
 
 
 def way_to(source: Opened, to: str, *, tree_file: Path | None, progress: ProgressCallback) -> ChosenRoute:
-    """The route to a branch's tip by name or id, or to a point x,y,z (LPS mm); in a case to a target by its name, too.
+    """Return the route to a branch tip (name or ID), a point x,y,z (LPS, mm), or a named target of a case.
 
     The badges of its tree go to those of the source.
 
@@ -61,7 +61,7 @@ def way_to(source: Opened, to: str, *, tree_file: Path | None, progress: Progres
 
 
 def _target_route(source: Opened, to: str) -> ChosenRoute | None:
-    """To a target of the case; None where none has the name."""
+    """Return the route to a target of the case; None if no target has this name."""
     document = source.document
     target = None if document is None else next((one for one in document.targets if one.name == to), None)
     if target is not None and target.route is None:
@@ -70,7 +70,7 @@ def _target_route(source: Opened, to: str) -> ChosenRoute | None:
 
 
 def say_drawn(way: ChosenRoute) -> None:
-    """What of a route the CT does not show, as a note on stderr."""
+    """Print a note on stderr about the parts of a route that the CT does not show."""
     if way.drawn.words is not None:
         say(f"note: {way.drawn.words}: the CT shows no airway there")
 

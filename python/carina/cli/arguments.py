@@ -27,7 +27,7 @@ __all__ = [
 
 
 def parse_point(text: str, what: str) -> NDArray[np.float64]:
-    """``x,y,z`` in mm (LPS), each with an optional sign."""
+    """Parse ``x,y,z`` in mm (LPS), each with an optional sign."""
     parts = text.split(",")
     try:
         values = [float(part) for part in parts]
@@ -73,7 +73,7 @@ def check_needs(why: str, **given: object) -> None:
 
 
 def parse_size(text: str) -> tuple[int, int]:
-    """``WxH`` in pixels."""
+    """Parse ``WxH`` in pixels."""
     match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
     if not match or not all(1 <= int(side) <= 8192 for side in match.groups()):
         raise UsageError(f"--size: expected WxH from 1x1 to 8192x8192 pixels, such as 512x512; found {text!r}")

@@ -1,4 +1,4 @@
-"""The lasting notes of what a command works on, which its output repeats."""
+"""Permanent notes (badges) about the input of a command, which the output of the command repeats."""
 
 from __future__ import annotations
 
@@ -13,32 +13,32 @@ __all__ = ["Badges"]
 
 
 class Badges:
-    """The lasting notes of what a command works on; each is said once on stderr."""
+    """Permanent notes about the input of a command; each is printed once on stderr."""
 
     def __init__(self) -> None:
         self._notes: dict[Note, None] = {}
 
     @property
     def notes(self) -> tuple[Note, ...]:
-        """All of them, in the order in which they came."""
+        """All notes in the order in which they were added."""
         return tuple(self._notes)
 
     def add(self, notes: Iterable[Note]) -> None:
-        """Say those that are new, and keep them."""
+        """Print the new notes on stderr, and store them."""
         for note in notes:
             if note not in self._notes:
                 self._notes[note] = None
                 say(f"note: {note.words}")
 
     def take_airways(self, airways: object) -> None:
-        """Keep those of a search or of an imported mask; what it found is said by the caller, with all its notes."""
+        """Store the notes of an airway search or an imported mask; the caller prints them with the result."""
         for note in getattr(airways, "badges", ()):
             self._notes.setdefault(note, None)
 
     def add_tree(self, path: Path) -> None:
-        """Those that a tree was written with."""
+        """Print and store the notes that the file of a tree contains."""
         self.add(read_badges(path))
 
     def to_json(self) -> list[dict[str, str]]:
-        """As every ``--json`` has them under ``badges``."""
+        """Return the notes as ``--json`` prints them under ``badges``."""
         return [{"code": note.code, "words": note.words} for note in self._notes]

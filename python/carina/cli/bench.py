@@ -1,4 +1,4 @@
-"""``carina bench``: the benchmarks of a checkout (``benchmarks/carina_bench``), which no wheel carries."""
+"""``carina bench``: the benchmarks of a checkout (``benchmarks/carina_bench``), which wheels do not contain."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PACKAGE = "carina_bench"
 
 
 def run_benchmarks(arguments: list[str]) -> Any:
-    """Run the verbs below ``carina bench``, whose options stand beside what they measure.
+    """Run the verbs below ``carina bench``, whose options are defined beside the benchmarks.
 
     Looked for where Python looks (so a wheel can be measured with ``PYTHONPATH=benchmarks``), then in the checkout that
     this package runs from.

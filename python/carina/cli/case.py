@@ -155,7 +155,7 @@ def kept(*, as_json: bool) -> int:
 
 
 def forget(wanted: str, *, yes: bool, as_json: bool) -> int:
-    """Remove all that this machine keeps of a case; a file that a person saved elsewhere stays."""
+    """Delete all data of a case on this machine; files that the user saved elsewhere stay."""
     records = _records()
     record = _named(records, wanted)
     cache = _cache()
@@ -178,7 +178,7 @@ def forget(wanted: str, *, yes: bool, as_json: bool) -> int:
         raise DiskError("the case was removed from the list, but its folder could not be removed; try again later")
     if record.place is not None:
         LocalStore(load_settings().config_dir).forget(record.place)
-    # Another case of the same CT still needs it.
+    # Another case of the same CT still needs the cached CT.
     freed = 0 if others else cache.forget(record.digest)
     if as_json:
         print_json({"id": record.case_id, "bytes": size, "cache_bytes": freed, "copy": record.copy_path})
@@ -199,7 +199,7 @@ def packed(path: Path, *, output: Path, ct: Path | None, as_json: bool) -> int:
 
 
 def migrated(path: Path, *, output: Path, as_json: bool) -> int:
-    """Write an older Carina's case as this one writes it."""
+    """Convert a case of an older version of Carina to the present format."""
     _check_target(path, output)
     migrate(path, output)
     return _wrote(output, as_json)
@@ -278,7 +278,7 @@ def _cache() -> VolumeCache:
 
 
 def _named(records: CaseRecords, wanted: str) -> CaseRecord:
-    """By the beginning of its id, or by its file.
+    """Return the stored case with this ID prefix or this file.
 
     Raises
     ------
@@ -298,7 +298,7 @@ def _named(records: CaseRecords, wanted: str) -> CaseRecord:
 
 
 def _short_ids(records: tuple[CaseRecord, ...]) -> dict[str, str]:
-    """Each as short as tells it from all others, and no shorter than people expect."""
+    """Return the shortest unique prefix of each ID, with a minimum length."""
     ids = [one.case_id for one in records]
     length = SHORT_ID
     while len({one[:length] for one in ids}) < len(ids):
@@ -311,7 +311,7 @@ def _many(number: int, what: str) -> str:
 
 
 def _clock(seconds: float) -> str:
-    """Hours, minutes and seconds."""
+    """Return a duration as hours, minutes and seconds."""
     whole = int(seconds)
     return f"{whole // 3600}:{whole // 60 % 60:02}:{whole % 60:02}"
 

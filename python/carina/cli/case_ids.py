@@ -76,6 +76,6 @@ def path_or_case(path: Path | None) -> Path | None:
 
 
 def _records() -> CaseRecords:
-    from carina.session import CaseRecords  # slow to load, and few arguments are ids
+    from carina.session import CaseRecords  # slow import, and few arguments are IDs
 
     return CaseRecords(load_settings().cases_dir, time.time)

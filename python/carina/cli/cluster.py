@@ -1,4 +1,4 @@
-"""``carina cluster``, and what ``carina open --cluster`` needs."""
+"""``carina cluster``, and the cluster connection of ``carina open --cluster``."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def _log_file() -> Path:
 
 @contextmanager
 def _ends_by_signal() -> Iterator[None]:
-    """SIGTERM, by which supervisors end a service, is Ctrl-C: the machine leaves the cluster in order."""
+    """Handle SIGTERM, which service supervisors send, like Ctrl-C, so that the machine leaves the cluster cleanly."""
 
     def stop(_number: int, _frame: FrameType | None) -> None:
         raise KeyboardInterrupt
@@ -127,7 +127,7 @@ def join(address: str, *, ip: str | None, dedicated: bool, token: Path | None, a
                         )
                 while node.running:
                     time.sleep(0.2)
-                # A machine that was cut off is declared dead and its process ends: it has to join anew.
+                # After a lost connection the head declares this machine dead and its process ends.
                 attempts = 1 if time.monotonic() - began_s > 60.0 else attempts + 1
                 words = f"this machine was dropped from the cluster at {address}; rejoining"
             except ClusterError as trouble:
@@ -169,7 +169,7 @@ def _ip_towards(host: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class OpenCluster:
-    """A cluster that a workstation uses."""
+    """Cluster that a workstation uses for rendering."""
 
     make_renderer: RendererFactory
     status: Callable[[], ClusterStatus]
@@ -203,7 +203,7 @@ def opened_cluster(address: str | None, *, token: Path | None, mixed: bool) -> I
             host, port = split_address(address)
             where, ip = f"{host}:{port}", _ip_towards(host)
             if host != ip:
-                # A console must be in the cluster too; this one brings no renderer.
+                # The workstation must also be a member of the cluster, but without a renderer.
                 node = Node(found, address=where, renderers=0, log=_log_file())
                 node.wait_ready()
         say(f"joining the cluster at {where}")

@@ -104,7 +104,7 @@ def progress_printer() -> ProgressCallback:
 
 
 def interruptible(work: Callable[[], Result]) -> Result:
-    """Do what cannot be asked to stop (one picture, which may take minutes) so that Ctrl-C is answered at once.
+    """Run a function that cannot be cancelled (one image may take minutes) so that Ctrl-C still works at once.
 
     The work runs in a thread that does not keep Python from ending; it must write nothing.
     """
@@ -120,7 +120,7 @@ def interruptible(work: Callable[[], Result]) -> Result:
     thread = threading.Thread(target=run, daemon=True)
     thread.start()
     while thread.is_alive():
-        # Windows answers Ctrl-C between waits only.
+        # On Windows, Ctrl-C is handled only between waits.
         thread.join(0.2)
     if troubles:
         raise troubles[0]
@@ -136,7 +136,7 @@ def exit_codes(as_json: bool) -> Iterator[None]:
     try:
         yield
     except BrokenPipeError:
-        # The reader of our output went away (``carina info x | head``): no fault, and nothing left to say.
+        # The reader of stdout has closed the pipe (``carina info x | head``); this is not an error.
         _drop_stdout()
         raise SystemExit(0) from None
     except (KeyboardInterrupt, CancelledError):
@@ -162,7 +162,7 @@ def exit_codes(as_json: bool) -> Iterator[None]:
     except SystemExit:
         raise
     except BaseException as error:
-        # BaseException: a panic of the compiled module is no Exception.
+        # BaseException, because a Rust panic in the compiled module is not an Exception.
         logging.getLogger("carina").debug("command failed", exc_info=True)
         message = (
             f"internal error in Carina ({type(error).__name__}: {error}); please report it "
@@ -178,7 +178,7 @@ def fail(as_json: bool, code: str, message: str, exit_code: int) -> NoReturn:
         try:
             print_json({"error": {"code": code, "message": message}})
         except OSError:
-            # Stdout itself is what failed (a full disk, a closed pipe); the words are on stderr.
+            # Writing to stdout failed (full disk, closed pipe); the message is on stderr.
             _drop_stdout()
     raise SystemExit(exit_code) from None
 

@@ -95,7 +95,7 @@ def _words(sample: Sample) -> str:
 
 
 class _Live:
-    """The newest sample of each device, filtered as the tip would get it."""
+    """Newest sample of each device, after the filter that the tip movement uses."""
 
     def __init__(self) -> None:
         self._filters: dict[str, SampleFilter] = {}

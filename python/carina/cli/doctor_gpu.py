@@ -1,4 +1,4 @@
-"""What ``carina doctor`` says about graphics adapters."""
+"""Report of ``carina doctor`` about graphics adapters."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["gpu_facts", "gpu_lines"]
 
 
 def gpu_facts(settings: Settings) -> dict[str, Any]:
-    """Adapters, what was measured of each, and which may be used; for ``--json``."""
+    """Return the adapters, their measurements, and which may be used, for ``--json``."""
     adapters = find_adapters()
     backend = Backend(settings.backend, record=settings.cache_dir / RECORD_NAME, find=lambda: adapters)
     return {
@@ -40,7 +40,7 @@ def _adapter_facts(backend: Backend, adapter: Adapter) -> dict[str, Any]:
 
 
 def _choice(backend: Backend, adapter: Adapter, measured: list[AdapterMeasurement]) -> tuple[bool, str]:
-    """Whether airway views come from this adapter, and why."""
+    """Return whether airway views are rendered by this adapter, and the reason."""
     if backend.mode == "cpu":
         return False, "CARINA_BACKEND=cpu"
     if backend.mode == "gpu":
@@ -63,7 +63,7 @@ def _size(measurement: AdapterMeasurement) -> str:
 
 
 def gpu_lines(facts: dict[str, Any]) -> list[str]:
-    """The same for a person."""
+    """Return the report about the adapters as lines of text."""
     if not facts["in_build"]:
         return ["GPU: not supported by this build (a wheel made by make wheel supports it); rendering on the CPU"]
     if not facts["adapters"]:

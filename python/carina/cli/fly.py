@@ -46,7 +46,7 @@ PAUSE_S = 1.0
 
 @dataclass(frozen=True, slots=True)
 class _Shown:
-    """How frames are rendered."""
+    """Options for the rendering of the frames."""
 
     size: tuple[int, int]
     scope: str | None
@@ -104,7 +104,7 @@ def report(
         check_destination(to, LEAD_VIEW)
         AutoFlight(carina.FlightPath([[0, 0, 1], [0, 0, 0]]), speed_mm_s=speed_mm_s, pause_s=pause_s)
     recorded = None if recording is None else _recording(path, recording)
-    # In a case they are called by their names; a file is one all the same.
+    # For a case, --keys contains names of key frames, unless a file of that name exists.
     of_case = keys is not None and is_case_file(path) and not keys.is_file()
     given = None if keys is None or of_case else open_key_frames(keys)
     if given is not None:
@@ -242,7 +242,7 @@ def _walls(volume: Volume, progress: Any) -> Callable[[dict[str, Any]], WallFiel
 
 
 def _own_view(source: Opened, keys: KeyFrameFile | None) -> dict[str, Any]:
-    """How the window showed the key frames, or shows the case."""
+    """Return the display settings of the key frames, or else those of the case."""
     if keys is not None:
         return keys.view
     document, moment = source.document, source.moment
@@ -258,7 +258,7 @@ def _chosen_view(own: dict[str, Any], shown: _Shown, *, chosen: bool) -> dict[st
 
 
 def _job(volume: Volume, frames: list[ReplayedPose], shown: _Shown, mixed: bool) -> str:
-    """Tells one flight from another by all that its pictures depend on. Nothing about the patient."""
+    """Return a description of all that the frames of a flight depend on, without patient data."""
     digest = hashlib.sha256()
     settings = load_settings()
     facts = [case_key(volume), carina.__version__, shown.size, shown.scope, shown.step_vox, settings.backend, mixed]
@@ -288,15 +288,15 @@ def _renderer(source: Opened, progress: Any, make: RendererFactory | None) -> Re
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Shot:
-    """One picture."""
+    """Description of one image to render."""
 
     transfer: Any
-    """As JSON; None for the usual one."""
+    """Transfer function as JSON; None for the default."""
     view: AirwayView
 
 
 def _shots(frames: list[ReplayedPose], shown: _Shown) -> tuple[list[_Shot], list[int]]:
-    """Return the distinct pictures of a flight, and for how many frames each is shown."""
+    """Return the distinct images of a flight, with the number of frames for which each is shown."""
     shots: list[_Shot] = []
     times_shown: list[int] = []
     last: tuple[int, int] | None = None
@@ -330,7 +330,7 @@ def _view(frame: ReplayedPose, shown: _Shown) -> AirwayView:
 def _pictures(
     renderer: Renderer | ClusterRenderer, shots: list[_Shot], kept: KeptFrames | None, size: tuple[int, int]
 ) -> Iterator[tuple[int, NDArray[np.uint8]]]:
-    """All pictures with their numbers, in order: those that were kept, then the others, on all machines there are."""
+    """Yield all images with their numbers, in order: first the stored ones, then newly rendered ones."""
     first = 0 if kept is None else min(kept.num, len(shots))
     for number in range(first):
         assert kept is not None

@@ -20,7 +20,7 @@ JOB = "job.json"
 
 
 class KeptFrames:
-    """Numbered PNG files in a folder, and what job they are of.
+    """Numbered PNG files in a folder, with a description of their job.
 
     Parameters
     ----------
@@ -48,11 +48,11 @@ class KeptFrames:
                 "by another version of Carina; choose another folder, or delete this one"
             )
         self.num = next(n for n in range(10_000_000) if not self._file(n).exists())
-        """How many pictures are here, from the first on."""
+        """Return the number of stored frames without a gap, from the first one."""
 
     @staticmethod
     def _found(folder: Path) -> str | None:
-        """Return the job whose pictures are in a folder; None for an empty or missing folder."""
+        """Return the description of the job whose frames are in a folder; None for an empty or missing folder."""
         if not folder.exists() or (folder.is_dir() and next(folder.iterdir(), None) is None):
             return None
         try:
@@ -69,11 +69,11 @@ class KeptFrames:
         return self._folder / f"frame-{number:06}.png"
 
     def keep(self, number: int, picture: Picture) -> None:
-        """Write one more; whole or not at all."""
+        """Write the next frame atomically."""
         picture.save(self._file(number))
 
     def load(self, number: int, size: tuple[int, int]) -> NDArray[np.uint8]:
-        """One that was kept, (height, width, 3).
+        """Return a stored frame, shape (height, width, 3).
 
         Raises
         ------

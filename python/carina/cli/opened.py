@@ -27,19 +27,19 @@ __all__ = ["Opened", "case_scans", "check_case_options", "newest_state", "opened
 
 @dataclass(slots=True)
 class Opened:
-    """A scan, with what a person made of it where it was opened as a case."""
+    """A scan, with the document of the case if the input was a case."""
 
     volume: Volume
     badges: Badges
     moment: Moment | None = None
-    """As the case was saved last; None for a scan."""
+    """Last saved state of the case; None for a scan."""
     place: Path | None = None
-    """Where the scan lies; None where it came from the case or the cache."""
+    """Path of the scan; None if the scan was read from the case or the cache."""
     _airways: Airways | None = None
 
     @property
     def document(self) -> Document | None:
-        """What the person decided; None for a scan."""
+        """Document of the case with the changes of the user; None for a scan."""
         return None if self.moment is None else self.moment.history().current
 
     @property
@@ -50,7 +50,7 @@ class Opened:
         return Pose(np.array(self.moment.tip["lps_from_camera"], dtype=np.float64))
 
     def airways(self, progress: ProgressCallback) -> Airways:
-        """Those of the case, with all edits; of a scan those that are found, once.
+        """Return the airways of the case with all edits, or find those of a scan at the first call.
 
         Raises
         ------
@@ -125,7 +125,9 @@ def newest_state(path: Path) -> Path:
 
 
 def check_case_options(path: Path, ct: Path | None, **refused: object) -> None:
-    """Refuse what does not go together, before the work; each of ``refused`` is an option that a case answers itself.
+    """Raise an error for contradictory options before the work begins.
+
+    Each of ``refused`` is an option that is not allowed with a case, because the case contains its value.
 
     Raises
     ------
@@ -152,7 +154,7 @@ def opened(
     strict: bool = False,
     ct: Path | None = None,
 ) -> Opened:
-    """Open a scan or a case, say its notes, and begin the list of its badges.
+    """Open a scan or a case, print its notes, and create the list of its badges.
 
     Raises
     ------
@@ -178,7 +180,7 @@ def opened(
 
 
 def opened_volume(path: Path, *, series: str | None, progress: ProgressCallback, ct: Path | None = None) -> Volume:
-    """Open a scan, or that of a case, and say nothing."""
+    """Open a scan, or the scan of a case, without printing notes."""
     if not is_case_file(path):
         return carina.open_volume(path, series=series, progress=progress)
     from carina.case import CaseFile

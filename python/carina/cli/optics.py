@@ -1,4 +1,4 @@
-"""What the airway view is looked through, as people type it: a scope, a lens, an outline."""
+"""Command-line options for the optics of the airway view: scope, lens, outline, vignette, focus."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class SeenThrough:
     focus: str | None
 
     def options(self, view: str) -> dict[str, Any]:
-        """As :func:`carina.render_view` takes them.
+        """Return the options as keyword arguments of :func:`carina.render_view`.
 
         Raises
         ------

@@ -122,7 +122,7 @@ def report(
         scopes = [plan.scope]
         if all_scopes:
             library = list(scope_presets())
-            # One's own, from a file, is not in the library.
+            # An instrument from a file of the user is not in the library.
             scopes = library if plan.scope in library else [plan.scope, *library]
         verdicts = judge_scopes(airways.tree, plan, wall, scopes=scopes)
     for verdict in verdicts:
@@ -159,7 +159,7 @@ def report(
         say(f"wrote {output}")
         output = None
     if output is not None or as_json:
-        # Paper, JSON and the tracing sheet play nothing.
+        # Only an HTML report can play video clips.
         plays = clips and output is not None and output.name.lower().endswith(".html") and kind == "report"
         sheet = whole_sheet(materials, clips=plays)
         if output is not None:

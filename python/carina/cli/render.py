@@ -69,7 +69,7 @@ def chosen_transfer(text: str | None) -> TransferFunction | None:
             f"{text}: not a text file; expected a transfer function", code="render.transfer"
         ) from error
     except CarinaError as error:
-        # In a file it is the file that is refused, not an argument.
+        # The error is in the file, not in an argument.
         raise VolumeImportError(f"{text}: {error}", code=error.code) from error
 
 
@@ -119,7 +119,7 @@ def _own_options(
     shading: bool | None,
     texture: bool | None,
 ) -> dict[str, Any]:
-    """How the case is looked at, where the command says nothing else."""
+    """Return the view settings of the case for options that the command does not set."""
     document, moment = source.document, source.moment
     assert document is not None
     assert moment is not None
@@ -223,7 +223,7 @@ def report(
     if slab is not None and row.slab is None:
         raise UsageError(f"--slab only applies to slices and views along a path; the view is {view!r}")
     direction = (0.0, 0.0, -1.0) if look is None else look
-    # What is wrong with the arguments is said now, and not after minutes of reading and tracking.
+    # Check the arguments now, before minutes of reading and tracking.
     view_spec(pose=Pose.looking((0.0, 0.0, 0.0) if at is None else at, direction, up), **options)
     progress = progress_printer()
     source = opened(path, series=series, progress=progress, ct=ct)
@@ -239,7 +239,7 @@ def report(
     airways = None
     # The lumen closes thin walls in the endoscopic picture, is the tree view's surface, and gives the default pose.
     wants_wall = view == LEAD_VIEW and volume.is_hu and (chosen is None or chosen.wall)
-    # X-rays show the whole volume from wherever it is asked for.
+    # X-ray views show the whole volume from any position.
     wants_pose = at is None and row.wants_tip
     way = None
     if to is not None:

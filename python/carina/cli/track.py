@@ -127,7 +127,7 @@ def report(
 def _airways_of_case(
     source: Opened, progress: ProgressCallback, cost: str, root: NDArray[np.float64] | None
 ) -> Airways | None:
-    """None where the case has none and a root that was given makes them needless."""
+    """Return the airways; None if the case has none and a given root makes them unnecessary."""
     document = source.document
     if cost != "lumen" and (document is None or document.airways is None):
         if root is None:

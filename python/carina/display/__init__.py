@@ -1,4 +1,4 @@
-"""How values show themselves: one line in a terminal or a log, a small drawing in a notebook."""
+"""Display of values: one line of text in a terminal or log, and HTML in a notebook."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ __all__ = ["MAX_CHARS", "as_words", "joined", "one_line"]
 T = TypeVar("T")
 
 MAX_CHARS = 160
-"""Of one line: about the width of two terminals. What does not fit ends in three dots."""
+"""Maximum length of a line in characters, about two terminal widths; a longer line ends in three dots."""
 MAX_STRING_CHARS = 60
 MAX_INNER_CHARS = 48
 MAX_ITEMS = 6
 
 
 def one_line(cls: type[T]) -> type[T]:
-    """Give a dataclass a ``repr`` of one line that says what it holds and does not print it.
+    """Give a dataclass a ``repr`` of one line that summarises its fields.
 
-    Fields that have their default are left out; arrays are told by type and shape, long collections by their length.
+    Fields with their default value are omitted. Arrays are shown by type and shape, long collections by length.
     """
 
     def shown(self: Any) -> str:
         pieces = []
-        # As a call is written: what is told by name alone comes last.
+        # Keyword-only fields come last, as in a call.
         for field in sorted(dataclasses.fields(self), key=lambda field: bool(field.kw_only)):
             value = getattr(self, field.name)
             if field.repr and not _is_default(field, value):
@@ -36,7 +36,7 @@ def one_line(cls: type[T]) -> type[T]:
 
 
 def as_words(value: Any) -> str:
-    """A value in a few characters, without a line break.
+    """Return a short text for a value, without line breaks.
 
     Examples
     --------
@@ -53,7 +53,7 @@ def as_words(value: Any) -> str:
         return repr(value if len(value) <= MAX_STRING_CHARS else value[: MAX_STRING_CHARS - 1] + "…")
     if isinstance(value, bytes | bytearray | memoryview):
         return f"<{len(value)} bytes>"
-    # Arrays by what they have, so that numpy is not loaded for a line of text.
+    # Arrays are recognised by their attributes, so that numpy is not imported for a line of text.
     if hasattr(value, "dtype") and hasattr(value, "shape"):
         if value.ndim == 1 and value.size <= MAX_ITEMS:
             return as_words(tuple(value.tolist()))
@@ -83,7 +83,7 @@ def _collection(values: Any) -> str:
 def _is_default(field: dataclasses.Field[Any], value: Any) -> bool:
     default = field.default
     if default is dataclasses.MISSING and field.default_factory is not dataclasses.MISSING:
-        # An empty list is not news; what else a factory makes is not made again for a line of text.
+        # An empty collection counts as the default; other factories are not called for a line of text.
         return isinstance(value, list | dict | set) and not value
     if value is default:
         return True
@@ -91,7 +91,7 @@ def _is_default(field: dataclasses.Field[Any], value: Any) -> bool:
 
 
 def joined(name: str, pieces: list[str]) -> str:
-    """``Name(piece, piece)``; pieces that do not fit in a line end in three dots."""
+    """Return ``Name(piece, piece)``; three dots replace the pieces that do not fit in one line."""
     text = f"{name}({', '.join(pieces)})"
     while len(text) > MAX_CHARS and pieces:
         pieces.pop()

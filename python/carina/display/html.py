@@ -1,4 +1,4 @@
-"""Pieces of HTML for notebooks: pictures inside the page, tables, notes. No style sheet and no script of their own."""
+"""HTML elements for notebooks: embedded images, tables and captions, without style sheets or scripts."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ NOT_FOR_DIAGNOSIS = "not for diagnosis"
 
 
 def escaped(text: object) -> str:
-    """Text that is shown as it is, whatever characters it holds."""
+    """Return a text with the special characters of HTML escaped."""
     return html.escape(str(text))
 
 
 def picture(rgb: NDArray[np.uint8], alt: str) -> str:
-    """A picture, (height, width, 3) uint8, inside the page."""
+    """Return an ``img`` element with an embedded PNG of ``rgb``, shape (height, width, 3), uint8."""
     data = base64.b64encode(png_bytes(np.ascontiguousarray(rgb))).decode("ascii")
     height, width = rgb.shape[:2]
     return (
@@ -32,13 +32,13 @@ def picture(rgb: NDArray[np.uint8], alt: str) -> str:
 
 
 def caption(lines: Iterable[str]) -> str:
-    """Small lines below a figure; the last says what it is not for."""
+    """Return small lines below a figure; the last line is *not for diagnosis*."""
     shown = "<br>".join(escaped(line) for line in [*lines, NOT_FOR_DIAGNOSIS])
     return f'<div style="font-size:85%;opacity:0.8;line-height:1.4">{shown}</div>'
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A small table; numbers stand at the right."""
+    """Return a small table with right-aligned numbers."""
 
     def cell(value: object) -> str:
         side = "right" if isinstance(value, int | float) else "left"
@@ -51,5 +51,5 @@ def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 
 def figure(*parts: str) -> str:
-    """All of one value."""
+    """Return a ``div`` element that contains all parts of one value."""
     return f'<div style="max-width:900px">{"".join(parts)}</div>'

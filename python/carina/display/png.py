@@ -1,4 +1,4 @@
-"""Pictures as the bytes of a PNG (PNG specification, third edition: 9, 11.2, 11.3.3.2)."""
+"""Encoding of images as PNG (PNG specification, third edition: 9, 11.2, 11.3.3.2)."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
 def png_bytes(rgb: NDArray[np.uint8], texts: Mapping[str, str] | None = None) -> bytes:
-    """A picture, (height, width, 3) uint8, as the bytes of a PNG; ``texts`` by keyword, ASCII only.
+    """Encode an image, shape (height, width, 3), uint8, as PNG; ``texts`` maps keywords to ASCII text.
 
-    Written here, since libraries that write by name say little of a full disk, and that on stderr.
+    Carina has its own encoder because image libraries that write files do not report a full disk clearly.
     """
     height, width, _ = rgb.shape
     rows = rgb.reshape(height, width * 3)
@@ -25,7 +25,8 @@ def png_bytes(rgb: NDArray[np.uint8], texts: Mapping[str, str] | None = None) ->
     above[1:] = rows[:-1]
     left = np.zeros_like(rows)
     left[:, 3:] = rows[:, :-3]
-    # None, Sub and Up (filters 0, 1, 2), by the least sum of what is left (12.7): differences below 0 wrap around.
+    # Each row uses the filter None, Sub or Up (0, 1, 2) with the least sum of absolute values (12.7); differences
+    # below 0 wrap around.
     candidates = [rows, rows - left, rows - above]
     costs = [np.abs(c.view(np.int8).astype(np.int16)).sum(axis=1, dtype=np.int64) for c in candidates]
     chosen = np.argmin(costs, axis=0).astype(np.uint8)

@@ -32,45 +32,45 @@ _inside: ContextVar[bool] = ContextVar("carina_progress_inside", default=False)
 """Whether a function with an argument ``progress`` is running: its choice holds for the functions that it calls."""
 
 BEGIN_S = 0.5
-"""Shorter work needs no bar."""
+"""Time in s before a bar appears."""
 EVERY_S = 0.1
 
 
 class Bar(Protocol):
-    """Something that can be drawn and taken away."""
+    """Interface of a progress bar."""
 
     def draw(self, text: str, fraction: float | None) -> None:
-        """Show how far it is."""
+        """Show the text and the fraction done, 0 to 1; None if the fraction is unknown."""
 
     def close(self) -> None:
-        """Take it away."""
+        """Remove the bar."""
 
 
 class TerminalBar:
-    """A line on stderr, drawn by rich, that is gone when the work is done."""
+    """Progress bar on stderr, drawn by rich and removed when the work is done."""
 
     def __init__(self) -> None:
         from rich.console import Console
         from rich.progress import BarColumn, TextColumn
         from rich.progress import Progress as RichProgress
 
-        # Drawn when it is told, without a thread of its own.
+        # Without auto_refresh, rich starts no thread.
         columns = (TextColumn("{task.description}"), BarColumn())
         self._shown = RichProgress(*columns, console=Console(stderr=True), transient=True, auto_refresh=False)
         self._shown.start()
         self._task = self._shown.add_task("", total=1.0)
 
     def draw(self, text: str, fraction: float | None) -> None:
-        """Show how far it is."""
+        """Show the text and the fraction done, 0 to 1; None if the fraction is unknown."""
         self._shown.update(self._task, description=text, completed=fraction or 0.0, refresh=True)
 
     def close(self) -> None:
-        """Take it away."""
+        """Remove the bar."""
         self._shown.stop()
 
 
 class NotebookBar:
-    """HTML's own bar below the cell, gone when the work is done; it needs no widgets."""
+    """HTML ``progress`` element below the notebook cell, removed when the work is done; it needs no widgets."""
 
     def __init__(self) -> None:
         from IPython.display import HTML, display  # type: ignore[import-not-found, unused-ignore]
@@ -79,14 +79,14 @@ class NotebookBar:
         self._handle = display(HTML(""), display_id=True)
 
     def draw(self, text: str, fraction: float | None) -> None:
-        """Show how far it is."""
+        """Show the text and the fraction done, 0 to 1; None if the fraction is unknown."""
         from carina.display.html import escaped
 
         value = "" if fraction is None else f' value="{fraction:.3f}"'
         self._handle.update(self._html(f'<progress max="1"{value}></progress> <small>{escaped(text)}</small>'))
 
     def close(self) -> None:
-        """Take it away."""
+        """Remove the bar."""
         self._handle.update(self._html(""))
 
 
@@ -126,7 +126,7 @@ class Watched:
         self._bar.draw(text, fraction)
 
     def close(self) -> None:
-        """Take the bar away, if there is one."""
+        """Remove the bar if there is one."""
         if self._bar is not None:
             self._bar.close()
 

@@ -1,4 +1,4 @@
-"""The three slices through the middle of a volume, for a notebook."""
+"""Three orthogonal slices through the middle of a volume, for a notebook."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from numpy.typing import NDArray
 
 __all__ = ["middle_slices"]
 
-# Right and down of the picture as LPS axes with their signs, in radiological display: patient right on screen left, and
-# the sagittal slice with anterior on the left.
+# Right and down directions of the image as LPS axes with their signs, in radiological display: patient right on
+# screen left, and the sagittal slice with anterior on the left.
 PLANES = {"axial": ((0, 1), (1, 1)), "coronal": ((0, 1), (2, -1)), "sagittal": ((1, 1), (2, -1))}
 
 
 def middle_slices(
     values_zyx: NDArray[np.int16], lps_from_ijk: NDArray[np.float64], window: tuple[float, float], *, height_px: int
 ) -> dict[str, NDArray[np.uint8]]:
-    """Axial, coronal and sagittal slice through the middle, each (rows, columns, 3) uint8, all at one scale.
+    """Return the axial, coronal and sagittal middle slices, each (rows, columns, 3) uint8, at one scale.
 
-    ``window`` is width and level in the volume's own unit. The largest picture is ``height_px`` high. Nearest voxels on
-    a grid along the patient's axes; black where there is no voxel.
+    ``window`` is width and level in the unit of the volume. The highest image has ``height_px`` rows. The pixels are
+    nearest voxels on a grid along the LPS axes, and black outside the volume.
     """
     nz, ny, nx = values_zyx.shape
     ends = [(i, j, k, 1.0) for i in (-0.5, nx - 0.5) for j in (-0.5, ny - 0.5) for k in (-0.5, nz - 0.5)]

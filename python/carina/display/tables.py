@@ -47,7 +47,7 @@ class Tabular:
         pandas = _library("pandas")
         return pandas.DataFrame(
             {
-                # An index that is given lets a table without rows keep its columns.
+                # With an explicit index, a table without rows keeps its columns.
                 name: pandas.Series(list(values), dtype=_PANDAS_TYPES[kind], index=range(len(values)))
                 for name, (kind, values) in self._columns().items()
             }
@@ -83,7 +83,7 @@ def columns_of(rows: Iterable[Mapping[str, Any]], kinds: Mapping[str, ColumnKind
 
 
 def _library(name: str) -> ModuleType:
-    """Return an optional library, or refuse with the way to install it."""
+    """Import an optional library; the error message contains the command that installs it."""
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:

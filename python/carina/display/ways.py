@@ -1,4 +1,4 @@
-"""Centrelines in space drawn from the front, as SVG."""
+"""Drawing of centrelines, seen from the front, as SVG."""
 
 from __future__ import annotations
 
@@ -14,34 +14,37 @@ __all__ = ["DRAWN_COLOUR", "Way", "generation_colour", "ways_svg"]
 
 MARGIN_PX = 22
 MAX_POINTS = 40
-"""Of a way in the drawing."""
+"""Maximum number of points of a line in the drawing."""
 COLOURS = ("#e6e8ea", "#8fd3e8", "#7fc8a9", "#c9d77e", "#e8c07d", "#d99a8b")
 DRAWN_COLOUR = "#f4b44c"
-"""What a person drew stands out, as in the window."""
+"""Colour of branches that the user drew by hand, as in the window."""
 
 
 def generation_colour(generation: int) -> str:
-    """Light in the trachea, then a colour for each of the next generations."""
+    """Return the colour of a generation: light for the trachea, then one colour for each next generation."""
     return COLOURS[min(generation, len(COLOURS) - 1)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Way:
-    """One line of the drawing."""
+    """A line of the drawing."""
 
     points_lps: NDArray[np.float64]
-    """(n, 3) mm."""
+    """Points of the line, shape (n, 3), LPS, mm."""
     width_mm: float
     colour: str
     title: str
-    """Shown when the cursor rests on it."""
+    """Tooltip of the line."""
 
 
 def ways_svg(ways: Sequence[Way], *, height_px: int, alt: str) -> str:
-    """Lines in the coronal plane, as wide as they are; patient right on the left, head up. Later ones lie on top."""
+    """Return an SVG of lines projected to the coronal plane, patient right on the left, head up.
+
+    Each line is drawn with its true width, but at least 1 pixel wide. Later lines cover earlier ones.
+    """
     points = np.concatenate([way.points_lps for way in ways])
     low, high = points.min(axis=0), points.max(axis=0)
-    # As high as the picture, and at most twice as wide.
+    # The scale fills the height unless the drawing would be more than twice as wide as high.
     px_per_mm = (height_px - 2 * MARGIN_PX) / max(high[2] - low[2], (high[0] - low[0]) / 2.0, 1.0)
     width = int(np.ceil((high[0] - low[0]) * px_per_mm)) + 2 * MARGIN_PX
     lines = []

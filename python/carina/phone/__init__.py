@@ -1,4 +1,4 @@
-"""A phone as an input device: a small HTTPS server of its own, off until a person opens it (extra ``phone``)."""
+"""A phone as an input device: a separate small HTTPS server that the user starts (extra ``phone``)."""
 
 from carina.phone.switch import PhoneSwitch
 

@@ -1,4 +1,4 @@
-"""What one phone says: its token, its clock, how much of it is taken, and the samples that it becomes."""
+"""Messages of one connected phone: clock conversion, rate limit, and conversion to pose samples."""
 
 from __future__ import annotations
 
@@ -14,24 +14,25 @@ __all__ = ["DEVICE", "MAX_BAD", "ClockMap", "PhoneLink"]
 
 DEVICE = "phone"
 MAX_RATE_HZ = 120.0
-"""Screens of phones refresh so often at most."""
+"""Maximum message rate; the screens of phones refresh at most at this rate, in Hz."""
 BURST = 60.0
 MAX_BAD = 50
-"""A page of ours says nothing bad; something else on the link is cut off."""
+"""Number of invalid messages after which the connection is closed; Carina's own page sends none."""
 
 
 class ClockMap:
-    """From a phone's clock to ours, by the message that was least delayed.
+    """Conversion of time stamps from the phone's clock to this machine's clock.
 
-    Messages are delayed by nothing at least, so the smallest difference of arrival and time stamp is the clocks' own. A
-    clock that is set back stays behind, and its samples are refused for as long; then the map begins anew.
+    The offset of the clocks is the smallest observed difference between arrival and time stamp, because no delay is
+    negative. If the phone's clock is set back, its time stamps stay behind; after ``reset_after_s`` the offset is
+    measured again.
 
     Parameters
     ----------
     reset_after_s
-        A clock that is behind for so long has been set back.
+        Time in s during which the clock must stay behind before the offset is measured again.
     behind_s
-        No network delays a sample by so much and goes on.
+        Delay in s above which the clock counts as behind; network delays that persist are shorter.
     """
 
     def __init__(self, *, reset_after_s: float = 0.5, behind_s: float = 1.0) -> None:
@@ -41,7 +42,15 @@ class ClockMap:
         self._behind_since_s: float | None = None
 
     def ours(self, phone_s: float, arrived_s: float) -> float:
-        """When a sample was measured, on our clock; never later than it arrived."""
+        """Return the time of a sample on this machine's clock, in s; never later than its arrival.
+
+        Parameters
+        ----------
+        phone_s
+            Time stamp on the phone's clock.
+        arrived_s
+            Time of arrival on this machine's clock.
+        """
         offset_s = arrived_s - phone_s
         if self._offset_s is None or offset_s < self._offset_s:
             self._offset_s = offset_s
@@ -51,22 +60,22 @@ class ClockMap:
             self._behind_since_s = arrived_s
         elif arrived_s - self._behind_since_s >= self._reset_after_s:
             self._offset_s, self._behind_since_s = offset_s, None
-        # Of huge numbers and a small difference, rounding makes the future.
+        # Rounding errors of large time stamps could otherwise give a time after the arrival.
         return min(phone_s + self._offset_s, arrived_s)
 
 
 class PhoneLink:
-    """Reads the messages of one phone. Pure: the moment of arrival is passed in.
+    """Parser of the messages of one phone; it reads no clock, because the caller passes the time of arrival.
 
     Parameters
     ----------
     said
-        Gets each sample, on our clock.
+        Callback for each pose sample; its time is on this machine's clock.
     act
-        Gets the name of a button that was pressed.
+        Callback for a pressed button; it receives the name of the action.
     clutch_held_moves
-        Whether a pen moves the tip while its clutch is held (``DeviceControls.clutch`` is "hold") or while it is not: a
-        phone moves it only while its own button is held, whatever is set for pens.
+        Callback that returns whether a pen moves the tip while its clutch is held (``DeviceControls.clutch`` is
+        "hold"). A phone moves the tip only while the button on its page is held, whatever the setting for pens.
     """
 
     def __init__(
@@ -88,20 +97,28 @@ class PhoneLink:
 
     @property
     def is_broken(self) -> bool:
-        """So much of it was bad that it is no page of ours."""
+        """Whether more than :data:`MAX_BAD` messages were invalid; messages above the rate limit do not count."""
         return sum(n for why, n in self.num_bad.items() if why != "too many samples") > MAX_BAD
 
     def rate_hz(self, now_s: float) -> float:
-        """Samples in the last second."""
+        """Return the number of samples in the last second, at most 256."""
         return float(sum(now_s - at_s < 1.0 for at_s in self._recent))
 
     def hear(self, text: str | bytes | None, now_s: float) -> None:
-        """One message; what is bad is counted and ignored."""
+        """Process one message; count and ignore an invalid one.
+
+        Parameters
+        ----------
+        text
+            The message; None for a binary message.
+        now_s
+            Time of arrival on this machine's clock, in s.
+        """
         passed_s = 0.0 if self._heard_s is None else max(now_s - self._heard_s, 0.0)
         self._heard_s = now_s
         self._allowance = min(BURST, self._allowance + MAX_RATE_HZ * passed_s)
         if self._allowance < 1.0:
-            # Not even read.
+            # A message above the rate limit is not parsed.
             self.num_bad["too many samples"] += 1
             return
         self._allowance -= 1.0
@@ -125,7 +142,7 @@ class PhoneLink:
         if message.orientation_wxyz is not None:
             w, x, y, z = message.orientation_wxyz
             self._wxyz = (w, x, y, z)
-        # Without a sensor nothing turns, and forward and back still go.
+        # Without an orientation sensor the tip does not turn, but it still moves forward and back.
         turns = message.held and message.orientation_wxyz is not None
         clutch = turns == self._clutch_held_moves()
         self._recent = [*self._recent[-255:], now_s]

@@ -89,12 +89,12 @@ class PhonePage:
         self._address = address
         self._open: _Open | None = None
         self._lock = threading.Lock()
-        # Of the page's event loop only, but for the look of info().
+        # Only the page's event loop uses these; info() reads them from other threads.
         self._link: PhoneLink | None = None
         self._socket: WebSocket | None = None
         self._words = ""
 
-    # ------------------------------------------------------------ opened and closed
+    # ------------------------------------------------------------ start and stop
 
     def start(self) -> wire.PhoneInfo:
         """Start the page with a new key, certificate and token; do nothing if it runs already.
@@ -102,7 +102,7 @@ class PhonePage:
         Raises
         ------
         CarinaError
-            ``server.no-network``, ``server.host``.
+            With code ``server.no-network`` or ``server.host``.
         """
         with self._lock:
             if self._open is not None:
@@ -148,7 +148,7 @@ class PhonePage:
         port = sock.getsockname()[1]  # type: ignore[attr-defined]
         tokens = TokenGate()
         shown = f"[{address}]" if ":" in address else address
-        # Behind the #: a browser sends it nowhere and keeps it out of every Referer; the page hands it over by itself.
+        # A browser sends the part after # to no server and in no Referer header; the page sends the token itself.
         url = f"https://{shown}:{port}/#{tokens.token}"
         started = threading.Event()
         app = self._app(Gate(host=address, port=port, scheme="https"), tokens)
@@ -171,7 +171,7 @@ class PhonePage:
         )
         return _Open(server, thread, tokens, info)
 
-    # ------------------------------------------------------------ what it answers
+    # ------------------------------------------------------------ requests
 
     def _app(self, gate: Gate, tokens: TokenGate) -> Starlette:
         async def index(_request: Request) -> Response:
@@ -179,7 +179,7 @@ class PhonePage:
 
         async def asset(request: Request) -> Response:
             found = asset_path(self._web, f"assets/{request.path_params['name']}")
-            # The workstation's own script holds nothing secret either, but has nothing to do here.
+            # The scripts of the workstation contain no secrets, but the phone page does not need them.
             if found is None or not found.name.startswith("phone"):
                 return page("Page not found", "This page does not exist.", 404)
             return FileResponse(found, headers={"cache-control": "no-cache"})
@@ -244,7 +244,10 @@ class PhonePage:
                 self.changed()
 
     async def _take_over(self, websocket: WebSocket, link: PhoneLink) -> None:
-        """The newest phone moves the tip: one that lost its network comes back before its old connection is missed."""
+        """Give control of the tip to the newest connection, and close the previous one.
+
+        A phone that loses its network can connect again before the server notices that the old connection is dead.
+        """
         before, self._socket, self._link, self._words = self._socket, websocket, link, ""
         if before is not None:
             self._session.do(DeviceGone(DEVICE))
@@ -272,7 +275,7 @@ class PhonePage:
         holds = any(device.device == DEVICE and device.holds for device in devices.devices)
         return wire.PhoneState(True, devices.control, pose is not None and pose.mode == "scope", holds, words)
 
-    # ------------------------------------------------------------ what it does
+    # ------------------------------------------------------------ samples and actions
 
     def _heard(self, sample: object) -> None:
         self._session.devices.said(DEVICE, sample)  # type: ignore[arg-type]
@@ -288,7 +291,7 @@ class PhonePage:
             if action == "next_control":
                 self._session.do(CycleControl())
             elif pose is not None and pose.mode != "path":
-                # Away from a path, ahead is where the tip looks, and up is what can be set right.
+                # Outside path mode the tip already looks ahead, so the button levels the horizon.
                 self._session.do(LevelHorizon())
             else:
                 self._session.do(ResetLook())

@@ -42,6 +42,7 @@ class PhoneSwitch:
         self._page: PhonePage | None = None
 
     def __repr__(self) -> str:
+        """Return a line of text with the state of the page."""
         return f"PhoneSwitch(is_open={self.info() is not None})"
 
     @property

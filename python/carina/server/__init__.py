@@ -1,4 +1,4 @@
-"""The workstation's server: one process, one window, loopback."""
+"""Server of the workstation, which serves the web client to browsers."""
 
 from carina.server.serve import serve
 

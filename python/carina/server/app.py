@@ -1,4 +1,4 @@
-"""The web application: the client's files, uploads, and the socket, behind the gate."""
+"""ASGI application of the workstation: client files, uploads, downloads and the WebSocket, with access control."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ __all__ = ["create_app", "web_folder"]
 
 
 def _status(trouble: CarinaError, usual: int) -> int:
-    """HTTP status of a refused file: 507 where the disk takes nothing."""
+    """Return the HTTP status of an error; 507 for a disk error."""
     if isinstance(trouble, DiskError):
         return 507
     return {"export.suffix": 404, "session.flights": 404, "upload.limit": 413}.get(trouble.code, usual)
@@ -53,7 +53,7 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
     Parameters
     ----------
     hub
-        Session and windows; started and stopped with the application.
+        Hub of the session and its windows; it starts and stops with the application.
     gate
         Secrets and checks.
     uploads
@@ -61,7 +61,6 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
     web
         Folder of the built client; None shows a page that says how to build it.
     """
-
     downloads, reports = Downloads(hub.session), Reports(hub.session)
 
     async def index(request: Request) -> Response:
@@ -76,8 +75,8 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
                 "that is already open."
             )
             return page("This link has already been used", words, 403)
-        # No cookie is asked for here: after a click in another site's page the browser withholds a Strict cookie from
-        # this navigation, but not from the socket that the page then opens. The files hold nothing of a patient.
+        # No cookie is required here: after a click on another site the browser does not send a Strict cookie with this
+        # navigation, but sends it with the WebSocket that the page opens. The files contain no patient data.
         if web is None:
             words = (
                 "The Carina window has not been built. Run <code>make run</code> in the folder of Carina's source, "
@@ -90,7 +89,7 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
         found = asset_path(web, request.path_params["path"])
         if found is None:
             return page("Page not found", "This page does not exist.", 404)
-        # The builder puts a hash of the content in the name of everything below assets/.
+        # Each file name below assets/ contains a hash of the content, so browsers may cache the file for ever.
         lasting = found.parent.name == "assets"
         return FileResponse(
             found, headers={"cache-control": "public, max-age=31536000, immutable" if lasting else "no-cache"}
@@ -158,7 +157,7 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
         jpeg = await asyncio.to_thread(hub.session.cases.picture, request.path_params["case_id"])
         if jpeg is None:
             return _error(CarinaError("this case has no thumbnail", code="case.no-picture"), 404)
-        # Of a patient: in memory only.
+        # Patient data: the browser must not store the image on disk.
         return Response(jpeg, media_type="image/jpeg", headers={"cache-control": "no-store"})
 
     async def socket(websocket: WebSocket) -> None:

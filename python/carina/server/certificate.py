@@ -1,4 +1,4 @@
-"""A certificate made on the spot, for pages that the local network reaches: the phone's and a watcher's."""
+"""Self-signed TLS certificates for the phone page and the viewing page in the local network."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from carina.disk import scratch_folder
 
 __all__ = ["Certificate", "make_certificate"]
 
-# A phone's clock may be behind ours; and nobody flies for a month.
+# The phone's clock may be behind; no session lasts 30 days.
 VALID_BEFORE = datetime.timedelta(days=1)
 VALID_FOR = datetime.timedelta(days=30)
 
 
 @dataclass(frozen=True, slots=True)
 class Certificate:
-    """What a server shows, and how a person compares it."""
+    """TLS context of a server, with the fingerprint that the user compares in the browser."""
 
     context: ssl.SSLContext
     sha256: str
@@ -27,15 +27,15 @@ class Certificate:
 
 
 def make_certificate(host: str) -> Certificate:
-    """A new key and a certificate for one address, signed by itself.
+    """Create a new key and a self-signed certificate for one address.
 
-    No authority knows it, so a browser warns; a person compares the fingerprint. The key is written nowhere readable:
-    for the moment in which the TLS library reads it, it lies encrypted in a folder of this user.
+    A browser warns because no authority signed the certificate; the user compares the fingerprint. The key is written
+    to disk only encrypted, in a folder of this user, while the TLS library reads the key.
 
     Parameters
     ----------
     host
-        Address or name that the link holds.
+        Address or name in the link.
     """
     from cryptography import x509
     from cryptography.hazmat.primitives import hashes, serialization
@@ -70,7 +70,7 @@ def make_certificate(host: str) -> Certificate:
         .not_valid_before(now - VALID_BEFORE)
         .not_valid_after(now + VALID_FOR)
         .add_extension(x509.SubjectAlternativeName([alternative]), critical=False)
-        # Whoever trusts it trusts this one page, and nothing that it might sign.
+        # A leaf certificate (CA:FALSE): trust in it does not extend to other sites.
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         .add_extension(usage, critical=True)
         .add_extension(x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH]), critical=False)

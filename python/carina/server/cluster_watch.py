@@ -1,4 +1,4 @@
-"""Asks once a second how the machines do that render with this one, and tells the window."""
+"""Polling of the cluster status once a second, with messages to the windows."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ EVERY_S = 1.0
 
 
 class ClusterWatch:
-    """Hands on a cluster's status, and each of its notices once.
+    """Thread that sends the cluster status to the windows, and each notice of the cluster only once.
 
     Parameters
     ----------
     status
-        How the cluster does.
+        Function that returns the cluster status.
     tell
-        Takes the messages, from the watch's thread.
+        Callback for the messages; called from the thread of this object.
     """
 
     def __init__(self, status: Callable[[], ClusterStatus], tell: Callable[[wire.Cluster | wire.Notice], None]) -> None:
@@ -37,17 +37,17 @@ class ClusterWatch:
         self._thread = threading.Thread(target=self._run, name="carina-cluster-watch", daemon=True)
 
     def start(self) -> None:
-        """Begin."""
+        """Start the thread."""
         self._thread.start()
 
     def stop(self) -> None:
-        """End."""
+        """Stop the thread and join it."""
         self._stopping.set()
         if self._thread.is_alive():
             self._thread.join()
 
     def look(self) -> None:
-        """Ask once and tell."""
+        """Read the status once and send it."""
         status = self._status()
         for words in status.notices:
             if words not in self._told:
@@ -64,7 +64,7 @@ class ClusterWatch:
 
 
 def cluster_message(status: ClusterStatus) -> wire.Cluster:
-    """A cluster's status as it is sent: without the console's own renderer, rounded."""
+    """Return the wire message of a cluster status, with rounded values and without the console's renderer."""
     return wire.Cluster(
         address=status.address,
         members=tuple(

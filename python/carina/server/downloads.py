@@ -62,7 +62,7 @@ class Downloads:
             try:
                 path = await asyncio.to_thread(self._make, folder / f"{FILE_STEM}{suffix}", volume, airways, given_up)
             except BaseException:
-                # Also where the server ends meanwhile: the thread goes on, and sees it.
+                # The request may also be cancelled by a shutdown; the export thread checks given_up and stops.
                 given_up.set()
                 rmtree(folder, ignore_errors=True)
                 raise

@@ -1,7 +1,7 @@
-"""Names of dropped files: neutral ones on the disk, the person's own on the screen.
+"""Neutral names for dropped files on disk, and their replacement by the original names in messages.
 
-A file's name often is the patient's. What lies in the temporary folder is called ``dropped-TAG-NUMBER.SUFFIX``;
-messages to the window are given the name back by which the person knows the file.
+A file name often contains the name of the patient. Files in the temporary folder are therefore called
+``dropped-TAG-NUMBER.SUFFIX``. In messages to the window each such name is replaced by the original name.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ __all__ = ["DroppedNames", "safe_suffix"]
 
 _TOKEN = re.compile(r"dropped-[0-9a-f]{8}(?:-[0-9]+(?:\.[a-z0-9]+)*)?")
 _KEPT = 16
-"""So many uploads' names are remembered: what is on the screen is of the last few."""
+"""Number of uploads whose names are stored; messages on the screen refer only to recent uploads."""
 _SUFFIXES = frozenset(
     [
         ".nii",
@@ -71,11 +71,11 @@ _SUFFIXES = frozenset(
         ".mgz",
     ]
 )
-"""Other endings may be a part of a name: they do not stay."""
+"""File suffixes that neutral names keep; any other suffix may be part of a patient name and is dropped."""
 
 
 def safe_suffix(name: str) -> str:
-    """The ending by which a reader knows the format, in lower case; empty where there is none."""
+    """Return the suffix that identifies the file format, in lower case; empty if the suffix is not known."""
     pieces = name.lower().rsplit(".", 2)
     for count in (2, 1):
         suffix = "." + ".".join(pieces[-count:])
@@ -85,14 +85,14 @@ def safe_suffix(name: str) -> str:
 
 
 class DroppedNames:
-    """Hands out neutral names, and turns them into the person's own again."""
+    """Table of neutral file names and the original names that they replace."""
 
     def __init__(self) -> None:
         self._uploads: OrderedDict[str, dict[str, str]] = OrderedDict()
         self._numbers: dict[str, dict[tuple[str, str], int]] = {}
 
     def begin(self, tag: str) -> str:
-        """A new upload; returns the name of its folder."""
+        """Register a new upload by its tag, and return the neutral name of its folder."""
         while len(self._uploads) >= _KEPT:
             gone, _ = self._uploads.popitem(last=False)
             self._numbers.pop(gone, None)
@@ -100,26 +100,29 @@ class DroppedNames:
         return f"dropped-{tag}"
 
     def neutral(self, tag: str, relative: PurePosixPath, name: str) -> PurePosixPath:
-        """Where a file lies: neutral names for it and its folders, the same again for the same ones.
+        """Return the neutral relative path of a file; equal folders and stems always get equal neutral names.
 
         Parameters
         ----------
         tag
-            Of :meth:`begin`.
+            Tag of the upload, as passed to :meth:`begin`.
         relative
-            What the browser calls it, made harmless.
+            Safe relative path of the file, as the browser named it.
         name
-            The last part as the browser wrote it.
+            Unchanged name that the browser sent; its last part is shown to the user.
         """
         *folders, last = relative.parts
         place = PurePosixPath()
         for depth, folder in enumerate(folders):
-            # With a stroke: a file may have the name of a folder beside it.
+            # The slash separates a folder from a file of the same name beside it.
             place /= self._named(tag, "/".join(folders[:depth]), f"{folder}/", folder, "")
         return place / self._named(tag, "/".join(folders), last, _shown(name) or last, safe_suffix(last))
 
     def another(self, tag: str, place: PurePosixPath) -> PurePosixPath:
-        """A new neutral name for a file whose own is taken: both were made of names that are now equal."""
+        """Return a new neutral path for a file whose neutral path ``place`` is taken.
+
+        A path can be taken because two original names may have the same safe form.
+        """
         known = self._uploads[tag]
         suffix = safe_suffix(place.name)
         made = f"dropped-{tag}-{self._next(tag)}{suffix}"
@@ -127,7 +130,7 @@ class DroppedNames:
         return place.with_name(made)
 
     def restored(self, text: str) -> str:
-        """A JSON text in which neutral names are replaced by the person's own."""
+        """Return a JSON text in which the original names replace the neutral names."""
         if "dropped-" not in text:
             return text
         return _TOKEN.sub(self._own, text)
@@ -140,14 +143,14 @@ class DroppedNames:
         if token == token[:16]:
             return "dropped files"
         while token not in known:
-            # A name without its ending, or with one more; what is left over stays.
+            # The text may name a file with an additional suffix; that suffix is left unchanged.
             token, dot, _ = token.rpartition(".")
             if not dot:
                 return found[0]
         return json.dumps(known[token])[1:-1] + found[0][len(token) :]
 
     def _named(self, tag: str, above: str, part: str, own: str, suffix: str) -> str:
-        """Files that differ in their ending only (a header and its data) still do."""
+        """Return the neutral name of one path part; names that differ only in suffix get the same number."""
         known, numbers = self._uploads[tag], self._numbers[tag]
         stem = part[: len(part) - len(suffix)] if suffix else part
         number = numbers.get((above, stem))
@@ -166,6 +169,6 @@ class DroppedNames:
 
 
 def _shown(name: str) -> str:
-    """The last part of a name that a browser sent, without what no screen shows."""
+    """Return the last part of a name without control characters, at most 120 characters long."""
     last = re.split(r"[/\\]", name)[-1]
     return "".join(c for c in last if unicodedata.category(c)[0] != "C")[:120]

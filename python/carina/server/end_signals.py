@@ -1,4 +1,4 @@
-"""Signals that end the workstation: all save first, and a second one ends at once."""
+"""Signals that stop the workstation: the first one saves the work first, a second one stops at once."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["EndSignals"]
 
 CLOSED_TERMINAL = "SIGHUP"
 ENDING = ("SIGTERM", CLOSED_TERMINAL)
-"""Ctrl-C (SIGINT) is Python's and the server's own."""
+"""Names of the handled signals; Python and uvicorn handle SIGINT (Ctrl-C)."""
 
 
 class EndSignals:
@@ -24,7 +24,7 @@ class EndSignals:
     Parameters
     ----------
     stop
-        Ask the server to end; called for the first signal.
+        Callback that makes the server stop; called for the first signal.
     """
 
     def __init__(self, stop: Callable[[], None]) -> None:
@@ -35,15 +35,16 @@ class EndSignals:
 
     @property
     def has_terminal_closed(self) -> bool:
-        """Whether the terminal has gone: nobody can answer."""
+        """Whether the terminal was closed, so that no user can answer."""
         return any(signal.Signals(number).name == CLOSED_TERMINAL for number in self._received)
 
     def begin_closing(self) -> None:
-        """Note that the server has ended: a signal from now on interrupts as Ctrl-C does."""
+        """Mark the server as stopped; each later signal raises an interrupt as Ctrl-C does."""
         self._is_closing = True
 
     def __enter__(self) -> EndSignals:
-        # Signals can only be handled in the main thread; a server in another one is stopped by its owner.
+        """Install the signal handlers."""
+        # Signals can only be handled in the main thread; in another thread, the caller stops the server.
         if threading.current_thread() is threading.main_thread():
             for name in ENDING:
                 number = getattr(signal, name, None)
@@ -52,6 +53,7 @@ class EndSignals:
         return self
 
     def __exit__(self, *_error: object) -> None:
+        """Restore the previous signal handlers."""
         for number, handler in self._former.items():
             signal.signal(number, handler)
 

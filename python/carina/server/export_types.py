@@ -10,7 +10,7 @@ __all__ = ["exports_typescript"]
 
 
 def exports_typescript() -> str:
-    """Titles in the window's order, each with its files."""
+    """Return TypeScript constants: the titles of the export formats in the order of the window, with their files."""
     lines = [
         "// Generated from python/carina/export/format_table.py by `python -m carina.server.wire_types`. Do not edit.",
         "",

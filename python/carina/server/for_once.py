@@ -20,6 +20,7 @@ class FileForOnce(FileResponse):
     """
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send the response, and delete the folder of the file."""
         try:
             await super().__call__(scope, receive, send)
         finally:

@@ -1,4 +1,4 @@
-"""The gate in front of an application, and the headers of every answer."""
+"""ASGI middleware that checks each request and adds security headers to each response."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ CONTENT_SECURITY_POLICY = (
     "default-src 'self'; img-src 'self' blob: data:; style-src 'self' 'unsafe-inline'; connect-src 'self'; "
     "worker-src 'self' blob:; object-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
-"""Only our own files; inline styles because the panels' library sets them on elements."""
+"""Allow only files of this server; inline styles are allowed because the panel library sets them on elements."""
 SECURITY_HEADERS = {
     "content-security-policy": CONTENT_SECURITY_POLICY,
     "x-content-type-options": "nosniff",
@@ -29,13 +29,17 @@ PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>Carina</ti
 
 
 class GateMiddleware:
-    """Host and Origin of every request, HTTP and WebSocket, before anything else; security headers on every answer."""
+    """ASGI middleware that refuses HTTP and WebSocket requests with a wrong Host or Origin header.
+
+    The middleware also adds security headers to every HTTP response.
+    """
 
     def __init__(self, app: ASGIApp, gate: Gate) -> None:
         self._app = app
         self._gate = gate
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Refuse the request, or pass it to the application and add the headers to the response."""
         if scope["type"] not in {"http", "websocket"}:
             await self._app(scope, receive, send)
             return
@@ -43,7 +47,7 @@ class GateMiddleware:
         refusal = self._gate.refusal(method=method, headers=Headers(scope=scope))
         if refusal is not None:
             if scope["type"] == "websocket":
-                # Before it is accepted: the server answers 403.
+                # The WebSocket is not accepted yet, so the server answers with status 403.
                 await send({"type": "websocket.close", "code": 1008, "reason": refusal})
                 return
             await page("Carina refused this request", refusal, 403)(scope, receive, _with_headers(send))
@@ -65,4 +69,5 @@ def _with_headers(send: Send) -> Send:
 
 
 def page(title: str, words: str, status: int) -> Response:
+    """Return an HTML page with a title and one paragraph, without caching."""
     return HTMLResponse(PAGE.format(title=title, words=words), status, headers={"cache-control": "no-store"})

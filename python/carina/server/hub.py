@@ -1,4 +1,4 @@
-"""Between the session and the windows that are connected: who is there, and what they share."""
+"""The hub: the registry of connected windows, and the objects that all windows of a session share."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ __all__ = ["MAX_WINDOWS", "Hub"]
 logger = logging.getLogger(__name__)
 
 MAX_WINDOWS = 8
-"""Each renders its own pictures."""
+"""Maximum number of connected windows, observers not counted; each window renders its own frames."""
 FLOODED = (
     "an observer sent too many messages and was disconnected. The link for observers has changed; those who are still "
     "connected stay connected"
@@ -41,16 +41,16 @@ SWITCHED_OFF = "the person at the workstation has stopped sharing the case"
 
 
 class Hub:
-    """Owns the windows, and what belongs to none of them alone: uploads, devices, texts that all are sent.
+    """Registry of the connected windows, with the objects that they share: uploads, devices, broadcast texts.
 
     Parameters
     ----------
     session
-        What is driven.
+        The session that the windows control.
     uploads
-        Dropped files.
+        Storage of files that users drop on a window.
     closes_session
-        Whether the session is closed when the hub stops; else its owner closes it.
+        Whether :meth:`stop` closes the session; if False, the owner of the session closes it.
     """
 
     def __init__(
@@ -100,7 +100,7 @@ class Hub:
     # ------------------------------------------------------------ life
 
     def start(self) -> None:
-        """Begin; from the event loop."""
+        """Subscribe to session events and start the shared services; call this method in the event loop."""
         self._loop = asyncio.get_running_loop()
         self._unsubscribe = self.session.subscribe(self._on_event)
         self._warming.start()
@@ -109,7 +109,10 @@ class Hub:
             self._watch.start()
 
     def stop(self) -> None:
-        """End the windows' threads and the session's jobs."""
+        """Stop all windows and shared services, join their threads, and delete the uploads.
+
+        The session is closed too if ``closes_session`` is True.
+        """
         self._unsubscribe()
         self._warming.stop()
         self.devices.stop()
@@ -125,17 +128,17 @@ class Hub:
         self._uploads.close()
 
     def attach(self, *, at_machine: bool = False) -> Window:
-        """Add a window, which gets everything; from the event loop.
+        """Add a window that can send every command, and return it; call this method in the event loop.
 
         Parameters
         ----------
         at_machine
-            Whether its browser runs on this machine.
+            Whether the browser of the window runs on this machine.
 
         Raises
         ------
         ProtocolError
-            ``protocol.too-many-windows``.
+            With code ``protocol.too-many-windows`` if :data:`MAX_WINDOWS` windows are connected.
         """
         if len(self._working) >= MAX_WINDOWS:
             msg = f"Carina is already open in {MAX_WINDOWS} windows; close one of them, then connect again"
@@ -147,19 +150,22 @@ class Hub:
         return window
 
     def _attach_watcher(self) -> WatchingWindow:
-        """UsageError where the case has gone that was to be watched."""
+        """Add the window of an observer; raise UsageError if the observed case has been closed."""
         window = WatchingWindow(next(self._numbers), self)
         window.start()
         self._windows[window.number] = window
         return window
 
     def detach(self, window: Window) -> None:
-        """Remove a window that has gone; call it from the event loop, which waits for nothing."""
+        """Remove a disconnected window; call this method in the event loop.
+
+        The method does not wait for the threads of the window.
+        """
         del self._windows[window.number]
         window.end()
         if not window.watches:
             self.devices.window_went(window.number)
-            # A page that is loaded again goes on as it was.
+            # A page that the user reloads keeps its frame rate.
             self._rate_hz = window.pump.rate_hz
         self._leaving = [thread for thread in (*self._leaving, *window.threads) if thread.is_alive()]
 
@@ -167,7 +173,7 @@ class Hub:
 
     @property
     def _working(self) -> tuple[Window, ...]:
-        """The windows of those who work here."""
+        """The windows that can send commands; observers are not included."""
         return tuple(window for window in self._windows.values() if not window.watches)
 
     def restored(self, text: str) -> str:
@@ -175,12 +181,15 @@ class Hub:
         return self._uploads.names.restored(text)
 
     def _push(self, message: Any) -> None:
-        """Tell all windows but those that watch, for it may name files, links and addresses; event loop only."""
+        """Send a message to all windows except observers; call this method in the event loop.
+
+        Observers are excluded because messages may contain file names, links and addresses.
+        """
         for window in self._working:
             window.outbox.push(message)
 
     def _tell(self, message: Any) -> None:
-        """Send a message to all windows but those of observers; from any thread."""
+        """Send a message to all windows except observers; callable from any thread."""
         self.in_loop(self._push, message)
 
     def _mark(self, *topics: str) -> None:
@@ -188,28 +197,28 @@ class Hub:
             window.mark(*topics)
 
     def watching_text(self) -> str:
-        """Who may watch, and who does."""
+        """Return the ``Watching`` message as JSON: the state of the viewing page and its observers."""
         return wire.encode_message(wire.Watching(self._watch_page.info(), self._watch_page.problem))
 
     def in_loop(self, function: Callable[..., None], *arguments: Any) -> None:
-        """Call a function in the event loop; from any thread."""
+        """Call a function in the event loop; callable from any thread."""
         loop = self._loop
         if loop is None or loop.is_closed():
             return
         try:
             loop.call_soon_threadsafe(function, *arguments)
         except RuntimeError:
-            # The loop closed between the look and the call: the server is ending.
+            # The loop was closed after the check above: the server is shutting down.
             logger.debug("an event came after the end")
 
     def _on_event(self, event: Event) -> None:
-        """From any thread, with the session locked: hand on and return."""
+        """Forward a session event to the event loop; the session calls this from any thread and holds its lock."""
         if isinstance(event, Changed) and "tree" in event.topics:
             self._warming.airways_changed()
         self.in_loop(self._heed, event)
 
     def _heed(self, event: Event) -> None:
-        """Another case is nobody's to watch, and uploads that nobody reads any more go."""
+        """Close the viewing page if the case has changed, and delete uploads that are no longer needed."""
         if self._watch_page.is_open and self.session.snapshot().case_number != self._watched_case:
             self._switch(self.close_watch_page("the case that you were watching was closed"))
         if isinstance(event, JobEnded):
@@ -223,7 +232,7 @@ class Hub:
     # ------------------------------------------------------------ in
 
     def do(self, message: Any, window: Window) -> None:
-        """Pass a command to the session, and handle the other messages, which concern what the windows share."""
+        """Pass a command to the session, or handle a message about the objects that the windows share."""
         match message:
             case Command():
                 self.session.do(message, window=window.number)
@@ -255,7 +264,7 @@ class Hub:
                 )
 
     def _switch(self, switching: Coroutine[Any, Any, None]) -> None:
-        """Keys and sockets: not while the window waits."""
+        """Run a coroutine as a task, so that the window does not wait for key generation and sockets."""
         task = asyncio.get_running_loop().create_task(switching)
         self._switching.add(task)
         task.add_done_callback(self._switching.discard)
@@ -277,17 +286,20 @@ class Hub:
             await self.close_watch_page(SWITCHED_OFF)
 
     async def close_watch_page(self, words: str) -> None:
-        """Nobody may watch any more, and who did is told why."""
+        """Stop the viewing page, and send the reason ``words`` to every connected observer."""
         await self._watch_page.stop(words)
 
     def _keep_for(self, command: Command, upload_id: str, window: Window) -> None:
-        """Run a command that reads dropped files, and keep these files until its job has ended."""
+        """Start a job that reads dropped files; :meth:`_heed` deletes the files after the job has ended."""
         job_id = self.session.do(command, window=window.number)
         assert job_id is not None
         self._upload_of_job[job_id] = upload_id
 
     def _import_mask(self, upload_id: str, window: Window) -> None:
-        """Import a dropped mask, and keep its file until the mask is read, which may need an answer of the user."""
+        """Import a dropped mask, and store its file until the mask is read.
+
+        The session may first need an answer of the user, so the file can outlive the command.
+        """
         place = self._uploads.place(upload_id)
         before, self._mask_upload = self._mask_upload, None
         try:

@@ -1,4 +1,4 @@
-"""An encrypted server for one page that the local network reaches, beside the workstation's own."""
+"""HTTPS server for one page in the local network, separate from the server of the workstation."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ GRACE_S = 1
 
 
 class LanServer(EndingServer):
-    """Bounded in connections, message sizes and time: anybody of the network may knock.
+    """HTTPS server that limits connections, message sizes and times, because any machine of the network can connect.
 
     Parameters
     ----------
     app
-        What it answers.
+        Application that answers the requests.
     certificate
         What it shows.
     max_message_bytes
@@ -39,7 +39,7 @@ class LanServer(EndingServer):
     max_bytes_per_s
         Bytes that a client may send per second, and at once; a client that sends more is disconnected.
     on_started
-        Told once it answers.
+        Callback that is called once the server accepts connections.
     """
 
     def __init__(
@@ -74,10 +74,10 @@ class LanServer(EndingServer):
         self._told_started = on_started
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Listen."""
+        """Start to listen, with a time limit for the TLS handshake."""
         loop = asyncio.get_running_loop()
         plain = loop.create_server
-        # The library has no setting for it: a stranger who never ends the handshake holds a descriptor.
+        # uvicorn has no setting for this limit; a client that never completes the handshake would occupy a descriptor.
         loop.create_server = partial(plain, ssl_handshake_timeout=HANDSHAKE_WITHIN_S)  # type: ignore[method-assign]
         try:
             await super().startup(sockets=sockets)
@@ -87,5 +87,5 @@ class LanServer(EndingServer):
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
-        """None: Ctrl-C is the workstation's."""
+        """Install no signal handlers, because the workstation handles Ctrl-C."""
         yield

@@ -1,4 +1,4 @@
-"""Sockets that listen, and this machine's address in its network."""
+"""Listening sockets, and the address of this machine in the local network."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ __all__ = ["bind", "lan_address"]
 
 
 def bind(host: str, port: int) -> socket.socket:
-    """A listening socket.
+    """Return a listening TCP socket.
 
     Raises
     ------
     CarinaError
-        ``server.port`` if the port is taken or not allowed; ``server.host`` if this machine has no such address.
+        With code ``server.port`` if the port is taken or not allowed; with code
+        ``server.host`` if this machine has no such address.
     """
     try:
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
@@ -25,12 +26,12 @@ def bind(host: str, port: int) -> socket.socket:
         raise CarinaError(
             f"cannot listen on {host!r}: this machine has no such address", code="server.host"
         ) from trouble
-    # Named as TCP: asyncio sends at once only on its connections. On others a picture waits until the window
-    # has acknowledged the message before it, which it puts off by up to 40 ms (Nagle, delayed acknowledgements).
+    # IPPROTO_TCP is explicit because asyncio sets TCP_NODELAY only on such sockets. Without it, a frame can wait up to
+    # 40 ms for the acknowledgement of the previous message (Nagle's algorithm, delayed acknowledgements).
     sock = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     try:
         if os.name == "posix":
-            # A port whose last connections are still closing is free; on Windows this flag would share a port in use.
+            # Allows a port whose last connections are still closing; on Windows this flag would share a port in use.
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         sock.bind(address)
         sock.listen(64)
@@ -49,18 +50,18 @@ def bind(host: str, port: int) -> socket.socket:
 
 
 def lan_address() -> str:
-    """The address by which machines of the local network reach this one.
+    """Return the address at which other machines of the local network reach this machine.
 
     Raises
     ------
     CarinaError
-        ``server.no-network`` if there is none.
+        With code ``server.no-network`` if there is no such address.
     """
     found = ""
     for family, elsewhere in ((socket.AF_INET, "192.0.2.1"), (socket.AF_INET6, "2001:db8::1")):
         with socket.socket(family, socket.SOCK_DGRAM) as probe:
             try:
-                # A datagram socket sends nothing by this: the system only chooses the way, and with it our address.
+                # connect() on a datagram socket sends nothing; the system only chooses the route and the local address.
                 probe.connect((elsewhere, 9))
                 found = str(probe.getsockname()[0])
             except OSError:

@@ -1,4 +1,4 @@
-"""What was mapped of a case's lungs, as a wire message."""
+"""Conversion of the lung map (vessels, fissures, lobes, reach) of a case to a wire message."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ __all__ = ["lungs_message"]
 
 NO_MEDIASTINUM = "Vessels of the mediastinum and the hila are not shown: without contrast the CT does not show them."
 LEAST_SHARE = 0.05
-"""Of the borders on either side: less is told in words."""
+"""Smallest share of the lobe borders on a fissure that is stated as a number; below it: *hardly any seen*."""
 LEAST_LINE_MM = 6.0
-"""A shorter piece that nothing leaves is a burr in a picture from outside."""
+"""Minimum length of a vessel branch without children; shorter ones are noise in the outside view and are not sent."""
 VESSEL_POINT_EVERY_MM = 2.5
 NO_DRIVE = "Judged by diameter and bend along the way. No drive was simulated, and breathing may move the target."
 
 
 def lungs_message(info: LungsInfo) -> wire.Lungs:
-    """What the steps *Target* and *Route* show."""
+    """Return the lung map as the steps *Target* and *Route* show it."""
     lungs, reach = info.lungs, info.reach
     layers = (*(() if lungs is None else _lung_layers(lungs)), *(() if reach is None else (_reach_layer(reach),)))
     failed = tuple(words for words in (info.problem, info.reach_problem) if words is not None)
@@ -88,13 +88,13 @@ def _fissures_seen(shares: tuple[float | None, float | None] | None) -> str:
         return "as far as the CT shows them"
     if max(share for _, share in known) < LEAST_SHARE:
         return "hardly any seen"
-    # Of an estimated border: to the nearest tenth is as far as that goes.
+    # The borders are estimated, so the shares are rounded to the nearest 10 %.
     told = [f"{10.0 * round(10.0 * share):.0f} % of the borders on the {side}" for side, share in known]
     return f"seen along about {' and '.join(told)}"
 
 
 def _vessel_lines(tree: VesselTree) -> Iterator[wire.VesselLine]:
-    from carina.plan.lung_map import SURE  # slow to load, and is loaded where there is a map
+    from carina.plan.lung_map import SURE  # slow import; needed only if there is a map
 
     left = {branch.parent for branch in tree.branches}
     for number, branch in enumerate(tree.branches):

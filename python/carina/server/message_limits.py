@@ -18,11 +18,11 @@ FLOOD_WORDS = "this page sent too many messages and was disconnected; ask the pe
 MAX_DISCARDED_BYTES = 2 * 1024 * 1024
 QUIET_S = 0.2
 DISCARDS_FOR_S = 1.0
-"""How long, and how much, a disconnected client may go on sending before its connection is cut."""
+"""Time in s after which the connection of a disconnected client that still sends is aborted."""
 
 
 class RateLimit:
-    """A token bucket: so much at once, and so much per second after that.
+    """Token bucket that limits the sustained rate and the burst size.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ class RateLimit:
     burst
         Amount that is allowed at once.
     clock
-        Seconds, monotonic.
+        Monotonic clock, in seconds.
     """
 
     def __init__(self, per_s: float, burst: float, clock: Callable[[], float]) -> None:
@@ -60,10 +60,10 @@ class BoundedWebSocket(WebSocketsSansIOProtocol):
     """
 
     bytes_per_s = float("inf")
-    """Set by :func:`bounded_websocket`; also the number of bytes that may come at once."""
+    """Set by :func:`bounded_websocket`; also the largest burst in bytes."""
     _limit: RateLimit | None = None
     _num_discarded: int | None = None
-    """Bytes that came after the close frame was sent; they are not parsed."""
+    """Number of bytes received after the close frame was sent, which are not parsed; None before."""
     _quiet: asyncio.TimerHandle | None = None
 
     def data_received(self, data: bytes) -> None:
@@ -104,5 +104,5 @@ class BoundedWebSocket(WebSocketsSansIOProtocol):
 
 
 def bounded_websocket(bytes_per_s: float) -> type[BoundedWebSocket]:
-    """Return the protocol of a server whose clients may send so many bytes per second."""
+    """Return a WebSocket protocol class that limits each client to ``bytes_per_s``."""
     return type("Bounded", (BoundedWebSocket,), {"bytes_per_s": bytes_per_s})

@@ -1,4 +1,4 @@
-"""What a client sends."""
+"""Messages from a client to the server."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from carina.session.layers import LayerName
 
 
 class AskAtPlace(FrozenValue, frozen=True):
-    """A question about a point, or about a place in an airway picture."""
+    """Request about a point, or about a position in an airway image."""
 
     request_id: Count
-    """Named by the answer."""
+    """ID that the answer repeats."""
     lps: PointLps | None
     frame_id: Count | None
     column: Annotated[float, Meta(ge=0.0, le=4096.0)] | None
     row: Annotated[float, Meta(ge=0.0, le=4096.0)] | None
 
     def choice_problem(self) -> str | None:
-        """A point or a place."""
+        """Require either a point or a position in an airway image."""
         in_picture = [part is not None for part in (self.frame_id, self.column, self.row)]
         if any(in_picture) != all(in_picture) or (self.lps is None) != all(in_picture):
             return f"{self.__struct_config__.tag} needs either a point or a position in an image"
@@ -36,7 +36,7 @@ class ClientHello(ClientMessage, frozen=True, tag="hello"):
 
     wire_version: Annotated[int, Meta(ge=0, le=2**31)]
     token: Annotated[str, Meta(max_length=200)] | None = None
-    """Of the link by which a watcher came; nobody else needs one here."""
+    """Token of the link of an observer; other clients need no token."""
 
 
 class OpenUpload(ClientMessage, frozen=True):
@@ -56,7 +56,7 @@ class ImportTarget(ClientMessage, frozen=True):
 
     upload_id: Identifier
     structure: OwnName | None = None
-    """Its name or number, where the file has several."""
+    """Name or number of the structure if the file contains several."""
 
 
 class ViewSize(FrozenValue, frozen=True):
@@ -68,12 +68,12 @@ class ViewSize(FrozenValue, frozen=True):
 
 
 class Layout(ClientMessage, frozen=True):
-    """The views on screen; no others are rendered."""
+    """Views on the screen; only these views are rendered."""
 
     views: Annotated[tuple[ViewSize, ...], Meta(max_length=len(VIEW_NAMES))]
 
     def choice_problem(self) -> str | None:
-        """Each view once."""
+        """Require that each view occurs only once."""
         return (
             None
             if len({v.view for v in self.views}) == len(self.views)
@@ -88,18 +88,18 @@ class Ack(ClientMessage, frozen=True):
 
 
 class Probe(ClientMessage, frozen=True):
-    """Ask for the number of the voxel at a point; the answer is ``value``."""
+    """Request the value of the voxel at a point; the answer is ``value``."""
 
     lps: PointLps
 
 
 class Pick(ClientMessage, frozen=True):
-    """Ask for the wall under a place in an airway picture; the answer is ``picked``."""
+    """Request the wall position under a pixel of an airway image; the answer is ``picked``."""
 
     pick_id: Count
-    """Named by the answer."""
+    """ID that the answer repeats."""
     frame_id: Count
-    """The picture that is on the screen: the tip may have moved on since."""
+    """ID of the displayed frame; the tip may have moved since."""
     column: Annotated[float, Meta(ge=0.0, le=4096.0)]
     """Corner coordinates of that picture's own pixels (centre of the first = 0.5)."""
     row: Annotated[float, Meta(ge=0.0, le=4096.0)]
@@ -113,40 +113,40 @@ class AskLivePath(AskAtPlace, ClientMessage, frozen=True, tag="live_path"):
 
 
 class BranchQuestion(FrozenValue, frozen=True):
-    """A branch that is asked about; its answer names both again."""
+    """Request about a branch; the answer repeats both IDs."""
 
     request_id: Count
     branch_id: BranchId
 
 
 class AskBranchDetail(BranchQuestion, ClientMessage, frozen=True, tag="branch_detail"):
-    """Ask for what was measured along a branch; only the newest is answered, by ``branch_detail``."""
+    """Request the measurements along a branch; only the newest request is answered, by ``branch_detail``."""
 
 
 class SetFrameRate(ClientMessage, frozen=True):
-    """Ask for so many airway pictures per second while moving; resolution gives way to it, then the ray step."""
+    """Set the frame rate of the moving airway view; resolution is reduced first, then the ray step is enlarged."""
 
     rate_hz: Annotated[float, Meta(ge=5.0, le=240.0)]
 
 
 class SetLayers(ClientMessage, frozen=True):
-    """Which of what was mapped round the targets this window's slices carry; all of it, unless told."""
+    """Select the layers of the lung map on the slices of this window; the default is all layers."""
 
     layers: Annotated[tuple[LayerName, ...], Meta(max_length=8)]
 
 
 class AskStorage(ClientMessage, frozen=True):
-    """Ask what the cases and their CTs take on the disk now; the answer is ``start``."""
+    """Request the present disk usage of the cases and their CTs; the answer is ``start``."""
 
 
 class SetWatchPage(ClientMessage, frozen=True):
-    """Show the open case to this machine's network, with a new certificate and link, or to nobody."""
+    """Open the viewing page in the local network with a new certificate and link, or close it."""
 
     on: bool
 
 
 class SendAway(ClientMessage, frozen=True):
-    """End a watcher's connection, and change the link so that nobody comes back by it."""
+    """Disconnect an observer, and replace the link so that the previous link no longer works."""
 
     number: Count
 

@@ -18,11 +18,11 @@ Buttons = Annotated[int, Meta(ge=0, le=2**32 - 1)]
 
 
 class DeviceReading(FrozenValue, frozen=True):
-    """Where a device says that it is, and which of its buttons are held."""
+    """Pose that a device reports, and its pressed buttons."""
 
     device: DeviceName
     position_mm: Three | None
-    """In the device's own space; null for a device that knows only how it is turned."""
+    """Position in device space; null for a device that reports only an orientation."""
     orientation_wxyz: Four | None
     """``device_from_pen``; the pen's axes are right, down, forward."""
     buttons: Buttons
@@ -35,13 +35,13 @@ class DeviceSample(DeviceReading, ClientMessage, frozen=True):
     """
 
     time_s: Wide
-    """The device's clock, or the page's."""
+    """Time stamp of the clock of the device or of the page."""
     axes: Six | None
     """Forward, right, up, yaw right, pitch up, roll clockwise, -1 to 1 of full speed."""
     handle: Three | None
     """Insertion in mm, roll in rad, lever -1 to 1 (1 is fully down, which bends the tip up)."""
     advance: Wide
-    """Beside an orientation: how far a forward key or stick is pushed, -1 to 1 of full speed."""
+    """Deflection of a forward key or stick of a device with an orientation, -1 to 1 of full speed."""
 
     def choice_problem(self) -> str | None:
         """One of three kinds, and a position only with an orientation."""
@@ -60,7 +60,7 @@ class ConnectDevice(ClientMessage, frozen=True):
 
 
 class DisconnectDevice(ClientMessage, frozen=True):
-    """End that connection."""
+    """Close the connection to a device."""
 
     address: DeviceName
 
@@ -84,25 +84,25 @@ class WatchDevices(ClientMessage, frozen=True):
 
 
 class StartRecording(ClientMessage, frozen=True):
-    """Record the flight into the case; to a file of this machine where the case is not kept."""
+    """Record the flight into the case, or into a file on this machine if the case is not stored."""
 
 
 class Flights(ServerMessage, frozen=True):
-    """What was recorded into the case, in its order; when it changed."""
+    """Recordings of the case in order; sent after each change."""
 
     flights: Annotated[tuple[FlightInfo, ...], Meta(max_length=100_000)]
 
 
 class DeviceInfo(DeviceReading, frozen=True):
-    """A device that said something; its position is filtered."""
+    """A device that has sent samples; its position is filtered."""
 
     holds: bool
-    """It moves the tip."""
+    """Whether the device moves the tip."""
     registered: bool
     residual_mm: float | None
-    """Of the registration, root mean square."""
+    """Root-mean-square error of the registration."""
     latency_ms: float
-    """Of the filter, for the newest sample."""
+    """Delay of the filter for the newest sample."""
     num_used: Count
     num_ignored: Count
     ignored_words: Words
@@ -125,12 +125,12 @@ class NetworkPage(FrozenValue, frozen=True, kw_only=True):
     """A page that is open to the local network."""
 
     url: Words
-    """With the token: whoever has it may do what the page is for."""
+    """Link with the token; anyone who has the link can use the page."""
     address: Words
     sha256: Words
-    """Of the certificate, as browsers show it."""
+    """SHA-256 fingerprint of the certificate, as browsers show it."""
     num_refused: Count
-    """Connections with a wrong token."""
+    """Number of connections with a wrong token."""
 
 
 class PhoneInfo(NetworkPage, frozen=True, kw_only=True):
@@ -149,20 +149,20 @@ class Devices(ServerMessage, frozen=True):
 
     control: Control
     filter_latency_ms: float
-    """At rest: the most that the filter delays."""
+    """Delay of the filter at rest, which is its largest delay."""
     controls: DeviceControls
     devices: Annotated[tuple[DeviceInfo, ...], Meta(max_length=200)]
     sources: Annotated[tuple[DeviceSource, ...], Meta(max_length=50)]
     serial_ports: Annotated[tuple[Words, ...], Meta(max_length=200)]
     serial_problem: Words | None
-    """Why devices at serial ports cannot be used."""
+    """Reason why devices at serial ports cannot be used."""
     published_port: Annotated[int, Meta(ge=0, le=65_535)] | None
     recording: Words | None
-    """What is being recorded: the flight's name, or the file that it goes to."""
+    """Name of the flight that is being recorded, or its file."""
     phone: PhoneInfo | None
-    """Null while the page for a phone is closed."""
+    """State of the phone page; null while the page is closed."""
     phone_problem: Words | None
-    """Why it cannot be opened on this machine."""
+    """Reason why the page cannot be opened on this machine."""
 
 
 class StartMarked(ServerMessage, frozen=True):
@@ -175,15 +175,15 @@ class Pen(ServerMessage, frozen=True):
     """The tracked pen that moves the tip, and the point that its button marks; whenever one of them changed."""
 
     device: DeviceName | None
-    """Null: no pen moves the tip."""
+    """Pen that moves the tip; null if no pen does."""
     tracked: bool
-    """It tells its position, not only how it is turned."""
+    """Whether the pen reports its position and not only its orientation."""
     lps: Three | None
     """Its own tip in the patient; null where it is not registered: then its button marks the scope's tip.
 
     Kept up to date while a pen is armed, and in absolute movement.
     """
     off_mm: float | None
-    """In absolute movement: how far the scope's tip still is from the pen."""
+    """Distance of the scope tip from the pen in absolute movement."""
     off_deg: float | None
-    """And by how much it is still turned against it."""
+    """Angle between the scope tip and the pen in absolute movement."""

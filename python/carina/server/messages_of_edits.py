@@ -25,7 +25,7 @@ class AskEditPreview(AskAtPlace, ClientMessage, frozen=True, tag="preview_edit")
     """The branch whose fork is to move."""
 
     def choice_problem(self) -> str | None:
-        """A point or a place; a branch for one tool."""
+        """Require either a point or a position in an image, and a branch for one tool."""
         problem = super().choice_problem()
         if problem is None and (self.branch_id is None) == (self.tool == "move-fork"):
             return "preview_edit must name a branch for move-fork, and only for move-fork"

@@ -21,14 +21,14 @@ class PhoneHello(PhoneMessage, frozen=True):
 
 
 class PhoneSample(PhoneMessage, frozen=True):
-    """How the phone is turned and what is held on it; sent while something is held, and once after."""
+    """Orientation and pressed controls of the phone; sent while a control is pressed, and once after its release."""
 
     time_s: Wide
-    """The phone's clock."""
+    """Time stamp of the phone's clock."""
     orientation_wxyz: Four | None
     """``earth_from_pen``: right, down, forward, which is where the phone's upper edge points. Null without a sensor."""
     held: bool
-    """The tip turns with the phone."""
+    """Whether the tip turns with the phone."""
     advance: Wide
     """-1 (back) to 1 (forward)."""
 
@@ -40,12 +40,12 @@ class PhoneAct(PhoneMessage, frozen=True):
 
 
 class PhoneState(ToPhoneMessage, frozen=True):
-    """What the page shows; when it changes. Nothing of the patient is in it."""
+    """State that the page shows, sent after each change; it contains no patient data."""
 
     case_open: bool
     control: Literal["absolute", "relative", "path"]
     scope_held: bool
     holds: bool
-    """The phone moves the tip."""
+    """Whether the phone moves the tip."""
     words: Words
-    """Why something was refused; empty where nothing was."""
+    """Reason of a refused action; empty if no action was refused."""

@@ -1,7 +1,8 @@
-"""Notes and errors as an observer may read them: without names of files and texts of series, which may be a patient's.
+"""Notes and errors for observers, without file names and series texts, which may contain the patient's name.
 
-The words of a note about the scan may name slices by their files. Only codes whose words are known to hold no name pass
-as they are; every other code, also one that is added later, is replaced by a sentence that names the code.
+The text of a note about the scan may contain file names of slices. A text passes unchanged only if its code is known
+to have a text without names. The text of every other code, also of future codes, is replaced by a sentence with the
+code.
 """
 
 from __future__ import annotations
@@ -27,14 +28,14 @@ WITHOUT_NAMES = frozenset(
         "import.two-patients",
     }
 )
-"""Codes whose words hold numbers and fixed text alone."""
+"""Codes whose texts contain only numbers and fixed text."""
 FIXED_WORDS = {"import.not-hu": "the values of this volume are not in Hounsfield units"}
-"""The words of these codes quote tags of the file."""
+"""Replacement texts of codes whose original texts quote DICOM tags of the file."""
 ERRORS_WITHOUT_NAMES = frozenset({"session.watching", "session.pick", "session.no-case"})
 
 
 def observer_notes(notes: Sequence[wire.CaseNote]) -> tuple[wire.CaseNote, ...]:
-    """Return the lasting notes, in words without names of files."""
+    """Return the notes that are shown permanently, without file names in their texts."""
     return tuple(replace(note, words=_words(note)) for note in notes if note.badge)
 
 
@@ -46,7 +47,7 @@ def _words(note: wire.CaseNote) -> str:
 
 
 def observer_error(error: wire.Error) -> wire.Error:
-    """Return an error with its code, and with its text where that holds no name."""
+    """Return an error with its code; its text stays only if it cannot contain a file name."""
     if error.code in ERRORS_WITHOUT_NAMES:
         return error
     return replace(error, message=f"this is not available to observers ({error.code})", action=None)

@@ -1,4 +1,4 @@
-"""The plans of a case, as a wire message."""
+"""Conversion of the plans of a case (targets, routes, verdicts, turns) to a wire message."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["plans_message"]
 
 
 def plans_message(info: PlanningInfo) -> wire.Plans:
-    """What the steps *Target* and *Route* show."""
+    """Return the plans as the steps *Target* and *Route* show them."""
     return wire.Plans(
         targets=tuple(_target(one, info) for one in info.targets),
         standing=info.standing,

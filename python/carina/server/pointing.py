@@ -132,7 +132,7 @@ class Pointing:
         try:
             measures = self._session.ask(MeasuresOf(message.branch_id))
         except CarinaError as trouble:
-            # The tree has changed since: a newer one is on its way, and asks again.
+            # The tree has changed since the request; the page requests again after it receives the new tree.
             logger.debug("no measures: %s", trouble)
         except Exception as trouble:
             log_fault(logger, "measuring a branch failed", trouble)
@@ -140,7 +140,7 @@ class Pointing:
 
 
 def live_path_message(request_id: int, lps: tuple[float, float, float], path: Any) -> wire.LivePath:
-    """A :class:`carina.track.LivePath` for the screen: its points thinned out."""
+    """Return a :class:`carina.track.LivePath` as a message, with fewer points."""
     if path.problem is not None:
         return _no_path(request_id, path.problem, lps)
     points = np.asarray(path.points_lps, dtype=np.float64).reshape(-1, 3)
@@ -163,7 +163,7 @@ def _no_path(request_id: int, problem: str, lps: tuple[float, float, float] | No
 
 
 def thinned(points: NDArray[np.float64], every_mm: float = POINT_EVERY_MM) -> NDArray[np.float64]:
-    """Points (n, 3) at least so far apart along the way, with both ends."""
+    """Return points (n, 3) with a minimum distance along the line; both ends stay."""
     if len(points) < 3:
         return points
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
@@ -180,7 +180,7 @@ def _rounded(value: float | None) -> float | None:
 def edit_preview_message(
     message: wire.AskEditPreview, lps: tuple[float, float, float], preview: EditPreview
 ) -> wire.EditPreview:
-    """A :class:`carina.track.EditPreview` for the screen: every point, as the edit would make it."""
+    """Return a :class:`carina.track.EditPreview` as a message, with every point that the edit would create."""
     if preview.problem is not None:
         return _no_preview(message, lps, preview.problem)
     return wire.EditPreview(
@@ -196,7 +196,7 @@ def edit_preview_message(
 
 
 def no_evidence_message(event: NotEvident) -> wire.NoEvidence:
-    """The question whether a branch is to be drawn by hand."""
+    """Return the message that asks the user whether to draw a branch by hand."""
     error = event.error
     length_mm = float(np.linalg.norm(np.diff(error.way_lps, axis=0), axis=1).sum())
     return wire.NoEvidence(
@@ -211,7 +211,7 @@ def no_evidence_message(event: NotEvident) -> wire.NoEvidence:
 
 
 def _line(points_lps: NDArray[np.float64], doubtful: NDArray[np.bool_], drawn: NDArray[np.bool_]) -> wire.EditLine:
-    # Not rounded: the branch that is made has these very points.
+    # The points are not rounded, because the edit creates the branch with exactly these points.
     points = tuple((float(x), float(y), float(z)) for x, y, z in points_lps)
     return wire.EditLine(points, tuple(bool(d) for d in doubtful), tuple(bool(d) for d in drawn))
 

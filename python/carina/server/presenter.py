@@ -1,4 +1,4 @@
-"""What the session knows, as wire messages."""
+"""Conversion of session values to wire messages."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def start_message(
     patient_citation: Citation | None,
     storage: StorageInfo | None = None,
 ) -> wire.Start:
-    """Return the contents of the start page; paths stay on the server's side."""
+    """Return the contents of the start page; the message contains no file paths."""
     cases = tuple(_listed(case) for case in recent)
     beside = None
     if storage is not None:
@@ -72,7 +72,7 @@ def start_message(
 
 
 def _listed(case: ListedCase) -> wire.RecentCase:
-    """Another picture has another address: a browser keeps none of them, but shows what it has."""
+    """Return the list entry of a case; the URL of its thumbnail changes with the thumbnail, so browsers reload it."""
     made_s = case.pictured_s
     return wire.RecentCase(
         recent_id=case.recent_id,
@@ -89,14 +89,14 @@ def _listed(case: ListedCase) -> wire.RecentCase:
     )
 
 
-# Rows of a curved picture that its header names, linear between: this far apart, but not more than these many, since a
-# header has its limit.
+# A frame header lists only some rows of a curved image, and the client interpolates between these rows linearly:
+# every ROWS_APART-th row, at most MAX_ROWS_NAMED rows, because the size of a header is limited.
 ROWS_APART = 6
 MAX_ROWS_NAMED = 130
 
 
 def picture_lines(lines: PictureLines | None) -> wire.PictureLines | None:
-    """Return the lines of a curved picture, thinned out."""
+    """Return the geometry of selected rows of a curved image."""
     if lines is None:
         return None
     height = len(lines.path_mm)
@@ -109,7 +109,7 @@ def picture_lines(lines: PictureLines | None) -> wire.PictureLines | None:
     return wire.PictureLines(
         row=_floats(rows + 0.5),
         start_lps=tuple(_point(p) for p in np.round(lines.start_lps[rows], 3)),
-        # Times the width of a picture of 4096 px these still are good to a hundredth of a millimetre.
+        # Six digits keep the position error below 0.01 mm over an image width of 4096 px.
         step_lps=tuple(_point(p) for p in np.round(lines.step_lps[rows], 6)),
         path_mm=_floats(np.round(places, 3)),
         path_column=_floats(np.round(lines.path_column[rows], 2)),
@@ -150,9 +150,9 @@ def _notes(notes: Sequence[Note]) -> tuple[wire.CaseNote, ...]:
 
 
 def state_message(snapshot: Snapshot, *, frame_rate_hz: float, names_ct: bool = False) -> wire.State:
-    """Return all that is shown, but the pose, the tree and the route.
+    """Return the state of a case without the pose, the airway tree and the route.
 
-    ``names_ct`` adds the name of the CT's file, which only the user at this machine may read.
+    ``names_ct`` adds the name of the CT file, which only the user at this machine may read.
     """
     document = snapshot.document
     airways = None if document is None else document.airways
@@ -215,18 +215,18 @@ def _target(target: Any) -> wire.Target:
 
 
 def _threshold(document: Document | None) -> float | None:
-    """Return the threshold with which the airways were found, or will be searched for."""
+    """Return the lumen threshold of the present airways or, before a search, of the next search."""
     if document is None:
         return None
     if document.airways is None:
         return document.lumen_threshold
-    # None (NaN): a given lumen ends where its mask does.
+    # NaN becomes None: an imported lumen mask has no threshold.
     threshold = float(document.airways.threshold)
     return None if math.isnan(threshold) else threshold
 
 
 def route_message(route: ChosenRoute | None) -> wire.Route:
-    """Return the route with its parallel lists."""
+    """Return the route message; the lists per route point have equal lengths."""
     if route is None:
         return wire.Route(None)
     info = wire.RouteInfo(
@@ -255,7 +255,7 @@ def route_message(route: ChosenRoute | None) -> wire.Route:
 
 
 def pose_message(info: PoseInfo) -> wire.Pose:
-    """Return the newest pose."""
+    """Return the pose message of the present pose."""
     return wire.Pose(
         pose_id=info.pose_id,
         lps_from_camera=_flat(info.pose.lps_from_camera),
@@ -304,7 +304,7 @@ def history_message(snapshot: Snapshot) -> wire.History:
 
 
 def picked_message(pick_id: int, wall: WallPoint | None, depth_mm: float | None) -> wire.Picked:
-    """Return the wall under a click in the airway view."""
+    """Return the wall position under a click in the airway view; all fields are None if the click missed the wall."""
     if wall is None:
         return wire.Picked(pick_id, None, None, None, None, None, None)
     return wire.Picked(

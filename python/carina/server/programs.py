@@ -1,4 +1,4 @@
-"""Programs of this person that join the open case: commands in, and an answer when all that they started has ended."""
+"""WebSocket endpoint for programs of the user, such as notebooks, that send commands to the open case."""
 
 from __future__ import annotations
 
@@ -29,11 +29,14 @@ _numbers = itertools.count(1)
 
 JOIN_WITHIN_S = 20.0
 MAX_WAITING = 64
-"""Messages that were not done yet; beyond it nothing is read: the network waits."""
+"""Maximum number of queued messages; while the queue is full, the server reads no further message."""
 
 
 def door_of(gate: Gate) -> Door:
-    """Where programs of this machine join a server: a door that leads nowhere if they do not reach it by loopback."""
+    """Return the address and secret with which programs of this machine join a server.
+
+    The result is empty if the server is not reachable by loopback.
+    """
     host = {"0.0.0.0": "127.0.0.1", "": "127.0.0.1", "::": "::1"}.get(gate.host, gate.host)
     if not is_loopback(host):
         return Door()
@@ -42,16 +45,16 @@ def door_of(gate: Gate) -> Door:
 
 
 class JoinedProgram:
-    """What one program asks of one case. Used from one thread at a time.
+    """Executor of the commands of one program on one case; only one thread may use it at a time.
 
     Parameters
     ----------
     session
-        That has the case open.
+        Session in which the case is open.
     case_number
         The case: nothing is done to another one that is opened in its place.
     window
-        What the session knows the program by: what goes wrong is told to it, and to no window.
+        Number of the program in the session; errors of its commands are sent to the program and to no window.
     """
 
     def __init__(self, session: Session, case_number: int, window: int | None = None) -> None:
@@ -61,7 +64,7 @@ class JoinedProgram:
         self._errand = Errand(case_number)
 
     def take(self, message: Command | wire.Settle) -> wire.Settled | None:
-        """Do a command, or wait until what it and those before it started has ended; the answer, if there is one."""
+        """Execute a command and return None, or wait for the jobs of the earlier commands and return their result."""
         if isinstance(message, wire.Settle):
             return self._settle(message)
         with self._errand.doing():
@@ -100,7 +103,7 @@ class JoinedProgram:
 
 
 def problem_of(error: CarinaError) -> wire.Problem:
-    """What a program is told of an error, so that it can raise the same."""
+    """Return an error as a message, from which the program can raise the same error."""
     problem = wire.Problem(kind_of(error), error.code, str(error))
     if not isinstance(error, NoEvidenceError):
         return problem
@@ -121,7 +124,7 @@ def _fault(trouble: BaseException) -> CarinaError:
 
 
 async def serve_program(websocket: WebSocket, session: Session) -> None:
-    """One program, from its first message until it leaves or its case is closed."""
+    """Serve one program from its first message until it disconnects or its case is closed."""
     try:
         async with asyncio.timeout(JOIN_WITHIN_S):
             join = wire.parse_join_message(await receive_text(websocket, who="program"))
@@ -147,7 +150,7 @@ async def serve_program(websocket: WebSocket, session: Session) -> None:
 
 
 async def _work(websocket: WebSocket, session: Session, case_number: int) -> None:
-    # Windows count up from 1.
+    # Programs have negative numbers, because windows have numbers from 1.
     window = -next(_numbers)
     program = JoinedProgram(session, case_number, window)
     waiting: asyncio.Queue[Command | wire.Settle] = asyncio.Queue(MAX_WAITING)
@@ -155,7 +158,7 @@ async def _work(websocket: WebSocket, session: Session, case_number: int) -> Non
 
     def note(event: Event) -> None:
         if isinstance(event, Changed) and "start" in event.topics and session.snapshot().case_number != case_number:
-            with contextlib.suppress(RuntimeError):  # the loop has ended
+            with contextlib.suppress(RuntimeError):  # the loop is closed
                 loop.call_soon_threadsafe(closed.set)
 
     async def read() -> None:
@@ -175,7 +178,7 @@ async def _work(websocket: WebSocket, session: Session, case_number: int) -> Non
         await closed.wait()
         raise ProtocolError("the case was closed", code="protocol.case-closed")
 
-    # Of its own: it waits as long as jobs take.
+    # A separate thread, because take() waits until jobs have ended.
     thread = ThreadPoolExecutor(1, thread_name_prefix="carina-joined")
     unsubscribe = session.subscribe(note, window=window)
     tasks = [asyncio.create_task(one) for one in (read(), work(), end())]

@@ -1,4 +1,4 @@
-"""What comes on a WebSocket of the wire: text, one message at a time."""
+"""Receiving of text messages from a WebSocket."""
 
 from __future__ import annotations
 
@@ -10,7 +10,22 @@ __all__ = ["receive_text"]
 
 
 async def receive_text(websocket: WebSocket, *, who: str) -> str:
-    """The next text of the other side, which ``who`` names; raises where it is gone, or sends anything else."""
+    """Return the next text message of a WebSocket.
+
+    Parameters
+    ----------
+    websocket
+        The connection.
+    who
+        Name of the client in the error message.
+
+    Raises
+    ------
+    WebSocketDisconnect
+        If the client has closed the connection.
+    ProtocolError
+        With code ``protocol.type`` if the client sent a binary message.
+    """
     message = await websocket.receive()
     if message["type"] == "websocket.disconnect":
         raise WebSocketDisconnect(message.get("code", 1006), message.get("reason"))

@@ -31,7 +31,7 @@ STEM: dict[ReportKind, str] = {"report": "plan", "tracing": "tracing-sheet"}
 """Stem of every file name by kind of report, which contains neither the patient nor the case."""
 SHEET_SHARE = 0.8
 LOOK_S = 0.2
-# A page of its own origin, which reaches nothing of the workstation's; the report's own policy holds besides.
+# The sandbox gives the report a separate origin without access to the server; the report also has its own policy.
 SANDBOX = "sandbox allow-scripts allow-modals"
 
 
@@ -52,7 +52,7 @@ class Reports:
     ) -> Response:
         """Return a response with the report or plan file of this suffix, which is deleted after the response.
 
-        ``identity`` is that of a DICOM file: nothing of the patient unless asked.
+        ``identity`` selects the patient identity in DICOM files; the default contains no patient data.
 
         Raises
         ------
@@ -156,7 +156,7 @@ class _Archive:
 
 
 def _with_verdicts(session: Session, materials: PlanMaterials, target_id: str, job: Job) -> PlanMaterials:
-    """With the verdicts of all instruments, which are waited for: a report that counts half of them misleads."""
+    """Return the planning data after all instrument verdicts are ready, because an incomplete report misleads."""
     waited = False
     while session.ask(PlanningOf()).verdicts_standing == "making":
         waited = True

@@ -1,8 +1,9 @@
-"""Who may talk to the server: Host, Origin, the start token, the cookie, and the bearer secret (docs/contracts.md).
+"""Access control of the server: Host, Origin, start token, cookie, and bearer secret (docs/contracts.md).
 
-The server holds a patient's images and listens on a port that every web page of the same browser can address. So: the
-Host header is checked on every request (DNS rebinding), Origin on everything that changes something (cross-site
-requests), and only who came by the printed link or knows the secret gets more than the client's own files.
+The server has the images of a patient and listens on a port that every web page in the same browser can address.
+Therefore the Host header is checked on every request (DNS rebinding), and the Origin header on every request that
+changes something (cross-site requests). Clients without the cookie or the secret receive only the files of the web
+client.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ def comes_from_this_machine(scope: Mapping[str, Any]) -> bool:
 
 
 def _split_host(header: str) -> tuple[str, int | None] | None:
-    """Name and port of a Host header; None where it is none."""
+    """Return the name and port of a Host header; None if the header is invalid."""
     name, port_text = header, ""
     if header.startswith("["):
         name, bracket, rest = header[1:].partition("]")
@@ -60,10 +61,11 @@ def _split_host(header: str) -> tuple[str, int | None] | None:
 
 
 def host_allowed(header: str, *, bound_host: str, port: int) -> bool:
-    """Whether a Host header names the address that the server listens on.
+    """Return whether a Host header names the address on which the server listens.
 
-    A rebinding attack comes with the attacker's *name* in Host. On loopback only loopback's names pass; on any other
-    address its own name, this machine's name, and literal addresses, which no name server can turn.
+    In a DNS rebinding attack the Host header contains the domain name of the attacker. A server on a loopback address
+    accepts only loopback names. A server on another address also accepts that address, the name of this machine, and
+    literal IP addresses, which DNS cannot redirect.
     """
     parts = _split_host(header)
     if parts is None or (parts[1] or 80) != port:
@@ -83,10 +85,10 @@ def host_allowed(header: str, *, bound_host: str, port: int) -> bool:
 
 
 class TokenGate:
-    """Who may come by a link into the local network: its token, and how many others were tried.
+    """Token of a link for clients in the local network, with a count of refused tokens.
 
-    Nobody guesses 128 bits, so wrong tokens, however many, do not keep out who has the right one: any machine of the
-    network could shut everybody out by sending some now and then.
+    Wrong tokens never block the correct one: a token of 128 bits cannot be guessed, and a lock-out would let any
+    machine of the network exclude the others.
     """
 
     def __init__(self) -> None:
@@ -94,21 +96,21 @@ class TokenGate:
         self.num_refused = 0
 
     def admits(self, token: str) -> bool:
-        """Whether it is the link's token."""
+        """Return whether a token is the token of the link; count a wrong one."""
         if token.isascii() and secrets.compare_digest(token, self.token):
             return True
         self.num_refused += 1
         return False
 
     def renew(self) -> None:
-        """Another token: by the present one nobody comes in any more."""
+        """Replace the token; the previous one is no longer accepted."""
         self.token = secrets.token_urlsafe(16)
 
 
 class Gate:
-    """The secrets of one server, and the checks of one request.
+    """Secrets of one server, and the checks of each request.
 
-    ``secret`` is what programs send as bearer; the cookie carries another value, so that neither reveals the other.
+    Programs send ``secret`` as bearer token. The cookie has a different value, so that neither value reveals the other.
     """
 
     def __init__(self, *, host: str, port: int, scheme: Literal["http", "https"] = "http") -> None:
@@ -122,12 +124,12 @@ class Gate:
 
     @property
     def cookie_name(self) -> str:
-        """Cookies know no ports: two Carinas on one machine must not overwrite each other's."""
+        """Name of the cookie; it contains the port, because cookies of one host are shared by all ports."""
         return f"carina_{self.port}"
 
     @property
     def set_cookie(self) -> str:
-        """The value of the Set-Cookie header."""
+        """Value of the Set-Cookie header."""
         return f"{self.cookie_name}={self._cookie_value}; Path=/; HttpOnly; SameSite=Strict"
 
     def new_token(self) -> str:
@@ -138,7 +140,7 @@ class Gate:
         return token
 
     def redeem(self, token: str) -> bool:
-        """Return True once for each token, and use it up."""
+        """Return whether a start token is valid, and invalidate the token."""
         if not token.isascii():
             return False
         with self._lock:
@@ -147,7 +149,15 @@ class Gate:
         return bool(found)
 
     def refusal(self, *, method: str | None, headers: Mapping[str, str]) -> str | None:
-        """Why a request is refused whoever sends it, or None. ``method`` None is a WebSocket."""
+        """Return the reason why a request is refused, or None; cookies are not checked here.
+
+        Parameters
+        ----------
+        method
+            HTTP method; None for a WebSocket.
+        headers
+            Headers of the request.
+        """
         if not host_allowed(headers.get("host", ""), bound_host=self.host, port=self.port):
             return "this is not the address that Carina is listening on"
         origin = headers.get("origin")
@@ -156,13 +166,13 @@ class Gate:
                 return "the request does not state which page it comes from"
             return None
         scheme, _, rest = origin.partition("://")
-        # The same host and port as the one this request was sent to, which was checked above.
+        # The origin must have the host and port of the Host header, which was checked above.
         if scheme != self.scheme or rest.lower() != headers.get("host", "").lower():
             return "the request comes from another page"
         return None
 
     def authorised(self, headers: Mapping[str, str]) -> bool:
-        """Whether the request carries the cookie or the bearer secret."""
+        """Return whether a request contains the cookie or the bearer secret."""
         return self._bearer_matches(headers) or self._cookie_matches(headers)
 
     def _bearer_matches(self, headers: Mapping[str, str]) -> bool:

@@ -1,4 +1,4 @@
-"""Tasks that send on a socket beside the one that reads it."""
+"""Tasks that send on a WebSocket while another task reads from it."""
 
 from __future__ import annotations
 
@@ -16,18 +16,23 @@ __all__ = ["start_sender"]
 logger = logging.getLogger(__name__)
 
 INTERNAL_ERROR = 1011
-"""RFC 6455, 7.4.1; who gets it may come back."""
+"""WebSocket close code for an internal error (RFC 6455, 7.4.1); the client may connect again."""
 
 
 def start_sender(websocket: WebSocket, who: str, sending: Coroutine[None, None, None]) -> asyncio.Task[None]:
-    """A task that sends until it is cancelled or the other side is gone; it raises nothing but its cancelling.
+    """Start a task that runs ``sending`` until it is cancelled or the client disconnects, and return the task.
 
-    A fault of ours ends the connection: else the other side would wait for ever, with an old picture or force.
+    The task raises only ``CancelledError``. An internal error closes the connection; otherwise the client would wait
+    without end and show an old frame or apply an old force.
 
     Parameters
     ----------
+    websocket
+        The connection on which ``sending`` sends.
     who
-        The other side, for the log.
+        Name of the client, for the log.
+    sending
+        Coroutine that sends the messages.
     """
 
     async def send() -> None:
@@ -37,7 +42,7 @@ def start_sender(websocket: WebSocket, who: str, sending: Coroutine[None, None, 
             pass
         except Exception as trouble:
             if websocket.application_state is not WebSocketState.CONNECTED:
-                return  # closed from elsewhere, which sending does not take
+                return  # another task closed the connection, so sending failed
             log_fault(logger, f"sending to {who} failed; its connection is closed", trouble)
             with contextlib.suppress(RuntimeError, WebSocketDisconnect):
                 await websocket.close(INTERNAL_ERROR, "this connection failed: internal error in Carina")

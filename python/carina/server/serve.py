@@ -1,4 +1,4 @@
-"""Start the workstation: bind, print the link, run until Ctrl-C."""
+"""Start of the workstation server: bind the port, print the start link, run until Ctrl-C."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def start_url(gate: Gate) -> str:
 
 
 class _Server(EndingServer):
-    """Says when it is ready to answer."""
+    """Uvicorn server that calls ``on_started`` when it accepts connections."""
 
     def __init__(self, config: uvicorn.Config, strangers: Strangers, on_started: Callable[[], None]) -> None:
         super().__init__(config, strangers)
@@ -58,7 +58,7 @@ class _Server(EndingServer):
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         await super().startup(sockets=sockets)
         for sock in sockets or ():
-            # The library's one number is both: how many are taken at once, and how many may wait to be.
+            # uvicorn's backlog sets both the accepts per loop turn and the listen queue; this sets the queue alone.
             sock.listen(WAITING_IN_LINE)
         if self.started and not self.should_exit:
             self._on_started()
@@ -78,10 +78,10 @@ def make_server(
     watch_address: str | None = None,
     closes_session: bool = True,
 ) -> uvicorn.Server:
-    """Return the server over a session.
+    """Return the HTTP and WebSocket server of a session.
 
-    ``server.run(sockets=[sock])`` runs it, and ``server.should_exit = True`` ends it; the session is closed then,
-    unless ``closes_session`` is false.
+    ``server.run(sockets=[sock])`` runs the server, and ``server.should_exit = True`` stops it. The server then closes
+    the session unless ``closes_session`` is False.
     """
     uploads = uploads or Uploads()
     info = build_info or {}
@@ -103,12 +103,12 @@ def make_server(
         http=impatient(strangers, gate.authorised),
         backlog=ACCEPT_AT_ONCE,
         ws="websockets-sansio",
-        ws_per_message_deflate=False,  # 3 ms a picture, for nothing: JPEG does not shrink
-        # What is too large is refused in words once it has been read. A connection that the library closes in the
-        # middle of a message, as it does far beyond, is reset, and the reason lost.
+        ws_per_message_deflate=False,  # compression costs 3 ms per frame, and JPEG data do not shrink
+        # Carina refuses a message above MAX_TEXT_BYTES with a reason after it has read the message. Only above four
+        # times this size does the library close the connection, in the middle of the message and without a reason.
         ws_max_size=4 * MAX_TEXT_BYTES,
         ws_max_queue=1024,
-        access_log=False,  # a start URL holds a token
+        access_log=False,  # a start URL contains a token
         log_config=None,
         log_level="warning",
         lifespan="on",
@@ -135,7 +135,7 @@ def serve(
     make_renderer: RendererFactory | None = None,
     cluster_status: Callable[[], ClusterStatus] | None = None,
 ) -> int:
-    """Start the workstation and stay until Ctrl-C, SIGTERM or SIGHUP.
+    """Start the workstation, and return after Ctrl-C, SIGTERM or SIGHUP.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ def serve(
     UnsavedWorkError
         If work is lost. A user at a terminal is asked first, and may save the case elsewhere.
     CarinaError
-        ``server.port`` if the port is in use; with ``phone``, ``phone.missing`` or ``server.no-network``.
+        ``server.port`` if the port is in use; with ``phone`` also ``phone.missing`` or ``server.no-network``.
     """
     if path is not None and demo is not None:
         raise UsageError("expected a path or a demo; found both")
@@ -198,7 +198,7 @@ def serve(
     _leave_no_core(settings.log_level)
     records = CaseRecords(settings.cases_dir, time.time, settings.documents_dir)
     store = LocalStore(settings.config_dir)
-    # Before a case is open here: the record of an open case is its owner's to write.
+    # Titles are removed before a case is opened, because only the owner of an open case may write its record.
     records.remove_titles()
     store.remove_titles()
 
@@ -206,7 +206,7 @@ def serve(
         cache.sweep()
         records.empty_forgotten(FORGOTTEN_FOR_S)
 
-    # What is too old or too much goes while the window opens; work never does.
+    # Old cache files and forgotten cases are deleted while the window opens; unsaved work is never deleted.
     threading.Thread(target=sweep, name="carina-sweep", daemon=True).start()
     with bind(host, port) as sock:
         gate = Gate(host=host, port=sock.getsockname()[1])
@@ -233,7 +233,7 @@ def serve(
                 on_ready(start_url(gate), gate.secret)
             if open_browser:
                 url = start_url(gate)
-                # In a thread: some launchers wait for the browser.
+                # A thread is needed because some launchers wait until the browser closes.
                 threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
 
         server = make_server(
@@ -245,9 +245,9 @@ def serve(
             build_info=_build_info(),
             phone=page,
             cluster_status=cluster_status,
-            # Where a person said that the phone's page listens, this one does too.
+            # The viewing page listens on the address that the user gave for the phone page.
             watch_address=phone_address,
-            # Closed below, where a user can still be asked what to do with unsaved work.
+            # The session is closed below, where a user can still decide about unsaved work.
             closes_session=False,
         )
 
@@ -267,7 +267,7 @@ def serve(
                 finally:
                     unquieten()
             except KeyboardInterrupt:
-                # uvicorn has ended cleanly and raises the signal again; Ctrl-C is how a workstation is closed.
+                # uvicorn has stopped and raises the signal again; Ctrl-C is the normal way to close the workstation.
                 pass
             finally:
                 signals.begin_closing()
@@ -289,7 +289,7 @@ def _leave_no_core(log_level: str) -> None:
 
 
 def sweep_leftovers() -> None:
-    """Remove what a Carina of this person that was killed has left: uploads, and drafts of files of Carina's own."""
+    """Delete the uploads and unfinished files that a killed Carina process of this user left behind."""
     settings = load_settings()
     sweep_scratch()
     for folder in (settings.config_dir, settings.state_dir, settings.cache_dir, settings.cache_dir / "maps"):
@@ -309,7 +309,7 @@ _PHONE_WARNING = (
 
 
 def _refuse_early(path: str, cache: VolumeCache) -> None:
-    """Refuse on the command line what cannot be opened, before a window opens."""
+    """Raise the error of a path that cannot be opened, before a window opens."""
     from carina import volume
     from carina.case import CaseFile
 

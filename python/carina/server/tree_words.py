@@ -1,4 +1,4 @@
-"""The airway tree as messages: branches, names in full, what was measured, what could not be followed."""
+"""Conversion of the airway tree to wire messages: branches, full names, measurements, and open ends."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def tree_message(airways: Any, measures: Any = None) -> wire.Tree:
     airways
         :class:`carina.track.Airways`, or None.
     measures
-        :class:`carina.track.TreeMeasures` of just these airways, or None.
+        :class:`carina.track.TreeMeasures` of the same airways, or None if they are not ready.
     """
     if airways is None:
         return wire.Tree(None, (), None, (), ())
@@ -80,7 +80,10 @@ def branch_measures(measures: Any) -> wire.BranchMeasures:
 
 
 def _narrowest_error_mm(measures: Any) -> float | None:
-    """Return the error of the narrowest diameter; that of the least section where an earlier version measured it."""
+    """Return the error of the narrowest diameter in mm.
+
+    Measurements of earlier versions do not contain this error; the error at the smallest cross-section replaces it.
+    """
     summary = measures.summary
     if summary.min_mm is None or summary.min_error_mm is not None:
         return cast(float | None, summary.min_error_mm)
@@ -89,7 +92,7 @@ def _narrowest_error_mm(measures: Any) -> float | None:
 
 
 def branch_detail_message(message: wire.AskBranchDetail, measures: Any) -> wire.BranchDetail:
-    """Return the measurements along a branch for the chart; they are null until they are ready."""
+    """Return the measurements along a branch for the chart; their fields are None until they are ready."""
     if measures is None:
         return wire.BranchDetail(message.request_id, message.branch_id, None, None)
     profile = wire.BranchProfile(

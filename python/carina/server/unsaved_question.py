@@ -24,7 +24,7 @@ PROMPT = f"[{RETRY}/PATH/{QUIT}] "
 
 
 class Terminal(Protocol):
-    """Where the question is asked."""
+    """Interface of a terminal on which the user answers questions."""
 
     @property
     def is_interactive(self) -> bool:
@@ -51,19 +51,19 @@ class ConsoleTerminal:
 
     @property
     def is_interactive(self) -> bool:
-        """Whether both are a terminal."""
+        """Whether standard input and standard error are both connected to a terminal."""
         try:
             return not self._is_gone and sys.stdin.isatty() and sys.stderr.isatty()
         except (AttributeError, ValueError):  # closed, or a program without a console
             return False
 
     def say(self, text: str) -> None:
-        """Print a line without the control characters of file names; nothing where the terminal has gone."""
+        """Print a line without the control characters of file names; do nothing if the terminal was closed."""
         with contextlib.suppress(OSError, ValueError):
             print(printable(as_terminal_text(text)), file=sys.stderr, flush=True)
 
     def ask(self, prompt: str) -> str | None:
-        """Return the line that the user types; None at the end of the input, and where the terminal has gone."""
+        """Return the line that the user types; None at the end of the input or if the terminal was closed."""
         try:
             print(prompt, end="", file=sys.stderr, flush=True)
             line = sys.stdin.readline()
@@ -73,7 +73,7 @@ class ConsoleTerminal:
 
 
 def close_session(session: Session, terminal: Terminal) -> None:
-    """Close a session; first ask what to do with unsaved work, where a user can answer.
+    """Close a session; if a user can answer, first ask what to do with unsaved work.
 
     A user who interrupts quits at once. No window is left, so messages about a named file that could not be updated are
     printed.
@@ -81,7 +81,7 @@ def close_session(session: Session, terminal: Terminal) -> None:
     Raises
     ------
     UnsavedWorkError
-        If work is lost, or a file that the user saved the case to does not have all of it.
+        If work is lost, or a file to which the user saved the case lacks part of the work.
     """
     quits = False
     with named_file_messages(session.subscribe) as messages:
@@ -92,7 +92,7 @@ def close_session(session: Session, terminal: Terminal) -> None:
             quits = True
         with contextlib.suppress(KeyboardInterrupt):
             if quits:
-                # The user has seen the problem: no disk is waited for again.
+                # The user has read the problem, so do not wait for the disk again.
                 session.close(0.0)
             else:
                 session.close()

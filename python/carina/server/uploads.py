@@ -1,7 +1,7 @@
-"""Files dropped on the window: written to a folder of their own, bounded, and gone when they are no longer needed.
+"""Temporary storage of files that a user drops on the window, limited in size and number.
 
-Their names on the disk say nothing of the patient (``dropped_names.py``), and the folder outlives no crash
-(``disk.scratch``).
+The file names on disk contain no patient data (``dropped_names.py``). ``disk.scratch`` also deletes the folders that
+a crash leaves behind.
 """
 
 from __future__ import annotations
@@ -28,33 +28,33 @@ GIB = 1024**3
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """How much one upload may hold."""
+    """Limits of one upload in files and bytes, and of the number of uploads."""
 
     num_files: int = 4096
     total_bytes: int = 4 * GIB
     file_bytes: int = 2 * GIB
     num_uploads: int = 2
-    """Beyond this the oldest is given up."""
+    """Maximum number of uploads; beyond it, the oldest upload is deleted."""
 
 
 def safe_relative_path(name: str) -> Path:
-    """Return a relative path made of harmless parts of the name that a browser sent; never empty, never upwards.
+    """Return a safe relative path for a file name that a browser sent; the path is never empty.
 
-    Every part keeps letters, digits, ``._-`` and spaces; leading dots go, so that neither ``..`` nor hidden files
-    remain.
+    Letters, digits, ``._-`` and spaces stay; every other character becomes ``_``. Leading dots are removed from each
+    part, so that the path contains neither ``..`` nor hidden files. Only the last six parts remain.
     """
     parts = []
     for raw in re.split(r"[/\\]+", name):
         part = re.sub(r"[^A-Za-z0-9._ \-]", "_", raw).lstrip(". ").rstrip(". ")
         if part:
             parts.append(part[-100:].lstrip(". ") or "_")
-    # Windows' device names are files everywhere; a prefix makes them ordinary.
+    # Windows reserves its device names in every folder; a prefix makes them usable.
     parts = [f"_{p}" if re.fullmatch(r"(?i)(con|prn|aux|nul|com\d|lpt\d)(\..*)?", p) else p for p in parts]
     return Path(*parts[-6:]) if parts else Path("file")
 
 
 def _remove(path: Path) -> None:
-    # Not only "missing": where a file stands in place of the folder, the way itself is none.
+    # Not only FileNotFoundError: NotADirectoryError is raised if a part of the path is a file.
     with contextlib.suppress(OSError):
         path.unlink()
 
@@ -65,22 +65,22 @@ class _Upload:
     tag: str
     folder: Path
     own: dict[Path, tuple[Path, str]] = field(default_factory=dict)
-    """What each file's name was: made harmless, and as the browser sent it."""
+    """For each path on disk: the safe relative path, and the last part of the name that the browser sent."""
     num_files: int = 0
     num_bytes: int = 0
 
 
 class Uploads:
-    """The uploads of one server, each in a temporary folder of its own."""
+    """The uploads of one server; each upload has its own temporary folder."""
 
     def __init__(self, limits: Limits | None = None) -> None:
         self._limits = limits or Limits()
         self._uploads: dict[str, _Upload] = {}
         self.names = DroppedNames()
-        """What the dropped files are called, for messages."""
+        """Original names of the dropped files, for messages to the user."""
 
     def begin(self) -> str:
-        """Begin an empty upload, and return its id.
+        """Create an empty upload, and return its ID.
 
         Raises
         ------
@@ -109,14 +109,14 @@ class Uploads:
         return upload_id
 
     async def add(self, upload_id: str, name: str, body: AsyncIterator[bytes]) -> None:
-        """Write one file.
+        """Write one file of an upload to disk.
 
         Raises
         ------
         UsageError
-            If the upload is gone, or a bound is passed; the file is then removed.
+            If the upload was deleted, or a limit is exceeded; the file is then removed.
         DiskError
-            If there is no room for it; the file is then removed.
+            If the file cannot be written, for example because the disk is full; the file is then removed.
         """
         upload = self._needed(upload_id)
         if upload.num_files >= self._limits.num_files:
@@ -146,7 +146,7 @@ class Uploads:
             raise
 
     def place(self, upload_id: str) -> Path:
-        """Return what to open: the only file, a header file with its data beside it, or the folder."""
+        """Return the path to open: the only file, the only ``.mhd``/``.nhdr`` header, or else the folder."""
         upload = self._needed(upload_id)
         files = sorted(p for p in upload.folder.rglob("*") if p.is_file())
         if not files:
@@ -157,13 +157,13 @@ class Uploads:
         return _joined(upload, headers[0]) if len(headers) == 1 else upload.folder
 
     def discard(self, upload_id: str) -> None:
-        """Remove an upload's files; nothing if it is gone."""
+        """Delete the files of an upload; do nothing if the upload does not exist."""
         upload = self._uploads.pop(upload_id, None)
         if upload is not None:
             upload.scratch.remove()
 
     def close(self) -> None:
-        """Remove everything."""
+        """Delete all uploads."""
         for upload_id in list(self._uploads):
             self.discard(upload_id)
 
@@ -177,7 +177,7 @@ class Uploads:
         relative = safe_relative_path(name)
         place = self.names.neutral(upload.tag, PurePosixPath(relative.as_posix()), name)
         while (path := upload.folder / place).exists():
-            # Two names may become one when cleaned; both files count.
+            # Two different names may have the same safe form; both files are stored.
             place = self.names.another(upload.tag, place)
         if not path.resolve().is_relative_to(upload.folder):
             raise UsageError("this file name cannot be used", code="upload.name")
@@ -196,12 +196,15 @@ def _open_new(path: Path) -> BinaryIO:
 
 
 def _joined(upload: _Upload, header: Path) -> Path:
-    """Return a header that finds its data: by the neutral name of its one file, else by the original names.
+    """Make a header refer to its data files as they are named on disk, and return the path of the header.
+
+    If the header names one file of the upload, the neutral name of this file is written into the header. Otherwise
+    the files get the safe form of their original names.
 
     Raises
     ------
     DiskError
-        If there is no room for the header.
+        If a file cannot be read, written or renamed.
     """
     try:
         data = header.read_bytes() if header.stat().st_size <= _MAX_HEADER_BYTES else b""
@@ -216,7 +219,7 @@ def _joined(upload: _Upload, header: Path) -> Path:
                     return header
             if wanted.upper() == "LOCAL":
                 return header
-        # A list, or a pattern of numbers: they must be called as it says, for as long as it is read.
+        # The header contains a list or a number pattern of names, so the files must have their original names.
         for path, (relative, _) in upload.own.items():
             back = upload.folder / relative
             create_folders(back.parent, private=True)

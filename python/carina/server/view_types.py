@@ -32,7 +32,7 @@ ROW_FIELDS = (
     "orbit",
     "max_px",
 )
-"""What the client asks of a view."""
+"""Fields of a view that the client uses."""
 
 
 def _value(value: Any) -> str:
@@ -50,7 +50,7 @@ def _table(name: str, key: str | None, words: str, rows: Mapping[Any, Mapping[st
 
 
 def views_typescript() -> str:
-    """Views, cells and planes as constants, so that their types are the values that stand in them."""
+    """Return TypeScript constants of the views, cells and planes, whose types are their literal values."""
     planes = {
         name: {
             "axis": display.normal_axis,

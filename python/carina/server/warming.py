@@ -1,4 +1,4 @@
-"""What the first question about other airways would wait for is found out before anybody asks."""
+"""Computation of cached values of new airways in advance, so that the first live path is not delayed."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ logger = logging.getLogger(__name__)
 
 
 class Warming:
-    """Asks for a path through new airways, in a thread of its own: the session then knows the scan's noise.
+    """Thread that requests a path in new airways, so that the session caches the noise of the scan.
 
     Parameters
     ----------
     session
-        Who is asked.
+        Session that computes the path.
     """
 
     def __init__(self, session: Session) -> None:
@@ -29,15 +29,15 @@ class Warming:
         self._warmed: object = None
 
     def start(self) -> None:
-        """Begin."""
+        """Start the thread."""
         self._newest.start()
 
     def stop(self) -> None:
-        """End."""
+        """Stop the thread and wait for the computation in progress."""
         self._newest.stop()
 
     def airways_changed(self) -> None:
-        """Ask about them, unless they are the ones that were asked about last; from any thread."""
+        """Request a path if the airways differ from those of the last request; callable from any thread."""
         self._newest.ask("root", self._ask_for_the_root)
 
     def _ask_for_the_root(self) -> None:

@@ -1,7 +1,7 @@
-"""The page by which others of the local network watch: an encrypted server of its own, off until a person opens it.
+"""HTTPS server of the viewing page for observers in the local network; the user starts it explicitly.
 
-It runs in the workstation's event loop, since what it shows is written there. It knows the client's files and one
-socket; whoever does not bring the link's token gets no window.
+The server runs in the event loop of the workstation, because the messages for observers are created there. It serves
+the files of the web client and one WebSocket. A client without the token of the link gets no window.
 """
 
 from __future__ import annotations
@@ -38,18 +38,18 @@ from carina.server.window import Window
 __all__ = ["MAX_WATCHERS", "WatchPage"]
 
 MAX_WATCHERS = 4
-"""Beside the windows of who works here."""
+"""Maximum number of observers; the windows of the workstation are not counted."""
 MAX_MESSAGE_BYTES = 8192
 MAX_BYTES_PER_S = 65_536
-"""Of one observer; 600 messages have about 50,000 bytes."""
+"""Limit for one observer; 600 messages have about 50,000 bytes."""
 WRONG_TOKEN_WAIT_S = 0.5
 FAREWELL_S = 1.0
-"""How long watchers may take to hear why they are sent away."""
+"""Time in s during which observers can receive the reason before the page closes."""
 
 
 @dataclass(slots=True)
 class _Open:
-    """All that ends when the page is closed."""
+    """Server, task, tokens and observers of an open viewing page."""
 
     server: LanServer
     serving: asyncio.Task[None]
@@ -63,7 +63,7 @@ class _Open:
 
     def info(self) -> wire.WatchPage:
         shown = f"[{self.address}]" if ":" in self.address else self.address
-        # Behind the #: a browser sends it nowhere and keeps it out of every Referer; the page hands it over by itself.
+        # A browser sends the part after # to no server and in no Referer header; the page sends the token itself.
         url = f"https://{shown}:{self.port}/#{self.tokens.token}"
         watchers = tuple(watcher for _, watcher in self.watchers.values())
         return wire.WatchPage(
@@ -76,12 +76,12 @@ class _Open:
 
 
 class WatchPage:
-    """Opens and closes the page; event loop only.
+    """Server of the viewing page, which can be started and stopped; call its methods in the event loop.
 
     Parameters
     ----------
     attach
-        Makes a window for a watcher.
+        Function that creates the window of an observer.
     changed
         Told when the page opens or closes, and when a watcher comes or goes.
     flooded
@@ -89,7 +89,7 @@ class WatchPage:
     web
         Folder of the built client; None where it was not built.
     address
-        Where to listen; None takes this machine's address in its network.
+        Address to listen on; None selects this machine's address in the local network.
     """
 
     def __init__(
@@ -111,7 +111,7 @@ class WatchPage:
 
     @cached_property
     def problem(self) -> str | None:
-        """Why it cannot be opened, in words."""
+        """Message that says why the page cannot be opened, or None."""
         if self._web is None:
             return not_built("the window")
         if importlib.util.find_spec("cryptography") is None:
@@ -120,15 +120,15 @@ class WatchPage:
 
     @property
     def is_open(self) -> bool:
-        """Whether anybody may watch."""
+        """Whether the page is open."""
         return self._open is not None
 
     def info(self) -> wire.WatchPage | None:
-        """Return what the windows show of the page; None while it is closed."""
+        """Return the state of the page for the wire; None while the page is closed."""
         return None if self._open is None else self._open.info()
 
     async def start(self) -> None:
-        """Open it, with a new key, certificate and token; the same again changes nothing.
+        """Open the page with a new key, certificate and token; do nothing if it is open already.
 
         Raises
         ------
@@ -158,7 +158,7 @@ class WatchPage:
             serving = loop.create_task(server.serve(sockets=[sock]))
             waiting = loop.create_task(started.wait())
             await asyncio.wait({serving, waiting}, return_when=asyncio.FIRST_COMPLETED)
-            # What this loop cannot accept is told to the workstation's own server, as before.
+            # Restore the exception handler of the workstation's server.
             loop.set_exception_handler(handler)
             if not started.is_set():
                 waiting.cancel()
@@ -168,9 +168,9 @@ class WatchPage:
             self._changed()
 
     async def stop(self, words: str) -> None:
-        """Close it: link, token and certificate are void. Returns when nothing listens any more.
+        """Close the page, invalidate its link, token and certificate, and return when its port is closed.
 
-        ``words`` tell the watchers why.
+        ``words`` is the reason that observers receive.
         """
         async with self._switching:
             opened = self._open
@@ -181,7 +181,7 @@ class WatchPage:
                 opened.nobody.clear()
                 for window, _ in opened.watchers.values():
                     window.send_away(words)
-                # Whoever does not read it is cut off.
+                # Observers that do not read the reason in time are disconnected.
                 with contextlib.suppress(TimeoutError):
                     async with asyncio.timeout(FAREWELL_S):
                         await opened.nobody.wait()
@@ -191,12 +191,12 @@ class WatchPage:
         self._changed()
 
     def send_away(self, number: int) -> None:
-        """End a watcher's connection; by the link that it had nobody comes in any more.
+        """Disconnect an observer, and replace the token, so that the previous link no longer works.
 
         Raises
         ------
         UsageError
-            If there is no such watcher.
+            If no observer has this number.
         """
         found = None if self._open is None else self._open.watchers.get(number)
         if self._open is None or found is None:
@@ -205,7 +205,7 @@ class WatchPage:
         found[0].send_away("the person at the workstation has disconnected you")
         self._changed()
 
-    # ------------------------------------------------------------ what it answers
+    # ------------------------------------------------------------ requests
 
     def _app(self, gate: Gate, tokens: TokenGate) -> Starlette:
         async def index(_request: Request) -> Response:
@@ -230,7 +230,7 @@ class WatchPage:
             finally:
                 if opened is not None and came:
                     if code == wire.CLOSE_CODES[FLOOD]:
-                        # Nobody comes back by the same link, as after an observer was sent away.
+                        # The previous link becomes invalid, as after send_away().
                         opened.tokens.renew()
                         self._flooded()
                     del opened.watchers[came[0].number]
@@ -244,14 +244,14 @@ class WatchPage:
 
     def _file(self, name: str) -> Response:
         found = asset_path(self._web, name)
-        # The page for a phone has nothing to do here.
+        # The phone page belongs to another server.
         if found is None or found.name == "phone.html":
             return page("Page not found", "This page does not exist.", 404)
         return FileResponse(found, headers={"cache-control": "no-store"})
 
     async def _admitted(self, hello: wire.ClientHello, tokens: TokenGate, address: str) -> WatchingWindow:
         if not tokens.admits(hello.token or ""):
-            # Who tries others waits.
+            # The delay slows down a client that guesses tokens.
             await asyncio.sleep(WRONG_TOKEN_WAIT_S)
             self._changed()
             msg = "this link is no longer valid; ask the person at the workstation for a new one"

@@ -1,4 +1,4 @@
-"""The window of an observer, perhaps on another machine: it changes nothing and receives nothing private."""
+"""The window of an observer, who cannot change the case and receives no private data."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from carina.session.snapshot import SavingInfo
 __all__ = ["WATCHERS_RATE_HZ", "WatchingWindow"]
 
 WATCHERS_RATE_HZ = 30.0
-"""Whoever flies needs the machine more."""
+"""Frame rate of observers; it is limited to leave processor time to the windows that navigate."""
 MAX_SIDE_PX = 1600
 NOT_FOR_THIS_VOLUME = "not available for this volume"
 FAILED_SEARCH = "no airways were found"
 MESSAGES_PER_S = 600.0
-"""Sustained. A page at 240 Hz that moves a crosshair sends 240 positions, 240 probes and 90 acknowledgements."""
+"""Sustained message limit. With a moving crosshair a 240 Hz page sends 240 positions, 240 probes and 90 acks per s."""
 MESSAGES_AT_ONCE = 1200.0
 INBOX_SHARE = 0.05
-"""Share of the event loop's time that an observer's messages may take: they cost up to a millisecond each."""
+"""Largest share of the event loop's time for messages of an observer; one message takes up to a millisecond."""
 READ_ONLY = (wire.Ack, wire.Layout, wire.Probe, wire.Pick, wire.AskBranchDetail)
-"""What it may ask beside commands, which the session itself refuses but for those of its own sight."""
+"""Messages, besides commands, that an observer may send; the session refuses commands that are not on its own view."""
 
 
 class WatchingWindow(Window):
-    """Sees the case that was open when it came, and no other."""
+    """Window of an observer: it shows only the case that was open when the observer connected."""
 
     watches = True
 
@@ -47,12 +47,12 @@ class WatchingWindow(Window):
         self._limit = RateLimit(MESSAGES_PER_S, MESSAGES_AT_ONCE, host.clock)
 
     async def admit(self) -> None:
-        """Count a message, and let others have the event loop before the next one is parsed.
+        """Count a message, and yield to other tasks of the event loop before the next message is parsed.
 
         Raises
         ------
         ProtocolError
-            ``protocol.flood`` beyond the limit; the messages that wait are dropped.
+            With code ``protocol.flood`` above the message limit; the queued messages are then dropped.
         """
         if not self._limit.take():
             self.inbox.drop()
@@ -60,23 +60,30 @@ class WatchingWindow(Window):
         await asyncio.sleep(0)
 
     def send_away(self, words: str) -> None:
-        """End it for a reason; event loop only."""
+        """Disconnect the observer, and send the reason ``words``; call this method in the event loop."""
         self._sent_away = words
         self.outbox.mark("state")
 
     @property
     def ended(self) -> str | None:
-        """Asked when all that is to be sent has been read: it is of the case that may be seen, or is not sent."""
+        """Reason why nothing more may be sent; None while the observed case is open.
+
+        The sender reads this property after it has read a message and before it sends the message, so that no message
+        about another case is sent.
+        """
         if self._sent_away is None and self._session.snapshot(self.number).case is None:
             return "the case that you were watching was closed"
         return self._sent_away
 
     def restored(self, text: str) -> str:
-        """Names of files are the person's own."""
+        """Return the text unchanged, because original file names are not sent to observers."""
         return text
 
     def topic_text(self, topic: str) -> str | None:
-        """None of what is told to nobody else: the person's cases and recordings, and who watches."""
+        """Return the newest message of a topic as JSON; None for private topics.
+
+        Recorded flights and the list of observers are private. The start message omits the cases of the user.
+        """
         match topic:
             case "start":
                 return self._host.texts.watchers_start()
@@ -100,11 +107,11 @@ class WatchingWindow(Window):
                 not_hu_reason=None,
                 quality=(),
                 other_series=(),
-                # The reason quotes tags of the file.
+                # The reason quotes DICOM tags of the file.
                 off=tuple(replace(one, why=NOT_FOR_THIS_VOLUME) for one in case.off),
                 ct_name=None,
             )
-        # A search that failed says why in the words of its error, which may name a file.
+        # The error text of a failed airway search may contain a file name.
         airways_words = FAILED_SEARCH if state.airways == "failed" else state.airways_words
         return replace(
             state,
@@ -133,7 +140,7 @@ class WatchingWindow(Window):
 
 
 def _smaller(layout: wire.Layout) -> wire.Layout:
-    """Pictures that whoever flies does not feel; the page stretches them."""
+    """Limit each frame to 1600 pixels per side, to save rendering time; the page enlarges the frames."""
     views = []
     for view in layout.views:
         scale = min(1.0, MAX_SIDE_PX / max(view.width, view.height))

@@ -1,4 +1,4 @@
-"""One window that is connected: its own pictures, sight and questions, and what it is told of the session."""
+"""One connected window: its rendered frames, its view of the case, its requests, and the messages sent to it."""
 
 from __future__ import annotations
 
@@ -41,52 +41,54 @@ logger = logging.getLogger(__name__)
 
 
 class Host(Protocol):
-    """Where windows are: what they share, and who does what is not about one of them alone."""
+    """Interface of the hub as its windows use it: the shared objects and the commands that affect all windows."""
 
     session: Session
     clock: Callable[[], float]
-    """Seconds, monotonic; the session's."""
+    """Monotonic clock of the session, in seconds."""
     threads: int
     simd: str
     texts: SharedTexts
 
     def in_loop(self, function: Callable[..., None], *arguments: Any) -> None:
-        """Call a function in the event loop; from any thread."""
+        """Call a function in the event loop; callable from any thread."""
 
     def do(self, message: Any, window: Window) -> None:
-        """Do what a window asks."""
+        """Execute a message of a window that is not about this window alone."""
 
     def detach(self, window: Window) -> None:
-        """Remove a window that has gone."""
+        """Remove a disconnected window."""
 
     def watching_text(self) -> str:
-        """Who may watch, and who does."""
+        """Return the ``Watching`` message as JSON: the state of the viewing page and its observers."""
 
     def restored(self, text: str) -> str:
         """Return a message in which dropped files have the names that the user knows."""
 
 
 class Window:
-    """What belongs to one connection. Another window that stalls, asks or looks elsewhere is not felt here.
+    """State and threads of one connection, independent of the other windows.
+
+    Each window has its own outbox, inbox and rendering thread, so a slow window does not delay the others.
 
     Parameters
     ----------
     number
-        The name by which the session knows this window's sight.
+        Number that identifies the view of this window in the session.
     host
-        Where it is.
+        The hub.
     rate_hz
-        Airway pictures per second that are asked for at first.
+        Initial frame rate of the airway view, in frames per second.
     at_machine
-        Whether its browser runs on this machine: only there is the name of the CT's file shown.
+        Whether the browser runs on this machine; the name of the CT file is sent only to such a browser.
     """
 
     watches = False
-    """It only watches."""
+    """Whether the window belongs to an observer, who cannot change the case."""
     inbox_share = 1.0
     """Largest share of the event loop's time that this window's messages may take."""
     layers: tuple[LayerName, ...] = LAYERS
-    """Of what was mapped round the targets, what its slices carry."""
+    """Layers of the lung map that are drawn on the slices of this window."""
 
     def __init__(self, number: int, host: Host, *, rate_hz: float, at_machine: bool = False) -> None:
         self.number = number
@@ -113,7 +115,7 @@ class Window:
     # ------------------------------------------------------------ life
 
     def start(self) -> None:
-        """Begin, and be told everything; from the event loop."""
+        """Start the threads, and send the complete state to the window; call this method in the event loop."""
         self._unsubscribe = self._session.subscribe(self._on_event, window=self.number, watches=self.watches)
         self._pictures.start()
         self._pointing.start()
@@ -126,23 +128,23 @@ class Window:
                 self._note(job.latest)
 
     def end(self) -> None:
-        """Its place is free at once; a picture or an answer under way is finished for nobody."""
+        """Stop the window without waiting; the threads finish their present frame or answer, which is not sent."""
         self._unsubscribe()
         self.pump.stop()
         self._pointing.end()
 
     def leave(self) -> None:
-        """Its connection is gone; from the event loop."""
+        """Remove the window after its connection was closed; call this method in the event loop."""
         self._host.detach(self)
 
     @property
     def ended(self) -> str | None:
-        """Why nothing more may be sent, in words; None while it may."""
+        """Reason, as a sentence, why nothing more may be sent to the window; None while sending is allowed."""
         return None
 
     @property
     def threads(self) -> tuple[threading.Thread, ...]:
-        """They end soon after :meth:`end`."""
+        """The threads of the window, which finish soon after :meth:`end`."""
         return self._pictures, self._pointing.thread
 
     def _scene(self) -> ShownCase | None:
@@ -152,22 +154,22 @@ class Window:
     # ------------------------------------------------------------ out
 
     def mark(self, *topics: str) -> None:
-        """Send these topics anew; event loop only."""
+        """Schedule the newest message of each topic for sending; call this method in the event loop."""
         self._host.texts.mark(self.outbox, *topics)
 
     def tell(self, message: Any) -> None:
-        """Send a message; from any thread."""
+        """Send a message to this window; callable from any thread."""
         if isinstance(message, wire.Error):
             self._host.in_loop(self.push_error, message)
         else:
             self._host.in_loop(self.outbox.push, message)
 
     def restored(self, text: str) -> str:
-        """Return a message as this window may read it."""
+        """Return a message with the original names of dropped files, if this window may read these names."""
         return self._host.restored(text)
 
     def topic_text(self, topic: str) -> str | None:
-        """Return the newest message of a topic; None where there is none."""
+        """Return the newest message of a topic as JSON; None if there is nothing to send."""
         match topic:
             case "start":
                 return self._host.texts.start()
@@ -200,7 +202,10 @@ class Window:
         )
 
     def _history_text(self, snapshot: Snapshot) -> str | None:
-        """None where this window knows it already: a field of view that is dragged is one step all the time."""
+        """Return the history message as JSON; None if the window has received the same history before.
+
+        For example, a field of view that the user drags changes many times but remains one step of the history.
+        """
         known = (snapshot.position, tuple(step.label for step in snapshot.steps))
         if known == self._history_known:
             return None
@@ -211,7 +216,7 @@ class Window:
         self.tell(wire.Error(*message, action=None) if isinstance(message, tuple) else message)
 
     def _on_event(self, event: Event) -> None:
-        """From any thread, with the session locked: hand on and return."""
+        """Forward a session event to the event loop; the session calls this from any thread and holds its lock."""
         if isinstance(event, Changed) and event.topics & {"views", "pose"}:
             self.pump.content_changed()
         self._host.in_loop(self._note, event)
@@ -238,10 +243,16 @@ class Window:
     # ------------------------------------------------------------ in
 
     async def admit(self) -> None:
-        """Prepare for the next message, before it is parsed; raise ProtocolError where the client sent too many."""
+        """Check the message limit before the next message is parsed.
+
+        Raises
+        ------
+        ProtocolError
+            If the client sent too many messages.
+        """
 
     def handle(self, message: Any) -> None:
-        """Do what the window asks; trouble is answered with an ``error`` message."""
+        """Execute a message of the window; an exception is sent to the window as an ``error`` message."""
         try:
             self._do(message)
         except CarinaError as trouble:
@@ -256,14 +267,15 @@ class Window:
                 self.push_error(wire.Error("carina.fault", words, None))
 
     def push_error(self, error: wire.Error) -> None:
-        """Send an error to this window; event loop only."""
+        """Send an error to this window; call this method in the event loop."""
         self.outbox.push(error)
 
     def _confirm(self, num_handled: int) -> None:
-        """So many commands are done; comes by way of the loop, as the session's events do, and so behind them.
+        """Confirm to the client the number of commands that have been handled.
 
-        A sender takes what is marked when its turn comes. Marked at once, the confirmation of a slab could go out ahead
-        of the state with that slab: the page showed the old one for a moment, and a key pressed then went on from it.
+        The inbox calls this method through the event loop, as the session does for its events. The confirmation is
+        therefore sent after the state that a command changed. In the other order the page would briefly show the old
+        state, and a key that is pressed then would start from the old value.
         """
         self._num_handled = num_handled
         self.outbox.mark("handled")
@@ -294,7 +306,7 @@ class Window:
                 self._host.do(message, self)
 
     def _pick(self, message: wire.Pick) -> None:
-        """Send the wall under a click, in the picture that was clicked and not in a newer one."""
+        """Send the wall position under a click, computed in the frame that the user clicked and not in a newer one."""
         shown = self.pump.shown(message.frame_id)
         if shown is None:
             raise UsageError("the view has changed since you clicked; click again", code="session.pick")

@@ -1,8 +1,8 @@
 """Strict reading and writing of messages: frozen values (:mod:`carina.commands.value`) in JSON, by msgspec.
 
-The library refuses unknown and missing fields, wrong types (a bool is no number), numbers out of range, over-long text
-and lists. Ours is what it does not look at: doubled keys, NaN, over-long messages, and the depth of an object that is
-read elsewhere.
+msgspec refuses unknown and missing fields, wrong types (a bool is not a number), numbers out of range, and over-long
+texts and lists. This module also refuses what msgspec accepts: duplicate keys, NaN, over-long messages, and too deep
+objects that another module parses.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ MAX_TEXT_BYTES = 262_144
 MAX_HEADER_BYTES = 65_536
 """Largest JSON header of a picture."""
 MAX_DEPTH = 32
-"""Of an object that is read elsewhere."""
+"""Maximum nesting depth of an object that another module parses."""
 
 V = TypeVar("V", bound=FrozenValue)
 
@@ -125,7 +125,7 @@ OLD_WORDS: dict[str, tuple[str, dict[str, str]]] = {
     "set_mask": ("set_outline", {"mask": "outline"}),
     "set_zoom": ("set_zoom", {"center_lps": "centre_lps"}),
 }
-"""What commands and their fields were called on the wire of version 1, which is still read: type to type and fields."""
+"""Names of commands and fields in wire version 1, which is still accepted: old type to new type and fields."""
 
 
 def decode(classes: dict[str, type[FrozenValue]], text: str | bytes, *, max_bytes: int = MAX_TEXT_BYTES) -> Any:
@@ -178,7 +178,7 @@ def read_fields(cls: type[V], fields: dict[str, Any], where: str) -> V:
 
 
 def _check_document(value: Any, where: str) -> None:
-    """Numbers that have a float, and no more depth than anybody needs: others read what is inside."""
+    """Refuse numbers beyond the float range and too deep nesting in an object that another module parses."""
     waiting = [(value, 1)]
     while waiting:
         inner, depth = waiting.pop()
@@ -198,7 +198,7 @@ def encode(message: FrozenValue) -> str:
     ValueError
         If a number is not finite: JSON has no NaN, and a picture's matrix with one would be a fault of ours.
     """
-    # The library's own writer would make a NaN null.
+    # msgspec's encoder would write NaN as null.
     return json.dumps(msgspec.to_builtins(message), allow_nan=False, separators=(",", ":"))
 
 

@@ -32,7 +32,7 @@ GROUPS = (
     ("ToPhoneMessage", messages.TO_PHONE_MESSAGES),
 )
 PROGRAM_GROUPS = (("JoinMessage", messages.JOIN_MESSAGES), ("ToJoinMessage", messages.TO_JOIN_MESSAGES))
-"""No page of ours speaks them: they are in the schema alone."""
+"""Message groups that no web page uses; they are only in the schema, not in the generated TypeScript."""
 
 
 def _struct(cls: type[Any]) -> inspect.StructType:
@@ -55,7 +55,7 @@ def _inner(kind: inspect.Type) -> tuple[inspect.Type, ...]:
 
 
 def _classes_in(whole: Iterable[type[Any]]) -> dict[type[Any], None]:
-    """Every class that these are or hold, each once, inner ones first."""
+    """Return these classes and all classes in their fields, each once, inner classes first."""
     found: dict[type[Any], None] = {}
 
     def visit(kind: inspect.Type) -> None:
@@ -76,13 +76,13 @@ Groups = tuple[tuple[str, dict[str, type[Any]]], ...]
 
 
 def _all_classes(groups: Groups = GROUPS) -> list[type[Any]]:
-    """Every class that a message is or holds, each once, inner ones first."""
+    """Return all message classes and all classes in their fields, each once, inner classes first."""
     return list(_classes_in([*(cls for _, classes in groups for cls in classes.values()), messages.PictureHeader]))
 
 
 @functools.cache
 def _written() -> set[type[Any]]:
-    """What only the server says: it writes every field, those with a default, too."""
+    """Return the classes that only the server sends; it writes every field, also fields with a default."""
     told = (messages.SERVER_MESSAGES, messages.TO_PHONE_MESSAGES, messages.TO_JOIN_MESSAGES)
     asked = (messages.CLIENT_MESSAGES, messages.PHONE_MESSAGES, messages.JOIN_MESSAGES)
     said, heard = (_classes_in([cls for group in groups for cls in group.values()]) for groups in (told, asked))
@@ -133,7 +133,7 @@ def _tag(struct: inspect.StructType) -> tuple[str, str] | None:
 
 
 def typescript() -> str:
-    """The text of ``messages.ts``."""
+    """Return the text of ``messages.ts``."""
     lines = [
         "// Generated from python/carina/commands and python/carina/server/messages.py by",
         "// `python -m carina.server.wire_types`. Do not edit.",
@@ -169,7 +169,7 @@ def typescript() -> str:
 
 
 def _shown() -> list[str]:
-    """What look and sight begin with, and which commands only set a field of one of them."""
+    """Return the defaults of look and sight, and the commands that only set one of their fields."""
     lines = []
     commands = {type_name(cls) for cls in all_commands()}
     for name, value in (("LOOK", Look()), ("SIGHT", Sight())):
@@ -245,7 +245,7 @@ def _bounds(kind: inspect.VarTupleType | inspect.StrType, what: str) -> dict[str
 
 
 def json_schema() -> dict[str, Any]:
-    """JSON Schema of both directions and of the picture header."""
+    """Return the JSON Schema of the messages in both directions and of the frame header."""
     definitions: dict[str, Any] = {}
     for cls in _all_classes(GROUPS + PROGRAM_GROUPS):
         struct = _struct(cls)
@@ -274,7 +274,7 @@ def json_schema() -> dict[str, Any]:
 
 
 def generated_files() -> dict[str, str]:
-    """Path in the repository -> text."""
+    """Return the generated text of each file by its path in the repository."""
     return {
         "web/src/wire/messages.ts": typescript(),
         "web/src/wire/views.ts": views_typescript(),
@@ -284,7 +284,7 @@ def generated_files() -> dict[str, str]:
 
 
 def main(arguments: list[str]) -> int:
-    """Write or compare; see the module's first line."""
+    """Write the generated files, or compare them with ``--check``, and return the exit status."""
     check = "--check" in arguments
     places = [a for a in arguments if not a.startswith("--")]
     repository = Path(places[0]) if places else Path(__file__).resolve().parents[3]

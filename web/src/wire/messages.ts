@@ -681,7 +681,7 @@ export interface ViewSize {
   readonly height: number;
 }
 
-/** The views on screen; no others are rendered. */
+/** Views on the screen; only these views are rendered. */
 export interface LayoutMessage {
   readonly type: "layout";
   readonly views: readonly ViewSize[];
@@ -693,13 +693,13 @@ export interface AckMessage {
   readonly frame_id: number;
 }
 
-/** Ask for the number of the voxel at a point; the answer is `value`. */
+/** Request the value of the voxel at a point; the answer is `value`. */
 export interface ProbeMessage {
   readonly type: "probe";
   readonly lps: readonly [number, number, number];
 }
 
-/** Ask for the wall under a place in an airway picture; the answer is `picked`. */
+/** Request the wall position under a pixel of an airway image; the answer is `picked`. */
 export interface PickMessage {
   readonly type: "pick";
   readonly pick_id: number;
@@ -720,37 +720,37 @@ export interface AskLivePathMessage {
   readonly row: number | null;
 }
 
-/** Ask for what was measured along a branch; only the newest is answered, by `branch_detail`. */
+/** Request the measurements along a branch; only the newest request is answered, by `branch_detail`. */
 export interface AskBranchDetailMessage {
   readonly type: "branch_detail";
   readonly request_id: number;
   readonly branch_id: number;
 }
 
-/** Ask for so many airway pictures per second while moving; resolution gives way to it, then the ray step. */
+/** Set the frame rate of the moving airway view; resolution is reduced first, then the ray step is enlarged. */
 export interface SetFrameRateMessage {
   readonly type: "set_frame_rate";
   readonly rate_hz: number;
 }
 
-/** Which of what was mapped round the targets this window's slices carry; all of it, unless told. */
+/** Select the layers of the lung map on the slices of this window; the default is all layers. */
 export interface SetLayersMessage {
   readonly type: "set_layers";
   readonly layers: readonly ("fissures" | "lobes" | "reach" | "vessels")[];
 }
 
-/** Ask what the cases and their CTs take on the disk now; the answer is `start`. */
+/** Request the present disk usage of the cases and their CTs; the answer is `start`. */
 export interface AskStorageMessage {
   readonly type: "ask_storage";
 }
 
-/** Show the open case to this machine's network, with a new certificate and link, or to nobody. */
+/** Open the viewing page in the local network with a new certificate and link, or close it. */
 export interface SetWatchPageMessage {
   readonly type: "set_watch_page";
   readonly on: boolean;
 }
 
-/** End a watcher's connection, and change the link so that nobody comes back by it. */
+/** Disconnect an observer, and replace the link so that the previous link no longer works. */
 export interface SendAwayMessage {
   readonly type: "send_away";
   readonly number: number;
@@ -782,7 +782,7 @@ export interface ConnectDeviceMessage {
   readonly address: string;
 }
 
-/** End that connection. */
+/** Close the connection to a device. */
 export interface DisconnectDeviceMessage {
   readonly type: "disconnect_device";
   readonly address: string;
@@ -806,7 +806,7 @@ export interface WatchDevicesMessage {
   readonly on: boolean;
 }
 
-/** Record the flight into the case; to a file of this machine where the case is not kept. */
+/** Record the flight into the case, or into a file on this machine if the case is not stored. */
 export interface StartRecordingMessage {
   readonly type: "start_recording";
 }
@@ -841,13 +841,13 @@ export interface FlightInfo {
   readonly state: "complete" | "cut-off" | "recording";
 }
 
-/** What was recorded into the case, in its order; when it changed. */
+/** Recordings of the case in order; sent after each change. */
 export interface FlightsMessage {
   readonly type: "flights";
   readonly flights: readonly FlightInfo[];
 }
 
-/** A device that said something; its position is filtered. */
+/** A device that has sent samples; its position is filtered. */
 export interface DeviceInfo {
   readonly device: string;
   readonly position_mm: readonly [number, number, number] | null;
@@ -1717,7 +1717,7 @@ export interface PhoneHelloMessage {
   readonly token: string;
 }
 
-/** How the phone is turned and what is held on it; sent while something is held, and once after. */
+/** Orientation and pressed controls of the phone; sent while a control is pressed, and once after its release. */
 export interface PhoneSampleMessage {
   readonly type: "phone_sample";
   readonly time_s: number;
@@ -1732,7 +1732,7 @@ export interface PhoneActMessage {
   readonly action: "next_control" | "recenter";
 }
 
-/** What the page shows; when it changes. Nothing of the patient is in it. */
+/** State that the page shows, sent after each change; it contains no patient data. */
 export interface PhoneStateMessage {
   readonly type: "phone_state";
   readonly case_open: boolean;
