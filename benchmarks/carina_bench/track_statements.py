@@ -1,4 +1,4 @@
-"""``carina bench track --only statements``: are statements about disease, tubes and the larynx true?
+"""``carina bench track --only statements``: the truth of statements about disease, tubes and the larynx.
 
 A *statement* is an uncertain place or an absence that names a disease (a stump, a blocked or a filled bronchus), or a
 badge that names a tube or the larynx. A statement is true if the case was generated with this finding there. In real

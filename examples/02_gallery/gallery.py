@@ -35,7 +35,7 @@ SIZE = {"width": 320, "height": 320}
 
 
 def way(tree: carina.AirwayTree) -> tuple[carina.FlightPath, list[PathSpan]]:
-    """The path to the farthest branch, and the branches along it."""
+    """Return the path to the farthest branch, and the branches along it."""
     farthest = max(tree.tips(), key=lambda branch: (branch.generation, branch.id))
     spans, at_mm = [], 0.0
     for branch in tree.lineage(farthest.id):
@@ -46,7 +46,7 @@ def way(tree: carina.AirwayTree) -> tuple[carina.FlightPath, list[PathSpan]]:
 
 
 def places(path: carina.FlightPath, spans: list[PathSpan]) -> dict[str, carina.Pose]:
-    """Camera poses along the path: in the trachea, before its end, before and in later forks."""
+    """Return camera poses along the path: in the trachea, before its end, before and in later forks."""
     ends = [span.to_mm for span in spans]
     return {
         "trachea": path.pose_at(0.25 * ends[0]),
@@ -60,7 +60,7 @@ def places(path: carina.FlightPath, spans: list[PathSpan]) -> dict[str, carina.P
 
 
 def phantom_with_tree() -> tuple[Renderer, carina.AirwayTree]:
-    """A made chest (no patient) whose left main or intermediate bronchus is narrowed, with its true airways."""
+    """Return a generated chest with a narrowed left main or intermediate bronchus, and its true airways."""
     box = ((-95.0, -60.0, -110.0), (95.0, 70.0, 115.0))
     phantom = carina.generate_phantom(spacing_mm=0.9, generations=4, stenosis=True, box_lps=box)
     tree = carina.AirwayTree.from_json(phantom.truth)
@@ -70,7 +70,7 @@ def phantom_with_tree() -> tuple[Renderer, carina.AirwayTree]:
 
 
 def decorated_places(tree: carina.AirwayTree) -> dict[str, carina.Pose]:
-    """Camera poses in the phantom: trachea, carina, main bronchus, lobar fork, before the narrow place."""
+    """Return camera poses in the phantom: trachea, carina, main bronchus, lobar fork, before the narrow place."""
     found = {}
     for name, branch, from_mm, of in (
         ("decorated-trachea", "RMB", -72.0, 0),
@@ -85,7 +85,7 @@ def decorated_places(tree: carina.AirwayTree) -> dict[str, carina.Pose]:
 
 
 def before_the_narrow_place(tree: carina.AirwayTree) -> carina.Pose:
-    """A pose 14 mm before the narrowest point of the narrowed bronchus."""
+    """Return a pose 14 mm before the narrowest point of the narrowed bronchus."""
     branch = next(b for b in tree.branches if b.name in {"LMB", "BI"} and b.radius.min() < 0.6 * np.median(b.radius))
     lineage = tree.lineage(branch.id)
     begins = sum(b.length_mm for b in lineage[:-1])
@@ -95,7 +95,7 @@ def before_the_narrow_place(tree: carina.AirwayTree) -> carina.Pose:
 
 
 def bent_vessel() -> tuple[carina.Volume, list[NDArray[np.float64]]]:
-    """A bright vessel with a bend in dull, noisy tissue, as in MR: no airway. Its two ends, LPS mm."""
+    """Return a volume with a bright bent vessel in noisy tissue, as in MR, and the vessel's two ends in LPS mm."""
     k, j, i = np.indices((16, 96, 96))
     along = (np.hypot(i - 24.0, k - 8.0) < 5.0) & (j > 10) & (j < 78)
     across = (np.hypot(j - 72.0, k - 8.0) < 5.0) & (i > 19) & (i < 86)
@@ -107,7 +107,7 @@ def bent_vessel() -> tuple[carina.Volume, list[NDArray[np.float64]]]:
 
 
 def with_line(picture: Picture, points_lps: NDArray[np.float64]) -> Picture:
-    """A copy with a path drawn over it."""
+    """Return a copy of a picture with a path drawn over it."""
     rgb = picture.rgb.copy()
     ends = [at for at in map(picture.pixel_of, points_lps) if at is not None]
     for (column, row), (to_column, to_row) in itertools.pairwise(ends):

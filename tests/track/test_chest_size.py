@@ -97,7 +97,6 @@ def test_confidence_limit_decreases_continuously_outside_the_calibrated_range(tr
 
 def tree_of(trachea_mm, right_mm, left_mm):
     """Return a tree of a trachea and two main bronchi with these diameters along them."""
-
     names = ("Trachea", "RMB", "LMB")
     top, fork = [0.0, 0.0, 100.0], [0.0, 0.0, 0.0]
     ends = [(top, fork), (fork, [-30.0, 0.0, -30.0]), (fork, [50.0, 0.0, -30.0])]

@@ -16,12 +16,12 @@ _UNSAFE = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\
 
 
 def printable(text: str) -> str:
-    """Return a text whose control characters and undecodable bytes are replaced by escapes such as ``\\xe9``.
+    r"""Return a text whose control characters and undecodable bytes are replaced by escapes such as ``\xe9``.
 
     Examples
     --------
-    >>> printable("l\\udce9 1\\n2")
-    'l\\\\xe9 1\\\\x0a2'
+    >>> printable("l\udce9 1\n2")
+    'l\\xe9 1\\x0a2'
     """
     return _UNSAFE.sub(_escape, text)
 

@@ -23,11 +23,11 @@ _CONTROLS: Final = re.compile(f"[{_CONTROL}]")
 
 
 def as_terminal_text(text: str) -> str:
-    """Return text without escape sequences, with ? for other control characters; line breaks and tabs stay.
+    r"""Return text without escape sequences, with ? for other control characters; line breaks and tabs stay.
 
     Examples
     --------
-    >>> as_terminal_text("a\\x1b[31mred\\x1b[0m name\\x07")
+    >>> as_terminal_text("a\x1b[31mred\x1b[0m name\x07")
     'ared name?'
     """
     return _CONTROLS.sub("?", _SEQUENCE.sub("", text))

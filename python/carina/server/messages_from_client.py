@@ -152,4 +152,4 @@ class SendAway(ClientMessage, frozen=True):
 
 
 class AcceptNotice(ClientMessage, frozen=True):
-    """ "Not a medical device" was read."""
+    """Confirmation that the user read the notice "Not a medical device"."""

@@ -51,7 +51,7 @@ export class SpeedMeter {
     const last = this.#steps.at(-1);
     if (last === undefined || nowMs - last.atMs > STILL_MS) return null;
     const first = this.#steps[0] ?? last;
-    // Each step is stored with its end time; the first step of the window began before the window.
+    // Each step is stored with its end time; the first stored step began before the measured time.
     const span = last.atMs - first.atMs;
     if (last.atMs - this.#beganMs < LEAST_MS || span <= 0) return null;
     const mm = this.#steps.slice(1).reduce((sum, step) => sum + step.mm, 0);

@@ -756,7 +756,7 @@ export interface SendAwayMessage {
   readonly number: number;
 }
 
-/** "Not a medical device" was read. */
+/** Confirmation that the user read the notice "Not a medical device". */
 export interface AcceptNoticeMessage {
   readonly type: "accept_notice";
 }
