@@ -8,8 +8,8 @@ from typing import Any
 from carina import commands as c
 from carina.errors import CarinaError
 from carina.session import Session
-from carina.session.records import CaseRecords
-from carina.session.saving import KeptFiles
+from carina.session.saving.autosave import KeptFiles
+from carina.session.store.registry import CaseRecords
 from small_case import Background, Clock, SmallRenderer, small_parts
 
 

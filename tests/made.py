@@ -28,7 +28,7 @@ from carina import _core, phantom
 from carina.phantom import Phantom
 from carina.track import Airways, AirwayTree
 from carina.track.paths.path_grid import PathGrid
-from carina.track.paths.rebuilt import CoreRecipe
+from carina.track.paths.rebuilt_tracker import CoreRecipe
 from carina.track.paths.tracker import PathTracker
 from carina.volume import Volume, ct_digest, model
 from run_cleanup import run_name

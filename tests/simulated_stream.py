@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from carina.server.pacing import FrameScheduler, RenderOrder
+from carina.server.frames.pacing import FrameScheduler, RenderOrder
 
 AIRWAY = {"airway": (800, 640)}
 ALL_VIEWS = {

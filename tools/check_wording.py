@@ -28,7 +28,7 @@ SURFACES = {
 PROSE = re.compile(r"[A-Za-z\u00c0-\u024f)}\]][,.;:]? +[(\u201c\"{\[]?[A-Za-z\u00c0-\u024f{]")
 UNREAD_CALLS = {"compile", "sub", "match", "search", "fullmatch", "TypeVar", "getenv", "TypeAdapter", "debug"}
 """Functions whose string arguments are not text for users."""
-PROGRAMS = {f"python/carina/server/{name}_types.py" for name in ("export", "view", "wire")}
+PROGRAMS = {"python/carina/server/wire/generate.py"}
 """Programs that generate TypeScript, whose strings are code."""
 MARKUP = re.compile(
     r"<[A-Za-z!?/][^>]*=|<Piece |\bxmlns=|;base64,|[a-z-]+: [^ {]+; "
@@ -45,9 +45,9 @@ TOKENS = {
     "python/carina/export/mesh_file.py": r"o airways|# badge .*",
     "python/carina/export/tree_formats.py": r"# badge .*",
     "python/carina/scopes/library.py": r"(s|k|size|channel|OD)\b.*(\bs|\bk|\(s\)|s\))",
-    "python/carina/server/strangers.py": r"accept\(\).*",
-    "python/carina/session/key_framing.py": r"keys speed",
-    "python/carina/track/names/solve.py": r"go on",
+    "python/carina/server/network/connection_limits.py": r"accept\(\).*",
+    "python/carina/session/flights/key_frames.py": r"keys speed",
+    "python/carina/track/names/assignment.py": r"go on",
     "python/carina/volume/grid_writing.py": r"unsigned char|endian: little",
     "python/carina/volume/header_nrrd.py": (
         r"((un)?signed )?(char|short|int|long( long)?)( int)?|space (directions|origin|units)|(data|line|byte|old) \w+"

@@ -21,7 +21,7 @@ import numpy as np
 
 from carina.cli.console import print_json, say
 from carina.cluster import ClusterRenderer, ClusterSettings
-from carina.cluster.host import RendererHost
+from carina.cluster.renderer_host import RendererHost
 from carina.disk import make_folder, write_whole
 from carina.errors import UsageError
 from carina.installation import extra_command

@@ -20,9 +20,9 @@ import numpy as np
 
 from carina.cluster import ClusterRenderer, ClusterSettings, Console
 from carina.cluster.console import Job
-from carina.cluster.host import RendererHost
 from carina.cluster.node import Node, make_token
 from carina.cluster.ray_backend import RayCluster
+from carina.cluster.renderer_host import RendererHost
 from carina.errors import ClusterError
 from carina.render import AirwayView, Picture, Renderer, View
 from carina.scopes import Pose

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.cluster.envelope import Strip
-from carina.cluster.host import RendererHost, bare_picture, counts_of
+from carina.cluster.byte_messages import Strip
+from carina.cluster.renderer_host import RendererHost, bare_picture, counts_of
 from carina.errors import ClusterError
 from carina.render import LEAD_VIEW, Picture, RenderStats, View
 

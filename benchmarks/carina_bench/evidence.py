@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.track import Airways, branch_way, find_airways
-from carina.track.edit.tree import along_mm
+from carina.track.edit.tree_changes import along_mm
 from carina.track.tree.airway_tree import Branch
 from carina.volume.model import Volume
 

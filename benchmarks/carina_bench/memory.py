@@ -17,7 +17,7 @@ from websockets.sync.client import connect
 
 from carina.cli.console import progress_printer, say
 from carina.errors import CarinaError
-from carina.server.messages import WIRE_VERSION
+from carina.server.wire.messages import WIRE_VERSION
 from carina_bench.cases import open_case
 
 __all__ = ["server_memory"]

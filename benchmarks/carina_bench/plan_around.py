@@ -29,9 +29,9 @@ from carina.config import load_settings
 from carina.errors import CancelledError
 from carina.phantom import generate_phantom
 from carina.plan import surroundings
-from carina.plan.box import ball_distance
-from carina.plan.lobes import LOBE_NAMES, STEP_MM, lobes, nearest_lobe
-from carina.plan.lung_map import LungMap, map_lungs
+from carina.plan.cubic_box import ball_distance
+from carina.plan.lungs.lobes import LOBE_NAMES, STEP_MM, lobes, nearest_lobe
+from carina.plan.lungs.lung_map import LungMap, map_lungs
 from carina.scopes import WallField
 from carina.track import Airways, AirwayTree, find_airways, lumen_mesh
 from carina.volume import Volume, VolumeSource
@@ -44,7 +44,7 @@ Row = dict[str, Any]
 
 NUM_LINES = 60
 ROOM_MM = 14.0
-"""Margin around target and tip, mm; equal to that of `carina.plan.routes`."""
+"""Margin around target and tip, mm; equal to that of `carina.plan.routes.plan_route`."""
 FINE_MM = 0.5
 PHANTOM_SPACING = (0.7, 0.7, 0.8)
 CLASSES_MM = ((0.0, 1.0), (1.0, 1.5), (1.5, 2.5), (2.5, 4.0), (4.0, 20.0))

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from carina.errors import CarinaError
 from carina.plan import Nodule, Plan, PlannedRoute, Surroundings, grow_nodule, plan_route, surroundings
-from carina.plan.room import rooms_mm
+from carina.plan.routes.clearance import rooms_mm
 from carina.scopes import ScopePreset
 from carina.track import AirwayTree, Branch
 from carina_bench.plan_cases import PlanCase, found_case, phantom_case

@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 
 import carina
 from carina.plan import place_at_start, replay_moves, search_drive
-from carina.plan.drive_way import DriveWay
-from carina.plan.last_leg import LastLeg
-from carina.plan.route_width import DEVIATIONS_90, EXCESS_SIGMA_MM, RouteWidth
-from carina.plan.routes import PlannedRoute
-from carina.plan.verdict_checks import BEND_SIGMA_DEG, bend_check, diameter_check
-from carina.plan.verdict_lever import lever_check
+from carina.plan.routes.last_leg import LastLeg
+from carina.plan.routes.plan_route import PlannedRoute
+from carina.plan.routes.route_width import DEVIATIONS_90, EXCESS_SIGMA_MM, RouteWidth
+from carina.plan.verdict.checks import BEND_SIGMA_DEG, bend_check, diameter_check
+from carina.plan.verdict.drive_route import DriveWay
+from carina.plan.verdict.lever import lever_check
 from carina.scopes import FIT_MARGIN_MM, ScopePreset, WallField, scope_preset
 from carina.track import AirwayTree, Branch, wall_field
 

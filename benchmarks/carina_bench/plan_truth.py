@@ -33,7 +33,7 @@ import carina.plan
 from carina.config import load_settings
 from carina.errors import CarinaError
 from carina.plan import Plan, grow_nodule, plan_route
-from carina.plan.routes import MOST_ANGLE_DEG, PlannedRoute
+from carina.plan.routes.plan_route import MOST_ANGLE_DEG, PlannedRoute
 from carina.scopes import ScopePreset, scope_preset
 from carina.track import AirwayTree
 from carina_bench import plan_cases

@@ -4,7 +4,8 @@ A route leads from the trachea to the end of a branch that was found. Its true n
 that passes in the painted lumens (:mod:`carina_bench.true_passage`), at least that of the widest tube at each point.
 Routes that leave the true lumen are omitted. Compared with it, by kernel and slices:
 
-- *sections*: the narrowest diameter that a plan states (:mod:`carina.plan.route_width`), if all of it was measured;
+- *sections*: the narrowest diameter that a plan states (:mod:`carina.plan.routes.route_width`), if all of it was
+  measured;
 - *partly ball*: the same if it depends on a stretch without sections;
 - *single sections*: as *sections* without the median over neighbouring ones: the least of many noisy values;
 - *ball*: the largest ball in the lumen found, with the error that plans stated before decision 0130.
@@ -28,8 +29,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.config import load_settings
-from carina.plan.room import rooms_mm
-from carina.plan.route_width import widths_on_the_way
+from carina.plan.routes.clearance import rooms_mm
+from carina.plan.routes.route_width import widths_on_the_way
 from carina.track import AirwayTree, TreeMeasures, find_airways, measure_tree, wall_field
 from carina.track.measures import diameter
 from carina_bench.track_diameter_cases import KERNEL_NAMES, DiameterCase, painted_patients, painted_phantoms

@@ -16,10 +16,10 @@ from carina.cli.console import print_json, say
 from carina.disk import make_folder, write_whole
 from carina.phantom import generate_phantom
 from carina.render import LEAD_VIEW, Renderer
-from carina.server.pump import FramePump
-from carina.server.wire_codec import split_picture
+from carina.server.frames.pump import FramePump
+from carina.server.wire.codec import split_picture
 from carina.session import CaseRecords, Session
-from carina.session.case_files import case_files
+from carina.session.store.disk_storage import case_files
 from carina.track import RenameBranch
 from carina.volume import Volume
 from carina_bench.gates import Gate

@@ -20,7 +20,7 @@ import simplejpeg
 from carina.cli.console import print_json, say
 from carina.disk import make_folder, write_whole
 from carina.errors import CarinaError
-from carina.server import messages as wire
+from carina.server.wire import messages as wire
 from carina_bench.machine import machine_facts
 
 __all__ = ["report"]

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 import carina
 from carina.track import AirwayTree, find_airways, name_words
-from carina.track.names.goodness import GOOD_FIT, POOR_FIT, SUREST, calibrated
 from carina.track.names.naming import segment_readings
-from carina.track.tree.uncertain import AIRWAY_SHARE
+from carina.track.names.tree_fit import GOOD_FIT, POOR_FIT, SUREST, calibrated
+from carina.track.tree.uncertainty import AIRWAY_SHARE
 from carina_bench.confidence_cases import CtCase, cases_of, is_true_branch, made_case, true_tree
 from carina_bench.confidence_trees import degraded, random_tree, vessel_tree, warped
 from carina_bench.plot_svg import reliability_plot
@@ -183,7 +183,7 @@ def fitted_airways(scores: Shares, hits: Shares) -> list[tuple[float, float]]:
 
 
 def fitted_names(shares: Shares, fits: Shares, hits: Shares) -> tuple[float, float, float]:
-    """Fit the log odds of a right name, see ``carina.track.names.goodness.NAME_ODDS``.
+    """Fit the log odds of a right name, see ``carina.track.names.tree_fit.NAME_ODDS``.
 
     Fits are at most ``GOOD_FIT``.
     """

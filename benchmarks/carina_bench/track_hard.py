@@ -24,9 +24,9 @@ from carina.config import load_settings
 from carina.errors import CarinaError, NoResultError
 from carina.track import find_airways
 from carina.track.find import growth
-from carina.track.find.kernel import edge_undershoot_hu
-from carina.track.find.softened import SOFT_HU
-from carina.track.levels import air_scale
+from carina.track.find.kernel_compensation import SOFT_HU
+from carina.track.find.kernel_sharpness import edge_undershoot_hu
+from carina.track.intensity_levels import air_scale
 from carina.volume import Volume
 from carina_bench.track_hard_cases import KERNELS, QUICK, SLICES, HardCase, hard_cases
 from carina_bench.track_painted import PATIENTS

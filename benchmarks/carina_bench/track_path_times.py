@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina._core import LumenTracker, time_lumen_paths
-from carina.track.find.found import Airways
+from carina.track.find.result import Airways
 from carina.track.paths.tracker import SNAP_MM, PathTracker, as_point
 
 __all__ = ["time_paths", "unsolved_tracker"]

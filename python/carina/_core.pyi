@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.render.appearance import Appearance
-from carina.render.decoration import Decoration
+from carina.render.wall_texture import Decoration
 
 def build_info() -> dict[str, Any]:
     """Return the build settings and capabilities: version, profile, simd, threads, target, gpu."""

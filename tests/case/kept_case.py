@@ -26,10 +26,10 @@ from carina.errors import NoResultError, UsageError
 from carina.navigate import Navigator
 from carina.render import GreyWindow, Sight, transfer_preset
 from carina.scopes import Pose, ScopeHold
-from carina.session.measured import MeasuredAirways
-from carina.session.targets import followed_route, tracked_target
+from carina.session.derived.measurement_cache import MeasuredAirways
+from carina.session.targets.retrack import followed_route, tracked_target
 from carina.track import Airways, BranchMeasures, PaintLumen, TreeMeasures, edit_airways, measure_tree
-from carina.track.edit.folded import FoldedAirways, fold_airways
+from carina.track.edit.undo_storage import FoldedAirways, fold_airways
 
 SOURCE_DIGEST = "ab" * 32
 

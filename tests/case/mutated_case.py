@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from carina.case.packing import DTYPES, deflated, digest_of
+from carina.case.compression import DTYPES, deflated, digest_of
 from carina.case.schema import CONTENT
 
 WHOLE = (-1, 0, 1, 2, 2**31, 2**53 + 1, 2**63 - 1, -(2**63))

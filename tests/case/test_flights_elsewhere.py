@@ -12,8 +12,8 @@ from carina.case import CaseFile, SourceFacts
 from carina.case.recordings import RecordingFacts, RecordingWriter
 from carina.errors import DiskError
 from carina.session import case_files
-from carina.session.flight_copies import whole_flights
-from carina.session.kept_files import WholeCase
+from carina.session.store.flight_copies import whole_flights
+from carina.session.store.interfaces import WholeCase
 from carina.volume import ct_digest
 
 WITHIN_S = 60.0

@@ -14,9 +14,9 @@ from kept_case import whole
 from carina.case import CaseFile, migrate
 from carina.case.measures import branch_facts
 from carina.case.schema import SCHEMA
-from carina.server.messages import AskBranchDetail
-from carina.server.tree_words import branch_detail_message, tree_message
-from carina.session.measured import MeasuredAirways
+from carina.server.to_wire.tree import branch_detail_message, tree_message
+from carina.server.wire.messages import AskBranchDetail
+from carina.session.derived.measurement_cache import MeasuredAirways
 from carina.track import CutBranch, edit_airways
 
 KEPT = Path(__file__).parent / "kept"

@@ -27,16 +27,16 @@ from carina.commands import AddTarget
 from carina.errors import CarinaError
 from carina.navigate import Navigator, Pilot
 from carina.plan import PlanTarget
-from carina.plan.target_edits import sphere
+from carina.plan.targets.edits import sphere
 from carina.scopes import Pose
-from carina.server import messages_from_server as wire
-from carina.server.messages import encode_message
-from carina.server.presenter import start_message
-from carina.session.case_list import CaseList
+from carina.server.to_wire.session import start_message
+from carina.server.wire import messages_from_server as wire
+from carina.server.wire.messages import encode_message
+from carina.session.cases.case_list import CaseList
 from carina.session.core import SessionCore
-from carina.session.record_repair import repair_records
-from carina.session.records import CaseRecords
-from carina.session.saving import Saving
+from carina.session.saving.autosave import Saving
+from carina.session.store.registry import CaseRecords
+from carina.session.store.registry_repair import repair_records
 
 NUM_MUTATIONS, NUM_IN_SOAK = 60, 2000
 

@@ -32,10 +32,10 @@ from carina.errors import CarinaError, DiskError, UsageError
 from carina.navigate import open_recording
 from carina.render import transfer_preset
 from carina.session import Said, Session, Trouble
-from carina.session.case_files import case_files
-from carina.session.editing import NUM_EDITS_WHOLE
-from carina.session.records import CaseRecords
-from carina.session.snapshot import FlightPlace
+from carina.session.airways.editing import NUM_EDITS_WHOLE
+from carina.session.state.snapshot import FlightPlace
+from carina.session.store.disk_storage import case_files
+from carina.session.store.registry import CaseRecords
 from carina.track import CutBranch, PaintLumen, RenameBranch, edit_airways, measure_tree
 from small_case import Background, Clock, SmallRenderer, small_parts
 

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from carina.track.find.kernel import edge_undershoot_hu
-from carina.track.levels import AirScale
+from carina.track.find.kernel_sharpness import edge_undershoot_hu
+from carina.track.intensity_levels import AirScale
 from carina_bench import track, track_hard
 from carina_bench.paint import PaintOptions, Scanned, Scene, _axes, paint, scanned
 from carina_bench.paint_fine_vessels import FineVessel, add_fine_vessels, fine_vessels

@@ -19,9 +19,9 @@ from carina.export import read_tree
 from carina.navigate import Navigator, Pilot, Recorder, case_key, open_recording
 from carina.phantom import write_phantom
 from carina.scopes import Pose
-from carina.session.case import moment_of
-from carina.session.case_names import neutral_alias
-from carina.session.records import CaseRecords
+from carina.session.open_case.open_case import moment_of
+from carina.session.store.case_names import neutral_alias
+from carina.session.store.registry import CaseRecords
 from carina.version import VERSION
 from carina.volume import CtSource, VolumeCache, ct_digest, open_volume
 from made import made_phantom

@@ -17,9 +17,9 @@ from carina.config import load_settings
 from carina.errors import UsageError
 from carina.phantom import write_phantom
 from carina.server import serve as serving
-from carina.session.case import moment_of
-from carina.session.case_names import neutral_alias
-from carina.session.records import CaseRecords
+from carina.session.open_case.open_case import moment_of
+from carina.session.store.case_names import neutral_alias
+from carina.session.store.registry import CaseRecords
 from carina.volume import ct_digest
 from made import made_phantom
 

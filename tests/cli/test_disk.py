@@ -8,7 +8,7 @@ import re
 
 import pytest
 
-from carina.disk import drafts
+from carina.disk import atomic_files
 
 RMB = "-25,12,-145"
 FAULT = re.compile(r"internal error|Traceback|itk|ITK|nifti|NIfTI_|\*\* ERROR|libpng", re.IGNORECASE)
@@ -98,13 +98,13 @@ def test_disk_that_becomes_full_is_reported_and_the_former_file_stays(run, tmp_p
     name = written(verb)
     if name != "kept":
         (folder / name).write_bytes(b"old")
-    plain = drafts._begin
+    plain = atomic_files._begin
 
     def begin(where, mode):
         file, place = plain(where, mode)
         return Full(file, 150), place
 
-    monkeypatch.setattr(drafts, "_begin", begin)
+    monkeypatch.setattr(atomic_files, "_begin", begin)
     message = check(run(verb, folder), "disk.full")
     assert "the disk is full" in message
     assert "free)" in message
@@ -123,7 +123,7 @@ def test_read_only_disk_is_reported(run, tmp_path, monkeypatch, number, code):
     def begin(_folder, _mode):
         raise OSError(number, os.strerror(number))
 
-    monkeypatch.setattr(drafts, "_begin", begin)
+    monkeypatch.setattr(atomic_files, "_begin", begin)
     check(run(("render", "CT", "--view", "axial", "--size", "64x64", "-o", "a.png"), tmp_path), code)
 
 
@@ -133,13 +133,13 @@ def test_phantom_on_a_full_disk_leaves_the_former_three_files(carina, tmp_path, 
     names = ("ct.nii.gz", "lumen.nii.gz", "truth.json")
     for name in names:
         (folder / name).write_bytes(b"old")
-    plain, room = drafts._begin, iter([10**9, 10**9, 100])
+    plain, room = atomic_files._begin, iter([10**9, 10**9, 100])
 
     def begin(where, mode):
         file, place = plain(where, mode)
         return Full(file, next(room)), place
 
-    monkeypatch.setattr(drafts, "_begin", begin)
+    monkeypatch.setattr(atomic_files, "_begin", begin)
     check(carina("phantom", "--spacing-mm", "4", "--generations", "3", "-o", folder, "--json"), "disk.full")
     assert {name: (folder / name).read_bytes() for name in names} == dict.fromkeys(names, b"old")
     assert sorted(p.name for p in folder.iterdir()) == sorted(names)

@@ -10,8 +10,7 @@ import pytest
 
 import carina as api
 from carina.cli.along import way_to
-from carina.cli.badges import Badges
-from carina.cli.opened import Opened
+from carina.cli.opened import Badges, Opened
 from carina.commands import GoTo, OpenVolume, RecordFlight, SetMode, SetScope, Steer, StopRecording
 from carina.export.video import even_size
 from carina.navigate import AirwayWay, AutoFlight, KeyFrame, KeyFrameFile, case_key
@@ -19,7 +18,7 @@ from carina.navigate.recording import ReplayedPose, sampled
 from carina.navigate.rotation import rotation_from_vector
 from carina.render import AirwayView, read_png_pose
 from carina.scopes import DEFAULT_SCOPE, ImageField
-from carina.session.flying import place_pose
+from carina.session.flights.tip_commands import place_pose
 from small_case import small_bench
 
 av = pytest.importorskip("av", reason="PyAV is not installed")

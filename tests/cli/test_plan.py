@@ -125,9 +125,9 @@ def test_plan_in_thick_slices_states_the_calibrated_shares_in_every_output(thick
 
 def test_no_route_exits_4_with_the_reason(chest, found_once, monkeypatch: pytest.MonkeyPatch) -> None:
     path, place = chest
-    from carina.plan import routes
+    from carina.plan.routes import plan_route
 
-    monkeypatch.setattr(routes, "MOST_ANGLE_DEG", -1.0)
+    monkeypatch.setattr(plan_route, "MOST_ANGLE_DEG", -1.0)
     result = run(path, place)
     assert result.exit_code == 4
     assert "no route: " in result.stderr and "another access" in result.stderr

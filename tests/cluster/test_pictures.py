@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from carina.cluster import ClusterRenderer, ClusterSettings, render_frames
 from carina.cluster import console as console_module
-from carina.cluster.host import RendererHost
-from carina.cluster.parcel import Parcels, open_parcel
+from carina.cluster.renderer_host import RendererHost
+from carina.cluster.scene_data import Parcels, open_parcel
 from carina.cluster.strips import cut_rows
 from carina.errors import CancelledError, CarinaError, ClusterError, RenderError
 from carina.render import (

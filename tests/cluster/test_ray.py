@@ -14,8 +14,8 @@ import pytest
 from ray_rig import IP, VIEW, flying, how_it_is, needs_ray, running_head, small_volume, wait_for
 
 from carina.cluster import ClusterSettings
-from carina.cluster.host import RendererHost
 from carina.cluster.node import make_token
+from carina.cluster.renderer_host import RendererHost
 from carina.render import transfer_preset
 from carina_bench.cluster_sleeping_renderer import SleepingRenderer
 

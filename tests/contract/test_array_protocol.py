@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import carina
-from carina.plan.fork_view import Operator
-from carina.plan.lung_map import MappedMask
-from carina.plan.turn_pictures import TurnPicture
+from carina.plan.lungs.lung_map import MappedMask
+from carina.plan.turns.fork_view import Operator
+from carina.plan.turns.pictures import TurnPicture
 from carina.volume import Mask
 
 POSE = carina.Pose.looking((5.5, 5.5, 5.5), (0, 0, -1))

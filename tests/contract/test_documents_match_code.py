@@ -13,7 +13,7 @@ from document_names import ROOT, Named, all_source, documents, names_in, problem
 
 from carina.case.schema import SCHEMA
 from carina.errors import CarinaError
-from carina.server import messages as wire
+from carina.server.wire import messages as wire
 from carina.version import WIRE_VERSION
 
 CONTRACTS = (ROOT / "docs" / "contracts.md").read_text(encoding="utf-8")

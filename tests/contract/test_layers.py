@@ -31,16 +31,18 @@ def one(source: str, target: str) -> Import:
 
 def test_imports_in_the_order_of_the_folders_are_accepted():
     below = [
-        one("edit/way.py", "tree/drawn.py"),
-        one("find/growth.py", "levels.py"),
+        one("edit/add_branch_path.py", "tree/drawn_parts.py"),
+        one("find/growth.py", "intensity_levels.py"),
         one("__init__.py", "edit/edits.py"),
     ]
     assert check_folders(FOLDERS, below) == []
 
 
 def test_import_against_the_order_of_the_folders_is_refused():
-    found = check_folders(FOLDERS, [one("names/shape.py", "edit/way.py")])
-    assert found == ["python/carina/track/names/shape.py:3: track.names imports track.edit; it may import ['tree']"]
+    found = check_folders(FOLDERS, [one("names/tree_shape.py", "edit/add_branch_path.py")])
+    assert found == [
+        "python/carina/track/names/tree_shape.py:3: track.names imports track.edit; it may import ['tree']"
+    ]
 
 
 def test_folder_cycles_and_folders_without_a_row_or_files_are_refused():
@@ -134,7 +136,9 @@ def limits_exceeded_by(more: int) -> list[str]:
     record = "@dataclass\nclass {}:\n    a: int\n    b: int\n"
     methods = "".join(f"    def m{n}(self): ...\n" for n in range(15 + more))
     files = {f"python/carina/render/view{n}.py": "x = 'drr'\ny = 'tree'\n" for n in range(4 + more)}
-    files["python/carina/session/case.py"] = "class OpenCase:\n" + "".join(f"    a{n}: int\n" for n in range(22 + more))
+    files["python/carina/session/open_case/open_case.py"] = "class OpenCase:\n" + "".join(
+        f"    a{n}: int\n" for n in range(22 + more)
+    )
     files["python/carina/session/session.py"] = f"class Session:\n{methods}class Case:\n    def do(self): ...\n"
     files["python/carina/track/twins.py"] = "".join(record.format(f"Twin{n}") for n in range(5 + more))
     return check_limits(files)
@@ -148,7 +152,9 @@ def test_limit_is_refused_only_if_it_is_exceeded():
 
 
 def test_attribute_without_a_type_and_missing_class_are_refused():
-    found = check_limits({"python/carina/session/case.py": "class OpenCase:\n    wall: Any\nclass Case:\n    x: int\n"})
+    found = check_limits(
+        {"python/carina/session/open_case/open_case.py": "class OpenCase:\n    wall: Any\nclass Case:\n    x: int\n"}
+    )
     assert found == [
         "no class Session in python/carina: correct the limits in tools/check_layers.py",
         "attributes of OpenCase without a type: wall",

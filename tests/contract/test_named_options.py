@@ -20,7 +20,7 @@ OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*")
 FOREIGN = {
     "cluster/node.py": "options of `ray start`, except those that are checked below",
     "installation.py": "options of pip and uv",
-    "server/wire_types.py": "an option of the generator of TypeScript types",
+    "server/wire/generate.py": "an option of the generator of TypeScript types",
 }
 OF_CT = ("info", "airways", "export", "track", "plan", "render", "isoregion", "fly")
 PRINTED_BY: dict[str, tuple[str, ...]] = {
@@ -46,9 +46,9 @@ PRINTED_BY: dict[str, tuple[str, ...]] = {
     "cli/track.py": ("track",),
     "cluster/node.py --head": ("cluster start",),
     "cluster/ray_backend.py": ("cluster start",),
-    "plan/target_files.py": ("plan",),
-    "plan/target_mask.py": ("plan",),
-    "server/listening.py": ("open", "demo"),
+    "plan/targets/from_file.py": ("plan",),
+    "plan/targets/from_mask.py": ("plan",),
+    "server/network/listening.py": ("open", "demo"),
     "server/serve.py": ("open", "demo"),
     "volume/mask_files.py --label": ("airways", "export"),
     "volume/mask_files.py --resample": ("airways", "export", "plan"),

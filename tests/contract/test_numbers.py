@@ -15,8 +15,8 @@ from carina.errors import CarinaError, ProtocolError
 from carina.export import read_tree
 from carina.navigate import open_key_frames, open_recording
 from carina.render import TransferFunction, transfer_preset
-from carina.server import messages as wire
-from carina.server.wire_codec import MAX_DEPTH
+from carina.server.wire import messages as wire
+from carina.server.wire.codec import MAX_DEPTH
 from carina.track import AirwayTree, Branch, edits_from_json
 
 PROTOCOL = Path(__file__).resolve().parents[2] / "protocol"

@@ -16,7 +16,7 @@ import pytest
 
 from carina.render import Picture
 from carina.scopes import Lens, Pose, lens_from_text, scope_preset
-from carina.server.pump import _lens
+from carina.server.frames.pump import _lens
 
 FILE = Path(__file__).resolve().parents[1] / "golden" / "projections.json"
 CALIBRATION = """{"image_size": [320, 240], "K": [[210.5, 0, 163.25], [0, 208.75, 117.5], [0, 0, 1]],

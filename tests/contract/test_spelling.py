@@ -15,8 +15,8 @@ PACKAGE = Path(carina.__file__).parent
 OTHER_SPELLING = {
     ("leaning_phantom.py", "center_lps"),  # key of the compiled module
     ("phantom.py", "center_lps"),  # earlier versions of truth.json, and the compiled module
-    ("server/wire_codec.py", "center_lps"),  # wire version 1
-    ("server/messages_of_phone.py", "recenter"),  # action of the wire
+    ("server/wire/codec.py", "center_lps"),  # wire version 1
+    ("server/wire/messages_of_phone.py", "recenter"),  # action of the wire
     ("volume/grid_writing.py", "CenterOfRotation"),  # key of MetaImage
     ("export/plan_dicom_sr.py", "Center"),  # term of DICOM
 }

@@ -23,7 +23,7 @@ from carina.render import (
     view_row,
 )
 from carina.render.view_table import CellName, Need
-from carina.volume.planes import PLANES, Plane
+from carina.volume.anatomical_planes import PLANES, Plane
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 

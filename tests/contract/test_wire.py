@@ -9,9 +9,9 @@ import pytest
 import simplejpeg
 
 from carina.errors import ProtocolError
-from carina.server import messages as wire
-from carina.server.wire_codec import OLD_WORDS, encode_picture
-from carina.server.wire_types import generated_files
+from carina.server.wire import messages as wire
+from carina.server.wire.codec import OLD_WORDS, encode_picture
+from carina.server.wire.generate import generated_files
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PROTOCOL = REPOSITORY / "protocol"
@@ -114,7 +114,7 @@ def test_picture_is_unchanged_by_reading_and_writing(path):
 def test_generated_files_are_up_to_date(name):
     expected = generated_files()[name]
     found = (REPOSITORY / name).read_text(encoding="utf-8")
-    assert found == expected, "run python -m carina.server.wire_types"
+    assert found == expected, "run python -m carina.server.wire.generate"
 
 
 def test_message_with_a_nonfinite_number_is_never_written():

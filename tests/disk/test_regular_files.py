@@ -16,7 +16,7 @@ from carina.errors import CarinaError, VolumeImportError
 from carina.export import read_tree
 from carina.navigate import open_key_frames, open_recording
 from carina.plan import scope_from_file, tool_from_file
-from carina.plan.target_files import target_from_file
+from carina.plan.targets.from_file import target_from_file
 from carina.render.png_text import read_png_pose
 from carina.scopes import lens_from_file
 from carina.volume import inspect_path, open_mask, open_volume

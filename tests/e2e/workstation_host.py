@@ -30,17 +30,17 @@ from typing import Any
 import numpy as np
 
 from carina import render
-from carina.case import packing
+from carina.case import compression
 from carina.commands import OpenDemo, OpenPath
 from carina.errors import CarinaError
 from carina.phone import PhoneSwitch
-from carina.render import AirwayView, mapcache, scene
-from carina.server import pacing
+from carina.render import AirwayView, isoregion_cache, scene
 from carina.server.app import web_folder
-from carina.server.security import Gate
+from carina.server.frames import pacing
+from carina.server.network.access_checks import Gate
 from carina.server.serve import bind, make_server, start_url
 from carina.session import CaseRecords, LocalStore, Session, case_files
-from carina.session.parts import Parts, default_parts
+from carina.session.engines import Parts, default_parts
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from made import found_airways, made_value
@@ -181,7 +181,7 @@ class Remembered:
         return made
 
 
-class KeptMaps(mapcache.MapCache):
+class KeptMaps(isoregion_cache.MapCache):
     """Map cache that does not read, check and unpack a file again that it has just read."""
 
     maps = Remembered(4)
@@ -207,7 +207,7 @@ def remember_pieces() -> None:
         return small(bytes(content), level) if len(content) < MOST_KEPT_BYTES else zlib.compress(content, level)
 
     kept = types.SimpleNamespace(compress=compress, decompressobj=zlib.decompressobj, error=zlib.error)
-    packing.zlib = kept  # type: ignore[assignment]
+    compression.zlib = kept  # type: ignore[assignment]
 
 
 def make_slow(slow_file: str) -> Any:

@@ -289,7 +289,7 @@ def test_grid_that_the_format_cannot_store_is_refused_before_the_lumen_is_comput
     volume, airways = case
     matrix = np.array(volume.lps_from_ijk)
     matrix[:3, 2] += 0.2 * matrix[:3, 0]
-    monkeypatch.setattr("carina.export.any_file.lumen_mask", None)
+    monkeypatch.setattr("carina.export.airways_file.lumen_mask", None)
     with pytest.raises(GeometryError, match="write it as"):
         export_airways(tmp_path / "lumen.nii.gz", Volume(volume.hu_zyx, matrix), airways)
 

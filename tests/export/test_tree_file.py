@@ -34,7 +34,7 @@ def test_failed_write_leaves_the_old_file(tree, tmp_path, monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("carina.disk.drafts.os.fsync", full)
+    monkeypatch.setattr("carina.disk.atomic_files.os.fsync", full)
     with pytest.raises(CarinaError, match="the disk is full") as caught:
         write_tree(path, tree)
     assert caught.value.exit_code == 1

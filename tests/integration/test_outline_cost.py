@@ -8,7 +8,7 @@ import pytest
 
 import carina
 from carina.render import CutPlaneView, Renderer, SliceView
-from carina.server.pump import encode_jpeg
+from carina.server.frames.pump import encode_jpeg
 from carina.track import LumenOutline
 from made import patient
 

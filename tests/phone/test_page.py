@@ -27,10 +27,10 @@ from carina.navigate.pilot import CLUTCH_BUTTON
 from carina.phone import PhoneSwitch
 from carina.phone.link import MAX_BAD, ClockMap, PhoneLink
 from carina.phone.page import qr_rows
-from carina.server import messages as wire
-from carina.server.device_desk import DeviceDesk
-from carina.server.lan_server import MAX_CONNECTIONS
-from carina.server.security import TokenGate
+from carina.server.devices import DeviceDesk
+from carina.server.network.access_checks import TokenGate
+from carina.server.network.lan_server import MAX_CONNECTIONS
+from carina.server.wire import messages as wire
 from encrypted_client import connected
 from simulated_serial import wait_for
 from small_case import small_bench
@@ -199,11 +199,11 @@ def unhurried(monkeypatch):
     """
     for name in (
         "carina.phone.page.HELLO_WITHIN_S",
-        "carina.server.impatient.FIRST_REQUEST_WITHIN_S",
-        "carina.server.impatient.BODY_WITHIN_S",
-        "carina.server.lan_server.HANDSHAKE_WITHIN_S",
-        "carina.server.lan_server.PING_EVERY_S",
-        "carina.server.strangers.LIFE_S",
+        "carina.server.network.request_timeouts.FIRST_REQUEST_WITHIN_S",
+        "carina.server.network.request_timeouts.BODY_WITHIN_S",
+        "carina.server.network.lan_server.HANDSHAKE_WITHIN_S",
+        "carina.server.network.lan_server.PING_EVERY_S",
+        "carina.server.network.connection_limits.LIFE_S",
     ):
         monkeypatch.setattr(name, WAIT_S)
 
@@ -324,7 +324,7 @@ def test_wrong_token_missing_token_and_silence_are_refused_and_counted(phone, mo
 
 
 def test_silent_connections_do_not_block_a_phone_and_are_closed(phone, monkeypatch):
-    monkeypatch.setattr("carina.server.impatient.FIRST_REQUEST_WITHIN_S", 1.0)
+    monkeypatch.setattr("carina.server.network.request_timeouts.FIRST_REQUEST_WITHIN_S", 1.0)
     host, port = phone.url[8:].rstrip("/").split(":")
     with contextlib.ExitStack() as strangers, dialled(phone) as link:
         state(link)
@@ -340,7 +340,7 @@ def test_silent_connections_do_not_block_a_phone_and_are_closed(phone, monkeypat
 
 
 def test_request_timeout_of_a_closed_connection_logs_no_error(phone, monkeypatch, caplog):
-    monkeypatch.setattr("carina.server.impatient.FIRST_REQUEST_WITHIN_S", 0.5)
+    monkeypatch.setattr("carina.server.network.request_timeouts.FIRST_REQUEST_WITHIN_S", 0.5)
     for token in (None, "wrong"):
         with contextlib.ExitStack() as stack:
 
@@ -536,7 +536,7 @@ def test_last_click_decides_whether_the_page_is_open_in_any_order_of_threads(pho
     def thread(target, args, daemon):
         return SimpleNamespace(start=lambda: waiting.append((target, args)))
 
-    monkeypatch.setattr("carina.server.device_desk.threading", SimpleNamespace(Thread=thread))
+    monkeypatch.setattr("carina.server.devices.threading", SimpleNamespace(Thread=thread))
     for clicks in ([True, False], [True, False, True], [False]):
         for on in clicks:
             phone.desk.handle(wire.SetPhone(on))

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.plan import PlannedRoute
-from carina.plan.last_leg import LastLeg
-from carina.plan.route_width import RouteWidth
+from carina.plan.routes.last_leg import LastLeg
+from carina.plan.routes.route_width import RouteWidth
 from carina.track import AirwayTree, Branch
 
 Points = NDArray[np.float64]

@@ -13,13 +13,13 @@ import numpy as np
 
 import carina
 from carina.plan import Plan, Verdict, judge_scopes, plan_route, turn_list
-from carina.plan.fork_view import Operator
-from carina.plan.moves import Move
+from carina.plan.hand_moves import Move
 from carina.plan.report import PlanSheet, make_sheet
-from carina.plan.report import sheet as sheet_module
-from carina.plan.turn_clips import TurnClip
-from carina.plan.turn_pictures import TurnPicture
-from carina.plan.turns import Turn, TurnList
+from carina.plan.report import plan_sheet as sheet_module
+from carina.plan.turns.clips import TurnClip
+from carina.plan.turns.fork_view import Operator
+from carina.plan.turns.pictures import TurnPicture
+from carina.plan.turns.turn_list import Turn, TurnList
 from carina.render import Picture, RenderStats
 from carina.scopes import Pose, WallField, scope_preset
 from carina.track import Airways
@@ -98,7 +98,7 @@ def sheet(**more: Any) -> PlanSheet:
     if not more:
         return _usual()
     told: dict[str, Any] = {"verdicts": verdicts(), "made_on": DAY, "wall": wall()} | more
-    with patch.multiple("carina.plan.report.sheet", **RENDERED):
+    with patch.multiple("carina.plan.report.plan_sheet", **RENDERED):
         return make_sheet(
             told.pop("volume", volume()), told.pop("airways", airways()), told.pop("plan", plan()), **told
         )

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from carina.errors import CancelledError
-from carina.plan.atlas import MOST_ANGLE_DEG, NOT, REACHES, reach_atlas
+from carina.plan.reach_atlas import MOST_ANGLE_DEG, NOT, REACHES, reach_atlas
 from carina.scopes import scope_preset
 from carina.track import wall_field
 from made import made_airways, made_phantom

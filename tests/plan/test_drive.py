@@ -18,16 +18,16 @@ from test_verdict import plan_in, tube
 
 from carina.errors import CancelledError, UsageError
 from carina.plan import Move
-from carina.plan.drive import DrivenRoute, moves_between, replay_moves
-from carina.plan.drive_aim import aim_drive
-from carina.plan.drive_search import condense_drive, place_at_start, search_drive
-from carina.plan.drive_way import DriveWay
-from carina.plan.last_leg import LastLeg
-from carina.plan.places import Ways
-from carina.plan.route_width import RouteWidth
-from carina.plan.routes import PlannedRoute
-from carina.plan.score import bending_mm
-from carina.plan.verdict_checks import bend_check, length_check
+from carina.plan.routes.last_leg import LastLeg
+from carina.plan.routes.plan_route import PlannedRoute
+from carina.plan.routes.ranking import bending_mm
+from carina.plan.routes.route_width import RouteWidth
+from carina.plan.routes.standing_points import Ways
+from carina.plan.verdict.checks import bend_check, length_check
+from carina.plan.verdict.drive import DrivenRoute, moves_between, replay_moves
+from carina.plan.verdict.drive_aim import aim_drive
+from carina.plan.verdict.drive_route import DriveWay
+from carina.plan.verdict.drive_search import condense_drive, place_at_start, search_drive
 from carina.scopes import ScopeDrive, ScopePreset, WallField, scope_preset
 from carina.track import AirwayTree
 from made import made_airways

@@ -8,7 +8,7 @@ import numpy as np
 from nodules import ellipsoid
 
 from carina.plan import FissureBox, NeedleErrors, NeedleScene, last_leg, lobes, surroundings, tool
-from carina.plan.box import Box
+from carina.plan.cubic_box import Box
 from carina.scopes import WallField
 from carina.track import AirwayTree
 from carina.volume import Volume

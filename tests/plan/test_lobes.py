@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from carina.errors import NoResultError
 from carina.plan import FissureBox, Lobes
-from carina.plan.box import Box, smoothed
-from carina.plan.fissures import fissures
-from carina.plan.lobes import LOBE_NAMES, STEP_MM, lung_grid, nearest_lobe
-from carina.plan.surroundings import lung_box
+from carina.plan.cubic_box import Box, smoothed
+from carina.plan.lungs.fissures import fissures
+from carina.plan.lungs.lobes import LOBE_NAMES, STEP_MM, lung_grid, nearest_lobe
+from carina.plan.lungs.tissue_near_needle import lung_box
 from carina.track import AirwayTree, branch_side_and_lobe
 from carina.volume import Volume
 from made import made_phantom

@@ -6,11 +6,11 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from carina.plan.box import Box
-from carina.plan.fissures import FissureBox
-from carina.plan.lobes import LOBE_NAMES
-from carina.plan.lung_map import _amid_lung, _deep_lines, _seen_shares
-from carina.plan.vessels import VesselBranch, VesselTree
+from carina.plan.cubic_box import Box
+from carina.plan.lungs.fissures import FissureBox
+from carina.plan.lungs.lobes import LOBE_NAMES
+from carina.plan.lungs.lung_map import _amid_lung, _deep_lines, _seen_shares
+from carina.plan.lungs.vessels import VesselBranch, VesselTree
 
 MATRIX = np.eye(4)
 MATRIX[:3, 3] = (-30.0, -20.0, -40.0)

@@ -13,7 +13,7 @@ from pydicom.dataset import Dataset
 import carina
 from carina.errors import NoResultError, VolumeImportError
 from carina.plan import target_from_file
-from carina.plan.contours import OutlineError, drawn_in
+from carina.plan.targets.contours import OutlineError, drawn_in
 from carina.volume import Volume
 from carina.volume.dicom_structures import Contour
 

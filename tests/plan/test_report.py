@@ -20,13 +20,13 @@ from carina.cli.plan import lines
 from carina.errors import CancelledError, CarinaError, UsageError
 from carina.export.plan_content import drawn_plans
 from carina.plan import ScoreWeights
-from carina.plan.last_leg import Crossed, NearVessel
 from carina.plan.report import make_sheet, write_report
 from carina.plan.report.blocks import Block, Bullets, Facts, Figure, Figures, Grid, Words
 from carina.plan.report.drawing import Label
 from carina.plan.report.sections import sections
-from carina.plan.target_edits import BRUSHED
-from carina.server.plan_words import _route
+from carina.plan.routes.last_leg import Crossed, NearVessel
+from carina.plan.targets.edits import BRUSHED
+from carina.server.to_wire.plan import _route
 from carina.track import measure_tree
 
 SAFETY = (

@@ -14,12 +14,12 @@ from nodules import ellipsoid
 from reported import plan, sheet
 
 from carina.plan import tool
-from carina.plan.last_leg import Crossed, Tissue
 from carina.plan.report.drawing import Disc, Label, Raster, Stroke, svg
 from carina.plan.report.figures import needle_bar, slice_drawing, tree_drawing
 from carina.plan.report.outline import boundary_in_plane, surface_of
 from carina.plan.report.tracing import tracing_drawings
 from carina.plan.report.wording import lines_of, text_width
+from carina.plan.routes.last_leg import Crossed, Tissue
 
 radii = st.tuples(*[st.floats(3.0, 12.0)] * 3)
 UNIT = st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda v: np.linalg.norm(v) > 0.3)

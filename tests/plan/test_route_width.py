@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from carina.errors import UsageError
-from carina.plan.route_width import RouteWidth, ball_error_mm, matches_tree, widths_on_the_way
-from carina.plan.verdict_checks import diameter_check
+from carina.plan.routes.route_width import RouteWidth, ball_error_mm, matches_tree, widths_on_the_way
+from carina.plan.verdict.checks import diameter_check
 from carina.scopes import scope_preset
 from carina.track import AirwayTree, Branch
 

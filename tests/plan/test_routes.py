@@ -28,9 +28,9 @@ from carina.plan import (
     tool,
     tools,
 )
-from carina.plan.places import Places
-from carina.plan.routes import standing_apart
-from carina.plan.score import RANK, Judge, bending_mm, order
+from carina.plan.routes.plan_route import standing_apart
+from carina.plan.routes.ranking import RANK, Judge, bending_mm, order
+from carina.plan.routes.standing_points import Places
 from carina.scopes import ScopePreset, WallField, scope_preset
 from carina.track import Airways, measure_tree
 from carina.volume import Volume

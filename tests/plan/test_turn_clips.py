@@ -13,7 +13,7 @@ from fork_trees import route_in
 
 from carina.errors import CancelledError, NoResultError, UsageError
 from carina.plan import TurnClip, TurnList, turn_clips, turn_flight, turn_list, turn_pictures
-from carina.plan.routes import PlannedRoute
+from carina.plan.routes.plan_route import PlannedRoute
 from carina.render import Renderer, letter_edges
 from made import made_airways, made_phantom
 

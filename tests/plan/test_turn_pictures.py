@@ -14,8 +14,8 @@ from fork_trees import made_tree, route_in
 from carina.display.png import png_bytes
 from carina.errors import CancelledError, NoResultError, UsageError
 from carina.plan import Turn, TurnList, TurnPicture, turn_list, turn_pictures
-from carina.plan.turn_marks import draw_edge
-from carina.plan.turn_pictures import DOUBTFUL_RGB, FOV_DEG, ROUTE_RGB, _belongs
+from carina.plan.turns.picture_marks import draw_edge
+from carina.plan.turns.pictures import DOUBTFUL_RGB, FOV_DEG, ROUTE_RGB, _belongs
 from carina.render import AirwayView, Renderer, read_png_pose
 from carina.scopes import Lens
 from made import made_airways, made_phantom

@@ -20,9 +20,9 @@ from carina.case.routes import route_to_branch
 from carina.errors import UsageError
 from carina.navigate import Navigator
 from carina.plan import Turn, TurnList, main_carina_ridge_mm, turn_list
-from carina.plan.fork_view import levelled, openings_seen, stand_mm, whole_hour
-from carina.plan.moves import Move
-from carina.plan.turn_words import moves_words
+from carina.plan.hand_moves import Move
+from carina.plan.turns.fork_view import levelled, openings_seen, stand_mm, whole_hour
+from carina.plan.turns.texts import moves_words
 from carina.scopes import Pose
 from carina.track import AirwayTree, Branch
 from made import made_airways, made_phantom

@@ -14,13 +14,14 @@ import reported
 from nodules import ellipsoid
 
 from carina.errors import CancelledError, UsageError
-from carina.plan import Plan, Verdict, judge_scope, judge_scopes, tool, verdict_lever
-from carina.plan.drive_way import DriveWay
-from carina.plan.last_leg import LastLeg
-from carina.plan.route_width import RouteWidth
-from carina.plan.routes import PlannedRoute
-from carina.plan.verdict_checks import bend_check
-from carina.plan.verdict_lever import lever_check
+from carina.plan import Plan, Verdict, judge_scope, judge_scopes, tool
+from carina.plan.routes.last_leg import LastLeg
+from carina.plan.routes.plan_route import PlannedRoute
+from carina.plan.routes.route_width import RouteWidth
+from carina.plan.verdict import lever
+from carina.plan.verdict.checks import bend_check
+from carina.plan.verdict.drive_route import DriveWay
+from carina.plan.verdict.lever import lever_check
 from carina.scopes import ScopePreset, WallField, scope_preset, scope_presets
 from carina.track import AirwayTree, Branch
 
@@ -178,8 +179,8 @@ def test_undecided_bend_is_settled_by_drives_with_less_flexion(monkeypatch: pyte
         def arrives(_way, _wall, preset, *_moves, needs_deg=needs_deg, **_options):
             return dataclasses.replace(found.driven, arrived=max(preset.flexion_deg) >= needs_deg)
 
-        monkeypatch.setattr(verdict_lever, "arrives_by", lambda *given, arrives=arrives: arrives(*given).arrived)
-        monkeypatch.setattr(verdict_lever, "search_drive", arrives)
+        monkeypatch.setattr(lever, "arrives_by", lambda *given, arrives=arrives: arrives(*given).arrived)
+        monkeypatch.setattr(lever, "search_drive", arrives)
         told = lever_check(way, field, near, figures, found.driven, effort=1.0)
         assert (told.answer, told.share) == ("perhaps", share) and words in told.words
     held_up = dataclasses.replace(found.driven, arrived=False)

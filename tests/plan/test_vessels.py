@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from carina.plan import Surroundings, surroundings
-from carina.plan.box import smoothed
-from carina.plan.vessels import eigenvalues
+from carina.plan.cubic_box import smoothed
+from carina.plan.lungs.vessels import eigenvalues
 from carina.scopes import WallField
 from carina.volume import Volume
 

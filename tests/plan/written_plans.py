@@ -8,9 +8,9 @@ import numpy as np
 from nodules import ellipsoid
 
 from carina.plan import Plan, tool
-from carina.plan.last_leg import Crossed, LastLeg
-from carina.plan.route_width import RouteWidth
-from carina.plan.routes import PlannedRoute
+from carina.plan.routes.last_leg import Crossed, LastLeg
+from carina.plan.routes.plan_route import PlannedRoute
+from carina.plan.routes.route_width import RouteWidth
 from carina.scopes import scope_preset
 from carina.track import AirwayTree, Branch
 

@@ -18,8 +18,8 @@ import pytest
 from carina import _core
 from carina.errors import RenderError
 from carina.render import AirwayView, Backend, Renderer, find_adapters, transfer_preset
-from carina.render.backend import MAX_PART_OFF, part_off
-from carina.render.device import PICTURES_FIRST
+from carina.render.graphics_device import PICTURES_FIRST
+from carina.render.processor_choice import MAX_PART_OFF, part_off
 from carina.scopes import ImageField, Lens, Pose, scope_preset
 from carina.volume import Volume
 

@@ -8,7 +8,7 @@ from test_planes import GRIDS, MIDDLE, bright_centre, volume_with_blob
 
 from carina.errors import RenderError
 from carina.render import DrrView, Renderer, letter_edges, mark_tip
-from carina.render.lettering import letters_of
+from carina.render.picture_text import letters_of
 from carina.volume import Volume
 
 ANGLES = [(0.0, 0.0), (90.0, 0.0), (-30.0, 20.0), (45.0, -35.0), (180.0, 0.0), (10.0, 90.0)]

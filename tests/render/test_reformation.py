@@ -11,7 +11,7 @@ from render_grids import place, rotation
 from carina.errors import RenderError, UsageError
 from carina.navigate import FlightPath
 from carina.render import PathSpan, PathView, Renderer, Slab, letter_edges, mark_path
-from carina.render.lettering import letters_of
+from carina.render.picture_text import letters_of
 from carina.scopes import PathFrames
 from carina.volume import Volume
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from websockets.sync.client import connect
 
-from carina.server import messages as wire
+from carina.server.wire import messages as wire
 from carina.volume import write_grid
 from made import made_phantom
 from own_folders import environment_in

@@ -28,9 +28,9 @@ def main() -> None:
     import carina.volume.opening  # noqa: F401  # before the forks
 
     if len(sys.argv) > 1:
-        from carina.session import keeping
+        from carina.session.saving import writer
 
-        keeping.SLOW_S = keeping.RETRY_S = float(sys.argv[1])
+        writer.SLOW_S = writer.RETRY_S = float(sys.argv[1])
     for line in sys.stdin:
         child = os.fork()
         if child == 0:

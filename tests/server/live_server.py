@@ -12,10 +12,10 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from carina.server import messages as wire
-from carina.server.security import Gate
+from carina.server.files.uploads import Limits, Uploads
+from carina.server.network.access_checks import Gate
 from carina.server.serve import bind, make_server
-from carina.server.uploads import Limits, Uploads
+from carina.server.wire import messages as wire
 from carina.session import LocalStore, Session
 from small_case import SmallRenderer, small_parts
 

@@ -7,7 +7,7 @@ import ssl
 
 from live_server import SHOWN, WAIT_S, Window, running
 
-from carina.server import messages as wire
+from carina.server.wire import messages as wire
 from encrypted_client import connected
 
 
@@ -40,10 +40,10 @@ def page_of(window, wanted=lambda page: page is not None):
 def sharing(tmp_path, monkeypatch, *, path="case", **replaced):
     """Provide a window of the user at the workstation, with a case and the page for observers open."""
     # Observers here read the close reason, however busy the machine is.
-    monkeypatch.setattr("carina.server.watch_page.FAREWELL_S", 60.0)
+    monkeypatch.setattr("carina.server.observers.page.FAREWELL_S", 60.0)
     # Both ends are in one process: while a case is opened, the first request of a connection may be late.
-    monkeypatch.setattr("carina.server.impatient.FIRST_REQUEST_WITHIN_S", 60.0)
-    monkeypatch.setattr("carina.server.lan_server.HANDSHAKE_WITHIN_S", 60.0)
+    monkeypatch.setattr("carina.server.network.request_timeouts.FIRST_REQUEST_WITHIN_S", 60.0)
+    monkeypatch.setattr("carina.server.network.lan_server.HANDSHAKE_WITHIN_S", 60.0)
 
     web = tmp_path / "web"
     web.mkdir()

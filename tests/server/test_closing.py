@@ -7,8 +7,8 @@ import asyncio
 import pytest
 from starlette.websockets import WebSocketDisconnect, WebSocketState
 
-from carina.server import messages as wire
-from carina.server.closing import MAX_REASON_BYTES, close_socket
+from carina.server.sockets.closing import MAX_REASON_BYTES, close_socket
+from carina.server.wire import messages as wire
 
 
 class Socket:

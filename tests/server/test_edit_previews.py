@@ -10,9 +10,9 @@ import pytest
 from edit_case import edit_case, in_plain_lung, open_ended_airways, open_ended_volume
 
 from carina.commands import EditTree
-from carina.server import messages as wire
-from carina.server.pointing import Pointing, no_evidence_message
-from carina.server.tree_words import tree_message
+from carina.server.to_wire.tree import tree_message
+from carina.server.windows.pointing import Pointing, no_evidence_message
+from carina.server.wire import messages as wire
 from carina.session import NotEvident
 from carina.track import edit_airways
 from small_case import small_bench

@@ -11,8 +11,8 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from carina.errors import CarinaError
-from carina.server import messages as wire
 from carina.server.serve import bind, start_url
+from carina.server.wire import messages as wire
 
 
 def test_link_is_exchanged_for_a_cookie_once(live):

@@ -12,9 +12,9 @@ import pytest
 from live_server import WAIT_S, Live, open_case, running, serving
 
 from carina.errors import DiskError
-from carina.server import messages as wire
-from carina.server.downloads import Downloads
-from carina.server.uploads import Uploads
+from carina.server.files.downloads import Downloads
+from carina.server.files.uploads import Uploads
+from carina.server.wire import messages as wire
 from carina.session import CaseRecords, Session, case_files
 from small_case import SmallRenderer, small_airways, small_lumen, small_parts, small_volume
 

@@ -11,11 +11,11 @@ from live_server import Live, open_case, serving
 
 from carina.navigate import open_recording
 from carina.render import transfer_preset
-from carina.server import messages as wire
-from carina.server.uploads import Limits, Uploads
+from carina.server.files.uploads import Limits, Uploads
+from carina.server.wire import messages as wire
 from carina.session import Session
-from carina.session.case_files import case_files
-from carina.session.records import CaseRecords
+from carina.session.store.disk_storage import case_files
+from carina.session.store.registry import CaseRecords
 from small_case import SmallRenderer, small_parts
 
 

@@ -13,8 +13,8 @@ import pytest
 from live_server import open_case
 from websockets.exceptions import ConnectionClosed
 
-from carina.server import messages as wire
-from carina.server.inbox import MAX_WAITING, Inbox
+from carina.server.windows.inbox import MAX_WAITING, Inbox
+from carina.server.wire import messages as wire
 from carina.session import Session
 
 

@@ -23,14 +23,14 @@ from carina.case import CaseFile, CaseFileError
 from carina.config import load_settings
 from carina.errors import CarinaError, DiskError, NoEvidenceError, NoResultError, UnsavedWorkError, UsageError
 from carina.render import Renderer
-from carina.server import messages as wire
-from carina.server.programs import JoinedProgram, door_of, problem_of
-from carina.server.security import Gate
-from carina.server.uploads import Limits, Uploads
+from carina.server.attached_programs import JoinedProgram, door_of, problem_of
+from carina.server.files.uploads import Limits, Uploads
+from carina.server.network.access_checks import Gate
+from carina.server.wire import messages as wire
 from carina.session import NotEvident, Session, Trouble, case_files
-from carina.session.doors import DOOR, Door, open_door, read_door
-from carina.session.owner_link import raised
-from carina.session.records import CaseRecords
+from carina.session.attach.client import raised
+from carina.session.store.attach_endpoint import DOOR, Door, open_door, read_door
+from carina.session.store.registry import CaseRecords
 from carina.volume import write_grid
 from made import made_phantom
 from own_folders import environment_in, own_folders

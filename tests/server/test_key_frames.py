@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from live_server import open_case
 
-from carina.server import messages as wire
+from carina.server.wire import messages as wire
 
 
 def edit(window, change):

@@ -11,9 +11,9 @@ import pytest
 from live_server import SHOWN, WAIT_S, open_case, running
 
 from carina.render import TransferFunction
-from carina.server import messages as wire
-from carina.server import shared_texts
-from carina.server import window as a_window
+from carina.server.windows import broadcast_cache
+from carina.server.windows import window as a_window
+from carina.server.wire import messages as wire
 from small_case import BRANCHES_IJK, small_volume
 
 
@@ -36,13 +36,13 @@ def test_thousands_of_movements_and_acks_of_unknown_frames_do_not_block_the_sess
 
 
 def test_poses_continue_while_a_tree_is_written_and_its_route_comes_after_it(live, monkeypatch):
-    may_end, written = threading.Event(), shared_texts.tree_message
+    may_end, written = threading.Event(), broadcast_cache.tree_message
 
     def slowly(airways, measures):
         assert airways is None or may_end.wait(WAIT_S)
         return written(airways, measures)
 
-    monkeypatch.setattr(shared_texts, "tree_message", slowly)
+    monkeypatch.setattr(broadcast_cache, "tree_message", slowly)
     with live.window() as window:
         window.send(SHOWN)
         open_case(window)

@@ -11,10 +11,10 @@ from live_server import SHOWN, WAIT_S
 from observers import insecure, sharing, watching
 
 from carina.errors import NoResultError, VolumeImportError
-from carina.server import messages as wire
-from carina.server.messages_from_server import CaseNote
-from carina.server.observer_texts import WITHOUT_NAMES, observer_error, observer_notes
-from carina.server.security import comes_from_this_machine
+from carina.server.network.access_checks import comes_from_this_machine
+from carina.server.observers.window import WITHOUT_NAMES, observer_error, observer_notes
+from carina.server.wire import messages as wire
+from carina.server.wire.messages_from_server import CaseNote
 from carina.volume import Note
 from small_case import small_volume
 

@@ -8,8 +8,8 @@ import random
 
 import pytest
 
-from carina.server.budget import AIRWAY_LEVELS, FINDER_BELOW_PER_S
-from carina.server.pacing import FULL, LONG_S, LOST_AFTER_S, STILL_AFTER_S, FrameScheduler
+from carina.server.frames.budget import AIRWAY_LEVELS, FINDER_BELOW_PER_S
+from carina.server.frames.pacing import FULL, LONG_S, LOST_AFTER_S, STILL_AFTER_S, FrameScheduler
 from simulated_stream import AIRWAY, ALL_VIEWS, Machine, Simulation, airway, num_changes, num_coarser, rate_hz
 
 # 5 ms to 250 ms for a full picture: a factor of 50.

@@ -9,7 +9,7 @@ import pytest
 from live_server import SHOWN, open_case
 
 from carina.navigate.rotation import rotation_from_vector, wxyz_from_rotation
-from carina.server import messages as wire
+from carina.server.wire import messages as wire
 from small_case import small_volume
 
 # The tracker is beside the patient, rotated about two axes.

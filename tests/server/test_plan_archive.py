@@ -11,8 +11,8 @@ import pytest
 from carina.commands import CtFolder, PlanningOf, PlanToTakeAway
 from carina.errors import CarinaError, UsageError
 from carina.export import plan_dicom_pdf
-from carina.server import reports
-from carina.server.reports import Reports
+from carina.server.files import plan_reports
+from carina.server.files.plan_reports import Reports
 
 
 class SmallSession:
@@ -66,9 +66,9 @@ def written(monkeypatch):
         path.write_bytes(b"DICM")
         return path
 
-    monkeypatch.setattr(reports, "export_plan", export)
-    monkeypatch.setattr(reports, "whole_sheet", sheet)
-    monkeypatch.setattr(reports, "write_report", pages)
+    monkeypatch.setattr(plan_reports, "export_plan", export)
+    monkeypatch.setattr(plan_reports, "whole_sheet", sheet)
+    monkeypatch.setattr(plan_reports, "write_report", pages)
     monkeypatch.setattr(plan_dicom_pdf, "write_plan_pdf", wrap)
     return found
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from carina.commands import CloseCase, MapLungs
-from carina.plan.lung_map import LungMap
-from carina.plan.vessels import VesselBranch, VesselTree
-from carina.server.lung_words import _fissures_seen
-from carina.server.outbox import TOPICS, Outbox
-from carina.server.shared_texts import SharedTexts
-from carina.session.snapshot import Topic
+from carina.plan.lungs.lung_map import LungMap
+from carina.plan.lungs.vessels import VesselBranch, VesselTree
+from carina.server.to_wire.lungs import _fissures_seen
+from carina.server.windows.broadcast_cache import SharedTexts
+from carina.server.windows.outbox import TOPICS, Outbox
+from carina.session.state.snapshot import Topic
 from small_case import small_bench
 
 

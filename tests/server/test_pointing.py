@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from carina.commands import OpenPath
-from carina.server import messages as wire
-from carina.server.newest import NewestOnly
-from carina.server.pointing import Pointing, live_path_message
-from carina.server.warming import Warming
-from carina.session.questions import lumen_before_wall
+from carina.server.windows.latest_only import NewestOnly
+from carina.server.windows.pointing import Pointing, live_path_message
+from carina.server.windows.prefetch import Warming
+from carina.server.wire import messages as wire
+from carina.session.view.questions import lumen_before_wall
 from carina.track import AddBranch, CutBranch, MoveFork, PaintLumen, RenameBranch, TreeEdit
 from small_case import small_bench, small_lps
 

@@ -9,8 +9,8 @@ import simplejpeg
 from carina.commands import Cancel, SetCrosshair, SetFov, SetTransfer, Steer
 from carina.errors import RenderError, UsageError
 from carina.render import AirwayView, SliceView
-from carina.server.messages import Status, parse_picture
-from carina.server.pump import FramePump, encode_jpeg
+from carina.server.frames.pump import FramePump, encode_jpeg
+from carina.server.wire.messages import Status, parse_picture
 from small_case import small_bench
 
 

@@ -14,9 +14,9 @@ import pytest
 from websockets.sync.client import connect
 
 from carina.errors import CarinaError, UsageError, VolumeImportError
-from carina.server import messages as wire
 from carina.server import serve
 from carina.server.serve import bind
+from carina.server.wire import messages as wire
 from own_folders import environment_in
 
 WAIT_S = 120.0

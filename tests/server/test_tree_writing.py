@@ -5,10 +5,10 @@ from __future__ import annotations
 import asyncio
 from types import SimpleNamespace
 
-from carina.server import messages as wire
-from carina.server import shared_texts
-from carina.server.outbox import Outbox
-from carina.server.shared_texts import SharedTexts
+from carina.server.windows import broadcast_cache
+from carina.server.windows.broadcast_cache import SharedTexts
+from carina.server.windows.outbox import Outbox
+from carina.server.wire import messages as wire
 
 TREE_AND_ROUTE = ("tree", "route")
 
@@ -28,7 +28,7 @@ class Writing:
             None,
             self.told.append,
         )
-        monkeypatch.setattr(shared_texts, "tree_message", self.write)
+        monkeypatch.setattr(broadcast_cache, "tree_message", self.write)
 
     def write(self, airways, _measures):
         self.written.append(airways)

@@ -14,8 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from carina.errors import UsageError
-from carina.server.dropped_names import DroppedNames
-from carina.server.uploads import Limits, Uploads, safe_relative_path
+from carina.server.files.dropped_names import DroppedNames
+from carina.server.files.uploads import Limits, Uploads, safe_relative_path
 
 
 async def body(*chunks):

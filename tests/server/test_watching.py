@@ -14,9 +14,9 @@ from carina.commands import all_commands
 from carina.commands.value import LocalCommand
 from carina.errors import UsageError
 from carina.render import Sight
-from carina.server import messages as wire
-from carina.server.watch_page import MAX_WATCHERS
-from carina.server.watching_window import READ_ONLY
+from carina.server.observers.page import MAX_WATCHERS
+from carina.server.observers.window import READ_ONLY
+from carina.server.wire import messages as wire
 from small_case import LEFT_TIP, small_bench
 
 pytest.importorskip("cryptography")

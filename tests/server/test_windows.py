@@ -12,8 +12,8 @@ from live_server import SHOWN, WAIT_S, open_case, running
 from starlette.websockets import WebSocket
 
 from carina.errors import VolumeImportError
-from carina.server import messages as wire
 from carina.server.hub import MAX_WINDOWS
+from carina.server.wire import messages as wire
 from carina.session import Session
 from small_case import LEFT_TIP, small_volume
 

@@ -11,7 +11,7 @@ import pytest
 from carina import commands as c
 from carina.errors import UsageError
 from carina.session import JobEnded, LocalStore, Trouble
-from carina.session.records import FORGOTTEN_FOR_S, CaseRecords
+from carina.session.store.registry import FORGOTTEN_FOR_S, CaseRecords
 from carina.volume import Volume
 from kept_desk import Desk, MemoryFile
 from small_case import small_volume

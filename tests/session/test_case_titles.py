@@ -10,8 +10,8 @@ import pytest
 
 from carina import commands as c
 from carina.session import LocalStore
-from carina.session.case_names import neutral_alias
-from carina.session.records import CaseRecords
+from carina.session.store.case_names import neutral_alias
+from carina.session.store.registry import CaseRecords
 from kept_desk import Desk
 
 NAME = "SURNAME_FIRSTNAME_1951.nii.gz"

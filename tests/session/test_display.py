@@ -11,9 +11,9 @@ import pytest
 from carina import _core, render
 from carina.commands import Cancel, OpenVolume, SetTransfer
 from carina.errors import TrackingError
-from carina.server.pump import FramePump
+from carina.server.frames.pump import FramePump
 from carina.session import JobEnded, Session
-from carina.session.parts import default_parts
+from carina.session.engines import default_parts
 from small_case import small_airways, small_bench, small_volume
 
 

@@ -10,9 +10,9 @@ import pytest
 from carina import commands as c
 from carina.case import CaseFile
 from carina.session import Said, Trouble, case_files
-from carina.session.case_names import neutral_alias
-from carina.session.own_case import program_session
-from carina.session.records import CaseRecords
+from carina.session.attach.select import program_session
+from carina.session.store.case_names import neutral_alias
+from carina.session.store.registry import CaseRecords
 from carina.volume import write_grid
 from made import made_phantom
 

@@ -10,7 +10,7 @@ from carina.case.history import History
 from carina.commands import AddTarget, Cancel, ChooseRoute, CloseCase, EditTree, GoTo, OpenPath, PreviewOf, Undo
 from carina.errors import CancelledError, NoEvidenceError, NoResultError, UsageError
 from carina.session import JobEnded, NotEvident, Said, Trouble
-from carina.session.editing import NUM_EDITS_WHOLE
+from carina.session.airways.editing import NUM_EDITS_WHOLE
 from carina.track import (
     AddBranch,
     Airways,

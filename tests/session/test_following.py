@@ -10,8 +10,8 @@ from carina import commands as c
 from carina.case import CaseFollower
 from carina.errors import UsageError
 from carina.session import case_files
-from carina.session.own_case import do_and_wait, program_session
-from carina.session.records import CaseRecords
+from carina.session.attach.select import do_and_wait, program_session
+from carina.session.store.registry import CaseRecords
 from carina.volume import write_grid
 from made import made_phantom
 

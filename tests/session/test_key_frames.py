@@ -36,7 +36,7 @@ from carina.errors import NoResultError, UsageError
 from carina.navigate import KeyFrame, KeyFrameFile, open_key_frames
 from carina.scopes import Pose
 from carina.session import Changed, Trouble
-from carina.session.flying import place_pose
+from carina.session.flights.tip_commands import place_pose
 from small_case import BRANCHES_IJK, small_bench, small_volume
 
 

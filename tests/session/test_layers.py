@@ -12,8 +12,8 @@ import carina
 from carina.commands import LungsOf, MapLungs, MapReach
 from carina.errors import CancelledError, NoResultError, UsageError
 from carina.plan import Nodule
-from carina.plan.lung_map import LungMap, MappedMask, _within, map_lungs
-from carina.session.layers import ShownLayers
+from carina.plan.lungs.lung_map import LungMap, MappedMask, _within, map_lungs
+from carina.session.scene.layer_lines import ShownLayers
 from made import made_phantom
 from small_case import small_bench
 

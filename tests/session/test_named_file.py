@@ -10,9 +10,9 @@ import threading
 
 import pytest
 
-from carina.session import named_file
-from carina.session.named_file import FileMark, NamedFile, NamedFileConflictError, path_beside, read_mark
-from carina.session.named_lock import NamedLock, lock_path
+from carina.session.store import named_file
+from carina.session.store.named_file import FileMark, NamedFile, NamedFileConflictError, path_beside, read_mark
+from carina.session.store.named_file_lock import NamedLock, lock_path
 from kept_desk import put_text
 
 WAIT_S = 60.0

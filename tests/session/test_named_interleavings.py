@@ -18,9 +18,10 @@ from carina.case import CaseFile, CaseFileError
 from carina.errors import CarinaError, DiskError
 from carina.phantom import write_phantom
 from carina.render import Renderer
-from carina.session import Said, Session, Trouble, case_files, named_file
-from carina.session.named_file import path_beside
-from carina.session.records import CaseRecords
+from carina.session import Said, Session, Trouble, case_files
+from carina.session.store import named_file
+from carina.session.store.named_file import path_beside
+from carina.session.store.registry import CaseRecords
 from own_folders import own_folders
 
 NUM_ACTS = 24

@@ -10,9 +10,9 @@ from edit_case import edit_case
 from carina.commands import EditTree, ShowPlace, Steer
 from carina.render import Renderer
 from carina.scopes import Pose
-from carina.server.messages import parse_picture, split_outline
-from carina.server.pump import FramePump
-from carina.session.flying import place_pose
+from carina.server.frames.pump import FramePump
+from carina.server.wire.messages import parse_picture, split_outline
+from carina.session.flights.tip_commands import place_pose
 from carina.track import LumenOutline, PaintLumen, RenameBranch, edit_airways
 from small_case import small_bench
 

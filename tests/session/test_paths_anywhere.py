@@ -9,7 +9,7 @@ import carina
 from carina import commands as c
 from carina.commands.tree import PathCost
 from carina.errors import NoResultError, UsageError
-from carina.track.targets.paper import COSTS
+from carina.track.targets.paper_tracker import COSTS
 from carina.volume import write_grid
 from vessel import made_vessel
 

@@ -15,7 +15,7 @@ import carina
 import carina.plan
 from carina.case import CaseFile, CaseFileError
 from carina.case.document import Lesion
-from carina.case.lesions import lesion_facts, made_lesion
+from carina.case.sized_targets import lesion_facts, made_lesion
 from carina.commands import (
     AddTarget,
     AimTarget,
@@ -41,9 +41,9 @@ from carina.commands import (
 from carina.errors import CarinaError, NoResultError, UsageError
 from carina.phantom import Phantom, write_phantom
 from carina.plan import PlanTarget
-from carina.server.plan_words import plans_message
+from carina.server.to_wire.plan import plans_message
 from carina.session import JobEnded, JobProgress
-from carina.session.plan_values import shown_surface
+from carina.session.derived.plans import shown_surface
 from carina.volume import write_grid
 from made import found_airways, made_phantom
 from small_case import small_bench, small_lps

@@ -17,8 +17,8 @@ from carina.errors import CarinaError, NoResultError, UnsavedWorkError, UsageErr
 from carina.phantom import write_phantom
 from carina.render import Renderer
 from carina.session import Session, case_files
-from carina.session.named_lock import NamedLock
-from carina.session.records import CaseRecords
+from carina.session.store.named_file_lock import NamedLock
+from carina.session.store.registry import CaseRecords
 from made import made_phantom
 from own_folders import own_folders
 

@@ -13,8 +13,8 @@ from carina import commands as c
 from carina.case.recordings import RecordingFacts
 from carina.errors import CarinaError, UsageError
 from carina.session import Said, Session, Trouble
-from carina.session.named_file import NamedFile
-from carina.session.records import CaseRecords, HeldCase
+from carina.session.store.named_file import NamedFile
+from carina.session.store.registry import CaseRecords, HeldCase
 from kept_desk import Desk, MemoryFile
 from small_case import LEFT_TIP, Background
 
@@ -161,7 +161,7 @@ def test_case_whose_file_is_unreadable_after_a_failed_opening_is_unchanged(desk,
     readable = session._saving._files
     session._saving._files = replace(readable, open=fails)
     with monkeypatch.context() as patched:
-        patched.setattr("carina.session.opening.new_case", fails)
+        patched.setattr("carina.session.cases.opening.new_case", fails)
         desk.open("another")
     session._saving._files = readable
     session.do(c.SetFov(90.0))
@@ -181,7 +181,7 @@ def test_work_is_stored_after_a_failed_opening_if_the_disk_does_not_return_the_c
         raise OSError(errno.EIO, os.strerror(errno.EIO))
 
     with monkeypatch.context() as patched:
-        patched.setattr("carina.session.opening.new_case", fails)
+        patched.setattr("carina.session.cases.opening.new_case", fails)
         patched.setattr(CaseRecords, "hold", fails)
         desk.open("another")
     session.do(c.SetFov(90.0))

@@ -23,7 +23,7 @@ from carina.commands import (
 )
 from carina.errors import NoResultError
 from carina.navigate import HandleSample, open_recording
-from carina.render.lettering import letters_of
+from carina.render.picture_text import letters_of
 from carina.scopes import WallField
 from carina.session import JobEnded
 from small_case import SHAPE_ZYX, small_airways, small_bench

@@ -44,8 +44,8 @@ from carina.errors import CancelledError, NoResultError, UsageError
 from carina.render import GreyWindow
 from carina.scopes import PINHOLE, scope_preset
 from carina.session import Changed, JobEnded, JobProgress, LocalStore, Said, Session, Trouble
-from carina.session.errands import Errand
-from carina.session.jobs import JobRunner
+from carina.session.jobs.background_jobs import JobRunner
+from carina.session.jobs.job_groups import Errand
 from small_case import (
     BRANCHES_IJK,
     LEFT_TIP,
@@ -603,7 +603,9 @@ def test_wall_point_has_its_voxel_value_and_the_nearest_branch():
 
 def test_freed_memory_is_returned_before_the_end_of_a_job_is_announced(monkeypatch):
     order = []
-    monkeypatch.setattr("carina.session.jobs.give_freed_memory_back", lambda: order.append("given back"))
+    monkeypatch.setattr(
+        "carina.session.jobs.background_jobs.give_freed_memory_back", lambda: order.append("given back")
+    )
 
     def fail(_job):
         raise NoResultError("no trachea was found")

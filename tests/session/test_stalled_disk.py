@@ -9,8 +9,9 @@ import pytest
 
 from carina import commands as c
 from carina.errors import UsageError
-from carina.session import Said, Trouble, keeping
-from carina.session.named_lock import lock_path
+from carina.session import Said, Trouble
+from carina.session.saving import writer
+from carina.session.store.named_file_lock import lock_path
 from kept_desk import Desk, MemoryFile
 
 WAIT_S = 60.0
@@ -43,12 +44,12 @@ class StallingDesk(Desk):
     def be_silent(self, has_begun, do):
         """Run ``do`` and wait until its write reaches the stalled disk, with a short limit for slow disks."""
         has_begun.clear()
-        keeping.SLOW_S = 0.01
+        writer.SLOW_S = 0.01
         do()
         with self.kept._wake:
             self.kept._wake.notify_all()
         assert has_begun.wait(WAIT_S)
-        keeping.SLOW_S = WAIT_S
+        writer.SLOW_S = WAIT_S
 
     def kept_files(self, files):
         def create(path, _volume, digest):
@@ -88,7 +89,7 @@ class StallingDesk(Desk):
 @pytest.fixture
 def desk(tmp_path, monkeypatch):
     MemoryFile.kept.clear()
-    monkeypatch.setattr(keeping, "SLOW_S", WAIT_S)
+    monkeypatch.setattr(writer, "SLOW_S", WAIT_S)
     desk = StallingDesk(tmp_path)
     desk.start()
     desk.open()
@@ -102,7 +103,7 @@ def desk(tmp_path, monkeypatch):
 
 
 def test_silent_disk_is_reported_within_three_seconds():
-    assert keeping.DECIDED_WITHIN_S + keeping.SLOW_S < 3.0  # No workstation here: the real limits of the product.
+    assert writer.DECIDED_WITHIN_S + writer.SLOW_S < 3.0  # No workstation here: the real limits of the product.
 
 
 def test_work_continues_on_a_silent_disk_and_is_written_when_it_responds(desk):
@@ -254,7 +255,7 @@ def test_failed_copy_is_retried_without_another_change(desk, tmp_path):
         desk.kept._wake.notify_all()
     desk.until(lambda: desk.saving().copy_problem is not None)
     desk.file.refuses = None
-    desk.clock.advance(keeping.COPY_RETRY_S + 1.0)
+    desk.clock.advance(writer.COPY_RETRY_S + 1.0)
     with desk.kept._wake:
         desk.kept._wake.notify_all()
     desk.until(lambda: desk.saving().copy_problem is None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from carina.session.start_pose import pose_before_airways
+from carina.session.open_case.start_pose import pose_before_airways
 from carina.volume import Volume
 
 

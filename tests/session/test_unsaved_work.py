@@ -12,10 +12,10 @@ import pytest
 from carina import commands as c
 from carina.errors import CarinaError, UnsavedWorkError
 from carina.server.unsaved_question import ConsoleTerminal, close_session
-from carina.session import keeping
-from carina.session.joined_case import JoinedCase
-from carina.session.named_case import NamedCase
-from carina.session.unsaved_work import unsaved_labels
+from carina.session.attach.remote_case import JoinedCase
+from carina.session.attach.working_copy import NamedCase
+from carina.session.saving import writer
+from carina.session.saving.unsaved_work import unsaved_labels
 from kept_desk import Desk, MemoryFile
 
 WAIT_S = 60.0
@@ -51,7 +51,7 @@ class ScriptedTerminal:
 def desk(tmp_path, monkeypatch):
     """Provide a case with three saved changes and five more on a full disk."""
     MemoryFile.kept.clear()
-    monkeypatch.setattr(keeping, "SLOW_S", WAIT_S)
+    monkeypatch.setattr(writer, "SLOW_S", WAIT_S)
     desk = Desk(tmp_path)
     desk.start()
     desk.open()
@@ -333,7 +333,7 @@ def test_new_name_that_is_not_saved_counts_as_unsaved(desk, monkeypatch):
     def refuses(*_arguments, **_options):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr("carina.session.records.write_whole", refuses)
+    monkeypatch.setattr("carina.session.store.registry.write_whole", refuses)
     case_id = desk.session.cases.open_case[0]
     desk.session.do(c.RenameCase(case_id, "Nodule in RB4"))
     (work,) = desk.session.cases.unsaved()

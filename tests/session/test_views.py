@@ -8,8 +8,8 @@ import pytest
 from carina import _core
 from carina.commands import ChooseRoute, GoTo, SetCarm, SetCrosshair, SetMode, SetReformation, SetSlab, SetZoom, Steer
 from carina.render import Carm, Renderer, Slab, XrayView
-from carina.server.presenter import picture_lines
-from carina.server.wire_codec import MAX_HEADER_BYTES, encode
+from carina.server.to_wire.session import picture_lines
+from carina.server.wire.codec import MAX_HEADER_BYTES, encode
 from small_case import small_bench, small_volume
 
 OVERVIEWS = ("xray-axial", "xray-coronal", "xray-sagittal", "drr", "straightened", "curved")

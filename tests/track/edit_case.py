@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.track import Airways, AirwayTree, find_airways
-from carina.track.find.kept import KeptForVolume
+from carina.track.find.per_volume_cache import KeptForVolume
 from carina.track.paths.path_grid import PathGrid
-from carina.track.paths.rebuilt import CoreRecipe
+from carina.track.paths.rebuilt_tracker import CoreRecipe
 from carina.track.paths.tracker import PathTracker
 from carina.volume.model import Volume
 

@@ -12,7 +12,7 @@ from plugged_chest import CHEST, named, plugged
 
 import carina
 from carina.track import AirwayTree, Branch, find_absent, name_tree
-from carina.track.tree.uncertain import Uncertainty, filled_place, without_unproven_blocks
+from carina.track.tree.uncertainty import Uncertainty, filled_place, without_unproven_blocks
 from carina.volume import Volume
 from made import made_airways, made_phantom
 from made import patient as the_patient

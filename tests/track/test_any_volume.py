@@ -7,7 +7,7 @@ import pytest
 
 import carina
 from carina.errors import NoResultError, UsageError
-from carina.track.targets.paper import NO_LUMEN, search_box, track_on_graph
+from carina.track.targets.paper_tracker import NO_LUMEN, search_box, track_on_graph
 from vessel import made_vessel
 
 HEAD_AND_LIDC2 = "ct/head_and_lidc2_8bit"

@@ -12,7 +12,7 @@ import carina
 from carina.errors import NoResultError
 from carina.phantom import generate_phantom
 from carina.track import AirwayTree, Branch, CutBranch, edit_airways, name_tree
-from carina.track.find.size import search_size, thread_confidence
+from carina.track.find.chest_size import search_size, thread_confidence
 from carina.track.tree.calibrated_size import UNCALIBRATED_SIZE, limit_at, with_size_note
 from carina.volume import Volume
 from made import MASKED_CHEST, made_airways, made_phantom

@@ -28,7 +28,7 @@ from carina.track import (
     edits_to_json,
     rebuild_airways,
 )
-from carina.track.edit.tree import TreeDraft
+from carina.track.edit.tree_changes import TreeDraft
 from carina.track.find.airway_ends import find_uncertain
 from carina.track.tree.airway_tree import Branch
 

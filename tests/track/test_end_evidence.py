@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from carina.track import Branch
-from carina.track.find.across import Across
 from carina.track.find.end_evidence import find_end_evidence
 from carina.track.find.straight_ends import find_straight_end
+from carina.track.find.wall_profile import Across
 from carina.volume import Volume
 
 LUNG_HU, WALL_HU, AIR_HU, TISSUE_HU, CLIP_HU = -860.0, 20.0, -1000.0, 30.0, 3000.0

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from carina.track.edit import evidence_verdict as verdict
 from carina.track.edit.evidence_verdict import Lung, Sections, Start, doubtful_sections, gains
-from carina.track.levels import AirScale
+from carina.track.intensity_levels import AirScale
 
 HU = AirScale(air=-1000.0, tissue=0.0)
 LUNG = Lung(rise=40.0, far_rise=90.0, bright=-850.0)

@@ -16,8 +16,8 @@ from carina.track import Airways, find_airways
 from carina.track.find.air_upwards import spread
 from carina.track.find.trachea_search import found_trachea, whole_trachea
 from carina.track.find.upper_airway import CORDS_ABOVE_CRICOID_MM, root_below_cords_mm
-from carina.track.levels import air_scale
-from carina.track.stages import Stages
+from carina.track.intensity_levels import air_scale
+from carina.track.progress import Stages
 from carina.volume import Volume
 
 SPACING_MM = 1.6

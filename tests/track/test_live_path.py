@@ -8,7 +8,7 @@ import pytest
 import carina
 from carina.errors import UsageError
 from carina.track import Airways
-from carina.track.paths.live import _across
+from carina.track.paths.live_path import _across
 
 
 @pytest.fixture(scope="module")

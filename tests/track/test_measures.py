@@ -14,9 +14,15 @@ from hypothesis import strategies as st
 from carina._core import cast_sections, section_axes
 from carina.errors import CancelledError, UsageError
 from carina.track import AirwayTree, Branch, find_airways, measure_tree
+from carina.track.measures.branch_summary import (
+    ReferenceDiameter,
+    Stenosis,
+    diameter_by_neighbours,
+    stenosis_of,
+    summed_up,
+)
 from carina.track.measures.diameter import branch_diameter, narrowest_diameter, passage_of, with_scatter
 from carina.track.measures.forks import angle_deg, directions
-from carina.track.measures.summary import ReferenceDiameter, Stenosis, diameter_by_neighbours, stenosis_of, summed_up
 from carina.volume.model import Volume
 from made import made_airways, made_phantom
 
@@ -80,7 +86,7 @@ def test_only_changed_branches_are_measured_again(chest, measured, monkeypatch):
         counts.append(len(centres))
         return cast_sections(hu, matrix, centres, *rest, **options)
 
-    monkeypatch.setattr("carina.track.measures.tree.cast_sections", counted)
+    monkeypatch.setattr("carina.track.measures.branch_measures.cast_sections", counted)
     again = measure_tree(chest.volume, airways, previous=measures)
     assert counts == [0]
     assert again.to_json() == measures.to_json()
@@ -103,7 +109,7 @@ def test_measures_by_an_earlier_method_are_not_reused(chest, measured, monkeypat
         counts.append(len(centres))
         return cast_sections(hu, matrix, centres, *rest, **options)
 
-    monkeypatch.setattr("carina.track.measures.tree.cast_sections", counted)
+    monkeypatch.setattr("carina.track.measures.branch_measures.cast_sections", counted)
     branches = (dataclasses.replace(measures.branches[0], method=1), *measures.branches[1:])
     again = measure_tree(chest.volume, airways, previous=dataclasses.replace(measures, branches=branches))
     assert counts == [sum(len(branch.points) for branch in airways.tree.branches)]

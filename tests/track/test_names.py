@@ -11,10 +11,10 @@ import pytest
 
 from carina.phantom import generate_phantom
 from carina.track import AirwayTree, Branch, LetterRule, branch_side_and_lobe, name_tree, name_words
+from carina.track.names.anatomy_model import LOBES, grammar
+from carina.track.names.assignment import Solver
 from carina.track.names.letters import letter_order
-from carina.track.names.model import LOBES, grammar
-from carina.track.names.shape import bronchi_of, find_lungs
-from carina.track.names.solve import Solver
+from carina.track.names.tree_shape import bronchi_of, find_lungs
 
 SEEDS = range(1, 7)
 LOBE_OF = {

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 import carina
 from carina._core import GraphTracker
 from carina.errors import CancelledError, UsageError
-from carina.track.targets.paper import BYTES_PER_VOXEL, COSTS, GRAPHS, search_box, track_on_graph
+from carina.track.targets.paper_tracker import BYTES_PER_VOXEL, COSTS, GRAPHS, search_box, track_on_graph
 from carina.volume.model import Volume
 from carina_bench.track_paper import deviation_mm
 from made import made_phantom

@@ -10,12 +10,12 @@ import pytest
 import carina
 from carina.errors import NoResultError, UsageError
 from carina.track import edit_airways, rebuild_airways
-from carina.track.edit.folded import fold_airways
-from carina.track.edit.kinds import CutBranch, PaintLumen
+from carina.track.edit.edit_list import CutBranch, PaintLumen
+from carina.track.edit.undo_storage import fold_airways
 from carina.track.find.growth import grow
 from carina.track.paths.path_grid import PathGrid
 from carina.track.tree.airway_tree import Branch
-from carina.track.tree.uncertain import as_probable_as_its_way
+from carina.track.tree.uncertainty import as_probable_as_its_way
 from carina.volume import Volume
 from made import made_phantom
 

@@ -11,8 +11,8 @@ from plugged_chest import CHEST
 import carina
 from carina.track import AirwayTree, Branch, Bridge, find_absent
 from carina.track.find.airway_ends import find_uncertain
-from carina.track.find.narrowed import find_narrowed
-from carina.track.tree.uncertain import filled_place
+from carina.track.find.partial_plugs import find_narrowed
+from carina.track.tree.uncertainty import filled_place
 from carina_bench.filled_bronchi import with_secretions
 from made import made_airways, made_phantom
 from made import patient as the_patient
@@ -119,14 +119,14 @@ def narrowed(width_mm, *, least_mm=2.5):
 
 
 def test_a_narrowing_within_the_error_of_the_calibre_is_not_stated(monkeypatch):
-    monkeypatch.setattr("carina.track.find.narrowed._middle", lambda *_: np.zeros(3))
+    monkeypatch.setattr("carina.track.find.partial_plugs._middle", lambda *_: np.zeros(3))
     (place,) = narrowed([2.8] * 7 + [4.0] * 15)
     assert place.calibre_mm - place.width_mm > place.calibre_error_mm
     assert narrowed([3.45] * 7 + [4.0] * 15) == []
 
 
 def test_a_bronchus_narrower_than_two_slices_is_not_called_filled(monkeypatch):
-    monkeypatch.setattr("carina.track.find.narrowed._middle", lambda *_: np.zeros(3))
+    monkeypatch.setattr("carina.track.find.partial_plugs._middle", lambda *_: np.zeros(3))
     assert len(narrowed([4.0] * 10 + [2.4] * 7 + [4.0] * 10, least_mm=3.9)) == 1
     assert narrowed([4.0] * 10 + [2.4] * 7 + [4.0] * 10, least_mm=6.0) == []
 

@@ -14,9 +14,9 @@ from carina.errors import NoResultError
 from carina.export import read_tree, write_tree
 from carina.phantom import generate_phantom
 from carina.track import CutBranch, RenameBranch, edit_airways, fold_airways, track_paths
-from carina.track.find.kernel import edge_undershoot_hu
-from carina.track.find.totals import doubt_of_totals
-from carina.track.levels import air_scale
+from carina.track.find.airways import doubt_of_totals
+from carina.track.find.kernel_sharpness import edge_undershoot_hu
+from carina.track.intensity_levels import air_scale
 from carina.track.tree.airway_tree import Branch
 from carina.track.tree.thick_slices import THICK_SLICES
 from made import MASKED_CHEST, made_phantom

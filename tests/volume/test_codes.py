@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 from corpus import PAGE, all_inputs, repeated_advice
 
-import carina.cli.badges
+import carina.cli.opened
 import carina.track
 import carina.volume
 
 CODE = re.compile(r"import(\.[a-z0-9]+(-[a-z0-9]+)*)+")
 ROW = re.compile(r"^\| `(?P<code>[\w.-]+)` \| (?P<kind>[^|]+) \| (?P<means>[^|]+) \| (?P<do>[^|]+) \|$", re.MULTILINE)
-SOURCES = [*sorted(Path(carina.volume.__file__).parent.glob("*.py")), Path(carina.cli.badges.__file__)]
+SOURCES = [*sorted(Path(carina.volume.__file__).parent.glob("*.py")), Path(carina.cli.opened.__file__)]
 SEARCH = sorted(Path(carina.track.__file__).parent.rglob("*.py"))
 
 

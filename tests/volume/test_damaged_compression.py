@@ -10,11 +10,11 @@ import pytest
 from dicom_writer import chest, packed, repack, series
 from pydicom import dcmread
 
-from carina.volume import open_volume, second_decoder
+from carina.volume import jpeg2000_check, open_volume
 from carina.volume.dicom_headers import read_header, read_pixel_bytes
 from carina.volume.dicom_pixels import read_slice
 from carina.volume.dicom_streams import fragments
-from carina.volume.second_decoder import has_second_decoder, j2k_problem
+from carina.volume.jpeg2000_check import has_second_decoder, j2k_problem
 
 needs_av = pytest.mark.skipif(not has_second_decoder(), reason="PyAV (extra video) is not installed")
 NUM = 6
@@ -126,7 +126,7 @@ def test_log_level_is_restored(compressed):
 
 
 def test_note_states_that_damage_may_be_missed_without_pyav(compressed, monkeypatch):
-    monkeypatch.setattr(second_decoder, "has_second_decoder", lambda: False)
+    monkeypatch.setattr(jpeg2000_check, "has_second_decoder", lambda: False)
     volume = open_volume(compressed)
     assert volume.is_hu
     (note,) = volume.source.notes
@@ -143,11 +143,11 @@ def test_cancelled_import_drops_checks_that_have_not_started(compressed, monkeyp
         checked.append(header)
         gate.wait(20)
 
-    monkeypatch.setattr(second_decoder, "is_checkable", lambda header: True)
-    monkeypatch.setattr(second_decoder, "_problem", wait)
-    with second_decoder.second_decoder() as check:
+    monkeypatch.setattr(jpeg2000_check, "is_checkable", lambda header: True)
+    monkeypatch.setattr(jpeg2000_check, "_problem", wait)
+    with jpeg2000_check.second_decoder() as check:
         check.submit(headers)
         assert len(check) == 5 * NUM
         check.drop_waiting()
         gate.set()
-    assert len(checked) <= second_decoder.MAX_WORKERS
+    assert len(checked) <= jpeg2000_check.MAX_WORKERS

@@ -17,7 +17,7 @@ from carina.volume import open_mask, open_volume
 from carina.volume.dicom_headers import acquisition_date, read_header
 from carina.volume.dicom_segmentation import read_segmentation
 from carina.volume.dicom_structures import is_structure_set, read_references, read_structures
-from carina.volume.watch import Watch
+from carina.volume.progress import Watch
 
 _VR = re.compile(rb"(?:AE|AS|CS|DA|DS|FD|FL|IS|LO|OB|OW|PN|SH|SQ|SS|TM|UI|UL|US)")
 _HEADER_BYTES = 3000

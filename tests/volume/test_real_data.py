@@ -13,7 +13,7 @@ from carina.errors import VolumeImportError
 from carina.volume import demo_patient, inspect_path, open_volume, quality_gate
 from carina.volume.dicom_files import read_headers
 from carina.volume.dicom_pixels import read_slice
-from carina.volume.watch import Watch
+from carina.volume.progress import Watch
 
 pytestmark = pytest.mark.data
 

@@ -1,16 +1,16 @@
 """The case: the user's work on a CT as immutable values, its history of steps, and the file that stores it."""
 
 from carina.case.document import ChosenKeyFrame, Document, KeyFrames, Target
+from carina.case.error_texts import CaseFileError
 from carina.case.file import CaseFile, StepFacts, migrate
-from carina.case.following import CaseFollower
+from carina.case.follow_live_file import CaseFollower
 from carina.case.history import History, Step
-from carina.case.moment import Moment
 from carina.case.reading import KeptAirways, KeptMeasures
 from carina.case.recordings import RecordingFacts, RecordingWriter
 from carina.case.rescue import rescued
 from carina.case.routes import ChosenRoute
 from carina.case.source import SourceFacts
-from carina.case.trouble import CaseFileError
+from carina.case.stored_state import Moment
 
 __all__ = [
     "CaseFile",

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.case.trouble import damaged
+from carina.case.error_texts import damaged
 from carina.errors import CarinaError
 from carina.scopes import Pose
 from carina.value import TEXT

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from carina.case.journals import check_files
-from carina.case.trouble import CaseFileError, damaged, refused
+from carina.case.error_texts import CaseFileError, damaged, refused
+from carina.case.sqlite_journals import check_files
 from carina.disk import disk_trouble, open_regular
 from carina.errors import CarinaError, DiskError
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from carina.case import facts as f
+from carina.case import json_records as f
 from carina.case.bounds import (
     MAX_LABEL_CHARS,
     MAX_S,
@@ -23,6 +23,7 @@ from carina.case.bounds import (
     bounded_whole,
     check_plain,
 )
+from carina.case.compression import MAX_JSON_BYTES, as_checked_json, from_json
 from carina.case.database import (
     check_header,
     check_whole,
@@ -32,21 +33,20 @@ from carina.case.database import (
     told,
     transaction,
 )
-from carina.case.journals import copied_with_journal, has_journal, set_foreign_aside
-from carina.case.moment import Moment
+from carina.case.error_texts import CaseFileError, damaged, refused
 from carina.case.packed_ct import packed_volume, write_ct
-from carina.case.packing import MAX_JSON_BYTES, as_checked_json, from_json
 from carina.case.reading import CaseReader, Rows
 from carina.case.recordings import RecordingFacts, RecordingTable, RecordingWriter
 from carina.case.save_mark import SaveMark, read_save_mark, write_save_mark
 from carina.case.schema import CONTENT, check_schema, make_tables, migrated
 from carina.case.source import SourceFacts, grid_words, read_source, turn_between, write_source
+from carina.case.sqlite_journals import copied_with_journal, has_journal, set_foreign_aside
+from carina.case.stored_state import Moment
 from carina.case.summary import CaseSummary, read_summary
-from carina.case.sweeping import sweep
-from carina.case.trouble import CaseFileError, damaged, refused
+from carina.case.unused_content import sweep
 from carina.case.writing import CaseWriter
 from carina.disk import Placement, ScratchFolder, disk_trouble, drafted, write_whole
-from carina.disk.placing import move_to_new_name
+from carina.disk.move_files import move_to_new_name
 from carina.display import one_line
 from carina.installation import carina_command
 from carina.navigate import Recording

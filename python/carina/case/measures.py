@@ -8,12 +8,12 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.case import facts as f
+from carina.case import json_records as f
 from carina.case.bounds import MAX_MM, MAX_NUMBER, bounded_array
-from carina.case.packing import deflated, inflated, packed_ints, unpacked_ints
-from carina.case.trouble import damaged
+from carina.case.compression import deflated, inflated, packed_ints, unpacked_ints
+from carina.case.error_texts import damaged
 from carina.track import BranchMeasures, BranchSummary, ForkMeasures, Stenosis
-from carina.track.measures.tree import RAYS_PER_MM
+from carina.track.measures.branch_measures import RAYS_PER_MM
 
 __all__ = ["branch_facts", "branch_from", "flags_of", "fork_from", "sections_of"]
 

@@ -8,9 +8,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.case.packing import MAX_PIECE_BYTES, MOST_DEFLATED, deflated, digest_of, inflated
+from carina.case.compression import MAX_PIECE_BYTES, MOST_DEFLATED, deflated, digest_of, inflated
+from carina.case.error_texts import damaged
 from carina.case.source import SourceFacts, read_source, turn_between
-from carina.case.trouble import damaged
 from carina.errors import UsageError
 from carina.volume import Volume, VolumeSource, ct_digest
 

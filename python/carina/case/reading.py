@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.case import facts as f
+from carina.case import json_records as f
 from carina.case.bounds import (
     MAX_MM,
     MAX_NUMBER,
@@ -22,17 +22,17 @@ from carina.case.bounds import (
     check_plain,
     check_tip,
 )
+from carina.case.compression import DTYPES, MAX_PIECE_BYTES, digest_of, from_json, inflated, unpacked_ints
 from carina.case.database import no_surprise
 from carina.case.document import ChosenKeyFrame, Document, KeyFrames, Target
+from carina.case.error_texts import damaged
 from carina.case.history import Step
-from carina.case.lesions import made_lesion
+from carina.case.lumen_tiles import TILE_BYTES, from_tiles, num_tiles
 from carina.case.measures import branch_from, fork_from
-from carina.case.moment import Moment
-from carina.case.packing import DTYPES, MAX_PIECE_BYTES, digest_of, from_json, inflated, unpacked_ints
 from carina.case.routes import ChosenRoute, RouteSpan
+from carina.case.sized_targets import made_lesion
 from carina.case.source import Turn
-from carina.case.tiles import TILE_BYTES, from_tiles, num_tiles
-from carina.case.trouble import damaged
+from carina.case.stored_state import Moment
 from carina.commands.look import Look
 from carina.errors import CarinaError
 from carina.navigate import FlightPath
@@ -49,12 +49,12 @@ from carina.track import (
     edits_from_json,
     edits_to_json,
 )
-from carina.track.edit.folded import FoldedAirways
-from carina.track.find.kept import KeptForVolume
+from carina.track.edit.undo_storage import FoldedAirways
+from carina.track.find.per_volume_cache import KeptForVolume
 from carina.track.paths.path_grid import PathGrid
-from carina.track.paths.rebuilt import CoreRecipe
+from carina.track.paths.rebuilt_tracker import CoreRecipe
 from carina.track.paths.tracker import PathTracker
-from carina.track.tree.uncertain import without_unproven_blocks
+from carina.track.tree.uncertainty import without_unproven_blocks
 from carina.volume import Note, Volume
 
 __all__ = ["CaseReader", "KeptAirways", "KeptMeasures", "Rows"]

@@ -22,9 +22,9 @@ from carina.case.bounds import (
     bounded_whole,
     shortened,
 )
+from carina.case.compression import deflated, digest_of, inflated
 from carina.case.database import no_surprise, told, transaction
-from carina.case.packing import deflated, digest_of, inflated
-from carina.case.trouble import damaged
+from carina.case.error_texts import damaged
 from carina.display import as_words, one_line
 from carina.errors import UsageError
 from carina.navigate import Recording

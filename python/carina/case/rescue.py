@@ -12,21 +12,21 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from carina.case import facts as f
+from carina.case import json_records as f
 from carina.case.bounds import MAX_LABEL_CHARS, MAX_NUMBER, MAX_S, check_tip, shortened
+from carina.case.compression import from_json
 from carina.case.database import check_header, connected, no_surprise, told
 from carina.case.document import Document, KeyFrames, Target
-from carina.case.facts import TargetFacts
+from carina.case.error_texts import CaseFileError, refused
 from carina.case.file import MAX_ROWS, MAX_STEPS, CaseFile
 from carina.case.history import Step
-from carina.case.journals import copied_with_journal
-from carina.case.moment import Moment
+from carina.case.json_records import TargetFacts
 from carina.case.packed_ct import packed_volume
-from carina.case.packing import from_json
 from carina.case.reading import CaseReader, Rows
 from carina.case.schema import APPLICATION_ID, CONTENT, SCHEMA, SINCE
 from carina.case.source import read_source, turn_between
-from carina.case.trouble import CaseFileError, refused
+from carina.case.sqlite_journals import copied_with_journal
+from carina.case.stored_state import Moment
 from carina.commands.look import Look
 from carina.disk import ScratchFolder
 from carina.errors import UsageError

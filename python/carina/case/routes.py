@@ -15,7 +15,7 @@ from carina.navigate import FlightPath
 from carina.navigate.moves import PathFork, PathWay, SetPath
 from carina.scopes import PathFrames
 from carina.track import Airways, AirwayTree, Branch, DrawnPart, Route, TrackedPath, drawn_part
-from carina.track.targets.paper import along_branches
+from carina.track.targets.paper_tracker import along_branches
 from carina.value import FrozenValue, PointLps
 
 __all__ = [

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final, Literal
 
-from carina.case.trouble import refused
+from carina.case.error_texts import refused
 
 __all__ = [
     "APPLICATION_ID",

@@ -10,10 +10,10 @@ from typing import Any, Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.case import facts as f
+from carina.case import json_records as f
 from carina.case.bounds import bounded_text, bounded_whole, check_plain
-from carina.case.packing import as_checked_json, from_json
-from carina.case.trouble import damaged
+from carina.case.compression import as_checked_json, from_json
+from carina.case.error_texts import damaged
 from carina.display import one_line
 from carina.errors import UsageError
 from carina.volume import Geometry, Volume

@@ -5,8 +5,8 @@ from __future__ import annotations
 import sqlite3
 from dataclasses import dataclass
 
-from carina.case import facts as f
-from carina.case.packing import from_json
+from carina.case import json_records as f
+from carina.case.compression import from_json
 from carina.display import one_line
 
 __all__ = ["CaseSummary", "read_summary"]

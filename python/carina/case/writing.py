@@ -13,23 +13,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.case import facts as f
+from carina.case import json_records as f
 from carina.case.bounds import MAX_LABEL_CHARS, MAX_S, is_readable_tip, shortened
+from carina.case.compression import as_checked_json, deflated, digest_of, packed_ints
 from carina.case.document import Document, KeyFrames, Target
 from carina.case.history import Step
-from carina.case.lesions import lesion_facts
+from carina.case.lumen_tiles import to_tiles
 from carina.case.measures import branch_facts, flags_of, sections_of
-from carina.case.moment import Moment
-from carina.case.packing import as_checked_json, deflated, digest_of, packed_ints
 from carina.case.reading import KeptAirways, KeptMeasures
 from carina.case.routes import ChosenRoute
 from carina.case.schema import CONTENT
-from carina.case.tiles import to_tiles
+from carina.case.sized_targets import lesion_facts
+from carina.case.stored_state import Moment
 from carina.commands.value import LocalCommand
 from carina.errors import CarinaError, UsageError
 from carina.render import TransferFunction
 from carina.track import Airways, AirwayTree, Branch, BranchMeasures, TreeMeasures, edits_to_json
-from carina.track.edit.folded import FoldedAirways, PackedAirways
+from carina.track.edit.undo_storage import FoldedAirways, PackedAirways
 from carina.track.paths.tracker import PathTracker
 from carina.version import VERSION
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from carina.cli.console import say
 from carina.errors import NoEvidenceError, NoResultError, UsageError
 from carina.track import AddBranch, Airways, edit_airways
-from carina.track.stages import Progress
+from carina.track.progress import Progress
 from carina.volume import Volume
 
 __all__ = ["AddedBranches", "add_branches", "error_json"]

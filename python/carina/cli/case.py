@@ -14,10 +14,10 @@ from carina.cli.console import print_json, progress_printer, say, show
 from carina.cli.opened import case_scans, newest_state
 from carina.config import load_settings
 from carina.disk import say_size, write_whole
-from carina.disk.placing import move_to_new_name
+from carina.disk.move_files import move_to_new_name
 from carina.errors import DiskError, UsageError
 from carina.session import CASE_SUFFIX, CaseRecord, CaseRecords, LocalStore
-from carina.session.record_repair import repair_records
+from carina.session.store.registry_repair import repair_records
 from carina.volume import VolumeCache
 
 __all__ = [

@@ -10,19 +10,51 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import carina
-from carina.cli.badges import Badges
 from carina.cli.console import ProgressCallback, say
 from carina.config import load_settings
 from carina.errors import NoResultError, UsageError, VolumeImportError
+from carina.export import read_badges
 from carina.scopes import Pose
 from carina.session import CaseRecords, CaseScans, is_case_file
-from carina.volume import Volume, VolumeCache, badges_of
+from carina.volume import Note, Volume, VolumeCache, badges_of
 
 if TYPE_CHECKING:
     from carina.case import CaseFile, Document, KeyFrames, Moment
     from carina.track import Airways
 
-__all__ = ["Opened", "case_scans", "check_case_options", "newest_state", "opened", "opened_volume"]
+__all__ = ["Badges", "Opened", "case_scans", "check_case_options", "newest_state", "opened", "opened_volume"]
+
+
+class Badges:
+    """Permanent notes about the input of a command; each is printed once on stderr."""
+
+    def __init__(self) -> None:
+        self._notes: dict[Note, None] = {}
+
+    @property
+    def notes(self) -> tuple[Note, ...]:
+        """All notes in the order in which they were added."""
+        return tuple(self._notes)
+
+    def add(self, notes: Iterable[Note]) -> None:
+        """Print the new notes on stderr, and store them."""
+        for note in notes:
+            if note not in self._notes:
+                self._notes[note] = None
+                say(f"note: {note.words}")
+
+    def take_airways(self, airways: object) -> None:
+        """Store the notes of an airway search or an imported mask; the caller prints them with the result."""
+        for note in getattr(airways, "badges", ()):
+            self._notes.setdefault(note, None)
+
+    def add_tree(self, path: Path) -> None:
+        """Print and store the notes that the file of a tree contains."""
+        self.add(read_badges(path))
+
+    def to_json(self) -> list[dict[str, str]]:
+        """Return the notes as ``--json`` prints them under ``badges``."""
+        return [{"code": note.code, "words": note.words} for note in self._notes]
 
 
 @dataclass(slots=True)

@@ -16,7 +16,7 @@ from carina.cli.opened import Opened, check_case_options, opened
 from carina.errors import NoResultError
 from carina.export import write_tree
 from carina.track import Airways, DrawnPart, drawn_part
-from carina.track.targets.paper import check_choice, track_on_graph
+from carina.track.targets.paper_tracker import check_choice, track_on_graph
 from carina.track.targets.results import GraphSearch
 
 __all__ = ["report"]

@@ -13,10 +13,10 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field
 from functools import partial
 
+from carina.cluster.frame_rate import RateMeter
 from carina.cluster.frames import Content, Frame, fail, what_is_wrong
 from carina.cluster.lanes import Lane, LaneFacts, LocalLane, StripAnswer, StripOrder
-from carina.cluster.parcel import Parcel, Parcels
-from carina.cluster.rate import RateMeter
+from carina.cluster.scene_data import Parcel, Parcels
 from carina.cluster.scheduler import FrameDone, FrameDropped, Issue, LaneBack, LaneLate, StripScheduler
 from carina.cluster.settings import ClusterSettings
 from carina.errors import CancelledError, CarinaError, ClusterError

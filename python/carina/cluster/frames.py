@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.cluster.envelope import Counts
+from carina.cluster.byte_messages import Counts
 from carina.cluster.lanes import StripAnswer, StripOrder, with_pixels
 from carina.render import AirwayView, CancelToken, Picture, Renderer, RenderStats, View
 from carina.render.scene import Scene

@@ -13,9 +13,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.cluster.envelope import Counts, Strip
-from carina.cluster.host import bare_picture, counts_of
-from carina.cluster.parcel import Parcel
+from carina.cluster.byte_messages import Counts, Strip
+from carina.cluster.renderer_host import bare_picture, counts_of
+from carina.cluster.scene_data import Parcel
 from carina.display import one_line
 from carina.render import CancelToken, Machine, Picture, Renderer, View
 from carina.render.scene import Scene

@@ -18,12 +18,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from carina.cluster.byte_messages import open_answer, pack_order
 from carina.cluster.console import Console
-from carina.cluster.envelope import open_answer, pack_order
-from carina.cluster.host import RendererHost
 from carina.cluster.lanes import Answered, LaneFacts, Loaded, StripAnswer, StripOrder
 from carina.cluster.node import CONSOLE_ENVIRONMENT, check_available, check_token, ray_environment
-from carina.cluster.parcel import Parcel
+from carina.cluster.renderer_host import RendererHost
+from carina.cluster.scene_data import Parcel
 from carina.errors import ClusterError
 from carina.version import VERSION
 

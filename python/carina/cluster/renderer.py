@@ -27,8 +27,8 @@ from carina.render import (
     View,
     can_cut,
 )
-from carina.render.decoration import DecorationTree
 from carina.render.scene import Cancel, Scene
+from carina.render.wall_texture import DecorationTree
 from carina.volume import Volume
 
 __all__ = ["ClusterRenderer", "render_frames"]

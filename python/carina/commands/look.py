@@ -13,7 +13,7 @@ from msgspec import Meta
 
 from carina.commands.fields import FlatView, Identifier, Operator, OrbitView, Outline
 from carina.commands.value import Command
-from carina.render.sight import Carm, FlatPlace, GreyWindow, Method, Orbit, Reformation, Slab
+from carina.render.view_values import Carm, FlatPlace, GreyWindow, Method, Orbit, Reformation, Slab
 from carina.scopes import DEFAULT_SCOPE, scope_preset
 from carina.value import FrozenValue, PointLps
 

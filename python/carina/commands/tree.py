@@ -11,7 +11,7 @@ from msgspec.structs import force_setattr
 from carina.commands.fields import BranchId, Identifier, OwnName, PathMm, PointLps
 from carina.commands.value import Command, FrozenValue, snake_case
 from carina.errors import UsageError
-from carina.volume.planes import Plane
+from carina.volume.anatomical_planes import Plane
 
 MAX_BRUSH_MM = 30.0
 MAX_STROKE_POINTS = 10_000

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from carina.disk.drafts import (
+from carina.disk.atomic_files import (
     Draft,
     Placement,
     create_folders,
@@ -12,6 +12,7 @@ from carina.disk.drafts import (
     sync_folder,
     write_whole,
 )
+from carina.disk.disk_errors import disk_trouble, is_disk_trouble, say_size
 from carina.disk.library_paths import library_path
 from carina.disk.regular_files import (
     check_regular,
@@ -20,8 +21,7 @@ from carina.disk.regular_files import (
     read_regular_text,
     special_kind,
 )
-from carina.disk.scratch import ScratchFolder, scratch_folder, sweep_scratch
-from carina.disk.trouble import disk_trouble, is_disk_trouble, say_size
+from carina.disk.temporary_folders import ScratchFolder, scratch_folder, sweep_scratch
 
 __all__ = [
     "Draft",

@@ -7,7 +7,7 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
-from carina.disk.scratch import scratch_folder
+from carina.disk.temporary_folders import scratch_folder
 from carina.errors import DiskError
 
 __all__ = ["library_path"]

@@ -5,15 +5,15 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from carina.export.any_file import check_export, export_airways, export_tree, is_tree_file
+from carina.export.airways_file import check_export, export_airways, export_tree, is_tree_file
 from carina.export.film import Film, write_film
 from carina.export.format_table import EXPORT_FORMATS, EXPORT_SUFFIXES, EXPORT_TITLES, ExportFormat, export_format
 from carina.export.mask_file import MASK_SUFFIXES, check_mask_file, write_mask
 from carina.export.mesh_file import write_mesh
 from carina.export.plan_file import PLAN_FORMATS, check_plan_file, export_plan
-from carina.export.plan_igtl import PlanServer, plan_messages, send_plan
 from carina.export.plan_markups import write_plan_markups
 from carina.export.plan_nrrd import write_target_nrrd
+from carina.export.plan_openigtlink import PlanServer, plan_messages, send_plan
 from carina.export.tree_file import read_badges, read_tree, write_tree
 from carina.export.tree_formats import write_markups, write_swc, write_vtp
 from carina.export.video import VIDEO_SUFFIXES, VideoWriter

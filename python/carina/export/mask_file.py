@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.errors import GeometryError, UsageError
-from carina.export.badges import badge_lines
+from carina.export.header_notes import badge_lines
 from carina.volume import GRID_SUFFIXES, Note, Volume, check_grid_fits, write_grid
 
 __all__ = ["MASK_SUFFIXES", "check_mask_file", "write_mask"]

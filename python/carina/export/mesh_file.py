@@ -18,7 +18,7 @@ import numpy as np
 
 from carina.disk import write_whole
 from carina.errors import UsageError
-from carina.export.badges import badge_lines
+from carina.export.header_notes import badge_lines
 from carina.track.surface.mesh import Mesh
 from carina.volume import Note
 

@@ -35,9 +35,9 @@ from carina.volume.dicom_checks import Clipping
 from carina.volume.dicom_headers import IDENTITY, SliceHeader, read_dataset
 from carina.volume.dicom_pixels import decode_slice
 from carina.volume.digest import Geometry
-from carina.volume.guarding import guarded
+from carina.volume.io_errors import guarded
 from carina.volume.opening import find_in, place_name
-from carina.volume.watch import Watch
+from carina.volume.progress import Watch
 
 __all__ = [
     "CtImages",

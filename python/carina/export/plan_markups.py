@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from carina.disk import write_whole
 from carina.errors import UsageError
-from carina.export.badges import badge_lines, lasting
+from carina.export.header_notes import badge_lines, lasting
 from carina.export.plan_content import DrawnRoute, DrawnTarget, drawn_plans
 from carina.plan import Plan
 from carina.track import AirwayTree

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.disk import write_whole
-from carina.export.badges import badge_lines, lasting
+from carina.export.header_notes import badge_lines, lasting
 from carina.track import drawn_tree, kind_words
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.volume import Note

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from carina.errors import ProtocolError
 from carina.navigate import PoseSample
 from carina.navigate.pilot import CLUTCH_BUTTON
-from carina.server import messages as wire
+from carina.server.wire import messages as wire
 
 __all__ = ["DEVICE", "MAX_BAD", "ClockMap", "PhoneLink"]
 

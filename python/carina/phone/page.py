@@ -27,17 +27,17 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from carina.commands import CycleControl, DeviceGone, LevelHorizon, ResetLook
 from carina.errors import CarinaError, ProtocolError
 from carina.phone.link import DEVICE, PhoneLink
-from carina.server import messages as wire
-from carina.server.certificate import Certificate, make_certificate
-from carina.server.closing import close_socket
-from carina.server.gate_middleware import GateMiddleware, page
-from carina.server.lan_server import LanServer
-from carina.server.listening import bind, lan_address
-from carina.server.security import Gate, TokenGate
-from carina.server.senders import start_sender
-from carina.server.web_files import asset_path
+from carina.server.files.web_files import asset_path
+from carina.server.network.access_checks import Gate, TokenGate
+from carina.server.network.access_middleware import GateMiddleware, page
+from carina.server.network.certificate import Certificate, make_certificate
+from carina.server.network.lan_server import LanServer
+from carina.server.network.listening import bind, lan_address
+from carina.server.sockets.closing import close_socket
+from carina.server.sockets.socket_io import start_sender
+from carina.server.wire import messages as wire
 from carina.session import Session
-from carina.session.jobs import log_fault
+from carina.session.jobs.background_jobs import log_fault
 
 __all__ = ["PhonePage", "qr_rows"]
 

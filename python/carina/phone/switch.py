@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from carina.errors import CarinaError
 from carina.installation import extra_command, not_built
-from carina.server.messages_of_devices import PhoneInfo
+from carina.server.wire.messages_of_devices import PhoneInfo
 from carina.session import Session
 
 if TYPE_CHECKING:

@@ -5,39 +5,39 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from carina.plan.atlas import ReachAtlas, reach_atlas
-from carina.plan.drive import DrivenRoute, moves_between, replay_moves
-from carina.plan.drive_flight import drive_flight
-from carina.plan.drive_search import condense_drive, place_at_start, search_drive
 from carina.plan.ebus import EBUS_LIMITS, Landmark, clock_hours, ebus_landmarks
-from carina.plan.fissures import FissureBox
-from carina.plan.last_leg import Crossed, LastLeg, NearVessel, NeedleScene, last_leg
-from carina.plan.lobes import Lobes, lobes
-from carina.plan.moves import Move
-from carina.plan.needle import NeedleErrors, hit_share
-from carina.plan.nodule import Nodule, NoduleKind, grow_nodule
-from carina.plan.places import BronchusSign, NearestPlace
+from carina.plan.hand_moves import Move
+from carina.plan.instruments.scope_file import scope_from_file, scope_to_json
+from carina.plan.instruments.tools import DEFAULT_TOOL, Tool, tool, tool_from_file, tools
+from carina.plan.lungs.fissures import FissureBox
+from carina.plan.lungs.lobes import Lobes, lobes
+from carina.plan.lungs.tissue_near_needle import Surroundings, lung_surroundings, surroundings
+from carina.plan.lungs.vessels import VesselBranch, VesselTree
+from carina.plan.reach_atlas import ReachAtlas, reach_atlas
 from carina.plan.report import PlanSheet, make_sheet, write_report
-from carina.plan.route_turns import main_carina_ridge_mm, turn_list
-from carina.plan.routes import Plan, PlannedRoute, plan_route
-from carina.plan.scope_file import scope_from_file, scope_to_json
-from carina.plan.score import Outlook, ScoreWeights
-from carina.plan.surroundings import Surroundings, lung_surroundings, surroundings
-from carina.plan.target import PlanTarget, TargetSource, proposed_aims
-from carina.plan.target_click import is_plain_nodule, target_from_click
-from carina.plan.target_edits import brushed, resized, sphere
-from carina.plan.tools import DEFAULT_TOOL, Tool, tool, tool_from_file, tools
-from carina.plan.turn_clips import TurnClip, turn_clips
-from carina.plan.turn_flight import turn_flight
-from carina.plan.turn_pictures import TurnPicture, turn_pictures
-from carina.plan.turns import OtherWay, Turn, TurnList
-from carina.plan.verdict import Check, Outcome, Verdict, judge_scope, judge_scopes
-from carina.plan.vessels import VesselBranch, VesselTree
-from carina.plan.whereabouts import WHERE_WORDS, Whereabouts, whereabouts
+from carina.plan.routes.last_leg import Crossed, LastLeg, NearVessel, NeedleScene, last_leg
+from carina.plan.routes.needle_hits import NeedleErrors, hit_share
+from carina.plan.routes.plan_route import Plan, PlannedRoute, plan_route
+from carina.plan.routes.ranking import Outlook, ScoreWeights
+from carina.plan.routes.standing_points import BronchusSign, NearestPlace
+from carina.plan.targets.edits import brushed, resized, sphere
+from carina.plan.targets.from_click import is_plain_nodule, target_from_click
+from carina.plan.targets.grow_nodule import Nodule, NoduleKind, grow_nodule
+from carina.plan.targets.region import WHERE_WORDS, Whereabouts, whereabouts
+from carina.plan.targets.target import PlanTarget, TargetSource, proposed_aims
+from carina.plan.turns.clips import TurnClip, turn_clips
+from carina.plan.turns.flight import turn_flight
+from carina.plan.turns.from_route import main_carina_ridge_mm, turn_list
+from carina.plan.turns.pictures import TurnPicture, turn_pictures
+from carina.plan.turns.turn_list import OtherWay, Turn, TurnList
+from carina.plan.verdict.drive import DrivenRoute, moves_between, replay_moves
+from carina.plan.verdict.drive_flight import drive_flight
+from carina.plan.verdict.drive_search import condense_drive, place_at_start, search_drive
+from carina.plan.verdict.verdict import Check, Outcome, Verdict, judge_scope, judge_scopes
 
 if TYPE_CHECKING:
-    from carina.plan.target_files import target_from_file
-    from carina.plan.target_mask import nodule_from_mask, target_from_mask
+    from carina.plan.targets.from_file import target_from_file
+    from carina.plan.targets.from_mask import nodule_from_mask, target_from_mask
 
 __all__ = [
     "DEFAULT_TOOL",
@@ -123,9 +123,9 @@ __all__ = [
 # These names are imported on first use: their modules load file readers that a plan for a clicked target
 # does not need.
 _HOME = {
-    "nodule_from_mask": "target_mask",
-    "target_from_file": "target_files",
-    "target_from_mask": "target_mask",
+    "nodule_from_mask": "targets.from_mask",
+    "target_from_file": "targets.from_file",
+    "target_from_mask": "targets.from_mask",
 }
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from carina.display import one_line
 from carina.errors import check_type
-from carina.plan.fork_view import hours_of, turned_hours
+from carina.plan.turns.fork_view import hours_of, turned_hours
 from carina.scopes import upright
 from carina.track import AirwayTree, Branch, name_words
 

@@ -5,17 +5,16 @@ from typing import Any
 from carina import _core
 from carina._core import CancelToken
 from carina.render.appearance import Appearance, DecorationName
-from carina.render.backend import Adapter, AdapterMeasurement, Backend, find_adapters
-from carina.render.lettering import PathSpan, letter_edges, mark_path
-from carina.render.machines import ClusterState, ClusterStatus, Machine, MemberStatus, Processor
+from carina.render.cluster_machines import ClusterState, ClusterStatus, Machine, MemberStatus, Processor
+from carina.render.picture_text import PathSpan, letter_edges, mark_path
 from carina.render.pictures import ignored_settings, mark_tip, render_surface, render_view, view_spec
+from carina.render.plain_arrays import build_isoregion_map, isoregion_map, project_maximum, sample_plane
 from carina.render.png_text import read_png_badges, read_png_pose
+from carina.render.processor_choice import Adapter, AdapterMeasurement, Backend, find_adapters
 from carina.render.renderer import Renderer, can_cut
-from carina.render.sight import Carm, FlatPlace, GreyWindow, Orbit, Reformation, Sight, Slab
-from carina.render.structures import build_isoregion_map, isoregion_map, project_maximum, sample_plane
 from carina.render.surface import Hit, Surface
 from carina.render.thread_reservation import picture_threads, reserved_thread
-from carina.render.transfer import PRESETS, Light, TransferFunction, transfer_from_histogram, transfer_preset
+from carina.render.transfer_function import PRESETS, Light, TransferFunction, transfer_from_histogram, transfer_preset
 from carina.render.view_settings import ViewSettings
 from carina.render.view_table import (
     CELLS,
@@ -31,6 +30,7 @@ from carina.render.view_table import (
     ViewRow,
     view_row,
 )
+from carina.render.view_values import Carm, FlatPlace, GreyWindow, Orbit, Reformation, Sight, Slab
 from carina.render.views import (
     AirwayView,
     CutPlaneView,

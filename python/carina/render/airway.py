@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from carina import _core
 from carina.errors import RenderError
 from carina.render.appearance import FROM_TREE, Appearance, DecorationName
-from carina.render.backend import Backend
-from carina.render.device import DeviceCaster
+from carina.render.graphics_device import DeviceCaster
+from carina.render.processor_choice import Backend
 from carina.render.scene import Scene
 from carina.render.surface import Hit, Surface
-from carina.render.transfer import TransferFunction
+from carina.render.transfer_function import TransferFunction
 from carina.render.views import AirwayView, Picture, RenderStats
 from carina.scopes import PINHOLE
 from carina.volume import Volume

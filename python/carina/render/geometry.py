@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from carina.scopes import Pose
 from carina.volume import Volume
-from carina.volume.planes import PLANES, Plane
+from carina.volume.anatomical_planes import PLANES, Plane
 
 __all__ = [
     "bounding_radius_mm",

@@ -25,15 +25,15 @@ from carina.argument_checks import (
     text_of,
 )
 from carina.errors import RenderError, UsageError, check_type
-from carina.render.backend import Backend
-from carina.render.decoration import DecorationTree
+from carina.render.processor_choice import Backend
 from carina.render.renderer import Renderer
-from carina.render.sight import THIN, Carm, FlatPlace, GreyWindow, Orbit, Reformation, Sight, Slab
 from carina.render.surface import Surface
-from carina.render.transfer import TransferFunction
+from carina.render.transfer_function import TransferFunction
 from carina.render.view_settings import ViewSettings
 from carina.render.view_table import LEAD_VIEW, view_row
+from carina.render.view_values import THIN, Carm, FlatPlace, GreyWindow, Orbit, Reformation, Sight, Slab
 from carina.render.views import AirwayView, Picture, TreeView, View
+from carina.render.wall_texture import DecorationTree
 from carina.scopes import (
     FULL_FRAME,
     OUTLINES,

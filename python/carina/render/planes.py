@@ -11,7 +11,7 @@ from carina import _core
 from carina.render import geometry
 from carina.render.views import CutPlaneView, Picture, RenderStats, SliceView, TriPlaneView, XrayView
 from carina.volume import Volume
-from carina.volume.planes import PLANES
+from carina.volume.anatomical_planes import PLANES
 
 __all__ = ["PlaneCaster"]
 

@@ -26,14 +26,13 @@ from carina.argument_checks import (
 from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import RenderError, refuse_pickle
 from carina.render.airway import AirwayCaster
-from carina.render.backend import Backend
-from carina.render.decoration import DecorationTree
 from carina.render.planes import PlaneCaster
+from carina.render.processor_choice import Backend
 from carina.render.radiograph import cast_drr
 from carina.render.reformation import cast_path_view
 from carina.render.scene import Cancel, Scene, SceneKeeper
 from carina.render.surface import Hit, Surface
-from carina.render.transfer import TransferFunction
+from carina.render.transfer_function import TransferFunction
 from carina.render.tree import cast_tree
 from carina.render.views import (
     AirwayView,
@@ -43,6 +42,7 @@ from carina.render.views import (
     TreeView,
     View,
 )
+from carina.render.wall_texture import DecorationTree
 from carina.volume import Volume
 
 __all__ = ["Renderer", "can_cut"]

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from carina import _core
 from carina.errors import CancelledError, GeometryError
-from carina.render.decoration import Decoration, DecorationTree, decoration_of
-from carina.render.mapcache import CachedMap, MapCache, MapName
-from carina.render.transfer import TransferFunction, transfer_from_histogram, transfer_preset
+from carina.render.isoregion_cache import CachedMap, MapCache, MapName
+from carina.render.transfer_function import TransferFunction, transfer_from_histogram, transfer_preset
 from carina.render.tree import LeapedValues, TreeField, build_tree_field
 from carina.render.wall import wall_levels, with_wall
+from carina.render.wall_texture import Decoration, DecorationTree, decoration_of
 from carina.volume import Volume
 
 __all__ = ["Cancel", "ClassMaps", "Maps", "Progress", "Scene", "SceneKeeper"]

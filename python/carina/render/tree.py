@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from carina import _core
 from carina.render import geometry
-from carina.render.transfer import Light
+from carina.render.transfer_function import Light
 from carina.render.views import Picture, RenderStats, TreeView
 from carina.render.wall import bounding_box
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from carina.display import one_line
-from carina.render.sight import Sight, Slab
+from carina.render.view_values import Sight, Slab
 from carina.scopes import FULL_FRAME, DepthOfField, ImageField, Lens, PathFrames, Pose, ScopePreset
 from carina.value import PointLps
 

@@ -16,8 +16,8 @@ import msgspec
 
 from carina.display import one_line
 from carina.errors import UsageError
-from carina.render.sight import Orbit
 from carina.render.view_settings import ViewSettings
+from carina.render.view_values import Orbit
 from carina.render.views import (
     WINDOW_HU,
     AirwayView,
@@ -30,7 +30,7 @@ from carina.render.views import (
     View,
     XrayView,
 )
-from carina.volume.planes import PLANES, Plane
+from carina.volume.anatomical_planes import PLANES, Plane
 
 __all__ = [
     "CELLS",

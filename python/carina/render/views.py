@@ -32,10 +32,10 @@ from carina.display.png import png_bytes
 from carina.errors import RenderError, UsageError
 from carina.render.appearance import DecorationName, check_guides
 from carina.render.png_text import BADGES_KEYWORD, KEYWORD
-from carina.render.sight import Slab
+from carina.render.view_values import Slab
 from carina.scopes import FULL_FRAME, PINHOLE, DepthOfField, ImageField, Lens, Optics, PathFrames, Pose, ScopePreset
 from carina.volume import Note
-from carina.volume.planes import PLANES, Plane
+from carina.volume.anatomical_planes import PLANES, Plane
 
 __all__ = [
     "AirwayView",

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina import _core
-from carina.render.transfer import TransferFunction
+from carina.render.transfer_function import TransferFunction
 
 __all__ = ["bounding_box", "grow_one_voxel", "wall_levels", "with_wall"]
 

@@ -16,17 +16,17 @@ from starlette.websockets import WebSocket
 
 from carina.errors import CarinaError, DiskError
 from carina.plan.report import ReportKind
-from carina.server.closing import close_socket
-from carina.server.conversation import converse
-from carina.server.downloads import Downloads
-from carina.server.gate_middleware import GateMiddleware, page
+from carina.server.attached_programs import JOIN_PATH, serve_program
+from carina.server.files.downloads import Downloads
+from carina.server.files.plan_reports import Reports
+from carina.server.files.uploads import Uploads
+from carina.server.files.web_files import asset_path, web_folder
 from carina.server.hub import Hub
-from carina.server.programs import JOIN_PATH, serve_program
-from carina.server.reports import Reports
-from carina.server.security import Gate, comes_from_this_machine
-from carina.server.uploads import Uploads
-from carina.server.web_files import asset_path, web_folder
-from carina.server.window import Window
+from carina.server.network.access_checks import Gate, comes_from_this_machine
+from carina.server.network.access_middleware import GateMiddleware, page
+from carina.server.sockets.closing import close_socket
+from carina.server.windows.websocket_session import converse
+from carina.server.windows.window import Window
 
 __all__ = ["create_app", "web_folder"]
 

@@ -14,16 +14,16 @@ from typing import Any
 from carina.commands import Command, MaskFileNeeded, OpenFiles, TakeKeyFrameFile, TakeMask, TakeTarget
 from carina.errors import CarinaError, ProtocolError, UsageError
 from carina.render import ClusterStatus
-from carina.server import messages as wire
-from carina.server.cluster_watch import ClusterWatch
-from carina.server.device_desk import DeviceDesk, Phone
-from carina.server.pacing import DEFAULT_RATE_HZ
-from carina.server.shared_texts import SharedTexts
-from carina.server.uploads import Uploads
-from carina.server.warming import Warming
-from carina.server.watch_page import WatchPage
-from carina.server.watching_window import WatchingWindow
-from carina.server.window import Window
+from carina.server.cluster_status import ClusterWatch
+from carina.server.devices import DeviceDesk, Phone
+from carina.server.files.uploads import Uploads
+from carina.server.frames.pacing import DEFAULT_RATE_HZ
+from carina.server.observers.page import WatchPage
+from carina.server.observers.window import WatchingWindow
+from carina.server.windows.broadcast_cache import SharedTexts
+from carina.server.windows.prefetch import Warming
+from carina.server.windows.window import Window
+from carina.server.wire import messages as wire
 from carina.session import Changed, Event, JobEnded, Session, log_fault
 from carina.volume import Citation
 

@@ -1,7 +1,8 @@
-"""Start of the workstation server: bind the port, print the start link, run until Ctrl-C."""
+"""Start of the workstation: bind, print the link, run until a signal ends it."""
 
 from __future__ import annotations
 
+import signal
 import socket
 import sys
 import threading
@@ -9,6 +10,7 @@ import time
 import webbrowser
 from collections.abc import Callable
 from pathlib import Path
+from types import FrameType
 from typing import Any, cast
 
 import uvicorn
@@ -19,22 +21,75 @@ from carina.disk import sweep_drafts, sweep_scratch
 from carina.errors import UsageError
 from carina.render import ClusterStatus
 from carina.server.app import create_app, web_folder
-from carina.server.device_desk import Phone
-from carina.server.end_signals import EndSignals
-from carina.server.ending import EndingServer
+from carina.server.attached_programs import door_of
+from carina.server.devices import Phone
+from carina.server.files.uploads import Uploads
 from carina.server.hub import Hub
-from carina.server.impatient import impatient
-from carina.server.listening import bind
-from carina.server.programs import door_of
-from carina.server.security import Gate, is_loopback
-from carina.server.strangers import ACCEPT_AT_ONCE, WAITING_IN_LINE, Strangers, quieten
+from carina.server.network.access_checks import Gate, is_loopback
+from carina.server.network.connection_limits import ACCEPT_AT_ONCE, WAITING_IN_LINE, Strangers, quieten
+from carina.server.network.listening import bind
+from carina.server.network.request_timeouts import impatient
+from carina.server.network.shutdown import EndingServer
 from carina.server.unsaved_question import ConsoleTerminal, close_session
-from carina.server.uploads import Uploads
-from carina.server.wire_codec import MAX_TEXT_BYTES
+from carina.server.wire.codec import MAX_TEXT_BYTES
 from carina.session import FORGOTTEN_FOR_S, CaseRecords, LocalStore, RendererFactory, Session, case_files, is_case_file
 from carina.volume import Citation, VolumeCache
 
-__all__ = ["bind", "make_server", "serve", "start_url"]
+__all__ = ["EndSignals", "bind", "make_server", "serve", "start_url"]
+
+CLOSED_TERMINAL = "SIGHUP"
+ENDING = ("SIGTERM", CLOSED_TERMINAL)
+"""Names of the handled signals; Python and uvicorn handle SIGINT (Ctrl-C)."""
+
+
+class EndSignals:
+    """Handlers of SIGTERM and SIGHUP while the server runs and while the session is closed.
+
+    Without these handlers either signal ends the process at once: SIGHUP in the middle of the work, SIGTERM after the
+    server has ended and before the session is closed. A signal that is ignored (``nohup``) stays ignored.
+
+    Parameters
+    ----------
+    stop
+        Callback that makes the server stop; called for the first signal.
+    """
+
+    def __init__(self, stop: Callable[[], None]) -> None:
+        self._stop = stop
+        self._former: dict[signal.Signals, Any] = {}
+        self._received: list[int] = []
+        self._is_closing = False
+
+    @property
+    def has_terminal_closed(self) -> bool:
+        """Whether the terminal was closed, so that no user can answer."""
+        return any(signal.Signals(number).name == CLOSED_TERMINAL for number in self._received)
+
+    def begin_closing(self) -> None:
+        """Mark the server as stopped; each later signal raises an interrupt as Ctrl-C does."""
+        self._is_closing = True
+
+    def __enter__(self) -> EndSignals:
+        """Install the signal handlers."""
+        # Signals can only be handled in the main thread; in another thread, the caller stops the server.
+        if threading.current_thread() is threading.main_thread():
+            for name in ENDING:
+                number = getattr(signal, name, None)
+                if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
+                    self._former[number] = signal.signal(number, self._handle)
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        """Restore the previous signal handlers."""
+        for number, handler in self._former.items():
+            signal.signal(number, handler)
+
+    def _handle(self, number: int, _frame: FrameType | None) -> None:
+        self._received.append(number)
+        if self._is_closing:
+            raise KeyboardInterrupt
+        self._stop()
+
 
 GRACE_S = 3
 
@@ -326,7 +381,7 @@ def _renderer_factory() -> Any:
 
     settings = load_settings()
     cache = settings.cache_dir / "maps"
-    backend = render.Backend(settings.backend, record=settings.cache_dir / render.backend.RECORD_NAME)
+    backend = render.Backend(settings.backend, record=settings.cache_dir / render.processor_choice.RECORD_NAME)
 
     def make(volume: Any, transfer: Any) -> Any:
         return render.Renderer(volume, transfer=transfer, cache_dir=cache, backend=backend)

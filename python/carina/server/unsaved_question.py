@@ -11,7 +11,7 @@ from carina.display.printable import printable
 from carina.display.terminal import as_terminal_text
 from carina.errors import CarinaError
 from carina.session import Session
-from carina.session.unsaved_work import UnsavedWork, named_file_messages, unsaved_error
+from carina.session.saving.unsaved_work import UnsavedWork, named_file_messages, unsaved_error
 
 __all__ = ["ConsoleTerminal", "Terminal", "close_session"]
 

@@ -1,25 +1,20 @@
 """Sessions: the state of an open case, its commands with undo, its background jobs and the pose of the tip."""
 
 from carina.case.routes import ChosenRoute
-from carina.session.case_files import case_files
-from carina.session.case_list import ListedCase, StorageInfo
-from carina.session.case_scan import CASE_SUFFIX, CaseScans, FoundScan, is_case_file
+from carina.session.api import Case
+from carina.session.cases.case_list import ListedCase, StorageInfo
 from carina.session.core import Event
-from carina.session.doors import Door
-from carina.session.errands import Errand
-from carina.session.flying import view_words
-from carina.session.jobs import JobEnded, JobProgress, log_fault
-from carina.session.key_framing import key_file
-from carina.session.layers import LAYERS, LayerLines, LayerName
-from carina.session.lung_values import LungsInfo
-from carina.session.parts import Parts, RendererFactory, default_parts
-from carina.session.plan_values import PlannedTarget, PlanningInfo, chosen_number, shown_surface
-from carina.session.public import Case
-from carina.session.recent import LocalStore, RecentCase
-from carina.session.records import FORGOTTEN_FOR_S, CaseRecord, CaseRecords
-from carina.session.scene import SessionRenderer, ShownCase
+from carina.session.derived.lungs import LungsInfo
+from carina.session.derived.plans import PlannedTarget, PlanningInfo, chosen_number, shown_surface
+from carina.session.engines import Parts, RendererFactory, default_parts
+from carina.session.flights.key_frames import key_file
+from carina.session.flights.tip_commands import view_words
+from carina.session.jobs.background_jobs import JobEnded, JobProgress, log_fault
+from carina.session.jobs.job_groups import Errand
+from carina.session.scene.layer_lines import LAYERS, LayerLines, LayerName
+from carina.session.scene.shown_case import SessionRenderer, ShownCase
 from carina.session.session import Session
-from carina.session.snapshot import (
+from carina.session.state.snapshot import (
     Changed,
     FlightInfo,
     FlightPlace,
@@ -33,6 +28,11 @@ from carina.session.snapshot import (
     Trouble,
     WallPoint,
 )
+from carina.session.store.attach_endpoint import Door
+from carina.session.store.disk_storage import case_files
+from carina.session.store.find_scan import CASE_SUFFIX, CaseScans, FoundScan, is_case_file
+from carina.session.store.local_settings import LocalStore, RecentCase
+from carina.session.store.registry import FORGOTTEN_FOR_S, CaseRecord, CaseRecords
 
 __all__ = [
     "CASE_SUFFIX",

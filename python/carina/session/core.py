@@ -20,16 +20,15 @@ from carina.commands.value import LocalCommand
 from carina.errors import CarinaError, NoEvidenceError, UsageError
 from carina.navigate import Move
 from carina.render import Sight
-from carina.session.case import LastMove, OpenCase, pose_info
-from carina.session.errands import current_errand
-from carina.session.flight_list import flight_list
-from carina.session.jobs import JobEnded, JobProgress, JobRunner
-from carina.session.parts import Parts, RendererFactory, default_parts
-from carina.session.recent import LocalStore
-from carina.session.scene import ShownCase
-from carina.session.sights import following_tip
-from carina.session.snapshot import (
+from carina.session.engines import Parts, RendererFactory, default_parts
+from carina.session.jobs.background_jobs import JobEnded, JobProgress, JobRunner
+from carina.session.jobs.job_groups import current_errand
+from carina.session.open_case.open_case import LastMove, OpenCase, pose_info
+from carina.session.scene.shown_case import ShownCase
+from carina.session.scene.window_views import following_tip
+from carina.session.state.snapshot import (
     Changed,
+    FlightInfo,
     NotEvident,
     PoseInfo,
     Said,
@@ -39,8 +38,29 @@ from carina.session.snapshot import (
     Topic,
     Trouble,
 )
+from carina.session.store.local_settings import LocalStore
 
-__all__ = ["Event", "SessionCore"]
+__all__ = ["Event", "SessionCore", "flight_list"]
+
+MAX_SHOWN_CHARS = 4000
+"""Largest shown length of a name or a description, which another program may have written."""
+
+
+def flight_list(case: OpenCase, saving: SavingInfo) -> tuple[FlightInfo, ...]:
+    """Return the recorded flights in their order; the caller holds the session's lock."""
+    running = {recording.number for recording in case.flights.unwritten if not recording.closed}
+    return tuple(
+        FlightInfo(
+            number=one.recording_id,
+            name=one.name[:MAX_SHOWN_CHARS],
+            words=one.words[:MAX_SHOWN_CHARS],
+            begun_s=None if saving.begun_s is None else saving.begun_s + one.begun_s,
+            length_s=one.length_s,
+            state="recording" if one.recording_id in running else "complete" if one.complete else "cut-off",
+        )
+        for one in case.flights.listed
+    )
+
 
 Event = Changed | Trouble | NotEvident | Said | StartMarked | JobProgress | JobEnded
 # Longest time between two moves, in s, that counts as contact with the wall.

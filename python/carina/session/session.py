@@ -12,33 +12,33 @@ from typing import Any, TypeVar, cast
 
 from carina.commands import Command, Question, all_commands, checked
 from carina.errors import UsageError
-from carina.session.case_list import CaseList
+from carina.session.airways.editing import TreeEditing
+from carina.session.airways.finding import AirwayFinding
+from carina.session.airways.measuring import TreeMeasuring
+from carina.session.cases.case_list import CaseList
+from carina.session.cases.observer import Following
+from carina.session.cases.opening import Opening
+from carina.session.command_registry import handlers_of
 from carina.session.core import Event, SessionCore
-from carina.session.devices import Devices
-from carina.session.editing import TreeEditing
-from carina.session.finding import AirwayFinding
-from carina.session.flights import Flights
-from carina.session.flying import STRAIGHT_TO_THE_PILOT, Flying
-from carina.session.following import Following
-from carina.session.holding import ScopeHolding
-from carina.session.jobs import JobRunner
-from carina.session.kept_drives import KeptDrives
-from carina.session.key_framing import KeyFraming
-from carina.session.looking import Looking
-from carina.session.measuring import TreeMeasuring
-from carina.session.opening import Opening
-from carina.session.parts import Parts, RendererFactory
-from carina.session.planning import Planning
-from carina.session.questions import CaseQuestions
-from carina.session.recent import LocalStore
-from carina.session.recording import FlightRecording
-from carina.session.records import CaseRecords
-from carina.session.routing import Routing
-from carina.session.saving import CLOSING_S, KeptFiles, Saving
-from carina.session.scene import ShownCase
-from carina.session.snapshot import KeyFramesInfo, PoseInfo, Snapshot
-from carina.session.subject import handlers_of
-from carina.session.target_editing import TargetEditing
+from carina.session.engines import Parts, RendererFactory
+from carina.session.flights.devices import Devices
+from carina.session.flights.key_frames import KeyFraming
+from carina.session.flights.recorded_flights import Flights
+from carina.session.flights.recording import FlightRecording
+from carina.session.flights.scope_contact import ScopeHolding
+from carina.session.flights.tip_commands import STRAIGHT_TO_THE_PILOT, Flying
+from carina.session.flights.verdict_drives import KeptDrives
+from carina.session.jobs.background_jobs import JobRunner
+from carina.session.saving.autosave import CLOSING_S, KeptFiles, Saving
+from carina.session.scene.shown_case import ShownCase
+from carina.session.state.snapshot import KeyFramesInfo, PoseInfo, Snapshot
+from carina.session.store.local_settings import LocalStore
+from carina.session.store.registry import CaseRecords
+from carina.session.targets.planning import Planning
+from carina.session.targets.routing import Routing
+from carina.session.targets.target_edits import TargetEditing
+from carina.session.view.look import Looking
+from carina.session.view.questions import CaseQuestions
 
 __all__ = ["Session"]
 

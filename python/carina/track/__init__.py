@@ -1,5 +1,6 @@
 """Airway lumen, least-cost paths and the airway tree (paper 6)."""
 
+from carina.track.edit.add_branch_path import BranchWay, branch_way
 from carina.track.edit.edits import (
     AddBranch,
     Bridge,
@@ -17,29 +18,35 @@ from carina.track.edit.edits import (
     name_edited,
     rebuild_airways,
 )
-from carina.track.edit.folded import FoldedAirways, fold_airways
 from carina.track.edit.preview import preview_edit
-from carina.track.edit.previewed import EditPreview, PreviewLine
-from carina.track.edit.way import BranchWay, branch_way
+from carina.track.edit.preview_lines import EditPreview, PreviewLine
+from carina.track.edit.undo_storage import FoldedAirways, fold_airways
 from carina.track.find.airways import find_airways
-from carina.track.find.found import Airways
-from carina.track.levels import lumen_threshold_from_histogram
-from carina.track.measures.tree import BranchMeasures, BranchSummary, ForkMeasures, Stenosis, TreeMeasures, measure_tree
+from carina.track.find.result import Airways
+from carina.track.intensity_levels import lumen_threshold_from_histogram
+from carina.track.measures.branch_measures import (
+    BranchMeasures,
+    BranchSummary,
+    ForkMeasures,
+    Stenosis,
+    TreeMeasures,
+    measure_tree,
+)
 from carina.track.names.absent import Absence, find_absent
 from carina.track.names.naming import LetterRule, NameWords, branch_side_and_lobe, name_tree, name_words
-from carina.track.paths.field import FieldPath, FieldPaths, aimed_path
-from carina.track.paths.live import LivePath
+from carina.track.paths.live_path import LivePath
 from carina.track.paths.tracker import PathTracker, TrackedPath
+from carina.track.paths.volume_paths import FieldPath, FieldPaths, aimed_path
 from carina.track.surface.mesh import Mesh, lumen_mask, lumen_mesh, mask_mesh
 from carina.track.surface.outline import LumenOutline, MaskOutline
 from carina.track.surface.wall import wall_field
 from carina.track.targets.results import TargetResult, TrackResult
 from carina.track.targets.tracking import track_paths
 from carina.track.tree.airway_tree import AirwayTree, Branch, Route, TreeRow
-from carina.track.tree.between import way_between
-from carina.track.tree.drawn import DrawnPart, drawn_part, drawn_tree, kind_words
+from carina.track.tree.drawn_parts import DrawnPart, drawn_part, drawn_tree, kind_words
+from carina.track.tree.path_between import way_between
 from carina.track.tree.thick_slices import CalibratedShares, CalibreShare
-from carina.track.tree.uncertain import Uncertainty
+from carina.track.tree.uncertainty import Uncertainty
 
 __all__ = [
     "Absence",

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from carina.volume.cache import CachedCt, CachedSize, OpenedCt, VolumeCache
-    from carina.volume.citation import Citation
     from carina.volume.demo import demo_patient
     from carina.volume.digest import Geometry, canonical_geometry, ct_digest, refuse_other_ct, same_geometry
     from carina.volume.grid_writing import GRID_SUFFIXES, check_grid_fits, write_grid, write_grid_to
     from carina.volume.inspection import Inspection, inspect_path
+    from carina.volume.licence_notice import Citation
     from carina.volume.mask_files import Mask, MaskGridError, MaskLabel, MaskLabelError, open_mask
     from carina.volume.model import Note, SeriesInfo, Volume, VolumeSource, badges_of
     from carina.volume.opening import open_volume
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _HOME = {
     "CachedCt": "cache",
     "CachedSize": "cache",
-    "Citation": "citation",
+    "Citation": "licence_notice",
     "CtSource": "source_files",
     "Finding": "quality",
     "GRID_SUFFIXES": "grid_writing",

@@ -38,12 +38,12 @@ from carina.errors import CancelledError, CarinaError
 from carina.typed_reading import read_json
 from carina.version import VERSION
 from carina.volume.digest import canonical_axes, ct_digest
-from carina.volume.guarding import guarded
+from carina.volume.io_errors import guarded
 from carina.volume.model import Volume, VolumeSource
+from carina.volume.progress import Watch
 from carina.volume.quality import Quality, quality_gate
 from carina.volume.source_files import CtSource, absolute
 from carina.volume.voxel_file import DamagedFileError, VoxelName, draft_voxel_file, read_voxel_file
-from carina.volume.watch import Watch
 
 __all__ = ["MAX_AGE_S", "MAX_BYTES", "CachedCt", "CachedSize", "OpenedCt", "VolumeCache"]
 

@@ -24,12 +24,12 @@ from carina.volume.dicom_headers import SETTINGS, SliceHeader, acquisition_date
 from carina.volume.dicom_pixels import Doubt, decode_slice, is_compressed
 from carina.volume.dicom_series import Group, count_patients, group_slices, without_copies
 from carina.volume.hu import HU_TYPES, MAX_DOUBTFUL_SHARE, HuVerdict, clipped_note, judge_dicom
-from carina.volume.limits import MAX_VOXELS
+from carina.volume.jpeg2000_check import not_checked_note, second_decoder
 from carina.volume.message_limits import bounded_list, bounded_message, bounded_name
 from carina.volume.model import Note, SeriesInfo, Volume, VolumeSource
 from carina.volume.padding import PaddingCount
-from carina.volume.second_decoder import not_checked_note, second_decoder
-from carina.volume.watch import Watch
+from carina.volume.progress import Watch
+from carina.volume.read_limits import MAX_VOXELS
 
 __all__ = ["FoundSeries", "choose_series", "find_series", "open_series"]
 

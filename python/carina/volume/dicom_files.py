@@ -19,10 +19,10 @@ from pydicom.dataset import Dataset
 from carina.disk import special_kind
 from carina.errors import VolumeImportError
 from carina.volume.dicom_headers import SliceHeader, read_header
-from carina.volume.dicom_start import starts_like_dicom
-from carina.volume.limits import MAX_FILES
+from carina.volume.dicom_signature import starts_like_dicom
 from carina.volume.message_limits import bounded_name
-from carina.volume.watch import Watch
+from carina.volume.progress import Watch
+from carina.volume.read_limits import MAX_FILES
 
 __all__ = ["FolderContent", "LostFiles", "UnusedFile", "name_files", "read_folder", "read_headers", "shown_name"]
 

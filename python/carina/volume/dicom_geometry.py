@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.errors import VolumeImportError
+from carina.volume.axis_angles import MAX_LEAN_MM, MAX_SKEW_DEG
 from carina.volume.dicom_headers import SliceHeader
-from carina.volume.right_angles import MAX_LEAN_MM, MAX_SKEW_DEG
 
 __all__ = ["MAX_CORNER_SHIFT_MM", "grid_from_slices"]
 

@@ -27,10 +27,10 @@ from pydicom.multival import MultiValue
 from pydicom.tag import BaseTag, Tag
 
 from carina.errors import CarinaError
+from carina.volume.axis_angles import MAX_SKEW_DEG
 from carina.volume.character_sets import settle_character_set
 from carina.volume.dicom_modality_lut import ModalityLut, read_modality_lut
 from carina.volume.padding import PaddingRange, padding_ranges
-from carina.volume.right_angles import MAX_SKEW_DEG
 
 __all__ = [
     "IDENTITY",

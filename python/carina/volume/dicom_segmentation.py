@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from carina.errors import VolumeImportError
 from carina.volume.dicom_headers import damaged_elements_refused, read_dataset
-from carina.volume.limits import MAX_VOXELS
 from carina.volume.model import Volume
-from carina.volume.watch import Watch
+from carina.volume.progress import Watch
+from carina.volume.read_limits import MAX_VOXELS
 
 __all__ = ["Segmentation", "read_segmentation"]
 

@@ -28,7 +28,7 @@ from carina.volume.dicom_files import name_files
 from carina.volume.dicom_geometry import MAX_CORNER_SHIFT_MM, grid_from_slices
 from carina.volume.dicom_headers import IDENTITY, SETTINGS, SliceHeader
 from carina.volume.model import Note
-from carina.volume.watch import Watch
+from carina.volume.progress import Watch
 
 __all__ = ["Group", "count_patients", "group_slices", "without_copies"]
 

@@ -19,7 +19,7 @@ from carina.volume.dicom_files import read_headers
 from carina.volume.dicom_headers import IDENTITY, damaged_elements_refused, read_dataset
 from carina.volume.dicom_references import References
 from carina.volume.model import Volume
-from carina.volume.watch import Watch
+from carina.volume.progress import Watch
 
 __all__ = [
     "Contour",

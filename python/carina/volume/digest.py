@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from carina.display import one_line
 from carina.errors import VolumeImportError
 from carina.volume.model import Volume
-from carina.volume.watch import Watch
+from carina.volume.progress import Watch
 
 __all__ = [
     "GEOMETRY_TOLERANCE_MM",

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from carina.disk import library_path, scratch_folder
 from carina.display.printable import printable
 from carina.errors import VolumeImportError
+from carina.volume.axis_angles import skew_deg, straightened
 from carina.volume.dicom_streams import decoder_words
 from carina.volume.grid_headers import GridHeader, read_grid_header
 from carina.volume.grid_voxels import read_voxels
@@ -20,8 +21,7 @@ from carina.volume.header_nifti import straightened_nifti_head
 from carina.volume.hu import judge_values, to_int16
 from carina.volume.model import Note, Volume, VolumeSource
 from carina.volume.padding import without_corner_padding
-from carina.volume.right_angles import skew_deg, straightened
-from carina.volume.watch import Watch
+from carina.volume.progress import Watch
 
 __all__ = ["open_grid_file", "read_grid_array"]
 

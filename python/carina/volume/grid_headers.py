@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 
 from carina.display.printable import shown_value
-from carina.volume.grid_claim import GridHeader, HeaderValueError, refuse
+from carina.volume.axis_angles import has_right_angles, skew_deg
+from carina.volume.gzip_stream import Unpacker
+from carina.volume.header_claims import GridHeader, HeaderValueError, refuse
 from carina.volume.header_metaimage import read_metaimage_header
 from carina.volume.header_nifti import read_nifti_header
 from carina.volume.header_nrrd import read_nrrd_header
 from carina.volume.model import SPACING_MM
-from carina.volume.right_angles import has_right_angles, skew_deg
-from carina.volume.unpacking import Unpacker
 
 __all__ = ["GridHeader", "read_grid_header", "sniff_format"]
 

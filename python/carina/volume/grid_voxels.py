@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.errors import VolumeImportError
-from carina.volume.grid_claim import GridHeader
-from carina.volume.limits import MAX_VOXELS
+from carina.volume.gzip_stream import Readable, UnpackedFile, Unpacker
+from carina.volume.header_claims import GridHeader
 from carina.volume.model import Note
-from carina.volume.unpacking import Readable, UnpackedFile, Unpacker
-from carina.volume.watch import Watch
+from carina.volume.progress import Watch
+from carina.volume.read_limits import MAX_VOXELS
 
 __all__ = ["read_voxels"]
 

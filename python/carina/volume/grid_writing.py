@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from carina.disk import drafted
 from carina.errors import GeometryError, UsageError
-from carina.volume.right_angles import has_right_angles, skew_deg, straightened
+from carina.volume.axis_angles import has_right_angles, skew_deg, straightened
 
 __all__ = ["GRID_SUFFIXES", "check_grid_fits", "write_grid", "write_grid_to"]
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.volume.grid_claim import AMBIGUOUS, GridHeader, HeaderValueError, refuse
+from carina.volume.axis_angles import has_right_angles, straightened
+from carina.volume.header_claims import AMBIGUOUS, GridHeader, HeaderValueError, refuse
 from carina.volume.model import Note
-from carina.volume.right_angles import has_right_angles, straightened
 
 __all__ = ["data_files", "read_nifti_header", "straightened_nifti_head"]
 

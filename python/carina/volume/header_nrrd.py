@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.display.printable import shown_value
-from carina.volume.grid_claim import (
+from carina.volume.header_claims import (
     AMBIGUOUS,
     GridHeader,
     HeaderValueError,

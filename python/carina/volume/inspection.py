@@ -20,11 +20,11 @@ from carina.display.progress import ProgressChoice, progress_function, shows_pro
 from carina.errors import CarinaError
 from carina.volume.dicom import choose_series
 from carina.volume.grid_headers import read_grid_header
-from carina.volume.guarding import guarded
+from carina.volume.io_errors import guarded
 from carina.volume.message_limits import bounded_message
 from carina.volume.model import Note, SeriesInfo
 from carina.volume.opening import find_in, place_name, refuse_series
-from carina.volume.watch import Watch
+from carina.volume.progress import Watch
 
 __all__ = ["Inspection", "inspect_path"]
 

@@ -14,12 +14,12 @@ from carina.argument_checks import check_arguments, file_path, flag, function, i
 from carina.display import one_line
 from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import VolumeImportError
-from carina.volume.dicom_start import looks_like_dicom
+from carina.volume.dicom_signature import looks_like_dicom
 from carina.volume.grid_files import read_grid_array
 from carina.volume.grid_headers import sniff_format
-from carina.volume.guarding import guarded
+from carina.volume.io_errors import guarded
 from carina.volume.model import Volume
-from carina.volume.watch import Watch
+from carina.volume.progress import Watch
 
 __all__ = ["Mask", "MaskGridError", "MaskLabel", "MaskLabelError", "open_mask"]
 

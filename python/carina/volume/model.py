@@ -14,7 +14,7 @@ from carina.display import one_line
 from carina.display.html import caption, figure, picture
 from carina.display.slices import middle_slices
 from carina.errors import GeometryError
-from carina.volume.citation import Citation
+from carina.volume.licence_notice import Citation
 
 __all__ = ["SPACING_MM", "Note", "Remark", "SeriesInfo", "Volume", "VolumeSource", "badges_of"]
 

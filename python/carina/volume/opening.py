@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 from carina.argument_checks import check_arguments, file_path, function, text_of
 from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import UsageError, VolumeImportError, check_type
-from carina.volume.dicom_start import looks_like_dicom
+from carina.volume.dicom_signature import looks_like_dicom
 from carina.volume.grid_files import open_grid_file
 from carina.volume.grid_headers import sniff_format
-from carina.volume.guarding import guarded
+from carina.volume.io_errors import guarded
 from carina.volume.model import Volume
-from carina.volume.watch import Watch
+from carina.volume.progress import Watch
 
 # The DICOM readers are loaded at first use, so that grid files and the start page do not load their libraries.
 if TYPE_CHECKING:

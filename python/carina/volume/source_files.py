@@ -11,10 +11,10 @@ from typing import Literal
 
 from carina.display import one_line
 from carina.errors import CarinaError
-from carina.volume.dicom_start import looks_like_dicom
+from carina.volume.dicom_signature import looks_like_dicom
 from carina.volume.grid_headers import read_grid_header, sniff_format
 from carina.volume.header_nifti import data_files
-from carina.volume.limits import MAX_FILES
+from carina.volume.read_limits import MAX_FILES
 
 __all__ = ["CtSource", "SourceFiles"]
 

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from carina.disk import Draft
 from carina.typed_reading import read_json
-from carina.volume.watch import Watch
+from carina.volume.progress import Watch
 
 __all__ = ["SUFFIX", "DamagedFileError", "VoxelName", "draft_voxel_file", "read_voxel_file"]
 

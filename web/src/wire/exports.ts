@@ -1,4 +1,4 @@
-// Generated from python/carina/export/format_table.py by `python -m carina.server.wire_types`. Do not edit.
+// Generated from python/carina/export/format_table.py by `python -m carina.server.wire.generate`. Do not edit.
 
 /** What a person calls it, the files that hold it, and who reads those. */
 export const EXPORTS = [

@@ -1,5 +1,5 @@
-// Generated from python/carina/commands and python/carina/server/messages.py by
-// `python -m carina.server.wire_types`. Do not edit.
+// Generated from python/carina/commands and python/carina/server/wire/messages.py by
+// `python -m carina.server.wire.generate`. Do not edit.
 
 export const WIRE_VERSION = 4;
 

@@ -1,4 +1,4 @@
-// Generated from python/carina/render/view_table.py by `python -m carina.server.wire_types`. Do not edit.
+// Generated from python/carina/render/view_table.py by `python -m carina.server.wire.generate`. Do not edit.
 
 /** Anatomical planes: patient axes of their normal and of the screen. */
 export const PLANES = {

@@ -12,8 +12,8 @@ from typing import Any
 from carina.commands import Look
 from carina.navigate import FlightPath
 from carina.render import AirwayView, Renderer, Sight
-from carina.server.messages import PictureHeader, parse_picture
-from carina.server.pump import FramePump
+from carina.server.frames.pump import FramePump
+from carina.server.wire.messages import PictureHeader, parse_picture
 from carina.session import ShownCase
 
 __all__ = ["Pictures", "full_pictures", "moving_pictures", "summed"]

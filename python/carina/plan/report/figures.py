@@ -8,14 +8,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.plan.last_leg import Crossed, LastLeg, Tissue
+from carina.plan.instruments.tools import Tool
 from carina.plan.report.colours import ACCENT, INK, LEG, ON_CT, PALE, QUIET, TREE, WARNING
 from carina.plan.report.drawing import Disc, Drawing, Label, Pen, Place, Raster, Shape, Stroke
-from carina.plan.report.sheet import Fork
+from carina.plan.report.plan_sheet import Fork
 from carina.plan.report.slices import SlicePicture
 from carina.plan.report.tree_shape import TreeShape
 from carina.plan.report.wording import text_width
-from carina.plan.tools import Tool
+from carina.plan.routes.last_leg import Crossed, LastLeg, Tissue
 
 __all__ = ["needle_bar", "slice_drawing", "tree_drawing"]
 

@@ -9,9 +9,9 @@ from importlib.resources import files
 
 from carina.display.html import escaped
 from carina.plan.report.blocks import Block, Bullets, Clip, Facts, Figure, Figures, Grid, Section, Words
-from carina.plan.report.doubt import movement_words
 from carina.plan.report.drawing import svg
-from carina.plan.report.sheet import PlanSheet, target_words
+from carina.plan.report.plan_sheet import PlanSheet, target_words
+from carina.plan.report.uncertainty import movement_words
 from carina.plan.report.wording import NOT_A_DEVICE
 
 __all__ = ["html_page"]

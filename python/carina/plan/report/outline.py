@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.plan.box import smoothed
-from carina.plan.nodule import Nodule
+from carina.plan.cubic_box import smoothed
+from carina.plan.targets.grow_nodule import Nodule
 
 __all__ = ["boundary_in_plane", "surface_of"]
 

@@ -33,9 +33,9 @@ from carina.display.html import escaped
 from carina.errors import UsageError
 from carina.plan.report.blocks import Block, Bullets, Facts, Figure, Figures, Grid, Section, Words
 from carina.plan.report.colours import INK, PALE, QUIET, WARNING
-from carina.plan.report.doubt import movement_words
 from carina.plan.report.drawing import Disc, Drawing, Label, Pen, Raster, Stroke
-from carina.plan.report.sheet import PlanSheet, target_words
+from carina.plan.report.plan_sheet import PlanSheet, target_words
+from carina.plan.report.uncertainty import movement_words
 from carina.plan.report.wording import NOT_A_DEVICE
 
 __all__ = ["laid_out"]

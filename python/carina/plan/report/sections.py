@@ -4,24 +4,24 @@ from __future__ import annotations
 
 import dataclasses
 
-from carina.plan.fork_view import Operator
 from carina.plan.report.blocks import Block, Bullets, Clip, Facts, Figure, Figures, Grid, Section, Words
-from carina.plan.report.doubt import dense_words
 from carina.plan.report.drawing import Drawing, Raster
 from carina.plan.report.figures import needle_bar, slice_drawing, tree_drawing
-from carina.plan.report.sheet import PlanSheet, target_words
+from carina.plan.report.plan_sheet import PlanSheet, target_words
 from carina.plan.report.tracing import tracing_drawings
+from carina.plan.report.uncertainty import dense_words
 from carina.plan.report.wording import (
     SIGNS,
     carina_words,
     per_cent,
 )
-from carina.plan.routes import PlannedRoute, ScoreWeights
-from carina.plan.score import MEDIASTINUM_MM
-from carina.plan.turn_clips import TurnClip
-from carina.plan.turn_pictures import TurnPicture
-from carina.plan.turn_words import hour_words, joined, moves_words
-from carina.plan.turns import Turn
+from carina.plan.routes.plan_route import PlannedRoute, ScoreWeights
+from carina.plan.routes.ranking import MEDIASTINUM_MM
+from carina.plan.turns.clips import TurnClip
+from carina.plan.turns.fork_view import Operator
+from carina.plan.turns.pictures import TurnPicture
+from carina.plan.turns.texts import hour_words, joined, moves_words
+from carina.plan.turns.turn_list import Turn
 
 __all__ = ["sections", "tracing_sections"]
 

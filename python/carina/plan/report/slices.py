@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from carina.display import one_line
 from carina.display.png import png_bytes
-from carina.plan.last_leg import LastLeg
-from carina.plan.nodule import Nodule
 from carina.plan.report.outline import boundary_in_plane
+from carina.plan.routes.last_leg import LastLeg
+from carina.plan.targets.grow_nodule import Nodule
 from carina.render import CutPlaneView, Picture, Renderer, SliceView, View
-from carina.render.lettering import letters_of
+from carina.render.picture_text import letters_of
 from carina.scopes import Pose
 from carina.track import LumenOutline
-from carina.volume.planes import Plane
+from carina.volume.anatomical_planes import Plane
 
 __all__ = ["LUNG_HU", "SlicePicture", "needle_slice", "place_slices", "target_slices"]
 

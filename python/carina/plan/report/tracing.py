@@ -7,10 +7,10 @@ import math
 
 from carina.plan.report.colours import ACCENT, INK, LEG, PALE, QUIET, WARNING
 from carina.plan.report.drawing import Disc, Drawing, Label, Pen, Place, Shape, Stroke
-from carina.plan.report.sheet import Fork, PlanSheet
+from carina.plan.report.plan_sheet import Fork, PlanSheet
 from carina.plan.report.wording import carina_words, lines_of
-from carina.plan.turn_words import hour_words, joined, moves_words
-from carina.plan.turns import Turn
+from carina.plan.turns.texts import hour_words, joined, moves_words
+from carina.plan.turns.turn_list import Turn
 
 __all__ = ["TRACING_SIZE", "tracing_drawings"]
 

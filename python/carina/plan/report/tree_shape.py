@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.display import one_line
-from carina.plan.nodule import Nodule
 from carina.plan.report.outline import surface_of
-from carina.plan.routes import PlannedRoute
+from carina.plan.routes.plan_route import PlannedRoute
+from carina.plan.targets.grow_nodule import Nodule
 from carina.track import AirwayTree, Branch
 
 __all__ = ["ShapedBranch", "TreeShape", "tree_shape"]

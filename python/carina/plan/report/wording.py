@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from carina.plan.routes import BronchusSign
+from carina.plan.routes.plan_route import BronchusSign
 
 __all__ = [
     "NOT_A_DEVICE",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -9,13 +10,48 @@ from typing import Literal
 
 from carina.disk import write_whole
 from carina.display.progress import ProgressChoice, progress_function, shows_progress
-from carina.errors import CancelledError, UsageError, check_type
+from carina.errors import CancelledError, CarinaError, UsageError, check_type
+from carina.installation import extra_command
+from carina.plan.report.blocks import Section
 from carina.plan.report.html_page import html_page
-from carina.plan.report.pdf_pages import Paper, pdf_pages
+from carina.plan.report.plan_sheet import PlanSheet
 from carina.plan.report.sections import sections, tracing_sections
-from carina.plan.report.sheet import PlanSheet
 
-__all__ = ["ReportKind", "write_report"]
+__all__ = ["Paper", "ReportKind", "pdf_pages", "write_report"]
+
+Paper = Literal["A4", "Letter"]
+
+
+def pdf_pages(sheet: PlanSheet, parts: tuple[Section, ...], *, paper: Paper) -> bytes:
+    """Return sections as the bytes of a PDF; equal sheets give equal bytes.
+
+    Parameters
+    ----------
+    sheet
+        Contents of the report, for the head and foot of each page.
+    parts
+        The sections.
+    paper
+        Paper size.
+
+    Raises
+    ------
+    CarinaError
+        If reportlab is not installed (``plan.no-pdf``).
+    UsageError
+        If no available font has all characters of the report (``plan.report-characters``).
+    """
+    if importlib.util.find_spec("reportlab") is None:
+        raise CarinaError(
+            "a PDF needs the package reportlab, which is not installed; the .html report needs no package and can be "
+            f"printed to PDF from a browser. Install reportlab with: {extra_command('report')}",
+            code="plan.no-pdf",
+        )
+    # Imported on use, because reportlab is optional and most plans need no PDF.
+    from carina.plan.report.pdf_layout import laid_out
+
+    return laid_out(sheet, parts, paper=paper)
+
 
 ReportKind = Literal["report", "tracing"]
 

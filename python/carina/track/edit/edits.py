@@ -1,6 +1,6 @@
 """Manual edits of the airway tree: each edit returns new airways and does not change the old ones.
 
-Edits are values (:mod:`carina.track.edit.kinds`). A series of edits of the found airways gives, bit for bit, the
+Edits are values (:mod:`carina.track.edit.edit_list`). A series of edits of the found airways gives, bit for bit, the
 same tree as :func:`rebuild_airways`, which computes graph, distances and least costs of the lumen from scratch after
 each edit.
 """
@@ -17,35 +17,36 @@ from numpy.typing import NDArray
 from carina.argument_checks import check_arguments, flag, function, instance
 from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import CancelledError, NoResultError, UsageError, check_type
-from carina.track.edit.calibre import with_sections, with_walls
-from carina.track.edit.evidence import evidence_of
-from carina.track.edit.kinds import (
+from carina.track.edit.edit_list import (
     AddBranch,
     Bridge,
     CutBranch,
     MoveFork,
     MoveRoot,
     PaintLumen,
+    Point,
     RenameBranch,
     SmoothBranch,
     TreeEdit,
+    branch_title,
     edits_from_json,
     edits_to_json,
 )
-from carina.track.edit.labels import edit_words
+from carina.track.edit.evidence import evidence_of
 from carina.track.edit.lumen import EditedLumen
+from carina.track.edit.remeasure import with_sections, with_walls
 from carina.track.edit.steps import EditSteps
-from carina.track.edit.tree import needed_branch
+from carina.track.edit.tree_changes import needed_branch
 from carina.track.find.airway_ends import find_uncertain
-from carina.track.find.found import TREE_EDITS, Airways
-from carina.track.names.drawn import carried_names, seen_part
+from carina.track.find.result import TREE_EDITS, Airways
 from carina.track.names.naming import name_tree
-from carina.track.paths.rebuilt import CoreRecipe
+from carina.track.names.without_drawn import carried_names, seen_part
+from carina.track.paths.rebuilt_tracker import CoreRecipe
 from carina.track.paths.tracker import PathTracker, lumen_voxels
-from carina.track.stages import Cancel, Progress
+from carina.track.progress import Cancel, Progress
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.track.tree.calibrated_size import with_limited_confidence
-from carina.track.tree.uncertain import Uncertainty, judged
+from carina.track.tree.uncertainty import Uncertainty, judged
 from carina.volume.model import Volume
 
 __all__ = [
@@ -66,6 +67,48 @@ __all__ = [
     "rebuild_airways",
     "steps_of",
 ]
+
+
+def edit_words(edit: TreeEdit, airways: Airways) -> str:
+    """Return the text of an edit for the undo list, such as ``cut RB3``.
+
+    Parameters
+    ----------
+    edit
+        The edit.
+    airways
+        Airways before the edit; they contain the names.
+    """
+    tree = airways.tree
+    match edit:
+        case AddBranch(lps, even_without_evidence):
+            what = "draw" if even_without_evidence else "add"
+            return f"{what} a branch beyond {_nearest_title(tree, lps)}"
+        case CutBranch(branch_id, at_mm):
+            return f"cut {_title(tree, branch_id)}" if at_mm <= 0.0 else f"shorten {_title(tree, branch_id)}"
+        case Bridge(lps):
+            return f"add a bridge beyond {_nearest_title(tree, lps)}"
+        case MoveRoot():
+            return "move the start"
+        case MoveFork(branch_id):
+            return f"move the fork of {_title(tree, branch_id)}"
+        case PaintLumen(erase=erase):
+            return "erase lumen" if erase else "paint lumen"
+        case SmoothBranch(branch_id):
+            return f"smooth {_title(tree, branch_id)}"
+        case RenameBranch(branch_id, name):
+            title = _title(tree, branch_id)
+            return f"restore the automatic name of {title}" if name is None else f"rename {title} to {name}"
+
+
+def _title(tree: AirwayTree, branch_id: int) -> str:
+    name = next((branch.name for branch in tree.branches if branch.id == branch_id), None)
+    return branch_title(name, branch_id)
+
+
+def _nearest_title(tree: AirwayTree, lps: Point) -> str:
+    branch, _, _ = tree.nearest_branch(lps)
+    return branch_title(branch.name, branch.id)
 
 
 @shows_progress

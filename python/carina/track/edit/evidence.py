@@ -15,8 +15,8 @@ from carina import _core
 from carina.errors import NoResultError
 from carina.track.edit.evidence_verdict import STEP_MM, Lung, Sections, Start, along_mm, doubtful_sections, turns_back
 from carina.track.edit.lumen import EditedLumen, Voxels, tissue_there
-from carina.track.find.found import Airways
-from carina.track.levels import air_scale
+from carina.track.find.result import Airways
+from carina.track.intensity_levels import air_scale
 from carina.track.tree.airway_tree import AirwayTree
 from carina.volume.model import Volume
 

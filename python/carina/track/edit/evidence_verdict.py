@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.track.levels import AirScale
+from carina.track.intensity_levels import AirScale
 
 __all__ = ["STEP_MM", "Lung", "Sections", "Start", "along_mm", "doubtful_sections", "gains", "turns_back"]
 

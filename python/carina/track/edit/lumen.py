@@ -19,12 +19,12 @@ from carina._core import (
     voxels_of,
 )
 from carina.errors import NoResultError, UsageError
-from carina.track.edit.kinds import PaintLumen, Point
-from carina.track.levels import air_scale
+from carina.track.edit.edit_list import PaintLumen, Point
+from carina.track.intensity_levels import air_scale
 from carina.track.paths.path_grid import PathGrid
-from carina.track.stages import Cancel
+from carina.track.progress import Cancel
+from carina.volume.anatomical_planes import PLANES
 from carina.volume.model import Volume
-from carina.volume.planes import PLANES
 
 __all__ = ["EditedLumen", "bridge_way", "by_faces", "grown_beyond", "painted_voxels", "tissue_there", "tube_round"]
 

@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.errors import NoResultError, UsageError
+from carina.track.edit.add_branch_path import branch_way
+from carina.track.edit.edit_list import AddBranch, Bridge, MoveFork
 from carina.track.edit.edits import steps_of
-from carina.track.edit.kinds import AddBranch, Bridge, MoveFork
-from carina.track.edit.previewed import EditPreview, PreviewLine
-from carina.track.edit.way import branch_way
-from carina.track.find.found import Airways
-from carina.track.stages import Cancel
+from carina.track.edit.preview_lines import EditPreview, PreviewLine
+from carina.track.find.result import Airways
+from carina.track.progress import Cancel
 from carina.track.tree.airway_tree import Branch
 from carina.volume.model import Volume
 

@@ -9,9 +9,18 @@ from numpy.typing import NDArray
 
 from carina._core import cut_voxels, more_tips, newly_reached, nodes_at, pulled_inside, reached, sees, voxels_of
 from carina.errors import NoEvidenceError, NoResultError, UsageError
-from carina.track.edit.calibre import Box
-from carina.track.edit.evidence import Evidence
-from carina.track.edit.kinds import (
+from carina.track.edit.add_branch_path import (
+    FORK_RADII,
+    MIN_ADDED_MM,
+    join_of,
+    lumen_node,
+    no_evidence,
+    path_to,
+    planned_way,
+    together,
+)
+from carina.track.edit.centreline_pieces import Piece, bridge_pieces, kind_of_added, painted_pieces
+from carina.track.edit.edit_list import (
     AddBranch,
     Bridge,
     CutBranch,
@@ -23,6 +32,7 @@ from carina.track.edit.kinds import (
     TreeEdit,
     branch_title,
 )
+from carina.track.edit.evidence import Evidence
 from carina.track.edit.lumen import (
     BRIDGE_RADIUS_MM,
     EditedLumen,
@@ -36,18 +46,8 @@ from carina.track.edit.lumen import (
     voxel_of,
     voxels_along,
 )
-from carina.track.edit.pieces import Piece, bridge_pieces, kind_of_added, painted_pieces
-from carina.track.edit.tree import Place, Points, TreeDraft, along_mm, needed_branch, turn_deg
-from carina.track.edit.way import (
-    FORK_RADII,
-    MIN_ADDED_MM,
-    join_of,
-    lumen_node,
-    no_evidence,
-    path_to,
-    planned_way,
-    together,
-)
+from carina.track.edit.remeasure import Box
+from carina.track.edit.tree_changes import Place, Points, TreeDraft, along_mm, needed_branch, turn_deg
 from carina.track.paths.tracker import SNAP_MM, STEP_MM
 from carina.track.tree.airway_tree import AirwayTree, Branch
 

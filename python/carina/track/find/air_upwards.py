@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.errors import CancelledError
-from carina.track.levels import AirScale
-from carina.track.stages import Stages
+from carina.track.intensity_levels import AirScale
+from carina.track.progress import Stages
 from carina.volume.model import Volume
 
 Scalar = TypeVar("Scalar", bound=np.generic)

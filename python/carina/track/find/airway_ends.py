@@ -8,11 +8,11 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.track.find.across import Across
 from carina.track.find.end_evidence import find_end_evidence, has_clips
 from carina.track.find.straight_ends import find_straight_end
+from carina.track.find.wall_profile import Across
 from carina.track.tree.airway_tree import AirwayTree, Branch
-from carina.track.tree.uncertain import FAINT, Uncertainty, UncertaintyKind, slice_from_feet
+from carina.track.tree.uncertainty import FAINT, Uncertainty, UncertaintyKind, slice_from_feet
 from carina.volume.model import Volume
 
 __all__ = ["find_uncertain"]

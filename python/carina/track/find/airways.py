@@ -24,34 +24,72 @@ from carina.argument_checks import (
 from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import NoResultError, UsageError, check_type
 from carina.track.find.airway_ends import find_uncertain
-from carina.track.find.beyond import NOTHING_BEYOND
-from carina.track.find.canonical import CanonicalOrder
-from carina.track.find.disturbed import Disturbed, find_disturbed
-from carina.track.find.filled import find_filled
-from carina.track.find.found import Airways
+from carina.track.find.artefact_regions import Disturbed, find_disturbed
+from carina.track.find.axis_order import CanonicalOrder
+from carina.track.find.chest_size import thread_confidence
+from carina.track.find.followed_tips import NOTHING_BEYOND, SOFT_KERNEL, STOPPED
 from carina.track.find.given_start import GivenStart
 from carina.track.find.growth import doubts_of_given, given_lumen, grow
 from carina.track.find.mask_doubts import unnamed_where_doubted, with_mask_doubts
+from carina.track.find.mucus_plugs import find_filled
+from carina.track.find.result import Airways
 from carina.track.find.root_checks import refuse_a_root_below_the_carina, refuse_a_root_of_one_lung
-from carina.track.find.size import thread_confidence
 from carina.track.find.top_of_trachea import TopOfTrachea, notes_of
-from carina.track.find.totals import doubt_of_totals
 from carina.track.find.trachea_search import trachea_in
-from carina.track.find.twigs import without_twigs
-from carina.track.levels import AirScale
+from carina.track.find.twig_removal import without_twigs
+from carina.track.intensity_levels import AirScale
 from carina.track.names.naming import name_tree
 from carina.track.paths.path_grid import PathGrid
-from carina.track.paths.rebuilt import CoreRecipe
+from carina.track.paths.rebuilt_tracker import CoreRecipe
 from carina.track.paths.tracker import SNAP_MM, PathTracker, Point, as_point, branches_from_rows, words
-from carina.track.stages import Cancel, Stages
+from carina.track.progress import Cancel, Stages
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.track.tree.calibrated_size import with_size_note
 from carina.track.tree.thick_slices import effective_slice_mm, with_slice_note
-from carina.track.tree.uncertain import Uncertainty, with_confidence
+from carina.track.tree.uncertainty import Uncertainty, with_confidence
 from carina.volume.model import Note, Volume
 from carina.volume.sparse_mask import sparse_mask
 
-__all__ = ["Airways", "find_airways"]
+__all__ = ["Airways", "doubt_of_totals", "find_airways"]
+
+# Upper limits of a tree. The airways that CTs show are 1 to 4 m long in total, in 100 to 600 branches of up to 10 to 16
+# generations.
+MOST_LENGTH_MM = 12_000.0
+MOST_BRANCHES = 2_500
+MOST_GENERATION = 40
+# Beyond a trachea that divides, both main bronchi with their lobar bronchi are longer than this in total.
+LEAST_BEYOND_MM = 150.0
+
+
+def doubt_of_totals(branches: tuple[Branch, ...], *, splits: bool) -> Note | None:
+    """Return the permanent note on a tree that is too large for a chest, or too small beyond a trachea that divides.
+
+    Returns None if the totals are plausible.
+
+    Parameters
+    ----------
+    branches
+        Branches of the tree.
+    splits
+        Whether the trachea was found by its division into two main bronchi, with lung on both sides.
+    """
+    length_mm = float(sum(branch.length_mm for branch in branches))
+    deepest = max(branch.generation for branch in branches)
+    if length_mm > MOST_LENGTH_MM or len(branches) > MOST_BRANCHES or deepest > MOST_GENERATION:
+        words = (
+            f"the segmentation leaked: {length_mm / 1000.0:.0f} m of airway in {len(branches)} branches of {deepest} "
+            f"generations is more than any chest contains, so much of it is lung. {SOFT_KERNEL}"
+        )
+        return Note(STOPPED, words, badge=True)
+    beyond_mm = length_mm - branches[0].length_mm
+    if splits and beyond_mm < LEAST_BEYOND_MM:
+        words = (
+            f"the search was stopped near the trachea: only {beyond_mm:.0f} mm of airway was found beyond it, although "
+            f"the scan contains both lungs. Nearly all airways are missing. {SOFT_KERNEL}"
+        )
+        return Note(STOPPED, words, badge=True)
+    return None
+
 
 # Trachea, two main, five lobar and some segmental bronchi: fewer branches do not suffice to distinguish the lobes.
 MIN_GRAMMAR_BRANCHES = 12

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.track.find.root_checks import LUNG_HU
-from carina.track.levels import AirScale
+from carina.track.intensity_levels import AirScale
 from carina.volume.model import Volume
 
 __all__ = ["find_steps"]

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.track.find.across import Across
+from carina.track.find.wall_profile import Across
 from carina.track.tree.airway_tree import Branch
 from carina.volume.model import Volume
 

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from carina._core import flood_lumen
 from carina.errors import NoResultError, UsageError
+from carina.track.find.kernel_compensation import Softened
 from carina.track.find.root_checks import LUNG_HU
-from carina.track.find.softened import Softened
-from carina.track.levels import AirScale
-from carina.track.stages import Stages
+from carina.track.intensity_levels import AirScale
+from carina.track.progress import Stages
 from carina.volume.model import Volume
 
 __all__ = ["Flood", "flood"]

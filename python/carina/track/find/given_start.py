@@ -12,7 +12,7 @@ from carina.track.find.air_upwards import grown
 from carina.track.find.root_checks import SURE_TRACHEA_MM
 from carina.track.find.top_of_trachea import TopOfTrachea
 from carina.track.find.trachea_search import Trachea
-from carina.track.levels import AirScale
+from carina.track.intensity_levels import AirScale
 from carina.track.paths.tracker import SNAP_MM, Point, as_point, words
 from carina.volume.model import Volume
 

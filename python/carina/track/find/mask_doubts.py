@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.track.levels import AirScale
-from carina.track.paths.live import sampled
+from carina.track.intensity_levels import AirScale
+from carina.track.paths.live_path import sampled
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.volume.model import Note, Volume
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.track.levels import AirScale
+from carina.track.intensity_levels import AirScale
 from carina.volume.model import Volume
 
 __all__ = ["find_streaks"]

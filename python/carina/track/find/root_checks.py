@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.errors import NoResultError
-from carina.track.levels import AirScale, air_scale
+from carina.track.intensity_levels import AirScale, air_scale
 from carina.track.paths.tracker import as_point, words
 from carina.track.tree.airway_tree import Branch
 from carina.volume.model import Volume

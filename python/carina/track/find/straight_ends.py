@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.track.find.across import Across
 from carina.track.find.end_evidence import closed_level, is_closed
+from carina.track.find.wall_profile import Across
 from carina.track.tree.airway_tree import Branch
 
 __all__ = ["StraightEnd", "find_straight_end"]

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from carina._core import flood_lumen
 from carina.track.find.air_upwards import SEPTUM_MM2, SIDES, Section, follow_up, spread
+from carina.track.find.kernel_compensation import Softened
 from carina.track.find.padding import padding_near
 from carina.track.find.root_checks import SURE_TRACHEA_MM
-from carina.track.find.softened import Softened
 from carina.track.find.upper_airway import (
     Cords,
     Tube,
@@ -21,9 +21,9 @@ from carina.track.find.upper_airway import (
     the_cords,
     tube_in,
 )
-from carina.track.levels import AirScale
+from carina.track.intensity_levels import AirScale
 from carina.track.paths.tracker import Point, as_point
-from carina.track.stages import Stages
+from carina.track.progress import Stages
 from carina.track.tree.airway_tree import Branch
 from carina.volume.model import Note, Volume
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from carina._core import find_trachea_voxels
 from carina.errors import NoResultError
 from carina.track.find.air_upwards import Section, follow_up
+from carina.track.find.chest_size import longest_trachea_mm
 from carina.track.find.root_checks import LUNG_HU, UP_FIRST_MM, has_lung
-from carina.track.find.size import longest_trachea_mm
 from carina.track.find.whole_trachea import (
     AIR_END_HU,
     MISSED_MM,
@@ -22,9 +22,9 @@ from carina.track.find.whole_trachea import (
     only_the_air_of,
     sections_like_it,
 )
-from carina.track.levels import AirScale
+from carina.track.intensity_levels import AirScale
 from carina.track.paths.tracker import Point, as_point
-from carina.track.stages import Stages
+from carina.track.progress import Stages
 from carina.volume.model import Volume
 
 __all__ = ["NO_LUNGS", "Trachea", "found_trachea", "trachea_in", "trachea_round", "whole_trachea"]

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.track.find.air_upwards import SEPTUM_HU, SEPTUM_MM2, Section, disc, spread
-from carina.track.find.size import longest_trachea_mm, usual_trachea_mm
-from carina.track.levels import AirScale
+from carina.track.find.chest_size import longest_trachea_mm, usual_trachea_mm
+from carina.track.intensity_levels import AirScale
 from carina.volume.model import Volume
 
 __all__ = [

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.track.find.air_upwards import Section, disc, follow_up, grown, spread
-from carina.track.find.size import longest_trachea_mm
-from carina.track.levels import AirScale
-from carina.track.stages import Stages
+from carina.track.find.chest_size import longest_trachea_mm
+from carina.track.intensity_levels import AirScale
+from carina.track.progress import Stages
 from carina.volume.model import Volume
 
 __all__ = [

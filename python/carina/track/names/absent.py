@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.display import one_line
-from carina.track.names.goodness import MISFIT
-from carina.track.names.model import LOBES, grammar
+from carina.track.names.anatomy_model import LOBES, grammar
+from carina.track.names.name_texts import MIRRORED_CHEST, bare_name, name_words
 from carina.track.names.naming import segments_of_unnamed
 from carina.track.names.scan_extent import ScanExtent
-from carina.track.names.words import MIRRORED_CHEST, bare_name, name_words
+from carina.track.names.tree_fit import MISFIT
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.track.tree.thick_slices import CalibratedShares, miss_text, shares_of
-from carina.track.tree.uncertain import Uncertainty, slice_from_feet, slice_text
+from carina.track.tree.uncertainty import Uncertainty, slice_from_feet, slice_text
 from carina.volume.model import Volume
 
 __all__ = ["Absence", "AbsenceKind", "find_absent"]

@@ -14,13 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.track.names.drawn import carried_names, seen_part
-from carina.track.names.goodness import MISFIT, POOR_FIT, calibrated, fit_of, misfit_note
+from carina.track.names.anatomy_model import LOBES, Grammar, grammar
+from carina.track.names.assignment import Solution, Solver
 from carina.track.names.letters import LetterRule, letter_order
-from carina.track.names.model import LOBES, Grammar, grammar
-from carina.track.names.shape import Bronchus, body_frame, bronchi_of, find_lungs, refined_frame
-from carina.track.names.solve import Solution, Solver
-from carina.track.names.words import MIRRORED, MIRRORED_CHEST, NameWords, bare_name, name_words, segment_of
+from carina.track.names.name_texts import MIRRORED, MIRRORED_CHEST, NameWords, bare_name, name_words, segment_of
+from carina.track.names.tree_fit import MISFIT, POOR_FIT, calibrated, fit_of, misfit_note
+from carina.track.names.tree_shape import Bronchus, body_frame, bronchi_of, find_lungs, refined_frame
+from carina.track.names.without_drawn import carried_names, seen_part
 from carina.track.tree.airway_tree import AirwayTree
 from carina.track.tree.calibrated_size import with_limited_confidence
 from carina.volume.model import Note
@@ -79,7 +79,7 @@ class _Named:
     frame: NDArray[np.float64]
     mirrored: bool
     fit: float | None
-    """Goodness of fit, see :func:`carina.track.names.goodness.fit_of`."""
+    """Goodness of fit, see :func:`carina.track.names.tree_fit.fit_of`."""
 
     @property
     def is_misfit(self) -> bool:
@@ -197,7 +197,7 @@ def segment_readings(tree: AirwayTree) -> tuple[float | None, list[tuple[str, fl
     Returns
     -------
     (float or None, list of (str, float, tuple of int))
-        Goodness of fit (:func:`carina.track.names.goodness.fit_of`); and for each segment its name, the share of all
+        Goodness of fit (:func:`carina.track.names.tree_fit.fit_of`); and for each segment its name, the share of all
         readings (0..1) and the IDs of its branches.
     """
     read = _read(tree)

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.track.paths.interpolated import with_divided_slices
+from carina.track.paths.interpolated_slices import with_divided_slices
 from carina.track.tree.airway_tree import Branch
 from carina.volume.model import Volume
 from carina.volume.sparse_mask import empty_mask

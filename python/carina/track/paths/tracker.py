@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from carina._core import LumenTracker, lumen_array, nodes_at
 from carina.display import one_line
 from carina.errors import NoResultError, UsageError
-from carina.track.levels import AirScale, air_scale
-from carina.track.paths.live import LivePath, find_live_path, noise_hu
+from carina.track.intensity_levels import AirScale, air_scale
+from carina.track.paths.live_path import LivePath, find_live_path, noise_hu
 from carina.track.paths.path_grid import PathGrid
-from carina.track.paths.rebuilt import CoreRecipe
-from carina.track.stages import Cancel
+from carina.track.paths.rebuilt_tracker import CoreRecipe
+from carina.track.progress import Cancel
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.volume.model import Volume
 from carina.volume.sparse_mask import PackedMask

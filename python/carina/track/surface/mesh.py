@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from carina import _core
 from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
 from carina.errors import CancelledError
-from carina.track.find.found import Airways
 from carina.track.find.growth import HALF_WALL_HU, STEP_RISE_HU
-from carina.track.levels import air_scale
-from carina.track.stages import Cancel
+from carina.track.find.result import Airways
+from carina.track.intensity_levels import air_scale
+from carina.track.progress import Cancel
 from carina.volume.model import Volume
 
 __all__ = ["Mesh", "lumen_mask", "lumen_mesh", "mask_mesh"]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina import _core
-from carina.track.find.found import Airways
+from carina.track.find.result import Airways
 from carina.volume.model import Volume
 
 __all__ = ["LumenOutline", "MaskOutline"]

@@ -6,8 +6,8 @@ from carina.argument_checks import check_arguments, function, instance, number_f
 from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import check_type
 from carina.scopes import WallField
-from carina.track.find.found import Airways
-from carina.track.stages import Cancel
+from carina.track.find.result import Airways
+from carina.track.progress import Cancel
 from carina.track.surface.mesh import lumen_mesh
 from carina.volume.model import Volume
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from carina.display import one_line
 from carina.display.tables import Columns, Tabular, columns_of
-from carina.track.find.found import Airways
+from carina.track.find.result import Airways
 from carina.track.paths.tracker import TrackedPath
 from carina.track.tree.airway_tree import AirwayTree
 

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from carina.argument_checks import check_arguments, choice, each, function, instance, lps_point, number_from
 from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import CancelledError, NoResultError, UsageError, check_type
+from carina.track.edit.edit_list import MoveRoot
 from carina.track.edit.edits import edit_airways
-from carina.track.edit.kinds import MoveRoot
 from carina.track.find.airways import Airways, find_airways
 from carina.track.paths.tracker import SNAP_MM, Point, as_point, words
-from carina.track.stages import Cancel, Progress
-from carina.track.targets.paper import COSTS, GRAPHS, check_choice, track_on_graph
+from carina.track.progress import Cancel, Progress
+from carina.track.targets.paper_tracker import COSTS, GRAPHS, check_choice, track_on_graph
 from carina.track.targets.results import TargetResult, TrackResult
 from carina.volume.model import Volume
 

@@ -1,0 +1,184 @@
+"""Compressed bytes and JSON of a case file, with checks of size and digest."""
+
+from __future__ import annotations
+
+import hashlib
+import zlib
+from typing import Any, Final
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.case.bounds import MAX_NAME_CHARS, cleaned
+from carina.case.error_texts import damaged
+from carina.errors import UsageError
+
+__all__ = [
+    "DTYPES",
+    "MAX_JSON_BYTES",
+    "MAX_PIECE_BYTES",
+    "MOST_DEFLATED",
+    "as_checked_json",
+    "as_json",
+    "deflated",
+    "digest_of",
+    "from_json",
+    "inflated",
+    "packed_ints",
+]
+
+MAX_PIECE_BYTES: Final = 64 << 20
+"""Largest size of one piece in bytes after decompression, far below the limits of SQLite."""
+MAX_JSON_BYTES: Final = 16 << 20
+MOST_DEFLATED = 1040
+"""Largest compression ratio that Deflate reaches; a piece with a larger declared ratio is damaged."""
+DTYPES: Final = {"f8": "<f8", "f4": "<f4", "i8": "<i8", "i4": "<i4", "u4": "<u4"}
+
+
+def digest_of(*parts: object) -> bytes:
+    """Return a digest of 16 bytes of texts, numbers, None and bytes."""
+    digest = hashlib.blake2b(digest_size=16)
+    for part in parts:
+        content = part if isinstance(part, bytes | memoryview) else repr(part).encode()
+        # Each length is part of the digest, so that different divisions of the same bytes give different digests.
+        digest.update(b"%d:" % len(content))
+        digest.update(content)
+    return digest.digest()
+
+
+def deflated(content: bytes | memoryview) -> bytes:
+    """Compress bytes with Deflate; :func:`inflated` needs their original length."""
+    return zlib.compress(content, 6 if len(content) < 1 << 16 else 1)
+
+
+def inflated(data: object, size: object, where: str) -> bytes:
+    """Decompress deflated bytes; the memory used is limited by their declared size, which is bounded.
+
+    Parameters
+    ----------
+    data
+        The compressed bytes from the file.
+    size
+        Declared number of bytes after decompression.
+    where
+        Name of the data for messages.
+
+    Raises
+    ------
+    CaseFileError
+        ``case.damaged``.
+    """
+    if not isinstance(data, bytes) or not isinstance(size, int):
+        raise damaged(where, "compressed bytes and their size", f"{type(data).__name__} and {type(size).__name__}")
+    most = min(MAX_PIECE_BYTES, MOST_DEFLATED * len(data))
+    if not 0 <= size <= most:
+        raise damaged(where, f"a decompressed size of 0 to {most} bytes", f"{size}")
+    inflater = zlib.decompressobj()
+    try:
+        content = inflater.decompress(data, size + 1)
+    except zlib.error as trouble:
+        raise damaged(where, "valid compressed bytes", f"invalid ones ({trouble})") from None
+    if len(content) != size or not inflater.eof or inflater.unused_data:
+        raise damaged(where, f"{size} bytes", "a different size")
+    return content
+
+
+def packed_ints(values: list[int] | NDArray[np.int32]) -> bytes:
+    """Return integers from 0 to 2**31 as compressed 32-bit differences, little-endian.
+
+    Row numbers in a table are often consecutive, so their differences compress well.
+    """
+    found = np.asarray(values, dtype="<i4")
+    return deflated(np.diff(found, prepend=np.int32(0)).astype("<i4").tobytes())
+
+
+def unpacked_ints(data: object, count: int, where: str) -> NDArray[np.int32]:
+    """Return the numbers that :func:`packed_ints` packed.
+
+    Parameters
+    ----------
+    data
+        The compressed bytes from the file.
+    count
+        Expected number of integers.
+    where
+        Name of the data for messages.
+    """
+    content = np.frombuffer(inflated(data, 4 * count, where), dtype="<i4")
+    return np.cumsum(content, dtype=np.int64).astype(np.int32)
+
+
+def as_json(value: object) -> bytes:
+    """Return a value as JSON that preserves its numbers exactly; JSON has no infinite numbers and no NaN."""
+    return _ENCODER.encode(value)
+
+
+def as_checked_json(value: object, decoder: msgspec.json.Decoder[Any], what: str) -> str:
+    """Return a value as JSON text, after checking that the decoder of the field can read it.
+
+    Parameters
+    ----------
+    value
+        The value to store.
+    decoder
+        Decoder of the field.
+    what
+        Name of the value for messages.
+
+    Raises
+    ------
+    UsageError
+        ``case.value``: if the value is out of the bounds of its fields.
+    """
+    try:
+        said = as_json(value)
+        try:
+            decoder.decode(said)
+        except msgspec.ValidationError:
+            # A message that is too long or a control character in a name must not prevent saving.
+            said = as_json(cleaned(msgspec.json.decode(said), MAX_NAME_CHARS))
+            decoder.decode(said)
+        if len(said) > MAX_JSON_BYTES:
+            raise ValueError(f"expected at most {MAX_JSON_BYTES} bytes, found {len(said)}")
+        return said.decode()
+    except (msgspec.MsgspecError, ValueError, TypeError, RecursionError, OverflowError) as trouble:
+        raise UsageError(f"{what} cannot be saved: {trouble}", code="case.value") from trouble
+
+
+def from_json(content: object, decoder: msgspec.json.Decoder[Any], where: str) -> Any:
+    """Decode JSON into a value of the decoder's type.
+
+    Parameters
+    ----------
+    content
+        The JSON from the file.
+    decoder
+        Decoder of the expected type.
+    where
+        Name of the value for messages.
+
+    Raises
+    ------
+    CaseFileError
+        ``case.damaged``: if the content is not JSON of this type.
+    """
+    if not isinstance(content, bytes | str) or len(content) > MAX_JSON_BYTES:
+        raise damaged(where, f"JSON of at most {MAX_JSON_BYTES} bytes", type(content).__name__)
+    try:
+        return decoder.decode(content)
+    except (msgspec.DecodeError, ValueError, RecursionError, OverflowError) as trouble:
+        found = f"other content ({str(trouble)[:200]})"
+        raise damaged(where, "values as described in docs/case-file.md", found) from None
+
+
+def _plain(value: Any) -> Any:
+    """Convert NumPy numbers and arrays to plain Python values for the JSON encoder."""
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    raise TypeError(f"a case file cannot contain {type(value).__name__}")
+
+
+_ENCODER = msgspec.json.Encoder(enc_hook=_plain)

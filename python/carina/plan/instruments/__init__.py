@@ -1,0 +1,1 @@
+"""Instruments: tools in the working channel, and the user's own instrument files."""

@@ -1,0 +1,1 @@
+"""Structures around a target: vessels, fissures and lobes."""

@@ -1,0 +1,169 @@
+"""Detection of the fissures between lobes: thin bright plates near the lobe borders that the airways suggest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.display import one_line
+from carina.plan.cubic_box import Box, ball_distance, lung_median_hu, smoothed
+from carina.plan.lungs.vessels import eigenvalues, second_differences
+
+__all__ = ["FissureBox", "fissures"]
+
+Mask = NDArray[np.bool_]
+Values = NDArray[np.float32]
+
+SIGMA_MM = 1.2
+LEAST_HU = 30.0
+TIMES_NOISE = 7.0
+"""Least curvature across a plate in HU (times sigma squared), and its least multiple of the curvature of noise."""
+EVEN = 0.5
+"""Largest share of a plate's other two curvatures in the curvature across it."""
+LEAST_MM2 = 600.0
+"""Least area of a piece of plate in mm2; half of it let textures of 7 cm2 pass in a lung without fissures."""
+FROM_BORDER_MM = 30.0
+"""Largest distance in mm of a fissure from the estimated lobe border; a plate farther away is scar or pleura."""
+FROM_EDGE_MM = 3.0
+"""Least distance in mm of a fissure from the chest wall, whose pleura looks like a plate too."""
+FAINT = 0.5
+"""Share of the least curvature that suffices for voxels connected to a fissure."""
+SLAB = 48
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class FissureBox:
+    """Visible fissures on a grid of 1 mm along LPS; a fissure that is not visible may exist, or the lobes are fused."""
+
+    mask: Mask
+    """(nz, ny, nx) mask of plates, about 2 mm thick."""
+    box: Box
+
+    def crossed(self, points_lps: NDArray[np.float64]) -> Mask:
+        """Return which points (n, 3) LPS mm are in a visible fissure, (n,)."""
+        ijk = np.rint((points_lps - self.box.lps_from_ijk[:3, 3]) / self.box.step_mm).astype(np.intp)
+        top = np.array(self.mask.shape[::-1])
+        inside = ((ijk >= 0) & (ijk < top)).all(axis=1)
+        found: Mask = inside & self.mask[tuple(np.clip(ijk, 0, top - 1).T[::-1])]
+        return found
+
+    def on_grid(self, shape: tuple[int, ...], lps_from_ijk: NDArray[np.float64], step_mm: float) -> Mask:
+        """Return the mask on a coarser grid; a coarse voxel is true if it contains a voxel of a fissure.
+
+        Parameters
+        ----------
+        shape, lps_from_ijk
+            Shape (nz, ny, nx) and (4, 4) transform of the coarser grid.
+        step_mm
+            Voxel size of the coarser grid.
+        """
+        ijk = np.argwhere(self.mask)[:, ::-1] * self.box.step_mm + self.box.lps_from_ijk[:3, 3]
+        at = np.rint((ijk - lps_from_ijk[:3, 3]) / step_mm).astype(np.intp)[:, ::-1]
+        at = at[((at >= 0) & (at < np.array(shape))).all(axis=1)]
+        found = np.zeros(shape, dtype=bool)
+        found[tuple(at.T)] = True
+        return found
+
+
+def fissures(
+    box: Box,
+    label_zyx: NDArray[np.uint8],
+    border_mm: Values,
+    lps_from_ijk: NDArray[np.float64],
+    *,
+    on_share: Callable[[float], None] | None = None,
+) -> FissureBox:
+    """Find the fissures: plates in the lungs near the borders of the lobes.
+
+    Parameters
+    ----------
+    box
+        Both lungs at 1 mm.
+    label_zyx, border_mm, lps_from_ijk
+        Labels of the lobes by the airways alone, distances to the lobe borders, and the transform of their grid
+        (`carina.plan.lobes`).
+    on_share
+        Receives the share done; it may raise CancelledError.
+    """
+
+    def say(share: float) -> None:
+        if on_share is not None:
+            on_share(share)
+
+    near = _near_border(box, label_zyx, border_mm, lps_from_ijk)
+    lung_hu = lung_median_hu(box.hu_zyx[::2, ::2, ::2])
+    soft = smoothed(box.hu_zyx, SIGMA_MM / box.step_mm)
+    say(0.5)
+    # Bright voxels are vessels and their blur; they are excluded, because a fissure is never as bright.
+    bright = ball_distance(~(box.hu_zyx > lung_hu + 450.0), box.step_mm)
+    where = near & box.known & (bright > 1.5) & (soft < lung_hu + 300.0)
+    say(0.8)
+    strength, noise = _plate_strength(soft, where, SIGMA_MM / box.step_mm)
+    least = max(LEAST_HU, TIMES_NOISE * noise)
+    sheets = _large_sheets(strength > least, box.step_mm)
+    return FissureBox(_with_faint_parts(sheets, strength > FAINT * least), box)
+
+
+def _near_border(box: Box, label_zyx: NDArray[np.uint8], border_mm: Values, lps_from_ijk: NDArray[np.float64]) -> Mask:
+    step = float(lps_from_ijk[0, 0])
+    depth = ball_distance(label_zyx > 0, step)
+    good = (label_zyx > 0) & (border_mm < FROM_BORDER_MM) & (depth > FROM_EDGE_MM)
+    every = []
+    for axis, num in enumerate(box.hu_zyx.shape):
+        start = (box.lps_from_ijk[2 - axis, 3] - lps_from_ijk[2 - axis, 3]) / step
+        places = np.rint(start + box.step_mm / step * np.arange(num)).astype(np.intp)
+        every.append(np.clip(places, 0, label_zyx.shape[axis] - 1))
+    found: Mask = good[np.ix_(*every)]
+    return found
+
+
+def _plate_strength(soft: Values, where: Mask, sigma_vox: float) -> tuple[Values, float]:
+    """Return the curvature across plates, less the curvature along them, and the spread of its noise."""
+    found = np.zeros(soft.shape, dtype=np.float32)
+    num = soft.shape[0]
+    noise = []
+    for first in range(0, num, SLAB):
+        last = min(first + SLAB, num)
+        part = slice(first, last)
+        wide = soft[max(first - 1, 0) : min(last + 1, num)]
+        pad = (int(first == 0), int(last == num))
+        second = second_differences(np.pad(wide, (pad, (1, 1), (1, 1)), mode="edge"))
+        least, middle, most = eigenvalues([one[where[part]] for one in second])
+        side = np.maximum(np.abs(middle), np.abs(most))
+        across = np.where(side <= EVEN * np.abs(least), -least - side, 0.0)
+        found[part][where[part]] = sigma_vox**2 * np.maximum(across, 0.0)
+        noise.append(sigma_vox**2 * middle[::31])
+    spread = np.concatenate(noise)
+    if spread.size < 200:
+        return found, LEAST_HU / TIMES_NOISE
+    return found, 1.4826 * float(np.median(np.abs(spread - np.median(spread))))
+
+
+def _large_sheets(mask: Mask, step_mm: float) -> Mask:
+    """Return the pieces of plate that are large enough; pieces with a gap of one voxel count as one piece."""
+    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
+
+    joined = sitk.BinaryDilate(sitk.GetImageFromArray(mask.astype(np.uint8)), [1, 1, 1], sitk.sitkCross)
+    labels: Any = sitk.GetArrayFromImage(
+        sitk.RelabelComponent(
+            sitk.ConnectedComponent(joined, True), minimumObjectSize=int(3.0 * LEAST_MM2 / step_mm**2)
+        )
+    )
+    found: Mask = mask & (labels > 0)
+    return found
+
+
+def _with_faint_parts(sheets: Mask, faint: Mask) -> Mask:
+    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
+
+    labels: Any = sitk.GetArrayFromImage(sitk.ConnectedComponent(sitk.GetImageFromArray(faint.astype(np.uint8)), True))
+    keep = np.zeros(int(labels.max()) + 1, dtype=bool)
+    keep[np.unique(labels[sheets])] = True
+    keep[0] = False
+    found: Mask = keep[labels]
+    return found

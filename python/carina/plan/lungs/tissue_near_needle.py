@@ -1,0 +1,304 @@
+"""Segmentation of the tissue round a target: vessels, and tissue too thick to be a vessel."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.display import one_line
+from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
+from carina.errors import NoResultError
+from carina.plan.cubic_box import Box, ball_distance, lung_median_hu, smoothed
+from carina.plan.lungs.fissures import FissureBox
+from carina.plan.lungs.vessels import RISE_HU as LINE_RISE_HU
+from carina.plan.lungs.vessels import VesselTree, grow_tree, thin_vessels
+from carina.plan.targets.grow_nodule import Nodule
+from carina.scopes import WallField
+from carina.volume import Volume
+
+__all__ = ["Surroundings", "lung_box", "lung_surroundings", "surroundings"]
+
+Mask = NDArray[np.bool_]
+
+SMOOTH_MM = 0.7
+RISE_HU = 250.0
+"""Rise over the lung in HU that counts as tissue; a blurred vessel of 1 mm still exceeds it."""
+WALL_MM = 1.5
+"""Distance in mm from a lumen within which tissue is the airway's wall."""
+LINE_WALL_MM = 1.0
+"""Distance in mm from a lumen beyond which a line-shaped structure is a vessel; a plate-shaped one needs `WALL_MM`."""
+BLUR_MM = 1.5
+"""Distance in mm from the nodule within which tissue is the nodule's blurred edge."""
+THICKEST_VESSEL_MM = 14.0
+"""Largest diameter in mm of a vessel; thicker tissue is mediastinum, chest wall or diaphragm."""
+LEAST_MM3 = 12.0
+"""Least volume in mm3 of a piece; smaller pieces are noise."""
+SLAB = 48
+"""Number of slices for which wall distances are computed between two checks for cancellation."""
+
+OnShare = Callable[[float], None]
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class Surroundings:
+    """Tissue in a box round a target; arteries and veins are not distinguished.
+
+    Vessels thinner than about 0.7 mm are not found, and those of the mediastinum are not visible without contrast.
+    """
+
+    box: Box
+    lung_hu: float
+    vessel: Mask
+    thick: Mask
+    """Mask of mediastinum, chest wall, diaphragm, or a consolidation."""
+    vessel_mm: NDArray[np.float32]
+    """Distance in mm to the nearest vessel; infinite if there is none."""
+    thick_mm: NDArray[np.float32]
+    sure: NDArray[np.float32]
+    """Confidence that a voxel of ``vessel`` is a vessel, 0.5 to 1; 0 elsewhere.
+
+    It is 1 for vessels above the threshold of density.
+    """
+
+    fissure: FissureBox | None = None
+    """Visible fissures of the whole lungs; None if they were not searched."""
+
+    def vessel_tree(self) -> VesselTree:
+        """Compute the vessels as lines with radii; the result is not cached."""
+        return grow_tree(self.box, self.vessel, self.sure)
+
+    def read(self, of: NDArray[Any], points_lps: NDArray[np.float64]) -> NDArray[Any]:
+        """Return the values of an array of the box at the nearest voxels of points, (n,); undefined outside the box.
+
+        Parameters
+        ----------
+        of
+            (nz, ny, nx) array of the box.
+        points_lps
+            (n, 3) LPS mm.
+        """
+        found: NDArray[Any] = of[tuple(np.clip(self._ijk(points_lps), 0, np.array(of.shape[::-1]) - 1).T[::-1])]
+        return found
+
+    def holds(self, points_lps: NDArray[np.float64]) -> Mask:
+        """Return which points are inside the box and the CT, (n,)."""
+        ijk = self._ijk(points_lps)
+        inside = ((ijk >= 0) & (ijk < np.array(self.vessel.shape[::-1]))).all(axis=1)
+        found: Mask = inside & self.read(self.box.known, points_lps)
+        return found
+
+    def _ijk(self, points_lps: NDArray[np.float64]) -> NDArray[np.intp]:
+        return np.rint((points_lps - self.box.lps_from_ijk[:3, 3]) / self.box.step_mm).astype(np.intp)
+
+    @property
+    def vessels_ml(self) -> float:
+        """Volume of the vessels in the box, ml."""
+        return float(self.vessel.sum()) * self.box.step_mm**3 / 1000.0
+
+
+def surroundings(
+    volume: Volume,
+    centre_lps: NDArray[np.float64],
+    half_mm: float,
+    nodule: Nodule | None,
+    wall: WallField,
+    *,
+    fissure: FissureBox | None = None,
+) -> Surroundings:
+    """Segment the tissue in a box round a point, without the nodule and the airways' own walls.
+
+    Parameters
+    ----------
+    volume
+        The CT.
+    centre_lps, half_mm
+        (3,) centre of the box, LPS mm, and half its side length.
+    nodule
+        Nodule that is excluded, or None.
+    wall
+        Wall of the airways.
+    fissure
+        Visible fissures (`carina.plan.lobes`), stored in the result.
+    """
+    return replace(_seen(Box.around(volume, centre_lps, half_mm), nodule, wall), fissure=fissure)
+
+
+@shows_progress
+def lung_surroundings(
+    volume: Volume, wall: WallField, *, box: Box | None = None, progress: ProgressChoice = None
+) -> Surroundings:
+    """Segment the tissue of both lungs at 1 mm, for the display of vessels, not for the planning of needles.
+
+    Vessels thinner than about 1 mm are incomplete.
+
+    Parameters
+    ----------
+    volume, wall
+        The CT and the wall of its airways.
+    box
+        `lung_box` of the CT; computed if None.
+    progress
+        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
+        None where it is unknown. It may raise CancelledError.
+
+    Raises
+    ------
+    NoResultError
+        If there is no lung in the CT (code ``plan.no_lung``).
+    """
+    on_share = share_function(progress_function(progress), "looking for vessels")
+    return _seen(lung_box(volume) if box is None else box, None, wall, on_share or _ignore_share)
+
+
+def lung_box(volume: Volume) -> Box:
+    """Return both lungs at 1 mm along LPS; only voxels of the lungs, with their vessels and airways, are ``known``.
+
+    Raises
+    ------
+    NoResultError
+        If there is no lung in the CT (code ``plan.no_lung``).
+    """
+    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
+
+    image: Any = sitk.GetImageFromArray(volume.hu_zyx)
+    image.SetSpacing([float(s) for s in volume.spacing_mm])
+    image.SetOrigin([float(k) for k in volume.lps_from_ijk[:3, 3]])
+    axes = volume.lps_from_ijk[:3, :3] / np.array(volume.spacing_mm)
+    is_mirrored = float(np.linalg.det(axes)) < 0.0
+    if is_mirrored:
+        # ITK axes must be right-handed, so the order of the slices is reversed.
+        image = sitk.GetImageFromArray(np.ascontiguousarray(volume.hu_zyx[::-1]))
+        image.SetSpacing([float(s) for s in volume.spacing_mm])
+        image.SetOrigin([float(k) for k in volume.to_lps(np.array([0.0, 0.0, volume.shape_zyx[0] - 1.0]))])
+        axes = axes * np.array([1.0, 1.0, -1.0])
+    image.SetDirection([float(k) for k in axes.reshape(-1)])
+    corners = volume.to_lps(
+        np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)]) * (np.array(volume.shape_zyx[::-1]) - 1.0)
+    )
+    whole_low, whole_high = corners.min(axis=0), corners.max(axis=0)
+    coarse = _cut(image, whole_low, whole_high, 4.0, -1024.0)
+    inside = _lung(sitk.GetArrayFromImage(coarse))
+    if not inside.any():
+        raise NoResultError("the lungs: no lung was found in this CT; it is needed round a target", code="plan.no_lung")
+    at = np.argwhere(inside)[:, ::-1] * 4.0 + whole_low
+    low, high = np.maximum(at.min(axis=0) - 5.0, whole_low), np.minimum(at.max(axis=0) + 5.0, whole_high)
+    fine = _cut(image, low, high, 1.0, OUTSIDE_HU)
+    values: NDArray[np.float32] = sitk.GetArrayFromImage(fine)
+    matrix = np.eye(4)
+    matrix[:3, 3] = low
+    in_ct = values > OUTSIDE_HU + 1.0
+    # A morphological closing adds the vessels and airways to the lungs.
+    closed = ball_distance(ball_distance(~np.pad(inside, 6), 4.0) < CLOSED_MM, 4.0)[6:-6, 6:-6, 6:-6] >= CLOSED_MM - 2.0
+    start = (low - whole_low) / 4.0
+    for axis, num in enumerate(values.shape):
+        places = np.rint(start[2 - axis] + 0.25 * np.arange(num)).astype(np.intp)
+        closed = closed.take(np.clip(places, 0, closed.shape[axis] - 1), axis=axis)
+    return Box(np.where(in_ct, values, np.float32(-1024.0)), in_ct & closed, 1.0, matrix)
+
+
+OUTSIDE_HU = -4096.0
+AIR_HU, SIDE_AIR_HU = -980.0, -950.0
+"""Median densities in HU below which a dark piece is gas or outer air; the second is for pieces at the sides."""
+CLOSED_MM = 12.0
+"""Radius in mm of the closing of the lungs; holes up to twice this width are vessels and airways in them."""
+
+
+def _cut(image: Any, low: NDArray[np.float64], high: NDArray[np.float64], step_mm: float, outside_hu: float) -> Any:
+    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
+
+    to = sitk.ResampleImageFilter()
+    to.SetSize([int(n) for n in np.floor((high - low) / step_mm) + 1])
+    to.SetOutputSpacing([step_mm] * 3)
+    to.SetOutputOrigin([float(k) for k in low])
+    to.SetOutputDirection(np.eye(3).reshape(-1).tolist())
+    to.SetInterpolator(sitk.sitkLinear)
+    to.SetDefaultPixelValue(outside_hu)
+    to.SetOutputPixelType(sitk.sitkFloat32)
+    return to.Execute(image)
+
+
+def _lung(coarse: NDArray[np.float32]) -> Mask:
+    """Return large dark pieces other than air; in a closely cropped CT lungs reach the sides too."""
+    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
+
+    dark = sitk.GetImageFromArray((coarse < -500.0).astype(np.uint8))
+    labels: Any = sitk.GetArrayFromImage(sitk.RelabelComponent(sitk.ConnectedComponent(dark)))
+    sides = np.unique(np.concatenate([labels[:, 0], labels[:, -1], labels[:, :, 0].T, labels[:, :, -1].T], axis=None))
+    sizes = np.bincount(labels.reshape(-1))
+    found = np.zeros(labels.shape, dtype=bool)
+    for n in np.flatnonzero(sizes * 64.0 / 1000.0 > 100.0):
+        if n == 0:
+            continue
+        piece = labels == n
+        if float(np.median(coarse[piece])) > (SIDE_AIR_HU if n in sides else AIR_HU):
+            found |= piece
+    return found
+
+
+def _ignore_share(_share: float) -> None:
+    """Ignore the share done."""
+
+
+def _seen(box: Box, nodule: Nodule | None, wall: WallField, on_share: OnShare = _ignore_share) -> Surroundings:
+    smooth = smoothed(box.hu_zyx, SMOOTH_MM / box.step_mm)
+    lung_hu = lung_median_hu(smooth)
+    on_share(0.15)
+    # Distances to the wall are computed only near dense voxels, which are a small part of a lung.
+    to_wall = _to_wall(box, wall, smooth > lung_hu + 0.5 * LINE_RISE_HU, lambda share: on_share(0.15 + 0.3 * share))
+    dense = (smooth > lung_hu + RISE_HU) & (to_wall < -WALL_MM)
+    clear = to_wall < -LINE_WALL_MM
+    if nodule is not None:
+        inside = nodule.contains(_centres(box, np.ones(dense.shape, dtype=bool))).reshape(dense.shape)
+        away = ball_distance(~inside, box.step_mm) > BLUR_MM
+        dense &= away
+        clear &= away
+    half = 0.5 * THICKEST_VESSEL_MM
+    core = ball_distance(dense, box.step_mm) > half
+    on_share(0.5)
+    thick = dense & (ball_distance(~core, box.step_mm) <= half + box.step_mm) if core.any() else np.zeros_like(dense)
+    wide = _large_pieces(dense & ~thick & box.known, LEAST_MM3 / box.step_mm**3)
+    on_share(0.6)
+    thin, sure = thin_vessels(box, lung_hu, clear & ~thick, on_share=lambda share: on_share(0.6 + 0.2 * share))
+    sure[wide] = 1.0
+    vessel = wide | thin
+    on_share(0.8)
+    vessel_mm = _distance(vessel, box.step_mm)
+    on_share(0.9)
+    return Surroundings(box, lung_hu, vessel, thick, vessel_mm, _distance(thick, box.step_mm), sure)
+
+
+def _distance(mask: Mask, step_mm: float) -> NDArray[np.float32]:
+    if not mask.any():
+        return np.full(mask.shape, np.inf, dtype=np.float32)
+    return ball_distance(~mask, step_mm)
+
+
+def _to_wall(box: Box, wall: WallField, where: Mask, on_share: OnShare) -> NDArray[np.float32]:
+    """Return the signed distance to the airways' wall in mm, above 0 in a lumen; minus infinity where not computed."""
+    found = np.full(where.shape, -np.inf, dtype=np.float32)
+    num = len(where)
+    for first in range(0, num, SLAB):
+        on_share(first / num)
+        part = slice(first, first + SLAB)
+        found[part][where[part]] = wall.distance_mm(_centres(box, where[part], first))
+    return found
+
+
+def _centres(box: Box, where: Mask, first: int = 0) -> NDArray[np.float64]:
+    """Return the centres (n, 3) LPS mm of the voxels of a mask whose first slice is ``first``."""
+    k, j, i = np.nonzero(where)
+    return np.stack([i, j, k + first], axis=1) * box.step_mm + box.lps_from_ijk[:3, 3]
+
+
+def _large_pieces(mask: Mask, least_voxels: float) -> Mask:
+    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
+
+    pieces = sitk.ConnectedComponent(sitk.GetImageFromArray(mask.astype(np.uint8)), True)
+    kept: Any = sitk.RelabelComponent(pieces, minimumObjectSize=max(int(least_voxels), 1))
+    found: Mask = sitk.GetArrayFromImage(kept) != 0
+    return found

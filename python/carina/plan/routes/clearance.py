@@ -1,0 +1,86 @@
+"""Clearance along an airway: the largest ball that passes each point of a centreline.
+
+A centreline from voxels is a third of a millimetre off the middle of the lumen, and up to 2 mm at forks, where a ball
+round its own point is smaller than the one that passes (docs/decisions/0122). Therefore the ball is moved across the
+airway to its best position.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.plan.routes.needle_hits import axes_across
+from carina.scopes import WallField
+from carina.track import Branch
+
+__all__ = ["rooms_mm"]
+
+Points = NDArray[np.float64]
+
+SHIFTS_MM = (0.5, 0.5, 0.5, 0.5, 0.5, 0.25, 0.12, 0.06)
+"""Steps in mm by which the ball is moved while it grows, so that the ball never passes through a wall.
+
+At a fork the centreline cuts the corner up to 2 mm beside the middle.
+"""
+NUM_ROUND = 8
+HALF_SAMPLE_MM = 0.2
+"""Half the sample distance of the wall field in mm.
+
+The distance to the wall has its peak on the middle line of the lumen. A field with samples 0.4 mm apart cuts off some
+0.25 mm of the peak, so the distance is measured beside the line.
+"""
+INWARDS_MM = 0.19
+"""Correction in mm of the radius, because the nearest wall of eight directions underestimates a round lumen's radius.
+
+Measured on three CTs with known airways (0.55 to 0.9 mm, radii 0.8 to 4 mm): 0.13 to 0.23 mm.
+"""
+SMOOTH_MM = 1.0
+"""Half the length in mm over which widths are averaged to reduce noise of the wall; a scope's tip is longer."""
+
+
+def rooms_mm(branch: Branch, wall: WallField | None) -> Points:
+    """Return the diameter of the largest ball near each point of a branch, at most that of the lumen's area.
+
+    Parameters
+    ----------
+    branch
+        Branch of the airways that the wall belongs to.
+    wall
+        The wall. If None, the ball is centred on each point of the centreline. Where the wall contains no lumen (a
+        bridge, a drawn branch), the branch's own radius is used.
+
+    Returns
+    -------
+    numpy.ndarray
+        (n,) mm.
+    """
+    own = 2.0 * branch.wall_distance
+    if wall is None or len(branch.points) < 2:
+        return own
+    points = branch.points
+    ahead = points[-1] - points[0] if len(points) < 3 else np.gradient(points, axis=0)
+    ahead = np.broadcast_to(ahead, points.shape)
+    ahead = ahead / np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9)
+    across, up = axes_across(ahead)
+    turn = 2.0 * np.pi * np.arange(NUM_ROUND) / NUM_ROUND
+    ring = np.cos(turn)[:, None, None] * across + np.sin(turn)[:, None, None] * up
+    middle, best = points.copy(), wall.distance_mm(points)
+    for shift in SHIFTS_MM:
+        tried = middle + shift * ring
+        room = wall.distance_mm(tried.reshape(-1, 3)).reshape(NUM_ROUND, -1)
+        first = room.argmax(axis=0)
+        rows = np.arange(len(points))
+        better = room[first, rows] > best
+        middle = np.where(better[:, None], tried[first, rows], middle)
+        best = np.where(better, room[first, rows], best)
+    # The distance is measured half-way to the wall in all directions; towards the nearest wall it decreases linearly.
+    off = 0.5 * np.maximum(best, 0.0) + HALF_SAMPLE_MM
+    tried = middle + off[:, None] * ring
+    nearest = (wall.distance_mm(tried.reshape(-1, 3)).reshape(NUM_ROUND, -1) + off).min(axis=0)
+    ball = 2.0 * (np.maximum(nearest, best) + INWARDS_MM)
+    found = np.where(best > 0.0, np.minimum(ball, 2.0 * branch.radius), own)
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    near = np.abs(along[:, None] - along) <= SMOOTH_MM
+    smooth: Points = (near @ found) / near.sum(axis=1)
+    return smooth

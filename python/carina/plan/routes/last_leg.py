@@ -1,0 +1,332 @@
+"""Last leg of a route: the straight needle path from the tip of the scope through the wall into the target."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.display import one_line
+from carina.plan.instruments.tools import Tool
+from carina.plan.lungs.tissue_near_needle import WALL_MM, Surroundings
+from carina.plan.routes.needle_hits import NeedleErrors, axes_across, hit_share
+from carina.plan.targets.grow_nodule import Nodule
+from carina.scopes import WallField
+
+__all__ = [
+    "Crossed",
+    "LastLeg",
+    "NearVessel",
+    "NeedleScene",
+    "Tissue",
+    "last_leg",
+    "leg_as_aimed",
+    "where_it_may_have_moved",
+    "with_errors",
+]
+
+Points = NDArray[np.float64]
+Tissue = Literal[
+    "lumen", "airway wall", "lung", "fissure", "vessel", "target", "mediastinum or chest wall", "not examined"
+]
+"""Tissue on a needle path.
+
+``fissure`` is used only for a visible fissure. ``not examined`` is outside the CT, or too far from the target.
+"""
+
+STEP_MM = 0.25
+LEAST_MM = 0.5
+"""Least length in mm of a tissue; a shorter stretch is added to the tissue before it."""
+SPREAD = 1.645
+"""Multiple of the standard deviation of the needle's error; nine needles of ten are closer to the line."""
+BEYOND_MM = 10.0
+"""Distance in mm beyond the target that is examined."""
+OPEN_MM = 0.8
+"""Largest distance in mm of a target from the lumen at which no wall has to be pierced."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class Crossed:
+    """Stretch of one tissue along the needle."""
+
+    tissue: Tissue
+    start_mm: float
+    """Distance of its start from the tip of the scope, mm."""
+    length_mm: float
+
+    @property
+    def end_mm(self) -> float:
+        """Distance of its end from the tip of the scope, mm."""
+        return self.start_mm + self.length_mm
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class NearVessel:
+    """Vessel that is nearer to the needle than the margin."""
+
+    at_mm: float
+    """Position of the nearest point along the needle, mm from the tip of the scope."""
+    distance_mm: float
+    """Distance of the vessel from the needle's line, mm; 0 if the needle passes through it."""
+    place_lps: tuple[float, float, float]
+    """Nearest point on the needle's line, LPS mm."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class LastLeg:
+    """Needle path from the tip of the scope to the target, and the tissues that it crosses."""
+
+    tip_lps: tuple[float, float, float]
+    aim_lps: tuple[float, float, float]
+    entry_lps: tuple[float, float, float]
+    """Point where the needle enters the wall, LPS mm."""
+    to_target_mm: float
+    """Distance from the tip to the edge of the target, along the needle, mm."""
+    outside_mm: float
+    """Part of ``to_target_mm`` outside the lumen."""
+    angle_deg: float
+    """Angle in degrees between the needle and the airway's axis at the tip."""
+    crossed: tuple[Crossed, ...]
+    """Tissues in order, to the end of the needle's reach or 10 mm beyond the target, whichever is farther."""
+    in_target_mm: float
+    """Length of the needle in the target if it goes as aimed, mm."""
+    least_in_target_mm: float
+    """Least length in the target of needles at 1.6 standard deviations, mm; 0 if one misses."""
+    vessel_mm: float | None
+    """Distance in mm between the line, up to the target's far edge, and the nearest visible vessel; None if none."""
+    vessel_lps: tuple[float, float, float] | None
+    """Point on the needle's line nearest to that vessel, LPS mm."""
+    beyond_mm: float | None
+    """Distance along the needle from the target's far edge to pleura or mediastinum, mm; None if more than 10 mm."""
+    hit_share: float
+    """Share of needles within the assumed errors that hit the target at its place in the CT, 0 to 1."""
+    reaches: bool
+    """Whether the tool reaches the edge of the target."""
+    hit_share_moved: float | None = None
+    """Share of hits if the target may have moved and the needle is not aimed again; None if not computed."""
+    vessels: tuple[NearVessel, ...] = ()
+    """Visible vessels nearer than the margin, in order, from the wall to the target's far edge."""
+    vessel_beyond_mm: float | None = None
+    """Distance in mm along the needle from the target's far edge to the first vessel; None if more than 10 mm."""
+    mediastinum_mm: float = 0.0
+    """Length of mediastinum or chest wall before the target's far edge, mm; vessels in it are not visible."""
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the target is in the lumen or against it, so that no wall has to be pierced."""
+        return self.outside_mm <= OPEN_MM
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the leg as plain JSON types."""
+        return {
+            "tip_lps": list(self.tip_lps),
+            "aim_lps": list(self.aim_lps),
+            "entry_lps": list(self.entry_lps),
+            "to_target_mm": self.to_target_mm,
+            "outside_mm": self.outside_mm,
+            "angle_deg": self.angle_deg,
+            "crossed": [{"tissue": one.tissue, "from_mm": one.start_mm, "to_mm": one.end_mm} for one in self.crossed],
+            "in_target_mm": self.in_target_mm,
+            "least_in_target_mm": self.least_in_target_mm,
+            "vessel_mm": self.vessel_mm,
+            "vessel_lps": None if self.vessel_lps is None else list(self.vessel_lps),
+            "vessels": [
+                {"at_mm": one.at_mm, "distance_mm": one.distance_mm, "place_lps": list(one.place_lps)}
+                for one in self.vessels
+            ],
+            "beyond_mm": self.beyond_mm,
+            "vessel_beyond_mm": self.vessel_beyond_mm,
+            "mediastinum_mm": self.mediastinum_mm,
+            "is_open": self.is_open,
+            "hit_share": self.hit_share,
+            "hit_share_moved": self.hit_share_moved,
+            "reaches": self.reaches,
+        }
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class NeedleScene:
+    """Nodule, tissue round it, and the needle that is planned for it."""
+
+    nodule: Nodule
+    wall: WallField
+    around: Surroundings
+    tool: Tool
+    errors: NeedleErrors
+    margin_mm: float = 3.0
+    """Margin in mm; vessels nearer to the needle are listed."""
+
+
+def last_leg(scene: NeedleScene, tip_lps: Points, forward: Points, aim_lps: Points | None = None) -> LastLeg:
+    """Compute the straight needle path from a tip to an aim in a nodule that has not moved.
+
+    Parameters
+    ----------
+    scene
+        Nodule, tissues and needle.
+    tip_lps, forward
+        (3,) position of the scope's tip, LPS mm, and direction of the airway there.
+    aim_lps
+        (3,) LPS mm; the centroid of the nodule if None.
+
+    Returns
+    -------
+    LastLeg
+        The path with its tissues, distances and share of hits.
+    """
+    return with_errors(scene, leg_as_aimed(scene, tip_lps, forward, aim_lps))
+
+
+def with_errors(scene: NeedleScene, leg: LastLeg) -> LastLeg:
+    """Return a leg with the effect of the needle's errors: its share of hits and the least length in the target.
+
+    Parameters
+    ----------
+    scene, leg
+        Nodule, tissues and needle; leg of a needle without errors.
+    """
+    tip, aim = np.array(leg.tip_lps), np.array(leg.aim_lps)
+    distance = float(np.linalg.norm(aim - tip))
+    least = leg.in_target_mm
+    if distance >= LEAST_MM:
+        sigma = math.hypot(math.radians(scene.errors.angle_deg), scene.errors.tip_mm / max(distance, 1.0))
+        ring = _ring((aim - tip) / distance, SPREAD * sigma)
+        least = min(least, _length_in(scene.nodule, tip, ring, scene.tool.reach_mm))
+    share = hit_share(scene.nodule, tip, aim, scene.tool.reach_mm, scene.errors)
+    return replace(leg, least_in_target_mm=least, hit_share=share)
+
+
+def leg_as_aimed(scene: NeedleScene, tip_lps: Points, forward: Points, aim_lps: Points | None = None) -> LastLeg:
+    """Compute `last_leg` for a needle without errors; the share of hits is 1.
+
+    Parameters
+    ----------
+    scene, tip_lps, forward, aim_lps
+        As for `last_leg`.
+    """
+    nodule, wall, around, tool = scene.nodule, scene.wall, scene.around, scene.tool
+    aim = np.array(nodule.centre_lps) if aim_lps is None else np.asarray(aim_lps, dtype=np.float64)
+    off = aim - tip_lps
+    distance = float(np.linalg.norm(off))
+    # If the tip is at the aim, because an airway passes through the nodule, the needle goes along the airway.
+    along = off / distance if distance >= LEAST_MM else forward
+    at = np.arange(0.0, max(tool.reach_mm, distance + nodule.long_mm + BEYOND_MM) + 2.0, STEP_MM)
+    points = tip_lps + at[:, None] * along
+    in_target = nodule.contains(points)
+    to_wall = wall.distance_mm(points)
+    in_lumen = (to_wall > 0.0) & (np.cumsum(to_wall <= 0.0) == 0)
+    tissue = np.full(len(at), "lung", dtype=object)
+    if around.fissure is not None:
+        tissue[around.fissure.crossed(points)] = "fissure"
+    tissue[around.read(around.vessel, points)] = "vessel"
+    tissue[around.read(around.thick, points)] = "mediastinum or chest wall"
+    examined = around.holds(points)
+    tissue[~examined] = "not examined"
+    tissue[(to_wall > -WALL_MM) & (to_wall <= 0.0)] = "airway wall"
+    tissue[to_wall > 0.0] = "lumen"
+    tissue[in_target] = "target"
+    hits = np.flatnonzero(in_target)
+    edge_mm = float(at[hits[0]]) if hits.size else distance
+    far = int(hits[-1]) if hits.size else int(np.searchsorted(at, distance))
+    end = max(far + int(BEYOND_MM / STEP_MM), int(tool.reach_mm / STEP_MM))
+    crossed = _stretches(tissue[: min(end, len(at))])
+    entry = int(np.flatnonzero(~in_lumen)[0]) if (~in_lumen).any() else 0
+    between = slice(entry, far + 1)
+    to_vessel = np.where(examined[between], around.read(around.vessel_mm, points[between]), np.inf)
+    nearest = int(np.argmin(to_vessel)) if to_vessel.size else 0
+    has_vessel = bool(to_vessel.size) and math.isfinite(float(to_vessel[nearest]))
+    is_thick = tissue == "mediastinum or chest wall"
+    in_target_mm = _length_in(nodule, tip_lps, along[None], tool.reach_mm)
+    return LastLeg(
+        tip_lps=_point(tip_lps),
+        aim_lps=_point(aim),
+        entry_lps=_point(points[entry]),
+        to_target_mm=edge_mm,
+        outside_mm=max(edge_mm - float(at[entry]), 0.0),
+        angle_deg=math.degrees(math.acos(float(np.clip(along @ forward, -1.0, 1.0)))),
+        crossed=crossed,
+        in_target_mm=in_target_mm,
+        least_in_target_mm=in_target_mm,
+        vessel_mm=float(to_vessel[nearest]) if has_vessel else None,
+        vessel_lps=_point(points[between][nearest]) if has_vessel else None,
+        beyond_mm=_first_mm(is_thick[far:]),
+        hit_share=1.0,
+        reaches=edge_mm <= tool.reach_mm,
+        vessels=_near_vessels(to_vessel, at[between], points[between], scene.margin_mm),
+        vessel_beyond_mm=_first_mm(tissue[far:] == "vessel"),
+        mediastinum_mm=STEP_MM * float(is_thick[between].sum()),
+    )
+
+
+def where_it_may_have_moved(scene: NeedleScene, leg: LastLeg, moved_mm: float) -> LastLeg:
+    """Return a leg with the share of hits for a target that may be anywhere in a ball of radius ``moved_mm``.
+
+    Parameters
+    ----------
+    scene, leg
+        Nodule, tissues and needle; leg of the needle.
+    moved_mm
+        Largest movement of the target.
+    """
+    tip, aim = np.array(leg.tip_lps), np.array(leg.aim_lps)
+    share = hit_share(scene.nodule, tip, aim, scene.tool.reach_mm, scene.errors, moved_mm=moved_mm)
+    return replace(leg, hit_share_moved=share)
+
+
+def _first_mm(there: NDArray[np.bool_]) -> float | None:
+    """Return the distance in mm to the first true sample; None if there is none within `BEYOND_MM`."""
+    first = np.flatnonzero(there[: int(BEYOND_MM / STEP_MM) + 1])
+    return STEP_MM * float(first[0]) if first.size else None
+
+
+def _near_vessels(to_vessel: Points, at: Points, points: Points, margin_mm: float) -> tuple[NearVessel, ...]:
+    """Return the nearest point of each stretch on which a vessel is nearer than the margin."""
+    near = np.flatnonzero(to_vessel < margin_mm)
+    if not near.size:
+        return ()
+    found = []
+    for stretch in np.split(near, np.flatnonzero(np.diff(near) > 1) + 1):
+        n = int(stretch[np.argmin(to_vessel[stretch])])
+        found.append(NearVessel(float(at[n]), float(to_vessel[n]), _point(points[n])))
+    return tuple(found)
+
+
+def _stretches(tissue: NDArray[Any]) -> tuple[Crossed, ...]:
+    found: list[Crossed] = []
+    start = 0
+    for n in range(1, len(tissue) + 1):
+        if n < len(tissue) and tissue[n] == tissue[start]:
+            continue
+        name, start_mm, length_mm = tissue[start], STEP_MM * start, STEP_MM * (n - start)
+        start = n
+        if found and (length_mm < LEAST_MM or found[-1].tissue == name):
+            found[-1] = replace(found[-1], length_mm=found[-1].length_mm + length_mm)
+        else:
+            found.append(Crossed(name, start_mm, length_mm))
+    return tuple(found)
+
+
+def _length_in(nodule: Nodule, tip: Points, ways: Points, reach_mm: float) -> float:
+    at = np.arange(0.0, reach_mm + 1e-9, STEP_MM)
+    points = tip + at[None, :, None] * ways[:, None, :]
+    inside = nodule.contains(points.reshape(-1, 3)).reshape(len(ways), -1)
+    return float(inside.sum(axis=1).min()) * STEP_MM
+
+
+def _ring(along: Points, off_rad: float) -> Points:
+    across, up = axes_across(along)
+    turn = 2.0 * np.pi * np.arange(16) / 16
+    side = np.cos(turn)[:, None] * across + np.sin(turn)[:, None] * up
+    ring: Points = math.cos(off_rad) * along + math.sin(off_rad) * side
+    return ring
+
+
+def _point(values: Points) -> tuple[float, float, float]:
+    return float(values[0]), float(values[1]), float(values[2])

@@ -1,0 +1,580 @@
+"""Routes to a target outside the airways: the position of the scope, and the last leg through the wall.
+
+Every centreline point from which the tool may reach the target is evaluated, and the best one of each branch is
+returned. Routes that the planned scope reaches come first, then those that it may reach; the score ranks routes of the
+same class (docs/decisions/0122).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from carina.argument_checks import (
+    check_arguments,
+    check_fields,
+    choice,
+    each,
+    function,
+    instance,
+    lps_point,
+    lps_points,
+    name_or,
+    number_from,
+    text_of,
+)
+from carina.display import one_line
+from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
+from carina.display.tables import ColumnKind, Columns, Tabular, columns_of
+from carina.errors import CancelledError, UsageError, check_type
+from carina.plan.instruments.tools import DEFAULT_TOOL, Tool, tools
+from carina.plan.instruments.tools import tool as tool_named
+from carina.plan.lungs.tissue_near_needle import surroundings
+from carina.plan.routes.last_leg import LastLeg, NeedleScene, leg_as_aimed, where_it_may_have_moved, with_errors
+from carina.plan.routes.main_carina import ridge_beyond_axes_mm
+from carina.plan.routes.needle_hits import NeedleErrors
+from carina.plan.routes.no_route_reasons import check_target, notes_of_target, notes_of_tools, why_none
+from carina.plan.routes.ranking import Judge, Outlook, ScoreWeights, bending_mm, order
+from carina.plan.routes.route_width import Fit, RouteWidth, matches_tree
+from carina.plan.routes.standing_points import BronchusSign, NearestPlace, Places, branch_title
+from carina.plan.targets.grow_nodule import Nodule, grow_nodule
+from carina.plan.targets.target import PlanTarget
+from carina.scopes import ScopeHold, ScopePreset, WallField, scope_preset
+from carina.track import Airways, TreeMeasures, measure_tree, wall_field
+from carina.volume import Volume
+
+__all__ = [
+    "PLANNED_SCOPE",
+    "BronchusSign",
+    "NearestPlace",
+    "Outlook",
+    "Plan",
+    "PlannedRoute",
+    "ScoreWeights",
+    "plan_route",
+]
+
+Points = NDArray[np.float64]
+
+PLANNED_SCOPE = "thin"
+"""Default scope: the thinnest one whose channel takes a needle of 1.8 mm."""
+MOST_ANGLE_DEG = 100.0
+"""Largest angle in degrees between needle and airway's axis; a needle at a larger angle would hit the scope."""
+MOST_ROUTES = 5
+MOST_AIMS = 3
+APART_MM = 4.0
+"""Least distance in mm between the scope positions of two routes to one aim."""
+BEYOND_MM, LEAST_MARGIN_MM, ROUND_MM = 10.0, 3.0, 6.0
+"""Margins in mm of the examined box: beyond the target's far edge, beside the needle, and for the filters' reach."""
+MOST_BOX_MM = 60.0
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class PlannedRoute:
+    """Route along the airways to the position of the scope, and from there into the target."""
+
+    branch_id: int
+    """Id of the branch in which the scope stands."""
+    branch_name: str
+    along_mm: float
+    """Distance of the tip from the root, mm."""
+    from_carina_mm: float | None
+    """Distance of the tip from the main carina, mm; None if the route passes no main carina."""
+    forward: tuple[float, float, float]
+    """Direction of the airway at the tip, LPS."""
+    width: RouteWidth
+    """Narrowest diameter of the route, with its error."""
+    fit: Fit
+    """Whether the scope with its margin fits, may fit within the errors, or does not fit."""
+    leg: LastLeg
+    parts: dict[str, float]
+    """Parts of the score, each 0 (best) to 1 (`ScoreWeights`)."""
+    score: float
+    """Score, 0 to 1 (best)."""
+    doubts: tuple[str, ...]
+    """Warnings that every view of the route shows: drawn branches, bridges, doubtful branches."""
+    aim: int = 0
+    """Index of the aim among the plan's aims, from 0."""
+    outlook: Outlook = "may reach"
+    """Whether scope and tool reach the target, by width, bend, doubts and reach; `judge_scope` simulates the drive."""
+    chance: float = 1.0
+    """Probability of reaching the target, by the same four criteria."""
+    limits: tuple[str, ...] = ()
+    """Reasons why the scope or the tool does not, or may not, reach the target."""
+    bend_deg: float = 0.0
+    """Sharpest turn of the route in degrees, over the length of the scope's rigid tip and bending section."""
+    tools: tuple[str, ...] = ()
+    """Names of the tools that pass the scope's channel and reach the target from there."""
+    hold: ScopeHold | None = None
+    """Roll and lever at the position of the scope; None until a drive is simulated."""
+
+    @property
+    def key(self) -> str:
+        """Identifier of the place and aim, independent of the rank: "17-204.5", or "17-204.5-2" for the second aim."""
+        return f"{self.branch_id}-{self.along_mm:.1f}" + (f"-{self.aim + 1}" if self.aim else "")
+
+    @property
+    def narrowest_mm(self) -> float:
+        """Narrowest diameter of the route in mm, without its error."""
+        return self.width.mm
+
+    @property
+    def fits(self) -> bool:
+        """Whether the scope with its margin fits with high probability."""
+        return self.fit == "fits"
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the route as plain JSON types."""
+        return {
+            "key": self.key,
+            "branch_id": self.branch_id,
+            "branch_name": self.branch_name,
+            "along_mm": self.along_mm,
+            "from_carina_mm": self.from_carina_mm,
+            "aim": self.aim,
+            "parking": {
+                "place_lps": list(self.leg.tip_lps),
+                "roll_rad": None if self.hold is None else self.hold.roll_rad,
+                "flexion_rad": None if self.hold is None else self.hold.flexion_rad,
+            },
+            "forward": list(self.forward),
+            **self.width.to_json(),
+            "fit": self.fit,
+            "fits": self.fits,
+            "bend_deg": self.bend_deg,
+            "outlook": self.outlook,
+            "chance": self.chance,
+            "limits": list(self.limits),
+            "tools": list(self.tools),
+            "leg": self.leg.to_json(),
+            "parts": self.parts,
+            "score": self.score,
+            "doubts": list(self.doubts),
+        }
+
+
+def _check_target(where: str, name: str, value: object) -> None:
+    """Refuse any value but a target, a nodule or a point."""
+    if not isinstance(value, PlanTarget | Nodule):
+        lps_point()(where, name, value)
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan(Tabular):
+    """Target and the routes to it, the best one first.
+
+    As a table (``to_pandas``, ``to_arrow``, ``to_columns``) it has a row for each route: its number from 1, fields of
+    `PlannedRoute`, ``past_carina_mm``, and of its last leg ``to_target_mm``, ``in_target_mm``, ``vessel_mm`` and
+    ``hit_share``.
+
+    Examples
+    --------
+    >>> import carina
+    >>> made = carina.generate_phantom(seed=4, spacing_mm=1.2, generations=5, nodule=True)
+    >>> plan = carina.plan_route(made.volume, carina.find_airways(made.volume), made.truth["nodule"]["centre_lps"])
+    >>> plan.why is None, plan.to_json()["format"]
+    (True, 'carina-plan')
+    """
+
+    nodule: Nodule
+    scope: ScopePreset
+    tool: Tool
+    bronchus_sign: BronchusSign
+    sign_branch: str | None
+    """Name of the airway that shows the bronchus sign."""
+    sign_lps: tuple[float, float, float] | None
+    """Place of the bronchus sign, LPS mm; slices through it show the sign."""
+    moved_mm: float
+    routes: tuple[PlannedRoute, ...]
+    why: str | None
+    """Reason why there is no route, and what would help; None if there is a route."""
+    notes: tuple[str, ...] = field(default=())
+    """Notes on the airways, the target and the tool."""
+    aims: tuple[tuple[float, float, float], ...] = ()
+    """Points in the target that the needle is aimed at, LPS mm."""
+    vessel_margin_mm: float = 3.0
+    weights: ScoreWeights = field(default_factory=ScoreWeights)
+    nearest: NearestPlace | None = None
+    """Place in the airways nearest to the target, independent of the routes; None if there is none."""
+    carina_ridge_mm: float | None = None
+    """Distance in mm of the main carina's ridge beyond the point where the axes of the main bronchi meet.
+
+    `PlannedRoute.from_carina_mm` is measured from that point. None if no ridge was found.
+    """
+
+    def __post_init__(self) -> None:
+        """Check the fields."""
+        check_fields(
+            self,
+            nodule=instance(Nodule, "get one from carina.grow_nodule"),
+            scope=instance(ScopePreset, "get one from carina.scopes.scope_preset"),
+            tool=instance(Tool, "get one from carina.plan.tool"),
+            bronchus_sign=choice(*get_args(BronchusSign)),
+            sign_branch=text_of(optional=True),
+            sign_lps=lps_point(optional=True),
+            moved_mm=number_from(0.0, 60.0, unit="mm"),
+            routes=each(instance(PlannedRoute, "get routes from carina.plan_route")),
+            why=text_of(20_000, optional=True),
+            notes=each(text_of(20_000)),
+            aims=each(lps_point()),
+            vessel_margin_mm=number_from(0.0, 50.0, unit="mm"),
+            weights=instance(ScoreWeights, "create a carina.plan.ScoreWeights"),
+            nearest=instance(NearestPlace, "get one from carina.plan_route", optional=True),
+            carina_ridge_mm=number_from(-1000.0, 1000.0, optional=True, unit="mm"),
+        )
+
+    def _columns(self) -> Columns:
+        own: dict[str, ColumnKind] = {
+            "branch_id": "int",
+            "branch_name": "text",
+            "along_mm": "float",
+            "aim": "int",
+            "outlook": "text",
+            "chance": "float",
+            "score": "float",
+            "narrowest_mm": "float",
+            "fits": "flag",
+            "bend_deg": "float",
+        }
+        leg: dict[str, ColumnKind] = dict.fromkeys(("to_target_mm", "in_target_mm", "vessel_mm", "hit_share"), "float")
+        return columns_of(
+            (
+                {
+                    "route": number,
+                    **{name: getattr(route, name) for name in own},
+                    "past_carina_mm": self.past_carina_mm(route),
+                    **{name: getattr(route.leg, name) for name in leg},
+                }
+                for number, route in enumerate(self.routes, start=1)
+            ),
+            {"route": "int", **own, "past_carina_mm": "float", **leg},
+        )
+
+    @check_arguments(route=instance(PlannedRoute, "take one of the plan's routes"))
+    def past_carina_mm(self, route: PlannedRoute) -> float | None:
+        """Return the distance in mm of a route's tip from the main carina's ridge; None if the route passes none."""
+        return None if route.from_carina_mm is None else route.from_carina_mm - (self.carina_ridge_mm or 0.0)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the plan as plain JSON types."""
+        return {
+            "format": "carina-plan",
+            "version": 1,
+            "space": "LPS",
+            "unit": "mm",
+            "target": self.nodule.to_json(),
+            "scope": self.scope.name,
+            "tool": self.tool.name,
+            "aims": [list(aim) for aim in self.aims],
+            "vessel_margin_mm": self.vessel_margin_mm,
+            "weights": self.weights.to_json(),
+            "bronchus_sign": self.bronchus_sign,
+            "sign_branch": self.sign_branch,
+            "sign_lps": None if self.sign_lps is None else list(self.sign_lps),
+            "moved_mm": self.moved_mm,
+            "carina_ridge_mm": self.carina_ridge_mm,
+            "routes": [route.to_json() | {"past_carina_mm": self.past_carina_mm(route)} for route in self.routes],
+            "why": self.why,
+            "nearest": None if self.nearest is None else self.nearest.to_json(),
+            "notes": list(self.notes),
+        }
+
+
+@shows_progress
+@check_arguments(
+    volume=instance(Volume, "open a volume with carina.open_volume"),
+    airways=instance(Airways, "get airways from carina.find_airways"),
+    target=_check_target,
+    scope=name_or(ScopePreset, "name one of carina.scopes.scope_presets"),
+    tool=name_or(Tool, "name one of carina.plan.tools"),
+    aims=lps_points(optional=True, or_one=True),
+    vessel_margin_mm=number_from(0.0, 50.0, unit="mm"),
+    moved_mm=number_from(0.0, 60.0, optional=True, unit="mm"),
+    errors=instance(NeedleErrors, "create a carina.plan.NeedleErrors", optional=True),
+    weights=instance(ScoreWeights, "create a carina.plan.ScoreWeights", optional=True),
+    wall=instance(WallField, "make one with carina.wall_field", optional=True),
+    measures=instance(TreeMeasures, "get them from carina.measure_tree", optional=True),
+    cancel=function,
+)
+def plan_route(
+    volume: Volume,
+    airways: Airways,
+    target: PlanTarget | Nodule | ArrayLike,
+    *,
+    scope: ScopePreset | str = PLANNED_SCOPE,
+    tool: Tool | str = DEFAULT_TOOL,
+    aims: ArrayLike | None = None,
+    vessel_margin_mm: float = 3.0,
+    moved_mm: float | None = None,
+    errors: NeedleErrors | None = None,
+    weights: ScoreWeights | None = None,
+    wall: WallField | None = None,
+    measures: TreeMeasures | None = None,
+    progress: ProgressChoice = None,
+    cancel: Callable[[], bool] | None = None,
+) -> Plan:
+    """Plan the routes to a nodule: the position of the scope, and the path of the needle from there.
+
+    Parameters
+    ----------
+    volume, airways
+        The CT and the airways in it.
+    target
+        A target with its aims, a nodule, or a point in one, LPS mm (`grow_nodule`).
+    scope, tool
+        Instruments, or their names in the libraries. A tool that does not pierce needs a target in a lumen or against
+        it. The reach of a scope is only estimated here; `judge_scope` simulates its drive.
+    aims
+        (k, 3) up to three points in the target, LPS mm, that the tool is aimed at; the centroid of the target if None.
+        Each route states its aim.
+    vessel_margin_mm
+        Distance from the needle below which a vessel lowers the score and is listed.
+    moved_mm
+        Largest movement of the target since the CT; it follows from the lobe if None.
+    errors, weights
+        Errors of the needle, and weights of the score.
+    wall
+        Wall of the airways (`carina.wall_field`); computed if None.
+    measures
+        Measures of the airways (`carina.measure_tree`). They are computed if None, or if they belong to another tree or
+        come from an earlier method.
+    progress
+        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
+        None where it is unknown.
+    cancel
+        Called often; the work stops when it returns True.
+
+    Returns
+    -------
+    Plan
+        Plan with its routes. Without a route, ``why`` states the reason.
+
+    Raises
+    ------
+    UsageError
+        If a number is out of range or a name unknown, an aim is outside the target, or airways or target belong to
+        another CT.
+    NoResultError
+        If there is no nodule at the point (`grow_nodule`).
+    CancelledError
+        If ``cancel()`` returned True.
+
+    Examples
+    --------
+    >>> import carina
+    >>> made = carina.generate_phantom(seed=4, spacing_mm=1.2, generations=5, nodule=True)
+    >>> found = carina.find_airways(made.volume)
+    >>> plan = carina.plan_route(made.volume, found, made.truth["nodule"]["centre_lps"])
+    >>> plan.routes[0].leg.reaches
+    True
+    """
+    check_type("plan_route", "volume", volume, Volume, "open a volume with carina.open_volume")
+    check_type("plan_route", "airways", airways, Airways, "get airways from carina.find_airways")
+    preset = scope_preset(scope) if isinstance(scope, str) else scope
+    used = tool_named(tool) if isinstance(tool, str) else tool
+    for name, value, most in (("vessel_margin_mm", vessel_margin_mm, 50.0), ("moved_mm", moved_mm or 0.0, 60.0)):
+        if not (math.isfinite(value) and 0.0 <= value <= most):
+            raise UsageError(f"{name}: expected 0 to {most:g}; found {value}", code="plan.range")
+    say = _Steps(share_function(progress_function(progress), "planning the routes"), cancel)
+    if not isinstance(target, PlanTarget | Nodule):
+        # The wall lets `grow_nodule` recognise a lesion in an airway.
+        wall = wall_field(volume, airways, cancel=cancel) if wall is None else wall
+        target = grow_nodule(volume, target, wall=wall)
+    if isinstance(target, PlanTarget):
+        aims = target.aims if aims is None else aims
+        target = target.nodule
+    nodule = target
+    check_target(volume, airways, nodule)
+    meant = _aims(nodule, aims)
+    say(0.1)
+    wall = wall_field(volume, airways, cancel=cancel) if wall is None else wall
+    say(0.5)
+    if measures is None or not matches_tree(measures, airways.tree):
+        measures = measure_tree(volume, airways, cancel=cancel)
+    places = Places(airways.tree, nodule, wall, measures=measures, spacing_mm=max(volume.spacing_mm))
+    judge = Judge(preset, vessel_margin_mm, weights or ScoreWeights(), used.reach_mm)
+    moved = places.moved_mm() if moved_mm is None else moved_mm
+    sign, sign_branch, sign_lps = places.bronchus_sign()
+    nearest = places.nearest()
+    candidates = [(n, aim) for aim in range(len(meant)) for n in places.within_reach(used, meant[aim], MOST_ANGLE_DEG)]
+    kept: tuple[PlannedRoute, ...] = ()
+    if candidates:
+        # The box extends from the farthest tip to beyond the target, with margins beside the needle.
+        farthest = max(float(places.distance[n]) for n, _ in candidates)
+        half = max(farthest, 0.5 * nodule.long_mm + BEYOND_MM) + max(vessel_margin_mm, LEAST_MARGIN_MM) + ROUND_MM
+        around = surroundings(volume, np.array(nodule.centre_lps), min(half, MOST_BOX_MM), nodule, wall)
+        scene = NeedleScene(nodule, wall, around, used, errors or NeedleErrors(), vessel_margin_mm)
+        search = _Search(scene, judge, meant)
+        best = {key: search.best(drafts) for key, drafts in search.drafts(places, candidates, say).items()}
+        # The best place of a branch may be between two of the evaluated ones.
+        for aim, aim_lps in enumerate(meant):
+            finer = places.beside((one.branch_id, one.along_mm) for one in best.values() if one.aim == aim)
+            near = [(n, aim) for n in finer.within_reach(used, aim_lps, MOST_ANGLE_DEG, apart_mm=0.0)]
+            for key, drafts in search.drafts(finer, near).items():
+                best[key] = search.best(drafts, best[key])
+        kept = tuple(
+            replace(route, leg=where_it_may_have_moved(scene, route.leg, moved))
+            for route in standing_apart(sorted(best.values(), key=order))
+        )
+    told = next((route for route in kept if route.from_carina_mm is not None), None)
+    ridge_mm = None
+    if told is not None and told.from_carina_mm is not None:
+        ridge_mm = ridge_beyond_axes_mm(volume, airways, told.branch_id, told.along_mm - told.from_carina_mm)
+    say(1.0)
+    return Plan(
+        nodule=nodule,
+        scope=preset,
+        tool=used,
+        bronchus_sign=sign,
+        sign_branch=sign_branch,
+        sign_lps=sign_lps,
+        moved_mm=moved,
+        routes=kept,
+        why=None if kept else why_none(airways, nodule, nearest, used),
+        notes=(
+            *(note.words for note in airways.badges),
+            *notes_of_target(volume, airways, nodule, nearest),
+            *notes_of_tools(preset, used),
+        ),
+        aims=tuple((float(x), float(y), float(z)) for x, y, z in meant),
+        vessel_margin_mm=vessel_margin_mm,
+        weights=judge.weights,
+        nearest=nearest,
+        carina_ridge_mm=ridge_mm,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Search:
+    """Search for the best place for each pair of branch and aim."""
+
+    scene: NeedleScene
+    judge: Judge
+    aims_lps: Points
+
+    def drafts(
+        self, places: Places, candidates: Sequence[tuple[Any, int]], say: Callable[[float], None] | None = None
+    ) -> dict[tuple[int, int], list[PlannedRoute]]:
+        """Return the routes whose needles reach the target, by branch and aim, without the needle's errors."""
+        found: dict[tuple[int, int], list[PlannedRoute]] = {}
+        for step, (n, aim) in enumerate(candidates):
+            if say is not None:
+                say(0.6 + 0.3 * step / len(candidates))
+            leg = leg_as_aimed(self.scene, places.points[n], places.forward[n], self.aims_lps[aim])
+            if leg.reaches and (self.scene.tool.pierces or leg.is_open):
+                route = _route(places, int(n), aim, leg, self.judge)
+                found.setdefault((route.branch_id, aim), []).append(route)
+        return found
+
+    def best(self, drafts: Sequence[PlannedRoute], found: PlannedRoute | None = None) -> PlannedRoute:
+        """Return the best of several drafts with the needle's errors, or ``found`` if that is better.
+
+        A draft that could not be the best even without a miss is not evaluated.
+        """
+        for draft in sorted(drafts, key=order):
+            if found is not None and order(found) <= order(draft):
+                break
+            leg = with_errors(self.scene, draft.leg)
+            parts = self.judge.parts(leg, draft.narrowest_mm, self.scene.nodule)
+            route = replace(draft, leg=leg, parts=parts, score=self.judge.score(parts))
+            if found is None or order(route) < order(found):
+                found = route
+        assert found is not None
+        return found
+
+
+def _aims(nodule: Nodule, aims: ArrayLike | None) -> Points:
+    """Return the aims, (k, 3) points in the nodule, LPS mm."""
+    if aims is None:
+        return np.array([nodule.middle_lps], dtype=np.float64)
+    try:
+        found = np.asarray(aims, dtype=np.float64).reshape(-1, 3)
+    except (TypeError, ValueError):
+        raise UsageError(f"aims: expected points x,y,z in LPS mm; found {aims!r}", code="plan.aims") from None
+    if not (1 <= len(found) <= MOST_AIMS and np.isfinite(found).all()):
+        raise UsageError(
+            f"aims: expected 1 to {MOST_AIMS} points in LPS mm; found {len(found)}: {found.tolist()}", code="plan.aims"
+        )
+    off = nodule.distance_mm(found)
+    if (off > 0.0).any():
+        n = int(np.argmax(off))
+        place = ", ".join(f"{v:g}" for v in found[n])
+        raise UsageError(
+            f"aims: the point {place} lies {off[n]:.1f} mm outside the target; choose points within it",
+            code="plan.aims",
+        )
+    return found
+
+
+def _route(places: Places, n: int, aim: int, leg: LastLeg, judge: Judge) -> PlannedRoute:
+    """Return the judged route to a place with its last leg."""
+    branch = places.of_branch(n)
+    asked = places.asks(n, bending_mm(judge.scope))
+    parts = judge.parts(leg, asked.width.mm, places.nodule)
+    outlook, chance, limits = judge.outlook(asked, leg)
+    carina_mm = places.carina_mm(branch)
+    forward = places.forward[n]
+    return PlannedRoute(
+        branch_id=branch.id,
+        branch_name=branch_title(branch),
+        along_mm=float(places.along_mm[n]),
+        from_carina_mm=None if carina_mm is None else float(places.along_mm[n]) - carina_mm,
+        forward=(float(forward[0]), float(forward[1]), float(forward[2])),
+        width=asked.width,
+        fit=asked.width.fit(judge.scope),
+        leg=leg,
+        parts=parts,
+        score=judge.score(parts),
+        doubts=asked.doubts,
+        aim=aim,
+        outlook=outlook,
+        chance=chance,
+        limits=limits,
+        bend_deg=asked.bend_deg.value,
+        tools=tuple(
+            one.name
+            for one in tools()
+            if judge.scope.channel_mm is not None
+            and one.passes(judge.scope.channel_mm)
+            and leg.to_target_mm <= one.reach_mm
+            and (one.pierces or leg.is_open)
+        ),
+    )
+
+
+class _Steps:
+    """Callable that reports progress and checks for cancellation between steps."""
+
+    def __init__(self, on_share: Callable[[float], None] | None, cancel: Callable[[], bool] | None) -> None:
+        self._on_share, self._cancel = on_share, cancel
+
+    def __call__(self, share: float) -> None:
+        if self._cancel is not None and self._cancel():
+            raise CancelledError("planning was cancelled")
+        if self._on_share is not None:
+            self._on_share(share)
+
+
+def standing_apart(routes: Sequence[PlannedRoute]) -> tuple[PlannedRoute, ...]:
+    """Return the best routes of a ranked list, without routes near a better one to the same aim.
+
+    The best route to each aim is always returned.
+    """
+    kept: list[PlannedRoute] = []
+    for route in routes:
+        place = np.array(route.leg.tip_lps)
+        if all(
+            one.aim != route.aim or float(np.linalg.norm(place - np.array(one.leg.tip_lps))) > APART_MM for one in kept
+        ):
+            kept.append(route)
+    firsts = {aim: next(n for n, one in enumerate(kept) if one.aim == aim) for aim in {one.aim for one in kept}}
+    others = [n for n in range(len(kept)) if n not in firsts.values()]
+    told = sorted([*firsts.values(), *others[: MOST_ROUTES - len(firsts)]])
+    return tuple(kept[n] for n in told)

@@ -1,0 +1,200 @@
+"""Ranking of routes: first by whether the planned scope reaches their end, then by a score with weighted parts."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from carina.argument_checks import check_fields, number_from
+from carina.display import one_line
+from carina.errors import UsageError
+from carina.plan.routes.last_leg import LastLeg
+from carina.plan.routes.route_width import RouteWidth
+from carina.plan.targets.grow_nodule import Nodule
+from carina.scopes import ScopePreset
+
+__all__ = ["Demands", "Judge", "Outlook", "ScoreWeights", "Worst"]
+
+Outlook = Literal["reaches", "may reach", "does not reach"]
+RANK: dict[Outlook, int] = {"reaches": 0, "may reach": 1, "does not reach": 2}
+
+DEEP_MM = 8.0
+"""Length in mm of the needle in the target that suffices for a sample."""
+SURE = 0.9
+"""Least probability of *reaches*; at a probability of at most 1 less this value the outlook is *does not reach*."""
+BEND_SIGMA_DEG = 8.0
+"""Standard deviation in degrees of the angle that a route requires of the bending section (common knowledge)."""
+DEPTH_SIGMA_MM = 0.5
+"""Standard deviation in mm of the position of the target's edge along the needle (common knowledge)."""
+MEDIASTINUM_MM = 2.0
+"""Largest length in mm of mediastinum on the needle path in which no hidden vessel is assumed."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class ScoreWeights:
+    """Weights of the parts of a route's score; each part is 0 at its best and 1 at its worst."""
+
+    misses: float = 0.25
+    """Weight of the needle positions that miss."""
+    way: float = 0.15
+    """Weight of the distance outside the lumen, divided by the tool's reach."""
+    angle: float = 0.15
+    """Weight of the angle between needle and airway, divided by 90 degrees."""
+    narrow: float = 0.3
+    """Weight of the missing width at the narrowest place.
+
+    The missing width is relative to the scope's size; the part is 1 if a quarter is missing.
+    """
+    vessels: float = 0.1
+    """Weight of a vessel within the margin.
+
+    The part is 1 if the needle crosses mediastinum, whose vessels are not visible.
+    """
+    shallow: float = 0.15
+    """Weight of a short length in the target, compared with 8 mm or 90 % of the target's short diameter."""
+
+    def __post_init__(self) -> None:
+        """Check the weights."""
+        check_fields(self, **dict.fromkeys(self.__slots__, number_from(0.0, 1e6)))
+        values = [getattr(self, name) for name in self.__slots__]
+        if not all(math.isfinite(v) and v >= 0.0 for v in values) or sum(values) <= 0.0:
+            raise UsageError(f"weights: expected numbers from 0 up, not all 0; found {values}", code="plan.weights")
+
+    def to_json(self) -> dict[str, float]:
+        """Return the weights as plain JSON types."""
+        return {name: float(getattr(self, name)) for name in self.__slots__}
+
+
+@dataclass(frozen=True, slots=True)
+class Worst:
+    """Worst value along a path from the root, and its place."""
+
+    value: float
+    at_mm: float
+    """Distance of the place from the root, mm."""
+
+
+@dataclass(frozen=True, slots=True)
+class Demands:
+    """Width, bend and doubts of a path from the root, which a scope must pass."""
+
+    width: RouteWidth
+    """Narrowest diameter of the path."""
+    bend_deg: Worst
+    """Sharpest turn in degrees over the length of rigid tip and bending section, and the place where it ends."""
+    doubts: tuple[str, ...]
+    trust: float
+    """Probability that the whole path is airway; 1 without doubts."""
+
+
+@dataclass(frozen=True, slots=True)
+class Judge:
+    """Criteria for the judgement of a route."""
+
+    scope: ScopePreset
+    margin_mm: float
+    weights: ScoreWeights
+    reach_mm: float
+    """Distance in mm beyond the scope's tip that the tool reaches."""
+
+    def parts(self, leg: LastLeg, narrowest_mm: float, nodule: Nodule) -> dict[str, float]:
+        """Return the parts of the score, each 0 (best) to 1 (`ScoreWeights`).
+
+        Parameters
+        ----------
+        leg
+            Needle path of the route.
+        narrowest_mm
+            Narrowest diameter of the route.
+        nodule
+            The target.
+        """
+        near = 0.0 if self.margin_mm <= 0.0 or leg.vessel_mm is None else 1.0 - leg.vessel_mm / self.margin_mm
+        found = {
+            "misses": 1.0 - leg.hit_share,
+            "way": leg.outside_mm / self.reach_mm,
+            "angle": leg.angle_deg / 90.0,
+            "narrow": 4.0 * (1.0 - narrowest_mm / self.scope.fit_mm),
+            "vessels": 1.0 if self.margin_mm > 0.0 and leg.mediastinum_mm > MEDIASTINUM_MM else near,
+            "shallow": 1.0 - leg.in_target_mm / min(DEEP_MM, 0.9 * nodule.short_mm),
+        }
+        return {name: float(np.clip(part, 0.0, 1.0)) for name, part in found.items()}
+
+    def score(self, parts: dict[str, float]) -> float:
+        """Return the score, 0 to 1 (best)."""
+        total = sum(getattr(self.weights, name) for name in parts)
+        lost = sum(getattr(self.weights, name) * part for name, part in parts.items())
+        return 1.0 - float(lost) / float(total)
+
+    def outlook(self, way: Demands, leg: LastLeg | None = None) -> tuple[Outlook, float, tuple[str, ...]]:
+        """Return whether the scope reaches a place, the probability, and the reasons against it.
+
+        The criteria are width, bend, doubts about the airways and, with a leg, the tool's reach.
+
+        Parameters
+        ----------
+        way
+            Width, bend and doubts of the path to the place.
+        leg
+            Needle path from the place; None ignores the tool's reach.
+        """
+        found: Outlook = "may reach" if way.doubts else "reaches"
+        chance = way.trust
+        limits = []
+        asked: list[tuple[float | None, str]] = [self._room(way), self._bend(way)]
+        if leg is not None:
+            asked.append(self._depth(leg))
+        for share, words in asked:
+            answer: Outlook = (
+                "may reach"
+                if share is None
+                else "reaches"
+                if share >= SURE
+                else "does not reach"
+                if share <= 1.0 - SURE
+                else "may reach"
+            )
+            if answer != "reaches":
+                limits.append(words)
+            found = max(found, answer, key=lambda one: RANK[one])
+            chance *= 0.5 if share is None else share
+        return found, chance, tuple(limits)
+
+    def _depth(self, leg: LastLeg) -> tuple[float, str]:
+        spare = self.reach_mm - leg.to_target_mm
+        return _share(spare / DEPTH_SIGMA_MM), f"the tool reaches no more than {spare:.1f} mm beyond the target's edge"
+
+    def _room(self, way: Demands) -> tuple[float, str]:
+        needs = f"{self.scope.title} needs {self.scope.fit_mm:.1f} mm"
+        words = [way.width.place_words, needs, *([] if way.width.why is None else [way.width.why])]
+        return way.width.chance(self.scope), "; ".join(words)
+
+    def _bend(self, way: Demands) -> tuple[float | None, str]:
+        if self.scope.flexion_deg is None or self.scope.bending_mm is None:
+            return None, f"it is not known how far {self.scope.title} flexes"
+        most = max(self.scope.flexion_deg)
+        words = (
+            f"the bend {way.bend_deg.at_mm:.0f} mm along the route requires {way.bend_deg.value:.0f} degrees of "
+            f"flexion; {self.scope.title} has {most:.0f}"
+        )
+        return _share((most - way.bend_deg.value) / BEND_SIGMA_DEG), words
+
+
+def bending_mm(scope: ScopePreset) -> float | None:
+    """Return the length of rigid tip and bending section in mm; None if it is not known."""
+    return None if scope.bending_mm is None else float(np.mean(scope.bending_mm)) + (scope.rigid_tip_mm or 0.0)
+
+
+def order(route: Any) -> tuple[Any, ...]:
+    """Return the sort key of a route: the outlook, then the score, multiplied by the probability for *may reach*."""
+    score = route.score * route.chance if route.outlook == "may reach" else route.score
+    return RANK[route.outlook], -score, route.branch_id, route.aim
+
+
+def _share(sigmas: float) -> float:
+    """Return the probability of a standard normal variable below a value."""
+    return 0.5 * (1.0 + math.erf(sigmas / math.sqrt(2.0)))

@@ -1,0 +1,363 @@
+"""Positions on the airways' centrelines that a scope may have, and their relation to one target."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.display import one_line
+from carina.plan.instruments.tools import Tool
+from carina.plan.routes.ranking import Demands, Worst
+from carina.plan.routes.route_width import widths_on_the_way
+from carina.plan.targets.grow_nodule import Nodule
+from carina.scopes import WallField
+from carina.track import AirwayTree, Branch, TreeMeasures, branch_side_and_lobe
+
+__all__ = ["BronchusSign", "NearestPlace", "Places", "Ways", "branch_doubts", "branch_title"]
+
+Points = NDArray[np.float64]
+BronchusSign = Literal["into", "beside", "none"]
+
+PLACES_MM = 0.7
+"""Least distance in mm between two places on one branch."""
+FINE_MM = 0.175
+"""Distance in mm of the additional places beside the best ones."""
+INTO_MM, BESIDE_MM = 0.8, 2.0
+"""Largest distance in mm of a lumen from a nodule that it leads into, and of one that it is beside."""
+DOUBTFUL = 0.5
+"""Confidence below which a branch is doubtful."""
+LOWER_LOBE_MM, ELSEWHERE_MM = 20.0, 15.0
+"""Largest distance in mm of a nodule from its place in a CT at full inspiration, in the lower lobes and elsewhere.
+
+The movement is 17.6 mm on average and more than 20 mm in the lower lobes (85 lesions; source: Chen et al., Chest
+2015;147:1275). The value of 15 mm elsewhere is common knowledge.
+"""
+SMOOTH_MM = 4.0
+"""Half the length in mm over which a direction of the route is measured."""
+BEND_STEP_MM = 1.0
+
+_COLUMNS = ("points", "forward", "branch", "along_mm", "width", "radius")
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class NearestPlace:
+    """Place in the airways nearest to a target."""
+
+    branch_id: int
+    branch_name: str
+    place_lps: tuple[float, float, float]
+    along_mm: float
+    """Distance from the root, mm."""
+    width_mm: float
+    """Diameter of the largest ball that fits there, mm."""
+    gap_mm: float
+    """Distance from the middle of the airway to the edge of the target, mm."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the place as plain JSON types."""
+        return {
+            "branch_id": self.branch_id,
+            "branch_name": self.branch_name,
+            "place_lps": list(self.place_lps),
+            "along_mm": self.along_mm,
+            "width_mm": self.width_mm,
+            "gap_mm": self.gap_mm,
+        }
+
+
+class Ways:
+    """Centreline points of a tree, with the width, bends and doubts of the path from the root to each point.
+
+    Parameters
+    ----------
+    tree, wall
+        The airways and their wall.
+    measures
+        Measures of this tree. If None, the diameter is that of the largest ball everywhere.
+    spacing_mm
+        Largest spacing of the CT.
+    """
+
+    def __init__(
+        self,
+        tree: AirwayTree,
+        wall: WallField | None = None,
+        *,
+        measures: TreeMeasures | None = None,
+        spacing_mm: float = 1.0,
+    ) -> None:
+        self._tree = tree
+        branches = [branch for branch in tree.branches if len(branch.points) > 1]
+        self._row = {branch.id: branch for branch in tree.branches}
+        along = _along(tree)
+        widths = widths_on_the_way(tree, wall, measures, spacing_mm)
+        self._bends: dict[int, tuple[Points, Points, Points]] = {}
+        self._doubts: dict[int, tuple[str, ...]] = {}
+
+        def joined(rows: list[Any], *shape: int) -> Any:
+            return np.concatenate(rows) if rows else np.empty((0, *shape))
+
+        self.points: Points = joined([b.points for b in branches], 3)
+        self.forward: Points = joined([_tangents(b.points) for b in branches], 3)
+        self.branch: NDArray[Any] = joined([np.full(len(b.points), b.id) for b in branches])
+        self.along_mm: Points = joined([along[b.id] for b in branches])
+        self.width: NDArray[np.object_] = joined([widths[b.id] for b in branches])
+        """(n,) `RouteWidth` of the path from the root to each point."""
+        self.radius: Points = joined([b.wall_distance for b in branches])
+
+    def of_branch(self, n: int) -> Branch:
+        """Return the branch of point ``n``."""
+        return self._row[int(self.branch[n])]
+
+    def asks(self, n: int, section_mm: float | None) -> Demands:
+        """Return width, bend and doubts of the path to point ``n``, which a scope must pass.
+
+        Parameters
+        ----------
+        n
+            Index of the point.
+        section_mm
+            Length of the scope's tip and bending section; None ignores bends.
+        """
+        branch = self.of_branch(n)
+        if branch.id not in self._doubts:
+            self._doubts[branch.id] = self._doubts_of(branch)
+        bend = Worst(0.0, 0.0)
+        if section_mm is not None:
+            if branch.id not in self._bends:
+                self._bends[branch.id] = _bends(self._tree.lineage(branch.id), section_mm)
+            at, worst, where = self._bends[branch.id]
+            row = int(np.searchsorted(at, float(self.along_mm[n]) + 1e-6, side="right")) - 1
+            if row >= 0:
+                bend = Worst(float(worst[row]), float(where[row]))
+        return Demands(self.width[n], bend, self._doubts[branch.id], self._trust(branch))
+
+    def _trust(self, branch: Branch) -> float:
+        lineage = self._tree.lineage(branch.id)
+        found = [one.confidence for one in lineage if one.confidence is not None and one.confidence < DOUBTFUL]
+        return min([1.0, *found, *(DOUBTFUL for one in lineage if one.kind in {"bridge", "manual"})])
+
+    def _doubts_of(self, branch: Branch) -> tuple[str, ...]:
+        return tuple(words for one in self._tree.lineage(branch.id) for words in branch_doubts(one))
+
+
+class Places(Ways):
+    """Centreline points of a tree and their relation to one nodule."""
+
+    def __init__(
+        self,
+        tree: AirwayTree,
+        nodule: Nodule,
+        wall: WallField | None = None,
+        *,
+        measures: TreeMeasures | None = None,
+        spacing_mm: float = 1.0,
+    ) -> None:
+        super().__init__(tree, wall, measures=measures, spacing_mm=spacing_mm)
+        self.nodule = nodule
+        self.distance: Points = np.linalg.norm(self.points - np.array(nodule.centre_lps), axis=1)
+
+    def angle_deg(self, aim_lps: Points) -> Points:
+        """Return the angle in degrees between the airway and the direction to an aim, at each place."""
+        off = aim_lps - self.points
+        cosine = (off * self.forward).sum(axis=1) / np.maximum(np.linalg.norm(off, axis=1), 1e-9)
+        found: Points = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+        return found
+
+    def within_reach(
+        self, tool: Tool, aim_lps: Points, most_angle_deg: float, *, apart_mm: float = PLACES_MM
+    ) -> NDArray[np.intp]:
+        """Return the places from which the tool may reach the nodule forwards.
+
+        Parameters
+        ----------
+        tool
+            Tool with its reach.
+        aim_lps
+            (3,) LPS mm.
+        most_angle_deg
+            Largest angle between the airway and the direction to the aim.
+        apart_mm
+            Least distance of two places on one branch.
+        """
+        near = self.distance <= tool.reach_mm + self.nodule.long_mm
+        edge = np.full(len(self.distance), np.inf)
+        if near.any():
+            edge[near] = self.nodule.distance_mm(self.points[near])
+        # If the airway passes through the nodule, the nodule is reached even if the aim is behind the tip.
+        may = (edge <= tool.reach_mm) & ((self.angle_deg(aim_lps) <= most_angle_deg) | (edge <= 0.0))
+        kept: list[int] = []
+        for n in np.flatnonzero(may):
+            last = kept[-1] if kept else None
+            if (
+                last is None
+                or self.branch[last] != self.branch[n]
+                or self.along_mm[n] - self.along_mm[last] >= apart_mm
+            ):
+                kept.append(int(n))
+        return np.array(kept, dtype=np.intp)
+
+    def beside(self, spots: Iterable[tuple[int, float]]) -> Places:
+        """Return a copy with places `FINE_MM` apart round given places.
+
+        The width at an interpolated place is the narrower one of its two neighbours.
+
+        Parameters
+        ----------
+        spots
+            Id of the branch and distance from the root in mm, of each given place.
+        """
+        steps = FINE_MM * np.arange(1, round(PLACES_MM / FINE_MM) + 1)
+        at: dict[int, list[Points]] = {}
+        for branch, middle in spots:
+            at.setdefault(branch, []).append(middle + np.concatenate([-steps, steps]))
+        finer = copy.copy(self)
+        of: dict[str, list[Any]] = {name: [] for name in _COLUMNS}
+        for branch, wanted in at.items():
+            own = np.flatnonzero(self.branch == branch)
+            along = self.along_mm[own]
+            mm = np.unique(np.clip(np.concatenate(wanted), along[0], along[-1]))
+            high = np.clip(np.searchsorted(along, mm), 1, len(own) - 1)
+            share = ((mm - along[high - 1]) / np.maximum(along[high] - along[high - 1], 1e-9))[:, None]
+            before, after = own[high - 1], own[high]
+            forward = (1.0 - share) * self.forward[before] + share * self.forward[after]
+            of["points"].append((1.0 - share) * self.points[before] + share * self.points[after])
+            of["forward"].append(forward / np.maximum(np.linalg.norm(forward, axis=1, keepdims=True), 1e-9))
+            of["branch"].append(self.branch[after])
+            of["along_mm"].append(mm)
+            widths = np.empty(len(mm), dtype=object)
+            widths[:] = [
+                replace(width, at_mm=min(width.at_mm, float(here)))
+                for width, here in zip(self.width[after], mm, strict=True)
+            ]
+            of["width"].append(widths)
+            of["radius"].append(np.minimum(self.radius[before], self.radius[after]))
+        for name, parts in of.items():
+            setattr(finer, name, np.concatenate(parts) if parts else getattr(self, name)[:0])
+        finer.distance = np.linalg.norm(finer.points - np.array(self.nodule.centre_lps), axis=1)
+        return finer
+
+    def bronchus_sign(self) -> tuple[BronchusSign, str | None, tuple[float, float, float] | None]:
+        """Return whether an airway leads into the nodule or is beside it, the name of the airway, and the place."""
+        near = np.flatnonzero(self.distance <= self.nodule.long_mm + 6.0)
+        if not near.size:
+            return "none", None, None
+        gap = self.nodule.distance_mm(self.points[near])
+        angle = self.angle_deg(np.array(self.nodule.centre_lps))[near]
+        # The direction distinguishes an airway that leads into the nodule from one that passes it.
+        into = (gap - self.radius[near] <= INTO_MM) & ((angle <= 60.0) | (gap <= 0.0))
+        beside = gap - self.radius[near] <= BESIDE_MM
+        for sign, which in (("into", into), ("beside", beside)):
+            if which.any():
+                n = int(near[which][np.argmin(gap[which])])
+                return sign, branch_title(self.of_branch(n)), _point(self.points[n])  # type: ignore[return-value]
+        return "none", None, None
+
+    def moved_mm(self) -> float:
+        """Return the largest distance in mm that the nodule may have moved, by the lobe of the nearest airway."""
+        branch, _, _ = self._tree.nearest_branch(self.nodule.centre_lps)
+        lobe = branch_side_and_lobe(self._tree)[branch.id]
+        # The larger value also applies if the lobe is unknown.
+        return LOWER_LOBE_MM if lobe in {"RLL", "LLL", None} else ELSEWHERE_MM
+
+    def nearest(self) -> NearestPlace | None:
+        """Return the place nearest to the nodule's edge; None for a tree without branches."""
+        if not len(self.points):
+            return None
+        # The place nearest to the edge is at most one nodule length farther from the centre than the nearest place.
+        near = np.flatnonzero(self.distance <= float(self.distance.min()) + self.nodule.long_mm)
+        gap = self.nodule.distance_mm(self.points[near])
+        n = int(near[np.argmin(gap)])
+        branch = self.of_branch(n)
+        return NearestPlace(
+            branch_id=branch.id,
+            branch_name=branch_title(branch),
+            place_lps=_point(self.points[n]),
+            along_mm=float(self.along_mm[n]),
+            width_mm=2.0 * float(self.radius[n]),
+            gap_mm=float(gap.min()),
+        )
+
+    def carina_mm(self, branch: Branch) -> float | None:
+        """Return the distance in mm from the root to the main carina on the path to a branch; None if there is none."""
+        inside = 0.0
+        for one in self._tree.lineage(branch.id):
+            if one.name in {"RMB", "LMB"}:
+                return inside
+            inside += one.length_mm
+        if branch.parent is None and {"RMB", "LMB"} & {self._row[child].name for child in branch.children}:
+            return inside
+        return None
+
+
+def branch_doubts(branch: Branch) -> tuple[str, ...]:
+    """Return the warnings about a branch that every view of a route over it shows."""
+    if branch.kind == "bridge":
+        return (f"{branch_title(branch)} is a bridge across an obstruction: the CT shows no airway there",)
+    if branch.kind == "manual":
+        return (f"{branch_title(branch)} was drawn by hand",)
+    if branch.confidence is not None and branch.confidence < DOUBTFUL:
+        sure = f"{100 * branch.confidence:.0f} % confidence that it is an airway"
+        return (f"{branch_title(branch)} is doubtful: {sure}",)
+    return ()
+
+
+def branch_title(branch: Branch) -> str:
+    """Return the name of a branch, such as ``RB6``, or ``branch 17`` if it has none."""
+    return branch.name or f"branch {branch.id}"
+
+
+def _along(tree: AirwayTree) -> dict[int, Points]:
+    """Return for the points of each branch the distance from the root, mm."""
+    along: dict[int, Points] = {}
+    # Parents precede their children in the tree.
+    for branch in tree.branches:
+        own = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(branch.points, axis=0), axis=1))])
+        along[branch.id] = own if branch.parent is None else own + along[branch.parent][-1]
+    return along
+
+
+def _bends(lineage: tuple[Branch, ...] | list[Branch], section_mm: float) -> tuple[Points, Points, Points]:
+    """Return the sharpest turn up to each place along a path.
+
+    Returns
+    -------
+    at, worst, where
+        Distances along the path in mm, 1 mm apart; sharpest turn over ``section_mm`` up to there in degrees; distance
+        at which it occurs.
+    """
+    points = np.concatenate([lineage[0].points, *(branch.points[1:] for branch in lineage[1:])])
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    at = np.arange(section_mm, along[-1] + 1e-6, BEND_STEP_MM)
+
+    def directions(mm: Points) -> Points:
+        low, high = np.maximum(mm - SMOOTH_MM, 0.0), np.minimum(mm + SMOOTH_MM, along[-1])
+        ahead = np.stack(
+            [np.interp(high, along, points[:, axis]) - np.interp(low, along, points[:, axis]) for axis in range(3)],
+            axis=1,
+        )
+        found: Points = ahead / np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9)
+        return found
+
+    cosine = (directions(at) * directions(at - section_mm)).sum(axis=1)
+    turn = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    worst = np.maximum.accumulate(turn)
+    where = np.maximum.accumulate(np.where(turn >= worst, at, 0.0))
+    return at, worst, where
+
+
+def _tangents(points: Points) -> Points:
+    ahead = np.gradient(points, axis=0)
+    length = np.linalg.norm(ahead, axis=1, keepdims=True)
+    found: Points = ahead / np.maximum(length, 1e-9)
+    return found
+
+
+def _point(values: Points) -> tuple[float, float, float]:
+    return float(values[0]), float(values[1]), float(values[2])

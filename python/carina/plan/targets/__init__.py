@@ -1,0 +1,1 @@
+"""Targets of a plan: nodules, their boundaries, and targets from clicks, masks and files."""

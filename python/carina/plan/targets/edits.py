@@ -1,0 +1,225 @@
+"""Edits of a target's boundary by hand: by diameter, with a brush, or as a sphere where the CT shows no boundary."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from carina.errors import UsageError, check_type
+from carina.plan.cubic_box import Box, ball_distance, box_step_mm, component_at, enclosed, smoothed
+from carina.plan.targets.mask_measures import measured_mask
+from carina.plan.targets.nodule import Nodule
+from carina.volume import Volume
+
+__all__ = ["brushed", "resized", "sphere"]
+
+Mask = NDArray[np.bool_]
+Place = NDArray[np.float64]
+
+DIAMETERS_MM = (1.0, 150.0)
+BRUSH_MM = (0.5, 40.0)
+RESIZED, BRUSHED, SPHERE = (
+    "boundary set by hand to a diameter",
+    "boundary edited by hand",
+    "a sphere set by hand: the CT shows no boundary that was used",
+)
+SPHERE_OFF_MM = 2.0
+"""Additional uncertainty in mm of a sphere's boundary, beyond that of a drawn boundary (common knowledge)."""
+
+
+def resized(nodule: Nodule, volume: Volume, diameter_mm: float) -> Nodule:
+    """Move the boundary of a nodule by the same distance everywhere, to a given long axial diameter.
+
+    Parameters
+    ----------
+    nodule, volume
+        The nodule and its CT. The kind stays; density and volume are measured again.
+    diameter_mm
+        New ``long_mm``, 1 to 150 mm.
+
+    Raises
+    ------
+    UsageError
+        If the diameter is out of range, nothing of the nodule would be left, or more than half of it would be outside
+        the CT (code ``plan.edit``).
+
+    Examples
+    --------
+    >>> import carina
+    >>> made = carina.generate_phantom(seed=4, spacing_mm=1.0, nodule=True, box_lps=((-130, 15, -60), (-72, 75, -2)))
+    >>> nodule = carina.grow_nodule(made.volume, made.truth["nodule"]["centre_lps"])
+    >>> wider = resized(nodule, made.volume, nodule.long_mm + 4.0)
+    >>> round(wider.long_mm - nodule.long_mm)
+    4
+    """
+    _check(volume, diameter_mm, DIAMETERS_MM, "diameter")
+    step = float(np.linalg.norm(nodule.lps_from_ijk[:3, 0]))
+    by_mm = 0.5 * (diameter_mm - nodule.long_mm)
+    inside, matrix = _padded(nodule, max(by_mm, 0.0) + 3.0 * step)
+    # Hollows are not resized.
+    hollow = enclosed(inside)
+    whole = inside | hollow
+    # Signed distance, positive inside. It is smoothed, because distances between voxels have steps.
+    depth = smoothed(ball_distance(whole, step) - ball_distance(~whole, step), 0.6)
+    radii = 0.5 * np.array([nodule.long_mm, nodule.short_mm, 0.0])
+    radii[2] = 3.0 * nodule.volume_mm3 / (4.0 * np.pi * radii[0] * radii[1])
+    if float(radii.min()) + by_mm < 0.5 * step:
+        raise _refused("nothing of the target would be left; choose a larger diameter")
+    # Voxel distances are biased by a part of a voxel, so the number of voxels follows from the ellipsoid of the radii.
+    num = round(nodule.volume_mm3 / step**3 * float(np.prod((radii + by_mm) / radii)))
+    kept = np.zeros(depth.size, dtype=bool)
+    kept[np.argsort(-depth, axis=None, kind="stable")[: max(num, 1)]] = True
+    kept = kept.reshape(depth.shape) & ~hollow
+    found = _edited(nodule, volume, _in_ct(volume, _main_piece(kept), matrix), matrix, RESIZED)
+    # The diameter is stored exactly as it was set; voxels represent it to half a voxel.
+    return replace(found, long_mm=float(diameter_mm), short_mm=min(found.short_mm, float(diameter_mm)))
+
+
+def brushed(nodule: Nodule, volume: Volume, centre_lps: ArrayLike, radius_mm: float, *, add: bool = True) -> Nodule:
+    """Add a ball to a nodule, or remove a ball from it.
+
+    After a removal only the largest connected part remains.
+
+    Parameters
+    ----------
+    nodule, volume
+        The nodule and its CT.
+    centre_lps, radius_mm
+        Centre of the brush, (3,) LPS mm in the CT, and its radius, 0.5 to 40 mm.
+    add
+        Whether the ball is added or removed.
+
+    Raises
+    ------
+    UsageError
+        If the brush is outside the CT, does not touch the nodule, or leaves nothing of it (code ``plan.edit``).
+    """
+    _check(volume, radius_mm, BRUSH_MM, "brush radius")
+    centre = _point_in(volume, centre_lps)
+    step = float(np.linalg.norm(nodule.lps_from_ijk[:3, 0]))
+    inside, matrix = _padded(nodule, 2.0 * step, also=(centre, radius_mm) if add else None)
+    ball = _off(inside.shape, matrix, centre) <= radius_mm
+    if not add:
+        if not (inside & ball).any():
+            raise _refused("the brush does not touch the target")
+        left = inside & ~ball
+        if not left.any():
+            raise _refused("nothing of the target would be left; use a smaller brush, or remove the target")
+        return _edited(nodule, volume, _main_piece(left), matrix, BRUSHED)
+    if not (inside & _near(ball, step)).any():
+        raise _refused("the brush does not touch the target; a target is one piece")
+    return _edited(nodule, volume, _in_ct(volume, inside | ball, matrix), matrix, BRUSHED)
+
+
+def sphere(volume: Volume, centre_lps: ArrayLike, diameter_mm: float) -> Nodule:
+    """Return a ball as a target where the CT shows no boundary, as in the mediastinum or in a consolidation.
+
+    Parameters
+    ----------
+    volume
+        The CT.
+    centre_lps, diameter_mm
+        (3,) LPS mm in the CT, and 1 to 150 mm.
+
+    Raises
+    ------
+    UsageError
+        If one of them is out of range (code ``plan.edit``).
+    """
+    _check(volume, diameter_mm, DIAMETERS_MM, "diameter")
+    centre = _point_in(volume, centre_lps)
+    step = box_step_mm(volume)
+    half = math.ceil(0.5 * diameter_mm / step) + 2
+    matrix = np.diag([step, step, step, 1.0])
+    matrix[:3, 3] = centre - half * step
+    inside = _off((2 * half + 1,) * 3, matrix, centre) <= 0.5 * diameter_mm
+    inside[half, half, half] = True
+    return measured_mask(volume, _in_ct(volume, inside, matrix), matrix, notes=(SPHERE,), off_mm=SPHERE_OFF_MM)
+
+
+def _edited(nodule: Nodule, volume: Volume, inside: Mask, matrix: Place, note: str) -> Nodule:
+    notes = (*(one for one in nodule.notes if one != note), note)
+    found = measured_mask(volume, inside, matrix, kind=nodule.kind, notes=notes, touches=nodule.touches)
+    hollow = enclosed(inside)
+    if not hollow.any():
+        return found
+    # As for a segmented nodule, the volume is that inside the outer surface.
+    hollow_mm3 = float(hollow.sum()) * float(np.linalg.norm(matrix[:3, 0])) ** 3
+    return replace(found, volume_mm3=found.volume_mm3 + hollow_mm3)
+
+
+def _padded(nodule: Nodule, margin_mm: float, also: tuple[Place, float] | None = None) -> tuple[Mask, Place]:
+    """Return the nodule's mask and transform, enlarged by a margin and, if given, by a ball."""
+    matrix = nodule.lps_from_ijk
+    step = float(np.linalg.norm(matrix[:3, 0]))
+    low = np.zeros(3, dtype=int)
+    high = np.array(nodule.inside_zyx.shape[::-1]) - 1
+    if also is not None:
+        ijk = np.linalg.inv(matrix[:3, :3]) @ (also[0] - matrix[:3, 3])
+        low = np.minimum(low, np.floor(ijk - also[1] / step).astype(int))
+        high = np.maximum(high, np.ceil(ijk + also[1] / step).astype(int))
+    margin = math.ceil(margin_mm / step)
+    before, after = margin - low, high - (np.array(nodule.inside_zyx.shape[::-1]) - 1) + margin
+    if np.prod((high - low + 1 + 2 * margin).astype(float)) * step**3 > DIAMETERS_MM[1] ** 3 * 4.0:
+        raise _refused("the brush lies far from the target")
+    inside = np.pad(nodule.inside_zyx, [(int(before[a]), int(after[a])) for a in (2, 1, 0)])
+    placed = matrix.copy()
+    placed[:3, 3] -= matrix[:3, :3] @ before
+    return inside, placed
+
+
+def _in_ct(volume: Volume, inside: Mask, matrix: Place) -> Mask:
+    """Return the part of a mask inside the CT; it must be at least half."""
+    known = Box.at(volume, matrix, inside.shape).known
+    kept = inside & known
+    if kept.sum() < 0.5 * inside.sum():
+        raise _refused("more than half of the target would lie outside the CT")
+    return kept
+
+
+def _main_piece(mask: Mask) -> Mask:
+    """Return the connected part with most voxels."""
+    left, best = mask.copy(), np.zeros_like(mask)
+    while left.sum() > best.sum():
+        first = np.unravel_index(int(left.argmax()), left.shape)
+        piece = component_at(left, tuple(int(k) for k in first))
+        left &= ~piece
+        if piece.sum() > best.sum():
+            best = piece
+    return best
+
+
+def _off(shape: tuple[int, ...], matrix: Place, point: Place) -> NDArray[np.float64]:
+    """Return the distances of all voxels from a point, mm."""
+    k, j, i = np.indices(shape)
+    places = np.stack([i, j, k], axis=-1) @ matrix[:3, :3].T + matrix[:3, 3]
+    off: NDArray[np.float64] = np.linalg.norm(places - point, axis=-1)
+    return off
+
+
+def _near(mask: Mask, step_mm: float) -> Mask:
+    """Return a mask dilated by one voxel across faces."""
+    return ball_distance(~mask, step_mm) <= 1.1 * step_mm
+
+
+def _check(volume: Volume, mm: float, limits: tuple[float, float], what: str) -> None:
+    check_type("target", "volume", volume, Volume, "open a volume with carina.open_volume")
+    if not (math.isfinite(mm) and limits[0] <= mm <= limits[1]):
+        raise _refused(f"expected a {what} of {limits[0]:g} to {limits[1]:g} mm; found {mm:g}")
+
+
+def _point_in(volume: Volume, at_lps: ArrayLike) -> Place:
+    try:
+        point = np.asarray(at_lps, dtype=np.float64).reshape(3)
+    except (TypeError, ValueError):
+        raise UsageError(f"target: expected a point x,y,z in LPS mm; found {at_lps!r}", code="plan.point") from None
+    if not np.isfinite(point).all() or not volume.contains_lps(point):
+        raise _refused("the point lies outside the CT")
+    return point
+
+
+def _refused(problem: str) -> UsageError:
+    return UsageError(f"editing the target: {problem}", code="plan.edit")

@@ -1,0 +1,194 @@
+"""Segmentation of a nodule from one click: boundary, volume, diameters and their errors."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from carina.argument_checks import check_arguments, instance, lps_point
+from carina.display.progress import ProgressChoice, progress_function, shows_progress
+from carina.errors import NoResultError, UsageError, check_type
+from carina.plan.cubic_box import Box, ball_distance, component_at, distance_from, smoothed, uphill
+from carina.plan.targets.boundary import CLICK_MM, HALVES_MM, SMOOTH_MM, TISSUE_HU, Boundary, no_boundary
+from carina.plan.targets.boundary_measures import measured
+from carina.plan.targets.mask_measures import measured_mask
+from carina.plan.targets.nodule import Nodule, NoduleKind
+from carina.plan.targets.region import is_outside_body
+from carina.scopes import WallField
+from carina.volume import Volume
+
+__all__ = ["Nodule", "NoduleKind", "endobronchial_lesion", "grow_nodule"]
+
+HALF_MM = 26.0
+AIR_HU = -1000.0
+CLOSING_MM = 9.0
+"""Radius in mm of the closing of the lumen; tissue that protrudes up to about this far into the lumen is a lesion."""
+THINNEST_MM = 1.0
+"""Radius in mm of the largest ball in a lesion; anything thinner is unevenness of the wall, or mucus."""
+OWN_AIR = 0.9
+"""Least share of the airway's own air in the air beside a lesion; a nodule beside an airway touches lung."""
+NOTE = "it stands into an airway; where its base lies in the wall the CT does not show"
+BASE_OFF_MM = 0.5
+"""Additional uncertainty in mm of the boundary, because the base of the lesion is assumed at the wall.
+
+The value is common knowledge, not measured.
+"""
+
+
+def endobronchial_lesion(volume: Volume, wall: WallField, point_lps: NDArray[np.float64]) -> Nodule | None:
+    """Segment the tissue that protrudes into an airway within 4 mm of a point; return None if there is none.
+
+    The lumen without the lesion is the present lumen, closed by a ball of 9 mm.
+
+    Parameters
+    ----------
+    volume, wall
+        The CT and the wall of its airways.
+    point_lps
+        (3,) LPS mm.
+    """
+    box = Box.around(volume, point_lps, HALF_MM)
+    step = box.step_mm
+    k, j, i = (axis.reshape(-1) for axis in np.indices(box.hu_zyx.shape))
+    places = np.stack([i, j, k], axis=1) * step + box.lps_from_ijk[:3, 3]
+    to_wall = wall.distance_mm(places).reshape(box.hu_zyx.shape)
+    lumen = to_wall > 0.0
+    if not lumen.any():
+        return None
+    smooth = smoothed(box.hu_zyx, SMOOTH_MM / step)
+    tissue = (smooth > 0.5 * (AIR_HU + TISSUE_HU)) & ~lumen
+    grown = lumen | (distance_from(lumen, step, CLOSING_MM) <= CLOSING_MM)
+    closed = lumen | (ball_distance(grown, step) > CLOSING_MM)
+    lesion = closed & tissue
+    core = ball_distance(lesion, step) >= THINNEST_MM
+    off = np.where(core, box.offsets_mm(point_lps), np.inf)
+    z, y, x = np.unravel_index(int(box.offsets_mm(point_lps).argmin()), off.shape)
+    # A click in the lumen selects a near lesion. A click in tissue selects this tissue only, so that a lymph node
+    # below the carina is not taken for a lesion.
+    if float(off.min()) > (CLICK_MM if lumen[z, y, x] else 2.0 * step) or not (lumen | lesion)[z, y, x]:
+        return None
+    z, y, x = np.unravel_index(int(off.argmin()), off.shape)
+    core = component_at(core, (int(z), int(y), int(x)))
+    inside = lesion & (core | (distance_from(core, step, THINNEST_MM + step) <= THINNEST_MM + 0.5 * step))
+    seed = uphill(ball_distance(inside, step), (int(z), int(y), int(x)))
+    inside = component_at(inside, seed)
+    if any(inside.take(end, axis=axis).any() for axis in range(3) for end in (0, -1)):
+        return None
+    air = (distance_from(inside, step, 2.6 * step) <= 2.6 * step) & ~inside & ~tissue
+    own = air & (to_wall > -step)
+    if not air.any() or float(own.sum()) < OWN_AIR * float(air.sum()):
+        return None
+    return measured_mask(volume, inside, box.lps_from_ijk, notes=(NOTE,), touches=("airway wall",), off_mm=BASE_OFF_MM)
+
+
+MOST_STEPS = 60
+"""Largest number of voxels from the centre of a box to its side; large masses get larger voxels."""
+
+
+@shows_progress
+@check_arguments(
+    volume=instance(Volume, "open a volume with carina.open_volume"),
+    at_lps=lps_point(),
+    wall=instance(WallField, "make one with carina.wall_field", optional=True),
+)
+def grow_nodule(
+    volume: Volume,
+    at_lps: ArrayLike,
+    *,
+    wall: WallField | None = None,
+    progress: ProgressChoice = None,
+) -> Nodule:
+    """Segment the nodule at a place in the lung, or the lesion at a place in an airway.
+
+    Parameters
+    ----------
+    volume
+        A chest CT, HU.
+    at_lps
+        A point in the nodule, LPS mm; within 4 mm of its densest part, or in its cavity.
+    wall
+        The airways' wall (`carina.wall_field`). With it, tissue that protrudes into an airway is segmented as a lesion
+        of its own, and a click into a lumen without a lesion is refused.
+    progress
+        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
+        None where it is unknown. It may raise CancelledError.
+
+    Returns
+    -------
+    Nodule
+        Its boundary and measures. Spicules and vessels are not part of it.
+
+    Raises
+    ------
+    UsageError
+        If ``at_lps`` is not a point, or is outside the CT.
+    NoResultError
+        If nothing there is denser than the lung (code ``plan.no-nodule``); if the dense part does not end within 5 cm,
+        as in a consolidation, the chest wall or the heart (``plan.no-boundary``); if the point is in an airway and
+        nothing protrudes into it there (``plan.in-airway``); or if it is outside the body (``plan.outside-body``).
+    CancelledError
+        If ``progress`` raised it.
+
+    Examples
+    --------
+    >>> import carina
+    >>> made = carina.generate_phantom(seed=4, spacing_mm=1.0, nodule=True, box_lps=((-130, 15, -60), (-72, 75, -2)))
+    >>> nodule = grow_nodule(made.volume, made.truth["nodule"]["centre_lps"])
+    >>> nodule.kind
+    'solid'
+
+    References
+    ----------
+    Opening and partial volumes: Kuhnigk et al., IEEE Trans Med Imaging 2006;25:417 (the idea; the steps are our own).
+    """
+    check_type("grow_nodule", "volume", volume, Volume, "open a volume with carina.open_volume")
+    try:
+        point = np.asarray(at_lps, dtype=np.float64).reshape(3)
+    except (TypeError, ValueError):
+        raise UsageError(f"nodule: expected a point x,y,z in LPS mm; found {at_lps!r}", code="plan.point") from None
+    if not np.isfinite(point).all() or not volume.contains_lps(point):
+        place = ", ".join(f"{v:g}" for v in point)
+        raise UsageError(f"nodule: the point {place} lies outside the CT", code="plan.point")
+    if is_outside_body(volume, point):
+        raise _outside_body()
+    if wall is not None:
+        lesion = endobronchial_lesion(volume, wall, point)
+        if lesion is not None:
+            return lesion
+        if float(wall.distance_mm(point[None])[0]) > 0.0:
+            raise NoResultError(
+                "this point lies in the lumen of an airway, and nothing stands into it there; click on the lesion in "
+                "its wall, or on the nodule beside it",
+                code="plan.in-airway",
+            )
+
+    report = progress_function(progress)
+
+    def look() -> None:
+        if report is not None:
+            report("looking for a nodule", None)
+
+    coarsest_mm = max(volume.spacing_mm)
+    problem = no_boundary()
+    for half_mm in HALVES_MM:
+        box = Box.around(volume, point, half_mm, least_step_mm=half_mm / MOST_STEPS)
+        try:
+            grown = Boundary(box, point, coarsest_mm, look)
+        except NoResultError as error:
+            # A larger box may contain the whole cavity, or lung round a large mass.
+            if half_mm == HALVES_MM[0] or problem.code != error.code:
+                problem = error
+            continue
+        if not grown.is_near_faces and not grown.is_film:
+            nodule = measured(grown, coarsest_mm)
+            if is_outside_body(volume, np.array(nodule.centre_lps), radius_mm=0.5 * nodule.long_mm + 2.0):
+                raise _outside_body()
+            return nodule
+        problem = no_boundary()
+    raise problem
+
+
+def _outside_body() -> NoResultError:
+    return NoResultError(
+        "this point lies outside the body; click in the middle of the nodule", code="plan.outside-body"
+    )

@@ -1,0 +1,1 @@
+"""Turns of a route: list, texts, pictures and clips."""

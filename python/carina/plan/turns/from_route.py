@@ -1,0 +1,302 @@
+"""Computation of the list of turns of a route (docs/decisions/0124)."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.errors import UsageError, check_type
+from carina.plan.hand_moves import Move
+from carina.plan.routes.main_carina import SAME_PLACE_MM, ridge_beyond_axes_mm
+from carina.plan.routes.plan_route import PlannedRoute
+from carina.plan.routes.standing_points import branch_doubts, branch_title
+from carina.plan.turns.fork_view import (
+    LEAST_STAND_MM,
+    Opening,
+    levelled,
+    opening_index,
+    openings_seen,
+    stand_mm,
+    turned_hours,
+    whole_hour,
+)
+from carina.plan.turns.turn_list import OtherWay, Turn, TurnList, Zero
+from carina.render.picture_text import letters_of
+from carina.track import Airways, AirwayTree, Branch
+from carina.track.measures.forks import angle_deg
+from carina.volume import Volume
+
+__all__ = ["main_carina_ridge_mm", "turn_list"]
+
+Points = NDArray[np.float64]
+Point = tuple[float, float, float]
+
+TOGETHER_MM = 2.0
+"""Largest distance in mm between forks that form one turn, because a tip of 3 mm cannot stop between them."""
+MOST_RIDGE_MM = 60.0
+MOST_DEPTH_MM = 600.0
+SIDES = {"R": "right", "L": "left", "A": "anterior", "P": "posterior", "S": "superior", "I": "inferior"}
+
+
+def turn_list(
+    tree: AirwayTree,
+    planned: PlannedRoute,
+    *,
+    carina_ridge_mm: float | None = None,
+    carina_depth_mm: float | None = None,
+    moves: Sequence[Move] | None = None,
+    ends_along_mm: Sequence[float] | None = None,
+) -> TurnList:
+    """Return the list of turns of a route: at each fork the opening, the distances and the moves of the hand.
+
+    Parameters
+    ----------
+    tree
+        The tree that the route was planned in.
+    planned
+        The route; the list ends at the position of its scope.
+    carina_ridge_mm
+        Distance of the ridge of the main carina beyond the point where the axes of the bronchi meet
+        (`main_carina_ridge_mm`). Distances are then measured from the ridge, as in a bronchoscopy. Without it they are
+        measured from the point where the axes meet, and a note states this.
+    carina_depth_mm
+        Insertion depth at nose or mouth when the tip is at the main carina; depths computed from it are estimates.
+    moves, ends_along_mm
+        Moves of a drive along the route, and the distance of the tip along it at the end of each move, mm from the
+        tree's root along the centrelines (`DrivenRoute.ends_along_mm`).
+
+    Returns
+    -------
+    TurnList
+        One turn for each fork or group of close forks.
+
+    Raises
+    ------
+    UsageError
+        If the tree has no such branch, a number is out of range, or moves and distances differ in number.
+
+    Examples
+    --------
+    >>> import carina
+    >>> from carina.plan import plan_route, turn_list
+    >>> made = carina.generate_phantom(seed=4, spacing_mm=1.2, generations=5, nodule=True)
+    >>> airways = carina.find_airways(made.volume)
+    >>> plan = plan_route(made.volume, airways, made.truth["nodule"]["centre_lps"])
+    >>> found = turn_list(airways.tree, plan.routes[0])
+    >>> found.turns[0].at_main_carina
+    True
+    """
+    check_type("turn_list", "tree", tree, AirwayTree, "it is the tree of carina.find_airways")
+    check_type("turn_list", "planned", planned, PlannedRoute, "it is one of the routes of carina.plan_route")
+    for name, value, most in (
+        ("carina_ridge_mm", carina_ridge_mm, MOST_RIDGE_MM),
+        ("carina_depth_mm", carina_depth_mm, MOST_DEPTH_MM),
+    ):
+        if value is not None and not (math.isfinite(value) and 0.0 <= value <= most):
+            raise UsageError(f"{name}: expected 0 to {most:g} mm; found {value}", code="plan.range")
+    lineage = tree.lineage(planned.branch_id)
+    by_id = {branch.id: branch for branch in tree.branches}
+    groups = _forks(lineage)
+    axes_mm = None if planned.from_carina_mm is None else planned.along_mm - planned.from_carina_mm
+    zero_mm = None if axes_mm is None else axes_mm + (carina_ridge_mm or 0.0)
+    per_turn, parking = _moves_by_fork([group[-1].at_mm for group in groups], moves, ends_along_mm)
+    way = np.concatenate([branch.points for branch in lineage])
+    turns: list[Turn] = []
+    for n, (group, doing) in enumerate(zip(groups, per_turn, strict=True)):
+        before_mm = groups[n - 1][0].at_mm if n else 0.0
+        first, last = group[0], group[-1]
+        fork = first.mother.points[-1]
+        others = [by_id[i] for one in group for i in one.mother.children if i != one.daughter.id]
+        eye = _eye(way, first, [last.daughter, *others])
+        seen = openings_seen(levelled(eye, fork - eye, "head"), [last.daughter, *others])
+        taken = seen[0]
+        measured = angle_deg(first.mother, last.daughter)
+        turns.append(
+            Turn(
+                from_branch=branch_title(first.mother),
+                to_branch=branch_title(last.daughter),
+                to_branch_id=last.daughter.id,
+                fork_lps=_point(fork),
+                from_carina_mm=None if zero_mm is None else first.at_mm - zero_mm,
+                from_fork_mm=first.at_mm - before_mm,
+                clock_head=taken.hours,
+                clock_facing=turned_hours(taken.hours),
+                angle_deg=_angle_deg(fork - eye, taken.place_lps - fork) if measured is None else measured,
+                diameter_mm=_enters_mm(last.mother, last.daughter),
+                moves=doing,
+                doubts=tuple(words for one in group for words in branch_doubts(one.daughter)),
+                straight_ahead=taken.straight_ahead,
+                sides=() if taken.straight_ahead else _sides(fork - eye, taken.place_lps - fork),
+                others=_clockwise(taken, seen[1:], {i: one.mother for one in group for i in one.mother.children}),
+                through=tuple(branch_title(one.daughter) for one in group[:-1]),
+                at_main_carina=axes_mm is not None and any(abs(one.at_mm - axes_mm) < SAME_PLACE_MM for one in group),
+                opening_lps=_point(taken.place_lps),
+                seen_from_lps=_point(eye),
+            )
+        )
+    last_mm = groups[-1][0].at_mm if groups else 0.0
+    zero: Zero | None = None if zero_mm is None else "axes" if carina_ridge_mm is None else "ridge"
+    return TurnList(
+        turns=tuple(turns),
+        park_from_carina_mm=None if zero_mm is None else planned.along_mm - zero_mm,
+        park_from_fork_mm=planned.along_mm - last_mm,
+        carina_depth_mm=carina_depth_mm,
+        park_moves=parking,
+        zero=zero,
+        notes=_notes(zero, carina_depth_mm),
+    )
+
+
+def main_carina_ridge_mm(volume: Volume, airways: Airways, planned: PlannedRoute) -> float | None:
+    """Return the distance in mm of the main carina's ridge beyond the point where the axes of the main bronchi meet.
+
+    Parameters
+    ----------
+    volume, airways
+        The CT and its airways.
+    planned
+        Route over the main carina.
+
+    Returns
+    -------
+    float or None
+        None if the route passes no main carina, or no ridge of wall is found.
+    """
+    if planned.from_carina_mm is None:
+        return None
+    axes_mm = planned.along_mm - planned.from_carina_mm
+    return ridge_beyond_axes_mm(volume, airways, planned.branch_id, axes_mm)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fork:
+    """Fork of a route."""
+
+    mother: Branch
+    daughter: Branch
+    at_mm: float
+    """Distance from the root, mm."""
+
+
+def _forks(lineage: Sequence[Branch]) -> list[list[_Fork]]:
+    """Return the forks of a route; forks at most `TOGETHER_MM` apart form one group.
+
+    The end of a branch with a single child is not a fork.
+    """
+    groups: list[list[_Fork]] = []
+    at_mm = 0.0
+    for mother, daughter in itertools.pairwise(lineage):
+        at_mm += mother.length_mm
+        if len(mother.children) < 2:
+            continue
+        fork = _Fork(mother, daughter, at_mm)
+        if groups and at_mm - groups[-1][-1].at_mm <= TOGETHER_MM:
+            groups[-1].append(fork)
+        else:
+            groups.append([fork])
+    return groups
+
+
+def _eye(way: Points, fork: _Fork, branches: Sequence[Branch]) -> Points:
+    """Return the position of the camera before a fork; it is on the centreline, so in the lumen."""
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))])
+    at_mm = max(fork.at_mm - stand_mm(fork.mother), 0.0)
+    eye: Points = np.array([np.interp(at_mm, along, way[:, axis]) for axis in range(3)])
+    end = fork.mother.points[-1]
+    if float(np.linalg.norm(end - eye)) > SAME_PLACE_MM:
+        return eye
+    # The route begins at this fork: the camera looks from the opposite side of the branches' middle.
+    ahead = np.mean([branch.points[opening_index(branch)] - end for branch in branches], axis=0)
+    length = float(np.linalg.norm(ahead))
+    ahead = ahead / length if length > 0.0 else np.array([0.0, 0.0, -1.0])
+    found: Points = end - LEAST_STAND_MM * ahead
+    return found
+
+
+def _enters_mm(mother: Branch, branch: Branch) -> float:
+    """Return the diameter of the largest ball that enters a branch by one diameter, beyond the parent's lumen."""
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(branch.points, axis=0), axis=1))])
+    reach = float(np.median(mother.radius)) + 2.0 * float(np.median(branch.radius))
+    return 2.0 * float(branch.wall_distance[along <= reach].min())
+
+
+def _sides(forward: Points, into: Points) -> tuple[str, ...]:
+    """Return the patient's directions of an opening, as seen along the parent branch."""
+    ahead = forward / np.linalg.norm(forward)
+    across = into - float(into @ ahead) * ahead
+    if float(np.linalg.norm(across)) < SAME_PLACE_MM:
+        return ()
+    return tuple(SIDES[letter] for letter in letters_of(across))
+
+
+def _clockwise(taken: Opening, others: Sequence[Opening], mothers: dict[int, Branch]) -> tuple[OtherWay, ...]:
+    ordered = sorted(others, key=lambda one: ((one.hours - taken.hours) % 12.0, one.branch.id))
+    return tuple(
+        OtherWay(
+            branch_title(one.branch),
+            one.branch.id,
+            None if one.straight_ahead else whole_hour(one.hours),
+            _enters_mm(mothers[one.branch.id], one.branch),
+        )
+        for one in ordered
+    )
+
+
+def _angle_deg(one: Points, other: Points) -> float:
+    lengths = float(np.linalg.norm(one) * np.linalg.norm(other))
+    return 0.0 if lengths == 0.0 else math.degrees(math.acos(float(np.clip(one @ other / lengths, -1.0, 1.0))))
+
+
+def _moves_by_fork(
+    forks_mm: Sequence[float], moves: Sequence[Move] | None, ends_along_mm: Sequence[float] | None
+) -> tuple[list[tuple[Move, ...] | None], tuple[Move, ...] | None]:
+    """Return the moves of each turn, and those after the last turn; each move occurs once, in order.
+
+    A move that begins before a fork belongs to this fork, because it moves the tip past it.
+    """
+    if moves is None:
+        return [None] * len(forks_mm), None
+    if ends_along_mm is None or len(ends_along_mm) != len(moves):
+        found = "none" if ends_along_mm is None else str(len(ends_along_mm))
+        raise UsageError(
+            f"ends_along_mm: expected one number for each of {len(moves)} moves, where it ends; found {found}",
+            code="plan.moves",
+        )
+    if not all(math.isfinite(mm) for mm in ends_along_mm):
+        raise UsageError("ends_along_mm: expected finite numbers in mm from the tracheal entry", code="plan.moves")
+    parts: list[list[Move]] = [[] for _ in range(len(forks_mm) + 1)]
+    turn = 0
+    begins = ends_along_mm[0] - moves[0].advance_mm if moves else 0.0
+    for move, ends in zip(moves, ends_along_mm, strict=True):
+        while turn < len(forks_mm) and begins >= forks_mm[turn] - SAME_PLACE_MM:
+            turn += 1
+        parts[turn].append(move)
+        begins = max(begins, ends)
+    return [tuple(part) for part in parts[:-1]], tuple(parts[-1])
+
+
+def _notes(zero: Zero | None, carina_depth_mm: float | None) -> tuple[str, ...]:
+    found = []
+    if zero is None:
+        found.append(
+            "the tree shows no main carina on the way, so distances are from fork to fork, and there are no depths"
+            if carina_depth_mm is not None
+            else "the tree shows no main carina on the way, so distances are counted from fork to fork"
+        )
+    elif zero == "axes":
+        found.append(
+            "distances are counted from where the axes of the main bronchi meet; the ridge of the carina that is seen "
+            "lies about a tracheal radius below, so the scope shows that much less"
+        )
+    if carina_depth_mm is not None and zero is not None:
+        found.append("depths at the nose or mouth are estimates: the depth that was set for the carina, plus the way")
+    return tuple(found)
+
+
+def _point(point: Points) -> Point:
+    return float(point[0]), float(point[1]), float(point[2])

@@ -1,0 +1,121 @@
+"""Marks drawn over the picture of a turn: the edge of the opening, and the clock."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.plan.turns.fork_view import Operator
+from carina.plan.turns.texts import hour_words
+from carina.plan.turns.turn_list import Turn
+from carina.render.picture_text import write_on
+
+__all__ = ["draw_clock", "draw_edge"]
+
+Field = NDArray[np.float64]
+Rgb = NDArray[np.uint8]
+Colour = tuple[int, int, int]
+
+QUIET_RGB: Colour = (200, 206, 212)
+DARK_RGB: Colour = (8, 10, 12)
+
+
+def draw_edge(rgb: Rgb, field: Field, width_px: float, colour: Colour) -> None:
+    """Draw a line along the contour 0.5 of a field, on a dark rim.
+
+    Parameters
+    ----------
+    rgb
+        (height, width, 3) picture, changed in place.
+    field
+        (height, width) values whose contour at 0.5 is drawn.
+    width_px, colour
+        Width and colour of the line.
+    """
+    down, across = np.gradient(field)
+    away = np.abs(field - 0.5) / np.maximum(np.hypot(down, across), 1e-3)
+    _blend(rgb, 0.7 * np.clip(0.5 * width_px + 1.5 - away, 0.0, 1.0), DARK_RGB)
+    _blend(rgb, np.clip(0.5 * width_px + 0.5 - away, 0.0, 1.0), colour)
+
+
+def draw_clock(rgb: Rgb, turn: Turn, operator: Operator, colour: Colour) -> None:
+    """Draw hour ticks, a wedge at the opening, the hours of the other openings, and the turn as text.
+
+    Parameters
+    ----------
+    rgb
+        (height, width, 3) picture, changed in place.
+    turn, operator
+        The turn, and the position of the operator for the hours.
+    colour
+        Colour of the opening to enter.
+    """
+    height = rgb.shape[0]
+    dial = _Dial(rgb)
+    size = 2 if dial.scale >= 0.75 else 1
+    for hour in range(12):
+        dial.tick(float(hour), long=hour % 3 == 0)
+    taken = turn.hour(operator)
+    if taken is not None:
+        at = turn.clock_head if operator == "head" else turn.clock_facing
+        # The wedge is at the opening itself, not at the whole hour.
+        dial.wedge(at, colour)
+        dial.write(f"{taken}", at, size, colour)
+    for other in turn.others:
+        told = other.hour(operator)
+        if told is not None and told != taken:
+            dial.write(f"{told}", float(told), 1, QUIET_RGB)
+    # Two lines, so that a long name does not overlap the letter at the bottom.
+    said = hour_words(taken).replace("\u2019", "'")
+    for row, words in ((16, turn.to_branch), (6, said)):
+        write_on(rgb, words, 4 * size, height - row * size, size=size, rgb_of=colour)
+
+
+class _Dial:
+    """Clock round a picture; lengths in pixels of a picture of 512 pixels."""
+
+    def __init__(self, rgb: Rgb) -> None:
+        self._rgb = rgb
+        height, width = rgb.shape[:2]
+        self.scale = min(height, width) / 512
+        rows, columns = np.mgrid[0:height, 0:width] + 0.5
+        right, up = columns - width / 2, height / 2 - rows
+        self._radius = np.hypot(right, up)
+        self._hours = (np.arctan2(right, up) / math.tau * 12.0) % 12.0
+        self._outer = 0.5 * min(height, width) - 36.0 * self.scale
+
+    def tick(self, hour: float, *, long: bool) -> None:
+        """Draw a line towards the middle."""
+        length = (9.0 if long else 6.0) * self.scale
+        along = np.minimum(self._radius - (self._outer - length), self._outer - self._radius)
+        off = self._off_px(hour)
+        for width, colour in ((3.6, DARK_RGB), (1.6, QUIET_RGB)):
+            share = np.clip(0.5 * width * self.scale - off + 0.5, 0.0, 1.0) * np.clip(along + 0.5, 0.0, 1.0)
+            _blend(self._rgb, share, colour)
+
+    def wedge(self, hours: float, colour: Colour) -> None:
+        """Draw a triangle that points inwards."""
+        length = 16.0 * self.scale
+        inwards = np.clip((self._radius - (self._outer - length)) / length, 0.0, 1.0)
+        within = (self._radius >= self._outer - length) & (self._radius <= self._outer)
+        _blend(self._rgb, np.clip(7.0 * self.scale * inwards - self._off_px(hours) + 0.5, 0.0, 1.0) * within, colour)
+
+    def write(self, text: str, hours: float, size: int, colour: Colour) -> None:
+        """Draw a text inside the ring."""
+        height, width = self._rgb.shape[:2]
+        angle, radius = hours / 12.0 * math.tau, self._outer - (16.0 + 6.0 * size) * self.scale
+        column, row = width / 2 + radius * math.sin(angle), height / 2 - radius * math.cos(angle)
+        write_on(self._rgb, text, round(column), round(row), align=0.5, size=size, rgb_of=colour)
+
+    def _off_px(self, hours: float) -> Field:
+        """Return the distance of each pixel from the line to an hour, in pixels along the pixel's circle."""
+        off: Field = np.abs((self._hours - hours + 6.0) % 12.0 - 6.0) / 12.0 * math.tau * self._radius
+        return off
+
+
+def _blend(rgb: Rgb, share: Field, colour: Colour) -> None:
+    touched = share > 0.0
+    under = rgb[touched].astype(np.float64)
+    rgb[touched] = np.rint(under + share[touched][:, None] * (np.array(colour) - under)).astype(np.uint8)

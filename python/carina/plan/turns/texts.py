@@ -1,0 +1,86 @@
+"""Text of a turn: hours, places and moves of the hand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from carina.plan.hand_moves import Move
+
+__all__ = ["hour_words", "joined", "moves_words", "place_words", "with_depth"]
+
+STILL_DEG = 0.5
+STILL_MM = 0.5
+"""Smallest turn, flexion and advance that the text contains; smaller ones would read 0."""
+
+
+def hour_words(hour: int | None) -> str:
+    """Return an hour as text, as in the window."""
+    return "straight ahead" if hour is None else f"{hour} o\u2019clock"
+
+
+def place_words(from_carina_mm: float | None, from_fork_mm: float, depth_mm: float | None, first: bool) -> str:
+    """Return a distance along the route as the beginning of a line.
+
+    Parameters
+    ----------
+    from_carina_mm
+        Distance from the main carina; None if there is no main carina.
+    from_fork_mm
+        Distance from the previous fork.
+    depth_mm
+        Depth at nose or mouth; None if it is not known.
+    first
+        Whether the turn is the first one of the route.
+    """
+    if from_carina_mm is None:
+        since = "from the start of the route" if first else "past the previous fork"
+        return f"At {from_fork_mm:.0f} mm {since}"
+    side = "past" if from_carina_mm >= 0.0 else "above"
+    return with_depth(f"At {abs(from_carina_mm):.0f} mm {side} the main carina", depth_mm)
+
+
+def with_depth(where: str, depth_mm: float | None) -> str:
+    """Return a place with its depth at nose or mouth, if the depth is known."""
+    return (
+        where if depth_mm is None else f"{where} (about {round(depth_mm / 5.0) / 2.0:g} cm on the scope, an estimate)"
+    )
+
+
+def moves_words(moves: Sequence[Move]) -> str:
+    """Return moves as text; consecutive advances with one roll and flexion are combined."""
+    steps: list[Move] = []
+    for move in moves:
+        held = (
+            bool(steps) and abs(move.turn_deg) < STILL_DEG and abs(move.flexion_deg - steps[-1].flexion_deg) < STILL_DEG
+        )
+        if held:
+            last = steps[-1]
+            steps[-1] = Move(last.turn_deg + move.turn_deg, last.flexion_deg, last.advance_mm + move.advance_mm)
+        else:
+            steps.append(move)
+    said = []
+    lever: float | None = None
+    for step in steps:
+        words = []
+        if abs(step.turn_deg) >= STILL_DEG:
+            way = "clockwise" if step.turn_deg > 0.0 else "counterclockwise"
+            words.append(f"rotate {abs(step.turn_deg):.0f}\u00b0 {way}")
+        if lever is None or abs(step.flexion_deg - lever) >= STILL_DEG:
+            words.append(_flexion_words(step.flexion_deg))
+        if abs(step.advance_mm) >= STILL_MM:
+            words.append(f"{'advance' if step.advance_mm > 0.0 else 'withdraw'} {abs(step.advance_mm):.0f} mm")
+        lever = step.flexion_deg
+        if words:
+            said.append(", ".join(words))
+    return "; then ".join(said)
+
+
+def _flexion_words(flexion_deg: float) -> str:
+    if abs(flexion_deg) < STILL_DEG:
+        return "tip straight"
+    return f"flex {'up' if flexion_deg > 0.0 else 'down'} {abs(flexion_deg):.0f}\u00b0"
+
+
+def joined(words: Sequence[str]) -> str:
+    """Return words as a list in a sentence."""
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"

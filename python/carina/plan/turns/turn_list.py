@@ -1,0 +1,263 @@
+"""List of turns: the opening and the moves of the hand at each fork of a route (docs/decisions/0124)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from carina.display import one_line
+from carina.display.tables import ColumnKind, Columns, Tabular, columns_of
+from carina.errors import NoResultError
+from carina.plan.hand_moves import Move
+from carina.plan.turns.fork_view import Operator, levelled, turned_hours, whole_hour
+from carina.plan.turns.texts import hour_words, joined, moves_words, place_words, with_depth
+from carina.scopes import Pose
+
+__all__ = ["OtherWay", "Turn", "TurnList", "Zero"]
+
+Zero = Literal["ridge", "axes"]
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class OtherWay:
+    """Opening at a turn that is not entered."""
+
+    name: str
+    branch_id: int
+    hour_head: int | None
+    """Hour in the window for an operator at the head; None if the opening is straight ahead."""
+    opening_mm: float
+    """Diameter of the largest ball that enters the opening, mm."""
+
+    def hour(self, operator: Operator) -> int | None:
+        """Return the hour for a position of the operator; None if the opening is straight ahead."""
+        if self.hour_head is None or operator == "head":
+            return self.hour_head
+        return whole_hour(turned_hours(self.hour_head))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the opening as plain JSON types."""
+        return {
+            "name": self.name,
+            "branch_id": self.branch_id,
+            "hour_head": self.hour("head"),
+            "hour_facing": self.hour("facing"),
+            "opening_mm": self.opening_mm,
+        }
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """Fork of a route, or several forks so close together that they form one turn."""
+
+    from_branch: str
+    to_branch: str
+    to_branch_id: int
+    fork_lps: tuple[float, float, float]
+    from_carina_mm: float | None
+    """Distance from the main carina along the route, mm; below 0 before it, None if the tree has no main carina."""
+    from_fork_mm: float
+    """Distance from the previous fork, mm; for the first fork from the beginning of the route."""
+    clock_head: float
+    """Clock hour of the opening, 0 < hours <= 12, in the levelled picture of an operator at the patient's head."""
+    clock_facing: float
+    """Clock hour of the opening for an operator who faces the patient."""
+    angle_deg: float
+    """Angle in degrees between the branches before and after the fork."""
+    diameter_mm: float
+    """Diameter of the largest ball that enters the branch, mm."""
+    moves: tuple[Move, ...] | None
+    """Moves of the hand from the previous fork until the tip is past this fork, in the drive of a verdict.
+
+    None if no drive is known.
+    """
+    doubts: tuple[str, ...]
+    """Warnings about the branch to enter."""
+    straight_ahead: bool = False
+    """Whether the opening is in the middle of the picture; its hours then have no meaning and are not shown."""
+    sides: tuple[str, ...] = ()
+    """The patient's directions of the opening, the dominant one first; empty if it is straight ahead."""
+    others: tuple[OtherWay, ...] = ()
+    """Openings that are not entered, clockwise from the one that is."""
+    through: tuple[str, ...] = ()
+    """Names of short branches that are passed within this turn."""
+    at_main_carina: bool = False
+    opening_lps: tuple[float, float, float] | None = None
+    """Point in the middle of the branch to enter, about one diameter past the fork, LPS mm."""
+    seen_from_lps: tuple[float, float, float] | None = None
+    """Position of the camera for the hours, LPS mm: one diameter before the fork, looking at the fork."""
+
+    def hour(self, operator: Operator) -> int | None:
+        """Return the hour that the window shows, 1 to 12; None if the opening is straight ahead."""
+        if self.straight_ahead:
+            return None
+        return whole_hour(self.clock_head if operator == "head" else self.clock_facing)
+
+    def camera(self, operator: Operator) -> Pose:
+        """Return the camera in whose picture the hours are measured.
+
+        Raises
+        ------
+        NoResultError
+            If the turn has no camera position.
+        """
+        if self.seen_from_lps is None:
+            raise NoResultError(
+                f"the turn into {self.to_branch} does not say where it is seen from; make it with turn_list",
+                code="plan.turn-view",
+            )
+        eye = np.array(self.seen_from_lps)
+        return levelled(eye, np.array(self.fork_lps) - eye, operator)
+
+    def words(
+        self, operator: Operator, *, depth_mm: float | None = None, first: bool = False, moves: bool = True
+    ) -> str:
+        """Return the turn as one line of instructions.
+
+        Parameters
+        ----------
+        operator
+            Position of the operator for the hours.
+        depth_mm
+            Depth at nose or mouth, shown as an estimate.
+        first
+            Whether the turn is the first one of its route.
+        moves
+            Whether to include the moves of the hand.
+        """
+        where = (
+            with_depth("At the main carina", depth_mm)
+            if self.at_main_carina
+            else place_words(self.from_carina_mm, self.from_fork_mm, depth_mm, first)
+        )
+        doing = "stay in" if self.to_branch == self.from_branch else "enter"
+        stems = [name for name in self.through if name not in {self.from_branch, self.to_branch}]
+        passed = f" just past {joined(stems)}" if stems else ""
+        sides = " and ".join(self.sides)
+        seen = [hour_words(self.hour(operator)), *([sides] if sides else [])]
+        seen += [f"{self.diameter_mm:.1f} mm", f"{self.angle_deg:.0f}\u00b0"]
+        line = f"{where}, {doing} {self.to_branch}{passed} ({', '.join(seen)})"
+        if self.others:
+            line += f", not {joined([f'{one.name} ({hour_words(one.hour(operator))})' for one in self.others])}"
+        does = moves_words(self.moves or ()) if moves else ""
+        if does:
+            line += f": {does}"
+        return f"{line}. Caution: {'; '.join(self.doubts)}" if self.doubts else line
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the turn as plain JSON types."""
+        return {
+            "from_branch": self.from_branch,
+            "to_branch": self.to_branch,
+            "to_branch_id": self.to_branch_id,
+            "fork_lps": list(self.fork_lps),
+            "from_carina_mm": self.from_carina_mm,
+            "from_fork_mm": self.from_fork_mm,
+            "clock_head": self.clock_head,
+            "clock_facing": self.clock_facing,
+            "hour_head": self.hour("head"),
+            "hour_facing": self.hour("facing"),
+            "straight_ahead": self.straight_ahead,
+            "sides": list(self.sides),
+            "angle_deg": self.angle_deg,
+            "diameter_mm": self.diameter_mm,
+            "others": [other.to_json() for other in self.others],
+            "through": list(self.through),
+            "at_main_carina": self.at_main_carina,
+            "opening_lps": None if self.opening_lps is None else list(self.opening_lps),
+            "seen_from_lps": None if self.seen_from_lps is None else list(self.seen_from_lps),
+            "moves": None if self.moves is None else [move.to_json() for move in self.moves],
+            "doubts": list(self.doubts),
+            "words": {"head": self.words("head"), "facing": self.words("facing")},
+        }
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class TurnList(Tabular):
+    """All turns of a route in order, and the final position of the scope.
+
+    As a table (``to_pandas``, ``to_arrow``, ``to_columns``) it has a row for each turn: its number from 1,
+    ``from_branch``, ``to_branch``, ``to_branch_id``, ``from_carina_mm``, ``from_fork_mm``, ``depth_estimate_mm``,
+    ``hour_head``, ``hour_facing``, ``angle_deg``, ``diameter_mm``.
+    """
+
+    turns: tuple[Turn, ...]
+    park_from_carina_mm: float | None
+    park_from_fork_mm: float
+    carina_depth_mm: float | None
+    """Depth of the main carina at nose or mouth in mm, as set by the user (an estimate); None if not set."""
+    park_moves: tuple[Move, ...] | None = None
+    """Moves of the hand from the last fork to the final position of the scope; None if no drive is known."""
+    zero: Zero | None = None
+    """Origin of distances: the visible ridge of the main carina, or the point where the axes of the main bronchi meet.
+
+    That point is about one radius of the trachea above the ridge. None if the tree has no main carina.
+    """
+    notes: tuple[str, ...] = ()
+    """Notes on the distances and depths."""
+
+    def _columns(self) -> Columns:
+        own: dict[str, ColumnKind] = {
+            "from_branch": "text",
+            "to_branch": "text",
+            "to_branch_id": "int",
+            "from_carina_mm": "float",
+            "from_fork_mm": "float",
+            "angle_deg": "float",
+            "diameter_mm": "float",
+        }
+        return columns_of(
+            (
+                {
+                    "turn": number,
+                    **{name: getattr(turn, name) for name in own},
+                    "depth_estimate_mm": self.depth_mm(turn.from_carina_mm),
+                    "hour_head": turn.hour("head"),
+                    "hour_facing": turn.hour("facing"),
+                }
+                for number, turn in enumerate(self.turns, start=1)
+            ),
+            {"turn": "int", **own, "depth_estimate_mm": "float", "hour_head": "int", "hour_facing": "int"},
+        )
+
+    def depth_mm(self, from_carina_mm: float | None) -> float | None:
+        """Return the estimated depth at nose or mouth in mm; None if no depth of the carina was set."""
+        if self.carina_depth_mm is None or from_carina_mm is None:
+            return None
+        return self.carina_depth_mm + from_carina_mm
+
+    def words(self, operator: Operator) -> tuple[str, ...]:
+        """Return the list as lines: each turn, then the final position."""
+        lines = []
+        for n, turn in enumerate(self.turns):
+            # At the carina the depth is the one that the user set, whichever point is the origin of distances.
+            depth = self.carina_depth_mm if turn.at_main_carina else self.depth_mm(turn.from_carina_mm)
+            lines.append(turn.words(operator, depth_mm=depth, first=n == 0))
+        where = place_words(
+            self.park_from_carina_mm, self.park_from_fork_mm, self.depth_mm(self.park_from_carina_mm), not self.turns
+        )
+        counted = self.turns and self.park_from_carina_mm is not None
+        beyond = f", {self.park_from_fork_mm:.0f} mm past the last fork" if counted else ""
+        doing = moves_words(self.park_moves or ())
+        return (*lines, f"{where}{beyond}, stop" + (f": {doing}" if doing else ""))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the list as plain JSON types."""
+        return {
+            "turns": [
+                {**turn.to_json(), "depth_estimate_mm": self.depth_mm(turn.from_carina_mm)} for turn in self.turns
+            ],
+            "park_from_carina_mm": self.park_from_carina_mm,
+            "park_from_fork_mm": self.park_from_fork_mm,
+            "park_depth_estimate_mm": self.depth_mm(self.park_from_carina_mm),
+            "park_moves": None if self.park_moves is None else [move.to_json() for move in self.park_moves],
+            "carina_depth_mm": self.carina_depth_mm,
+            "zero": self.zero,
+            "notes": list(self.notes),
+            "words": {"head": list(self.words("head")), "facing": list(self.words("facing"))},
+        }

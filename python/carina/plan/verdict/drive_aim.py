@@ -1,0 +1,116 @@
+"""Last moves of a drive, which point the tip of a scope at the target without an advance."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.plan.hand_moves import Move
+from carina.plan.verdict.drive import STEP_DEG, DrivenRoute, MoveRecorder
+from carina.plan.verdict.drive_route import DriveWay
+from carina.plan.verdict.drive_search import place_at_start
+from carina.scopes import ScopePreset, WallField
+
+__all__ = ["Aimed", "aim_drive"]
+
+Points = NDArray[np.float64]
+HitShare = Callable[[Points, Points], float]
+
+GAIN, MOST_CHANGE_DEG, MOST_MOVES = 0.8, 30.0, 12
+FLEXION_MOST_DEG = 210.0
+GOOD, ENOUGH = 0.95, 0.5
+"""Shares of needles that hit.
+
+Above the first share no more moves are tried. Below the second share a grid of rolls and lever settings is tried.
+"""
+NUM_ROLLS, NUM_LEVERS = 12, 4
+BEST_HOLDS = 3
+"""Number of grid entries that are simulated: those that point nearest to the target."""
+
+
+@dataclass(frozen=True, slots=True)
+class Aimed:
+    """Drive that ends with the tip pointed at the target as well as possible."""
+
+    driven: DrivenRoute
+    share: float
+    """Share of the needles that hit from there, 0 to 1."""
+    off_deg: float
+    """Angle in degrees between the tip's direction and the middle of the target."""
+
+
+def aim_drive(way: DriveWay, wall: WallField, scope: ScopePreset, driven: DrivenRoute, hit_share: HitShare) -> Aimed:
+    """Add moves to a drive that point the tip at the target.
+
+    Parameters
+    ----------
+    way, wall, scope, driven
+        A drive that has arrived, and the route, wall and scope that it was found with.
+    hit_share
+        Function of a tip's position and direction, (3,) each, that returns the share of needles that hit.
+
+    Returns
+    -------
+    Aimed
+        The drive with the best share of hits; with equal shares, the one that points nearest to the target.
+    """
+    recorder = _repeated(way, wall, scope, driven.moves)
+    found = [(*_judged(recorder, way.aim, hit_share), driven.moves)]
+    for _ in range(MOST_MOVES):
+        if found[-1][0] >= GOOD:
+            break
+        to = recorder.seen_from_tip(way.aim)
+        angle = math.degrees(math.atan2(math.hypot(to[0], to[1]), to[2]))
+        if not recorder.bend_by(to, min(GAIN * angle, MOST_CHANGE_DEG), FLEXION_MOST_DEG):
+            break
+        found.append((*_judged(recorder, way.aim, hit_share), tuple(recorder.moves)))
+    if max(found, key=_worth)[0] < ENOUGH:
+        for hold in _holds(_repeated(way, wall, scope, driven.moves), way.aim):
+            recorder = _repeated(way, wall, scope, (*driven.moves, hold))
+            found.append((*_judged(recorder, way.aim, hit_share), tuple(recorder.moves)))
+    share, off_deg, moves = max(found, key=_worth)
+    aimed = _repeated(way, wall, scope, moves).driven(way, stopped_mm=way.park_mm, why=None)
+    return Aimed(replace(aimed, stopped_mm=driven.stopped_mm), share, off_deg)
+
+
+def _worth(one: tuple[float, float, tuple[Move, ...]]) -> tuple[float, float]:
+    return one[0], -one[1]
+
+
+def _repeated(way: DriveWay, wall: WallField, scope: ScopePreset, moves: tuple[Move, ...]) -> MoveRecorder:
+    recorder = MoveRecorder(place_at_start(way, wall, scope))
+    recorder.repeat(moves)
+    return recorder
+
+
+def _judged(recorder: MoveRecorder, aim: Points, hit_share: HitShare) -> tuple[float, float]:
+    tip = recorder.state.pose.lps_from_camera
+    off = aim - tip[:3, 3]
+    cosine = float(np.clip(tip[:3, 2] @ off / max(float(np.linalg.norm(off)), 1e-9), -1.0, 1.0))
+    return hit_share(tip[:3, 3], tip[:3, 2]), math.degrees(math.acos(cosine))
+
+
+def _holds(recorder: MoveRecorder, aim: Points) -> list[Move]:
+    """Return the rolls and lever settings that point nearest to the target, as moves from the present state."""
+    drive, roll_deg = recorder.drive, recorder.roll_deg
+    down, up = (math.degrees(rad) for rad in drive.flexion_range_rad)
+    levers = [*np.linspace(0.0, up, NUM_LEVERS + 1)[1:], 0.0, *np.linspace(0.0, down, NUM_LEVERS + 1)[1:]]
+    held: list[tuple[float, Move]] = []
+    insertion_mm = drive.state.insertion_mm
+    for turn in STEP_DEG * np.round(360.0 * np.arange(NUM_ROLLS) / NUM_ROLLS / STEP_DEG):
+        roll = math.radians(roll_deg + float(turn))
+        drive.drive(insertion_mm, roll, 0.0, 0.1)
+        for lever in levers:
+            flexion_deg = STEP_DEG * math.trunc(float(lever) / STEP_DEG)
+            state = drive.drive(insertion_mm, roll, math.radians(flexion_deg), 0.1)
+            tip = state.pose.lps_from_camera
+            off = aim - tip[:3, 3]
+            cosine = float(tip[:3, 2] @ off) / max(float(np.linalg.norm(off)), 1e-9)
+            back = (float(turn) + 180.0) % 360.0 - 180.0
+            held.append((-cosine, Move(back, flexion_deg, 0.0)))
+    held.sort(key=lambda one: one[0])
+    return [move for _, move in held[:BEST_HOLDS]]

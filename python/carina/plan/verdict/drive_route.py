@@ -1,0 +1,162 @@
+"""Route of a simulated drive: points along the route, its forks, and the farthest point visible from the tip."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.plan.routes.clearance import rooms_mm
+from carina.plan.routes.plan_route import PlannedRoute
+from carina.scopes import WallField
+from carina.track import AirwayTree, Route
+
+__all__ = ["DriveWay"]
+
+Points = NDArray[np.float64]
+
+SMOOTH_MM = 4.0
+"""Half the length in mm over which a direction of the route is measured."""
+CUT_MM = 10.0
+"""Distance in mm from the beginning of the tree in which widths are ignored."""
+FINE_MM = 0.5
+LEAST_AHEAD_MM = 4.0
+NUM_ON_LINE = 14
+
+
+class DriveWay:
+    """Route of a drive, up to the final position of the tip.
+
+    Distances in a drive are measured along the smooth route, which is a few millimetres shorter than the branches'
+    centrelines. Distances in results are measured along the centrelines, as in `PlannedRoute.along_mm` and in the list
+    of turns; `told_mm` converts them.
+
+    Parameters
+    ----------
+    tree, planned
+        The airways, and the planned route that ends at the position of the scope.
+    wall
+        The wall of the airways.
+    """
+
+    def __init__(self, tree: AirwayTree, planned: PlannedRoute, wall: WallField) -> None:
+        route: Route = tree.route_to(planned.branch_id)
+        tip = np.array(planned.leg.tip_lps)
+        self.wall = wall
+        self.width = planned.width
+        self.points, self.cumulative_mm = route.points_lps, route.cumulative_mm
+        self.park_mm = float(self.cumulative_mm[int(np.argmin(np.linalg.norm(self.points - tip, axis=1)))])
+        self.aim = np.array(planned.leg.aim_lps)
+        self.forks_mm = np.array(route.forks_mm, dtype=np.float64)
+        self._radius_mm = route.radius_mm
+        self._fine_mm = np.arange(0.0, float(self.cumulative_mm[-1]) + 1e-9, FINE_MM)
+        self._fine = self.at(self._fine_mm)
+        self._fine_room_mm = wall.distance_mm(self._fine)
+        # Knots that map the smooth route to the centrelines: the forks and the position of the tip.
+        ends = np.cumsum([branch.length_mm for branch in tree.lineage(planned.branch_id)])
+        knots = [(0.0, 0.0), *zip(self.forks_mm.tolist(), ends[:-1].tolist(), strict=True)]
+        whole = (self.length_mm, float(ends[-1]))
+        if knots[-1][0] < self.park_mm < whole[0] and knots[-1][1] < planned.along_mm < whole[1]:
+            knots.append((self.park_mm, planned.along_mm))
+        self._knots = np.array([*knots, whole])
+        # Largest ball at each point of the centrelines. The CT may cut the upper end of the trachea, which is left out.
+        lineage = tree.lineage(planned.branch_id)
+        points = np.concatenate([branch.points for branch in lineage])
+        at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+        room = np.concatenate([rooms_mm(branch, wall) for branch in lineage])
+        on_the_way = (at >= CUT_MM) & (at <= planned.along_mm + 1e-6)
+        self.room_at_mm, self.room_mm = at[on_the_way], room[on_the_way]
+
+    @property
+    def wall_room_mm(self) -> float:
+        """Diameter in mm of the largest ball that passes to the end of the route inside the wall mesh.
+
+        The diameter may differ from `width`, which is measured in the CT; the wall is a mesh of the segmented lumen.
+        """
+        on_the_way = (self._fine_mm >= CUT_MM) & (self._fine_mm <= self.park_mm)
+        return 2.0 * float(self._fine_room_mm[on_the_way].min()) if on_the_way.any() else math.inf
+
+    @property
+    def length_mm(self) -> float:
+        """Length in mm of the whole route, which may extend beyond the position of the scope."""
+        return float(self.cumulative_mm[-1])
+
+    def told_mm(self, mm: float) -> float:
+        """Convert a distance along the smooth route to a distance along the centrelines from the root, mm."""
+        return float(np.interp(mm, self._knots[:, 0], self._knots[:, 1]))
+
+    def at(self, mm: float | Points) -> Points:
+        """Return points at distances along the route, (..., 3) LPS mm."""
+        return np.stack([np.interp(mm, self.cumulative_mm, self.points[:, axis]) for axis in range(3)], axis=-1)
+
+    def direction(self, mm: float) -> Points:
+        """Return the unit vector along the route at a distance."""
+        low, high = max(mm - SMOOTH_MM, 0.0), min(mm + SMOOTH_MM, self.length_mm)
+        ahead = self.at(high) - self.at(low)
+        found: Points = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
+        return found
+
+    def radius_mm(self, mm: float) -> float:
+        """Return the largest distance in mm of a tip from the centreline.
+
+        The distance is the radius of the circle with the lumen's area, or of the largest ball if that is larger.
+        """
+        area = float(np.interp(mm, self.cumulative_mm, self._radius_mm))
+        return max(area, float(np.interp(mm, self._fine_mm, self._fine_room_mm)))
+
+    def nearest(self, point: Points, around_mm: float) -> tuple[float, float]:
+        """Return the point of the route nearest to a tip: distance along the route and distance from the tip, mm.
+
+        Parameters
+        ----------
+        point
+            (3,) position of the tip.
+        around_mm
+            Previous distance of the tip along the route; the search covers -6 to +8 mm round it.
+        """
+        low, high = np.searchsorted(self._fine_mm, [around_mm - 6.0, around_mm + 8.0])
+        off = np.linalg.norm(self._fine[low:high] - point, axis=1)
+        n = int(np.argmin(off))
+        return float(self._fine_mm[low + n]), float(off[n])
+
+    def visible(self, tip: Points, along_mm: float, farthest_mm: float, clear_mm: float) -> Points:
+        """Return the farthest point of the route that a straight line from the tip reaches without touching the wall.
+
+        If no point is visible, the nearest one is returned.
+
+        Parameters
+        ----------
+        tip
+            (3,) position of the tip.
+        along_mm
+            Distance of the tip along the route.
+        farthest_mm
+            Largest distance ahead.
+        clear_mm
+            Clearance to the wall; less is required in a narrow airway.
+        """
+        ahead = np.arange(along_mm + farthest_mm, along_mm + LEAST_AHEAD_MM - 0.1, -1.0)
+        places = self.at(np.minimum(ahead, self.length_mm))
+        share = np.linspace(0.1, 1.0, NUM_ON_LINE)
+        line = tip + share[None, :, None] * (places - tip)[:, None, :]
+        room = self.wall.distance_mm(line.reshape(-1, 3)).reshape(len(places), -1)
+        # In a narrow airway a smaller clearance suffices.
+        needed = np.minimum(clear_mm, 0.6 * np.maximum(room[:, -1], 0.3))
+        seen = np.flatnonzero((room >= needed[:, None]).all(axis=1))
+        found: Points = places[int(seen[0])] if seen.size else places[-1]
+        return found
+
+    def holds(self, tip: Points, along_mm: float) -> bool:
+        """Return whether a tip is in the route's own lumen and not behind a wall in a neighbouring one.
+
+        Parameters
+        ----------
+        tip
+            (3,) position of the tip, LPS mm.
+        along_mm
+            Distance of the tip along the route.
+        """
+        share = np.linspace(0.0, 1.0, 9)
+        line = tip + share[:, None] * (self.at(along_mm) - tip)
+        return bool((self.wall.distance_mm(line) > 0.0).all())

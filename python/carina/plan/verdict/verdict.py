@@ -1,0 +1,500 @@
+"""Verdict on whether an instrument reaches the end of a route and can point its tool at the target.
+
+Checks without a simulation come first (`carina.plan.verdict.checks`). For an instrument that passes them, a drive along
+the route is simulated in the wall of the airways, from the trachea to the end of the route, where the tip is pointed at
+the target.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable, Iterable
+from concurrent.futures import Future, ThreadPoolExecutor, as_completed
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.display import one_line
+from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
+from carina.errors import CancelledError, UsageError
+from carina.plan.routes.needle_hits import NeedleErrors, hit_share
+from carina.plan.routes.plan_route import Plan, PlannedRoute
+from carina.plan.verdict.checks import (
+    Answer,
+    Check,
+    bend_check,
+    channel_check,
+    diameter_check,
+    length_check,
+)
+from carina.plan.verdict.drive import DrivenRoute
+from carina.plan.verdict.drive_aim import aim_drive
+from carina.plan.verdict.drive_route import DriveWay
+from carina.plan.verdict.drive_search import EFFORT, condense_drive, search_drive
+from carina.plan.verdict.lever import lever_check
+from carina.scopes import ScopeDrive, ScopeHold, ScopePreset, WallField, scope_presets
+from carina.track import AirwayTree
+
+__all__ = ["Check", "Outcome", "Verdict", "judge_scope", "judge_scopes"]
+
+Points = NDArray[np.float64]
+Outcome = Literal["reaches", "may reach", "does not reach", "cannot say"]
+
+NEAR_MM = 1.5
+"""Largest distance in mm of the tip from the end of the route."""
+POINTS, BARELY = 0.5, 0.1
+"""Shares of needles that hit: from the first up the scope points at the target, below the second it does not.
+
+The second is small, because a needle pass can be repeated.
+"""
+SLIMMER_MM, THINNEST_MM, SPARE_MM = 0.8, 1.5, 0.2
+"""Sizes in mm for an instrument about as wide as the airway, whose drive is simulated with a thinner substitute.
+
+The substitute is thinner than the airway by the first size, and has at least the second size. It is used if the airway
+is wider than the instrument by less than the third size.
+"""
+UNFOUND = 0.5
+"""Share reported if a scope fits along the route but no drive was found; the search may have missed one.
+
+The value is common knowledge, not measured.
+"""
+EFFORT_A_TRY = 1000.0
+"""Search effort for which one shorter drive is tried."""
+LEVER_EFFORT = 0.3
+"""Effort of each search with a shorter lever, as a share of the effort for a drive.
+
+It is small, because the moves of a drive that arrived are tried first.
+"""
+NUM_THREADS = 2
+MECHANICS = "the scope's mechanics in the airways' wall; rigid tip and bending section are common knowledge (k)"
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class Verdict:
+    """Result for one instrument on one route."""
+
+    scope: ScopePreset
+    outcome: Outcome
+    share: float | None
+    """Smallest share of the checks."""
+    checks: tuple[Check, ...]
+    reached_mm: float
+    """Distance that the tip reaches along the route, mm."""
+    hold: ScopeHold | None
+    """Roll and lever that point at the target; None if the scope did not arrive."""
+    driven: DrivenRoute | None
+    """Simulated drive; None if checks without a simulation decide, or too little is known about the instrument."""
+    would: str | None
+    """Changes with which the instrument would reach the target, as text; None if none is needed."""
+
+    @property
+    def words(self) -> str:
+        """Verdict as text, such as *reaches the standing place and can point at the target*."""
+        if self.outcome == "reaches":
+            return "reaches the standing place and can point at the target"
+        worst = [check for check in self.checks if check.answer in {"no", "unknown", "perhaps"}]
+        order = {"no": 0, "unknown": 1, "perhaps": 2}
+        worst.sort(key=lambda check: order[check.answer])
+        if not worst:
+            return self.outcome
+        is_laid = all(check.answer != "unknown" for check in self.checks if check.name == "bend")
+        if self.outcome == "does not reach" and is_laid and worst[0].name in {"diameter", "bend", "drive"}:
+            return f"stops at {self.reached_mm:.0f} mm: {worst[0].words}"
+        return f"{self.outcome}: {worst[0].words}"
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the verdict as plain JSON types."""
+        return {
+            "scope": self.scope.name,
+            "outcome": self.outcome,
+            "share": self.share,
+            "words": self.words,
+            "checks": [
+                {"name": c.name, "answer": c.answer, "share": c.share, "words": c.words, "basis": c.basis}
+                for c in self.checks
+            ],
+            "reached_mm": self.reached_mm,
+            "hold": None
+            if self.hold is None
+            else {
+                "insertion_mm": self.hold.insertion_mm,
+                "roll_rad": self.hold.roll_rad,
+                "flexion_rad": self.hold.flexion_rad,
+            },
+            "drive": None if self.driven is None else self.driven.to_json(poses=False),
+            "would": self.would,
+        }
+
+
+@shows_progress
+def judge_scopes(
+    tree: AirwayTree,
+    plan: Plan,
+    wall: WallField,
+    *,
+    route: PlannedRoute | None = None,
+    scopes: Iterable[ScopePreset] | None = None,
+    entry_mm: float | None = None,
+    errors: bool = True,
+    effort: float = EFFORT,
+    found: Callable[[Verdict], None] | None = None,
+    progress: ProgressChoice = None,
+    cancel: Callable[[], bool] | None = None,
+) -> tuple[Verdict, ...]:
+    """Judge several instruments on one route.
+
+    Parameters
+    ----------
+    tree, plan, wall
+        The airways, the plan of `plan_route`, and the wall of the airways.
+    route
+        Route of the plan; the first one if None.
+    scopes
+        Instruments; the whole library if None.
+    entry_mm
+        Distance from nose or mouth to the beginning of the tree; None leaves the check of the length open.
+    errors
+        Whether to consider the errors of measurements and instrument data; False treats them as exact.
+    effort
+        Limit of each search for a drive (`search_drive`).
+    found
+        Called with each verdict as soon as it is known: first those without a simulated drive, then those with one.
+    progress
+        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
+        None where it is unknown.
+    cancel
+        Called often; the work stops when it returns True.
+
+    Returns
+    -------
+    tuple[Verdict, ...]
+        Verdicts in the order of the instruments.
+
+    Raises
+    ------
+    UsageError
+        If the plan has no route, or a number is out of range.
+    CancelledError
+        If ``cancel()`` returned True.
+    """
+    bench = _Bench(
+        tree,
+        plan,
+        wall,
+        route=route,
+        entry_mm=entry_mm,
+        errors=errors,
+        effort=effort,
+        cancel=cancel,
+    )
+    listed = list(scope_presets() if scopes is None else scopes)
+    verdicts: dict[int, Verdict] = {}
+
+    def tell(n: int, verdict: Verdict) -> None:
+        verdicts[n] = verdict
+        if found is not None:
+            found(verdict)
+        if on_share is not None:
+            on_share(len(verdicts) / len(listed))
+
+    on_share = share_function(progress_function(progress), "driving each instrument along the route")
+    if on_share is not None:
+        on_share(0.0)
+    waiting: dict[int, _Figures] = {}
+    for n, scope in enumerate(listed):
+        bench.stop_if_cancelled()
+        figures = bench.figures(scope)
+        if figures.driven_as is None:
+            tell(n, bench.undriven(scope, figures))
+        else:
+            waiting[n] = figures
+    with ThreadPoolExecutor(NUM_THREADS) as pool:
+        # Instruments with the same mechanical sizes share one simulated drive.
+        drives: dict[tuple[Any, ...], Future[_Drive]] = {}
+        for figures in waiting.values():
+            assert figures.driven_as is not None
+            sizes = _sizes(figures.driven_as)
+            if sizes not in drives:
+                drives[sizes] = pool.submit(bench.drive, figures.driven_as)
+        try:
+            for done in as_completed(drives.values()):
+                drive = done.result()
+                for n, figures in waiting.items():
+                    assert figures.driven_as is not None
+                    if drives[_sizes(figures.driven_as)] is done:
+                        tell(n, bench.driven(listed[n], figures, drive))
+        except BaseException:
+            bench.stopped = True
+            raise
+    return tuple(verdicts[n] for n in range(len(listed)))
+
+
+def judge_scope(
+    tree: AirwayTree,
+    plan: Plan,
+    wall: WallField,
+    scope: ScopePreset,
+    *,
+    route: PlannedRoute | None = None,
+    entry_mm: float | None = None,
+    errors: bool = True,
+    effort: float = EFFORT,
+    cancel: Callable[[], bool] | None = None,
+) -> Verdict:
+    """Judge one instrument on one route.
+
+    Parameters
+    ----------
+    tree, plan, wall, scope
+        The airways, the plan, the wall of the airways, and the instrument.
+    route, entry_mm, errors, effort, cancel
+        As for `judge_scopes`.
+
+    Returns
+    -------
+    Verdict
+        Its result.
+
+    Raises
+    ------
+    UsageError
+        If the plan has no route, or a number is out of range.
+    CancelledError
+        If ``cancel()`` returned True.
+    """
+    bench = _Bench(
+        tree,
+        plan,
+        wall,
+        route=route,
+        entry_mm=entry_mm,
+        errors=errors,
+        effort=effort,
+        cancel=cancel,
+    )
+    figures = bench.figures(scope)
+    if figures.driven_as is None:
+        return bench.undriven(scope, figures)
+    return bench.driven(scope, figures, bench.drive(figures.driven_as))
+
+
+@dataclass(frozen=True, slots=True)
+class _Figures:
+    """Results of the checks that need no simulated drive."""
+
+    checks: tuple[Check, ...]
+    driven_as: ScopePreset | None
+    """Instrument whose drive is simulated, or a thinner substitute; None if no drive is needed or possible."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Drive:
+    """Results of a simulated drive."""
+
+    route: DrivenRoute | None
+    checks: tuple[Check, ...]
+    bend: Check | None = None
+    """Check of the bend by drives, which replaces the one by angles; None if the drive did not arrive."""
+
+
+class _Bench:
+    """Judgement of instruments on one route: checks without a simulation, then a simulated drive."""
+
+    def __init__(
+        self,
+        tree: AirwayTree,
+        plan: Plan,
+        wall: WallField,
+        *,
+        route: PlannedRoute | None,
+        entry_mm: float | None,
+        errors: bool,
+        effort: float,
+        cancel: Callable[[], bool] | None,
+    ) -> None:
+        if route is None and not plan.routes:
+            raise UsageError("the plan has no route to judge", code="plan.no-route")
+        self._way = DriveWay(tree, plan.routes[0] if route is None else route, wall)
+        self._plan, self._wall = plan, wall
+        self._entry_mm, self._errors = entry_mm, errors
+        self._effort, self._cancel = effort, cancel
+        self.stopped = False
+
+    def stop_if_cancelled(self) -> None:
+        """Raise `CancelledError` if cancellation is requested."""
+        if self._is_cancelled():
+            raise CancelledError("the verdicts were cancelled")
+
+    def figures(self, scope: ScopePreset) -> _Figures:
+        """Return the checks that need no drive, and the instrument to be driven."""
+        checks = (
+            diameter_check(self._way.width, scope, errors=self._errors),
+            bend_check(self._way, scope, errors=self._errors),
+            length_check(self._way, scope, self._entry_mm),
+            channel_check(scope, self._plan.tool),
+        )
+        driven_as: ScopePreset | None = scope
+        if any(check.answer == "no" for check in checks[:3]) or checks[1].answer == "unknown":
+            driven_as = None
+        elif self._errors:
+            room_mm = min(float(self._way.room_mm.min()), self._way.wall_room_mm)
+            if checks[0].answer == "perhaps" or max(scope.tip_mm, scope.tube_mm or 0.0) > room_mm - SPARE_MM:
+                # The scope is as wide as the airway within the errors: the drive of a thinner substitute is simulated.
+                slim = min(max(room_mm - SLIMMER_MM, THINNEST_MM), scope.tip_mm)
+                driven_as = replace(scope, tip_mm=slim, tube_mm=None)
+        return _Figures(checks, driven_as)
+
+    def undriven(self, scope: ScopePreset, figures: _Figures) -> Verdict:
+        """Return the verdict without a drive; the reached distance is that of a scope laid along the route."""
+        reached_mm = 0.0
+        if figures.checks[1].answer != "unknown":
+            # A scope that is too wide to enter reaches nothing.
+            with contextlib.suppress(UsageError):
+                reached_mm = self._laid_mm(scope)
+        return _verdict(scope, figures.checks, min(reached_mm, self._way.park_mm), None, driven=False)
+
+    def driven(self, scope: ScopePreset, figures: _Figures, drive: _Drive) -> Verdict:
+        """Return the verdict from the checks and a simulated drive."""
+        checks = drive.checks
+        if figures.driven_as is not scope:
+            doubt = "if it fits"
+            if figures.checks[0].answer == "yes":
+                doubt = "driven as a thinner scope, because the wall found is narrower than the measured diameter"
+            checks = tuple(
+                replace(one, answer="perhaps", words=f"{doubt}: {one.words}") if one.answer == "yes" else one
+                for one in checks
+            )
+        route = None if drive.route is None else replace(drive.route, scope_name=scope.name)
+        reached_mm = 0.0 if route is None else route.stopped_mm
+        diameter, bend, *others = figures.checks
+        told = (diameter, bend if drive.bend is None else drive.bend, *others)
+        return _verdict(scope, (*told, *checks), reached_mm, route, driven=True)
+
+    def drive(self, scope: ScopePreset) -> _Drive:
+        """Simulate the drive of an instrument, and point its tip at the target if it arrives."""
+        try:
+            route = search_drive(self._way, self._wall, scope, effort=self._effort, cancel=self._is_cancelled)
+        except UsageError as error:
+            check = Check("drive", "no", 0.0, f"the scope does not enter the airway: {error}", MECHANICS)
+            return _Drive(None, (check,))
+        if not route.arrived:
+            park_mm = self._way.park_mm
+            words = f"the drive stops {park_mm - route.stopped_mm:.0f} mm before the standing place: {route.why}"
+            if self._laid_mm(scope) < park_mm - NEAR_MM:
+                return _Drive(route, (Check("drive", "no", 0.0, words, MECHANICS),))
+            words += "; the scope fits along the whole route, and another way of driving it may get there"
+            return _Drive(route, (Check("drive", "perhaps", UNFOUND, words, MECHANICS),))
+        tries = round(self._effort / EFFORT_A_TRY)
+        route = condense_drive(self._way, self._wall, scope, route, tries=tries)
+        self.stop_if_cancelled()
+        bend = lever_check(
+            self._way,
+            self._wall,
+            scope,
+            bend_check(self._way, scope, errors=self._errors),
+            route,
+            effort=LEVER_EFFORT * self._effort,
+            cancel=self._is_cancelled,
+        )
+        aimed = aim_drive(self._way, self._wall, scope, route, self._hit_share)
+        words = f"arrives at the standing place by {len(route.moves)} moves"
+        arrives = Check("drive", "yes", 1.0, words, MECHANICS)
+        answer: Answer = "yes" if aimed.share >= POINTS else "perhaps" if aimed.share >= BARELY else "no"
+        loss_deg, basis = self._plan.tool.flexion_loss_deg, MECHANICS
+        if loss_deg is None:
+            basis += f"; how much flexion is lost with {self._plan.tool.title} in the channel is not known"
+        elif answer == "yes" and not self._flexes_with_tool(scope, aimed.driven, loss_deg):
+            answer = "perhaps"
+            basis += f"; {self._plan.tool.title} in the channel takes {loss_deg:g} degrees of the flexion that it needs"
+        words = (
+            f"points {aimed.off_deg:.0f} degrees from the target centre; {100 * aimed.share:.0f} % of needle passes hit"
+        )
+        return _Drive(aimed.driven, (arrives, Check("pointing", answer, aimed.share, words, basis)), bend)
+
+    @staticmethod
+    def _flexes_with_tool(scope: ScopePreset, driven: DrivenRoute, loss_deg: float) -> bool:
+        flexion_deg = math.degrees(float(driven.samples[-1, 2]))
+        up_deg, down_deg = scope.flexion_deg or (0.0, 0.0)
+        return -(down_deg - loss_deg) <= flexion_deg <= up_deg - loss_deg
+
+    def _laid_mm(self, scope: ScopePreset) -> float:
+        drive = ScopeDrive(self._wall, scope, self._way.points)
+        state = drive.place(self._way.points, self._way.park_mm)
+        return self._way.nearest(state.pose.position_lps, state.insertion_mm)[0]
+
+    def _hit_share(self, tip: Points, forward: Points) -> float:
+        needle = NeedleErrors() if self._errors else NeedleErrors(0.0, 0.0)
+        aimed_at = tip + forward * float(np.linalg.norm(self._way.aim - tip))
+        return hit_share(self._plan.nodule, tip, aimed_at, self._plan.tool.reach_mm, needle)
+
+    def _is_cancelled(self) -> bool:
+        return self.stopped or (self._cancel is not None and self._cancel())
+
+
+def _sizes(scope: ScopePreset) -> tuple[Any, ...]:
+    """Return the sizes of an instrument that determine its mechanics."""
+    return (
+        scope.tip_mm,
+        scope.tube_mm or scope.tip_mm,
+        scope.rigid_tip_mm,
+        scope.bending_mm,
+        scope.flexion_deg,
+        scope.length_mm,
+        scope.view_up_deg,
+    )
+
+
+def _verdict(
+    scope: ScopePreset, checks: tuple[Check, ...], reached_mm: float, route: DrivenRoute | None, *, driven: bool
+) -> Verdict:
+    answers = {check.answer for check in checks}
+    outcome: Outcome = (
+        "does not reach"
+        if "no" in answers
+        else "cannot say"
+        if "unknown" in answers
+        else "may reach"
+        if "perhaps" in answers
+        else "reaches"
+    )
+    shares = [check.share for check in checks if check.share is not None]
+    hold = None
+    if route is not None and route.arrived:
+        insertion_mm, roll_rad, flexion_rad = (float(v) for v in route.samples[-1])
+        hold = ScopeHold(insertion_mm, roll_rad, flexion_rad)
+    return Verdict(
+        scope=scope,
+        outcome=outcome,
+        share=min(shares) if shares else None,
+        checks=checks,
+        reached_mm=reached_mm,
+        hold=hold,
+        driven=route,
+        would=_would(checks, driven=driven),
+    )
+
+
+def _would(checks: tuple[Check, ...], *, driven: bool) -> str | None:
+    lacking = [check for check in checks if check.answer in {"no", "unknown"}]
+    if not lacking:
+        return None
+    ways = {
+        ("diameter", "no"): "the airway were wider or the scope thinner",
+        ("bend", "no"): "it could flex further, or stopped before that bend",
+        ("bend", "unknown"): "it can flex far enough",
+        ("length", "no"): "it were longer",
+        ("length", "unknown"): "it is long enough",
+        ("channel", "no"): "a thinner tool were used",
+        ("channel", "unknown"): "its channel takes the tool",
+        ("drive", "no"): "it could be steered past that place, or stopped before it",
+        ("pointing", "no"): "it could be aimed from another position on the route",
+    }
+    # Without a drive it is not known whether the instrument would also fail there.
+    start = "would reach if " if driven else "could reach only if "
+    if driven and any(check.answer == "perhaps" for check in checks):
+        start = "might reach if "
+    return start + ", and if ".join(ways[check.name, check.answer] for check in lacking)

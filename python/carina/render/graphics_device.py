@@ -1,0 +1,254 @@
+"""Airway view of one volume on a graphics device: the copy in device memory, and the choice between device and CPU."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina import _core
+from carina.errors import RenderError
+from carina.render.processor_choice import MAX_PART_OFF, Adapter, AdapterMeasurement, Backend, part_off
+from carina.render.scene import Scene
+from carina.render.views import AirwayView, Picture
+
+__all__ = ["DeviceCaster"]
+
+log = logging.getLogger(__name__)
+
+# Number of pictures that the CPU renders before any measurement, so that the first pictures are not delayed.
+PICTURES_FIRST = 3
+# Number of pictures after which a view without a radius map is measured too: such a view does not leap.
+PICTURES_WITHOUT_MAP = 30
+# Number of timed pairs of pictures; the shortest time of each processor counts.
+NUM_PAIRS = 5
+# Largest ratio of GPU time to CPU time for which the GPU is chosen: it also costs memory and a copy of every new wall.
+WORTH_IT = 0.9
+# Error code of a limit of this volume or view, not of the device: another volume may fit.
+LIMIT = "render.gpu-limit"
+FAILED = "render.gpu"
+# A test picture that is smaller or darker than this shows neither speed nor agreement.
+LEAST_PIXELS = 96 * 96
+LEAST_LIGHT = 40
+
+Cast = Callable[[Scene, AirwayView, _core.GpuScene | None], Picture]
+Start = Callable[[Callable[[], None]], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Resident:
+    """Copy of a scene in device memory, with the arrays from which it was made."""
+
+    adapter: Adapter
+    values: NDArray[np.int16]
+    radius: NDArray[np.uint8] | None
+    bare: _core.GpuScene
+    leaping: _core.GpuScene | None
+
+
+def _in_thread(work: Callable[[], None]) -> None:
+    # Not a daemon thread: ending the process while a driver copies data may crash it.
+    threading.Thread(target=work, name="carina-gpu").start()
+
+
+class DeviceCaster:
+    """Caster of one volume's airway views on a graphics device, if the user chose it or it was measured to be faster.
+
+    In ``auto`` no picture waits for the device: the CPU renders while a measurement or a copy runs.
+
+    Parameters
+    ----------
+    backend
+        Choice between CPU and GPU of the process.
+    cast
+        Function that renders a scene and a view, on the CPU or from the copy in device memory.
+    start
+        Function that runs work in the background; for tests.
+    clock
+        Function that returns the time in seconds; for tests.
+    """
+
+    def __init__(
+        self, backend: Backend, cast: Cast, *, start: Start = _in_thread, clock: Callable[[], float] = time.perf_counter
+    ) -> None:
+        self._backend = backend
+        self._cast = cast
+        self._start = start
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._resident: _Resident | None = None
+        self._is_busy = False
+        # Values that did not fit the device.
+        self._unfit: NDArray[np.int16] | None = None
+        self._num_seen = 0
+        # In auto, three states: not measured; measured without a choice (adapter None); measured, with an adapter.
+        self._is_decided = backend.mode != "auto"
+        self._adapter: Adapter | None = None
+
+    def try_cast(self, scene: Scene, view: AirwayView, *, leaps: bool, cast: Cast) -> Picture | None:
+        """Return the picture from the device, or None if the CPU must render it.
+
+        ``cast`` renders the picture from the copy in device memory; the picture may consist of some rows only.
+        """
+        on_device = self._find(scene, leaps=leaps)
+        if on_device is None:
+            return None
+        try:
+            return cast(scene, view, on_device)
+        except RenderError as error:
+            if error.code not in {LIMIT, FAILED}:
+                raise
+            self._refused(scene, error)
+            return None
+
+    def seen(self, scene: Scene, view: AirwayView) -> None:
+        """Count a whole picture from the CPU.
+
+        In ``auto``, start the measurement of the adapters after some pictures.
+        """
+        if self._is_decided or view.width * view.height < LEAST_PIXELS:
+            return
+        with self._lock:
+            self._num_seen += 1
+            waits = self._num_seen < (PICTURES_FIRST if scene.maps is not None else PICTURES_WITHOUT_MAP)
+            if waits or self._is_busy:
+                return
+            self._is_busy = True
+        self._start(lambda: self._decide(scene, view))
+
+    def _find(self, scene: Scene, *, leaps: bool) -> _core.GpuScene | None:
+        mode = self._backend.mode
+        if mode == "cpu" or not self._is_decided or (mode == "auto" and self._adapter is None):
+            return None
+        if scene.values is self._unfit:
+            return None
+        radius = scene.maps.radius if leaps and scene.maps is not None else None
+        resident = self._resident
+        if resident is None or resident.values is not scene.values or (leaps and resident.radius is not radius):
+            if mode == "gpu":
+                with self._lock:
+                    resident = self._load_first(scene, radius)
+            else:
+                self._load_behind(scene, radius)
+                resident = None
+        if resident is None:
+            return None
+        return resident.leaping if leaps else resident.bare
+
+    def _load_first(self, scene: Scene, radius: NDArray[np.uint8] | None) -> _Resident | None:
+        """Copy the scene to the first adapter that accepts it; return None if no adapter does."""
+        for adapter in self._backend.adapters():
+            try:
+                return self._load(adapter, scene, radius)
+            except RenderError as error:
+                self._refused(scene, error, adapter)
+        if not self._backend.adapters():
+            self._backend.give_up(None, "no usable graphics adapter")
+        return None
+
+    def _load(self, adapter: Adapter, scene: Scene, radius: NDArray[np.uint8] | None) -> _Resident:
+        old = self._resident
+        if old is not None and old.adapter == adapter and old.values is scene.values:
+            bare = old.bare
+        else:
+            # The old copy is released first, because device memory may not hold two volumes.
+            self._resident = None
+            bare = self._backend.open(adapter).upload(scene.values)
+        leaping = None if radius is None else bare.with_map(radius)
+        self._resident = _Resident(adapter, scene.values, radius, bare, leaping)
+        return self._resident
+
+    def _load_behind(self, scene: Scene, radius: NDArray[np.uint8] | None) -> None:
+        adapter = self._adapter
+        with self._lock:
+            if self._is_busy or adapter is None:
+                return
+            self._is_busy = True
+
+        def work() -> None:
+            try:
+                self._load(adapter, scene, radius)
+            except RenderError as error:
+                self._refused(scene, error, adapter)
+            finally:
+                self._is_busy = False
+
+        self._start(work)
+
+    def _refused(self, scene: Scene, error: RenderError, adapter: Adapter | None = None) -> None:
+        """Stop using the device, for these values or for the rest of the process."""
+        resident, self._resident = self._resident, None
+        if error.code == LIMIT:
+            if self._unfit is not scene.values:
+                log.warning("this volume is rendered on the CPU: %s", error)
+            self._unfit = scene.values
+            return
+        if adapter is None:
+            adapter = self._adapter if resident is None else resident.adapter
+        self._adapter = None
+        self._backend.give_up(adapter, str(error))
+
+    def _decide(self, scene: Scene, view: AirwayView) -> None:
+        try:
+            done = all(self._try(adapter, scene, view) for adapter in self._backend.adapters())
+            self._is_decided = done or self._adapter is not None
+        finally:
+            self._is_busy = False
+
+    def _try(self, adapter: Adapter, scene: Scene, view: AirwayView) -> bool:
+        """Measure one adapter.
+
+        Return False to end the search (adapter chosen, or the picture is too dark to measure).
+        """
+        known = self._backend.measurement(adapter, scene.values.shape)
+        if known is not None and not known.chosen:
+            return True
+        expected = self._cast(scene, view, None)
+        if int(expected.rgb.max(initial=0)) < LEAST_LIGHT:
+            return False
+        leaps = expected.stats.method == "leap" and scene.maps is not None
+        radius = scene.maps.radius if leaps and scene.maps is not None else None
+        cpu_ms = gpu_ms = None
+        try:
+            resident = self._load(adapter, scene, radius)
+            on_device = resident.leaping if leaps else resident.bare
+            # The pictures are compared in later runs too, where the times are known: the driver may have changed.
+            off = part_off(expected.rgb, self._cast(scene, view, on_device).rgb)
+            if off > MAX_PART_OFF:
+                chosen, why = False, f"its image differs from the CPU's in {100 * off:.2g} % of the pixels"
+            elif known is not None:
+                chosen, why, cpu_ms, gpu_ms = True, known.why, known.cpu_ms, known.gpu_ms
+            else:
+                cpu_ms, gpu_ms = self._race(scene, view, on_device)
+                chosen = gpu_ms < WORTH_IT * cpu_ms
+                words = "measured faster" if chosen else "measured no faster than the CPU"
+                why = f"{words}: {gpu_ms:.1f} ms per image, CPU {cpu_ms:.1f} ms"
+        except RenderError as error:
+            chosen, why = False, str(error)
+        self._backend.remember(
+            AdapterMeasurement(adapter.name, adapter.driver, scene.values.shape, chosen, why, cpu_ms, gpu_ms),
+        )
+        log.info("graphics adapter %s: %s", adapter.name, why)
+        if chosen:
+            self._adapter = adapter
+        else:
+            self._resident = None
+        return not chosen
+
+    def _race(self, scene: Scene, view: AirwayView, on_device: _core.GpuScene | None) -> tuple[float, float]:
+        """Return the shortest time of a picture in ms, on the CPU and on the device.
+
+        The turns alternate, so that other load affects both.
+        """
+        times: tuple[list[float], list[float]] = ([], [])
+        for _ in range(NUM_PAIRS):
+            for place, taken in zip((None, on_device), times, strict=True):
+                started = self._clock()
+                self._cast(scene, view, place)
+                taken.append(1e3 * (self._clock() - started))
+        return min(times[0]), min(times[1])

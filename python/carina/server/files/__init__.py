@@ -1,0 +1,1 @@
+"""Files over HTTP: uploads, downloads, reports and the web client."""

@@ -1,0 +1,101 @@
+"""Downloads of the open case: airways, key frames and flights as files that are created on request."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from shutil import rmtree
+from typing import Any
+
+from starlette.responses import JSONResponse, Response
+
+from carina.commands import AirwaysToTakeAway, FlightToTakeAway, KeyFramesToTakeAway
+from carina.errors import CarinaError
+from carina.export import EXPORT_SUFFIXES, export_airways
+from carina.server.files.one_shot_file import FileForOnce, new_folder
+from carina.session import Session
+
+__all__ = ["FILE_STEM", "Downloads"]
+
+FILE_STEM = "airways"
+"""Stem of every file name, which contains neither the patient nor the case."""
+KEYS_NAME = "key-frames.json"
+FLIGHT_STEM = "flight"
+"""Stem of the file name of a flight, before its number; the recording's own name could identify the patient."""
+
+
+class Downloads:
+    """Creator of download files, one at a time, because a surface takes seconds and all cores.
+
+    Parameters
+    ----------
+    session
+        Session with the open case.
+    export
+        Writes a file; tests replace it.
+    """
+
+    def __init__(self, session: Session, export: Callable[..., Path] = export_airways) -> None:
+        self._session = session
+        self._export = export
+        self._one_at_a_time = asyncio.Lock()
+
+    async def answer(self, suffix: str) -> Response:
+        """Return a response with the airways as a file of this suffix (``.json``, ``.stl``, ...).
+
+        The temporary file is deleted after the response.
+
+        Raises
+        ------
+        CarinaError
+            If Carina writes no such file, the case has no airways, or the disk takes nothing.
+        """
+        if suffix not in EXPORT_SUFFIXES:
+            msg = f"Carina can write {', '.join(EXPORT_SUFFIXES)}; found {suffix!r}"
+            raise CarinaError(msg, code="export.suffix")
+        volume, airways = self._session.ask(AirwaysToTakeAway())
+        async with self._one_at_a_time:
+            folder = new_folder()
+            given_up = threading.Event()
+            try:
+                path = await asyncio.to_thread(self._make, folder / f"{FILE_STEM}{suffix}", volume, airways, given_up)
+            except BaseException:
+                # The request may also be cancelled by a shutdown; the export thread checks given_up and stops.
+                given_up.set()
+                rmtree(folder, ignore_errors=True)
+                raise
+        return FileForOnce(path, filename=path.name, headers={"cache-control": "no-store"})
+
+    async def key_frames(self) -> Response:
+        """Return a response with the key frames of the open case, in the format that ``carina fly`` reads.
+
+        Raises
+        ------
+        CarinaError
+            If there are none.
+        """
+        document = await asyncio.to_thread(lambda: self._session.ask(KeyFramesToTakeAway()).to_json())
+        disposition = f'attachment; filename="{KEYS_NAME}"'
+        return JSONResponse(document, headers={"cache-control": "no-store", "content-disposition": disposition})
+
+    async def flight(self, number: int) -> Response:
+        """Return a response with a recorded flight of the open case, in the format that ``carina fly`` reads.
+
+        Raises
+        ------
+        CarinaError
+            If there is none of this number, or it is not on the disk yet.
+        """
+        text = await asyncio.to_thread(self._session.ask, FlightToTakeAway(number))
+        disposition = f'attachment; filename="{FLIGHT_STEM}-{number}.jsonl"'
+        headers = {"cache-control": "no-store", "content-disposition": disposition}
+        return Response(text, media_type="application/x-ndjson", headers=headers)
+
+    def _make(self, path: Path, volume: Any, airways: Any, given_up: threading.Event) -> Path:
+        try:
+            return self._export(path, volume, airways)
+        finally:
+            if given_up.is_set():
+                rmtree(path.parent, ignore_errors=True)

@@ -1,0 +1,171 @@
+"""Reports and plan files of a target, created by a job that windows display and can stop."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from concurrent.futures import Future
+from dataclasses import dataclass
+from pathlib import Path
+from shutil import rmtree
+from typing import Literal
+
+from starlette.responses import Response
+
+from carina.commands import CtFolder, PlanningOf, PlanToTakeAway
+from carina.errors import CancelledError, CarinaError
+from carina.export import export_plan
+from carina.plan.report import PlanMaterials, ReportKind, whole_sheet, write_report
+from carina.server.files.one_shot_file import FileForOnce, new_folder
+from carina.session import Session
+from carina.session.jobs.background_jobs import Job
+
+__all__ = ["REPORT_SUFFIXES", "Reports"]
+
+REPORT_SUFFIXES = (".html", ".pdf", ".json")
+PLAN_SUFFIXES = (".mrk.json", ".seg.nrrd")
+"""Suffixes of plan files for 3D Slicer."""
+DICOM_SUFFIXES = (".seg.dcm", ".sr.dcm", ".pdf.dcm")
+"""Suffixes of DICOM files (segmentation, measurements, report), which refer to the CT and need its folder."""
+STEM: dict[ReportKind, str] = {"report": "plan", "tracing": "tracing-sheet"}
+"""Stem of every file name by kind of report, which contains neither the patient nor the case."""
+SHEET_SHARE = 0.8
+LOOK_S = 0.2
+# The sandbox gives the report a separate origin without access to the server; the report also has its own policy.
+SANDBOX = "sandbox allow-scripts allow-modals"
+
+
+class Reports:
+    """Creator of the reports of the open case.
+
+    Parameters
+    ----------
+    session
+        Session with the open case.
+    """
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+
+    async def answer(
+        self, target_id: str, suffix: str, kind: ReportKind, identity: Literal["none", "from the CT"] = "none"
+    ) -> Response:
+        """Return a response with the report or plan file of this suffix, which is deleted after the response.
+
+        ``identity`` selects the patient identity in DICOM files; the default contains no patient data.
+
+        Raises
+        ------
+        CarinaError
+            If Carina writes no such file, there is no plan yet, the job was stopped, or the disk takes nothing.
+        """
+        known = (*REPORT_SUFFIXES, *PLAN_SUFFIXES, *DICOM_SUFFIXES)
+        if suffix not in known:
+            msg = f"Carina can write a plan as {', '.join(known)}; found {suffix!r}"
+            raise CarinaError(msg, code="export.suffix")
+        materials: PlanMaterials = self._session.ask(PlanToTakeAway(target_id))
+        archive = _Archive(self._session.ask(CtFolder()), identity) if suffix in DICOM_SUFFIXES else None
+        folder = new_folder()
+        try:
+            place = folder / f"{STEM[kind]}{suffix}"
+            path = await asyncio.wrap_future(self._begin(materials, target_id, place, kind, archive))
+        except BaseException:
+            rmtree(folder, ignore_errors=True)
+            raise
+        headers = {"cache-control": "no-store"}
+        if suffix == ".html":
+            # Without a file name, the browser displays the report, so that the user can print it.
+            return FileForOnce(path, headers=headers | {"content-security-policy": SANDBOX})
+        return FileForOnce(path, filename=path.name, headers=headers)
+
+    def _begin(
+        self, materials: PlanMaterials, target_id: str, path: Path, kind: ReportKind, archive: _Archive | None
+    ) -> Future[Path]:
+        done: Future[Path] = Future()
+
+        def work(job: Job) -> None:
+            def rendering(_step: str, share: float | None) -> None:
+                job.progress("rendering the pictures", SHEET_SHARE * (share or 0.0))
+
+            def writing(what: str, share: float | None) -> None:
+                job.progress(what, SHEET_SHARE + (1.0 - SHEET_SHARE) * (share or 0.0))
+
+            try:
+                if path.name.endswith(PLAN_SUFFIXES):
+                    done.set_result(
+                        export_plan(path, materials.plan, materials.airways.tree, badges=materials.airways.badges)
+                    )
+                    return
+                if archive is not None and not path.name.endswith(".pdf.dcm"):
+                    done.set_result(archive.export(path, materials, job))
+                    return
+                asked = _with_verdicts(self._session, materials, target_id, job)
+                plays = path.suffix == ".html" and kind == "report"
+                sheet = whole_sheet(asked, clips=plays, progress=rendering, cancel=job.cancel)
+                pages = path if archive is None else path.with_suffix("").with_suffix(".pdf")
+                made = write_report(pages, sheet, kind=kind, progress=writing, cancel=job.cancel)
+                if archive is not None:
+                    made = archive.wrap(path, made.read_bytes(), materials, job)
+            except CancelledError:
+                _settle(done, CarinaError("the report was stopped", code="plan.report-stopped"))
+                raise
+            except BaseException as trouble:
+                _settle(done, trouble)
+                raise
+            if not done.cancelled():
+                done.set_result(made)
+
+        self._session.jobs.start("report", "making the report", work)
+        return done
+
+
+@dataclass(frozen=True, slots=True)
+class _Archive:
+    """CT folder and identity setting for the DICOM files of a plan."""
+
+    ct: Path
+    identity: Literal["none", "from the CT"]
+
+    def export(self, path: Path, materials: PlanMaterials, job: Job) -> Path:
+        """Write a segmentation or measurements under the name of the target, and return the path."""
+        job.progress("comparing the CT", None)
+        name = materials.notes[0] if materials.notes else "Target"
+        return export_plan(
+            path,
+            {name: materials.plan},
+            materials.airways.tree,
+            volume=materials.volume,
+            ct=self.ct,
+            identity=self.identity,
+            cancel=job.cancel,
+        )
+
+    def wrap(self, path: Path, pdf: bytes, materials: PlanMaterials, job: Job) -> Path:
+        """Write the report as DICOM PDF, whose pages never name the patient, and return the path."""
+        from carina.export.plan_dicom_pdf import write_plan_pdf
+
+        return write_plan_pdf(
+            path,
+            pdf,
+            names_patient=False,
+            identity=self.identity,
+            volume=materials.volume,
+            ct=self.ct,
+            cancel=job.cancel,
+        )
+
+
+def _with_verdicts(session: Session, materials: PlanMaterials, target_id: str, job: Job) -> PlanMaterials:
+    """Return the planning data after all instrument verdicts are ready, because an incomplete report misleads."""
+    waited = False
+    while session.ask(PlanningOf()).verdicts_standing == "making":
+        waited = True
+        job.progress("waiting for the verdicts on the instruments", None)
+        time.sleep(LOOK_S)
+    return session.ask(PlanToTakeAway(target_id)) if waited else materials
+
+
+def _settle(done: Future[Path], trouble: BaseException) -> None:
+    """Set the exception of the future unless its waiter has cancelled the future."""
+    if not done.cancelled():
+        done.set_exception(trouble)

@@ -1,0 +1,1 @@
+"""The frame pump: choice, resolution and pace of the pictures of a window."""

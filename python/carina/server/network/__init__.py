@@ -1,0 +1,1 @@
+"""Listening, access checks, connection limits, request timeouts and shutdown."""

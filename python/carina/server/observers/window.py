@@ -1,0 +1,187 @@
+"""The window of an observer, who cannot change the case and receives no private data."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from typing import Any
+
+from msgspec.structs import replace
+
+from carina.commands import Command
+from carina.errors import ProtocolError, UsageError
+from carina.server.sockets.rate_limits import FLOOD, FLOOD_WORDS, RateLimit
+from carina.server.windows.window import Host, Window
+from carina.server.wire import messages as wire
+from carina.session import Changed, Event
+from carina.session.state.snapshot import SavingInfo
+
+__all__ = ["WATCHERS_RATE_HZ", "WatchingWindow", "observer_error", "observer_notes"]
+
+ABOUT_THE_SCAN = "import."
+WITHOUT_NAMES = frozenset(
+    {
+        "import.clipped",
+        "import.lossy",
+        "import.not-numbers",
+        "import.orientation-doubted",
+        "import.part-of-stack",
+        "import.rescale-absent",
+        "import.scaling",
+        "import.two-patients",
+    }
+)
+"""Codes whose texts contain only numbers and fixed text."""
+FIXED_WORDS = {"import.not-hu": "the values of this volume are not in Hounsfield units"}
+"""Replacement texts of codes whose original texts quote DICOM tags of the file."""
+ERRORS_WITHOUT_NAMES = frozenset({"session.watching", "session.pick", "session.no-case"})
+
+
+def observer_notes(notes: Sequence[wire.CaseNote]) -> tuple[wire.CaseNote, ...]:
+    """Return the notes that are shown permanently, without file names in their texts."""
+    return tuple(replace(note, words=_words(note)) for note in notes if note.badge)
+
+
+def _words(note: wire.CaseNote) -> str:
+    if not note.code.startswith(ABOUT_THE_SCAN) or note.code in WITHOUT_NAMES:
+        return note.words
+    asks = f"the scan check found a problem ({note.code}): ask the person at the workstation for the details"
+    return FIXED_WORDS.get(note.code, asks)
+
+
+def observer_error(error: wire.Error) -> wire.Error:
+    """Return an error with its code; its text stays only if it cannot contain a file name."""
+    if error.code in ERRORS_WITHOUT_NAMES:
+        return error
+    return replace(error, message=f"this is not available to observers ({error.code})", action=None)
+
+
+WATCHERS_RATE_HZ = 30.0
+"""Frame rate of observers; it is limited to leave processor time to the windows that navigate."""
+MAX_SIDE_PX = 1600
+NOT_FOR_THIS_VOLUME = "not available for this volume"
+FAILED_SEARCH = "no airways were found"
+MESSAGES_PER_S = 600.0
+"""Sustained message limit. With a moving crosshair a 240 Hz page sends 240 positions, 240 probes and 90 acks per s."""
+MESSAGES_AT_ONCE = 1200.0
+INBOX_SHARE = 0.05
+"""Largest share of the event loop's time for messages of an observer; one message takes up to a millisecond."""
+READ_ONLY = (wire.Ack, wire.Layout, wire.Probe, wire.Pick, wire.AskBranchDetail)
+"""Messages, besides commands, that an observer may send; the session refuses commands that are not on its own view."""
+
+
+class WatchingWindow(Window):
+    """Window of an observer: it shows only the case that was open when the observer connected."""
+
+    watches = True
+
+    inbox_share = INBOX_SHARE
+
+    layers = ()
+
+    def __init__(self, number: int, host: Host) -> None:
+        super().__init__(number, host, rate_hz=WATCHERS_RATE_HZ)
+        self._sent_away: str | None = None
+        self._limit = RateLimit(MESSAGES_PER_S, MESSAGES_AT_ONCE, host.clock)
+
+    async def admit(self) -> None:
+        """Count a message, and yield to other tasks of the event loop before the next message is parsed.
+
+        Raises
+        ------
+        ProtocolError
+            With code ``protocol.flood`` above the message limit; the queued messages are then dropped.
+        """
+        if not self._limit.take():
+            self.inbox.drop()
+            raise ProtocolError(FLOOD_WORDS, code=FLOOD)
+        await asyncio.sleep(0)
+
+    def send_away(self, words: str) -> None:
+        """Disconnect the observer, and send the reason ``words``; call this method in the event loop."""
+        self._sent_away = words
+        self.outbox.mark("state")
+
+    @property
+    def ended(self) -> str | None:
+        """Reason why nothing more may be sent; None while the observed case is open.
+
+        The sender reads this property after it has read a message and before it sends the message, so that no message
+        about another case is sent.
+        """
+        if self._sent_away is None and self._session.snapshot(self.number).case is None:
+            return "the case that you were watching was closed"
+        return self._sent_away
+
+    def restored(self, text: str) -> str:
+        """Return the text unchanged, because original file names are not sent to observers."""
+        return text
+
+    def topic_text(self, topic: str) -> str | None:
+        """Return the newest message of a topic as JSON; None for private topics.
+
+        Recorded flights and the list of observers are private. The start message omits the cases of the user.
+        """
+        match topic:
+            case "start":
+                return self._host.texts.watchers_start()
+            case "watching" | "flights":
+                return None
+        return super().topic_text(topic)
+
+    def _state(self) -> wire.State:
+        """Return the state without folders, names of files, texts of series, and the name that the user gave.
+
+        That name is the user's free text, which may be the patient's; the observer reads the neutral alias.
+        """
+        state = super()._state()
+        case = state.case
+        if case is not None:
+            notes = observer_notes(case.notes)
+            case = replace(
+                case,
+                notes=notes,
+                warnings=tuple(note.words for note in notes),
+                not_hu_reason=None,
+                quality=(),
+                other_series=(),
+                # The reason quotes DICOM tags of the file.
+                off=tuple(replace(one, why=NOT_FOR_THIS_VOLUME) for one in case.off),
+                ct_name=None,
+            )
+        # The error text of a failed airway search may contain a file name.
+        airways_words = FAILED_SEARCH if state.airways == "failed" else state.airways_words
+        return replace(
+            state,
+            case=case,
+            badges=observer_notes(state.badges),
+            airways_words=airways_words,
+            saving=SavingInfo(),
+            mask_question=None,
+        )
+
+    def _note(self, event: Event) -> None:
+        """Pass changes alone: messages and errors concern the user at the workstation, and may name files."""
+        if isinstance(event, Changed):
+            super()._note(event)
+
+    def push_error(self, error: wire.Error) -> None:
+        """Send an error without its text where the text may name a file."""
+        super().push_error(observer_error(error))
+
+    def _do(self, message: Any) -> None:
+        if not isinstance(message, (Command, *READ_ONLY)):
+            raise UsageError(
+                "you are watching; only the person at the workstation can do this", code="session.watching"
+            )
+        super()._do(_smaller(message) if isinstance(message, wire.Layout) else message)
+
+
+def _smaller(layout: wire.Layout) -> wire.Layout:
+    """Limit each frame to 1600 pixels per side, to save rendering time; the page enlarges the frames."""
+    views = []
+    for view in layout.views:
+        scale = min(1.0, MAX_SIDE_PX / max(view.width, view.height))
+        width, height = (max(16, round(side * scale)) for side in (view.width, view.height))
+        views.append(replace(view, width=width, height=height))
+    return replace(layout, views=tuple(views))

@@ -1,0 +1,1 @@
+"""Sending, receiving, limits and closing of a WebSocket."""

@@ -1,0 +1,1 @@
+"""Conversion of the session's values to messages."""

@@ -1,0 +1,331 @@
+"""Conversion of session values to wire messages."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from typing import Any, cast
+
+import msgspec
+import numpy as np
+
+from carina.case.document import Document
+from carina.commands import Look
+from carina.render import PictureLines
+from carina.scopes import scope_presets
+from carina.server.wire import messages as wire
+from carina.session import (
+    ChosenRoute,
+    KeyFramesInfo,
+    ListedCase,
+    MaskQuestion,
+    PoseInfo,
+    Snapshot,
+    StorageInfo,
+    WallPoint,
+)
+from carina.volume import Citation, Note, badges_of
+
+__all__ = [
+    "demos",
+    "history_message",
+    "key_frames_message",
+    "picked_message",
+    "picture_lines",
+    "pose_message",
+    "route_message",
+    "start_message",
+    "state_message",
+]
+
+
+def demos(patient_citation: Citation | None) -> tuple[wire.Demo, ...]:
+    """Return the bundled cases."""
+    return (
+        wire.Demo("phantom", "Phantom", "A synthetic chest CT with known airways, generated on this machine.", None),
+        wire.Demo(
+            "patient", "Patient", "A real chest CT, cropped around the airways and anonymised.", patient_citation
+        ),
+    )
+
+
+def start_message(
+    *,
+    notice_accepted: bool,
+    recent: tuple[ListedCase, ...],
+    patient_citation: Citation | None,
+    storage: StorageInfo | None = None,
+) -> wire.Start:
+    """Return the contents of the start page; the message contains no file paths."""
+    cases = tuple(_listed(case) for case in recent)
+    beside = None
+    if storage is not None:
+        beside = wire.Storage(
+            storage.num_cts, storage.ct_bytes, storage.keeps_cts, tuple(_listed(case) for case in storage.forgotten)
+        )
+    scopes = tuple(
+        wire.Scope(s.name, s.title, s.tip_mm, round(s.fit_mm, 2), s.channel_mm, s.fov_deg, s.view_up_deg)
+        for s in scope_presets()
+    )
+    return wire.Start(notice_accepted, cases, demos(patient_citation), scopes, beside)
+
+
+def _listed(case: ListedCase) -> wire.RecentCase:
+    """Return the list entry of a case; the URL of its thumbnail changes with the thumbnail, so browsers reload it."""
+    made_s = case.pictured_s
+    return wire.RecentCase(
+        recent_id=case.recent_id,
+        date=time.strftime("%Y-%m-%d", time.localtime(case.used_s)),
+        title=case.title,
+        used_s=None if case.num_changes is None else case.used_s,
+        begun_s=case.begun_s,
+        num_changes=case.num_changes,
+        num_bytes=case.num_bytes,
+        picture=None if made_s is None else f"api/cases/{case.recent_id}/picture.jpg?made={made_s:.3f}",
+        opens=case.opens,
+        scanned_on=case.scanned_on,
+        named=case.named,
+    )
+
+
+# A frame header lists only some rows of a curved image, and the client interpolates between these rows linearly:
+# every ROWS_APART-th row, at most MAX_ROWS_NAMED rows, because the size of a header is limited.
+ROWS_APART = 6
+MAX_ROWS_NAMED = 130
+
+
+def picture_lines(lines: PictureLines | None) -> wire.PictureLines | None:
+    """Return the geometry of selected rows of a curved image."""
+    if lines is None:
+        return None
+    height = len(lines.path_mm)
+    known = np.flatnonzero(np.isfinite(lines.path_mm))
+    ends = known[[0, -1]] if known.size else np.empty(0, dtype=np.int64)
+    rows = np.unique(
+        np.concatenate([np.arange(0, height, max(ROWS_APART, -(-height // MAX_ROWS_NAMED))), ends, [height - 1]])
+    )
+    places = np.interp(rows, known, lines.path_mm[known]) if known.size else np.zeros(rows.size)
+    return wire.PictureLines(
+        row=_floats(rows + 0.5),
+        start_lps=tuple(_point(p) for p in np.round(lines.start_lps[rows], 3)),
+        # Six digits keep the position error below 0.01 mm over an image width of 4096 px.
+        step_lps=tuple(_point(p) for p in np.round(lines.step_lps[rows], 6)),
+        path_mm=_floats(np.round(places, 3)),
+        path_column=_floats(np.round(lines.path_column[rows], 2)),
+        mm_per_px=lines.mm_per_px,
+    )
+
+
+def _case(snapshot: Snapshot, *, names_ct: bool) -> wire.CaseInfo | None:
+    case = snapshot.case
+    if case is None:
+        return None
+    volume = case.volume
+    source = volume.source
+    return wire.CaseInfo(
+        title=snapshot.neutral_title,
+        format=source.format,
+        is_hu=volume.is_hu,
+        not_hu_reason=volume.not_hu_reason,
+        shape_zyx=volume.shape_zyx,
+        spacing_mm=volume.spacing_mm,
+        lps_from_ijk=_flat(volume.lps_from_ijk),
+        value_range=(float(case.value_range[0]), float(case.value_range[1])),
+        warnings=tuple(source.warnings),
+        notes=_notes(source.notes),
+        quality=case.quality,
+        other_series=tuple(
+            wire.OtherSeries(s.key, s.modality, s.description, s.num_slices, s.refused) for s in source.other_series
+        ),
+        citation=source.citation,
+        off=tuple(wire.FeatureOff(o.what, o.why) for o in case.off),
+        number=snapshot.case_number,
+        ct_name=source.title if names_ct else None,
+    )
+
+
+def _notes(notes: Sequence[Note]) -> tuple[wire.CaseNote, ...]:
+    return tuple(wire.CaseNote(note.code, note.words, note.badge) for note in notes)
+
+
+def state_message(snapshot: Snapshot, *, frame_rate_hz: float, names_ct: bool = False) -> wire.State:
+    """Return the state of a case without the pose, the airway tree and the route.
+
+    ``names_ct`` adds the name of the CT file, which only the user at this machine may read.
+    """
+    document = snapshot.document
+    airways = None if document is None else document.airways
+    return wire.State(
+        case=_case(snapshot, names_ct=names_ct),
+        stage=snapshot.stage,
+        airways=snapshot.airways,
+        airways_words=snapshot.airways_words,
+        mode=snapshot.mode,
+        look=Look() if document is None else document.look,
+        sight=snapshot.sight,
+        transfer="" if document is None else document.transfer.name,
+        transfer_document=None if document is None else document.transfer.to_json(),
+        transfer_presets=snapshot.transfer_presets,
+        targets=() if document is None else tuple(_target(t) for t in document.targets),
+        route_id=None if document is None or document.route is None else document.route.route_id,
+        can_undo=snapshot.undo_label,
+        can_redo=snapshot.redo_label,
+        root_lps=None if airways is None else _point(airways.root_lps),
+        lumen_threshold=_threshold(document),
+        frame_rate_hz=frame_rate_hz,
+        airways_from=None if airways is None else "mask" if math.isnan(airways.threshold) else "search",
+        mask_question=_mask_question(snapshot.mask_question),
+        badges=() if snapshot.case is None else _notes(badges_of(snapshot.case.volume, airways)),
+        saving=snapshot.saving,
+    )
+
+
+def _mask_question(question: MaskQuestion | None) -> wire.MaskQuestion | None:
+    if question is None:
+        return None
+    return wire.MaskQuestion(
+        title=question.title,
+        problem=question.problem,
+        labels=tuple(wire.MaskLabel(one.number, one.name, round(one.volume_ml, 3)) for one in question.labels),
+        suggested=question.suggested,
+        expected=question.expected,
+        found=question.found,
+        share_inside=question.share_inside,
+    )
+
+
+def _target(target: Any) -> wire.Target:
+    return wire.Target(
+        target_id=target.target_id,
+        name=target.name,
+        lps=target.lps,
+        used_lps=target.used_lps,
+        snapped_mm=target.snapped_mm,
+        length_mm=target.length_mm,
+        problem=target.problem,
+        cost=target.cost,
+        root_lps=target.root_lps,
+        outside_mm=target.outside_mm,
+        value_range=target.value_range,
+        note=target.note,
+        priority=target.priority,
+        has_size=target.lesion is not None,
+    )
+
+
+def _threshold(document: Document | None) -> float | None:
+    """Return the lumen threshold of the present airways or, before a search, of the next search."""
+    if document is None:
+        return None
+    if document.airways is None:
+        return document.lumen_threshold
+    # NaN becomes None: an imported lumen mask has no threshold.
+    threshold = float(document.airways.threshold)
+    return None if math.isnan(threshold) else threshold
+
+
+def route_message(route: ChosenRoute | None) -> wire.Route:
+    """Return the route message; the lists per route point have equal lengths."""
+    if route is None:
+        return wire.Route(None)
+    info = wire.RouteInfo(
+        route_id=route.route_id,
+        title=route.title,
+        target_id=route.target_id,
+        branch_id=route.branch_id,
+        points_lps=tuple(_point(p) for p in np.round(route.points_lps, 3)),
+        cumulative_mm=_floats(np.round(route.cumulative_mm, 3)),
+        generation=tuple(int(g) for g in route.generation),
+        radius_mm=_floats(np.round(route.radius_mm, 3)),
+        wall_mm=_floats(np.round(route.wall_mm, 3)),
+        forks_mm=tuple(round(mm, 3) for mm in route.forks_mm),
+        lookouts_mm=tuple(round(mm, 3) for mm in route.lookouts_mm),
+        spans=tuple(
+            wire.RouteSpan(s.branch_id, s.name, s.generation, s.from_mm, s.to_mm, cast(Any, s.kind))
+            for s in route.spans
+        ),
+        length_mm=route.length_mm,
+        drawn_mm=round(route.drawn.drawn_mm, 2),
+        bridge_mm=round(route.drawn.bridge_mm, 2),
+        lumen_known=route.lumen_known,
+        needle=route.needle,
+    )
+    return wire.Route(info)
+
+
+def pose_message(info: PoseInfo) -> wire.Pose:
+    """Return the pose message of the present pose."""
+    return wire.Pose(
+        pose_id=info.pose_id,
+        lps_from_camera=_flat(info.pose.lps_from_camera),
+        mode=info.mode,
+        path_mm=info.path_mm,
+        branch_id=None if info.branch is None else info.branch.id,
+        branch_name=None if info.branch is None else info.branch.name,
+        generation=None if info.branch is None else info.branch.generation,
+        lumen_mm=info.lumen_mm,
+        inside=info.inside,
+        scope=_held(info),
+        key_frames_s=info.key_frames_s,
+        flight=info.flight,
+        by_device=info.by_device,
+    )
+
+
+def _held(info: PoseInfo) -> wire.HeldScope | None:
+    state = info.scope
+    if state is None:
+        return None
+    contact = state.contact
+    return wire.HeldScope(
+        insertion_mm=round(state.insertion_mm, 3),
+        roll_rad=round(state.roll_rad, 6),
+        flexion_rad=round(state.flexion_rad, 6),
+        red_out=min(max(state.red_out, 0.0), 1.0),
+        limit=state.limit,
+        needs_mm=None if state.passable_mm is None else round(state.passable_mm, 2),
+        tip_mm=info.scope_tip_mm,
+        contact_mm=None if contact is None else round(contact.depth_mm, 3),
+        num_contacts=state.record.count,
+        contact_s=round(state.record.time_s, 3),
+    )
+
+
+def key_frames_message(info: KeyFramesInfo) -> wire.KeyFrames:
+    """Return the key frames and the flight through them."""
+    return wire.KeyFrames(**msgspec.structs.asdict(info))
+
+
+def history_message(snapshot: Snapshot) -> wire.History:
+    """Return the changes that can be undone and redone."""
+    steps = tuple(wire.HistoryStep(step.label, round(step.at_s, 3)) for step in snapshot.steps)
+    return wire.History(steps, snapshot.position)
+
+
+def picked_message(pick_id: int, wall: WallPoint | None, depth_mm: float | None) -> wire.Picked:
+    """Return the wall position under a click in the airway view; all fields are None if the click missed the wall."""
+    if wall is None:
+        return wire.Picked(pick_id, None, None, None, None, None, None)
+    return wire.Picked(
+        pick_id=pick_id,
+        lps=wall.lps,
+        depth_mm=depth_mm,
+        voxel_value=wall.voxel_value,
+        branch_id=None if wall.branch is None else wall.branch.id,
+        branch_name=None if wall.branch is None else wall.branch.name,
+        generation=None if wall.branch is None else wall.branch.generation,
+    )
+
+
+def _flat(matrix: Any) -> tuple[float, ...]:
+    return tuple(float(v) for v in np.asarray(matrix, dtype=np.float64).ravel())
+
+
+def _floats(values: Any) -> tuple[float, ...]:
+    return tuple(float(v) for v in values)
+
+
+def _point(values: Any) -> tuple[float, float, float]:
+    x, y, z = values
+    return float(x), float(y), float(z)

@@ -1,0 +1,1 @@
+"""Connected windows: commands in, messages out, and answers while the user points."""

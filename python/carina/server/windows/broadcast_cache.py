@@ -1,0 +1,185 @@
+"""Cache of encoded messages that are the same for every window; the airway tree is encoded in a thread."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable
+from typing import Any
+
+from carina.commands import LungsOf, PlanningOf
+from carina.errors import UsageError
+from carina.server.to_wire.lungs import lungs_message
+from carina.server.to_wire.plan import plans_message
+from carina.server.to_wire.session import key_frames_message, route_message, start_message
+from carina.server.to_wire.tree import tree_message
+from carina.server.windows.outbox import Outbox
+from carina.server.wire import messages as wire
+from carina.session import Session, log_fault
+from carina.volume import Citation
+
+__all__ = ["SharedTexts"]
+
+logger = logging.getLogger(__name__)
+
+
+class SharedTexts:
+    """Cache of the encoded messages of the topics that do not depend on the window; used from the event loop only.
+
+    Parameters
+    ----------
+    session
+        Session whose state the messages describe.
+    patient_citation
+        Citation of the bundled patient, for the start page.
+    tell
+        Sends an error message to all windows if a tree cannot be encoded.
+    """
+
+    def __init__(self, session: Session, patient_citation: Citation | None, tell: Callable[[Any], None]) -> None:
+        self._session = session
+        self._patient_citation = patient_citation
+        self._tell = tell
+        self._known: dict[str, tuple[tuple[object, ...], str]] = {}
+        self._writing: asyncio.Task[None] | None = None
+        self._waiting: dict[Outbox, set[str]] = {}
+        """Topics to mark for each window after the tree is encoded."""
+        self._unwritable: tuple[Any, Any] | None = None
+        """Airways and measures whose tree could not be encoded; no topic waits for this tree."""
+
+    def mark(self, outbox: Outbox, *topics: str) -> None:
+        """Send the given topics to a window again.
+
+        Encoding a tree of some hundred branches takes a third of a second. The topics ``tree`` and ``route`` are
+        therefore marked after the encoding in a thread, while poses and pictures are sent without delay.
+        """
+        waits: set[str] = set()
+        if "tree" in topics and (self._writing is not None or not self._is_known("tree", *self._newest_tree())):
+            # The route is included even if it is not marked, because route() returned None while the tree was missing.
+            waits = {"tree", "route"}
+        elif self._writing is not None:
+            waits = {"route"} & set(topics)
+        outbox.mark(*(t for t in topics if t not in waits))
+        if waits:
+            self._waiting.setdefault(outbox, set()).update(waits)
+            if self._writing is None:
+                self._writing = asyncio.get_running_loop().create_task(self._write_tree())
+
+    def start(self) -> str:
+        """Return the encoded content of the start page."""
+        store, cases = self._session.store, self._session.cases
+        return wire.encode_message(
+            start_message(
+                notice_accepted=store is not None and store.notice_accepted(),
+                recent=cases.listed(),
+                patient_citation=self._patient_citation,
+                storage=cases.storage(),
+            )
+        )
+
+    def watchers_start(self) -> str:
+        """Return the encoded start page for a watching window, without the user's cases."""
+        return wire.encode_message(
+            start_message(notice_accepted=True, recent=(), patient_citation=self._patient_citation, storage=None)
+        )
+
+    def tree(self) -> str | None:
+        """Return the encoded airway tree; None while the latest tree is not encoded, which marks the topic later."""
+        return self._tree_text() if self._is_known("tree", *self._newest_tree()) else None
+
+    def route(self) -> str | None:
+        """Return the encoded present route; None while the tree of the route is not encoded.
+
+        After the tree is encoded, the topics of both are marked.
+        """
+        # One snapshot for tree and route: two snapshots could contain a route through another tree.
+        snapshot = self._session.snapshot()
+        newest, document = _tree_of(snapshot), snapshot.document
+        if not self._is_known("tree", *newest) and not _are_same(newest, self._unwritable):
+            return None
+        route = None if document is None else document.route
+        return self._cached("route", lambda: route_message(route), route)
+
+    def key_frames(self) -> str:
+        """Return the encoded key frames."""
+        return wire.encode_message(key_frames_message(self._session.key_frames_info()))
+
+    def plans(self) -> str:
+        """Return the encoded plans of the open case; an empty message without a case."""
+        try:
+            info = self._session.ask(PlanningOf())
+        except UsageError:
+            # No case is open, or it has just been closed.
+            return wire.encode_message(wire.Plans((), "unwanted", (), "unwanted", ()))
+        planned = (value for one in info.targets for value in (one.target, one.planned))
+        shown = (info.document.route, info.standing, info.verdicts_standing, info.verdicts, info.turns)
+        state = (*shown, info.dicom_problem)
+        return self._cached("plan", lambda: plans_message(info), *state, *planned)
+
+    def lungs(self) -> str:
+        """Return the encoded lung map of the open case; an empty message without a case."""
+        try:
+            info = self._session.ask(LungsOf())
+        except UsageError:
+            return wire.encode_message(wire.Lungs("unwanted", "unwanted", (), (), (), "", (), False))
+        made = (info.lungs, info.reach, info.stations, info.outdated)
+        standing = (info.standing, info.problem, info.reach_standing, info.reach_problem)
+        return self._cached("lungs", lambda: lungs_message(info), *made, *standing)
+
+    def flights(self) -> str:
+        """Return the encoded list of flights recorded in the case."""
+        return wire.encode_message(wire.Flights(self._session.snapshot().flights))
+
+    def _tree_text(self) -> str:
+        """Return the encoded latest tree; may be called from any thread."""
+        airways, measures = self._newest_tree()
+        return self._cached("tree", lambda: tree_message(airways, measures), airways, measures)
+
+    def _newest_tree(self) -> tuple[Any, Any]:
+        return _tree_of(self._session.snapshot())
+
+    async def _write_tree(self) -> None:
+        is_written = False
+        try:
+            # Repeat until the text is stable: the tree can change during the encoding.
+            known = None
+            while known != (known := await asyncio.to_thread(self._tree_text)):
+                pass
+            is_written = True
+        except Exception as trouble:
+            self._unwritable = self._newest_tree()
+            log_fault(logger, "the airway tree could not be prepared for the window", trouble)
+            words = f"the airway tree cannot be shown: internal error in Carina ({type(trouble).__name__})"
+            self._tell(wire.Error("carina.fault", words, None))
+        finally:
+            self._writing = None
+            waiting, self._waiting = self._waiting, {}
+            for outbox, topics in waiting.items():
+                if is_written:
+                    # mark() checks again for a newer tree, which is encoded before a route through it is sent.
+                    self.mark(outbox, *topics)
+                else:
+                    outbox.mark(*topics)
+
+    def _cached(self, topic: str, message: Callable[[], Any], *values: object) -> str:
+        """Return the cached text of a topic, and encode it anew only if one of ``values`` is another object."""
+        if not self._is_known(topic, *values):
+            self._known[topic] = (values, wire.encode_message(message()))
+        return self._known[topic][1]
+
+    def _is_known(self, topic: str, *values: object) -> bool:
+        known = self._known.get(topic)
+        return known is not None and _are_same(values, known[0])
+
+
+def _tree_of(snapshot: Any) -> tuple[Any, Any]:
+    """Return the present airways and their measures; None for each that is missing."""
+    airways = None if snapshot.document is None else snapshot.document.airways
+    return airways, getattr(snapshot, "measures", None)
+
+
+def _are_same(values: tuple[object, ...], others: tuple[object, ...] | None) -> bool:
+    """Return whether two tuples contain the identical objects (``is``) in the same order."""
+    if others is None or len(values) != len(others):
+        return False
+    return all(a is b for a, b in zip(values, others, strict=True))

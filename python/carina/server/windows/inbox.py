@@ -1,0 +1,159 @@
+"""Queue of received messages of one window, which merges movements and drops superseded settings.
+
+The web client sends one movement per screen refresh. A script can send a thousand a second, each of which takes
+milliseconds; without merging, all other work of the server would wait.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from carina.commands import Command
+from carina.server.wire import messages as wire
+
+__all__ = ["Inbox"]
+
+STEER_EVERY_S = 0.004
+"""Seconds between two movements below which they are merged; a screen shows at most 240 pictures a second."""
+MAX_WAITING = 64
+"""Number of queued messages above which the server stops reading from the socket."""
+LONGEST_PAUSE_S = 0.1
+"""Maximum pause in seconds between two messages of a client whose share of the time is limited."""
+MAX_ADVANCE_MM = 1000.0
+MAX_TURN_RAD = 7.0
+NEWEST_ONLY = (
+    wire.SetOrbit,
+    wire.SetZoom,
+    wire.SetCarm,
+    wire.SetReformation,
+    wire.SetSlab,
+    wire.SetCrosshair,
+    wire.SetWindow,
+    wire.SetFov,
+    wire.GoTo,
+    wire.Probe,
+    wire.AskLivePath,
+    wire.AskBranchDetail,
+    wire.Layout,
+)
+"""Message types of which the first of two consecutive messages, with equal ``view`` if they have one, is dropped."""
+
+
+class Inbox:
+    """Queue of the messages of one window, in order; used from the event loop only.
+
+    Parameters
+    ----------
+    handle
+        Handles one message synchronously; must not raise.
+    handled
+        Called after each command with the number of commands that were executed, refused or superseded so far.
+    share
+        Maximum share of the event loop's time for these messages, more than 0 and at most 1.
+    """
+
+    def __init__(
+        self,
+        handle: Callable[[Any], None],
+        handled: Callable[[int], None] = lambda _number: None,
+        *,
+        share: float = 1.0,
+    ) -> None:
+        self._handle = handle
+        self._handled = handled
+        self._pause_per_s = 1.0 / share - 1.0
+        self._waiting: deque[tuple[int, Any]] = deque()
+        """Queued messages, each with the number of commands received up to it, merged commands included."""
+        self._num_commands = 0
+        self._num_handled = 0
+        self._changed = asyncio.Event()
+        self._room = asyncio.Event()
+        self._room.set()
+        self._steered_s = float("-inf")
+
+    @property
+    def num_waiting(self) -> int:
+        """Number of queued messages."""
+        return len(self._waiting)
+
+    async def put(self, message: Any) -> None:
+        """Queue a message, or merge it into the last one; wait while the queue is full."""
+        await self._room.wait()
+        self._num_commands += isinstance(message, Command)
+        if self._waiting and (merged := _merged(self._waiting[-1][1], message)) is not None:
+            self._waiting[-1] = self._num_commands, merged
+            return
+        self._waiting.append((self._num_commands, message))
+        if len(self._waiting) >= MAX_WAITING:
+            self._room.clear()
+        self._changed.set()
+
+    async def work(self) -> None:
+        """Handle messages until cancelled, and yield to the event loop after each message."""
+        loop = asyncio.get_running_loop()
+        try:
+            await self._work(loop)
+        finally:
+            self._room.set()
+
+    async def _work(self, loop: asyncio.AbstractEventLoop) -> None:
+        while True:
+            await self._changed.wait()
+            if len(self._waiting) == 1 and self._is_steer_next():
+                # Wait for further movements to merge; no other message of this window is delayed.
+                soon_s = self._steered_s + STEER_EVERY_S - loop.time()
+                if soon_s > 0.0:
+                    await asyncio.sleep(soon_s)
+            if self._is_steer_next():
+                self._steered_s = loop.time()
+            begun_s = loop.time()
+            self._do_next()
+            await asyncio.sleep(min(self._pause_per_s * (loop.time() - begun_s), LONGEST_PAUSE_S))
+
+    def _is_steer_next(self) -> bool:
+        return bool(self._waiting) and isinstance(self._waiting[0][1], wire.Steer)
+
+    def drop(self) -> None:
+        """Drop all queued messages, after a client has sent too many."""
+        self._waiting.clear()
+        self._changed.clear()
+        self._room.set()
+
+    def finish(self) -> None:
+        """Handle all queued messages now, after the client has disconnected."""
+        while self._waiting:
+            self._do_next()
+
+    def _do_next(self) -> None:
+        if self._waiting:
+            num_commands, message = self._waiting.popleft()
+            self._room.set()
+            if not self._waiting:
+                self._changed.clear()
+            self._handle(message)
+            if num_commands != self._num_handled:
+                self._num_handled = num_commands
+                self._handled(num_commands)
+
+
+def _merged(before: Any, after: Any) -> Any:
+    """Return one message with the effect of two consecutive messages; None if they cannot be merged."""
+    if type(before) is not type(after):
+        return None
+    if isinstance(after, wire.Steer):
+        return _sum(before, after)
+    if isinstance(after, NEWEST_ONLY) and getattr(before, "view", None) == getattr(after, "view", None):
+        return after
+    return None
+
+
+def _sum(a: wire.Steer, b: wire.Steer) -> wire.Steer | None:
+    """Return the sum of two movements; None if the sum exceeds the limits of one message."""
+    summed = wire.Steer(
+        a.advance_mm + b.advance_mm, a.yaw_rad + b.yaw_rad, a.pitch_rad + b.pitch_rad, a.roll_rad + b.roll_rad
+    )
+    turns = max(abs(summed.yaw_rad), abs(summed.pitch_rad), abs(summed.roll_rad))
+    return summed if abs(summed.advance_mm) <= MAX_ADVANCE_MM and turns <= MAX_TURN_RAD else None

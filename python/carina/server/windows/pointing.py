@@ -1,0 +1,218 @@
+"""Answers to requests that follow the cursor: live path, preview of an edit, measurements along a branch."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from carina.commands import LivePathTo, LumenBeforeWall, MeasuresOf, PreviewOf
+from carina.errors import CarinaError, UsageError
+from carina.server.to_wire.thin_points import thinned
+from carina.server.to_wire.tree import branch_detail_message
+from carina.server.windows.latest_only import NewestOnly
+from carina.server.wire import messages as wire
+from carina.session import NotEvident, Session, log_fault
+from carina.track import AddBranch, Bridge, EditPreview, MoveFork
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from carina.server.frames.pump import ShownPicture
+
+__all__ = ["Pointing", "edit_preview_message", "live_path_message", "no_evidence_message"]
+
+logger = logging.getLogger(__name__)
+
+
+class Pointing:
+    """Worker that answers the latest request of each kind in its own thread.
+
+    Parameters
+    ----------
+    session
+        Session that computes the answers.
+    shown
+        Returns the airway picture of a frame id, or None if it is no longer stored.
+    push
+        Sends the answer; called from the thread of the worker.
+    """
+
+    def __init__(
+        self, session: Session, shown: Callable[[int], ShownPicture | None], push: Callable[[Any], None]
+    ) -> None:
+        self._session = session
+        self._shown = shown
+        self._push = push
+        self._newest = NewestOnly("carina-pointing")
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._newest.start()
+
+    def end(self) -> None:
+        """End the thread after the answer in progress, without waiting for the thread."""
+        self._newest.end()
+
+    def stop(self) -> None:
+        """End the thread and wait for the answer in progress."""
+        self._newest.stop()
+
+    @property
+    def thread(self) -> threading.Thread:
+        """Thread that answers the requests."""
+        return self._newest.thread
+
+    def ask_live_path(self, message: wire.AskLivePath) -> None:
+        """Queue a request for the live path to a position; the answer contains the message of any error."""
+        self._newest.ask("live_path", lambda: self._answer_live_path(message))
+
+    def ask_edit_preview(self, message: wire.AskEditPreview) -> None:
+        """Queue a request for the preview of an edit; the answer contains the message of any error."""
+        self._newest.ask("edit_preview", lambda: self._answer_edit_preview(message))
+
+    def ask_branch_detail(self, message: wire.AskBranchDetail) -> None:
+        """Queue a request for the measurements along a branch."""
+        self._newest.ask("branch_detail", lambda: self._answer_branch_detail(message))
+
+    def _answer_live_path(self, message: wire.AskLivePath) -> None:
+        lps = None
+        try:
+            lps = self._place(message)
+            path = self._session.ask(LivePathTo(lps))
+            answer = live_path_message(message.request_id, lps, path)
+        except CarinaError as trouble:
+            answer = _no_path(message.request_id, str(trouble), lps)
+        except Exception as trouble:
+            log_fault(logger, "could not calculate the live path", trouble)
+            answer = _no_path(
+                message.request_id,
+                f"no path through the airways could be calculated: internal error in Carina ({type(trouble).__name__})",
+            )
+        self._push(answer)
+
+    def _answer_edit_preview(self, message: wire.AskEditPreview) -> None:
+        lps = None
+        try:
+            lps = self._place(message)
+            answer = edit_preview_message(message, lps, self._session.ask(PreviewOf(_previewed(message, lps))))
+        except CarinaError as trouble:
+            answer = _no_preview(message, lps, str(trouble))
+        except Exception as trouble:
+            log_fault(logger, "the preview of an edit failed", trouble)
+            answer = _no_preview(
+                message, lps, (f"the preview could not be made: internal error in Carina ({type(trouble).__name__})")
+            )
+        self._push(answer)
+
+    def _place(self, message: wire.AskLivePath | wire.AskEditPreview) -> tuple[float, float, float]:
+        if message.lps is not None:
+            x, y, z = message.lps
+            return x, y, z
+        assert message.frame_id is not None
+        assert message.column is not None
+        assert message.row is not None
+        shown = self._shown(message.frame_id)
+        if shown is None:
+            raise UsageError("the view has changed since you moved the cursor; move it again", code="session.pick")
+        hit = shown.wall_at(message.column, message.row)
+        if hit is None:
+            raise UsageError("there is no airway wall under the cursor", code="session.pick")
+        x, y, z = (float(v) for v in hit.position_lps)
+        lens = shown.view.pose.position_lps
+        return self._session.ask(LumenBeforeWall((x, y, z), (float(lens[0]), float(lens[1]), float(lens[2]))))
+
+    def _answer_branch_detail(self, message: wire.AskBranchDetail) -> None:
+        measures = None
+        try:
+            measures = self._session.ask(MeasuresOf(message.branch_id))
+        except CarinaError as trouble:
+            # The tree has changed since the request; the page requests again after it receives the new tree.
+            logger.debug("no measures: %s", trouble)
+        except Exception as trouble:
+            log_fault(logger, "measuring a branch failed", trouble)
+        self._push(branch_detail_message(message, measures))
+
+
+def live_path_message(request_id: int, lps: tuple[float, float, float], path: Any) -> wire.LivePath:
+    """Return a :class:`carina.track.LivePath` as a message, with fewer points."""
+    if path.problem is not None:
+        return _no_path(request_id, path.problem, lps)
+    points = np.asarray(path.points_lps, dtype=np.float64).reshape(-1, 3)
+    return wire.LivePath(
+        request_id=request_id,
+        lps=lps,
+        points_lps=tuple((float(x), float(y), float(z)) for x, y, z in np.round(thinned(points), 2)),
+        length_mm=_rounded(path.length_mm),
+        min_diameter_mm=None if path.min_radius_mm is None else _rounded(2.0 * path.min_radius_mm),
+        confidence=None if path.confidence is None else round(min(1.0, max(0.0, float(path.confidence))), 3),
+        snapped_mm=_rounded(path.snapped_mm),
+        new_mm=_rounded(path.new_mm),
+        joins_branch_id=path.joins_branch_id,
+        problem=None,
+    )
+
+
+def _no_path(request_id: int, problem: str, lps: tuple[float, float, float] | None = None) -> wire.LivePath:
+    return wire.LivePath(request_id, lps, (), None, None, None, None, None, None, problem)
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None or not np.isfinite(value) else round(float(value), 2)
+
+
+def edit_preview_message(
+    message: wire.AskEditPreview, lps: tuple[float, float, float], preview: EditPreview
+) -> wire.EditPreview:
+    """Return a :class:`carina.track.EditPreview` as a message, with every point that the edit would create."""
+    if preview.problem is not None:
+        return _no_preview(message, lps, preview.problem)
+    return wire.EditPreview(
+        request_id=message.request_id,
+        tool=message.tool,
+        lps=lps,
+        lines=tuple(_line(line.points_lps, line.doubtful, line.drawn) for line in preview.lines),
+        length_mm=_rounded(preview.length_mm),
+        doubtful_mm=_rounded(preview.doubtful_mm),
+        has_evidence=preview.has_evidence,
+        problem=None,
+    )
+
+
+def no_evidence_message(event: NotEvident) -> wire.NoEvidence:
+    """Return the message that asks the user whether to draw a branch by hand."""
+    error = event.error
+    length_mm = float(np.linalg.norm(np.diff(error.way_lps, axis=0), axis=1).sum())
+    return wire.NoEvidence(
+        job_id=event.job_id,
+        code="track.no-evidence",
+        message=str(error),
+        lps=event.lps,
+        line=_line(error.way_lps, error.doubtful, np.ones(len(error.doubtful), dtype=bool)),
+        length_mm=round(length_mm, 2),
+        doubtful_mm=round(error.doubtful_mm, 2),
+    )
+
+
+def _line(points_lps: NDArray[np.float64], doubtful: NDArray[np.bool_], drawn: NDArray[np.bool_]) -> wire.EditLine:
+    # The points are not rounded, because the edit creates the branch with exactly these points.
+    points = tuple((float(x), float(y), float(z)) for x, y, z in points_lps)
+    return wire.EditLine(points, tuple(bool(d) for d in doubtful), tuple(bool(d) for d in drawn))
+
+
+def _no_preview(message: wire.AskEditPreview, lps: tuple[float, float, float] | None, problem: str) -> wire.EditPreview:
+    return wire.EditPreview(message.request_id, message.tool, lps, (), None, None, False, problem)
+
+
+def _previewed(message: wire.AskEditPreview, lps: tuple[float, float, float]) -> AddBranch | Bridge | MoveFork:
+    match message.tool:
+        case "add-branch":
+            return AddBranch(lps)
+        case "bridge":
+            return Bridge(lps)
+        case "move-fork":
+            assert message.branch_id is not None
+            return MoveFork(message.branch_id, lps)

@@ -1,0 +1,172 @@
+"""The messages between server and client, gathered, and how they are read and written (prose: ``protocol/README.md``).
+
+What a client asks of the case are the commands of :mod:`carina.commands`. The connection's own messages stand in
+``messages_from_client.py``, ``messages_from_server.py``, ``messages_of_tree.py``, ``messages_of_edits.py``,
+``messages_of_key_frames.py``, ``messages_of_plan.py``, ``messages_of_devices.py`` and ``messages_of_phone.py``
+(between the server and a phone's page, on a socket of its own). Writing a class there is all that a new message needs.
+
+``web/src/wire/messages.ts`` and ``protocol/schema.json`` are generated from them by
+``python -m carina.server.wire.generate``; a test fails when they drift apart. World is LPS mm, matrices are 4x4
+row-major, units are in the names. Numbers are bounded so that no client can ask for a picture or a volume of any size.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+from carina import version
+from carina.commands import *  # noqa: F403
+from carina.commands.value import Command
+from carina.errors import ProtocolError
+from carina.server.wire.codec import (
+    ClientMessage,
+    PhoneMessage,
+    ServerMessage,
+    ToPhoneMessage,
+    by_type,
+    decode,
+    encode,
+    read_fields,
+    split_picture,
+)
+from carina.server.wire.messages_from_client import *  # noqa: F403
+from carina.server.wire.messages_from_server import *  # noqa: F403
+from carina.server.wire.messages_from_server import PictureHeader
+from carina.server.wire.messages_of_devices import *  # noqa: F403
+from carina.server.wire.messages_of_edits import *  # noqa: F403
+from carina.server.wire.messages_of_key_frames import *  # noqa: F403
+from carina.server.wire.messages_of_phone import *  # noqa: F403
+from carina.server.wire.messages_of_plan import *  # noqa: F403
+from carina.server.wire.messages_of_tree import *  # noqa: F403
+from carina.session.attach.messages import *  # noqa: F403
+from carina.session.attach.messages import JoinMessage, ToJoinMessage
+
+WIRE_VERSION = version.WIRE_VERSION
+
+CLOSE_CODES: dict[str, int] = {
+    "protocol.malformed": 4400,
+    "protocol.not-authorised": 4401,
+    "protocol.version": 4402,
+    "protocol.order": 4403,
+    "protocol.taken-over": 4409,
+    "protocol.case-closed": 4410,
+    "protocol.slow-client": 4413,
+    "protocol.flood": 4414,
+    "protocol.too-many-windows": 4429,
+    "protocol.watching-ended": 4410,
+}
+"""Why the server closes a socket; each comes with one sentence."""
+
+
+CLIENT_MESSAGES = by_type(Command, ClientMessage)
+SERVER_MESSAGES = by_type(ServerMessage)
+PHONE_MESSAGES = by_type(PhoneMessage)
+TO_PHONE_MESSAGES = by_type(ToPhoneMessage)
+JOIN_MESSAGES = by_type(Command, JoinMessage)
+TO_JOIN_MESSAGES = by_type(ToJoinMessage)
+MAX_PHONE_BYTES = 2048
+"""Largest message of a phone; its samples have 200."""
+
+
+def parse_client_message(text: str | bytes, *, max_bytes: int = 262_144) -> Any:
+    """One message of a client.
+
+    Raises
+    ------
+    ProtocolError
+        With a ``protocol.*`` code and one sentence.
+    """
+    return decode(CLIENT_MESSAGES, text, max_bytes=max_bytes)
+
+
+def parse_phone_message(text: str | bytes) -> Any:
+    """One message of the page for a phone.
+
+    Raises
+    ------
+    ProtocolError
+        With a ``protocol.*`` code and one sentence.
+    """
+    return decode(PHONE_MESSAGES, text, max_bytes=MAX_PHONE_BYTES)
+
+
+def parse_to_phone_message(text: str | bytes) -> Any:
+    """One message of the server to a phone's page; for tests."""
+    return decode(TO_PHONE_MESSAGES, text, max_bytes=MAX_PHONE_BYTES)
+
+
+def parse_join_message(text: str | bytes) -> Any:
+    """One message of a program that joins a case: a command, or one of its own.
+
+    Raises
+    ------
+    ProtocolError
+        With a ``protocol.*`` code and one sentence.
+    """
+    return decode(JOIN_MESSAGES, text)
+
+
+def parse_to_join_message(text: str | bytes) -> Any:
+    """One message of the server to it."""
+    return decode(TO_JOIN_MESSAGES, text, max_bytes=64 * 1024 * 1024)
+
+
+def parse_server_message(text: str | bytes, *, max_bytes: int = 64 * 1024 * 1024) -> Any:
+    """One text message of the server; for programs and tests."""
+    return decode(SERVER_MESSAGES, text, max_bytes=max_bytes)
+
+
+def parse_picture(data: bytes) -> tuple[PictureHeader, bytes]:
+    """One binary message: header and payload. The payload must begin as its codec does."""
+    fields, payload = split_picture(data)
+    header = read_fields(PictureHeader, fields, "picture")
+    magic = b"\xff\xd8\xff" if header.codec == "jpeg" else b"\x89PNG\r\n\x1a\n"
+    if not payload.startswith(magic):
+        raise ProtocolError(f"the payload of an image message is not {header.codec.upper()}", code="protocol.picture")
+    end = len(payload)
+    if header.outline is not None:
+        _line_places(payload, end, header.outline.num_bytes)
+        end -= header.outline.num_bytes
+    for layer in reversed(header.layers):
+        _line_places(payload, end, layer.num_bytes)
+        end -= layer.num_bytes
+    return header, payload
+
+
+def split_outline(header: PictureHeader, payload: bytes) -> tuple[bytes, tuple[tuple[tuple[float, float], ...], ...]]:
+    """Split a payload into the picture and the lines of the outline: columns and rows in pixels of the picture.
+
+    Raises
+    ------
+    ProtocolError
+        ``protocol.picture`` if the outline is longer than the payload, or ends within a line.
+    """
+    if header.outline is None:
+        return payload, ()
+    lines = []
+    for start, count in _line_places(payload, len(payload), header.outline.num_bytes):
+        values = struct.unpack_from(f"<{2 * count}H", payload, start)
+        lines.append(tuple((c / 16.0, r / 16.0) for c, r in zip(values[::2], values[1::2], strict=True)))
+    num_layers = sum(layer.num_bytes for layer in header.layers)
+    return payload[: len(payload) - header.outline.num_bytes - num_layers], tuple(lines)
+
+
+def _line_places(payload: bytes, end: int, num_bytes: int) -> list[tuple[int, int]]:
+    """Where the points of each line begin, and how many they are, in the bytes before an end."""
+    at = end - num_bytes
+    if at <= 0:
+        raise ProtocolError("the outline in an image message leaves no room for the image", code="protocol.picture")
+    places = []
+    while at < end:
+        count = int.from_bytes(payload[at : at + 2], "little") if at + 2 <= end else 0
+        if count == 0 or at + 2 + 4 * count > end:
+            raise ProtocolError("the outline in an image message ends in the middle of a line", code="protocol.picture")
+        places.append((at + 2, count))
+        at += 2 + 4 * count
+    return places
+
+
+def encode_message(message: Any) -> str:
+    """Encode a message as JSON text."""
+    return encode(message)

@@ -1,0 +1,189 @@
+"""Messages about input devices and recordings, both ways."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from msgspec import Meta
+
+from carina.commands.devices import DeviceControls
+from carina.commands.fields import Control, Count, DeviceName, Three, Wide, Words
+from carina.commands.value import FrozenValue
+from carina.server.wire.codec import ClientMessage, ServerMessage
+from carina.session import FlightInfo
+
+Four = tuple[Wide, Wide, Wide, Wide]
+Six = Annotated[tuple[Wide, ...], Meta(min_length=6, max_length=6)]
+Buttons = Annotated[int, Meta(ge=0, le=2**32 - 1)]
+
+
+class DeviceReading(FrozenValue, frozen=True):
+    """Pose that a device reports, and its pressed buttons."""
+
+    device: DeviceName
+    position_mm: Three | None
+    """Position in device space; null for a device that reports only an orientation."""
+    orientation_wxyz: Four | None
+    """``device_from_pen``; the pen's axes are right, down, forward."""
+    buttons: Buttons
+
+
+class DeviceSample(DeviceReading, ClientMessage, frozen=True):
+    """What a device of the window says.
+
+    Second check: an orientation (with a position or without), axes, or a scope handle's controls.
+    """
+
+    time_s: Wide
+    """Time stamp of the clock of the device or of the page."""
+    axes: Six | None
+    """Forward, right, up, yaw right, pitch up, roll clockwise, -1 to 1 of full speed."""
+    handle: Three | None
+    """Insertion in mm, roll in rad, lever -1 to 1 (1 is fully down, which bends the tip up)."""
+    advance: Wide
+    """Deflection of a forward key or stick of a device with an orientation, -1 to 1 of full speed."""
+
+    def choice_problem(self) -> str | None:
+        """One of three kinds, and a position only with an orientation."""
+        kinds = (self.orientation_wxyz, self.axes, self.handle)
+        if sum(kind is not None for kind in kinds) != 1:
+            return "device_sample needs an orientation, axes or a handle"
+        if self.position_mm is not None and self.orientation_wxyz is None:
+            return "device_sample has a position without an orientation"
+        return None
+
+
+class ConnectDevice(ClientMessage, frozen=True):
+    """Connect to a device of this machine by kind and place, such as fastrak:PORT or openigtlink:HOST:PORT."""
+
+    address: DeviceName
+
+
+class DisconnectDevice(ClientMessage, frozen=True):
+    """Close the connection to a device."""
+
+    address: DeviceName
+
+
+class PublishTip(ClientMessage, frozen=True):
+    """Publish the tip by OpenIGTLink on this port of this machine (0: a free one); null ends it."""
+
+    port: Annotated[int, Meta(ge=0, le=65_535)] | None
+
+
+class SetPhone(ClientMessage, frozen=True):
+    """Open the page for a phone to this machine's network, with a new certificate and link, or close it."""
+
+    on: bool
+
+
+class WatchDevices(ClientMessage, frozen=True):
+    """Send ``devices`` a few times a second, or only when something changes."""
+
+    on: bool
+
+
+class StartRecording(ClientMessage, frozen=True):
+    """Record the flight into the case, or into a file on this machine if the case is not stored."""
+
+
+class Flights(ServerMessage, frozen=True):
+    """Recordings of the case in order; sent after each change."""
+
+    flights: Annotated[tuple[FlightInfo, ...], Meta(max_length=100_000)]
+
+
+class DeviceInfo(DeviceReading, frozen=True):
+    """A device that has sent samples; its position is filtered."""
+
+    holds: bool
+    """Whether the device moves the tip."""
+    registered: bool
+    residual_mm: float | None
+    """Root-mean-square error of the registration."""
+    latency_ms: float
+    """Delay of the filter for the newest sample."""
+    num_used: Count
+    num_ignored: Count
+    ignored_words: Words
+    axes: Annotated[tuple[Wide, ...], Meta(max_length=6)]
+    """Of sticks; insertion in mm, roll in rad and lever of a handle."""
+
+
+class DeviceSource(FrozenValue, frozen=True):
+    """A connection of this machine to a device."""
+
+    address: DeviceName
+    title: Words
+    state: Literal["connecting", "live", "lost", "stopped"]
+    words: Words
+    rate_hz: float
+    num_bad: Count
+
+
+class NetworkPage(FrozenValue, frozen=True, kw_only=True):
+    """A page that is open to the local network."""
+
+    url: Words
+    """Link with the token; anyone who has the link can use the page."""
+    address: Words
+    sha256: Words
+    """SHA-256 fingerprint of the certificate, as browsers show it."""
+    num_refused: Count
+    """Number of connections with a wrong token."""
+
+
+class PhoneInfo(NetworkPage, frozen=True, kw_only=True):
+    """The page for a phone while it is open to the network; it moves the tip."""
+
+    qr: Annotated[tuple[Words, ...], Meta(max_length=200)]
+    """The link as a QR code: rows of 0 (light) and 1 (dark)."""
+    connected: bool
+    rate_hz: float
+    num_bad: Count
+    bad_words: Words
+
+
+class Devices(ServerMessage, frozen=True):
+    """Input devices, how they move the tip, and what is recorded."""
+
+    control: Control
+    filter_latency_ms: float
+    """Delay of the filter at rest, which is its largest delay."""
+    controls: DeviceControls
+    devices: Annotated[tuple[DeviceInfo, ...], Meta(max_length=200)]
+    sources: Annotated[tuple[DeviceSource, ...], Meta(max_length=50)]
+    serial_ports: Annotated[tuple[Words, ...], Meta(max_length=200)]
+    serial_problem: Words | None
+    """Reason why devices at serial ports cannot be used."""
+    published_port: Annotated[int, Meta(ge=0, le=65_535)] | None
+    recording: Words | None
+    """Name of the flight that is being recorded, or its file."""
+    phone: PhoneInfo | None
+    """State of the phone page; null while the page is closed."""
+    phone_problem: Words | None
+    """Reason why the page cannot be opened on this machine."""
+
+
+class StartMarked(ServerMessage, frozen=True):
+    """The pen's button marked where paths begin that need no airways (``arm_pen``, ``add_target``)."""
+
+    lps: Three
+
+
+class Pen(ServerMessage, frozen=True):
+    """The tracked pen that moves the tip, and the point that its button marks; whenever one of them changed."""
+
+    device: DeviceName | None
+    """Pen that moves the tip; null if no pen does."""
+    tracked: bool
+    """Whether the pen reports its position and not only its orientation."""
+    lps: Three | None
+    """Its own tip in the patient; null where it is not registered: then its button marks the scope's tip.
+
+    Kept up to date while a pen is armed, and in absolute movement.
+    """
+    off_mm: float | None
+    """Distance of the scope tip from the pen in absolute movement."""
+    off_deg: float | None
+    """Angle between the scope tip and the pen in absolute movement."""

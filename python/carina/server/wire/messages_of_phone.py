@@ -1,0 +1,51 @@
+"""Messages between the server and the page for a phone, on a socket of their own (``phone_page.py``)."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from msgspec import Meta
+
+from carina.commands.fields import Wide, Words
+from carina.server.wire.codec import PhoneMessage, ToPhoneMessage
+
+# Wide, as of every device: what a phone says too much is ignored and counted, and does not end the connection.
+Four = tuple[Wide, Wide, Wide, Wide]
+
+
+class PhoneHello(PhoneMessage, frozen=True):
+    """The first message of the page: the token of its link."""
+
+    wire_version: Annotated[int, Meta(ge=0, le=2**31)]
+    token: Annotated[str, Meta(min_length=1, max_length=200)]
+
+
+class PhoneSample(PhoneMessage, frozen=True):
+    """Orientation and pressed controls of the phone; sent while a control is pressed, and once after its release."""
+
+    time_s: Wide
+    """Time stamp of the phone's clock."""
+    orientation_wxyz: Four | None
+    """``earth_from_pen``: right, down, forward, which is where the phone's upper edge points. Null without a sensor."""
+    held: bool
+    """Whether the tip turns with the phone."""
+    advance: Wide
+    """-1 (back) to 1 (forward)."""
+
+
+class PhoneAct(PhoneMessage, frozen=True):
+    """A button of the page: look along the path again, or the next way to move."""
+
+    action: Literal["recenter", "next_control"]
+
+
+class PhoneState(ToPhoneMessage, frozen=True):
+    """State that the page shows, sent after each change; it contains no patient data."""
+
+    case_open: bool
+    control: Literal["absolute", "relative", "path"]
+    scope_held: bool
+    holds: bool
+    """Whether the phone moves the tip."""
+    words: Words
+    """Reason of a refused action; empty if no action was refused."""

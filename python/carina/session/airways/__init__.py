@@ -1,0 +1,1 @@
+"""Commands that find, edit and measure the airways."""

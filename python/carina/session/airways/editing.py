@@ -1,0 +1,194 @@
+"""Commands that edit the airway tree; each edit is a job and an undo step, and updates targets and route."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from carina import commands as c
+from carina.case.document import Document, Target
+from carina.errors import NoEvidenceError, NoResultError
+from carina.session.command_registry import Subject, does
+from carina.session.core import ALL_TOPICS, SessionCore
+from carina.session.jobs.background_jobs import Job
+from carina.session.open_case.open_case import OpenCase
+from carina.session.state.snapshot import NotEvident, Said
+from carina.session.targets.retrack import followed_route, renamed_route, tracked_target
+from carina.track import AddBranch, FoldedAirways, edit_words, fold_airways, name_edited
+
+if TYPE_CHECKING:
+    from carina.track import TreeEdit
+
+__all__ = ["MAX_AIRWAYS_KEPT", "TreeEditing", "airway_words", "found_airways"]
+
+MAX_AIRWAYS_KEPT = 4
+"""Number of segmented airways that undo can restore; a lumen and its tracker take some hundred megabytes."""
+NUM_EDITS_WHOLE = 6
+"""Number of edited airways near the present step that stay unpacked; undo computes packed airways again."""
+LOOK_S = 0.05
+"""Interval, in s, at which an edit that waits for an earlier edit checks whether it was stopped."""
+
+
+class TreeEditing(Subject):
+    """The commands that change the airway tree."""
+
+    def __init__(self, core: SessionCore) -> None:
+        super().__init__(core)
+        self._edit_numbers = itertools.count(1)
+        self._one_edit = threading.Lock()
+
+    @does(c.EditTree)
+    def edit_tree(self, command: c.EditTree) -> str:
+        """Make one edit as a job, undoable under a label such as ``cut RB3``.
+
+        The paths to targets are searched again. A route to a deleted branch or target is removed, and the user is
+        notified. Edits that are requested during another edit follow it. If an edit is impossible, the job fails with a
+        message and nothing changes. If a branch is to be added and the CT shows no wall along its path, the session
+        sends :class:`carina.session.NotEvident`, which asks the user.
+        """
+        edit = command.edit
+        case = self.core.needed_case()
+        for point in _points_of(edit):
+            case.check_inside(point)
+        words = self._words(case, edit)
+        number = next(self._edit_numbers)
+
+        def work(job: Job) -> None:
+            while not self._one_edit.acquire(timeout=LOOK_S):
+                job.check()
+            try:
+                self._edit_now(case, edit, job)
+            except NoEvidenceError as doubt:
+                if not isinstance(edit, AddBranch):
+                    # Only a branch can be drawn by hand, so other edits end with an error and not with a question.
+                    raise NoResultError(str(doubt), code=doubt.code) from doubt
+                self.core.answer(NotEvident(job.job_id, edit.lps, doubt))
+                raise
+            finally:
+                self._one_edit.release()
+
+        return self.core.jobs.start(f"edit {number}", words, work)
+
+    def unfold(self, case: OpenCase) -> None:
+        """Compute packed airways that undo has restored; the caller holds the session's lock."""
+        airways: Any = case.document.airways
+        if isinstance(airways, FoldedAirways):
+            whole = airways.unfold()
+            case.history.amend(lambda d: replace(d, airways=whole) if d.airways is airways else d)
+            case.measured.became(airways, whole)
+
+    def fold(self, case: OpenCase) -> None:
+        """Pack the airways of steps far from the present one; the caller holds the session's lock."""
+        folded: dict[int, Any] = {}
+
+        def fold(document: Document) -> Document:
+            edited: Any = document.airways
+            if edited is None or isinstance(edited, FoldedAirways) or found_airways(document) is edited:
+                return document
+            if id(edited) not in folded:
+                folded[id(edited)] = fold_airways(edited)
+                case.measured.became(edited, folded[id(edited)])
+            return replace(document, airways=folded[id(edited)])
+
+        case.history.fold_far(lambda d: d.airways, NUM_EDITS_WHOLE, fold)
+
+    def _words(self, case: OpenCase, edit: TreeEdit) -> str:
+        with self.core.lock:
+            return edit_words(edit, _needed_airways(case.document))
+
+    def _edit_now(self, case: OpenCase, edit: TreeEdit, job: Job) -> None:
+        while True:
+            with self.core.lock:
+                job.check()
+                before = case.document
+            airways = _needed_airways(before)
+            label = edit_words(edit, airways)
+            edited = self.core.parts.edit_airways(
+                case.info.volume, airways, edit, name_branches=False, progress=job.progress, cancel=job.cancel
+            )
+            targets = tuple(tracked_target(edited, target) for target in before.targets)
+            route = followed_route(edited, before.route, targets)
+            with self.core.lock:
+                job.check()
+                # The document may have changed since (undo, new target, other route); the edit then runs on the present
+                # document.
+                now = case.document
+                if now.airways is airways and now.targets == before.targets and now.route is before.route:
+                    self._put_edit(case, label, replace(now, airways=edited, targets=targets, route=route))
+                    break
+        named = name_edited(_needed_airways(before), edited)
+        if named is not edited:
+            with self.core.lock:
+                self._put_names(case, edited, named)
+
+    def _put_names(self, case: OpenCase, edited: Any, named: Any) -> None:
+        """Add the branch names to the step of their edit, even if undo has changed the present document meanwhile."""
+        case.history.amend(lambda document: _with_names(document, edited, named))
+        # Measurements do not depend on names.
+        case.measured.became(edited, named)
+        if self.core.case is case:
+            self.core.follow(case)
+            self.core.changed(*ALL_TOPICS)
+
+    def _put_edit(self, case: OpenCase, label: str, document: Document) -> None:
+        before = case.document
+        case.search = replace(case.search, words=airway_words(document.airways))
+        self.core.change(case, label, document)
+        case.history.keep_distinct(found_airways, MAX_AIRWAYS_KEPT)
+        for line in _lost(before, document):
+            self.core.emit(Said(line))
+
+
+def _with_names(document: Document, edited: Any, named: Any) -> Document:
+    """Return the document with the names in place, if it holds these edited airways."""
+    if document.airways is not edited:
+        return document
+    return replace(
+        document,
+        airways=named,
+        targets=tuple(replace(target, route=renamed_route(target.route, named.tree)) for target in document.targets),
+        route=renamed_route(document.route, named.tree),
+    )
+
+
+def found_airways(document: Document) -> Any:
+    """Return the airways of a document as they were found, before any edit."""
+    return getattr(document.airways, "base", None) or document.airways
+
+
+def airway_words(airways: Any) -> str | None:
+    """Return the notes on airways as one line."""
+    return "; ".join(str(note) for note in airways.report) or None
+
+
+def _lost(before: Document, after: Document) -> list[str]:
+    """Return a message for each path and route that an edit removed."""
+    lines = [
+        f"there is no longer a path to {new.name}: {new.problem}"
+        for old, new in zip(before.targets, after.targets, strict=True)
+        if _had_path(old) and not _had_path(new)
+    ]
+    if before.route is not None and after.route is None:
+        lines.append(f"the edit removed the route to {before.route.title}; choose another one, or undo")
+    return lines
+
+
+def _had_path(target: Target) -> bool:
+    return target.route is not None
+
+
+def _needed_airways(document: Document) -> Any:
+    if document.airways is None:
+        raise NoResultError(
+            "there is no airway tree to edit yet: wait for the segmentation, or mark the trachea",
+            code="track.no-airways",
+        )
+    return document.airways
+
+
+def _points_of(edit: TreeEdit) -> tuple[tuple[float, float, float], ...]:
+    """Return the points of an edit that must lie inside the scan; a stroke may leave the scan."""
+    point = getattr(edit, "lps", None)
+    return () if point is None else (point,)

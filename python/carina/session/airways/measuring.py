@@ -1,0 +1,17 @@
+"""Measurement of the airways in the background, after each segmentation and each edit."""
+
+from __future__ import annotations
+
+from carina.session.command_registry import Subject
+from carina.session.open_case.open_case import OpenCase
+
+__all__ = ["TreeMeasuring"]
+
+
+class TreeMeasuring(Subject):
+    """Updates ``Snapshot.measures`` to the document's airways by a job; flight and edits do not wait for the job."""
+
+    def follow(self, case: OpenCase) -> None:
+        """Request the measurements of the document's airways; the caller holds the session's lock."""
+        if self.core.parts.measure_tree is not None:
+            case.measures.want(case.document.airways)

@@ -1,0 +1,1 @@
+"""Programs of the user that attach to a case which is open in Carina."""

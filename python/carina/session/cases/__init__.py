@@ -1,0 +1,1 @@
+"""Commands that open, close and list cases."""

@@ -1,0 +1,83 @@
+"""Commands of a session that mirrors a case of another process, and takes the case over when that process ends."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from carina import commands as c
+from carina.case.stored_state import Moment
+from carina.errors import UsageError
+from carina.session.airways.finding import AirwayFinding
+from carina.session.command_registry import Subject, does
+from carina.session.core import ALL_TOPICS, SessionCore
+from carina.session.flights.scope_contact import ScopeHolding
+from carina.session.open_case.open_case import LastMove, OpenCase, restore
+from carina.session.saving.autosave import Between, Saving
+
+__all__ = ["Following"]
+
+
+class Following(Subject):
+    """Mirror of a case: document, history, tip and numbers come from the owner; the sight belongs to this session."""
+
+    def __init__(self, core: SessionCore, finding: AirwayFinding, holding: ScopeHolding, saving: Saving) -> None:
+        super().__init__(core)
+        self._finding = finding
+        self._holding = holding
+        self._saving = saving
+
+    @does(c.FollowMoment)
+    def follow_moment(self, command: c.FollowMoment) -> None:
+        """Replace the state of the case by a newer one; objects that are identical in both are not computed again."""
+        case, moment = self.core.needed_case(), command.moment
+        with self.core.lock:
+            self._become(case, moment)
+            self.core.changed(*ALL_TOPICS)
+        self._holding.resume(case)
+
+    @does(c.TakeOver)
+    def take_over(self, command: c.TakeOver) -> None:
+        """Become the owner of the case.
+
+        Raises
+        ------
+        UsageError
+            ``case.open`` if another process has the case open.
+        """
+        case, records = self.core.needed_case(), self._saving.records
+        record = None if records is None else records.find(command.case_id)
+        if record is None:
+            raise UsageError("this case is no longer in the list", code="session.recent")
+        between = Between(self._saving)
+        reopened = between.take(record.digest, record.case_id)
+        if reopened is None:
+            between.give_back()
+            raise UsageError("another program has this case open", code="case.open")
+        try:
+            moment = reopened.file.load(case.info.volume)
+        except BaseException:
+            between.give_back()
+            raise
+        with self.core.lock:
+            self._become(case, moment)
+            between.attach(case, record.place)
+            self.core.changed(*ALL_TOPICS, "flights")
+        self._holding.resume(case)
+        if case.search.status == "waiting":
+            # The owner ended before its search for the airways finished.
+            self._finding.start(case, None, case.info.scale.threshold, label=None)
+
+    def _become(self, case: OpenCase, moment: Moment) -> None:
+        """Replace history, measurements and tip of the case by a stored state; the caller holds the session's lock."""
+        before, mode = case.navigator.pose, case.navigator.mode
+        case.history = moment.history()
+        case.measured.take(moment.measures)
+        case.scope.awaited = None
+        restore(case, moment)
+        self.core.follow(case)
+        if case.navigator.mode != mode or not np.array_equal(
+            case.navigator.pose.lps_from_camera, before.lps_from_camera
+        ):
+            # A move re-centres zoomed slices on the tip.
+            self.core.after_move(case, mode)
+        case.last_move = LastMove(person_moved=moment.person_moved)

@@ -1,0 +1,383 @@
+"""Commands that open and close a case, and undo and redo."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from carina import commands as c
+from carina.case import CaseFile, CaseFileError
+from carina.case.stored_state import Moment
+from carina.errors import UsageError, VolumeImportError
+from carina.session.airways.finding import AirwayFinding
+from carina.session.command_registry import Subject, does
+from carina.session.core import ALL_TOPICS, SessionCore
+from carina.session.derived.plans import CtOrigin
+from carina.session.flights.recording import FlightRecording
+from carina.session.flights.scope_contact import ScopeHolding
+from carina.session.jobs.background_jobs import Job
+from carina.session.open_case.open_case import OpenCase, new_case
+from carina.session.saving.autosave import Saving
+from carina.session.state.snapshot import Said
+from carina.session.store.find_scan import CaseScans, is_case_file
+from carina.session.store.named_file import FileMark, open_marked
+from carina.session.store.registry import CaseRecord
+from carina.volume import Volume
+from carina.volume.dicom_references import References
+from carina.volume.progress import Watch
+
+__all__ = ["Opening"]
+
+
+@dataclass(slots=True)
+class _Found:
+    """Results of reading a case file."""
+
+    file: CaseFile | None = None
+    """The opened case file; None before it is read."""
+    mark: FileMark | None = None
+    """Mark of the opened file; None for a dropped file."""
+    place: str | None = None
+    """Path of the CT."""
+
+
+@dataclass(slots=True)
+class _Dropped:
+    """Results of reading a dropped CT."""
+
+    references: References | None = None
+
+
+class Opening(Subject):
+    """Commands that open and close a case; the present case remains on screen until the new one has been read."""
+
+    def __init__(
+        self,
+        core: SessionCore,
+        finding: AirwayFinding,
+        recording: FlightRecording,
+        holding: ScopeHolding,
+        saving: Saving,
+    ) -> None:
+        super().__init__(core)
+        self._holding = holding
+        self._saving = saving
+        self._finding = finding
+        self._recording = recording
+
+    @does(c.OpenPath)
+    def open_path(self, command: c.OpenPath) -> str:
+        """Open a file or folder, and add it to the list of recent cases."""
+        return self._open_path(command.path)
+
+    @does(c.OpenFiles)
+    def open_files(self, command: c.OpenFiles) -> str:
+        """Open files in a temporary folder, such as dropped files; their path is not stored."""
+        scans = self._saving.scans
+        if scans is not None and is_case_file(command.path):
+            return self._open_case_file(Path(command.path), scans, dropped=True)
+
+        dropped = _Dropped()
+
+        def read(job: Job) -> Volume:
+            volume = self.core.parts.open_volume(command.path, job.progress, job.cancel)
+            if volume.source.format == "dicom":
+                from carina.volume.dicom_structures import ct_references  # slow to import
+
+                # The temporary files are deleted after reading; these references replace them in later comparisons.
+                watch = Watch(job.progress, job.cancel)
+                dropped.references = ct_references(Path(command.path), volume, watch)
+            return volume
+
+        return self._open("opening the case", read, None, dropped=dropped)
+
+    def _open_path(self, path: str, case_id: str | None = None) -> str:
+        scans = self._saving.scans
+        if scans is not None and is_case_file(path):
+            return self._open_case_file(Path(path), scans)
+
+        def read(job: Job) -> Volume:
+            try:
+                return self._saving.open_ct(path, job.progress, job.cancel)
+            except VolumeImportError as trouble:
+                if case_id is None or Path(path).exists():
+                    raise
+                raise UsageError(
+                    f"the CT of this case is no longer at {path}: choose its current location to continue",
+                    code="case.no-ct",
+                ) from trouble
+
+        return self._open("opening the case", read, path, case_id=case_id)
+
+    @does(c.OpenCaseFile)
+    def open_case_file(self, command: c.OpenCaseFile) -> str:
+        """Open a case file; a CT that the command names is compared with the case's, and another CT is refused."""
+        scans = self._saving.scans
+        if scans is None:
+            raise UsageError("this session cannot open case files", code="case.not-kept")
+        return self._open_case_file(Path(command.path), scans, command.ct)
+
+    def _open_case_file(self, path: Path, scans: CaseScans, ct: Path | None = None, *, dropped: bool = False) -> str:
+        """Open a case file with its CT, and store the case on this machine from now on.
+
+        A dropped file has no path, so a copy of the file is stored; the copy waits until its CT is found.
+        """
+        found = _Found()
+
+        def read(job: Job) -> Volume:
+            if dropped:
+                file = found.file = CaseFile.open(path, read_only=True)
+            else:
+                found.file, found.mark = open_marked(path)
+                file = found.file
+            if file.note is not None:
+                self.core.emit(Said(file.note))
+            scan = self._saving.open_ct_of(file) if dropped else None
+            try:
+                if scan is None:
+                    scan = scans.open(file, ct=ct, dropped=dropped, progress=job.progress, cancel=job.cancel)
+            except CaseFileError as trouble:
+                if not dropped or trouble.code != "case.no-scan":
+                    raise
+                raise self._asked_for_ct(file) from trouble
+            except VolumeImportError as trouble:
+                if not dropped:
+                    raise
+                raise self._asked_for_ct(file) from trouble
+            found.place = scan.place
+            return scan.volume
+
+        def close() -> None:
+            if found.file is not None:
+                found.file.close()
+
+        # A stored case is in the list of recent cases by its record, without a path.
+        listed = None if dropped or self._saving.stores(path) else str(path)
+        return self._open("opening the case", read, listed, found=found, ended=close)
+
+    def _asked_for_ct(self, file: CaseFile) -> UsageError:
+        """Store the case until its CT is opened, and return the error that asks for the CT."""
+        waits = file.note is None and self._saving.waits(file)
+        if waits:
+            with self.core.lock:
+                self.core.changed("start")
+        return UsageError(
+            "the CT of this case was not found on this computer: drop the CT here or choose it to continue"
+            + (". The case is kept in the list of recent cases" if waits else ", then drop the case file again"),
+            code="case.no-ct",
+        )
+
+    def _open_record(self, record: CaseRecord) -> str:
+        if record.place is None:
+            return self._open_without_place(record)
+        name = record.place.removeprefix("demo:")
+        if name == record.place:
+            return self._open_path(record.place, record.case_id)
+        return self._open_demo(name, record.case_id)
+
+    def _open_without_place(self, record: CaseRecord) -> str:
+        """Open a stored case without a path of its CT, which was dropped or was in a dropped case file.
+
+        The CT may be in the cache, in the case file, or at the path that another case states.
+        """
+        scans, records = self._saving.scans, self._saving.records
+        no_ct = UsageError(
+            "the location of this case's CT is not known: drop the CT here or choose it to continue", code="case.no-ct"
+        )
+        if scans is None or records is None:
+            raise no_ct
+        found = _Found()
+
+        def read(job: Job) -> Volume:
+            with CaseFile.open(records.path_of(record), read_only=True) as file:
+                try:
+                    scan = scans.open(file, dropped=True, progress=job.progress, cancel=job.cancel)
+                except CaseFileError as trouble:
+                    if trouble.code != "case.no-scan":
+                        raise
+                    raise no_ct from trouble
+                except VolumeImportError as trouble:
+                    raise no_ct from trouble
+            found.place = scan.place
+            return scan.volume
+
+        return self._open("opening the case", read, None, case_id=record.case_id, found=found)
+
+    @does(c.OpenDemo)
+    def open_demo(self, command: c.OpenDemo) -> str:
+        """Open a bundled CT, or generate the phantom."""
+        return self._open_demo(command.name)
+
+    def _open_demo(self, name: str, case_id: str | None = None) -> str:
+        def read(job: Job) -> Volume:
+            return self.core.parts.open_demo(name, job.progress, job.cancel)
+
+        return self._open("opening the demo", read, None, f"demo:{name}", case_id=case_id)
+
+    @does(c.BeginAnew)
+    def begin_anew(self, _command: c.BeginAnew) -> str:
+        """Begin a new case of the open CT, without the stored content of earlier cases."""
+        with self.core.lock:
+            case = self.core.needed_case()
+            place = self._saving.place_of(case)
+        return self._open("starting a new case", lambda _job: case.info.volume, None, place, anew=True)
+
+    @does(c.OpenVolume)
+    def open_volume(self, command: c.OpenVolume) -> str:
+        """Open a volume that is already in memory."""
+        volume: Volume = command.volume
+        return self._open(
+            "opening the volume", lambda _job: volume, None, given=command.kept, finds=not command.follows
+        )
+
+    @does(c.OpenRecent)
+    def open_recent(self, command: c.OpenRecent) -> str:
+        """Open a case of the list; UsageError if the list has no such case."""
+        records = self._saving.records
+        record = None if records is None else records.find(command.recent_id)
+        if record is not None:
+            return self._open_record(record)
+        for case in self.core.store.recent() if self.core.store else ():
+            if case.recent_id == command.recent_id:
+                return self._open_path(case.path)
+        raise UsageError("this case is no longer in the list; open its folder again", code="session.recent")
+
+    @does(c.CloseCase)
+    def close_case(self, _command: c.CloseCase) -> None:
+        """Close the case and end its jobs; UsageError while the disk has not accepted the latest changes."""
+        self._saving.refuse_to_lose()
+        with self.core.lock:
+            self._recording.stop()
+            self.core.jobs.cancel_kinds()
+        # let_go() may wait for the disk, so it is called without the lock, and images are still rendered.
+        self._saving.let_go()
+        with self.core.lock:
+            self._discard_case()
+            self.core.case = None
+            self.core.changed(*ALL_TOPICS, "flights", "start")
+
+    @does(c.Cancel)
+    def cancel(self, command: c.Cancel) -> None:
+        """Cancel a job; do nothing if the job has ended."""
+        self.core.jobs.cancel(command.job_id)
+
+    @does(c.Undo)
+    def undo(self, _command: c.Undo) -> None:
+        """Undo the last change, or notify the user that there is none."""
+        self.core.undo()
+
+    @does(c.Redo)
+    def redo(self, _command: c.Redo) -> None:
+        """Redo the last undone change, or notify the user that there is none."""
+        self.core.redo()
+
+    @does(c.GoToStep)
+    def go_to_step(self, command: c.GoToStep) -> None:
+        """Restore the state after a step of the history."""
+        self.core.go_to_step(command.step)
+
+    def _discard_case(self) -> None:
+        """Stop all computations for the case on screen; the caller holds the session's lock."""
+        if self.core.case is not None:
+            self.core.case.discard()
+
+    def _open(
+        self,
+        title: str,
+        read: Callable[[Job], Volume],
+        path: str | None,
+        place: str | None = None,
+        *,
+        case_id: str | None = None,
+        anew: bool = False,
+        given: Moment | None = None,
+        finds: bool = True,
+        found: _Found | None = None,
+        ended: Callable[[], None] = lambda: None,
+        dropped: _Dropped | None = None,
+    ) -> str:
+        """Open a CT with the stored case ``case_id``; without an id, with the case of this CT that was used last.
+
+        With a ``given`` state, the case continues from this state, and the caller stores the case.
+        """
+        if path is not None and found is None:
+            place = str(Path(path).absolute())
+
+        def work(job: Job) -> None:
+            try:
+                open_it(job)
+            finally:
+                ended()
+
+        def open_it(job: Job) -> None:
+            job.check()
+            volume = read(job)
+            # Up to this point a refused or stopped opening leaves the case on screen unchanged.
+            job.check()
+            with self.core.lock:
+                # The end of the recording belongs to the case that is being closed.
+                self._recording.stop()
+            with self._saving.between() as keeping:
+                kept = given
+                found_place = place if found is None else found.place
+                if found is not None and found.file is not None:
+                    kept = keeping.imported(volume, found.file, found.mark)
+                elif given is not None:
+                    pass
+                elif anew:
+                    keeping.begin(volume)
+                else:
+                    kept = keeping.reopened(volume, case_id)
+                job.progress("checking the scan quality", None)
+                case = new_case(
+                    volume,
+                    next(self.core.case_numbers),
+                    parts=self.core.parts,
+                    renderer_factory=self.core.renderer_factory,
+                    jobs=self.core.jobs,
+                    lock=self.core.lock,
+                    changed=self.core.changed,
+                    say=lambda words: self.core.emit(Said(words)),
+                    kept=kept,
+                )
+                case.planning.origin = CtOrigin(
+                    None if found_place is None or found_place.startswith("demo:") else found_place,
+                    None if dropped is None else dropped.references,
+                )
+                if path is not None and self.core.store is not None:
+                    self.core.store.remember(path, self.core.today())
+                with self.core.lock:
+                    job.check()
+                    self._show(job, case)
+                    if given is not None and given.steps:
+                        case.begun_s -= given.steps[-1].at_s
+                    keeping.attach(case, found_place)
+                    self.core.changed(*ALL_TOPICS, "flights", "start")
+            # Takes a tenth of a second and makes rendering several times faster; the airway search takes many seconds.
+            case.content.prepare()
+            self._go_on(case, kept, finds)
+
+        return self.core.jobs.start("open", title, work)
+
+    def _show(self, job: Job, case: OpenCase) -> None:
+        """Replace the case on screen; the caller holds the session's lock."""
+        self._recording.stop()
+        # All other jobs belong to the previous case.
+        self.core.jobs.cancel_others(job)
+        self._discard_case()
+        case.begun_s = self.core.clock()
+        for window in self.core.windows:
+            case.sights.begin(window)
+        self.core.case = case
+        self.core.moved()
+
+    def _go_on(self, case: OpenCase, kept: Moment | None, finds: bool) -> None:
+        """Start the search for the airways, or continue the stored case, and restore a scope that was in the lumen."""
+        if kept is not None:
+            with self.core.lock:
+                self.core.follow(case)
+                self.core.changed(*ALL_TOPICS)
+            self._holding.resume(case)
+        if finds and case.search.status == "waiting":
+            self._finding.start(case, None, case.info.scale.threshold, label=None)

@@ -1,0 +1,397 @@
+"""Values computed from targets with a size: the plan of each target, and the verdicts on the chosen route."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from carina.case.document import Document, Lesion, Target
+from carina.commands.plan import PlanOptions
+from carina.display import one_line
+from carina.errors import CancelledError, CarinaError
+from carina.session.derived.derived_value import Attempt, Cached, Derived, Standing, identical
+from carina.session.derived.measurement_cache import MeasuredAirways
+from carina.session.engines import Parts
+from carina.session.jobs.background_jobs import JobRunner
+from carina.track import Mesh, TreeMeasures, mask_mesh
+
+if TYPE_CHECKING:
+    from carina.plan import Nodule, Plan, TurnList, Verdict
+    from carina.scopes import WallField
+    from carina.session.derived.lungs import CaseLungs
+    from carina.track import Airways
+    from carina.volume import Volume
+    from carina.volume.dicom_references import References
+
+__all__ = ["CasePlanning", "PlannedTarget", "PlanningInfo", "TargetPlan", "chosen_number", "shown_surface"]
+
+MOST_SHOWN = 36
+"""Largest number of voxels along a side of a nodule's displayed surface; finer detail is not visible."""
+SAME_PLACE_MM = 0.05
+
+
+PlanTask = tuple["Nodule", tuple[tuple[float, float, float], ...], PlanOptions]
+"""Inputs of a plan besides the airways: nodule, aims and options. Names and notes of a target change no plan."""
+
+
+def task_of(lesion: Lesion) -> PlanTask:
+    """Return the inputs of the plan of a lesion."""
+    return lesion.nodule, lesion.target.aims, lesion.options
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TargetPlan:
+    """Result of planning for one target."""
+
+    task: PlanTask
+    plan: Plan | None
+    problem: str | None
+    """Reason why there is no plan."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MadePlans:
+    """Plans of all targets in the same airways."""
+
+    airways: Airways
+    wall: Any
+    measures: TreeMeasures | None
+    """Measurements of the airways; None if the case measures none, and each plan then measures for itself."""
+    plans: tuple[TargetPlan, ...]
+
+    def of(self, task: PlanTask) -> TargetPlan | None:
+        """Return the plan of a task; None if there is none."""
+        return next((one for one in self.plans if one.task == task), None)
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class PlannedTarget:
+    """A target with a size, and its plan once the plan is available."""
+
+    target: Target
+    planned: TargetPlan | None
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class PlanningInfo:
+    """Plans of a case's targets, and the verdicts on the chosen route."""
+
+    targets: tuple[PlannedTarget, ...]
+    standing: Standing
+    verdicts: tuple[Verdict, ...]
+    verdicts_standing: Standing
+    document: Document
+    turns: TurnList | None = None
+    """List of turns of the chosen route."""
+    dicom_problem: str | None = None
+    """Reason why no DICOM file can refer to the CT; None if one can."""
+
+
+PlanInputs = tuple[Any, ...]
+"""Inputs of all plans: the airways, followed by the plan task of each target."""
+VerdictInputs = tuple[Any, ...]
+"""Inputs of the verdicts: plan, number of a route in the plan (from 1), airway wall, and plan options."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class CtOrigin:
+    """Origin of the CT of a case."""
+
+    place: str | None = None
+    """File or folder on this machine from which the CT was opened; None if it was dropped or generated."""
+    references: References | None = None
+    """References to the DICOM files of a dropped CT; never stored."""
+
+
+class CasePlanning:
+    """The plans of a case's targets, and the verdicts on the chosen route.
+
+    Parameters
+    ----------
+    volume, parts, jobs, lock
+        The CT, and the processing functions, job runner and lock of the session
+        (`carina.session.derived.derived_value`).
+    changed
+        Called when a plan or a verdict has changed.
+    measured
+        Measurements of the airways in the history, which the window also shows.
+    """
+
+    lungs: CaseLungs
+    """The maps of the lungs around the targets."""
+
+    def __init__(
+        self,
+        volume: Volume,
+        parts: Parts,
+        *,
+        jobs: JobRunner,
+        lock: AbstractContextManager[Any],
+        changed: Callable[[], None],
+        measured: MeasuredAirways | None = None,
+    ) -> None:
+        self._volume = volume
+        self._measured = measured
+        self._parts = parts
+        self._lock = lock
+        self._changed = changed
+        self._plans: Derived[PlanInputs, MadePlans] = Derived(
+            jobs,
+            lock,
+            kind="plan",
+            title="planning the routes",
+            make=self._make_plans,
+            same=_same_inputs,
+            settled=self._settled,
+        )
+        self._verdicts: Derived[VerdictInputs, tuple[Verdict, ...]] = Derived(
+            jobs,
+            lock,
+            kind="verdicts",
+            title="simulating the instruments",
+            make=self._make_verdicts,
+            same=_same,
+            settled=changed,
+        )
+        self._early: tuple[VerdictInputs, tuple[Verdict, ...]] | None = None
+        """Verdicts that are available while the job computes further ones."""
+        self._document: Document | None = None
+        self.origin = CtOrigin()
+        self._turns: Cached[tuple[Any, ...], TurnList] = Cached(_turns, same=_same_turns)
+
+    # ------------------------------------------------------------ state
+
+    def of(self, lesion: Lesion) -> TargetPlan | None:
+        """Return the plan of a target of the document; None if it is not available."""
+        made = self.made
+        return None if made is None else made.of(task_of(lesion))
+
+    def standing(self) -> Standing:
+        """Return the status of the plans."""
+        inputs = self._inputs(self._document)
+        return "unwanted" if inputs is None else self._plans.standing(inputs)
+
+    def verdicts(self) -> tuple[Verdict, ...]:
+        """Return the available verdicts on the chosen route."""
+        inputs = self._verdict_inputs()
+        if inputs is None:
+            return ()
+        made = self._verdicts.of(inputs)
+        if made is not None:
+            return made
+        with self._lock:
+            early = self._early
+            return early[1] if early is not None and _same(early[0], inputs) else ()
+
+    def verdicts_standing(self) -> Standing:
+        """Return the status of the verdicts."""
+        inputs = self._verdict_inputs()
+        return "unwanted" if inputs is None else self._verdicts.standing(inputs)
+
+    def turns(self) -> TurnList | None:
+        """Return the turns of the chosen route, with hand movements once the planned scope's drive is simulated."""
+        inputs, made = self._verdict_inputs(), self.made
+        if inputs is None or made is None:
+            return None
+        plan, number = inputs[:2]
+        driven = next((v.driven for v in self.verdicts() if v.scope.name == plan.scope.name), None)
+        return self._turns.of((made.airways.tree, plan, number, driven))
+
+    def again(self) -> None:
+        """Repeat planning and verdicts that were stopped or failed, because the user asked for it."""
+        self._plans.again()
+        self._verdicts.again()
+        if self._document is not None:
+            self.follow(self._document)
+
+    # ------------------------------------------------------------ requests
+
+    def follow(self, document: Document) -> None:
+        """Request plans and verdicts for the present document; the caller holds the session's lock."""
+        self._document = document
+        self._plans.want(self._inputs(document))
+        self._verdicts.want(self._verdict_inputs())
+
+    def discard(self) -> None:
+        """Stop planning and release all plans, because the case is being closed."""
+        self._plans.discard()
+        self._verdicts.discard()
+        self._document = self._early = None
+
+    # ------------------------------------------------------------ computation
+
+    def _settled(self) -> None:
+        if self._document is not None:
+            self._verdicts.want(self._verdict_inputs())
+        self._changed()
+
+    def _inputs(self, document: Document | None) -> PlanInputs | None:
+        if document is None or document.airways is None:
+            return None
+        tasks = tuple(task_of(target.lesion) for target in document.targets if target.lesion is not None)
+        return (document.airways, *tasks) if tasks else None
+
+    @property
+    def made(self) -> MadePlans | None:
+        """Plans of the present document; None if they are not available."""
+        return self._plans.of(self._inputs(self._document))
+
+    def wall_of(self, airways: Airways) -> WallField | None:
+        """Return the wall of airways if it was computed for the plans; None otherwise."""
+        made = self.made
+        same = made is not None and made.airways.lumen_zyx is airways.lumen_zyx
+        return made.wall if made is not None and same else None
+
+    def _verdict_inputs(self) -> VerdictInputs | None:
+        document, made = self._document, self.made
+        if document is None or made is None or document.route is None:
+            return None
+        target = next((t for t in document.targets if t.target_id == document.route.target_id), None)
+        if target is None or target.lesion is None:
+            return None
+        planned = made.of(task_of(target.lesion))
+        number = None if planned is None or planned.plan is None else chosen_number(document, planned.plan)
+        return None if number is None or planned is None else (planned.plan, number, made.wall, target.lesion.options)
+
+    def _make_plans(self, inputs: PlanInputs, attempt: Attempt[MadePlans]) -> MadePlans:
+        airways, *tasks = inputs
+        before = attempt.before
+        same = before is not None and before.airways.lumen_zyx is airways.lumen_zyx
+        wall = before.wall if before is not None and same else None
+        if wall is None:
+            attempt.progress("measuring the airway wall", None)
+            wall = self._parts.wall_field(self._volume, airways, cancel=attempt.cancel)
+        measures = self._measures_of(airways, attempt)
+        plans: list[TargetPlan] = []
+        for n, task in enumerate(tasks):
+            known = None if before is None or before.airways is not airways else before.of(task)
+            if known is not None:
+                plans.append(known)
+                continue
+            what = "looking at every place from which the target can be reached"
+
+            def say(_step: str, share: float | None, n: int = n, what: str = what) -> None:
+                attempt.progress(what, (n + (share or 0.0)) / len(tasks))
+
+            nodule, aims, options = task
+            try:
+                plan = self._parts.plan_route(
+                    self._volume,
+                    airways,
+                    nodule,
+                    scope=options.scope,
+                    tool=options.tool,
+                    vessel_margin_mm=options.vessel_margin_mm,
+                    moved_mm=options.moved_mm,
+                    aims=aims,
+                    wall=wall,
+                    measures=measures,
+                    progress=say,
+                    cancel=attempt.cancel,
+                )
+                plans.append(TargetPlan(task, plan, plan.why))
+            except CancelledError:
+                raise
+            except CarinaError as trouble:
+                plans.append(TargetPlan(task, None, str(trouble)))
+        return MadePlans(airways, wall, measures, tuple(plans))
+
+    def _measures_of(self, airways: Airways, attempt: Attempt[MadePlans]) -> TreeMeasures | None:
+        """Return the measurements of airways, from the earlier plans, from the case, or computed now."""
+        before = attempt.before
+        if before is not None and before.airways is airways:
+            return before.measures
+        with self._lock:
+            known = None if self._measured is None else self._measured.of(airways)
+        if isinstance(known, TreeMeasures) and not any(one.is_by_earlier_method for one in known.branches):
+            return known
+        if self._parts.measure_tree is None:
+            return None
+        attempt.progress("measuring the airways", None)
+        return self._parts.measure_tree(self._volume, airways, cancel=attempt.cancel)
+
+    def _make_verdicts(self, inputs: VerdictInputs, attempt: Attempt[tuple[Verdict, ...]]) -> tuple[Verdict, ...]:
+        plan, number, wall, options = inputs
+        with self._lock:
+            made = self.made
+        if made is None:
+            raise CancelledError("the airways have changed")
+        found: list[Verdict] = []
+
+        def tell(verdict: Verdict) -> None:
+            found.append(verdict)
+            with self._lock:
+                self._early = (inputs, tuple(found))
+                self._changed()
+
+        # The planned instrument comes first, because the user waits for its verdict.
+        presets = sorted(self._parts.scope_presets(), key=lambda preset: preset.name != plan.scope.name)
+        return self._parts.judge_scopes(
+            made.airways.tree,
+            plan,
+            wall,
+            route=plan.routes[number - 1],
+            scopes=presets,
+            entry_mm=options.entry_mm,
+            found=tell,
+            progress=attempt.progress,
+            cancel=attempt.cancel,
+        )
+
+
+def _turns(inputs: tuple[Any, ...]) -> TurnList:
+    from carina.plan import turn_list
+
+    tree, plan, number, driven = inputs
+    return turn_list(
+        tree,
+        plan.routes[number - 1],
+        moves=None if driven is None else driven.moves,
+        ends_along_mm=None if driven is None else driven.ends_along_mm,
+        carina_ridge_mm=plan.carina_ridge_mm,
+    )
+
+
+def _same_turns(a: tuple[Any, ...], b: tuple[Any, ...]) -> bool:
+    return a[2] == b[2] and all(identical(x, y) for x, y in zip(a, b, strict=True) if not isinstance(x, int))
+
+
+def _same_inputs(a: PlanInputs, b: PlanInputs) -> bool:
+    return a[0] is b[0] and a[1:] == b[1:]
+
+
+def _same(a: VerdictInputs, b: VerdictInputs) -> bool:
+    return len(a) == len(b) and all(x is y or x == y for x, y in zip(a, b, strict=True))
+
+
+def chosen_number(document: Document, plan: Plan) -> int | None:
+    """Return the number, from 1, of the plan's route that the document has chosen; None if it is none of them."""
+    needle = None if document.route is None else document.route.needle
+    if needle is None:
+        return None
+    for number, route in enumerate(plan.routes, 1):
+        away = np.subtract((route.leg.tip_lps, route.leg.aim_lps), needle.ends_lps)
+        if float(np.abs(away).max()) < SAME_PLACE_MM:
+            return number
+    return None
+
+
+def shown_surface(nodule: Nodule) -> Mesh:
+    """Return the boundary of a nodule as a mesh in LPS mm, reduced to a displayable resolution."""
+    inside, lps_from_ijk = nodule.inside_zyx, np.array(nodule.lps_from_ijk, dtype=np.float64)
+    step = -(-max(inside.shape) // MOST_SHOWN)
+    if step > 1:
+        room = [-(-size // step) * step for size in inside.shape]
+        padded = np.pad(inside, [(0, after - size) for after, size in zip(room, inside.shape, strict=True)])
+        nz, ny, nx = (size // step for size in room)
+        inside = padded.reshape(nz, step, ny, step, nx, step).mean(axis=(1, 3, 5)) >= 0.5
+        lps_from_ijk[:3, 3] += lps_from_ijk[:3, :3] @ np.full(3, 0.5 * (step - 1))
+        lps_from_ijk[:3, :3] *= step
+    return mask_mesh(inside, lps_from_ijk)

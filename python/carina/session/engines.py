@@ -1,0 +1,158 @@
+"""The processing functions that a session calls, as one value that tests can replace by simple functions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+from carina.display import one_line
+from carina.errors import UsageError
+from carina.scopes import ScopePreset, scope_presets
+
+if TYPE_CHECKING:
+    from carina.plan import Nodule, Plan, ReachAtlas, Verdict
+    from carina.plan.lungs.lung_map import LungMap
+    from carina.render import TransferFunction
+    from carina.session.scene.shown_case import SessionRenderer
+    from carina.track import Airways, EditPreview, TreeMeasures
+    from carina.volume import Mask, Volume
+
+__all__ = ["Cancel", "Parts", "Progress", "RendererFactory", "default_parts"]
+
+Progress = Callable[[str, float | None], None]
+Cancel = Callable[[], bool]
+
+
+def _edit_airways(*arguments: Any, **options: Any) -> Airways:
+    from carina import track
+
+    return track.edit_airways(*arguments, **options)
+
+
+def _preview_edit(*arguments: Any, **options: Any) -> EditPreview:
+    from carina import track
+
+    return track.preview_edit(*arguments, **options)
+
+
+def _open_mask(*arguments: Any, **options: Any) -> Mask:
+    from carina import volume
+
+    return volume.open_mask(*arguments, **options)
+
+
+def _wall_field(*arguments: Any, **options: Any) -> Any:
+    from carina import track
+
+    return track.wall_field(*arguments, **options)
+
+
+def _grow_nodule(*arguments: Any, **options: Any) -> Nodule:
+    from carina import plan
+
+    return plan.grow_nodule(*arguments, **options)
+
+
+def _plan_route(*arguments: Any, **options: Any) -> Plan:
+    from carina import plan
+
+    return plan.plan_route(*arguments, **options)
+
+
+def _map_lungs(*arguments: Any, **options: Any) -> LungMap:
+    from carina.plan.lungs.lung_map import map_lungs
+
+    return map_lungs(*arguments, **options)
+
+
+def _reach_atlas(*arguments: Any, **options: Any) -> ReachAtlas:
+    from carina import plan
+
+    return plan.reach_atlas(*arguments, **options)
+
+
+def _judge_scopes(*arguments: Any, **options: Any) -> tuple[Verdict, ...]:
+    from carina import plan
+
+    return plan.judge_scopes(*arguments, **options)
+
+
+class RendererFactory(Protocol):
+    """Factory of renderers, on one machine or on a cluster."""
+
+    def __call__(self, volume: Volume, transfer: TransferFunction) -> SessionRenderer:
+        """Create a renderer that shows the volume with a transfer function."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """Processing functions of a session; the public functions of the same names define their contracts."""
+
+    open_volume: Callable[[str, Progress, Cancel], Volume]
+    open_demo: Callable[[str, Progress, Cancel], Volume]
+    quality_words: Callable[[Volume], tuple[str, ...]]
+    find_airways: Callable[..., Airways]
+    """Segments the airways, or builds their tree from a mask.
+
+    The call is ``find_airways(volume, root_lps=, lumen_threshold=, progress=, cancel=)``, for a mask with the further
+    arguments ``lumen_zyx=, notes=``.
+    """
+    transfer_preset: Callable[[str], TransferFunction]
+    transfer_from_json: Callable[[dict[str, Any]], TransferFunction]
+    transfer_from_histogram: Callable[[Volume], tuple[TransferFunction, float]]
+    measure_tree: Callable[..., TreeMeasures] | None = None
+    """Measures branches: ``measure_tree(volume, airways, previous=, progress=, cancel=)``; None measures nothing."""
+    wall_field: Callable[..., Any] = _wall_field
+    """Computes the airway wall: ``wall_field(volume, airways, progress=, cancel=)``."""
+    presets: tuple[str, ...] = ("endoscopic", "ct-grey", "see-through", "paper")
+    edit_airways: Callable[..., Airways] = _edit_airways
+    """Returns edited airways: ``edit_airways(volume, airways, edit, progress=, cancel=)``."""
+    preview_edit: Callable[..., EditPreview] = _preview_edit
+    """Returns the preview of an edit: ``preview_edit(volume, airways, edit)``."""
+    open_mask: Callable[..., Mask] = _open_mask
+    """Reads a segmentation: ``open_mask(path, volume, label=, resample=, progress=, cancel=)``."""
+    grow_nodule: Callable[..., Nodule] = _grow_nodule
+    """Segments a nodule at a point (LPS, mm): ``grow_nodule(volume, at_lps, wall=, progress=)``."""
+    plan_route: Callable[..., Plan] = _plan_route
+    """Plans the routes to a nodule: ``plan_route(volume, airways, nodule, scope=, tool=, ...)``."""
+    judge_scopes: Callable[..., tuple[Verdict, ...]] = _judge_scopes
+    """Computes the verdicts on a planned route.
+
+    The call is ``judge_scopes(tree, plan, wall, route=, scopes=, entry_mm=, found=, progress=, cancel=)``.
+    """
+    map_lungs: Callable[..., LungMap] = _map_lungs
+    """Maps vessels, fissures and lobes: ``map_lungs(volume, airways, wall, progress=, found=)``."""
+    reach_atlas: Callable[..., ReachAtlas] = _reach_atlas
+    """Maps an instrument's reach: ``reach_atlas(volume, airways, scope=, tool=, wall=, progress=, cancel=)``."""
+    scope_presets: Callable[[], tuple[ScopePreset, ...]] = scope_presets
+    """Returns the instruments for which verdicts are computed."""
+
+
+def default_parts() -> Parts:
+    """Return the processing functions of Carina."""
+    from carina import render, track, volume
+
+    def open_volume(path: str, progress: Progress, cancel: Cancel) -> Volume:
+        return volume.open_volume(path, progress=progress, cancel=cancel)
+
+    def open_demo(name: str, progress: Progress, cancel: Cancel) -> Volume:
+        if name == "phantom":
+            from carina import phantom
+
+            return phantom.demo_phantom(progress=progress, cancel=cancel).volume
+        if name == "patient":
+            return volume.demo_patient(progress=progress, cancel=cancel)
+        raise UsageError(f"expected the demo 'phantom' or 'patient'; found {name!r}")
+
+    return Parts(
+        open_volume=open_volume,
+        open_demo=open_demo,
+        quality_words=lambda v: tuple(f.words for f in volume.quality_gate(v).findings),
+        find_airways=track.find_airways,
+        measure_tree=track.measure_tree,
+        transfer_preset=render.transfer_preset,
+        transfer_from_json=render.TransferFunction.from_json,
+        transfer_from_histogram=render.transfer_from_histogram,
+    )

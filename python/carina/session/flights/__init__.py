@@ -1,0 +1,1 @@
+"""Commands that move the tip, and recordings of flights."""

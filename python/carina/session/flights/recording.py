@@ -1,0 +1,178 @@
+"""Commands that record a flight."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import replace
+from pathlib import Path
+from typing import TextIO, cast
+
+from carina import commands as c
+from carina.case.recordings import RecordingFacts, RecordingWriter
+from carina.disk import disk_trouble, make_folder
+from carina.errors import UsageError
+from carina.navigate import Recorder, case_key
+from carina.session.command_registry import Subject, does
+from carina.session.core import SessionCore
+from carina.session.flights.scope_contact import ScopeHolding
+from carina.session.flights.tip_commands import view_words
+from carina.session.open_case.open_case import OpenCase
+from carina.session.state.snapshot import Said, Trouble
+from carina.version import VERSION
+
+__all__ = ["FlightRecording", "new_flight"]
+
+
+class FlightRecording(Subject):
+    """Recorder of every move of the tip, until the user stops it or the case is closed."""
+
+    def __init__(self, core: SessionCore, holding: ScopeHolding) -> None:
+        super().__init__(core)
+        self._holding = holding
+        self._recorder: Recorder | None = None
+        self._path: Path | None = None
+        self._name = ""
+        self._recorded_case: OpenCase | None = None
+        self._into: RecordingWriter | None = None
+        """Writer of a recording into the case; None if the recording goes to a file."""
+        core.before_move = self.tick
+
+    @property
+    def path(self) -> Path | None:
+        """Path of the file of the running recording; None without one, or if it goes into the case."""
+        return self._path if self._recorder is not None else None
+
+    @property
+    def name(self) -> str | None:
+        """Path of the running recording's file, or its name in the case; None without a running recording."""
+        if self._recorder is None:
+            return None
+        flight = self._flight()
+        return self._name if flight is None else flight.name
+
+    def _flight(self) -> RecordingFacts | None:
+        """Return the entry of the recording in the list of flights; None if it goes to a file."""
+        case, into = self._recorded_case, self._into
+        if case is None or into is None:
+            return None
+        return next((one for one in case.flights.listed if one.recording_id == into.number), None)
+
+    @does(c.RecordFlight)
+    def start(self, command: c.RecordFlight) -> None:
+        """Start a recording in the present mode of movement.
+
+        Raises
+        ------
+        UsageError
+            ``session.recording``: if a recording is running, or if the recording is to go into a case that is not
+            stored.
+        CarinaError
+            ``machine``: if the file cannot be written.
+        """
+        case = self.core.needed_case()
+        if self._recorder is not None:
+            raise UsageError("a recording is already running; stop it first", code="session.recording")
+        if command.path is None and not self.core.saving().keeps:
+            raise UsageError(
+                "this case is not stored on this machine: save the recording to a file instead",
+                code="session.recording",
+            )
+        key = case_key(case.info.volume)
+        file: TextIO
+        if command.path is None:
+            path = None
+            with self.core.lock:
+                name, into = new_flight(case, self.core.clock())
+                file = cast(TextIO, into)
+        else:
+            path, name, into = Path(command.path), str(command.path), None
+            try:
+                make_folder(path.parent, what="the recording")
+                file = path.open("x", encoding="utf-8")
+            except OSError as trouble:
+                raise disk_trouble(trouble, "cannot write the recording to", path) from trouble
+        with self.core.lock:
+            try:
+                self._recorder = Recorder(
+                    case.pilot,
+                    file,
+                    case=key,
+                    carina=VERSION,
+                    now_s=self.core.clock(),
+                    view=view_words(case.document, case.sight),
+                    on_end=self._ended,
+                )
+            except OSError as trouble:
+                if path is not None:
+                    with contextlib.suppress(OSError):
+                        path.unlink()
+                raise disk_trouble(trouble, "cannot write the recording to", path) from trouble
+            self._path, self._name, self._recorded_case, self._into = path, name, case, into
+            if into is not None:
+                assert into.number is not None
+                case.flights.unwritten = (*case.flights.unwritten, into)
+                begun = RecordingFacts(into.number, name, "", into.begun_s, 0.0, complete=False)
+                case.flights.listed = (*case.flights.listed, begun)
+            if case.navigator.scope_state is not None:
+                # A replay can only start from a scope that is laid into the lumen.
+                self._holding.lay(case, case.navigator.scope_state.insertion_mm)
+            self.core.changed("state", "flights")
+
+    @does(c.StopRecording)
+    def stop_command(self, _command: c.StopRecording) -> None:
+        """Stop the recording; do nothing if there is none."""
+        self.stop()
+
+    def stop(self) -> Path | None:
+        """Stop the recording, and return the path of its file; None without a recording or a file."""
+        with self.core.lock:
+            recorder, self._recorder = self._recorder, None
+            if recorder is None:
+                return None
+            recorder.tick(self.core.clock())
+            recorder.close()
+            if recorder.trouble is None:
+                flight = self._flight()
+                if flight is None:
+                    self.core.emit(Said(f"{recorder.length_s:.0f} s recorded to {self._path}"))
+                else:
+                    self._end(flight, recorder.length_s)
+                    self.core.emit(Said(f"{recorder.length_s:.0f} s recorded in the case: {flight.name}"))
+                self.core.changed("state", "flights")
+            return self._path
+
+    def _end(self, flight: RecordingFacts, length_s: float) -> None:
+        assert self._recorded_case is not None
+        ended = replace(flight, length_s=round(length_s, 6), complete=True)
+        self._recorded_case.flights.listed = tuple(
+            ended if one is flight else one for one in self._recorded_case.flights.listed
+        )
+
+    def _ended(self, trouble: OSError) -> None:
+        """Report that the file can no longer be written; the flight continues. The caller holds the session's lock."""
+        self._recorder = None
+        kept = f"the recording so far is in {self._path}"
+        told = disk_trouble(trouble, "the recording stopped: cannot write to", self._path, unchanged=kept)
+        self.core.emit(Trouble(told.code, str(told)))
+        self.core.changed("state")
+
+    def tick(self, _case: OpenCase | None = None) -> None:
+        """Record the time before a move; the caller holds the session's lock."""
+        if self._recorder is not None:
+            self._recorder.tick(self.core.clock())
+
+    def note_view(self, case: OpenCase) -> None:
+        """Record the view settings after a change of document or sight; the caller holds the session's lock."""
+        if self._recorder is not None and self._recorded_case is case:
+            self._recorder.note_view(view_words(case.document, case.sight), self.core.clock())
+
+
+def new_flight(case: OpenCase, now_s: float) -> tuple[str, RecordingWriter]:
+    """Return the name and the writer of a new flight of a case; the caller holds the session's lock."""
+    known = {one.recording_id for one in case.flights.listed}
+    number = case.next_number("flight")
+    while number in known:
+        # A repaired file, or a file of another program, may have lost the last number.
+        number = case.next_number("flight")
+    name = f"Flight {number}"
+    return name, RecordingWriter(name, max(0.0, now_s - case.begun_s), number=number)

@@ -1,0 +1,87 @@
+"""Commands that move the tip; every move goes through the :class:`carina.navigate.Pilot` of the case."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from carina import commands as c
+from carina.case.document import Document
+from carina.render import Sight
+from carina.scopes import Pose
+from carina.session.command_registry import Subject, does
+from carina.session.core import SessionCore
+from carina.session.flights.scope_contact import ScopeHolding
+from carina.session.open_case.start_pose import pose_before_place
+
+__all__ = ["STRAIGHT_TO_THE_PILOT", "Flying", "place_pose", "view_words"]
+
+STRAIGHT_TO_THE_PILOT = (
+    c.Steer, c.GoTo, c.NextFork, c.PreviousFork, c.PlacePose, c.LevelHorizon, c.ResetLook,
+    c.TakeDevice, c.SetControl, c.CycleControl, c.SetControls, c.JoinPen,
+)  # fmt: skip
+"""Commands that are moves themselves; :meth:`carina.session.core.SessionCore.fly` runs them."""
+
+
+def place_pose(pose: Pose) -> c.PlacePose:
+    """Return the command that places the tip at a pose."""
+    return c.PlacePose(tuple(float(v) for v in pose.lps_from_camera.ravel()))
+
+
+def view_words(document: Document, sight: Sight) -> dict[str, Any]:
+    """Return the settings of the airway view under the names of the recording format."""
+    look = document.look
+    return {
+        "scope": look.scope,
+        # "mask" is the name in the file format.
+        "mask": look.outline,
+        "fov_deg": float(look.fov_deg),
+        "shading": sight.shading,
+        "texture": sight.texture,
+        "operator": look.operator,
+        "transfer": document.transfer.to_json(),
+    }
+
+
+class Flying(Subject):
+    """Commands that move the tip and also need the airways, their wall or the volume of the case."""
+
+    def __init__(self, core: SessionCore, holding: ScopeHolding) -> None:
+        super().__init__(core)
+        self._holding = holding
+
+    @does(c.SetMode)
+    def set_mode(self, command: c.SetMode) -> None:
+        """Set the mode of movement; a job computes the wall before a scope is laid into the lumen."""
+        case = self.core.needed_case()
+        if command.mode != "scope":
+            self.core.fly(command)
+        elif case.navigator.mode != "scope":
+            self._holding.enter(case)
+
+    @does(c.ToggleMode)
+    def toggle_mode(self, command: c.ToggleMode) -> None:
+        """Switch the mode of movement; with a device in use, cycle through absolute, relative and path control."""
+        pilot = self.core.needed_case().pilot
+        self.core.fly(command if pilot.holder is None else c.CycleControl())
+
+    @does(c.Place)
+    def place(self, command: c.Place) -> None:
+        """Move the tip to a point inside the volume."""
+        self.core.needed_case().check_inside(command.lps)
+        self.core.fly(command)
+
+    @does(c.ShowPlace)
+    def show_place(self, command: c.ShowPlace) -> None:
+        """Move the crosshair to a point and place the tip before it; without airways only the crosshair moves."""
+        lps = command.lps
+        case = self.core.needed_case()
+        case.check_inside(lps)
+        airways = case.document.airways
+        pose = None if airways is None else pose_before_place(airways, case.info.volume, lps, command.branch_id)
+        if pose is not None:
+            self.core.fly(place_pose(pose))
+            # The horizon is levelled for the position of the operator.
+            self.core.fly(c.LevelHorizon())
+        self.core.see(case, lambda sight: msgspec.structs.replace(sight, crosshair_lps=lps))

@@ -1,0 +1,1 @@
+"""Jobs in the background: groups, progress, cancellation and memory."""

@@ -1,0 +1,1 @@
+"""The open case: its state, its start pose and the queries that every command shares."""

@@ -1,0 +1,1 @@
+"""Saving of the open case: the live file, the named file and unsaved work."""

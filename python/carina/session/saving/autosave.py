@@ -1,0 +1,725 @@
+"""Storage of the open case: the live file is at most two seconds behind, and up to date before risky steps."""
+
+from __future__ import annotations
+
+import logging
+import sqlite3
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from carina import commands as c
+from carina.case import CaseFile, CaseFileError
+from carina.case.stored_state import Moment
+from carina.disk import disk_trouble
+from carina.display import one_line
+from carina.errors import CarinaError, UsageError
+from carina.session.command_registry import Subject, answers, does
+from carina.session.core import SessionCore
+from carina.session.flights.recorded_flights import needed_flight
+from carina.session.jobs.background_jobs import Job
+from carina.session.open_case.open_case import OpenCase, moment_of
+from carina.session.saving.unsaved_work import UnsavedWork
+from carina.session.saving.writer import NOT_RESPONDING, Keeper
+from carina.session.state.snapshot import Changed, Said, SavingInfo, Trouble
+from carina.session.store.case_names import suggested_file_name
+from carina.session.store.find_scan import CASE_SUFFIX, FoundScan
+from carina.session.store.flight_copies import flight_count
+from carina.session.store.interfaces import CtCache, KeptCt, KeptFile, KeptFiles
+from carina.session.store.named_file import FileMark, NamedFile, NamedFileConflictError
+from carina.session.store.named_file_lock import LockedElsewhereError, NamedLock
+from carina.session.store.registry import CaseRecord, CaseRecords, HeldCase
+from carina.volume import same_geometry
+
+if TYPE_CHECKING:
+    from carina.case.recordings import RecordingFacts
+    from carina.session.core import Event
+    from carina.session.engines import Cancel, Progress
+    from carina.session.store.find_scan import CaseScans
+    from carina.volume import Volume
+
+__all__ = ["CtCache", "KeptCt", "KeptFile", "KeptFiles", "Reopened", "Saving"]
+
+logger = logging.getLogger(__name__)
+
+OPEN_ELSEWHERE = "this CT is already open in another window; changes made here are saved as a separate case"
+HELD_TRIES, HELD_EVERY_S = 4, 0.05
+"""Number and interval (s) of attempts to lock a case, because a check by another program locks it briefly."""
+CLOSING_S = 60.0
+"""Time, in s, that Carina waits at its end for a disk that does not respond."""
+
+
+@one_line
+@dataclass(slots=True)
+class Reopened:
+    """A stored case while its CT is read."""
+
+    held: HeldCase
+    file: KeptFile
+    flights: tuple[RecordingFacts, ...] = ()
+
+    def note_ct(self, volume: Volume) -> None:
+        """Store the date of the CT in a record without a date."""
+        scanned_on = self.held.record.scanned_on or volume.source.acquired_on
+        if scanned_on != self.held.record.scanned_on:
+            self.held.note(scanned_on=scanned_on)
+
+
+class Between:
+    """Switch from one case to the next: the next stored case is found, and then attached or released."""
+
+    def __init__(self, saving: Saving) -> None:
+        self._saving = saving
+        self._digest: str | None = None
+        self._reopened: Reopened | None = None
+        self._named: NamedFile | None = None
+        self._claim: NamedLock | None = None
+        self._is_new = False
+        """Whether the stored case is a new copy; the copy is deleted if the case is not shown after all."""
+
+    def begin(self, volume: Volume) -> None:
+        """Begin a new case of a CT; the stored cases of the CT are not changed."""
+        self._digest = self._saving.digest_of(volume)
+        self._claim_ct(is_new=False)
+
+    def _claim_ct(self, *, is_new: bool) -> None:
+        """Claim the CT, and notify the user of a new case if another window has the CT open."""
+        records = self._saving.records
+        if records is None or self._digest is None:
+            return
+        try:
+            self._claim = records.claim(self._digest)
+        except LockedElsewhereError:
+            if is_new:
+                self._saving.core.emit(Said(OPEN_ELSEWHERE))
+
+    def take(self, digest: str | None, case_id: str | None = None) -> Reopened | None:
+        """Own the stored case of a CT: the selected case, or the case that was used last."""
+        self._digest = digest
+        records = self._saving.records
+        if records is None or digest is None:
+            record = None
+        elif case_id is None:
+            record = records.newest_of(digest)
+        else:
+            record = records.find(case_id)
+            if record is not None and record.digest != digest:
+                raise CarinaError(
+                    "the CT at this location is not the one that this case was made from. Choose the case's own CT, "
+                    "or open this CT to start a new case",
+                    code="case.other-ct",
+                )
+        self._reopened = None if record is None else self._saving.opened(record)
+        self._claim_ct(is_new=record is None)
+        return self._reopened
+
+    def reopened(self, volume: Volume, case_id: str | None = None) -> Moment | None:
+        """Return the stored state of a CT's case, wherever the CT is now; None if no state is stored or readable."""
+        reopened = self.take(self._saving.digest_of(volume), case_id)
+        self._saving.say_still_waits(self._digest)
+        if reopened is None:
+            return None
+        try:
+            moment = reopened.file.load(volume)
+            reopened.note_ct(volume)
+            return moment
+        except (OSError, sqlite3.Error, CarinaError) as trouble:
+            if isinstance(trouble, CaseFileError) and trouble.code == "case.empty":
+                # After a crash right after the beginning of the case, the same file is used again.
+                return None
+            self._saving.say_unreadable(reopened.held, trouble)
+        self.give_back()
+        return None
+
+    def imported(self, volume: Volume, case: CaseFile, mark: FileMark | None) -> Moment | None:
+        """Continue from a case file: from the stored case that wrote the file, else from a copy.
+
+        A file of a newer version of Carina is shown and not stored. The live file of a stored case is no named file:
+        the stored case is continued, or copied while another window has it open.
+
+        Parameters
+        ----------
+        mark
+            Mark of the opened file, which is updated with the case from now on; None for a dropped file, which has no
+            path.
+
+        Returns
+        -------
+        Moment | None
+            None if no state was saved in the file.
+        """
+        digest = self._saving.digest_of(volume)
+        if digest is None or case.note is not None:
+            return case.load(volume)
+        self._digest = digest
+        if mark is not None and self._saving.stores(case.path):
+            mark, self._reopened = None, self._saving.reopened_live(case)
+        else:
+            if mark is not None:
+                self._named = self._saving.named_file(case, mark)
+            self._reopened = self._saving.reopened_file(case, mark)
+        self._claim_ct(is_new=False)
+        if self._reopened is None:
+            self._is_new = True
+            self._reopened = self._saving.taken_over(case, mark)
+        self._reopened.note_ct(volume)
+        try:
+            return self._reopened.file.load(volume)
+        except CaseFileError as trouble:
+            if trouble.code != "case.empty":
+                raise
+            return None
+
+    def attach(self, case: OpenCase, place: str | None) -> None:
+        """Store this case from now on; the caller holds the session's lock."""
+        reopened, self._reopened = self._reopened, None
+        if reopened is not None and not case.flights.listed:
+            # A case that was open before has its list in memory, which its file may lack.
+            case.flights.listed = tuple(one for one in reopened.flights if one.recording_id not in case.flights.removed)
+        named, self._named = self._named, None
+        claim, self._claim = self._claim, None
+        if self._digest is not None:
+            self._saving.attach(case, place, self._digest, reopened=reopened, named=named, claim=claim)
+
+    def give_back(self) -> None:
+        """Release the stored case, the named file and the claim, because the case is not shown after all."""
+        reopened, self._reopened = self._reopened, None
+        named, self._named = self._named, None
+        claim, self._claim = self._claim, None
+        if named is not None:
+            named.close()
+        if claim is not None:
+            claim.release()
+        if reopened is not None:
+            reopened.file.close()
+            reopened.held.release()
+            if self._is_new:
+                self._saving.remove(reopened.held)
+
+
+class Saving(Subject):
+    """The stored case of a session and the commands about it; :class:`Keeper` writes the case.
+
+    Parameters
+    ----------
+    core
+        The session.
+    records
+        The records of the user's cases; None stores no case.
+    files
+        The storage that makes and opens case files.
+    """
+
+    def __init__(self, core: SessionCore, records: CaseRecords | None, files: KeptFiles | None) -> None:
+        super().__init__(core)
+        self.records = records
+        self._files = files
+        self._kept: Keeper | None = None
+        self._ending: list[Keeper] = []
+        """Keepers whose disk did not respond when their case was closed."""
+        self._awaited: str | None = None
+        """Digest of the CT that a dropped case waits for."""
+        if records is not None:
+            core.subscribe(self._hear)
+
+    # ------------------------------------------------------------ opening and closing
+
+    @contextmanager
+    def between(self) -> Iterator[Between]:
+        """Release the open case while another case is opened; after a failure, store the open case again."""
+        before = self._kept
+        self.refuse_to_lose()
+        self.let_go()
+        between = Between(self)
+        try:
+            yield between
+        except BaseException:
+            between.give_back()
+            if before is not None:
+                again = Between(self)
+                try:
+                    again.take(before.digest, None if before.held is None else before.held.record.case_id)
+                except (OSError, sqlite3.Error, CarinaError) as trouble:
+                    # The case remains on screen, so its changes are stored as a separate case.
+                    logger.warning("the open case could not be stored again (%s)", type(trouble).__name__)
+                with self.core.lock:
+                    again.attach(before.case, before.place)
+            raise
+
+    def opened(self, record: CaseRecord) -> Reopened | None:
+        """Open a stored case and own it from now on; if this is impossible, notify the user and return None."""
+        assert self.records is not None
+        assert self._files is not None
+        for keeper in self._ending:
+            if keeper.held is not None and keeper.held.record.case_id == record.case_id:
+                keeper.end(CLOSING_S)
+        held = self.records.hold(record)
+        for _ in range(HELD_TRIES):
+            if held is not None:
+                break
+            time.sleep(HELD_EVERY_S)
+            held = self.records.hold(record)
+        if held is None:
+            self.core.emit(Said(OPEN_ELSEWHERE))
+            return None
+        try:
+            if held.path.exists():
+                file = self._files.open(held.path)
+                return Reopened(held, file, self._flights_in(file))
+        except (OSError, sqlite3.Error, CarinaError) as trouble:
+            self.say_unreadable(held, trouble)
+        held.release()
+        return None
+
+    def named_file(self, case: CaseFile, mark: FileMark) -> NamedFile:
+        """Return the named file that a case is opened from; warn at once if another window or program has it open."""
+        named = NamedFile(case.path.absolute(), mark, ct_digest=case.digest)
+        try:
+            named.check()
+        except NamedFileConflictError as conflict:
+            self.core.emit(Said(str(conflict)))
+        except OSError:
+            pass  # The error is reported when the file is written.
+        return named
+
+    def stores(self, path: Path) -> bool:
+        """Return whether a path is in the folder of the stored cases."""
+        return self.records is not None and self.records.stores(path)
+
+    def reopened_live(self, case: CaseFile) -> Reopened | None:
+        """Own the stored case whose live file was opened; None if it is open elsewhere, or not in the list."""
+        assert self.records is not None
+        record = self.records.record_at(case.path)
+        return None if record is None else self.opened(record)
+
+    def reopened_file(self, case: CaseFile, mark: FileMark | None) -> Reopened | None:
+        """Own the stored case that wrote a case file, and return this case; None if there is no such case."""
+        record = self._record_of(case, mark)
+        reopened = None if record is None else self.opened(record)
+        if reopened is not None and mark is not None and reopened.held.record.copy_path != str(case.path.absolute()):
+            reopened.held.note(copy_path=str(case.path.absolute()))
+        return reopened
+
+    def _record_of(self, case: CaseFile, mark: FileMark | None) -> CaseRecord | None:
+        """Return the record of the stored case that a case file is a copy of.
+
+        A named file is identified by its content alone: by the digest that the case recorded when it wrote the file. A
+        dropped file may be older, so all its steps must be steps of the stored case.
+        """
+        assert self.records is not None
+        records = [one for one in self.records.all() if one.digest == case.digest]
+        if mark is None:
+            steps = _told(case)
+            return next((one for one in records if steps and self._told_here(one)[: len(steps)] == steps), None)
+        path = str(case.path.absolute())
+        for record in records:
+            is_same = mark.digest in {record.copy_digest, record.next_copy_digest}
+            # A moved file still belongs to its case. A copy beside the original becomes a separate case.
+            if is_same and (record.copy_path == path or not Path(record.copy_path or "").exists()):
+                return record
+        if any(one.copy_path == path for one in records):
+            self.core.emit(
+                Said(
+                    f"The file {case.path.name} was changed since this computer saved it last: it is opened as a new "
+                    "case. The earlier case stays in the list of recent cases"
+                )
+            )
+        return None
+
+    def _told_here(self, record: CaseRecord) -> tuple[tuple[str, float], ...]:
+        assert self.records is not None
+        try:
+            with CaseFile.open(self.records.path_of(record), read_only=True) as live:
+                return _told(live)
+        except (OSError, sqlite3.Error, CarinaError):
+            return ()
+
+    def taken_over(self, case: CaseFile, mark: FileMark | None) -> Reopened:
+        """Store a copy of a case file as a new case; a file with a mark is updated with the case from now on."""
+        assert self.records is not None
+        assert self._files is not None
+        held = self.records.begin(case.digest, None)
+        try:
+            case.write_copy(held.path, private=True)
+            file = self._files.open(held.path)
+        except BaseException:
+            held.release()
+            self.remove(held)
+            raise
+        steps, now_s, flights = case.history(), self.records.now_s(), self._flights_in(file)
+        # Times are chosen so that no step or flight of the case ends in the future.
+        last_s = [step.at_s for step in steps] + [one.begun_s + one.length_s for one in flights]
+        if mark is not None:
+            held.note(
+                copy_path=str(case.path.absolute()),
+                copied_s=now_s,
+                copy_digest=mark.digest,
+                copy_save_id=mark.save_id,
+                copy_generation=mark.generation,
+            )
+        held.note(
+            begun_s=now_s - max(last_s, default=0.0),
+            num_changes=sum(step.holds for step in steps),
+            holds_ct=case.holds_ct,
+        )
+        return Reopened(held, file, flights)
+
+    def _flights_in(self, file: KeptFile) -> tuple[RecordingFacts, ...]:
+        try:
+            return file.recordings()
+        except (OSError, sqlite3.Error, CarinaError) as trouble:
+            self.core.emit(
+                Trouble("case.recording", f"the recorded flights of this case could not be listed: {trouble}")
+            )
+            return ()
+
+    def remove(self, held: HeldCase) -> None:
+        """Remove a stored case that is not shown after all, and release its lock."""
+        assert self.records is not None
+        if self.records.forget(held.record):
+            self.records.remove(held.record.case_id)
+
+    def waits(self, case: CaseFile) -> bool:
+        """Store a dropped case until its CT is opened; return False if no case is stored."""
+        if self.records is None or self._files is None:
+            return False
+        if self._record_of(case, None) is None:
+            reopened = self.taken_over(case, None)
+            reopened.file.close()
+            reopened.held.release()
+        self._awaited = case.digest
+        return True
+
+    def say_still_waits(self, digest: str | None) -> None:
+        """Notify the user if the opened CT is not that of the dropped case that waits for its CT."""
+        awaited, self._awaited = self._awaited, None
+        if awaited is not None and digest != awaited:
+            self.core.emit(
+                Said("this is not the CT of the case that you dropped; that case stays in the list of recent cases")
+            )
+
+    def open_ct_of(self, case: CaseFile) -> FoundScan | None:
+        """Return the CT of the open case, if it is also the CT of this case file."""
+        kept = self._kept
+        if kept is None or kept.digest != case.digest or self.core.case is not kept.case:
+            return None
+        volume = kept.case.info.volume
+        return FoundScan(volume, kept.place) if same_geometry(volume, case.source) else None
+
+    def say_unreadable(self, held: HeldCase, trouble: BaseException) -> None:
+        """Report that a stored case is unreadable and unchanged, and that a new case was begun."""
+        self.core.emit(
+            Trouble(
+                "case.unreadable",
+                f"the saved case of this CT could not be read: {trouble}. Its file is unchanged: "
+                f"{held.path}. This is a new case of the same CT.",
+            )
+        )
+
+    @property
+    def open_ct(self) -> Callable[[str, Progress, Cancel], Volume]:
+        """Function that opens a CT of this machine, with the cache if there is one."""
+        kept = None if self._files is None else self._files.open_ct
+        return self.core.parts.open_volume if kept is None else kept
+
+    def digest_of(self, volume: Volume) -> str | None:
+        """Return the digest that identifies a CT; None where no case is stored."""
+        return None if self._files is None or self.records is None else self._files.digest(volume)
+
+    def attach(
+        self,
+        case: OpenCase,
+        place: str | None,
+        digest: str,
+        *,
+        reopened: Reopened | None,
+        named: NamedFile | None,
+        claim: NamedLock | None,
+    ) -> None:
+        """Store this case from now on; the caller holds the session's lock."""
+        assert self.records is not None
+        assert self._files is not None
+        stored = None if reopened is None else reopened.held.record
+        suggested = (
+            self._suggested(None, case.case_id) if stored is None else self._suggested(stored.alias, stored.case_id)
+        )
+        begun_s = self.records.now_s() - (self.core.clock() - case.begun_s)
+        info = SavingInfo(keeps=True, begun_s=begun_s, suggested=suggested)
+        if reopened is not None:
+            record = reopened.held.record
+            case.case_id = record.case_id
+            case.begun_s = self.core.clock() - max(0.0, self.records.now_s() - record.begun_s)
+            copy = None if record.copy_path is None else Path(record.copy_path)
+            info = SavingInfo(
+                keeps=True,
+                saved_s=record.used_s,
+                begun_s=record.begun_s,
+                title=record.alias,
+                continued_s=record.used_s,
+                continued_changes=record.num_changes,
+                copied_s=record.copied_s,
+                copy_name=None if copy is None else copy.name,
+                copy_folder=None if copy is None else str(copy.parent),
+                suggested=suggested,
+            )
+        kept = Keeper(
+            self.core,
+            self.records,
+            self._files,
+            case,
+            place=place,
+            digest=digest,
+            is_current=lambda keeper: keeper is self._kept,
+            held=None if reopened is None else reopened.held,
+            file=None if reopened is None else reopened.file,
+            named=named,
+            claim=claim,
+            info=info,
+        )
+        self._kept = kept
+        kept.start()
+
+    def _suggested(self, alias: str | None, case_id: str) -> str | None:
+        """Return the suggested path for the named file of a case."""
+        documents = None if self.records is None else self.records.documents
+        return None if documents is None else str(documents / f"{suggested_file_name(alias, case_id)}{CASE_SUFFIX}")
+
+    def refuse_to_lose(self) -> None:
+        """Refuse to close the case while its latest changes are in no file; not to be called with the session locked.
+
+        Raises
+        ------
+        UsageError
+            ``case.not-saved``: if the disk has not accepted the latest changes, and they were not saved elsewhere.
+        """
+        kept = self._kept
+        if kept is None or kept.settle() or kept.is_elsewhere:
+            return
+        raise UsageError(
+            f"the case stays open, because its latest changes could not be saved: {kept.info.problem}. Save it in "
+            "another folder (Ctrl+S), or free some space",
+            code="case.not-saved",
+        )
+
+    def let_go(self, within_s: float | None = None) -> None:
+        """Write the remaining changes and release the case.
+
+        The wait for a disk that does not respond is in the background, unless ``within_s`` is given.
+        """
+        kept = self._kept
+        if kept is None:
+            return
+        self._ending = [keeper for keeper in self._ending if not keeper.has_ended or keeper.unsaved() is not None]
+        has_ended = kept.end(within_s)
+        if not has_ended or kept.unsaved() is not None:
+            self._ending.append(kept)
+            if not has_ended and within_s is not None:
+                logger.warning("Carina is closing before the latest changes to a case have been written to disk")
+        if self._kept is kept:
+            self._kept = None
+
+    def unsaved(self) -> tuple[UnsavedWork, ...]:
+        """Return the work that could not be saved, of the open case and of cases closed before.
+
+        The call waits for each disk, up to a time limit. The caller must not hold the session's lock.
+        """
+        if self._kept is not None:
+            self._kept.settle()
+        for keeper in self._ending:
+            keeper.end()
+        return tuple(work for keeper in self._keepers() if (work := keeper.unsaved()) is not None)
+
+    def save_elsewhere(self, case_number: int, path: Path) -> Path:
+        """Save a case with unsaved work to another file, and return the file.
+
+        Parameters
+        ----------
+        case_number
+            ``case_number`` of the :class:`UnsavedWork`.
+        path
+            A new file, or a folder, in which the file gets the neutral alias as its name.
+
+        Raises
+        ------
+        UsageError
+            ``case.exists``: if the file exists; ``case.no-place``: if its folder does not, or stores Carina's cases.
+        CarinaError
+            If the case cannot be written to that path either.
+        """
+        keeper = next(one for one in self._keepers() if one.case.number == case_number)
+        target = path.expanduser().absolute()
+        if target.is_dir():
+            target /= keeper.case.neutral_title.replace(" ", "-")
+        target = _with_suffix(target)
+        if target.exists():
+            raise UsageError(f"{target} already exists; choose another name", code="case.exists")
+        if not target.parent.is_dir():
+            raise UsageError(f"the folder {target.parent} does not exist", code="case.no-place")
+        assert self.records is not None
+        self.records.refuse_stored(target)
+        try:
+            keeper.save_to(target)
+        except OSError as trouble:
+            raise disk_trouble(trouble, "cannot save the case to", target) from trouble
+        except sqlite3.Error as trouble:
+            raise CarinaError(f"cannot save the case to {target}: {trouble}", code="case.not-saved") from trouble
+        return target
+
+    def _keepers(self) -> tuple[Keeper, ...]:
+        return (*self._ending, *(() if self._kept is None else (self._kept,)))
+
+    def close(self, within_s: float = CLOSING_S) -> None:
+        """Write the remaining changes and end the threads; wait up to ``within_s`` for a disk that does not respond."""
+        self.let_go(within_s)
+        if self._files is not None:
+            self._files.close()
+
+    @property
+    def info(self) -> SavingInfo:
+        """State of saving, for the window."""
+        kept = self._kept
+        return SavingInfo() if kept is None else kept.info
+
+    def _hear(self, event: Event) -> None:
+        """Pass a change of the open case to its keeper; called with the session locked."""
+        kept = self._kept
+        if kept is not None and isinstance(event, Changed) and self.core.case is kept.case and not kept.is_telling:
+            kept.changed(event.topics)
+
+    def write_now(self) -> bool:
+        """Write the remaining changes before a risky step, and return whether all changes are on the disk.
+
+        The caller must not hold the session's lock.
+        """
+        kept = self._kept
+        return kept is None or kept.settle()
+
+    # ------------------------------------------------------------ state for other objects
+
+    def rename(self, case_id: str, alias: str | None) -> bool:
+        """Rename the open case; return False if another case is open."""
+        kept = self._kept
+        if kept is None or kept.held is None or kept.held.record.case_id != case_id:
+            return False
+        kept.call(alias, self._suggested(alias, case_id))
+        return True
+
+    def place_of(self, case: OpenCase) -> str | None:
+        """Return the path from which the CT of the open case was opened; None if it is unknown."""
+        kept = self._kept
+        return None if kept is None or kept.case is not case else kept.place
+
+    @property
+    def scans(self) -> CaseScans | None:
+        """Search for the CTs of case files; None if case files cannot be opened."""
+        return None if self._files is None else self._files.scans
+
+    @property
+    def cache(self) -> CtCache | None:
+        """The cache of CTs; None without a cache."""
+        return None if self._files is None else self._files.cache
+
+    # ------------------------------------------------------------ programs that join
+
+    @property
+    def open_case(self) -> tuple[str, int] | None:
+        """ID and number of the open case; None if no case is open or the case is not stored."""
+        kept = self._kept
+        return None if kept is None or kept.held is None else (kept.held.record.case_id, kept.case.number)
+
+    @does(c.KeepNow)
+    def keep_now(self, _command: c.KeepNow) -> None:
+        """Write all changes to the disk now, including changes by other windows and programs."""
+        case, kept = self.core.needed_case(), self._kept
+        if kept is None or kept.case is not case:
+            raise UsageError("this case is no longer open here", code="case.closed")
+        is_kept = kept.settle()
+        if self._kept is not kept or kept.has_ended:
+            raise UsageError("this case is no longer open here", code="case.closed")
+        if not is_kept:
+            raise CarinaError(kept.info.problem or NOT_RESPONDING, code="case.not-saved")
+
+    @answers(c.FlightToTakeAway)
+    def flight_to_take_away(self, question: c.FlightToTakeAway) -> str:
+        """Return the lines of a recorded flight.
+
+        The call waits for the disk, so the caller must not hold the session's lock.
+        """
+        return self.flight_text(question.number)
+
+    def flight_text(self, number: int) -> str:
+        """Return the lines of a recorded flight by its number; the call waits for the disk."""
+        case, kept = self.core.needed_case(), self._kept
+        with self.core.lock:
+            needed_flight(case, number)
+        if kept is None or kept.case is not case:
+            raise UsageError("this case is no longer open here", code="case.closed")
+        if not kept.settle():
+            raise CarinaError(kept.info.problem or NOT_RESPONDING, code="case.not-saved")
+        return kept.flight_text(number)
+
+    # ------------------------------------------------------------ the named file
+
+    @answers(c.MomentToKeep)
+    def moment_to_keep(self, _question: c.MomentToKeep) -> Moment:
+        """Return the present state of the case, for a caller that stores the case in a file of its own."""
+        case = self.core.needed_case()
+        with self.core.lock:
+            return moment_of(case)
+
+    @does(c.SaveCase)
+    def save_case(self, command: c.SaveCase) -> str:
+        """Save the case to a named file, as a job; without a path, update the named file of the case."""
+        self.core.needed_case()
+        kept = self._kept
+        if kept is None:
+            raise UsageError("this session does not store the case, so it cannot save it", code="case.not-kept")
+        known = kept.copy_path
+        if command.path is None and known is None:
+            raise UsageError(
+                "this case has not been saved to a file yet: choose a folder and a name", code="case.no-place"
+            )
+        path = known if command.path is None else _with_suffix(Path(command.path).expanduser())
+        assert path is not None
+        is_known = kept.named is not None and kept.named.has_path(path)
+        if not path.is_absolute():
+            raise UsageError(f"expected a full path such as C:\\cases\\NAME or /home/NAME; found {command.path}")
+        assert self.records is not None
+        self.records.refuse_stored(path)
+        if path.exists() and not command.replace and not is_known:
+            raise UsageError(f"{path} already exists; choose another name, or replace it", code="case.exists")
+
+        def work(job: Job) -> None:
+            job.check()
+            kept.settle()
+            if self._kept is not kept:
+                return
+            try:
+                saved = kept.save_to(path, replace=command.replace and (not is_known or kept.has_conflict))
+            except NamedFileConflictError as conflict:
+                kept.tell_conflict(conflict)
+                raise
+            except OSError as trouble:
+                raise disk_trouble(trouble, "cannot save the case to", path) from trouble
+            # The record must be on the disk before a program that opens the file looks up whether the case is open.
+            kept.settle()
+            was_replaced = "" if saved.replaced is None else f"; the replaced file is kept as {saved.replaced.name}"
+            self.core.emit(Said(f"saved as {path}{_without(saved.num_missing)}{was_replaced}"))
+
+        return self.core.jobs.start("save", "saving the case", work)
+
+
+def _told(case: CaseFile) -> tuple[tuple[str, float], ...]:
+    """Return the labels and times of a case's steps, which together identify the case."""
+    return tuple((step.label, step.at_s) for step in case.history())
+
+
+def _without(num_flights: int) -> str:
+    return f", without {flight_count(num_flights)} that could not be read from the faulty disk" if num_flights else ""
+
+
+def _with_suffix(path: Path) -> Path:
+    return path if path.suffix.lower() == CASE_SUFFIX else path.with_name(path.name + CASE_SUFFIX)

@@ -1,0 +1,1 @@
+"""State of a session for its windows, as frozen values."""

@@ -1,0 +1,62 @@
+"""Grey scale of a volume: how its values are shown and searched, and which features need Hounsfield units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from carina.display import one_line
+from carina.render import GreyWindow, TransferFunction
+
+if TYPE_CHECKING:
+    from carina.session.engines import Parts
+    from carina.volume import Volume
+
+__all__ = ["HISTOGRAM_PRESET", "FeatureOff", "GreyScale", "grey_scale"]
+
+LUNG_WINDOW = GreyWindow(1500.0, -600.0)
+HISTOGRAM_PRESET = "from histogram"
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class FeatureOff:
+    """A feature that this volume does not support, and the reason."""
+
+    what: str
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class GreyScale:
+    """Display and search settings that follow from the unit of a volume's values."""
+
+    presets: tuple[str, ...]
+    """Names of the transfer functions that suit the values."""
+    threshold: float | None
+    """Lumen threshold from the histogram; None for HU, for which the airway search determines its own threshold."""
+    window: GreyWindow
+    transfer: TransferFunction
+    """Initial transfer function."""
+    off: tuple[FeatureOff, ...] = ()
+    """Features that need HU, if the volume has none."""
+
+
+def grey_scale(volume: Volume, parts: Parts) -> GreyScale:
+    """Return the initial display settings of a volume."""
+    if volume.is_hu:
+        return GreyScale(parts.presets, None, LUNG_WINDOW, parts.transfer_preset("endoscopic"))
+    low, high = volume.value_range
+    transfer, threshold = parts.transfer_from_histogram(volume)
+    why = volume.not_hu_reason or "this volume is not in HU"
+    return GreyScale(
+        (HISTOGRAM_PRESET,),
+        threshold,
+        GreyWindow(float(max(1, high - low)), (high + low) / 2.0),
+        transfer,
+        (
+            FeatureOff("transfer functions and windows in HU", why),
+            FeatureOff("the check that the scan covers both lungs", why),
+            FeatureOff("a lumen threshold in HU (the threshold shown is in the file's own units)", why),
+        ),
+    )

@@ -1,0 +1,307 @@
+"""Snapshots of a session's state: frozen values that are read without a lock."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import msgspec
+
+from carina.case.document import Document
+from carina.case.history import Step
+from carina.commands import DeviceControls, KeyFrameFlying
+from carina.commands.fields import BranchId, FlightNumber, Identifier, Words
+from carina.display import one_line
+from carina.errors import NoEvidenceError
+from carina.navigate import DeviceState
+from carina.render import Sight
+from carina.scopes import Pose, ScopeState
+from carina.session.state.grey_scale import FeatureOff, GreyScale
+from carina.value import FrozenValue
+
+if TYPE_CHECKING:
+    from carina.track import Branch, TreeMeasures
+    from carina.volume import MaskLabel, Volume
+
+__all__ = [
+    "AirwayStatus",
+    "CaseSnapshot",
+    "Changed",
+    "DevicesInfo",
+    "FlightInfo",
+    "FlightPlace",
+    "KeyFramesInfo",
+    "MaskQuestion",
+    "NotEvident",
+    "PoseInfo",
+    "Said",
+    "SavingInfo",
+    "ShownKeyFrame",
+    "Snapshot",
+    "Stage",
+    "StartMarked",
+    "Trouble",
+    "WallPoint",
+]
+
+Stage = Literal["empty", "opening", "ready"]
+AirwayStatus = Literal["none", "waiting", "finding", "found", "failed"]
+Topic = Literal["state", "tree", "route", "pose", "start", "views", "key_frames", "flights", "history", "plan", "lungs"]
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class CaseSnapshot:
+    """The open volume and its display settings."""
+
+    volume: Volume
+    quality: tuple[str, ...]
+    scale: GreyScale
+    value_range: tuple[int, int]
+    case_id: str = ""
+    """Random id of the case, equal to the id of its record once the case is stored."""
+
+    @property
+    def off(self) -> tuple[FeatureOff, ...]:
+        """Features that this volume does not support."""
+        return self.scale.off
+
+
+class FlightPlace(FrozenValue, frozen=True):
+    """A time of a recorded flight that is flown again."""
+
+    number: FlightNumber
+    time_s: float
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class PoseInfo:
+    """The newest pose and its position in the airways."""
+
+    pose_id: int
+    pose: Pose
+    mode: Literal["free", "path", "scope"]
+    path_mm: float | None
+    branch: Branch | None
+    """Branch that contains the pose; None outside the airways."""
+    lumen_mm: float | None
+    """Diameter, in mm, of the nearest section of the branch away from its forks; None before the measurement."""
+    inside: bool
+    scope: ScopeState | None = None
+    """Scope in the lumen, in mode *scope*."""
+    scope_tip_mm: float | None = None
+    """Outer diameter of the scope's tip, in mm."""
+    key_frames_s: float | None = None
+    """Time of the tip in the flight through the key frames, in s; None if another cause moved the tip last."""
+    flight: FlightPlace | None = None
+    """Position of the tip in a recorded flight; None if another cause moved the tip last."""
+    by_device: bool = False
+    """Whether a device moved the tip last."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class WallPoint:
+    """A point of the wall with its voxel value and its branch."""
+
+    lps: tuple[float, float, float]
+    voxel_value: int | None
+    """Value of the voxel that contains the point; None outside the volume."""
+    branch: Branch | None
+    """Branch with the nearest centreline; None without a tree."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class MaskQuestion:
+    """Question to the user about an imported mask, which must be answered before the mask can define the airways."""
+
+    title: str
+    """Name of the file."""
+    problem: Literal["label", "grid"]
+    labels: tuple[MaskLabel, ...] = ()
+    """Structures in the mask, of which the user must choose the airway."""
+    suggested: int | None = None
+    """Label whose name denotes the airway; None if none or several do."""
+    expected: str | None = None
+    """Grid of the scan, if the mask has another grid and the user must allow resampling."""
+    found: str | None = None
+    share_inside: float | None = None
+    """Fraction of the structure that lies inside the scan, 0 to 1."""
+
+
+class SavingInfo(FrozenValue, frozen=True):
+    """What of the case is on the disk. Times are seconds since 1970."""
+
+    keeps: bool = False
+    """Whether the case is stored; False for a case that cannot be found again, or if nothing is stored."""
+    saved_s: float | None = None
+    """Time of the last write."""
+    begun_s: float | None = None
+    """Time when the case was begun."""
+    problem: Words | None = None
+    """Reason why nothing can be written at present; None if writing works."""
+    copied_s: float | None = None
+    """Time when the named file was last written."""
+    copy_name: Words | None = None
+    copy_folder: Words | None = None
+    copy_problem: Words | None = None
+    """Reason why the named file was not written at the last attempt."""
+    copy_conflict: Literal["changed", "other-case", "not-a-case", "missing", "open-elsewhere"] | None = None
+    """Kind of the conflict if the named file has content that this window did not write; the user decides."""
+    beside: Words | None = None
+    """Free path beside the named file during a conflict; None without a conflict."""
+    suggested: Words | None = None
+    """Suggested path of the named file, if the case has none."""
+    title: Words | None = None
+    """Name that the user gave to the case."""
+    continued_s: float | None = None
+    """Time of the last use before a stored case was opened again; None for a new case."""
+    continued_changes: Annotated[int, msgspec.Meta(ge=0, le=2**31)] = 0
+    """Number of changes of a stored case when it was opened again."""
+
+    def with_(self, **values: Any) -> SavingInfo:
+        """Return a copy with other values in some fields."""
+        return msgspec.structs.replace(self, **values)
+
+    @property
+    def shown(self) -> tuple[Any, ...]:
+        """The values that a window shows, with times in minutes."""
+        minutes = [None if s is None else int(s // 60.0) for s in (self.saved_s, self.copied_s)]
+        named = (self.copy_name, self.copy_folder, self.copy_problem, self.copy_conflict)
+        return (*minutes, self.keeps, self.title, self.problem, *named)
+
+
+class FlightInfo(FrozenValue, frozen=True):
+    """A flight that was recorded into the case."""
+
+    number: FlightNumber
+    """Number by which commands identify the flight."""
+    name: Words
+    words: Words
+    """Description by the user."""
+    begun_s: float | None
+    """Start of the recording, in seconds since 1970."""
+    length_s: float
+    """Length in s; 0 while the flight is being recorded."""
+    state: Literal["recording", "complete", "cut-off"]
+    """*cut-off*: Carina was stopped during the recording; the flight contains what was written until then."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """The state of a session without the pose."""
+
+    case: CaseSnapshot | None = None
+    case_number: int = 0
+    """Number that increases with each opened case."""
+    neutral_title: str = ""
+    """Neutral alias of the case; ``saving.title`` is the name that the user gave."""
+    stage: Stage = "empty"
+    airways: AirwayStatus = "none"
+    airways_words: str | None = None
+    document: Document | None = None
+    mode: Literal["free", "path", "scope"] = "free"
+    sight: Sight = Sight()
+    undo_label: str | None = None
+    redo_label: str | None = None
+    steps: tuple[Step[Document], ...] = ()
+    """All steps of the history, those that are undone included."""
+    position: int = 0
+    """Number of steps that are not undone."""
+    transfer_presets: tuple[str, ...] = ()
+    measures: TreeMeasures | None = None
+    """Measurements of the document's airways; None until they are available."""
+    mask_question: MaskQuestion | None = None
+    saving: SavingInfo = SavingInfo()
+    flights: tuple[FlightInfo, ...] = ()
+    """Flights recorded into the case, in their order."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class DevicesInfo:
+    """Input devices, and the way in which they move the tip."""
+
+    control: Literal["absolute", "relative", "path"]
+    controls: DeviceControls
+    devices: tuple[DeviceState, ...]
+
+
+class ShownKeyFrame(FrozenValue, frozen=True):
+    """A pose to fly through."""
+
+    key_id: Identifier
+    name: Words
+    """Name that the user gave, or else the name of the branch."""
+    own_name: bool
+    branch_id: BranchId | None
+    """Branch that contains the pose."""
+    speed_mm_s: float | None
+    """Speed of the leg to this key frame; null means the speed of the whole flight."""
+    time_s: float
+    """Exact time, in s, at which the flight passes this key frame; the pose is then exactly that of the key frame."""
+    leg_mm: float | None
+    """Length of the leg to this key frame; null for the first key frame and without a flight."""
+    through_airways: bool
+    """Whether the leg to this key frame follows the airways."""
+
+
+class KeyFramesInfo(KeyFrameFlying, frozen=True):
+    """The key frames, and the flight through them."""
+
+    frames: tuple[ShownKeyFrame, ...]
+    duration_s: float
+    """Duration in s; 0 with fewer than two key frames."""
+    problem: Words | None
+    """Reason why there is no flight; null if there is one."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class Changed:
+    """Report that parts of the state have changed, which listeners then read from the session."""
+
+    topics: frozenset[Topic]
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class Trouble:
+    """Report that an operation failed; the window shows it until the user dismisses it."""
+
+    code: str
+    message: str
+    action: str | None = None
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class NotEvident:
+    """Report that a branch was not added, because the CT does not show an airway along its whole path.
+
+    This event is sent instead of :class:`Trouble`. The user may request the branch again as drawn by hand.
+    """
+
+    job_id: str
+    lps: tuple[float, float, float]
+    """Requested end point of the branch, in LPS mm."""
+    error: NoEvidenceError
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class StartMarked:
+    """Report that the pen's button marked the start point of a path, which the client passes with the next target."""
+
+    lps: tuple[float, float, float]
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class Said:
+    """Report with a short message for the user."""
+
+    message: str

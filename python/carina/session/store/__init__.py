@@ -1,0 +1,1 @@
+"""Files of the user's cases on this machine: registry, named files, locks and settings."""

@@ -1,0 +1,211 @@
+"""Commands for targets with a size: planning of routes, choice of a route, and maps of the lungs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from carina import commands as c
+from carina.case.document import Document, Target
+from carina.case.routes import NeedleLine, route_to_parking
+from carina.errors import NoResultError, UsageError
+from carina.plan import tool
+from carina.plan.report import PlanMaterials
+from carina.scopes import scope_preset
+from carina.session.command_registry import Subject, answers, does
+from carina.session.derived.lungs import LungsInfo
+from carina.session.derived.plans import PlannedTarget, PlanningInfo, chosen_number
+from carina.session.flights.tip_commands import place_pose
+from carina.session.open_case.open_case import OpenCase, as_point
+from carina.session.targets.dicom_source import dicom_problem
+from carina.session.targets.retrack import needed_target
+
+if TYPE_CHECKING:
+    from carina.track import Airways
+
+__all__ = ["Planning"]
+
+
+class Planning(Subject):
+    """Commands of the steps *Target* and *Route* for targets outside the airways."""
+
+    def follow(self, case: OpenCase) -> None:
+        """Request plans and lung maps for the present document; the caller holds the session's lock."""
+        case.planning.follow(case.document)
+        case.planning.lungs.follow(case.document)
+        self.core.changed("plan", "lungs")
+
+    @does(c.MapLungs)
+    def map_lungs(self, _command: c.MapLungs) -> None:
+        """Map the lungs around the targets as a job; a stopped or failed job is repeated."""
+        case = self.core.needed_case()
+        with self.core.lock:
+            case.planning.lungs.map_lungs(_airways_of(case))
+
+    @does(c.MapReach)
+    def map_reach(self, command: c.MapReach) -> None:
+        """Map the reach of one instrument as a job; a stopped or failed job is repeated."""
+        scope_preset(command.scope)
+        tool(command.tool)
+        case = self.core.needed_case()
+        with self.core.lock:
+            case.planning.lungs.map_reach(_airways_of(case), command.scope, command.tool)
+
+    @answers(c.LungsOf)
+    def lungs_of(self, _question: c.LungsOf) -> LungsInfo:
+        """Return the maps of the lungs that are available."""
+        with self.core.lock:
+            return self.core.needed_case().planning.lungs.info()
+
+    @does(c.SetPlanOptions)
+    def set_plan_options(self, command: c.SetPlanOptions) -> None:
+        """Set the options of a target's plan and plan its routes again; a chosen route remains chosen."""
+        scope_preset(command.scope)
+        tool(command.tool)
+        case = self.core.needed_case()
+        with self.core.lock:
+            document, target = case.document, needed_target(case.document, command.target_id)
+            if target.lesion is None:
+                raise UsageError(f"{target.name} lies in the airways: there is no needle to plan", code="plan.target")
+            named = {name: getattr(command, name) for name in c.PlanOptions.__struct_fields__}
+            options = c.PlanOptions(**named)
+            if options == target.lesion.options:
+                case.planning.again()
+                return
+            changed = replace(target, lesion=replace(target.lesion, options=options))
+            self.core.change(
+                case,
+                f"plan the way to {target.name}",
+                _with_target(document, changed),
+                gesture=("plan", target.target_id),
+            )
+
+    @does(c.DescribeTarget)
+    def describe_target(self, command: c.DescribeTarget) -> None:
+        """Set name, note and priority of a target; its route gets the same name."""
+        case = self.core.needed_case()
+        with self.core.lock:
+            document, target = case.document, needed_target(case.document, command.target_id)
+            changed = target.described(command.called, command.remark, command.rank)
+            if (target.name, target.note, target.priority) == (command.called, command.remark, command.rank):
+                return
+            chosen = document.route
+            if chosen is not None and chosen.target_id == target.target_id:
+                chosen = changed.route if chosen is target.route else replace(chosen, title=command.called)
+            self.core.change(
+                case,
+                f"describe {command.called}",
+                replace(_with_target(document, changed), route=chosen),
+                gesture=("describe", target.target_id),
+            )
+
+    @does(c.ChoosePlannedRoute)
+    def choose_planned_route(self, command: c.ChoosePlannedRoute) -> None:
+        """Choose a planned route; it ends at the standing point of the scope and includes the line of the needle."""
+        case = self.core.needed_case()
+        with self.core.lock:
+            document, target = case.document, needed_target(case.document, command.target_id)
+            planned = None if target.lesion is None else case.planning.of(target.lesion)
+            if planned is None or document.airways is None:
+                raise NoResultError(
+                    f"the routes to {target.name} have not been planned yet: wait for the plan", code="plan.no-plan"
+                )
+            if planned.plan is None or not planned.plan.routes:
+                raise NoResultError(f"{target.name}: {planned.problem}", code="plan.no-route")
+            routes = planned.plan.routes
+            if command.number > len(routes):
+                raise UsageError(
+                    f"the plan has {len(routes)} routes to {target.name}; there is no route {command.number}",
+                    code="plan.no-route",
+                )
+            leg = routes[command.number - 1].leg
+            needle = NeedleLine((as_point(leg.tip_lps), as_point(leg.aim_lps)), float(leg.to_target_mm))
+            route = route_to_parking(document.airways.tree, needle, target.target_id, target.name)
+            self.core.change(case, f"route {command.number} to {target.name}", replace(document, route=route))
+
+    @does(c.SeeTurn)
+    def see_turn(self, command: c.SeeTurn) -> None:
+        """Place the tip before a turn of the list, in free movement and level for the operator.
+
+        The fork is then shown as the list of turns describes it.
+        """
+        case = self.core.needed_case()
+        with self.core.lock:
+            turns = case.planning.turns()
+            if turns is None:
+                raise NoResultError("there is no list of turns: choose a planned route first", code="plan.no-route")
+            if command.number > len(turns.turns):
+                raise UsageError(
+                    f"the route has {len(turns.turns)} turns; there is no turn {command.number}", code="plan.range"
+                )
+            camera = turns.turns[command.number - 1].camera(case.document.look.operator)
+            self.core.fly(place_pose(camera))
+
+    @answers(c.CtFolder)
+    def ct_folder(self, _question: c.CtFolder) -> Path:
+        """Return the folder from which the CT was opened."""
+        with self.core.lock:
+            case = self.core.needed_case()
+            problem = dicom_problem(case)
+            if problem is not None or case.planning.origin.place is None:
+                raise UsageError(str(problem), code="plan.not-dicom")
+            return Path(case.planning.origin.place)
+
+    @answers(c.PlanningOf)
+    def planning_of(self, _question: c.PlanningOf) -> PlanningInfo:
+        """Return the plans and verdicts that are available."""
+        with self.core.lock:
+            case = self.core.needed_case()
+            targets = tuple(
+                PlannedTarget(target, case.planning.of(target.lesion))
+                for target in case.document.targets
+                if target.lesion is not None
+            )
+            return PlanningInfo(
+                targets=targets,
+                standing=case.planning.standing(),
+                verdicts=case.planning.verdicts(),
+                verdicts_standing=case.planning.verdicts_standing(),
+                document=case.document,
+                turns=case.planning.turns(),
+                dicom_problem=dicom_problem(case),
+            )
+
+    @answers(c.PlanToTakeAway)
+    def plan_to_take_away(self, question: c.PlanToTakeAway) -> PlanMaterials:
+        """Return the material of a plan report for the chosen route, or for the best route if none is chosen."""
+        with self.core.lock:
+            case = self.core.needed_case()
+            document, target = case.document, needed_target(case.document, question.target_id)
+            lesion = target.lesion
+            made, planned = case.planning.made, None if lesion is None else case.planning.of(lesion)
+            if lesion is None or made is None or planned is None or planned.plan is None:
+                why = "" if planned is None or planned.problem is None else f": {planned.problem}"
+                raise NoResultError(f"{target.name} has no plan yet{why}", code="plan.no-plan")
+            mine = document.route is not None and document.route.target_id == target.target_id
+            number = chosen_number(document, planned.plan) if mine else None
+            return PlanMaterials(
+                volume=case.info.volume,
+                airways=made.airways,
+                wall=made.wall,
+                plan=planned.plan,
+                route_number=number or 1,
+                verdicts=case.planning.verdicts() if number is not None else (),
+                operator=document.look.operator,
+                notes=tuple(note for note in (target.name, target.note) if note),
+            )
+
+
+def _airways_of(case: OpenCase) -> Airways:
+    airways = case.document.airways
+    if airways is None:
+        raise NoResultError(
+            "what lies round the target is reported from the airways: segment them first", code="plan.no-airways"
+        )
+    return airways
+
+
+def _with_target(document: Document, changed: Target) -> Document:
+    targets = tuple(changed if one.target_id == changed.target_id else one for one in document.targets)
+    return replace(document, targets=targets)

@@ -1,0 +1,205 @@
+"""Commands for targets and routes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from carina import commands as c
+from carina.case.document import Lesion, Target
+from carina.case.routes import ChosenRoute, route_to_branch
+from carina.errors import NoResultError, UsageError
+from carina.plan import PlanTarget, is_plain_nodule, whereabouts
+from carina.scopes import WallField
+from carina.session.command_registry import Subject, does
+from carina.session.jobs.background_jobs import Job
+from carina.session.open_case.open_case import OpenCase
+from carina.session.open_case.point_tests import in_lumen
+from carina.session.state.snapshot import Said
+from carina.session.targets.retrack import NO_START, needed_target, searched_target, tracked_target
+
+__all__ = ["Routing"]
+
+
+class Routing(Subject):
+    """Commands that add and remove targets and choose the route."""
+
+    @does(c.AddTarget)
+    def add_target(self, command: c.AddTarget) -> str:
+        """Add a target at a point as a job.
+
+        With the cost ``lumen``, a structure at the point that is outside the lumen and denser than lung is segmented as
+        a target with a size. The routes to this target are planned (:mod:`carina.session.targets.planning`), and the
+        session chooses none of them. Without such a structure, the path through the lumen to the point becomes the
+        route. A point at most 5 mm outside the lumen is then moved into the lumen, and the user is notified. A target
+        farther away is stored with the reason why it has no path.
+
+        With the costs ``walls`` and ``paper`` the point is not moved, and the path to the point becomes the route.
+        """
+        case = self.core.needed_case()
+        case.check_inside(command.lps)
+        if command.root_lps is not None:
+            case.check_inside(command.root_lps)
+        if command.cost != "lumen" and command.root_lps is None and case.document.airways is None:
+            raise UsageError(NO_START, code="track.no-root")
+        with self.core.lock:
+            number = case.next_number("target")
+        target = Target(
+            target_id=f"target-{number}",
+            name=f"Target {number}",
+            lps=command.lps,
+            cost=command.cost,
+            root_lps=command.root_lps,
+        )
+        if command.cost != "lumen":
+            return self.core.jobs.start(
+                f"target {number}", f"finding the path to {target.name}", lambda job: self._search(case, target, job)
+            )
+
+        def work(job: Job) -> None:
+            lesion, why_none = self._lesion(case, target, job)
+            if lesion is not None and self._is_meant(case, target, lesion):
+                with self.core.lock:
+                    job.check()
+                    marked = replace(target, lesion=lesion)
+                    changed = replace(case.document, targets=(*case.document.targets, marked))
+                    self.core.change(case, f"add {target.name}", changed)
+                    self.core.emit(Said(f"{target.name}: {lesion.nodule.words}"))
+                return
+            tracked, tracked_in = target, None
+            while True:
+                with self.core.lock:
+                    job.check()
+                    document = case.document
+                    if document.airways is None:
+                        msg = f"no path to {target.name} yet: wait for the airways, or mark the trachea"
+                        raise NoResultError(msg)
+                    if tracked_in is document.airways:
+                        if tracked.problem is not None and why_none is not None:
+                            tracked = replace(tracked, problem=f"{tracked.problem}. Nor is it in a nodule: {why_none}")
+                        route = tracked.route or document.route
+                        changed = replace(document, targets=(*document.targets, tracked), route=route)
+                        self.core.change(case, f"add {target.name}", changed)
+                        if tracked.snapped_mm is not None and tracked.snapped_mm > 0.05:
+                            words = f"{target.name} was moved {tracked.snapped_mm:.1f} mm into the nearest lumen"
+                            if lesion is not None:
+                                words += "; if a nodule lies there, choose \u201cIt is a nodule\u201d"
+                            self.core.emit(Said(words))
+                        return
+                    tracked_in = document.airways
+                tracked = tracked_target(tracked_in, target)
+
+        return self.core.jobs.start(f"target {number}", f"finding the path to {target.name}", work)
+
+    def _is_meant(self, case: OpenCase, target: Target, lesion: Lesion) -> bool:
+        """Return whether a click selects the segmented lesion rather than the airway beside it.
+
+        The wall and the vessel next to an airway are denser than lung, as nodules are. Near an airway, the lesion is
+        therefore selected only if it is plainly a nodule; the user can select the other with one more click.
+        """
+        airways = case.document.airways
+        if airways is None or is_plain_nodule(lesion.target):
+            return True
+        return tracked_target(airways, target).problem is not None
+
+    @does(c.GrowTarget)
+    def grow_target(self, command: c.GrowTarget) -> str:
+        """Segment the lesion at the clicked point of a target, and replace the target by it."""
+        case = self.core.needed_case()
+        with self.core.lock:
+            name = needed_target(case.document, command.target_id).name
+
+        def work(job: Job) -> None:
+            with self.core.lock:
+                target = needed_target(case.document, command.target_id)
+            lesion, why_none = self._lesion(case, target, job)
+            if lesion is None:
+                raise NoResultError(why_none or f"{name} lies in an airway: nothing to be grown there")
+            with self.core.lock:
+                job.check()
+                document, now = case.document, needed_target(case.document, command.target_id)
+                grown = Target(now.target_id, now.name, now.lps, lesion=lesion).described(
+                    now.name, now.note, now.priority
+                )
+                targets = tuple(grown if one is now else one for one in document.targets)
+                route = document.route
+                if route is not None and route.target_id == now.target_id:
+                    route = None
+                self.core.change(case, f"grow {name}", replace(document, targets=targets, route=route))
+
+        return self.core.jobs.start(f"grow {command.target_id}", f"growing {name}", work)
+
+    def _lesion(self, case: OpenCase, target: Target, job: Job) -> tuple[Lesion | None, str | None]:
+        """Return the lesion at a target, or the reason why none was found; both are None inside the lumen."""
+        volume, airways, lps = case.info.volume, case.document.airways, target.lps
+        if not volume.is_hu or (airways is not None and in_lumen(volume, airways.lumen_zyx, np.asarray(lps))):
+            return None, None
+        try:
+            wall = _wall_at_hand(case)
+            nodule = self.core.parts.grow_nodule(volume, lps, wall=wall, progress=job.progress)
+            where = whereabouts(volume, nodule, wall=wall)
+            return Lesion(PlanTarget(target.target_id, target.name, nodule, lps, "click", where)), None
+        except NoResultError as trouble:
+            return None, str(trouble)
+
+    def _search(self, case: OpenCase, target: Target, job: Job) -> None:
+        """Add a target with a path that ignores the lumen; its values refer to the airways at the end of the search."""
+        searched_in = case.document.airways
+        tracked = searched_target(case.info.volume, searched_in, target, progress=job.progress, cancel=job.cancel)
+        while True:
+            with self.core.lock:
+                job.check()
+                document = case.document
+                if document.airways is searched_in:
+                    changed = replace(
+                        document, targets=(*document.targets, tracked), route=tracked.route or document.route
+                    )
+                    self.core.change(case, f"add {target.name}", changed)
+                    return
+                searched_in = document.airways
+            tracked = tracked_target(searched_in, tracked)
+
+    @does(c.RemoveTarget)
+    def remove_target(self, command: c.RemoveTarget) -> None:
+        """Delete the target and the present route if it leads to the target."""
+        target_id = command.target_id
+        case = self.core.needed_case()
+        with self.core.lock:
+            document = case.document
+            target = needed_target(document, target_id)
+            left = tuple(t for t in document.targets if t.target_id != target_id)
+            route = document.route
+            if route is not None and route.target_id == target_id:
+                route = None
+            self.core.change(case, f"remove {target.name}", replace(document, targets=left, route=route))
+
+    @does(c.ChooseRoute)
+    def choose_route(self, command: c.ChooseRoute) -> None:
+        """Choose the route to a target or to the end of a branch, or remove the route."""
+        target_id, branch_id = command.target_id, command.branch_id
+        case = self.core.needed_case()
+        with self.core.lock:
+            document = case.document
+            route: ChosenRoute | None = None
+            if target_id is not None:
+                target = needed_target(document, target_id)
+                if target.route is None:
+                    raise NoResultError(f"no path to {target.name}: {target.problem}")
+                route = target.route
+            elif branch_id is not None:
+                if document.airways is None or all(b.id != branch_id for b in document.airways.tree.branches):
+                    raise UsageError(f"the tree has no branch {branch_id}", code="session.branch")
+                route = route_to_branch(document.airways.tree, branch_id)
+            label = "remove the route" if route is None else f"route to {route.title}"
+            self.core.change(case, label, replace(document, route=route))
+
+
+def _wall_at_hand(case: OpenCase) -> WallField | None:
+    """Return the airway wall if it has been computed; the wall identifies lesions inside an airway."""
+    airways, made = case.document.airways, case.planning.made
+    if made is not None and made.airways is airways:
+        wall: WallField = made.wall
+        return wall
+    held = case.wall.of(airways)
+    return None if held is None else held.field

@@ -1,0 +1,1 @@
+"""Commands on the appearance of the case, and questions about a point."""

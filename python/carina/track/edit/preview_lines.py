@@ -1,0 +1,54 @@
+"""Lines that an edit would draw, as values."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.display import one_line
+from carina.track.edit.tree_changes import Points
+
+__all__ = ["EditPreview", "PreviewLine"]
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class PreviewLine:
+    """Line that an edit would draw."""
+
+    points_lps: NDArray[np.float64]
+    """Points (n, 3), LPS in mm; bit for bit the points of the branch that the edit creates there."""
+    doubtful: NDArray[np.bool_]
+    """Flags (n-1,): whether the CT shows no airway at each segment."""
+    drawn: NDArray[np.bool_]
+    """Flags (n-1,): whether the branch of each segment will be drawn by hand; all segments, if any is doubtful."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class EditPreview:
+    """Result that an edit would have."""
+
+    lines: tuple[PreviewLine, ...]
+    """Lines that would be new or moved in the tree; empty if there is a problem."""
+    has_evidence: bool
+    """Whether the edit is made without a further confirmation; False if it needs one or if there is a problem."""
+    problem: str | None
+    """Text that states why the edit is impossible and what to do; None if it is possible."""
+
+    @property
+    def length_mm(self) -> float:
+        """Total length of the lines."""
+        return sum(float(_steps_mm(line.points_lps).sum()) for line in self.lines)
+
+    @property
+    def doubtful_mm(self) -> float:
+        """Length of the segments that the CT does not show."""
+        return sum(float(_steps_mm(line.points_lps)[line.doubtful].sum()) for line in self.lines)
+
+
+def _steps_mm(points: Points) -> NDArray[np.float64]:
+    steps: NDArray[np.float64] = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    return steps

@@ -1,0 +1,81 @@
+"""Size of a chest relative to an adult one, measured on the trachea: the unit of the lengths of the search."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.track.tree.uncertainty import THREAD_SHARE
+from carina.volume.model import Volume
+
+__all__ = ["ADULT_MM", "WIDE_PART", "longest_trachea_mm", "search_size", "thread_confidence", "usual_trachea_mm"]
+
+ADULT_MM = 16.0
+"""Smallest diameter of the trachea for which the lengths of the search are those of an adult."""
+WIDE_PART = 75.0
+"""Percentile of the trachea's diameters that is used: a stenosis along less than three quarters of it has no effect."""
+# The measured edge of an air space is inside the true wall by this share of a voxel (phantoms with voxels of 0.8 to 4
+# mm).
+EDGE_VOXELS = 0.5
+# Lower limit: a trachea of 4 mm is that of a newborn.
+LEAST_SIZE = 0.25
+# Longest and usual trachea of an adult (most are 100 to 140 mm long). Both are longer in proportion if the trachea is
+# wider than usual, up to the factor ``MOST_LONGER``.
+LONGEST_TRACHEA_MM, USUAL_TRACHEA_MM = 150.0, 110.0
+USUAL_DIAMETER_MM = 17.3
+MOST_LONGER = 1.2
+# The thinnest airways were verified in adult chests only: their confidence falls over this reduction of the size.
+THREAD_FALL = 0.04
+UNPROVEN_THREAD = 0.5
+
+
+def search_size(volume: Volume, diameters_mm: NDArray[np.float64]) -> float:
+    """Return the size of the chest relative to an adult one: 1 if the trachea has :data:`ADULT_MM` or more, else less.
+
+    The search for small airways compares the lumen with the tissue within fixed distances. In a smaller chest the
+    neighbouring vessels are within these distances and look like the wall of an airway.
+
+    Parameters
+    ----------
+    volume
+        The CT.
+    diameters_mm
+        (n,) equivalent diameter of the trachea in each of its slices.
+    """
+    if not len(diameters_mm):
+        return 1.0
+    voxel_mm = sorted(volume.spacing_mm)[1]
+    wide_mm = float(np.percentile(diameters_mm, WIDE_PART)) + EDGE_VOXELS * voxel_mm
+    return float(np.clip(wide_mm / ADULT_MM, LEAST_SIZE, 1.0))
+
+
+def _longer(diameter_mm: float) -> float:
+    return float(np.clip(diameter_mm / USUAL_DIAMETER_MM, 1.0, MOST_LONGER))
+
+
+def longest_trachea_mm(diameter_mm: float) -> float:
+    """Return the greatest length of a trachea of this diameter, from the carina to the cords, mm.
+
+    Examples
+    --------
+    >>> longest_trachea_mm(16.0), longest_trachea_mm(25.0)
+    (150.0, 180.0)
+    """
+    return LONGEST_TRACHEA_MM * _longer(diameter_mm)
+
+
+def usual_trachea_mm(diameter_mm: float) -> float:
+    """Return the height above the carina at which most tracheas of this diameter begin, mm."""
+    return USUAL_TRACHEA_MM * _longer(diameter_mm)
+
+
+def thread_confidence(size: float) -> float:
+    """Return the confidence of the thinnest airways, which have no visible wall, in a chest of this size.
+
+    Examples
+    --------
+    >>> thread_confidence(1.0), thread_confidence(0.8)
+    (0.95, 0.5)
+    """
+    fall = min((1.0 - size) / THREAD_FALL, 1.0)
+    return round(THREAD_SHARE - (THREAD_SHARE - UNPROVEN_THREAD) * fall, 3)

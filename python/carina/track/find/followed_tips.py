@@ -1,0 +1,259 @@
+"""Search for small airways beyond the flooded lumen, limited if the search leaks into the lung."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina._core import extend_lumen, extend_thin_lumen
+from carina.track.find.kernel_compensation import Softened
+from carina.track.find.kernel_sharpness import edge_undershoot_hu
+from carina.track.find.root_checks import LUNG_HU
+from carina.track.intensity_levels import AirScale
+from carina.track.progress import Stages
+from carina.volume.model import Note, Volume
+
+__all__ = ["NOTHING_BEYOND", "STOPPED", "Beyond", "follow_beyond"]
+
+STOPPED = "track.search-stopped"
+"""Code of the permanent note on a search that leaked out of the airways."""
+
+# Limits for airways that are followed by the shape of their walls beyond the flood (docs/decisions/0112): least rise to
+# a wall; longest gap (mucus or heart motion can hide a wall); shortest branch. Slices thicker than the smallest lumen
+# show its wall only as partial volume, so more sections must agree.
+LEAST_RISE_HU = 15.0
+GAP_MM = 2.0
+MIN_FOLLOWED_MM = 2.0
+THIN_SLICE_MM = 1.0
+THICK_SECTIONS = 5.0
+HALF_WALL_HU = -500.0
+
+# Least probability that a path, and every path that it continues, is an airway (docs/decisions/0112).
+LEAST_PROBABILITY = 0.7
+# In divided slices a section supports a path by the amount by which its log odds exceed this (docs/decisions/0114).
+LEAST_ODDS = 0.3
+
+# Signs of a search that leaks (docs/decisions/0113). Rims darker than this beside every edge look like airways; a soft
+# kernel leaves none. Noise makes edges seem steeper and so accounts for a share of the depth.
+SHARP_HU = 4.0
+NOISE_SHARE = 0.15
+# With a sharp kernel, a wall must rise by at least this multiple of the undershoot.
+SHARP_BAR = 1.5
+# Factors on how enclosed by walls a path must be, relative to the lung of the CT; the search is repeated with the next
+# factor after a leak.
+BARS = (1.0, 2.0, 4.0)
+SHARP_BARS = (3.0, 5.0)
+# Limits of a search that does not leak: share of the lung that it reaches (intact searches: 0.02 to 0.4 %) and length
+# that it follows (at most 0.35 m in eight CTs).
+MOST_REACHED = 0.02
+MOST_FOLLOWED_MM = 2500.0
+SHARP_FOLLOWED_MM = 400.0
+
+# Thinnest airways: bright threads with a dark middle (docs/decisions/0112). The wall of such an airway is brighter than
+# lung; a dip of this depth, averaged over 5 mm, does not occur in lung; the blur of a CT, besides its voxels, has at
+# most this sigma.
+THIN_BRIGHTEST_HU = -400.0
+THIN_LEAST_WALL_HU = -700.0
+THIN_LEAST_DIP_HU = 22.0
+THIN_KEPT_DIP_HU = 20.0
+THIN_BLUR_MM = 0.85
+# Shortest airway, in mm, slices and voxels: the noise of one voxel also appears in its neighbours. A side branch must
+# be longer, because vessels and walls enclose shorter strands of lung.
+THIN_MIN_MM, THIN_MIN_SLICES, THIN_MIN_VOXELS = 2.0, 2.5, 3.0
+THIN_SIDE_MM, THIN_SIDE_SLICES, THIN_SIDE_VOXELS = 5.0, 3.3, 6.0
+MOST_REACHED_THIN = 0.1
+
+SOFT_KERNEL = "If available, open a reconstruction with a soft kernel"
+
+
+@dataclass(frozen=True, slots=True)
+class Beyond:
+    """Result of the search for small airways beyond the flood."""
+
+    notes: tuple[str, ...]
+    """Texts about the airways that were followed."""
+    badge: Note | None
+    """Note that the search leaked, and how it was limited; None if it did not leak."""
+    threads_lps: NDArray[np.float64]
+    """Points (n, 3) along the thinnest airways, LPS in mm; each airway was judged by the CT along 5 mm of it."""
+    judged: NDArray[np.float64]
+    """Points along the airways that were followed beyond the flood, (n, 4): LPS in mm, and probability."""
+    leaked: bool
+    """Whether the search leaked into the lung, or would have leaked along the rims of a sharp kernel."""
+
+
+NOTHING_BEYOND = Beyond((), None, np.empty((0, 3)), np.empty((0, 4)), leaked=False)
+
+
+def follow_beyond(
+    searched: Softened,
+    lumen: NDArray[np.uint8],
+    scale: AirScale,
+    stage: Stages,
+    *,
+    air: float,
+    noise: float,
+    size: float = 1.0,
+) -> Beyond:
+    """Follow the airways beyond the flooded ``lumen``; raise the limit until the search stays in the airways.
+
+    Parameters
+    ----------
+    searched
+        CT in which the lumen was flooded.
+    lumen
+        (nz, ny, nx) uint8, 1 inside; changed in place.
+    scale
+        Conversion from HU to the values of the volume.
+    stage
+        Receives progress and cancels the search.
+    air, noise
+        Value of air in the trachea and its standard deviation, in the numbers of the volume.
+    size
+        Size of the chest relative to an adult one, above 0 and at most 1
+        (:func:`carina.track.find.chest_size.search_size`). Every length of the search is multiplied by ``size``, the
+        blur of the scanner included: a larger blur would accept strands of lung between vessels.
+    """
+    stage.begin("tracing the small airways")
+    disturbed = searched.disturbed
+    clean = searched.volume if disturbed is None else disturbed.without_walls(searched.volume, scale)
+    volume = _in_adult_mm(clean, size)
+    most_hu = SHARP_HU + NOISE_SHARE * noise / scale.span(1.0)
+    is_softened = searched.raised > 0.0
+    undershoot_hu = searched.left_hu
+    if undershoot_hu is None:
+        undershoot_hu = edge_undershoot_hu(searched.volume, scale)
+    is_sharp = undershoot_hu is not None and undershoot_hu > most_hu
+    least_rise = scale.span(LEAST_RISE_HU)
+    if undershoot_hu is not None and is_sharp:
+        least_rise = max(least_rise, scale.span(SHARP_BAR * undershoot_hu))
+
+    divided = None
+    if searched.divided is not None:
+        axis, slice_mm = searched.divided
+        divided = (axis, slice_mm / size, LEAST_ODDS)
+
+    def extended(raised: float) -> dict[str, Any]:
+        return extend_lumen(
+            volume.hu_zyx,
+            volume.lps_from_ijk,
+            lumen,
+            air=air,
+            lung=(scale.level(LUNG_HU[0]), scale.level(LUNG_HU[1])),
+            brightest=scale.level(HALF_WALL_HU),
+            least_rise=least_rise,
+            gap_mm=GAP_MM,
+            min_length_mm=MIN_FOLLOWED_MM + THICK_SECTIONS * max(max(volume.spacing_mm) - THIN_SLICE_MM, 0.0),
+            raised=raised,
+            most_reached=MOST_REACHED,
+            least_probability=LEAST_PROBABILITY,
+            divided=divided,
+            cancel=stage.cancel,
+            progress=stage.share,
+        )
+
+    if is_sharp and searched.can_be_softened:
+        return Beyond((), None, np.empty((0, 3)), np.empty((0, 4)), leaked=True)
+    followed: list[dict[str, Any]] = []
+    ran_out = False
+    for raised in SHARP_BARS if is_sharp else BARS:
+        found = extended(raised)
+        if not found["ran_out"] and _length_mm(found["followed"]) <= (
+            SHARP_FOLLOWED_MM if is_sharp else MOST_FOLLOWED_MM
+        ):
+            followed = found["followed"]
+            break
+        # In divided slices, interpolated noise forms rows, along which a search with the lung's own limit goes far.
+        ran_out = searched.divided is None or is_sharp or raised > BARS[0]
+        lumen[lumen > 1] = 0
+    np.minimum(lumen, 1, out=lumen)
+    leaked = is_sharp or ran_out
+    threads = [] if is_sharp or is_softened or ran_out else _thin(volume, lumen, scale, stage, air=air)
+    threads_lps = size * np.concatenate([np.empty((0, 3)), *(way["points_lps"] for way in threads)])
+    judged = _judged(followed, size)
+    followed = followed + threads
+    notes = []
+    if followed:
+        notes.append(
+            f"{size * _length_mm(followed):.0f} mm of small airways, in {len(followed)} pieces, were traced by the "
+            "shape of their walls where the lumen is no darker than the lung"
+        )
+    # Depth of the rims in the original CT, before it was softened.
+    rims_hu = searched.undershoot_hu if is_softened else undershoot_hu
+    rims = f"the sharp kernel of this CT produces dark rims ({rims_hu or 0.0:.0f} HU) next to vessels"
+    if searched.smoothed_mm > 0.0:
+        words = (
+            "noise hides the walls of the airways in this CT; they were searched for in a smoothed copy of it, and "
+            f"small airways are missing. {SOFT_KERNEL}"
+        )
+        return Beyond(tuple(notes), Note(STOPPED, words, badge=True), threads_lps, judged, leaked)
+    if not leaked:
+        if rims_hu is None or not is_softened:
+            return Beyond(tuple(notes), None, threads_lps, judged, leaked)
+        words = f"{rims}; the airways were searched for in a softened copy of it"
+        if rims_hu <= most_hu:
+            return Beyond((*notes, words), None, threads_lps, judged, leaked)
+        note = Note(STOPPED, f"{words}, and some small airways are missing. {SOFT_KERNEL}", badge=True)
+        return Beyond(tuple(notes), note, threads_lps, judged, leaked)
+    what = f"{rims}, which look like airways" if is_sharp else "it leaked from the airways into the lung"
+    kept = "only the clearest are included, and other small airways" if followed else "small airways"
+    words = f"the search for small airways was limited because {what}; {kept} are missing. {SOFT_KERNEL}"
+    return Beyond(tuple(notes), Note(STOPPED, words, badge=True), threads_lps, judged, leaked)
+
+
+def _in_adult_mm(volume: Volume, size: float) -> Volume:
+    """Return the volume scaled to an adult chest: distances divided by ``size``.
+
+    Returns the volume itself if ``size`` is 1.
+    """
+    if size == 1.0:
+        return volume
+    larger = volume.lps_from_ijk.copy()
+    larger[:3] /= size
+    return dataclasses.replace(volume, lps_from_ijk=larger)
+
+
+def _thin(
+    volume: Volume, lumen: NDArray[np.uint8], scale: AirScale, stage: Stages, *, air: float
+) -> list[dict[str, Any]]:
+    """Follow the thinnest airways from ``lumen`` (1 inside, changed in place)."""
+    _, voxel_mm, slice_mm = sorted(volume.spacing_mm)
+    found = extend_thin_lumen(
+        volume.hu_zyx,
+        volume.lps_from_ijk,
+        lumen,
+        air=air,
+        lung=(scale.level(LUNG_HU[0]), scale.level(LUNG_HU[1])),
+        brightest=scale.level(THIN_BRIGHTEST_HU),
+        least_wall=scale.level(THIN_LEAST_WALL_HU),
+        least_dip=scale.span(THIN_LEAST_DIP_HU),
+        kept_dip=scale.span(THIN_KEPT_DIP_HU),
+        blur_mm=THIN_BLUR_MM,
+        min_length_mm=max(THIN_MIN_MM, THIN_MIN_SLICES * slice_mm, THIN_MIN_VOXELS * voxel_mm),
+        min_side_mm=max(THIN_SIDE_MM, THIN_SIDE_SLICES * slice_mm, THIN_SIDE_VOXELS * voxel_mm),
+        most_reached=MOST_REACHED_THIN,
+        cancel=stage.cancel,
+        progress=stage.share,
+    )
+    np.minimum(lumen, 1, out=lumen)
+    followed: list[dict[str, Any]] = found["followed"]
+    return followed
+
+
+def _judged(followed: Sequence[dict[str, Any]], size: float) -> NDArray[np.float64]:
+    """Return the points of the paths that were judged by odds, with their probabilities: (n, 4), LPS in mm."""
+    points = [
+        np.column_stack([size * way["points_lps"], np.full(len(way["points_lps"]), way["probability"])])
+        for way in followed
+        if way["probability"] < 1.0
+    ]
+    return np.concatenate([np.empty((0, 4)), *points])
+
+
+def _length_mm(followed: Sequence[dict[str, Any]]) -> float:
+    return float(sum(path["length_mm"] for path in followed))

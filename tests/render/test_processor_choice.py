@@ -1,0 +1,256 @@
+"""Choice between CPU and GPU: setting, measurement and fallback, with simulated devices."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from carina import _core
+from carina.errors import RenderError
+from carina.render import Adapter, AirwayView, Backend, Picture, Renderer, RenderStats, find_adapters
+from carina.render.graphics_device import NUM_PAIRS, PICTURES_FIRST, PICTURES_WITHOUT_MAP, DeviceCaster
+from carina.render.processor_choice import part_off
+from carina.scopes import Pose
+
+CARD = Adapter(0, "Card 9000", "vulkan", "driver 1.2", "discrete")
+LAVAPIPE = Adapter(1, "llvmpipe", "vulkan", "Mesa 22", "software")
+VIEW = AirwayView(Pose.looking((0.0, 0.0, 0.0), (0, 0, 1)), width=128, height=96)
+
+
+class StandIn:
+    """Simulated device with both casters; it counts calls and fails on request."""
+
+    def __init__(self, *, gpu_ms=2.0, cpu_ms=10.0, off=0):
+        self.ms = {"gpu": gpu_ms, "cpu": cpu_ms}
+        self.off = off
+        self.now = 0.0
+        self.light = 200
+        self.error = None
+        self.upload_error = None
+        self.uploads = []
+        self.casts = []
+
+    def open(self, index):
+        return self
+
+    def upload(self, hu_zyx, radius_zyx=None):
+        if self.upload_error is not None:
+            raise self.upload_error
+        self.uploads.append(hu_zyx)
+        return SimpleNamespace(values=hu_zyx, with_map=lambda radius=None: SimpleNamespace(values=hu_zyx, map=radius))
+
+    def cast(self, scene, view, gpu):
+        who = "cpu" if gpu is None else "gpu"
+        self.casts.append(who)
+        self.now += self.ms[who] / 1e3
+        if gpu is not None:
+            if self.error is not None:
+                raise self.error
+            assert gpu.values is scene.values, "a picture of another volume"
+        rgb = np.full((view.height, view.width, 3), self.light, dtype=np.uint8)
+        if gpu is not None:
+            rgb.reshape(-1)[: self.off * 3 : 3] += 2
+        method = "leap" if scene.maps is not None else "brute"
+        name = method if gpu is None else f"gpu-{method}"
+        return Picture(rgb=rgb, view="airway", stats=RenderStats(name, view.width, view.height, *[0] * 7, seconds=0.0))
+
+
+def a_scene(*, maps=True):
+    radius = np.zeros((4, 5, 6), dtype=np.uint8)
+    return SimpleNamespace(
+        values=np.zeros((4, 5, 6), dtype=np.int16), maps=SimpleNamespace(radius=radius) if maps else None
+    )
+
+
+class Rig:
+    """Caster with a simulated device; background work waits for ``run_work``."""
+
+    def __init__(self, stand_in, mode, *, adapters=(CARD, LAVAPIPE), record=None):
+        self.device = stand_in
+        self.work = []
+        self.backend = Backend(mode, record=record, find=lambda: adapters, open_device=stand_in.open)
+        self.caster = DeviceCaster(self.backend, stand_in.cast, start=self.work.append, clock=lambda: stand_in.now)
+
+    def picture(self, scene, view=VIEW):
+        """Render a picture as ``AirwayCaster`` does and return the device used: "cpu" or "gpu"."""
+        leaps = scene.maps is not None
+        picture = self.caster.try_cast(scene, view, leaps=leaps, cast=self.device.cast)
+        if picture is None:
+            picture = self.device.cast(scene, view, None)
+            self.caster.seen(scene, view)
+        return "gpu" if picture.stats.method.startswith("gpu-") else "cpu"
+
+    def run_work(self):
+        while self.work:
+            self.work.pop(0)()
+
+    def fly(self, scene, count=10, view=VIEW):
+        who = []
+        for _ in range(count):
+            who.append(self.picture(scene, view))
+            self.run_work()
+        return who
+
+
+def test_cpu_is_the_default_and_calls_no_driver():
+    def fail():
+        raise AssertionError("a driver was loaded")
+
+    backend = Backend(find=fail)
+    assert backend.mode == "cpu"
+    assert backend.adapters() == ()
+    with pytest.raises(RenderError, match="abacus"):
+        Backend("abacus")
+
+
+def test_faster_card_is_used_after_the_first_pictures_without_a_delay():
+    rig = Rig(StandIn(), "auto")
+    scene = a_scene()
+    for _ in range(PICTURES_FIRST + 2):
+        assert rig.picture(scene) == "cpu"
+        assert not rig.device.uploads
+    assert len(rig.work) == 1, "measured once, in the background"
+    rig.run_work()
+    assert rig.device.casts.count("gpu") == NUM_PAIRS + 1
+    assert rig.fly(scene, 3) == ["gpu"] * 3
+    (measurement,) = rig.backend.measurements
+    assert (measurement.chosen, measurement.adapter, measurement.shape_zyx) == (True, "Card 9000", (4, 5, 6))
+    assert (round(measurement.gpu_ms, 6), round(measurement.cpu_ms, 6)) == (2.0, 10.0)
+
+
+def test_slower_card_is_not_used():
+    rig = Rig(StandIn(gpu_ms=9.5), "auto")
+    assert set(rig.fly(a_scene())) == {"cpu"}
+    assert "no faster" in rig.backend.measurements[0].why
+    assert rig.caster._resident is None, "its memory is given back"
+
+
+def test_card_with_a_different_picture_is_not_used_at_any_speed():
+    allowed = VIEW.width * VIEW.height // 1000
+    assert "gpu" in Rig(StandIn(gpu_ms=0.1, off=allowed), "auto").fly(a_scene())
+    rig = Rig(StandIn(gpu_ms=0.1, off=allowed + 1), "auto")
+    assert set(rig.fly(a_scene())) == {"cpu"}
+    assert "differs" in rig.backend.measurements[0].why
+
+
+def test_software_adapter_is_used_only_on_request():
+    rig = Rig(StandIn(gpu_ms=0.1), "auto", adapters=(LAVAPIPE,))
+    assert set(rig.fly(a_scene())) == {"cpu"}
+    assert rig.device.casts.count("gpu") == 0
+    assert set(Rig(StandIn(), "gpu", adapters=(LAVAPIPE,)).fly(a_scene())) == {"gpu"}
+
+
+def test_brute_force_is_measured_after_a_while_if_there_is_no_map():
+    rig = Rig(StandIn(), "auto")
+    who = rig.fly(a_scene(maps=False), PICTURES_WITHOUT_MAP + 2)
+    assert who == ["cpu"] * PICTURES_WITHOUT_MAP + ["gpu"] * 2
+
+
+def test_small_or_dark_pictures_are_not_measured():
+    rig = Rig(StandIn(), "auto")
+    small = dataclasses.replace(VIEW, width=64, height=64)
+    assert set(rig.fly(a_scene(), view=small)) == {"cpu"}
+    rig.device.light = 10
+    assert set(rig.fly(a_scene())) == {"cpu"}
+    assert not rig.backend.measurements
+    rig.device.light = 200
+    assert rig.fly(a_scene())[-1] == "gpu"
+
+
+def test_new_values_are_uploaded_in_the_background_and_a_new_map_without_the_volume():
+    rig = Rig(StandIn(), "auto")
+    scene = a_scene()
+    rig.fly(scene)
+    walled = a_scene()
+    assert rig.picture(walled) == "cpu"
+    rig.run_work()
+    assert rig.picture(walled) == "gpu"
+    assert len(rig.device.uploads) == 2
+    other = SimpleNamespace(values=walled.values, maps=SimpleNamespace(radius=np.ones((4, 5, 6), dtype=np.uint8)))
+    assert rig.picture(other) == "cpu"
+    rig.run_work()
+    assert rig.picture(other) == "gpu"
+    assert len(rig.device.uploads) == 2
+
+
+@pytest.mark.parametrize("mode", ["auto", "gpu"])
+def test_lost_device_loses_no_picture_and_logs_one_message(mode, caplog):
+    rig = Rig(StandIn(), mode, adapters=(CARD,))
+    scene = a_scene()
+    assert rig.fly(scene)[-1] == "gpu"
+    rig.device.error = RenderError("the graphics device Card 9000 cannot be used: lost", code="render.gpu")
+    assert set(rig.fly(scene)) == {"cpu"}
+    rig.device.error = None
+    assert set(rig.fly(a_scene())) == {"cpu"}, "not trusted again in this process"
+    assert [record.levelname for record in caplog.records if record.levelno >= 30] == ["WARNING"]
+    assert "lost" in caplog.text
+
+
+def test_volume_too_large_for_the_device_does_not_disable_it_for_others(caplog):
+    rig = Rig(StandIn(), "gpu", adapters=(CARD,))
+    rig.device.upload_error = RenderError(
+        "the volume does not fit in the memory of the graphics device", code="render.gpu-limit"
+    )
+    large = a_scene()
+    assert set(rig.fly(large)) == {"cpu"}
+    assert len([record for record in caplog.records if record.levelno >= 30]) == 1
+    rig.device.upload_error = None
+    assert set(rig.fly(large)) == {"cpu"}
+    assert set(rig.fly(a_scene())) == {"gpu"}
+
+
+def test_invalid_setting_is_an_error_of_the_caller_and_keeps_the_device():
+    rig = Rig(StandIn(), "gpu")
+    rig.device.error = RenderError("rows: expected a range", code="render.setting")
+    with pytest.raises(RenderError, match="rows"):
+        rig.picture(a_scene())
+
+
+def test_measurement_is_stored_but_the_picture_is_compared_again(tmp_path):
+    record = tmp_path / "cache" / "backend.json"
+    Rig(StandIn(), "auto", record=record).fly(a_scene())
+    again = Rig(StandIn(), "auto", record=record)
+    assert again.fly(a_scene())[-1] == "gpu"
+    assert again.device.casts[: PICTURES_FIRST + 2] == ["cpu"] * (PICTURES_FIRST + 1) + ["gpu"], "one picture each"
+    changed = Rig(StandIn(off=5000), "auto", record=record)
+    assert set(changed.fly(a_scene())) == {"cpu"}
+    slow = Rig(StandIn(), "auto", record=record)
+    assert set(slow.fly(a_scene())) == {"cpu"}
+    assert slow.device.casts.count("gpu") == 0, "known to be wrong: not tried"
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"format": "carina-backend", "version": 1}', '{"format": 3}'])
+def test_damaged_record_is_measured_again(tmp_path, text):
+    record = tmp_path / "backend.json"
+    record.write_text(text)
+    rig = Rig(StandIn(), "auto", record=record)
+    assert rig.fly(a_scene())[-1] == "gpu"
+    saved = json.loads(record.read_text())
+    assert saved["measured"][0]["chosen"] is True
+    saved["carina"] = "0.0.0"
+    record.write_text(json.dumps(saved))
+    assert not Backend("auto", record=record).measurements, "another version's casters"
+
+
+def test_part_off_counts_pixels_and_not_channels():
+    a = np.full((10, 10, 3), 100, dtype=np.uint8)
+    b = a.copy()
+    b[0, 0] = 102
+    b[0, 1] = 101
+    assert part_off(a, b) == 0.01
+    assert part_off(a, b[1:]) == 1.0
+
+
+def test_build_without_gpu_support_reports_it_and_renders(airway):
+    if find_adapters() is not None:
+        pytest.skip("this build has GPU support")
+    with pytest.raises(RenderError, match="not in this build") as caught:
+        _core.Gpu(0)
+    assert caught.value.code == "render.gpu"
+    renderer = Renderer(airway.volume, backend=Backend("gpu"))
+    picture = renderer.render(AirwayView(airway.pose, width=40, height=30))
+    assert picture.stats.method == "brute"

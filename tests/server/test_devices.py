@@ -1,0 +1,312 @@
+"""Devices over the wire: samples move the tip, connections start and end, and their state is sent to the windows."""
+
+from __future__ import annotations
+
+import math
+import socket
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from carina.commands import Command, DeviceControls, GoTo
+from carina.errors import UsageError
+from carina.navigate.devices.igtl import IgtlPose, IgtlStream, pose_matrix
+from carina.navigate.devices.scope_handle import format_line
+from carina.server.devices import DeviceDesk
+from carina.server.wire import messages as wire
+from carina.session import Said
+from simulated_serial import WAIT_S, PseudoPort, sending, wait_for
+from small_case import small_bench
+
+if sys.platform == "win32":
+    pytest.skip("there are no pseudo-terminals on Windows", allow_module_level=True)
+
+# Time that the first frame after a rest may count as passed, in seconds.
+FIRST_S = 0.1
+
+
+def stick(time_s: float, *axes: float) -> wire.DeviceSample:
+    return wire.DeviceSample(
+        device="stick",
+        time_s=time_s,
+        position_mm=None,
+        orientation_wxyz=None,
+        axes=(*axes, *(0.0,) * (6 - len(axes))),
+        buttons=0,
+        handle=None,
+        advance=0.0,
+    )
+
+
+def pen(time_s: float, at: tuple[float, float, float], buttons: int = 0) -> wire.DeviceSample:
+    return wire.DeviceSample(
+        device="pen",
+        time_s=time_s,
+        position_mm=at,
+        orientation_wxyz=(1.0, 0.0, 0.0, 0.0),
+        axes=None,
+        buttons=buttons,
+        handle=None,
+        advance=0.0,
+    )
+
+
+def do(made: DeviceDesk, command: Command) -> None:
+    """Execute a command as the hub does."""
+    made._session.do(command)
+    made.done(command)
+
+
+@pytest.fixture
+def desk(tmp_path):
+    """Return a device desk over the small case, with its session and its sent messages."""
+    bench = small_bench()
+    bench.session._core.clock = time.monotonic  # The thread of the desk uses the real time.
+    bench.open()
+    sent: list[object] = []
+    made = DeviceDesk(bench.session, sent.append, recordings=tmp_path / "recordings")
+    made.start()
+    yield made, bench, sent
+    made.stop()
+    bench.session.close()
+
+
+def test_stick_moves_the_tip_while_it_is_deflected(desk):
+    made, bench, _ = desk
+    began = time.monotonic()
+
+    def pushed() -> bool:
+        made.handle(stick(time.monotonic(), 1.0))
+        time.sleep(0.016)  # The desk ignores some samples of a device with a higher rate.
+        return bench.session.pose_info().path_mm > 8.0
+
+    wait_for(pushed)
+    made.handle(stick(time.monotonic(), 0.0))
+    wait_for(lambda: not bench.session.devices.woken.is_set())
+    at = bench.session.pose_info().path_mm
+    assert at < 25.0 * (time.monotonic() - began + FIRST_S), "25 mm/s"
+    time.sleep(0.1)
+    assert bench.session.pose_info().path_mm == at
+
+
+def test_flood_of_samples_makes_at_most_one_pose_per_frame(desk):
+    made, bench, _ = desk
+    first = bench.session.pose_info().pose_id
+    began, n = time.monotonic(), 0
+    while n <= 500 or time.monotonic() - began < 0.5:
+        made.handle(stick(time.monotonic(), 1.0))
+        n += 1
+    poses = bench.session.pose_info().pose_id - first
+    assert poses <= 1.2 * 125 * (time.monotonic() - began) + 2
+
+
+def test_invalid_samples_are_counted_and_reported_once(desk):
+    made, bench, _ = desk
+    made.handle(pen(1.0, (0.0, 0.0, 0.0)))
+    for n in range(50):
+        made.handle(
+            wire.DeviceSample(
+                device="pen",
+                time_s=1.0 + n,
+                position_mm=(1e300, 0.0, 0.0),
+                orientation_wxyz=(0.0, 0.0, 0.0, 0.0),
+                axes=None,
+                buttons=0,
+                handle=None,
+                advance=0.0,
+            )
+        )
+    message = made.message()
+    assert message is not None
+    (device,) = message.devices
+    assert (device.num_used, device.num_ignored) == (1, 50)
+    assert "(50)" in device.ignored_words
+    assert sum("ignored" in getattr(e, "message", "") for e in bench.events) == 1
+    wire.encode_message(message)
+
+
+def test_calibration_returns_its_residual_and_bad_pairs_are_refused(desk):
+    made, bench, _ = desk
+    made.handle(pen(1.0, (0.0, 0.0, 0.0)))
+    points = ((0.0, 0.0, 0.0), (50.0, 0.0, 0.0), (0.0, 50.0, 0.0))
+    do(made, wire.Calibrate("pen", points, points))
+    assert any("0.0 mm" in said.message for said in bench.of_type(Said))
+    do(made, wire.SetControl("absolute"))
+    assert made.message().control == "absolute"
+    with pytest.raises(UsageError, match="line"):
+        do(made, wire.Calibrate("pen", points[:1] * 3, points))
+    assert made.message().devices[0].registered
+    do(made, wire.Calibrate("pen", (), ()))
+    assert made.message().control == "relative"
+    assert bench.session.pose_info() is not None
+
+
+def test_pen_button_adds_a_target_at_the_tip(desk):
+    made, bench, _ = desk
+    bench.session.do(GoTo(20.0))
+    do(made, wire.ArmPen("target"))
+    made.handle(pen(1.0, (0.0, 0.0, 0.0)))
+    made.handle(pen(1.1, (0.0, 0.0, 0.0), buttons=1))
+    bench.background.run_all()
+    (target,) = bench.session.snapshot().document.targets
+    np.testing.assert_allclose(target.lps, bench.session.pose_info().pose.position_lps, atol=1e-9)
+    do(made, wire.ArmPen(None))
+
+
+def test_stick_selects_the_branch_at_a_fork_and_the_route_follows(desk):
+    made, bench, _ = desk
+    session = bench.session
+    (trachea, *_) = session.snapshot().document.route.spans
+    session.do(GoTo(trachea.to_mm - 3.0))
+    assert session.snapshot().document.route.branch_id == 3
+
+    def has_turned() -> bool:
+        time.sleep(0.016)
+        # The patient's left is on the left of the picture (operator at the head).
+        made.handle(stick(time.monotonic(), 1.0, 0.0, 0.0, -1.0))
+        return session.snapshot().document.route.branch_id != 3
+
+    wait_for(has_turned)
+    assert session.snapshot().document.route.branch_id == 2
+    assert session.snapshot().mode == "path"
+    assert session.snapshot().undo_label is None, "a flight is no change that undo takes back"
+
+
+def test_handle_is_connected_listed_and_disconnected(desk):
+    made, bench, sent = desk
+    port = PseudoPort()
+    address = f"handle:{port.path}"
+    try:
+        made.handle(wire.WatchDevices(True))
+        made.handle(wire.ConnectDevice(address))
+        with pytest.raises(UsageError, match="already connected"):
+            made.handle(wire.ConnectDevice(address))
+        before = bench.session.pose_info().path_mm
+        with sending(lambda n: format_line(n, 10 * n, 0.2 * n), port, rate_hz=100.0):
+            wait_for(lambda: bench.session.pose_info().path_mm > before + 5.0)
+            wait_for(
+                lambda: any(isinstance(m, wire.Devices) and m.sources and 50 < m.sources[0].rate_hz < 200 for m in sent)
+            )
+        made.handle(wire.DisconnectDevice(address))
+        assert made.message().sources == ()
+        made.handle(wire.WatchDevices(False))
+    finally:
+        port.unplug()
+
+
+@pytest.mark.parametrize("option", ["", "?silence=30"])
+def test_tracker_with_or_without_options_is_disconnected_by_its_shown_name(desk, option):
+    made, _, _ = desk
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        made.handle(wire.ConnectDevice(f"openigtlink:127.0.0.1:{port}{option}"))
+        (shown,) = made.message().sources
+        with pytest.raises(UsageError, match="already connected"):
+            made.handle(wire.ConnectDevice(f"openigtlink:127.0.0.1:{port}"))
+        made.handle(wire.DisconnectDevice(shown.address))
+        assert made.message().sources == ()
+
+
+def test_tracker_without_a_port_is_disconnected_by_its_shown_name(desk):
+    made, _, _ = desk
+    made.handle(wire.ConnectDevice("openigtlink:127.0.0.1"))
+    (shown,) = made.message().sources
+    made.handle(wire.DisconnectDevice(shown.address))
+    assert made.message().sources == ()
+
+
+def test_resting_handle_that_sends_samples_makes_no_new_poses(desk):
+    made, bench, _ = desk
+    made.handle(wire.WatchDevices(True))  # Frames continue five times a second.
+
+    def say(n: int, insertion_mm: float) -> None:
+        handle = (insertion_mm, 0.1, 0.2)
+        made.handle(
+            wire.DeviceSample(
+                device="handle",
+                time_s=0.01 * n,
+                position_mm=None,
+                orientation_wxyz=None,
+                axes=None,
+                buttons=0,
+                handle=handle,
+                advance=0.0,
+            )
+        )
+        wait_for(lambda: not bench.session.devices.woken.is_set())
+
+    for n in range(100):
+        say(n, 0.1 * n)
+    # The filter comes to rest.
+    for n in range(100, 180):
+        say(n, 9.9)
+    assert bench.session.pose_info().path_mm > 5.0
+    rests = bench.session.pose_info().pose_id
+    for n in range(180, 220):
+        say(n, 9.9)
+    assert bench.session.pose_info().pose_id == rests
+    say(220, 10.4)
+    wait_for(lambda: bench.session.pose_info().pose_id > rests)
+
+
+def published(port: int) -> IgtlPose:
+    """Return the first pose that a client of the port receives."""
+    stream = IgtlStream()
+    with socket.create_connection(("127.0.0.1", port), timeout=WAIT_S) as peer:
+        while True:
+            data = peer.recv(4096)
+            assert data, "the connection was closed"
+            for found in stream.feed(data):
+                assert isinstance(found, IgtlPose)
+                return found
+
+
+def test_tip_is_published_and_recordings_are_written(desk, tmp_path):
+    made, bench, _ = desk
+    bench.session.do(GoTo(20.0))
+    made.handle(wire.PublishTip(0))
+    port = made.message().published_port
+    assert port
+    tip = bench.session.pose_info().pose.lps_from_camera
+    # RAS for 3D Slicer: left and posterior change their signs. Coordinates on the wire are f32.
+    np.testing.assert_allclose(pose_matrix(published(port)), np.diag([-1.0, -1.0, 1.0, 1.0]) @ tip, atol=1e-4)
+    made.handle(wire.PublishTip(None))
+    assert made.message().published_port is None
+    made.handle(wire.StartRecording())
+    assert made.message().recording is not None
+    do(made, wire.StopRecording())
+    assert made.message().recording is None
+    assert len(list((tmp_path / "recordings").glob("*.jsonl"))) == 1
+
+
+def test_smoothing_changes_the_reported_delay_of_the_filter(desk):
+    made, _, _ = desk
+    assert made.message().filter_latency_ms <= 10.0
+    do(made, wire.SetControls(DeviceControls(min_cutoff_hz=5.0)))
+    assert made.message().filter_latency_ms == pytest.approx(1000 / (2 * math.pi * 5.0), abs=0.01)
+    assert made.handle(wire.Undo()) is False
+
+
+def test_failed_frame_is_logged_once_and_later_frames_continue(desk, monkeypatch, caplog):
+    made, bench, _ = desk
+    frame, num_failed = bench.session.devices.frame, 0
+
+    def failing():
+        nonlocal num_failed
+        bench.session.devices.woken.clear()
+        num_failed += 1
+        raise RuntimeError("a fault of ours")
+
+    monkeypatch.setattr(bench.session.devices, "frame", failing)
+    for n in range(1, 4):
+        bench.session.devices.woken.set()
+        wait_for(lambda n=n: num_failed >= n)
+    monkeypatch.setattr(bench.session.devices, "frame", frame)
+    before = bench.session.pose_info().pose
+    made.handle(stick(time.monotonic(), 1.0))
+    wait_for(lambda: bench.session.pose_info().pose is not before)
+    assert [
+        r.levelname for r in caplog.records if ("processing the device input of one frame failed") in r.message
+    ] == ["ERROR"]
