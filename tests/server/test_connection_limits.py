@@ -24,8 +24,9 @@ from own_folders import environment_in
 SERVER = """
 import resource, sys
 resource.setrlimit(resource.RLIMIT_NOFILE, (128, 128))
-from carina.server import serve, strangers
-strangers.RESERVED = int(sys.argv[1])
+from carina.server import serve
+from carina.server.network import connection_limits
+connection_limits.RESERVED = int(sys.argv[1])
 ready = lambda url, token: print(url.partition("/?")[0], token, flush=True)
 sys.exit(serve(None, open_browser=False, on_ready=ready))
 """

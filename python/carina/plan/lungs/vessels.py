@@ -161,7 +161,9 @@ def eigenvalues(second: list[Values]) -> tuple[Values, Values, Values]:
     """
     a, b, c, d, e, f = second
     mean = (a + b + c) / 3.0
-    spread = np.sqrt(((a - mean) ** 2 + (b - mean) ** 2 + (c - mean) ** 2 + 2.0 * (d * d + e * e + f * f)) / 6.0) + 1e-6
+    square = (a - mean) ** 2 + (b - mean) ** 2 + (c - mean) ** 2 + 2.0 * (d * d + e * e + f * f)
+    # An addend in place of the limit would move two equal eigenvalues apart by its root.
+    spread = np.maximum(np.sqrt(square / 6.0), 1e-6)
     a, b, c, d, e, f = (a - mean) / spread, (b - mean) / spread, (c - mean) / spread, d / spread, e / spread, f / spread
     half = 0.5 * (a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e))
     turn = np.arccos(np.clip(half, -1.0, 1.0)) / 3.0
