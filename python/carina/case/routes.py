@@ -56,12 +56,12 @@ class RouteSpan:
 
 
 class NeedleLine(FrozenValue, frozen=True):
-    """The last leg of a planned route: straight from the scope's tip into the target."""
+    """The last leg of a planned route: the straight line of the needle from the scope's tip into the target."""
 
     ends_lps: tuple[PointLps, PointLps]
-    """The tip of the scope and the point that the needle aims at."""
+    """Tip of the scope and aim of the needle in the target, LPS mm."""
     to_target_mm: float
-    """Distance from the tip of the scope to the edge of the target."""
+    """Distance in mm from the tip of the scope to the edge of the target."""
 
 
 @one_line

@@ -1,6 +1,6 @@
-"""The command line: ``carina open|demo|info|track|render|phantom|doctor``.
+"""The command line ``carina``, with the subcommands ``open``, ``demo``, ``info``, ``track``, ``render`` and others.
 
-The command line assembles the application; no other part imports it.
+This package combines all other parts; no other part imports it.
 """
 
 import sys

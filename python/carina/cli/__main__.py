@@ -1,4 +1,4 @@
-"""``python -m carina.cli``."""
+"""Entry point of ``python -m carina.cli``."""
 
 from carina.cli import main
 

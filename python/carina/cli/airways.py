@@ -1,4 +1,4 @@
-"""``carina airways`` and ``carina export``."""
+"""``carina airways`` and ``carina export``: find the airways of a scan, and write them in other formats."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def find(
 ) -> int:
     """Find the airways of a scan, write the tree and the mask on request, and print the result.
 
-    Returns 4 if a branch that was to be added was not; everything else is written all the same.
+    Return 4 if a requested branch could not be added, else 0; the other results are written in both cases.
     """
     if even_without_evidence and not add_lps:
         raise UsageError("--even-without-evidence only applies to added branches; add one with --add-branch x,y,z")

@@ -32,12 +32,12 @@ def check_destination(to: str | None, view: str) -> str:
 def way_to(source: Opened, to: str, *, tree_file: Path | None, progress: ProgressCallback) -> ChosenRoute:
     """Return the route to a branch tip (name or ID), a point x,y,z (LPS, mm), or a named target of a case.
 
-    The badges of its tree go to those of the source.
+    The permanent notes of the tree are added to ``source.badges``.
 
     Raises
     ------
     UsageError
-        If the tree has no such branch.
+        If the tree does not contain the branch.
     NoResultError
         If no path leads to the point.
     """

@@ -17,20 +17,20 @@ PACKAGE = "carina_bench"
 
 
 def run_benchmarks(arguments: list[str]) -> Any:
-    """Run the verbs below ``carina bench``, whose options are defined beside the benchmarks.
+    """Run a subcommand of ``carina bench``; the options are defined in the package ``carina_bench``.
 
-    Looked for where Python looks (so a wheel can be measured with ``PYTHONPATH=benchmarks``), then in the checkout that
-    this package runs from.
+    The package is imported from Python's module path, so that a wheel can be measured with ``PYTHONPATH=benchmarks``,
+    else from the folder ``benchmarks`` of the checkout that contains this module.
 
     Parameters
     ----------
     arguments
-        What followed ``carina bench``.
+        Command-line arguments after ``carina bench``.
 
     Raises
     ------
     CarinaError
-        If this is no checkout; exit code 1, as where an extra is missing.
+        If the benchmarks are not found; the command then ends with exit code 1.
     """
     if find_spec(PACKAGE) is None:
         folder = Path(carina.__file__).resolve().parents[2] / "benchmarks"

@@ -120,7 +120,7 @@ def history(path: Path, *, as_json: bool) -> int:
 
 
 def kept(*, as_json: bool) -> int:
-    """Print the cases that are stored on this machine, the last used first."""
+    """Print the cases that are stored on this machine, the most recently used first."""
     records = _records()
     for message in repair_records(records):
         say(f"note: {message}")
@@ -283,7 +283,7 @@ def _named(records: CaseRecords, wanted: str) -> CaseRecord:
     Raises
     ------
     UsageError
-        If none is meant, or several.
+        ``case.unknown``: if no stored case or several cases match.
     """
     all_records = records.all()
     if wanted.lower().endswith(CASE_SUFFIX):

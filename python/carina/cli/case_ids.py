@@ -1,4 +1,4 @@
-"""Ids of stored cases on the command line, instead of a path."""
+"""Lookup of stored cases by the ID that a command receives instead of a path."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["MIN_ID_CHARS", "path_or_case", "stored_case"]
 
 MIN_ID_CHARS: Final = 4
-"""Shortest beginning of an id: fewer characters would match by accident. `carina case list` shows at least six."""
+"""Minimum length of an ID prefix: shorter ones would match by accident. `carina case list` shows at least six."""
 _ID: Final = re.compile(rf"[0-9a-f]{{{MIN_ID_CHARS},64}}", re.IGNORECASE)
 
 
@@ -64,7 +64,7 @@ def path_or_case(path: Path | None) -> Path | None:
     Raises
     ------
     UsageError
-        ``case.unknown``.
+        ``case.unknown``: if the argument is not a path, and no stored case or several cases match.
     """
     record = None if path is None else stored_case(path)
     if record is None:

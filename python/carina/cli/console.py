@@ -106,7 +106,7 @@ def progress_printer() -> ProgressCallback:
 def interruptible(work: Callable[[], Result]) -> Result:
     """Run a function that cannot be cancelled (one image may take minutes) so that Ctrl-C still works at once.
 
-    The work runs in a thread that does not keep Python from ending; it must write nothing.
+    The function runs in a daemon thread, which ends with the process, and therefore must not write any files.
     """
     results: list[Result] = []
     troubles: list[BaseException] = []
@@ -129,9 +129,9 @@ def interruptible(work: Callable[[], Result]) -> Result:
 
 @contextmanager
 def exit_codes(as_json: bool) -> Iterator[None]:
-    """Turn every end of a command into its exit code (docs/contracts.md) and one clear message.
+    """Convert the result or exception of a command into its exit code (docs/contracts.md) and one message.
 
-    With ``--json`` a failure is one object on stdout as well: ``{"error": {"code", "message"}}``.
+    With ``--json``, a failure is also printed on stdout, as one object: ``{"error": {"code", "message"}}``.
     """
     try:
         yield
@@ -173,7 +173,7 @@ def exit_codes(as_json: bool) -> Iterator[None]:
 
 
 def fail(as_json: bool, code: str, message: str, exit_code: int) -> NoReturn:
-    """End the command; with ``--json`` the failure is the one object on stdout."""
+    """End the command with this exit code; with ``--json``, print the failure as one object on stdout."""
     if as_json:
         try:
             print_json({"error": {"code": code, "message": message}})
@@ -184,5 +184,5 @@ def fail(as_json: bool, code: str, message: str, exit_code: int) -> NoReturn:
 
 
 def _drop_stdout() -> None:
-    """Redirect stdout to the null device: Python would fail again on the buffered rest when it exits."""
+    """Redirect stdout to the null device: Python would otherwise fail again at exit, on the buffered output."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -1,4 +1,4 @@
-"""``carina devices``."""
+"""``carina devices``: list the input devices and print their samples."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def _words(sample: Sample) -> str:
 
 
 class _Live:
-    """Newest sample of each device, after the filter that the tip movement uses."""
+    """Newest sample of each device, filtered in the same way as for the movement of the tip."""
 
     def __init__(self) -> None:
         self._filters: dict[str, SampleFilter] = {}

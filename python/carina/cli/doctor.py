@@ -1,4 +1,4 @@
-"""``carina doctor``."""
+"""``carina doctor``: report on the software and hardware that Carina uses."""
 
 from __future__ import annotations
 

@@ -202,7 +202,7 @@ def _replayed(recorded: Recording, volume: Volume, progress: Any) -> tuple[list[
 
 
 def _walls(volume: Volume, progress: Any) -> Callable[[dict[str, Any]], WallField]:
-    """Return a function that makes a wall from a recording's facts about the airways, by the same search and edits."""
+    """Return a function that rebuilds the airway wall of a recording by repeating its airway search and its edits."""
     known: dict[str, WallField] = {}
 
     def wall(kept: dict[str, Any]) -> WallField:
@@ -211,7 +211,7 @@ def _walls(volume: Volume, progress: Any) -> Callable[[dict[str, Any]], WallFiel
             return known[digest]
         searches: list[dict[str, Any]] = [{}]
         if kept.get("root_lps") is not None:
-            # Airways are found by themselves, or from a root and with a threshold that a person gave.
+            # The recording does not state which of these the user gave: search with neither, threshold, both.
             searches += [
                 {"lumen_threshold": kept.get("lumen_threshold")},
                 {"root_lps": kept["root_lps"], "lumen_threshold": kept.get("lumen_threshold")},
@@ -224,7 +224,7 @@ def _walls(volume: Volume, progress: Any) -> Callable[[dict[str, Any]], WallFiel
                     airways = carina.edit_airways(volume, airways, edit, progress=progress)
                 made = wall_field(volume, airways, progress=progress)
             except (TrackingError, UsageError):
-                # A person gives a root where the search finds none by itself; and other airways have other branches.
+                # This search can fail (no root) or give airways without the edited branches; try the next one.
                 if search is searches[-1] and not digest:
                     raise
                 continue
@@ -250,7 +250,7 @@ def _own_view(source: Opened, keys: KeyFrameFile | None) -> dict[str, Any]:
 
 
 def _chosen_view(own: dict[str, Any], shown: _Shown, *, chosen: bool) -> dict[str, Any]:
-    """Return the view of a recording; an instrument that the command names replaces the picture of the recorded one."""
+    """Return the view of a recording; the instrument of the command, if any, replaces the recorded one."""
     view = dict(own)
     if chosen and view:
         view = {name: value for name, value in view.items() if name not in {"mask", "fov_deg"}} | {"scope": shown.scope}
@@ -258,7 +258,7 @@ def _chosen_view(own: dict[str, Any], shown: _Shown, *, chosen: bool) -> dict[st
 
 
 def _job(volume: Volume, frames: list[ReplayedPose], shown: _Shown, mixed: bool) -> str:
-    """Return a description of all that the frames of a flight depend on, without patient data."""
+    """Return a digest of everything on which the frames of a flight depend, without patient data."""
     digest = hashlib.sha256()
     settings = load_settings()
     facts = [case_key(volume), carina.__version__, shown.size, shown.scope, shown.step_vox, settings.backend, mixed]
@@ -330,7 +330,7 @@ def _view(frame: ReplayedPose, shown: _Shown) -> AirwayView:
 def _pictures(
     renderer: Renderer | ClusterRenderer, shots: list[_Shot], kept: KeptFrames | None, size: tuple[int, int]
 ) -> Iterator[tuple[int, NDArray[np.uint8]]]:
-    """Yield all images with their numbers, in order: first the stored ones, then newly rendered ones."""
+    """Yield all images with their numbers, in order: first the stored images, then newly rendered images."""
     first = 0 if kept is None else min(kept.num, len(shots))
     for number in range(first):
         assert kept is not None

@@ -1,4 +1,4 @@
-"""``carina info``."""
+"""``carina info``: facts about a scan, a case or another file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``carina isoregion``."""
+"""``carina isoregion``: compute the isoregion map of a scan."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["write"]
 
 
 def write(path: Path, *, output: Path, transfer: str | None, series: str | None, ct: Path | None, as_json: bool) -> int:
-    """Build the map and write it on the scan's grid."""
+    """Compute the isoregion map of a scan and write it to a file, on the grid of the scan."""
     check_output_file(output, *GRID_SUFFIXES)
     chosen = chosen_transfer(transfer)
     check_case_options(path, ct)

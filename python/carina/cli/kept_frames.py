@@ -25,14 +25,14 @@ class KeptFrames:
     Parameters
     ----------
     folder
-        Empty or not there, or one that was used for the same job before.
+        Missing or empty folder, or a folder with frames of the same job.
     job
-        Tells one job from another: anything that changes a picture must change it.
+        Identifier of the job, which must depend on everything that changes a frame.
 
     Raises
     ------
     UsageError
-        If the folder contains other files, or pictures of another job.
+        If the folder contains other files, or frames of another job.
     """
 
     def __init__(self, folder: Path, job: str) -> None:
@@ -48,7 +48,7 @@ class KeptFrames:
                 "by another version of Carina; choose another folder, or delete this one"
             )
         self.num = next(n for n in range(10_000_000) if not self._file(n).exists())
-        """Return the number of stored frames without a gap, from the first one."""
+        """Number of consecutive stored frames from the first frame."""
 
     @staticmethod
     def _found(folder: Path) -> str | None:
@@ -78,7 +78,7 @@ class KeptFrames:
         Raises
         ------
         VolumeImportError
-            If the file is not what was written.
+            If the file is damaged or has been changed.
         """
         file = self._file(number)
         try:

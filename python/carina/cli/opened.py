@@ -87,7 +87,7 @@ class Opened:
         Raises
         ------
         NoResultError
-            If there are none.
+            If the case or the scan has no airways.
         """
         if self._airways is None:
             document = self.document
@@ -109,7 +109,7 @@ class Opened:
         Raises
         ------
         UsageError
-            If none, or two, have a name.
+            If no key frame, or more than one, has a given name.
         """
         document = self.document
         assert document is not None
@@ -146,7 +146,7 @@ def case_scans() -> CaseScans:
 
 
 def newest_state(path: Path) -> Path:
-    """Return a case file, or its newer live file (with a note on stderr) where a window has the case open."""
+    """Return the path of a case file, or of its newer live file (with a note on stderr) if a window has it open."""
     settings = load_settings()
     records = CaseRecords(settings.cases_dir, lambda: 0.0)
     record = records.open_elsewhere(path.expanduser().absolute())
@@ -159,12 +159,12 @@ def newest_state(path: Path) -> Path:
 def check_case_options(path: Path, ct: Path | None, **refused: object) -> None:
     """Raise an error for contradictory options before the work begins.
 
-    Each of ``refused`` is an option that is not allowed with a case, because the case contains its value.
+    ``refused`` contains the values of options that are not allowed with a case, because the case defines the airways.
 
     Raises
     ------
     UsageError
-        ``--ct`` without a case, or a case with one of the options.
+        If ``--ct`` is given without a case, or one of ``refused`` with a case.
     """
     if not is_case_file(path):
         if ct is not None:
@@ -191,7 +191,7 @@ def opened(
     Raises
     ------
     VolumeImportError
-        The refusal of the import, or of the case; with ``strict`` also ``import.strict`` where the scan has a badge.
+        If the scan or the case cannot be opened; with ``strict`` also ``import.strict``, if the scan has a badge.
     """
     if is_case_file(path):
         from carina.case import CaseFile

@@ -31,9 +31,9 @@ class SeenThrough:
         Raises
         ------
         UsageError
-            If a value is none that can be meant, or the view is seen through no lens.
+            If a value is invalid, or the view is not the airway view.
         VolumeImportError
-            If a calibration file is refused.
+            If a calibration file is invalid.
         """
         given = {name: getattr(self, name) for name in self.__slots__ if getattr(self, name) is not None}
         if given and view != LEAD_VIEW:

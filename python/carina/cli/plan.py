@@ -1,4 +1,4 @@
-"""``carina plan``."""
+"""``carina plan``: plan the routes to a target."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``carina render``."""
+"""``carina render``: render one view of a scan or a case as an image."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ __all__ = ["chosen_transfer", "report"]
 
 MAX_TRANSFER_BYTES = 1_000_000
 STEP_VOX = 0.5
-# Stands for the path while the arguments are checked.
+# Placeholder for the route while the arguments are checked, before the route is known.
 _ANY_PATH = PathFrames(np.array([0.0, 1.0]), np.stack([np.eye(4)] * 2))
 
 
@@ -237,7 +237,7 @@ def report(
             raise UsageError(f"{words}; `carina info --json` shows where the volume lies")
         say(f"note: {words}")
     airways = None
-    # The lumen closes thin walls in the endoscopic picture, is the tree view's surface, and gives the default pose.
+    # The lumen closes thin walls in the airway view, is the surface in the tree view, and gives the default pose.
     wants_wall = view == LEAD_VIEW and volume.is_hu and (chosen is None or chosen.wall)
     # X-ray views show the whole volume from any position.
     wants_pose = at is None and row.wants_tip

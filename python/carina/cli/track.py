@@ -1,4 +1,4 @@
-"""``carina track``."""
+"""``carina track``: compute the paths to targets."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def report(
     if output is not None:
         check_output_file(output, ".json")
     check_choice(cost, graph)
-    # The costs that know no lumen begin anywhere; the others where the case's airways do.
+    # With the cost ``lumen``, paths start at the root of the case's airways; the other costs accept any start point.
     check_case_options(path, ct, root=root is not None and cost == "lumen")
     progress = progress_printer()
     source = opened(path, series=series, progress=progress, ct=ct)
@@ -58,7 +58,7 @@ def report(
         badges.add(result.tree.notes)
     search = result.search
     if search is None and as_json:
-        # Figures of the graph that paths are read from: built and searched once more, to the targets only.
+        # Paths read from the airways come without figures: build the graph again and search it, to the targets only.
         search = track_on_graph(volume, result.airways, targets, cost=cost, graph=graph, progress=progress).search
     rows: list[dict[str, Any]] = []
     for number, target in enumerate(result.targets, 1):
@@ -127,7 +127,7 @@ def report(
 def _airways_of_case(
     source: Opened, progress: ProgressCallback, cost: str, root: NDArray[np.float64] | None
 ) -> Airways | None:
-    """Return the airways; None if the case has none and a given root makes them unnecessary."""
+    """Return the airways of a case; None if it has none and the cost and the given root make them unnecessary."""
     document = source.document
     if cost != "lumen" and (document is None or document.airways is None):
         if root is None:
@@ -138,7 +138,7 @@ def _airways_of_case(
 
 
 def _search_row(search: GraphSearch) -> dict[str, Any]:
-    """Return the facts of the graph, for comparisons; the times of each target are in the row of that target."""
+    """Return size and computing times of the graph; the search time of each target is in the row of that target."""
     return {
         "labels": search.labels,
         "num_nodes": search.num_nodes,

@@ -8,7 +8,7 @@ __all__ = ["Citation"]
 
 
 class Citation(FrozenValue, frozen=True):
-    """Source and licence of a case; the window is sent it as it is. As text it is one line."""
+    """Source and licence of a case; ``str()`` of a citation is one line of text."""
 
     authors: str
     year: int

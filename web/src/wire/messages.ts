@@ -761,9 +761,10 @@ export interface AcceptNoticeMessage {
   readonly type: "accept_notice";
 }
 
-/** What a device of the window says.
+/** Sample of an input device that is connected to the window.
 
-    Second check: an orientation (with a position or without), axes, or a scope handle's controls. */
+    A sample contains exactly one of: an orientation (with or without a position), axes, or the controls of a scope
+    handle. */
 export interface DeviceSampleMessage {
   readonly type: "device_sample";
   readonly device: string;
@@ -776,44 +777,45 @@ export interface DeviceSampleMessage {
   readonly advance: number;
 }
 
-/** Connect to a device of this machine by kind and place, such as fastrak:PORT or openigtlink:HOST:PORT. */
+/** Request to connect to a device by kind and address, such as fastrak:PORT or openigtlink:HOST:PORT. */
 export interface ConnectDeviceMessage {
   readonly type: "connect_device";
   readonly address: string;
 }
 
-/** Close the connection to a device. */
+/** Request to close the connection to a device. */
 export interface DisconnectDeviceMessage {
   readonly type: "disconnect_device";
   readonly address: string;
 }
 
-/** Publish the tip by OpenIGTLink on this port of this machine (0: a free one); null ends it. */
+/** Request to publish the tip by OpenIGTLink on a port of this machine (0: any free port); null stops publishing. */
 export interface PublishTipMessage {
   readonly type: "publish_tip";
   readonly port: number | null;
 }
 
-/** Open the page for a phone to this machine's network, with a new certificate and link, or close it. */
+/** Request to open the phone page to the local network, with a new certificate and link, or to close the page. */
 export interface SetPhoneMessage {
   readonly type: "set_phone";
   readonly on: boolean;
 }
 
-/** Send `devices` a few times a second, or only when something changes. */
+/** Request to send `devices` a few times a second (`on`), or only after changes. */
 export interface WatchDevicesMessage {
   readonly type: "watch_devices";
   readonly on: boolean;
 }
 
-/** Record the flight into the case, or into a file on this machine if the case is not stored. */
+/** Request to record the flight into the case, or into a file on this machine if the case is not stored. */
 export interface StartRecordingMessage {
   readonly type: "start_recording";
 }
 
-/** Ask what an edit at a place under the cursor would make; only the newest is answered, by `edit_preview`.
+/** Request for a preview of an edit under the cursor; the server answers the newest request by `edit_preview`.
 
-    Either a point, or a place in an airway picture, as in `live_path`. A branch is named for `move-fork` alone. */
+    The place is either a point, or a position in an airway image, as in `live_path`. Only `move-fork` names a
+    branch. */
 export interface AskEditPreviewMessage {
   readonly type: "preview_edit";
   readonly request_id: number;
@@ -825,7 +827,7 @@ export interface AskEditPreviewMessage {
   readonly branch_id: number | null;
 }
 
-/** Take the key frames of the file sent to `/api/upload`; undoable. */
+/** Request to load key frames from the file sent to `/api/upload`; undoable. */
 export interface OpenKeyFramesMessage {
   readonly type: "open_key_frames";
   readonly upload_id: string;
@@ -863,7 +865,7 @@ export interface DeviceInfo {
   readonly axes: readonly number[];
 }
 
-/** A connection of this machine to a device. */
+/** A connection between this machine and a device. */
 export interface DeviceSource {
   readonly address: string;
   readonly title: string;
@@ -902,13 +904,13 @@ export interface DevicesMessage {
   readonly phone_problem: string | null;
 }
 
-/** The pen's button marked where paths begin that need no airways (`arm_pen`, `add_target`). */
+/** Report that the pen's button marked the start of a path that needs no airways (`arm_pen`, `add_target`). */
 export interface StartMarkedMessage {
   readonly type: "start_marked";
   readonly lps: readonly [number, number, number];
 }
 
-/** The tracked pen that moves the tip, and the point that its button marks; whenever one of them changed. */
+/** State of the tracked pen that moves the tip, and the point that its button marks; sent after each change. */
 export interface PenMessage {
   readonly type: "pen";
   readonly device: string | null;
@@ -918,7 +920,7 @@ export interface PenMessage {
   readonly off_deg: number | null;
 }
 
-/** Answer to the client's hello. */
+/** Answer to the client's `hello`. */
 export interface ServerHelloMessage {
   readonly type: "hello";
   readonly wire_version: number;
@@ -926,7 +928,7 @@ export interface ServerHelloMessage {
   readonly watches: boolean;
 }
 
-/** A case opened before, without the name of its CT's file. */
+/** An entry of the case list: a case that was opened before, without the name of its CT file. */
 export interface RecentCase {
   readonly recent_id: string;
   readonly date: string;
@@ -941,7 +943,7 @@ export interface RecentCase {
   readonly named: boolean;
 }
 
-/** Source and licence of a case; the window is sent it as it is. As text it is one line. */
+/** Source and licence of a case; `str()` of a citation is one line of text. */
 export interface Citation {
   readonly authors: string;
   readonly year: number;
@@ -953,7 +955,7 @@ export interface Citation {
   readonly collection: string;
 }
 
-/** A bundled case. */
+/** A demonstration case that is part of Carina. */
 export interface Demo {
   readonly name: "patient" | "phantom";
   readonly title: string;
@@ -961,7 +963,7 @@ export interface Demo {
   readonly citation: Citation | null;
 }
 
-/** An instrument of the library; null where nothing is known. */
+/** An instrument of the library; a field is null if its value is not known. */
 export interface Scope {
   readonly name: string;
   readonly title: string;
@@ -972,7 +974,7 @@ export interface Scope {
   readonly view_up_deg: number;
 }
 
-/** What is kept on the disk beside the cases of the list. */
+/** Data stored on the disk besides the cases of the case list. */
 export interface Storage {
   readonly num_cts: number;
   readonly ct_bytes: number;
@@ -980,7 +982,7 @@ export interface Storage {
   readonly forgotten: readonly RecentCase[];
 }
 
-/** What the start page shows, and what there is to choose from. */
+/** Content of the start page: cases, demonstration cases, instruments and storage. */
 export interface StartMessage {
   readonly type: "start";
   readonly notice_accepted: boolean;
@@ -990,14 +992,14 @@ export interface StartMessage {
   readonly storage: Storage | null;
 }
 
-/** One thing that a person should know about the case, with its stable code. */
+/** A note to the user about the case, with a code that does not change between versions. */
 export interface CaseNote {
   readonly code: string;
   readonly words: string;
   readonly badge: boolean;
 }
 
-/** Another series of the folder. */
+/** Another series in the folder of the open series. */
 export interface OtherSeries {
   readonly key: string;
   readonly modality: string;
@@ -1006,13 +1008,13 @@ export interface OtherSeries {
   readonly refused: string | null;
 }
 
-/** What this volume cannot do, and why. */
+/** A feature that this volume does not support, and the reason. */
 export interface FeatureOff {
   readonly what: string;
   readonly why: string;
 }
 
-/** The open volume. */
+/** The open volume and its properties. */
 export interface CaseInfo {
   readonly title: string;
   readonly format: string;
@@ -1096,7 +1098,7 @@ export interface Sight {
   readonly method: "brute" | "leap";
 }
 
-/** A target as asked and as used; `problem` says in words why there is no path. */
+/** A target with the requested point, the point that is used, and the path to that point. */
 export interface Target {
   readonly target_id: string;
   readonly name: string;
@@ -1114,14 +1116,14 @@ export interface Target {
   readonly root_lps: readonly [number, number, number] | null;
 }
 
-/** One structure of a mask of another tool. */
+/** A structure in an imported mask. */
 export interface MaskLabel {
   readonly number: number;
   readonly name: string | null;
   readonly volume_ml: number;
 }
 
-/** What must be said of a mask before it can be taken as the airways; answered by `answer_mask`. */
+/** Question to the user about an imported mask before it can define the airways; answered by `answer_mask`. */
 export interface MaskQuestion {
   readonly title: string;
   readonly problem: "grid" | "label";
@@ -1132,7 +1134,7 @@ export interface MaskQuestion {
   readonly share_inside: number | null;
 }
 
-/** What of the case is on the disk. Times are seconds since 1970. */
+/** State of the stored case and of its named file on the disk; times are seconds since 1970. */
 export interface SavingInfo {
   readonly keeps: boolean;
   readonly saved_s: number | null;
@@ -1150,7 +1152,7 @@ export interface SavingInfo {
   readonly continued_changes: number;
 }
 
-/** All that is shown, but the pose, the tree and the route. */
+/** State of the session, except for pose, tree, route and the other parts that have their own messages. */
 export interface StateMessage {
   readonly type: "state";
   readonly case: CaseInfo | null;
@@ -1176,20 +1178,20 @@ export interface StateMessage {
   readonly saving: SavingInfo;
 }
 
-/** Something that was done and can be taken back. */
+/** A step of the undo history. */
 export interface HistoryStep {
   readonly label: string;
   readonly at_s: number;
 }
 
-/** What was done, the oldest first, when it changed. */
+/** Undo history, the oldest step first; sent after each change. */
 export interface HistoryMessage {
   readonly type: "history";
   readonly steps: readonly HistoryStep[];
   readonly step: number;
 }
 
-/** A branch along the route. */
+/** The part of a route inside one branch, given by positions in mm along the route. */
 export interface RouteSpan {
   readonly branch_id: number;
   readonly name: string | null;
@@ -1199,13 +1201,13 @@ export interface RouteSpan {
   readonly kind: "bridge" | "manual" | "tracked";
 }
 
-/** The last leg of a planned route: straight from the scope's tip into the target. */
+/** The last leg of a planned route: the straight line of the needle from the scope's tip into the target. */
 export interface NeedleLine {
   readonly ends_lps: readonly [readonly [number, number, number], readonly [number, number, number]];
   readonly to_target_mm: number;
 }
 
-/** The way that is flown; lists are parallel, root to tip. */
+/** The current route; its point lists are parallel and go from the root to the tip. */
 export interface RouteInfo {
   readonly length_mm: number;
   readonly drawn_mm: number;
@@ -1226,13 +1228,13 @@ export interface RouteInfo {
   readonly needle: NeedleLine | null;
 }
 
-/** The route, when it changed. */
+/** The current route; sent after each change. */
 export interface RouteMessage {
   readonly type: "route";
   readonly route: RouteInfo | null;
 }
 
-/** A scope that is held by the lumen. */
+/** A scope whose position the lumen limits: controls and contacts. */
 export interface HeldScope {
   readonly insertion_mm: number;
   readonly roll_rad: number;
@@ -1246,13 +1248,13 @@ export interface HeldScope {
   readonly contact_s: number;
 }
 
-/** A time of a recorded flight that is flown again. */
+/** A recorded flight that is being replayed, and the time in it. */
 export interface FlightPlace {
   readonly number: number;
   readonly time_s: number;
 }
 
-/** The newest pose; pictures name the one they answer. */
+/** The newest pose; each image names its pose by `pose_id`. */
 export interface PoseMessage {
   readonly type: "pose";
   readonly pose_id: number;
@@ -1270,7 +1272,7 @@ export interface PoseMessage {
   readonly by_device: boolean;
 }
 
-/** A job's progress; fraction and time left are null where they cannot be known. */
+/** Progress of a job; the fraction and the remaining time are null if they are not known. */
 export interface ProgressMessage {
   readonly type: "progress";
   readonly job_id: string;
@@ -1280,14 +1282,14 @@ export interface ProgressMessage {
   readonly seconds_left: number | null;
 }
 
-/** A job has ended; a failure comes as `error` too. */
+/** Report that a job has ended; after a failure the server also sends `error`. */
 export interface DoneMessage {
   readonly type: "done";
   readonly job_id: string;
   readonly outcome: "cancelled" | "done" | "failed";
 }
 
-/** Something could not be done; stays until read. */
+/** Report that an operation failed; the window shows it until the user dismisses it. */
 export interface ErrorMessage {
   readonly type: "error";
   readonly code: string;
@@ -1295,20 +1297,20 @@ export interface ErrorMessage {
   readonly action: string | null;
 }
 
-/** Something worth a line. */
+/** A short message for the user that reports no error. */
 export interface NoticeMessage {
   readonly type: "notice";
   readonly message: string;
 }
 
-/** Who watches. */
+/** An observer of the case. */
 export interface Watcher {
   readonly number: number;
   readonly address: string;
   readonly since_s: number;
 }
 
-/** The page by which others of the local network watch, while it is open: they see the patient's pictures. */
+/** The observer page, through which people on the local network see the images of the patient. */
 export interface WatchPage {
   readonly url: string;
   readonly address: string;
@@ -1317,27 +1319,27 @@ export interface WatchPage {
   readonly watchers: readonly Watcher[];
 }
 
-/** Who else may see the open case; never told to who watches. */
+/** State of the observer page; never sent to observers. */
 export interface WatchingMessage {
   readonly type: "watching";
   readonly page: WatchPage | null;
   readonly problem: string | null;
 }
 
-/** So many of this window's commands have been done or refused, and what came of them at once has been told. */
+/** Number of commands of this window that were executed or refused; sent after the state that they changed. */
 export interface HandledMessage {
   readonly type: "handled";
   readonly number: number;
 }
 
-/** Answer to `probe`; only the newest is sent. */
+/** Answer to `probe`; the server answers only the newest request. */
 export interface ValueMessage {
   readonly type: "value";
   readonly lps: readonly [number, number, number];
   readonly voxel_value: number | null;
 }
 
-/** Answer to `pick`: the wall under a pixel of an airway picture. All null where the ray meets no wall. */
+/** Answer to `pick`: the wall under a pixel of an airway image; all fields are null if the ray hits no wall. */
 export interface PickedMessage {
   readonly type: "picked";
   readonly pick_id: number;
@@ -1349,7 +1351,7 @@ export interface PickedMessage {
   readonly generation: number | null;
 }
 
-/** How the stream runs; twice a second while pictures go. */
+/** Performance of the image stream; sent twice a second while the tip moves, and once after it stops. */
 export interface StatusMessage {
   readonly type: "status";
   readonly threads: number;
@@ -1373,7 +1375,7 @@ export interface MemberStatus {
   readonly num_strips: number;
 }
 
-/** The machines that render beside this one, once a second; only where there is a cluster. */
+/** State of the render cluster; sent once a second if there is a cluster. */
 export interface ClusterMessage {
   readonly type: "cluster";
   readonly address: string;
@@ -1384,14 +1386,14 @@ export interface ClusterMessage {
   readonly frame_ms: number | null;
 }
 
-/** A line that an edit would draw, or was asked to draw. */
+/** A line of a previewed or refused edit. */
 export interface EditLine {
   readonly points_lps: readonly (readonly [number, number, number])[];
   readonly doubtful: readonly boolean[];
   readonly drawn: readonly boolean[];
 }
 
-/** Answer to `preview_edit`: the very lines that the edit would make, or why it cannot be made. */
+/** Answer to `preview_edit`: the exact lines that the edit would create, or the reason why it is not possible. */
 export interface EditPreviewMessage {
   readonly type: "edit_preview";
   readonly request_id: number;
@@ -1404,9 +1406,10 @@ export interface EditPreviewMessage {
   readonly problem: string | null;
 }
 
-/** An `add-branch` was not made, since the CT shows no wall round the whole way; in the place of an `error`.
+/** Report that `add-branch` was refused, because the CT does not show an airway wall along the whole path.
 
-    The same edit with `even_without_evidence` draws this very way. */
+    The server sends this message instead of `error`. The same edit with `even_without_evidence` draws exactly this
+    path. */
 export interface NoEvidenceMessage {
   readonly type: "no_evidence";
   readonly job_id: string;
@@ -1418,7 +1421,7 @@ export interface NoEvidenceMessage {
   readonly doubtful_mm: number;
 }
 
-/** A pose to fly through. */
+/** A key frame: a pose through which the flight passes. */
 export interface ShownKeyFrame {
   readonly key_id: string;
   readonly name: string;
@@ -1430,7 +1433,7 @@ export interface ShownKeyFrame {
   readonly through_airways: boolean;
 }
 
-/** The key frames, when they changed. */
+/** The key frames; sent after each change. */
 export interface KeyFramesMessage {
   readonly type: "key_frames";
   readonly speed_mm_s: number;
@@ -1440,7 +1443,7 @@ export interface KeyFramesMessage {
   readonly problem: string | null;
 }
 
-/** A layer that there is, as lines in the pictures (`PictureLayer`). */
+/** A layer of the lung map; images show it as outlines (`PictureLayer`). */
 export interface MappedLayer {
   readonly layer: "fissures" | "lobes" | "reach" | "vessels";
   readonly words: string;
@@ -1448,14 +1451,14 @@ export interface MappedLayer {
   readonly parts: readonly string[];
 }
 
-/** A piece of a vessel, for pictures from outside. */
+/** A branch of a vessel, for the view from outside. */
 export interface VesselLine {
   readonly points_lps: readonly (readonly [number, number, number])[];
   readonly diameter_mm: number;
   readonly sure: boolean;
 }
 
-/** Where a lymph node station is looked for with EBUS, by the airways alone. */
+/** Place to search for a lymph node station with EBUS, derived from the airways alone. */
 export interface Station {
   readonly station: string;
   readonly words: string;
@@ -1465,7 +1468,7 @@ export interface Station {
   readonly doubts: readonly string[];
 }
 
-/** What was mapped round the targets, when it changed. */
+/** The lung map: vessels, fissures, lobes, reach and lymph node stations; sent after each change. */
 export interface LungsMessage {
   readonly type: "lungs";
   readonly standing: "failed" | "had" | "making" | "stopped" | "unwanted";
@@ -1478,7 +1481,7 @@ export interface LungsMessage {
   readonly outdated: boolean;
 }
 
-/** The boundary of a target, for drawing. */
+/** The boundary of a target as a triangle mesh for drawing. */
 export interface TargetSurface {
   readonly vertices_lps: readonly (readonly [number, number, number])[];
   readonly triangles: readonly number[];
@@ -1493,13 +1496,13 @@ export interface PlanOptions {
   readonly entry_mm: number | null;
 }
 
-/** A stretch of one tissue on a needle's way, from the scope's tip. */
+/** A segment of a needle's path inside one tissue; positions are distances in mm from the scope's tip. */
 export interface NeedleTissue {
   readonly tissue: string;
   readonly ends_mm: readonly [number, number];
 }
 
-/** A planned route. */
+/** A planned route to a target, with its measurements and its score. */
 export interface RouteOffer {
   readonly branch_id: number;
   readonly branch_name: string;
@@ -1522,7 +1525,7 @@ export interface RouteOffer {
   readonly doubts: readonly string[];
 }
 
-/** A target with a size, and the routes to it. */
+/** A lesion that is a target, and the routes to it. */
 export interface TargetPlan {
   readonly target_id: string;
   readonly centre_lps: readonly [number, number, number];
@@ -1540,7 +1543,7 @@ export interface TargetPlan {
   readonly chosen: number | null;
 }
 
-/** One thing that an instrument must be able to do. */
+/** One check of an instrument on a route, with its answer. */
 export interface ScopeCheck {
   readonly name: string;
   readonly answer: "no" | "perhaps" | "unknown" | "yes";
@@ -1548,7 +1551,7 @@ export interface ScopeCheck {
   readonly basis: string;
 }
 
-/** What one instrument can do on the route that is chosen. */
+/** Verdict on one instrument for the chosen route. */
 export interface ScopeVerdict {
   readonly scope: string;
   readonly title: string;
@@ -1560,7 +1563,7 @@ export interface ScopeVerdict {
   readonly was_driven: boolean;
 }
 
-/** A turn of the route that is chosen. */
+/** A turn at a fork of the chosen route. */
 export interface PlannedTurn {
   readonly head: string;
   readonly facing: string;
@@ -1569,7 +1572,7 @@ export interface PlannedTurn {
   readonly seen_from_lps: readonly [number, number, number] | null;
 }
 
-/** The plans, when they changed. */
+/** The plans of all lesions; sent after each change. */
 export interface PlansMessage {
   readonly type: "plans";
   readonly targets: readonly TargetPlan[];
@@ -1610,14 +1613,16 @@ export interface TreeDocument {
   readonly branches: readonly TreeBranch[];
 }
 
-/** What a branch is called in full, and the lobe that it leads to. */
+/** The long name of a branch, and the lobe that the branch supplies. */
 export interface BranchTitle {
   readonly branch_id: number;
   readonly long: string | null;
   readonly lobe: "LLL" | "LML" | "LUL" | "RLL" | "RML" | "RUL" | null;
 }
 
-/** What was measured on a branch, without its junctions. Lumens are diameters; errors hold in 95 of 100 cases. */
+/** Measurements of a branch without its junctions.
+
+    Lumens are diameters in mm. The true value differs by at most the error in 95 of 100 cases. */
 export interface BranchMeasures {
   readonly branch_id: number;
   readonly length_mm: number;
@@ -1638,7 +1643,7 @@ export interface BranchMeasures {
   readonly stenosis_at_mm: number | null;
 }
 
-/** A place where the automatic airways stop short, with its text. */
+/** A place where the automatic airways end too early, with its description. */
 export interface UncertainPlace {
   readonly lps: readonly [number, number, number];
   readonly branch_id: number | null;
@@ -1658,14 +1663,14 @@ export interface UncertainPlace {
   readonly explanation: string | null;
 }
 
-/** A lobe or a segment of which no named bronchus was found. */
+/** A lobe or a segment without a named bronchus in the tree. */
 export interface AbsentAirway {
   readonly name: string;
   readonly reason: string;
   readonly lps: readonly [number, number, number] | null;
 }
 
-/** The airway tree, when it or its measures changed. */
+/** The airway tree and its measurements; sent after each change. */
 export interface TreeMessage {
   readonly type: "tree";
   readonly tree: TreeDocument | null;
@@ -1675,7 +1680,7 @@ export interface TreeMessage {
   readonly absent: readonly AbsentAirway[];
 }
 
-/** Answer to `live_path`: the way from the root to the place under the cursor, or why there is none. */
+/** Answer to `live_path`: the path from the root to the point under the cursor, or a reason for its absence. */
 export interface LivePathMessage {
   readonly type: "live_path";
   readonly request_id: number;
@@ -1690,7 +1695,7 @@ export interface LivePathMessage {
   readonly problem: string | null;
 }
 
-/** Sections across a branch, from its beginning to its end: parallel lists; null where nothing could be measured. */
+/** Cross-sections of a branch from its start to its end: parallel lists; null marks a failed measurement. */
 export interface BranchProfile {
   readonly at_mm: readonly number[];
   readonly lumen_mm: readonly (number | null)[];
@@ -1701,7 +1706,7 @@ export interface BranchProfile {
   readonly at_junction: readonly boolean[];
 }
 
-/** Answer to `branch_detail`; profile and measures are null until they are ready. */
+/** Answer to `branch_detail`; profile and measurements are null until they are computed. */
 export interface BranchDetailMessage {
   readonly type: "branch_detail";
   readonly request_id: number;
@@ -1742,7 +1747,7 @@ export interface PhoneStateMessage {
   readonly words: string;
 }
 
-/** A lens in front of this picture. A direction (x, y, z) in camera space falls on centre + focal * (x', y').
+/** Lens model of this image: a direction (x, y, z) in camera space maps to centre + focal * (x', y').
 
     `brown`, with k1 k2 p1 p2 k3 k4 k5 k6, distorts (x/z, y/z); `fisheye`, with k1 to k4, puts the angle a from the
     axis at a distance of a + k1 a^3 + k2 a^5 + k3 a^7 + k4 a^9. */
@@ -1754,9 +1759,9 @@ export interface PictureLens {
   readonly limit_rad: number;
 }
 
-/** Where the rows of a picture lie whose surface is curved: parallel lists over some of its rows, linear between.
+/** Geometry of an image of a curved surface: parallel lists over selected rows, to be interpolated linearly.
 
-    Pixel (column, row) is at `start_lps + column * step_lps`, in corner coordinates of *this* picture. */
+    Pixel (column, row) is at `start_lps + column * step_lps`, in corner coordinates of *this* image. */
 export interface PictureLines {
   readonly row: readonly number[];
   readonly start_lps: readonly (readonly [number, number, number])[];
@@ -1766,19 +1771,20 @@ export interface PictureLines {
   readonly mm_per_px: number;
 }
 
-/** The outline of the lumen in this picture: the last bytes of the message, after those of the picture.
+/** The outline of the lumen in this image, encoded in the last bytes of the message, after the image data.
 
-    Line after line: u16 number of its points, then column and row of each, u16 little-endian, in sixteenths of a pixel
-    of *this* picture (corner coordinates). A closed line ends where it begins. */
+    Each line is encoded as the number of its points (u16), then column and row of each point, u16 little-endian, in
+    sixteenths of a pixel of *this* image (corner coordinates). The last point of a closed line equals its first point. */
 export interface PictureOutline {
   readonly num_bytes: number;
   readonly complete: boolean;
 }
 
-/** The outline of one part of what was mapped round the targets, in this picture.
+/** The outline of one part of a layer (vessels, fissures, lobes, reach) in this image.
 
-    Its bytes stand between the picture's and the outline's, in the order of the list, and have the outline's form; but
-    their numbers are sixteenths of a unit of its own, so that every line is closed, however far the picture is zoomed. */
+    The bytes of the layers are between the image data and the lumen outline, in the order of the list, and are encoded
+    like the outline. Their coordinates are sixteenths of a unit of the layer, which does not depend on the zoom, so
+    that every line is closed. */
 export interface PictureLayer {
   readonly num_bytes: number;
   readonly complete: boolean;
@@ -1787,7 +1793,7 @@ export interface PictureLayer {
   readonly pixel_from_line: readonly number[];
 }
 
-/** Header of a binary message; the payload follows. */
+/** Header of a binary image message; the payload follows the header. */
 export interface PictureHeader {
   readonly frame_id: number;
   readonly view: "airway" | "axial" | "coronal" | "curved" | "cut-plane" | "drr" | "sagittal" | "straightened" | "tree" | "tri-plane" | "xray-axial" | "xray-coronal" | "xray-sagittal";

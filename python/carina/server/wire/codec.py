@@ -1,4 +1,4 @@
-"""Strict reading and writing of messages: frozen values (:mod:`carina.commands.value`) in JSON, by msgspec.
+"""Strict decoder and encoder of messages: frozen values (:mod:`carina.commands.value`) as JSON, by msgspec.
 
 msgspec refuses unknown and missing fields, wrong types (a bool is not a number), numbers out of range, and over-long
 texts and lists. This module also refuses what msgspec accepts: duplicate keys, NaN, over-long messages, and too deep
@@ -37,9 +37,9 @@ __all__ = [
 ]
 
 MAX_TEXT_BYTES = 262_144
-"""Largest text message from a client: a transfer function by hand fits many times over."""
+"""Maximum size in bytes of a text message from a client, far above the size of a transfer function."""
 MAX_HEADER_BYTES = 65_536
-"""Largest JSON header of a picture."""
+"""Maximum size in bytes of the JSON header of an image message."""
 MAX_DEPTH = 32
 """Maximum nesting depth of an object that another module parses."""
 
@@ -47,19 +47,19 @@ V = TypeVar("V", bound=FrozenValue)
 
 
 class ClientMessage(FrozenValue, tag_field="type", tag=snake_case, frozen=True):
-    """What a window says about the connection itself, its questions, and what names files that it sent."""
+    """A message from a window to the server that is not a command: about the connection, queries and uploaded files."""
 
 
 class ServerMessage(FrozenValue, tag_field="type", tag=snake_case, frozen=True):
-    """What the server says to a window."""
+    """A message from the server to a window."""
 
 
 class PhoneMessage(FrozenValue, tag_field="type", tag=snake_case, frozen=True):
-    """What the page for a phone says."""
+    """A message from the phone page to the server."""
 
 
 class ToPhoneMessage(FrozenValue, tag_field="type", tag=snake_case, frozen=True):
-    """What the server says to it."""
+    """A message from the server to the phone page."""
 
 
 def type_name(cls: type[FrozenValue]) -> str | None:
@@ -160,9 +160,9 @@ def read_fields(cls: type[V], fields: dict[str, Any], where: str) -> V:
     Raises
     ------
     ProtocolError
-        Naming the field and what was expected.
+        If a field is invalid; the message names the field and the expected value.
     CarinaError
-        Of the value's own constructor, for what its types cannot say.
+        If the constructor of the value refuses it by a rule that types cannot express.
     """
     document = fields.get("document")
     if isinstance(document, dict):
@@ -196,7 +196,7 @@ def encode(message: FrozenValue) -> str:
     Raises
     ------
     ValueError
-        If a number is not finite: JSON has no NaN, and a picture's matrix with one would be a fault of ours.
+        If a number is not finite: JSON has no NaN, and such a number is a bug of the server.
     """
     # msgspec's encoder would write NaN as null.
     return json.dumps(msgspec.to_builtins(message), allow_nan=False, separators=(",", ":"))
@@ -214,7 +214,7 @@ def split_picture(data: bytes) -> tuple[dict[str, Any], bytes]:
     Raises
     ------
     ProtocolError
-        If the length lies, the header is no JSON object, or there is no payload.
+        If the stated length is wrong, the header is not a JSON object, or the payload is missing.
     """
     if len(data) < 4:
         _refuse("picture", "an image message is truncated: it ends within its header")

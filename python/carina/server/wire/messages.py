@@ -1,13 +1,14 @@
-"""The messages between server and client, gathered, and how they are read and written (prose: ``protocol/README.md``).
+"""All messages between server and client, with their parsers and encoder (specification: ``protocol/README.md``).
 
-What a client asks of the case are the commands of :mod:`carina.commands`. The connection's own messages stand in
+Requests about the case are the commands of :mod:`carina.commands`. The messages of the connection are defined in
 ``messages_from_client.py``, ``messages_from_server.py``, ``messages_of_tree.py``, ``messages_of_edits.py``,
 ``messages_of_key_frames.py``, ``messages_of_plan.py``, ``messages_of_devices.py`` and ``messages_of_phone.py``
-(between the server and a phone's page, on a socket of its own). Writing a class there is all that a new message needs.
+(between the server and the phone page, on a separate socket). A new message needs only a new class in one of them.
 
-``web/src/wire/messages.ts`` and ``protocol/schema.json`` are generated from them by
-``python -m carina.server.wire.generate``; a test fails when they drift apart. World is LPS mm, matrices are 4x4
-row-major, units are in the names. Numbers are bounded so that no client can ask for a picture or a volume of any size.
+``python -m carina.server.wire.generate`` generates ``web/src/wire/messages.ts`` and ``protocol/schema.json`` from
+the classes; a test fails if the files differ from the classes. World coordinates are LPS mm, matrices are 4x4
+row-major, units are in the names. Numbers are bounded, so that no client can request an arbitrarily large image or
+volume.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ CLOSE_CODES: dict[str, int] = {
     "protocol.too-many-windows": 4429,
     "protocol.watching-ended": 4410,
 }
-"""Why the server closes a socket; each comes with one sentence."""
+"""Close codes of the WebSocket by error code; the server sends one sentence with each."""
 
 
 CLIENT_MESSAGES = by_type(Command, ClientMessage)
@@ -66,11 +67,11 @@ TO_PHONE_MESSAGES = by_type(ToPhoneMessage)
 JOIN_MESSAGES = by_type(Command, JoinMessage)
 TO_JOIN_MESSAGES = by_type(ToJoinMessage)
 MAX_PHONE_BYTES = 2048
-"""Largest message of a phone; its samples have 200."""
+"""Maximum size in bytes of a message from a phone; a sample has about 200 bytes."""
 
 
 def parse_client_message(text: str | bytes, *, max_bytes: int = 262_144) -> Any:
-    """One message of a client.
+    """Parse one message from a client.
 
     Raises
     ------
@@ -81,7 +82,7 @@ def parse_client_message(text: str | bytes, *, max_bytes: int = 262_144) -> Any:
 
 
 def parse_phone_message(text: str | bytes) -> Any:
-    """One message of the page for a phone.
+    """Parse one message from the phone page.
 
     Raises
     ------
@@ -92,12 +93,12 @@ def parse_phone_message(text: str | bytes) -> Any:
 
 
 def parse_to_phone_message(text: str | bytes) -> Any:
-    """One message of the server to a phone's page; for tests."""
+    """Parse one message from the server to the phone page; for tests."""
     return decode(TO_PHONE_MESSAGES, text, max_bytes=MAX_PHONE_BYTES)
 
 
 def parse_join_message(text: str | bytes) -> Any:
-    """One message of a program that joins a case: a command, or one of its own.
+    """Parse one message from a program that joins a case: a command or a join message.
 
     Raises
     ------
@@ -108,17 +109,23 @@ def parse_join_message(text: str | bytes) -> Any:
 
 
 def parse_to_join_message(text: str | bytes) -> Any:
-    """One message of the server to it."""
+    """Parse one message from the server to a program that joins a case."""
     return decode(TO_JOIN_MESSAGES, text, max_bytes=64 * 1024 * 1024)
 
 
 def parse_server_message(text: str | bytes, *, max_bytes: int = 64 * 1024 * 1024) -> Any:
-    """One text message of the server; for programs and tests."""
+    """Parse one text message from the server; for programs and tests."""
     return decode(SERVER_MESSAGES, text, max_bytes=max_bytes)
 
 
 def parse_picture(data: bytes) -> tuple[PictureHeader, bytes]:
-    """One binary message: header and payload. The payload must begin as its codec does."""
+    """Split one binary image message into header and payload.
+
+    Raises
+    ------
+    ProtocolError
+        If the payload is not an image of the stated codec, or the encoded outlines are malformed.
+    """
     fields, payload = split_picture(data)
     header = read_fields(PictureHeader, fields, "picture")
     magic = b"\xff\xd8\xff" if header.codec == "jpeg" else b"\x89PNG\r\n\x1a\n"
@@ -135,7 +142,7 @@ def parse_picture(data: bytes) -> tuple[PictureHeader, bytes]:
 
 
 def split_outline(header: PictureHeader, payload: bytes) -> tuple[bytes, tuple[tuple[tuple[float, float], ...], ...]]:
-    """Split a payload into the picture and the lines of the outline: columns and rows in pixels of the picture.
+    """Split a payload into the image data and the lines of the outline: columns and rows in pixels of the image.
 
     Raises
     ------
@@ -153,7 +160,7 @@ def split_outline(header: PictureHeader, payload: bytes) -> tuple[bytes, tuple[t
 
 
 def _line_places(payload: bytes, end: int, num_bytes: int) -> list[tuple[int, int]]:
-    """Where the points of each line begin, and how many they are, in the bytes before an end."""
+    """Return, for each line in the last ``num_bytes`` before ``end``, the offset and the number of its points."""
     at = end - num_bytes
     if at <= 0:
         raise ProtocolError("the outline in an image message leaves no room for the image", code="protocol.picture")

@@ -1,4 +1,4 @@
-"""What the server sends, and the header of a picture."""
+"""Messages from the server to a window, and the header of an image message."""
 
 from __future__ import annotations
 
@@ -40,53 +40,54 @@ VoxelValue = Annotated[int, Meta(ge=-(2**15), le=2**15)]
 
 
 class ServerHello(ServerMessage, frozen=True, tag="hello"):
-    """Answer to the client's hello."""
+    """Answer to the client's ``hello``."""
 
     wire_version: Annotated[int, Meta(ge=0, le=2**31)]
     carina_version: Words
     watches: bool = False
-    """This client may only watch: whatever changes more than its own sight is refused."""
+    """Whether the client is an observer: the server refuses all commands except those for the client's own view."""
 
 
 class RecentCase(FrozenValue, frozen=True):
-    """A case opened before, without the name of its CT's file."""
+    """An entry of the case list: a case that was opened before, without the name of its CT file."""
 
     recent_id: Identifier
     date: Identifier
     """ISO date of the last use."""
     title: Words
-    """Name that its user gave, else the neutral alias, such as *Case K7M4QX*."""
+    """Name that the user gave to the case, else its neutral alias, such as *Case K7M4QX*."""
     used_s: float | None = None
-    """The same in seconds since 1970, where more than the day is known."""
+    """Time of the last use in seconds since 1970; null if only the day is known."""
     begun_s: float | None = None
+    """Time when the case was begun, in seconds since 1970."""
     num_changes: Count | None = None
-    """Null where nothing was kept of it but the place of its CT."""
+    """Number of changes; null if only the path of the CT is stored."""
     num_bytes: Bytes = 0
-    """What it takes on the disk, without its CT."""
+    """Size of the stored case on the disk, without its CT."""
     picture: Words | None = None
-    """Where its small picture is asked for: a JPEG of at most 320x240."""
+    """URL of the thumbnail, a JPEG of at most 320x240 pixels; null if the case has none."""
     opens: bool = True
-    """False where its CT is not to be had: it is to be dropped or chosen."""
+    """Whether the CT of the case is available; if not, the user must drop or choose the file."""
     scanned_on: Identifier | None = None
-    """ISO date of the scan, where its files say one. Only whoever works here is told it."""
+    """ISO date of the scan, if its files contain one; observers receive no case list."""
     named: bool = False
-    """Its title was given by a person."""
+    """Whether the user has named the case."""
 
 
 class Storage(FrozenValue, frozen=True):
-    """What is kept on the disk beside the cases of the list."""
+    """Data stored on the disk besides the cases of the case list."""
 
     num_cts: Count
-    """Opened CTs that are kept to open faster."""
+    """Number of CTs in the cache, which makes them open faster."""
     ct_bytes: Bytes
     keeps_cts: Literal["on", "off", "never"]
-    """Never: Carina was started so."""
+    """State of the CT cache; *never*: Carina was started without the cache."""
     forgotten: tuple[RecentCase, ...]
-    """These can be brought back for a day."""
+    """Forgotten cases, which the user can restore for one day."""
 
 
 class Demo(FrozenValue, frozen=True):
-    """A bundled case."""
+    """A demonstration case that is part of Carina."""
 
     name: DemoName
     title: Words
@@ -95,22 +96,25 @@ class Demo(FrozenValue, frozen=True):
 
 
 class Scope(FrozenValue, frozen=True):
-    """An instrument of the library; null where nothing is known."""
+    """An instrument of the library; a field is null if its value is not known."""
 
     name: Identifier
     title: Words
     tip_mm: float
-    """Outer diameter, as stated."""
+    """Outer diameter of the tip in mm, as the data sheet states it."""
     fit_mm: float
-    """The lumen that it needs: true tips are thicker than stated, and some insertion tubes thicker than their tips."""
+    """Diameter in mm of the lumen that the scope needs.
+
+    It exceeds the stated diameter: true tips are thicker than stated, and some insertion tubes thicker than their tips.
+    """
     channel_mm: float | None
     fov_deg: float | None
     view_up_deg: float
-    """How far it looks up from its shaft."""
+    """Angle in degrees between the direction of view and the shaft, upwards."""
 
 
 class Start(ServerMessage, frozen=True):
-    """What the start page shows, and what there is to choose from."""
+    """Content of the start page: cases, demonstration cases, instruments and storage."""
 
     notice_accepted: bool
     recent: tuple[RecentCase, ...]
@@ -120,33 +124,34 @@ class Start(ServerMessage, frozen=True):
 
 
 class OtherSeries(FrozenValue, frozen=True):
-    """Another series of the folder."""
+    """Another series in the folder of the open series."""
 
     key: Words
     modality: Words
     description: Words
     num_slices: Count
     refused: Words | None
+    """Reason why the series cannot be opened; null if it can."""
 
 
 class CaseNote(FrozenValue, frozen=True):
-    """One thing that a person should know about the case, with its stable code."""
+    """A note to the user about the case, with a code that does not change between versions."""
 
     code: Identifier
     words: Words
     badge: bool
-    """It stays in sight for as long as the case is open."""
+    """Whether the note stays visible while the case is open."""
 
 
 class FeatureOff(FrozenValue, frozen=True):
-    """What this volume cannot do, and why."""
+    """A feature that this volume does not support, and the reason."""
 
     what: Words
     why: Words
 
 
 class CaseInfo(FrozenValue, frozen=True):
-    """The open volume."""
+    """The open volume and its properties."""
 
     title: Words
     """Neutral alias of the case, such as *Case K7M4QX*; ``saving.title`` is the name that its user gave."""
@@ -158,41 +163,46 @@ class CaseInfo(FrozenValue, frozen=True):
     lps_from_ijk: Matrix4
     value_range: tuple[float, float]
     warnings: tuple[Words, ...]
-    """The words of all notes."""
+    """Texts of all notes."""
     notes: tuple[CaseNote, ...]
     quality: tuple[Words, ...]
     other_series: tuple[OtherSeries, ...]
     citation: Citation | None
     off: tuple[FeatureOff, ...]
     number: Count = 0
-    """Grows with each case opened: two cases may be of one CT."""
+    """Number that increases with each opened case; it distinguishes two cases of one CT."""
     ct_name: Words | None = None
-    """Name of the CT's file, or the text of its series. Only a window on the machine that runs Carina is sent it."""
+    """Name of the CT file or text of its series; sent only to windows on the machine that runs Carina, else null."""
 
 
 class Target(AskedPath, frozen=True):
-    """A target as asked and as used; ``problem`` says in words why there is no path."""
+    """A target with the requested point, the point that is used, and the path to that point."""
 
     target_id: Identifier
     name: Words
     lps: PointLps
+    """Requested point."""
     used_lps: PointLps | None
+    """End point of the path."""
     snapped_mm: float | None
+    """Distance in mm between the requested point and the point that is used."""
     length_mm: float | None
+    """Length of the path in mm."""
     problem: Words | None
+    """Reason why there is no path; null if there is one."""
     outside_mm: float | None = None
-    """How much of that path lies outside the lumen; null where there is no lumen to compare with."""
+    """Length in mm of the path outside the lumen; null without a lumen."""
     value_range: tuple[VoxelValue, VoxelValue] | None = None
-    """Least and greatest value along that path, in the scan's own numbers."""
+    """Smallest and largest voxel value along the path, in the units of the scan's file."""
     note: TargetNote = ""
     priority: TargetRank = 1
-    """1 comes first."""
+    """Rank of the target; 1 is first."""
     has_size: bool = False
-    """It lies outside the airways: ``plans`` has its boundary and the routes to it."""
+    """Whether the target is a lesion with a boundary; the message ``plans`` contains the boundary and the routes."""
 
 
 class MaskLabel(FrozenValue, frozen=True):
-    """One structure of a mask of another tool."""
+    """A structure in an imported mask."""
 
     number: Annotated[int, Meta(ge=-(2**53), le=2**53)]
     name: Words | None
@@ -200,31 +210,32 @@ class MaskLabel(FrozenValue, frozen=True):
 
 
 class MaskQuestion(FrozenValue, frozen=True):
-    """What must be said of a mask before it can be taken as the airways; answered by ``answer_mask``."""
+    """Question to the user about an imported mask before it can define the airways; answered by ``answer_mask``."""
 
     title: Words
-    """The file's name."""
+    """Name of the file."""
     problem: Literal["label", "grid"]
-    """It holds several structures, or it is on another grid than the scan."""
+    """``label``: the mask contains several structures. ``grid``: its grid differs from the grid of the scan."""
     labels: tuple[MaskLabel, ...]
     suggested: int | None
-    """The label whose name says that it is the airway."""
+    """Label whose name denotes the airway; null if none or several do."""
     expected: Words | None
-    """The scan's grid, in words."""
+    """Description of the scan's grid."""
     found: Words | None
+    """Description of the mask's grid."""
     share_inside: Part | None
-    """How much of the structure lies in the scan."""
+    """Fraction of the structure that is inside the scan, 0 to 1."""
 
 
 class State(ServerMessage, frozen=True):
-    """All that is shown, but the pose, the tree and the route."""
+    """State of the session, except for pose, tree, route and the other parts that have their own messages."""
 
     case: CaseInfo | None
     stage: Literal["empty", "opening", "ready"]
-    """``opening``: pictures already come, the airways are being found."""
+    """``opening``: the server already sends images while it searches for the airways."""
     airways: Literal["none", "waiting", "finding", "found", "failed"]
     airways_words: Words | None
-    """Why there are none and what to do, or what was noted about them."""
+    """Reason why there are no airways and what the user can do, or notes about the airways."""
     mode: Mode
     look: Look
     sight: Sight
@@ -235,22 +246,23 @@ class State(ServerMessage, frozen=True):
     targets: tuple[Target, ...]
     route_id: Words | None
     can_undo: Words | None
-    """Label of the change that undo takes back."""
+    """Label of the change that the next undo reverts; null if there is none."""
     can_redo: Words | None
+    """Label of the change that the next redo repeats; null if there is none."""
     root_lps: PointLps | None
     lumen_threshold: float | None
     frame_rate_hz: float
-    """Airway pictures per second that are asked for while moving."""
+    """Maximum rate of airway images while the tip moves, in images per second."""
     airways_from: Literal["search", "mask"] | None
-    """Found in the CT, or a mask of another tool; null where there are none."""
+    """Origin of the airways: the search in the CT, or an imported mask; null without airways."""
     mask_question: MaskQuestion | None
     badges: tuple[CaseNote, ...]
-    """The lasting notes of the case and of its airways: in sight for as long as it is open."""
+    """Notes on the case and its airways that stay visible while the case is open."""
     saving: SavingInfo = SavingInfo()
 
 
 class RouteSpan(FrozenValue, frozen=True):
-    """A branch along the route."""
+    """The part of a route inside one branch, given by positions in mm along the route."""
 
     branch_id: BranchId
     name: Words | None
@@ -258,28 +270,28 @@ class RouteSpan(FrozenValue, frozen=True):
     from_mm: float
     to_mm: float
     kind: Literal["tracked", "bridge", "manual"]
-    """``manual`` was drawn by hand: the CT shows no airway there."""
+    """Kind of the branch; ``manual``: the user drew the branch, because the CT shows no airway there."""
 
 
 class HistoryStep(FrozenValue, frozen=True):
-    """Something that was done and can be taken back."""
+    """A step of the undo history."""
 
     label: Words
-    """What was done, in words."""
+    """Text that names the change."""
     at_s: float
-    """When, in seconds since the case was begun (``saving.begun_s``)."""
+    """Time in seconds since the case was begun (``saving.begun_s``)."""
 
 
 class History(ServerMessage, frozen=True):
-    """What was done, the oldest first, when it changed."""
+    """Undo history, the oldest step first; sent after each change."""
 
     steps: tuple[HistoryStep, ...]
     step: int
-    """How many of them hold; those after are taken back and can be done again. ``go_to_step`` changes it."""
+    """Number of steps in effect; the later steps are undone and can be redone. ``go_to_step`` changes the number."""
 
 
 class RouteInfo(DrawnPart, frozen=True, kw_only=True):
-    """The way that is flown; lists are parallel, root to tip."""
+    """The current route; its point lists are parallel and go from the root to the tip."""
 
     route_id: Identifier
     title: Words
@@ -287,70 +299,78 @@ class RouteInfo(DrawnPart, frozen=True, kw_only=True):
     branch_id: BranchId | None
     points_lps: PointsLps
     cumulative_mm: Numbers
+    """Distance in mm of each point from the root, along the route."""
     generation: Annotated[tuple[Annotated[int, Meta(ge=0, le=1000)], ...], Meta(max_length=1_000_000)]
     radius_mm: Numbers
-    """Of the circle with the area of the branch's section."""
+    """Radius in mm of the circle with the area of the branch's cross-section."""
     wall_mm: Numbers
-    """Of the largest ball that fits there: what an instrument has."""
+    """Radius in mm of the largest ball that fits into the lumen: the space for an instrument."""
     forks_mm: Numbers
+    """Positions of the forks, in mm along the route."""
     lookouts_mm: Numbers
-    """Where to stop for the forks: in front of them, with their openings in view. Strictly increasing."""
+    """Positions in mm along the route at which to stop before each fork, with the openings of the fork in view.
+
+    Strictly increasing.
+    """
     spans: tuple[RouteSpan, ...]
     lumen_known: bool = True
-    """False where there are no airways round it: the radii and walls are 0 and mean nothing."""
+    """Whether the airways along the route are known; if not, ``radius_mm`` and ``wall_mm`` are 0 without meaning."""
     needle: NeedleLine | None = None
-    """How the way goes on through the wall; null where it ends in the airways."""
+    """Continuation of the route through the wall; null if the route ends in the airways."""
 
 
 class Route(ServerMessage, frozen=True):
-    """The route, when it changed."""
+    """The current route; sent after each change."""
 
     route: RouteInfo | None
 
 
 class HeldScope(ScopeHold, frozen=True):
-    """A scope that is held by the lumen."""
+    """A scope whose position the lumen limits: controls and contacts."""
 
     red_out: Part
-    """0 for a clear view to 1 where the lens lies on the wall."""
+    """Loss of the view by contact: 0 for a clear view to 1 if the lens touches the wall."""
     limit: Literal["none", "entry", "wall", "narrow", "length", "flexion"]
-    """Why it did not go as far as asked."""
+    """Reason why the scope did not reach the commanded position."""
     needs_mm: float | None
-    """The largest diameter that would pass, where the limit is ``narrow``."""
+    """Largest diameter in mm that would pass, if the limit is ``narrow``, else null."""
     tip_mm: float | None
-    """Its own."""
+    """Outer diameter of the scope's tip in mm."""
     contact_mm: float | None
-    """How much farther than the wall it is pushed; null where it does not touch."""
+    """Distance in mm by which the commanded tip exceeds the position that the wall permits; null without contact."""
     num_contacts: Count
+    """Number of contacts since the scope was placed."""
     contact_s: float
+    """Total time of these contacts in s."""
 
 
 class Pose(ServerMessage, frozen=True):
-    """The newest pose; pictures name the one they answer."""
+    """The newest pose; each image names its pose by ``pose_id``."""
 
     pose_id: Count
     lps_from_camera: Matrix4
     mode: Mode
     path_mm: float | None
+    """Position of the tip in mm along the route; null if the tip is not on a route."""
     branch_id: BranchId | None
     branch_name: Words | None
     generation: Annotated[int, Meta(ge=0, le=1000)] | None
     lumen_mm: float | None
-    """Diameter of the lumen here."""
+    """Diameter of the lumen at the tip, in mm."""
     inside: bool
-    """The tip is in the lumen (in the volume's box while there is no lumen)."""
+    """Whether the tip is inside the lumen; without a lumen, whether the tip is inside the volume."""
     scope: HeldScope | None
-    """In mode ``scope``."""
+    """State of the scope in mode ``scope``, else null."""
     key_frames_s: float | None
-    """The time in the flight through the key frames; null once anything else has moved the tip."""
+    """Time in s of the tip in the flight through the key frames; null if another cause moved the tip last."""
     flight: FlightPlace | None
-    """The time in a recorded flight that is flown again; null once anything else has moved the tip."""
+    """Position of the tip in a recorded flight that is replayed; null if another cause moved the tip last."""
     by_device: bool
-    """An input device moved the tip last."""
+    """Whether an input device moved the tip last."""
 
 
 class Progress(ServerMessage, frozen=True):
-    """A job's progress; fraction and time left are null where they cannot be known."""
+    """Progress of a job; the fraction and the remaining time are null if they are not known."""
 
     job_id: Identifier
     title: Words
@@ -360,114 +380,115 @@ class Progress(ServerMessage, frozen=True):
 
 
 class Done(ServerMessage, frozen=True):
-    """A job has ended; a failure comes as ``error`` too."""
+    """Report that a job has ended; after a failure the server also sends ``error``."""
 
     job_id: Identifier
     outcome: Literal["done", "cancelled", "failed"]
 
 
 class Error(ServerMessage, frozen=True):
-    """Something could not be done; stays until read."""
+    """Report that an operation failed; the window shows it until the user dismisses it."""
 
     code: Words
     message: Words
     action: Words | None
-    """What to do next, or null where the message says it."""
+    """Advice on what to do next; null if the message contains the advice."""
 
 
 class Notice(ServerMessage, frozen=True):
-    """Something worth a line."""
+    """A short message for the user that reports no error."""
 
     message: Words
 
 
 class Watcher(FrozenValue, frozen=True):
-    """Who watches."""
+    """An observer of the case."""
 
     number: Count
     address: Words
     since_s: float
-    """Seconds since 1970."""
+    """Start of the connection, in seconds since 1970."""
 
 
 class WatchPage(NetworkPage, frozen=True, kw_only=True):
-    """The page by which others of the local network watch, while it is open: they see the patient's pictures."""
+    """The observer page, through which people on the local network see the images of the patient."""
 
     watchers: tuple[Watcher, ...]
 
 
 class Watching(ServerMessage, frozen=True):
-    """Who else may see the open case; never told to who watches."""
+    """State of the observer page; never sent to observers."""
 
     page: WatchPage | None
-    """Null while nobody may."""
+    """The observer page; null while the page is closed."""
     problem: Words | None
-    """Why it cannot be opened on this machine."""
+    """Reason why the page cannot be opened on this machine."""
 
 
 class Handled(ServerMessage, frozen=True):
-    """So many of this window's commands have been done or refused, and what came of them at once has been told."""
+    """Number of commands of this window that were executed or refused; sent after the state that they changed."""
 
     number: Count
 
 
 class Value(ServerMessage, frozen=True):
-    """Answer to ``probe``; only the newest is sent."""
+    """Answer to ``probe``; the server answers only the newest request."""
 
     lps: PointLps
-    """The point that was asked for."""
+    """Requested point."""
     voxel_value: Annotated[int, Meta(ge=-32_768, le=32_767)] | None
-    """Of the voxel that it lies in: HU, or the file's numbers where the volume is not HU. Null outside the volume."""
+    """Value of the voxel at the point: HU, or the file's values if the volume is not in HU; null outside the volume."""
 
 
 class Picked(ServerMessage, frozen=True):
-    """Answer to ``pick``: the wall under a pixel of an airway picture. All null where the ray meets no wall."""
+    """Answer to ``pick``: the wall under a pixel of an airway image; all fields are null if the ray hits no wall."""
 
     pick_id: Count
     lps: PointLps | None
     depth_mm: float | None
-    """From the lens, along the ray."""
+    """Distance in mm from the lens along the ray."""
     voxel_value: Annotated[int, Meta(ge=-32_768, le=32_767)] | None
     branch_id: BranchId | None
-    """The branch whose centreline is nearest; null without a tree."""
+    """Branch with the nearest centreline; null without a tree."""
     branch_name: Words | None
     generation: Annotated[int, Meta(ge=0, le=1000)] | None
 
 
 class Status(Processor, ServerMessage, frozen=True):
-    """How the stream runs; twice a second while pictures go."""
+    """Performance of the image stream; sent twice a second while the tip moves, and once after it stops."""
 
     fps: float
-    """Airway pictures sent per second, over the last second of movement."""
+    """Airway images per second, over the last second of movement."""
     render_ms: float
+    """Rendering time of the last image in ms."""
     age_ms: float
-    """From a pose's arrival to its first picture being ready: the median of that second."""
+    """Median time in ms from the arrival of a pose until its first image is ready, over the same second."""
     method: Words
 
 
 class Cluster(ClusterState, ServerMessage, frozen=True):
-    """The machines that render beside this one, once a second; only where there is a cluster."""
+    """State of the render cluster; sent once a second if there is a cluster."""
 
 
 class PictureLines(FrozenValue, frozen=True):
-    """Where the rows of a picture lie whose surface is curved: parallel lists over some of its rows, linear between.
+    """Geometry of an image of a curved surface: parallel lists over selected rows, to be interpolated linearly.
 
-    Pixel (column, row) is at ``start_lps + column * step_lps``, in corner coordinates of *this* picture.
+    Pixel (column, row) is at ``start_lps + column * step_lps``, in corner coordinates of *this* image.
     """
 
     row: Numbers
-    """Corner coordinates, increasing: the middle of a picture's first row is 0.5."""
+    """Selected rows in corner coordinates, increasing: the middle of the first row of an image is 0.5."""
     start_lps: PointsLps
     step_lps: PointsLps
     path_mm: Numbers
-    """Place on the route; where a row lies beyond it, the route's end."""
+    """Position of each row in mm along the route; the end of the route for a row beyond that end."""
     path_column: Numbers
-    """Where the route crosses the row."""
+    """Column at which the route crosses the row."""
     mm_per_px: float
 
 
 class PictureLens(FrozenValue, frozen=True):
-    """A lens in front of this picture. A direction (x, y, z) in camera space falls on centre + focal * (x', y').
+    """Lens model of this image: a direction (x, y, z) in camera space maps to centre + focal * (x', y').
 
     ``brown``, with k1 k2 p1 p2 k3 k4 k5 k6, distorts (x/z, y/z); ``fisheye``, with k1 to k4, puts the angle a from the
     axis at a distance of a + k1 a^3 + k2 a^5 + k3 a^7 + k4 a^9.
@@ -478,72 +499,84 @@ class PictureLens(FrozenValue, frozen=True):
     focal_px: tuple[float, float]
     centre_px: tuple[float, float]
     limit_rad: Annotated[float, Meta(ge=0.0, le=3.1416)]
-    """Directions farther from the axis have no place in the picture."""
+    """Largest angle from the axis that the image shows, in rad."""
 
 
 MAX_OUTLINE_BYTES = 4_194_304
 
 
 class PictureOutline(FrozenValue, frozen=True):
-    """The outline of the lumen in this picture: the last bytes of the message, after those of the picture.
+    """The outline of the lumen in this image, encoded in the last bytes of the message, after the image data.
 
-    Line after line: u16 number of its points, then column and row of each, u16 little-endian, in sixteenths of a pixel
-    of *this* picture (corner coordinates). A closed line ends where it begins.
+    Each line is encoded as the number of its points (u16), then column and row of each point, u16 little-endian, in
+    sixteenths of a pixel of *this* image (corner coordinates). The last point of a closed line equals its first point.
     """
 
     num_bytes: Annotated[int, Meta(ge=0, le=MAX_OUTLINE_BYTES)]
     complete: bool
-    """False where the lumen is so ragged that it is left out."""
+    """False if the shape is too ragged for an outline, which is then left out."""
 
 
 class PictureLayer(PictureOutline, frozen=True):
-    """The outline of one part of what was mapped round the targets, in this picture.
+    """The outline of one part of a layer (vessels, fissures, lobes, reach) in this image.
 
-    Its bytes stand between the picture's and the outline's, in the order of the list, and have the outline's form; but
-    their numbers are sixteenths of a unit of its own, so that every line is closed, however far the picture is zoomed.
+    The bytes of the layers are between the image data and the lumen outline, in the order of the list, and are encoded
+    like the outline. Their coordinates are sixteenths of a unit of the layer, which does not depend on the zoom, so
+    that every line is closed.
     """
 
     layer: LayerName
     part: Identifier
-    """*sure* or *unsure* of vessels and of reach, where *unsure* encloses *sure*; *seen*; or the name of a lobe."""
+    """*sure* or *unsure* (which encloses *sure*) for vessels and reach, *seen* for fissures, or the name of a lobe."""
     pixel_from_line: Annotated[tuple[float, ...], Meta(min_length=6, max_length=6)]
-    """From these units to columns and rows of this picture, in the order of a canvas's ``transform``."""
+    """Affine map from outline units to columns and rows of this image, in the order of a canvas's ``transform``."""
 
 
 class PictureHeader(FrozenValue, frozen=True):
-    """Header of a binary message; the payload follows."""
+    """Header of a binary image message; the payload follows the header."""
 
     frame_id: Count
     view: ViewName
-    """What it shows."""
+    """View that the image shows."""
     stands_for: ViewName | None
-    """Where it is shown instead: the cut-plane is the view finder while the airway view is too slow (paper 3.1)."""
+    """View in whose place the image is shown, else null.
+
+    The cut-plane is the view finder while the airway view is too slow (paper 3.1).
+    """
     pose_id: Count
     lps_from_camera: Matrix4 | None
-    """Camera of a perspective view."""
+    """Camera of a perspective view, else null."""
     fov_deg: float | None
     lens: PictureLens | None
-    """Where the lens is no pinhole of this field of view."""
+    """Lens model; null for a pinhole camera with this field of view."""
     lps_from_pixel: Matrix4 | None
-    """Planar view: (column, row, 0, 1) in corner coordinates of *this* picture (centre = +0.5) to LPS."""
+    """Matrix of a planar view from (column, row, 0, 1) to LPS mm, else null.
+
+    Columns and rows are corner coordinates of *this* image (the centre of a pixel is at +0.5).
+    """
     lines: PictureLines | None
-    """View along the route."""
+    """Geometry of a view along the route, else null."""
     outline: PictureOutline | None
-    """Slices and the cut-plane, once there is a lumen: the current one. Of a thick slice its middle plane."""
+    """Outline of the current lumen in slices and in the cut-plane (in the middle plane of a thick slice), else null."""
     width: Pixels
     height: Pixels
     step_vox: float | None
-    """Ray step of an airway view, in units of the smallest spacing; coarser than 0.5 only where fewer pixels alone do
-    not make the picture quick enough."""
+    """Ray step of an airway view, in units of the smallest spacing, else null.
+
+    The step is coarser than 0.5 only if a smaller image alone does not make rendering fast enough.
+    """
     codec: Literal["jpeg", "png"]
     quality: Annotated[int, Meta(ge=1, le=100)]
     full: bool
-    """Final quality for this state; false while moving, and while another lumen or transfer function is on its way."""
+    """Whether the image has final quality for the present state.
+
+    False during movement, and while a new lumen or transfer function is being computed.
+    """
     empty: bool
-    """An airway view without anything in it: the tip looks out of the CT."""
+    """Whether an airway view is empty, because the tip looks out of the CT."""
     decorated: tuple[DecorationName, ...]
-    """What of an airway view is decoration and not the patient's; empty where nothing is."""
+    """Names of the effects in an airway view that are decoration and not data of the patient."""
     render_ms: float
     method: Words
     layers: Annotated[tuple[PictureLayer, ...], Meta(max_length=32)] = ()
-    """Slices and the cut-plane: what was mapped round the targets, as far as the window wants it (``set_layers``)."""
+    """Layers in slices and in the cut-plane that the window has selected with ``set_layers``."""

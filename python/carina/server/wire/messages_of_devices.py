@@ -1,4 +1,4 @@
-"""Messages about input devices and recordings, both ways."""
+"""Messages about input devices and recordings, from the client and from the server."""
 
 from __future__ import annotations
 
@@ -29,9 +29,10 @@ class DeviceReading(FrozenValue, frozen=True):
 
 
 class DeviceSample(DeviceReading, ClientMessage, frozen=True):
-    """What a device of the window says.
+    """Sample of an input device that is connected to the window.
 
-    Second check: an orientation (with a position or without), axes, or a scope handle's controls.
+    A sample contains exactly one of: an orientation (with or without a position), axes, or the controls of a scope
+    handle.
     """
 
     time_s: Wide
@@ -44,7 +45,7 @@ class DeviceSample(DeviceReading, ClientMessage, frozen=True):
     """Deflection of a forward key or stick of a device with an orientation, -1 to 1 of full speed."""
 
     def choice_problem(self) -> str | None:
-        """One of three kinds, and a position only with an orientation."""
+        """Require exactly one of the three kinds of sample, and a position only with an orientation."""
         kinds = (self.orientation_wxyz, self.axes, self.handle)
         if sum(kind is not None for kind in kinds) != 1:
             return "device_sample needs an orientation, axes or a handle"
@@ -54,37 +55,37 @@ class DeviceSample(DeviceReading, ClientMessage, frozen=True):
 
 
 class ConnectDevice(ClientMessage, frozen=True):
-    """Connect to a device of this machine by kind and place, such as fastrak:PORT or openigtlink:HOST:PORT."""
+    """Request to connect to a device by kind and address, such as fastrak:PORT or openigtlink:HOST:PORT."""
 
     address: DeviceName
 
 
 class DisconnectDevice(ClientMessage, frozen=True):
-    """Close the connection to a device."""
+    """Request to close the connection to a device."""
 
     address: DeviceName
 
 
 class PublishTip(ClientMessage, frozen=True):
-    """Publish the tip by OpenIGTLink on this port of this machine (0: a free one); null ends it."""
+    """Request to publish the tip by OpenIGTLink on a port of this machine (0: any free port); null stops publishing."""
 
     port: Annotated[int, Meta(ge=0, le=65_535)] | None
 
 
 class SetPhone(ClientMessage, frozen=True):
-    """Open the page for a phone to this machine's network, with a new certificate and link, or close it."""
+    """Request to open the phone page to the local network, with a new certificate and link, or to close the page."""
 
     on: bool
 
 
 class WatchDevices(ClientMessage, frozen=True):
-    """Send ``devices`` a few times a second, or only when something changes."""
+    """Request to send ``devices`` a few times a second (``on``), or only after changes."""
 
     on: bool
 
 
 class StartRecording(ClientMessage, frozen=True):
-    """Record the flight into the case, or into a file on this machine if the case is not stored."""
+    """Request to record the flight into the case, or into a file on this machine if the case is not stored."""
 
 
 class Flights(ServerMessage, frozen=True):
@@ -107,18 +108,21 @@ class DeviceInfo(DeviceReading, frozen=True):
     num_ignored: Count
     ignored_words: Words
     axes: Annotated[tuple[Wide, ...], Meta(max_length=6)]
-    """Of sticks; insertion in mm, roll in rad and lever of a handle."""
+    """Axes of a stick, or insertion in mm, roll in rad and lever of a scope handle."""
 
 
 class DeviceSource(FrozenValue, frozen=True):
-    """A connection of this machine to a device."""
+    """A connection between this machine and a device."""
 
     address: DeviceName
     title: Words
     state: Literal["connecting", "live", "lost", "stopped"]
     words: Words
+    """Description of the state for the user."""
     rate_hz: float
+    """Samples per second."""
     num_bad: Count
+    """Number of malformed messages from the device."""
 
 
 class NetworkPage(FrozenValue, frozen=True, kw_only=True):
@@ -166,24 +170,26 @@ class Devices(ServerMessage, frozen=True):
 
 
 class StartMarked(ServerMessage, frozen=True):
-    """The pen's button marked where paths begin that need no airways (``arm_pen``, ``add_target``)."""
+    """Report that the pen's button marked the start of a path that needs no airways (``arm_pen``, ``add_target``)."""
 
     lps: Three
+    """Marked point, LPS mm."""
 
 
 class Pen(ServerMessage, frozen=True):
-    """The tracked pen that moves the tip, and the point that its button marks; whenever one of them changed."""
+    """State of the tracked pen that moves the tip, and the point that its button marks; sent after each change."""
 
     device: DeviceName | None
     """Pen that moves the tip; null if no pen does."""
     tracked: bool
     """Whether the pen reports its position and not only its orientation."""
     lps: Three | None
-    """Its own tip in the patient; null where it is not registered: then its button marks the scope's tip.
+    """Position of the pen's tip in the patient, LPS mm; null if the pen is not registered to the patient.
 
-    Kept up to date while a pen is armed, and in absolute movement.
+    The button of a pen that is not registered marks the scope's tip. The position is updated while a pen is armed, and
+    in absolute movement.
     """
     off_mm: float | None
-    """Distance of the scope tip from the pen in absolute movement."""
+    """Distance in mm of the scope tip from the pen in absolute movement."""
     off_deg: float | None
-    """Angle between the scope tip and the pen in absolute movement."""
+    """Angle in degrees between the scope tip and the pen in absolute movement."""

@@ -1,4 +1,4 @@
-"""Edits of the airway tree: what a client asks for, what an edit would make, and why one was not made."""
+"""Messages about edits of the airway tree: requests for a preview, previews, and edits refused for lack of evidence."""
 
 from __future__ import annotations
 
@@ -15,14 +15,15 @@ PreviewTool = Literal["add-branch", "bridge", "move-fork"]
 
 
 class AskEditPreview(AskAtPlace, ClientMessage, frozen=True, tag="preview_edit"):
-    """Ask what an edit at a place under the cursor would make; only the newest is answered, by ``edit_preview``.
+    """Request for a preview of an edit under the cursor; the server answers the newest request by ``edit_preview``.
 
-    Either a point, or a place in an airway picture, as in ``live_path``. A branch is named for ``move-fork`` alone.
+    The place is either a point, or a position in an airway image, as in ``live_path``. Only ``move-fork`` names a
+    branch.
     """
 
     tool: PreviewTool
     branch_id: BranchId | None
-    """The branch whose fork is to move."""
+    """Branch whose fork will be moved; null for the other tools."""
 
     def choice_problem(self) -> str | None:
         """Require either a point or a position in an image, and a branch for one tool."""
@@ -33,42 +34,45 @@ class AskEditPreview(AskAtPlace, ClientMessage, frozen=True, tag="preview_edit")
 
 
 class EditLine(FrozenValue, frozen=True):
-    """A line that an edit would draw, or was asked to draw."""
+    """A line of a previewed or refused edit."""
 
     points_lps: PointsLps
-    """From the tree on; exactly the points of the branch that the edit makes."""
+    """Points from the tree to the end; the edit creates a branch with exactly these points."""
     doubtful: Annotated[tuple[bool, ...], Meta(max_length=1_000_000)]
-    """For each piece between two points, whether the CT shows no airway there; one fewer than points."""
+    """Whether the CT shows no airway, for each segment between two points; one entry fewer than points."""
     drawn: Annotated[tuple[bool, ...], Meta(max_length=1_000_000)]
-    """For each piece, whether it becomes part of a branch drawn by hand: also what lies behind a doubt."""
+    """Whether the branch of each segment will be drawn by hand; a new branch is, if any of its segments is doubtful."""
 
 
 class EditPreview(ServerMessage, frozen=True):
-    """Answer to ``preview_edit``: the very lines that the edit would make, or why it cannot be made."""
+    """Answer to ``preview_edit``: the exact lines that the edit would create, or the reason why it is not possible."""
 
     request_id: Count
     tool: PreviewTool
     lps: PointLps | None
-    """The point that the edit would be asked with; null where there is nothing under the cursor."""
+    """Point for the command of the edit; null if nothing is under the cursor."""
     lines: tuple[EditLine, ...]
     length_mm: float | None
+    """Length of the lines in mm."""
     doubtful_mm: float | None
+    """Length in mm along which the CT shows no airway."""
     has_evidence: bool
-    """Whether the edit is made at once; false where it must be asked for again, or cannot be made."""
+    """Whether the command performs the edit at once; false if it needs a confirmation or is not possible."""
     problem: Words | None
 
 
 class NoEvidence(ServerMessage, frozen=True):
-    """An ``add-branch`` was not made, since the CT shows no wall round the whole way; in the place of an ``error``.
+    """Report that ``add-branch`` was refused, because the CT does not show an airway wall along the whole path.
 
-    The same edit with ``even_without_evidence`` draws this very way.
+    The server sends this message instead of ``error``. The same edit with ``even_without_evidence`` draws exactly this
+    path.
     """
 
     job_id: Identifier
     code: Literal["track.no-evidence"]
     message: Words
     lps: PointLps
-    """What was asked for."""
+    """Requested end point."""
     line: EditLine
     length_mm: float
     doubtful_mm: float

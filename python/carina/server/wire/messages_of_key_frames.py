@@ -1,4 +1,4 @@
-"""Messages about key frames, both ways."""
+"""Messages about key frames, from the client and from the server."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from carina.session import KeyFramesInfo
 
 
 class OpenKeyFrames(ClientMessage, frozen=True):
-    """Take the key frames of the file sent to ``/api/upload``; undoable."""
+    """Request to load key frames from the file sent to ``/api/upload``; undoable."""
 
     upload_id: Identifier
 
 
 class KeyFrames(KeyFramesInfo, ServerMessage, frozen=True):
-    """The key frames, when they changed."""
+    """The key frames; sent after each change."""

@@ -1,4 +1,4 @@
-"""What the server sends about targets with a size, the routes to them, and what instruments can do there."""
+"""Messages from the server about lesions, planned routes, verdicts on instruments, and the lung map."""
 
 from __future__ import annotations
 
@@ -17,184 +17,203 @@ Making = Literal["unwanted", "making", "had", "failed", "stopped"]
 
 
 class TargetSurface(FrozenValue, frozen=True):
-    """The boundary of a target, for drawing."""
+    """The boundary of a target as a triangle mesh for drawing."""
 
     vertices_lps: PointsLps
     triangles: Annotated[tuple[Count, ...], Meta(max_length=1_000_000)]
-    """Three places in the vertices each, counterclockwise seen from outside."""
+    """Three indices into the vertices for each triangle, counterclockwise seen from outside."""
 
 
 class NeedleTissue(FrozenValue, frozen=True):
-    """A stretch of one tissue on a needle's way, from the scope's tip."""
+    """A segment of a needle's path inside one tissue; positions are distances in mm from the scope's tip."""
 
     tissue: Words
     ends_mm: tuple[float, float]
 
 
 class RouteOffer(FrozenValue, frozen=True):
-    """A planned route."""
+    """A planned route to a target, with its measurements and its score."""
 
     branch_id: BranchId
     branch_name: Words
     from_carina_mm: float | None
+    """Distance in mm of the scope's tip from the main carina; null if the route does not pass the main carina."""
     narrowest_mm: float
-    """The narrowest diameter of the way."""
+    """Narrowest diameter of the route in mm."""
     narrowest_error_mm: float
-    """Half of an interval meant to hold the truth in 90 of 100 cases."""
+    """Half-width in mm of the interval that should contain the true diameter in 90 of 100 cases."""
     narrowest_by: Literal["sections", "ball"]
-    """``ball`` where the diameter rests on a stretch that could not be measured."""
+    """Method of the narrowest diameter.
+
+    ``sections``: measured cross-sections. ``ball``: the largest ball in the lumen, on a segment that could not be
+    measured.
+    """
     narrowest_why: Words | None
-    """Why a stretch could not be measured, and where."""
+    """Reason why a segment could not be measured, and its position; null if all were measured."""
     fit: Literal["fits", "may fit", "does not fit"]
-    """Whether the planned scope fits; *may fit* if the errors are in its favour."""
+    """Whether the planned scope fits; *may fit*: it fits only if the errors of measurement are in its favour."""
     outlook: Words
-    """What diameter, bend and doubts say of the planned scope, before its drive is simulated."""
+    """Whether the planned scope reaches the target, judged by diameter, bend and doubts without a simulated drive."""
     limits: tuple[Words, ...]
-    """What stands against it, or may."""
+    """Reasons why the scope or the tool does not, or may not, reach the target."""
     needle: NeedleLine
     angle_deg: float
+    """Angle in degrees between the needle and the airway's axis at the tip."""
     in_target_mm: float
+    """Length in mm of the needle inside the target if it goes as aimed."""
     vessel_mm: float | None
-    """From the needle's line to the nearest vessel that is seen; null where none is seen nearby."""
+    """Distance in mm from the needle's line to the nearest visible vessel; null if no vessel is visible nearby."""
     hit_share: Part
-    """Of the needle positions that errors of pointing and measuring allow."""
+    """Share of the needles within the assumed errors that hit the target at its place in the CT, 0 to 1."""
     hit_share_moved: Part | None
-    """The same where the target may have moved since the CT."""
+    """Share of the needles that hit if the target may have moved since the CT; null if not computed."""
     crossed: tuple[NeedleTissue, ...]
+    """Tissues along the needle, in order."""
     score: Part
+    """Score of the route, 0 to 1 (best)."""
     doubts: tuple[Words, ...]
-    """Branches on the way that were drawn, bridged, or are doubtful."""
+    """Warnings about branches of the route that are drawn by hand, bridged or doubtful."""
 
 
 class ScopeCheck(FrozenValue, frozen=True):
-    """One thing that an instrument must be able to do."""
+    """One check of an instrument on a route, with its answer."""
 
     name: Words
     answer: Literal["yes", "perhaps", "no", "unknown"]
     words: Words
     basis: Words
+    """Data and measurements on which the answer is based."""
 
 
 class ScopeVerdict(FrozenValue, frozen=True):
-    """What one instrument can do on the route that is chosen."""
+    """Verdict on one instrument for the chosen route."""
 
     scope: Identifier
     title: Words
     outcome: Words
-    """reaches, may reach, does not reach, cannot say"""
+    """One of *reaches*, *may reach*, *does not reach* and *cannot say*."""
     words: Words
     share: Part | None
+    """Smallest probability among the checks; null if it cannot be computed."""
     would: Words | None
-    """What would have to be different."""
+    """Changes with which the instrument would reach the target; null if none is needed."""
     checks: tuple[ScopeCheck, ...]
     was_driven: bool
-    """There is a simulated drive, which the case can keep as a flight."""
+    """Whether a simulated drive exists, which the user can store in the case as a flight."""
 
 
 class TargetPlan(FrozenValue, frozen=True):
-    """A target with a size, and the routes to it."""
+    """A lesion that is a target, and the routes to it."""
 
     target_id: Identifier
     centre_lps: PointLps
     size: Words
-    """Solid nodule, 12.3 x 10.1 mm, 0.74 ml, with the errors that hold nine of ten."""
+    """Text with kind, diameters, volume and their 90 % errors, such as *solid nodule, 12.3 x 10.1 mm, 0.74 ml*."""
     where: Words | None
+    """Region of the target."""
     long_mm: float
+    """Long diameter in mm."""
     num_aims: Count
-    """How many places in it the needle is meant for."""
+    """Number of points in the target at which the needle may be aimed."""
     surface: TargetSurface
     options: PlanOptions
     moved_mm: float | None
-    """How far it may have moved; null until there is a plan."""
+    """Distance in mm by which the target may have moved since the CT; null without a plan."""
     bronchus_sign: Words | None
     routes: tuple[RouteOffer, ...]
     problem: Words | None
-    """Why there is no route, and what would help."""
+    """Reason why there is no route, and advice; null if there is one."""
     notes: tuple[Words, ...]
     chosen: Count | None
-    """Which route is flown, from 1."""
+    """Number of the chosen route in ``routes``, from 1; null if none of them is chosen."""
 
 
 class PlannedTurn(FrozenValue, frozen=True):
-    """A turn of the route that is chosen."""
+    """A turn at a fork of the chosen route."""
 
     head: Words
-    """One line, for an operator at the patient's head."""
+    """Instruction of one line for an operator at the patient's head."""
     facing: Words
-    """The same for one who faces the patient."""
+    """Instruction of one line for an operator who faces the patient."""
     doubts: tuple[Words, ...]
-    """Of the branch that is entered."""
+    """Warnings about the branch that the scope enters."""
     fork_branch_id: BranchId
-    """The branch that ends in the fork."""
+    """Branch that ends in the fork."""
     seen_from_lps: PointLps | None
-    """Where the tip is put for it (``see_turn``)."""
+    """Camera position one diameter before the fork, looking at it, LPS mm (``see_turn``); null if not known."""
 
 
 class MappedLayer(FrozenValue, frozen=True):
-    """A layer that there is, as lines in the pictures (``PictureLayer``)."""
+    """A layer of the lung map; images show it as outlines (``PictureLayer``)."""
 
     layer: LayerName
     words: Words
-    """What it shows, in figures."""
+    """Text with the figures of the layer, such as its volume."""
     limits: tuple[Words, ...]
-    """What it does not show, and how sure it is."""
+    """Texts on what the layer does not show, and on its reliability."""
     parts: tuple[Identifier, ...]
-    """Of lobes their names, as pictures have them (``PictureLayer.part``): each has a colour of its own."""
+    """Names of the lobes (``PictureLayer.part``), each drawn in its own colour; empty for other layers."""
 
 
 class VesselLine(FrozenValue, frozen=True):
-    """A piece of a vessel, for pictures from outside."""
+    """A branch of a vessel, for the view from outside."""
 
     points_lps: PointsLps
-    """Its middle line, from the wide end."""
+    """Centreline, from the wide end."""
     diameter_mm: float
     sure: bool
-    """False where it stands out no better than what may be noise."""
+    """Whether the vessel is clearly above the noise."""
 
 
 class Station(FrozenValue, frozen=True):
-    """Where a lymph node station is looked for with EBUS, by the airways alone."""
+    """Place to search for a lymph node station with EBUS, derived from the airways alone."""
 
     station: Words
     words: Words
     point_lps: PointLps | None
-    """On the centreline; null where the tree does not show the airways that define it."""
+    """Point on the centreline; null if the tree lacks the airways that define the station."""
     direction_lps: PointLps | None
-    """Unit vector across the airway, to the wall behind which it lies."""
+    """Unit vector across the airway, towards the wall behind which the station lies."""
     borders: Words
+    """Text that describes the borders of the station."""
     doubts: tuple[Words, ...]
 
 
 class Lungs(ServerMessage, frozen=True):
-    """What was mapped round the targets, when it changed."""
+    """The lung map: vessels, fissures, lobes, reach and lymph node stations; sent after each change."""
 
     standing: Making
-    """Of vessels, fissures, lobes and stations."""
+    """State of the map of vessels, fissures, lobes and stations.
+
+    *unwanted*: not requested. *making*: in progress. *had*: complete.
+    """
     reach_standing: Making
+    """State of the map of the scope's reach, with the same values."""
     layers: tuple[MappedLayer, ...]
     vessels: tuple[VesselLine, ...]
-    """The vessels of the layer as lines; short pieces that nothing leaves are no part of them."""
+    """Centrelines of the vessels, without short branches that have no children."""
     stations: tuple[Station, ...]
     station_limits: Words
     problems: tuple[Words, ...]
-    """Why something is missing."""
+    """Reasons why parts of the map are missing."""
     outdated: bool
-    """Something was mapped, and the airways have changed since: it is not shown until a person asks again."""
+    """Whether the airways have changed since the last map, which is then hidden until the user requests a new one."""
 
 
 class Plans(ServerMessage, frozen=True):
-    """The plans, when they changed."""
+    """The plans of all lesions; sent after each change."""
 
     targets: tuple[TargetPlan, ...]
     standing: Making
+    """State of the planning: *unwanted* (not requested), *making* (in progress), *had* (complete), or its failure."""
     verdicts: tuple[ScopeVerdict, ...]
-    """On the route that is chosen, as far as they are made."""
+    """Verdicts on instruments for the chosen route, as far as they are computed."""
     verdicts_standing: Making
     tools: tuple[tuple[Identifier, Words], ...]
-    """Names and titles of the library."""
+    """Names and titles of the tools in the library."""
     turns: tuple[PlannedTurn, ...] = ()
-    """Of the route that is chosen, in order."""
+    """Turns of the chosen route, in order."""
     parking: tuple[Words, Words] | None = None
-    """Where to stop, for an operator at the head and for one who faces the patient."""
+    """Instruction where to stop, for an operator at the patient's head and for an operator who faces the patient."""
     dicom_problem: Words | None = None
-    """Why no DICOM file of the plan can be written; null where one can."""
+    """Reason why the plan cannot be exported as DICOM; null if it can."""

@@ -1,4 +1,4 @@
-"""What the server sends about the airway tree: branches, names, measures, and the way to the cursor."""
+"""Messages from the server about the airway tree: branches, names, measurements, and the path to the cursor."""
 
 from __future__ import annotations
 
@@ -26,14 +26,15 @@ class TreeBranch(FrozenValue, frozen=True, forbid_unknown_fields=False):
     radius: Numbers
     cost: float | None
     confidence: Part | None
-    """How sure it is that this is airway."""
+    """Confidence that the branch is an airway, 0 to 1."""
     name_confidence: Part | None
-    """How sure the name is; null without one, and for a person's."""
+    """Confidence that the name is correct, 0 to 1; null without a name, and for a name that the user gave."""
     name_from: Literal["anatomy", "person"] | None
+    """Origin of the name: the automatic naming (*anatomy*) or the user (*person*); null without a name."""
     variant: Words | None
-    """What is uncommon about the anatomy here."""
+    """Anatomical variant of the branch; null if there is none."""
     doubtful_mm: float
-    """Length along which the CT shows no wall; above 0 in branches of kind ``manual``, drawn by hand."""
+    """Length in mm without a wall in the CT; above 0 only in branches of kind ``manual``, which the user drew."""
 
 
 class TreeDocument(FrozenValue, frozen=True, forbid_unknown_fields=False):
@@ -48,36 +49,40 @@ class TreeDocument(FrozenValue, frozen=True, forbid_unknown_fields=False):
 
 
 class BranchMeasures(FrozenValue, frozen=True):
-    """What was measured on a branch, without its junctions. Lumens are diameters; errors hold in 95 of 100 cases."""
+    """Measurements of a branch without its junctions.
+
+    Lumens are diameters in mm. The true value differs by at most the error in 95 of 100 cases.
+    """
 
     branch_id: BranchId
     length_mm: float
     by_earlier_method: bool
-    """An earlier version measured the branch, by a method that reads small airways too wide."""
+    """Whether an earlier version measured the branch, with a method that overestimates small diameters."""
     lumen_mm: float | None
-    """Median."""
+    """Median diameter of the lumen."""
     lumen_error_mm: float | None
     min_lumen_mm: float | None
-    """At its narrowest place."""
+    """Diameter at the narrowest position."""
     min_lumen_error_mm: float | None
     min_at_mm: float | None
-    """Along the branch."""
+    """Narrowest position, in mm along the branch."""
     max_lumen_mm: float | None
     max_lumen_error_mm: float | None
     wall_mm: float | None
     wall_error_mm: float | None
     taper: float | None
-    """Change of the lumen per mm of way: below 0 where the branch narrows."""
+    """Change of the lumen's diameter in mm per mm along the branch; below 0 if the branch narrows."""
     angle_deg: float | None
-    """To the parent's direction."""
+    """Angle in degrees to the direction of the parent."""
     stenosis_percent: float | None
-    """Of the diameter that would be healthy there: 100 is closed. Null where it does not exceed its error."""
+    """Narrowing in percent of the expected healthy diameter (100: closed); null if it does not exceed its error."""
     stenosis_error_percent: float | None
     stenosis_at_mm: float | None
+    """Position of the stenosis, in mm along the branch."""
 
 
 class BranchTitle(FrozenValue, frozen=True):
-    """What a branch is called in full, and the lobe that it leads to."""
+    """The long name of a branch, and the lobe that the branch supplies."""
 
     branch_id: BranchId
     long: Words | None
@@ -85,76 +90,80 @@ class BranchTitle(FrozenValue, frozen=True):
 
 
 class UncertainPlace(Uncertainty, frozen=True, kw_only=True):
-    """A place where the automatic airways stop short, with its text."""
+    """A place where the automatic airways end too early, with its description."""
 
     statement: Words
-    """What is seen at the place, as the command line, reports and exports state it."""
+    """Description of the findings at the place; the command line, reports and exports use the same text."""
     explanation: Words | None
-    """Possible reasons; the same for all places of one kind, and null where the CT gives none."""
+    """Possible reasons, the same for all places of one kind; null if the CT gives none."""
 
 
 class AbsentAirway(FrozenValue, frozen=True):
-    """A lobe or a segment of which no named bronchus was found."""
+    """A lobe or a segment without a named bronchus in the tree."""
 
     name: Words
     """Short and long name, such as RB4 (lateral segment, RML)."""
     reason: Words
-    """What the CT shows in its place, as the command line, reports and exports state it."""
+    """Description of what the CT shows there; the command line, reports and exports use the same text."""
     lps: PointLps | None
-    """Place where the airway ends, or where the tree should go on to it; null where no place is known."""
+    """Point where the airway ends, or where the tree should continue to it; null if no such point is known."""
 
 
 class Tree(ServerMessage, frozen=True):
-    """The airway tree, when it or its measures changed."""
+    """The airway tree and its measurements; sent after each change."""
 
     tree: TreeDocument | None
     titles: tuple[BranchTitle, ...]
-    """Of the branches that have any."""
+    """Long names and lobes of the branches that have them."""
     measures: tuple[BranchMeasures, ...] | None
-    """Null until they are ready."""
+    """Measurements of the branches; null until they are computed."""
     uncertain: tuple[UncertainPlace, ...]
-    """What could not be followed, the widest first; what holds for the whole tree last."""
+    """Places where an airway could not be followed, the widest first; entries about the whole tree are last."""
     absent: tuple[AbsentAirway, ...]
-    """Lobes and segments that were not found, the right lung first."""
+    """Lobes and segments without a named bronchus, the right lung first."""
 
 
 class LivePath(ServerMessage, frozen=True):
-    """Answer to ``live_path``: the way from the root to the place under the cursor, or why there is none."""
+    """Answer to ``live_path``: the path from the root to the point under the cursor, or a reason for its absence."""
 
     request_id: Count
     lps: PointLps | None
-    """Where it ends: the point that was asked for, or the lumen in front of the wall; null where there is nothing."""
+    """End of the path: the requested point, or a point in the lumen in front of the wall; null if there is none."""
     points_lps: PointsLps
-    """Root to end; empty where there is no path."""
+    """Points of the path from the root to the end; empty if there is no path."""
     length_mm: float | None
     min_diameter_mm: float | None
-    """Of the lumen along it."""
+    """Smallest diameter in mm of the lumen along the path."""
     confidence: Part | None
     snapped_mm: float | None
-    """How far the point was from the lumen."""
+    """Distance in mm of the requested point from the lumen."""
     new_mm: float | None
-    """Its length outside the present tree."""
+    """Length in mm of the part of the path outside the present tree."""
     joins_branch_id: BranchId | None
+    """Branch of the present tree at which this part begins."""
     problem: Words | None
+    """Reason why there is no path; null if there is one."""
 
 
 class BranchProfile(FrozenValue, frozen=True):
-    """Sections across a branch, from its beginning to its end: parallel lists; null where nothing could be measured."""
+    """Cross-sections of a branch from its start to its end: parallel lists; null marks a failed measurement."""
 
     at_mm: Numbers
+    """Positions of the cross-sections, in mm along the branch."""
     lumen_mm: MaybeNumbers
-    """Diameter of the circle of the same area."""
+    """Diameter in mm of the circle with the area of the cross-section."""
     lumen_error_mm: MaybeNumbers
     min_mm: MaybeNumbers
-    """Smallest diameter."""
+    """Smallest diameter of the cross-section in mm."""
     max_mm: MaybeNumbers
+    """Largest diameter of the cross-section in mm."""
     wall_mm: MaybeNumbers
     at_junction: tuple[bool, ...]
-    """The section cuts a fork, or the edge of the scan: what is measured there is no airway's width."""
+    """Whether the cross-section cuts a fork or the edge of the scan and therefore gives no airway diameter."""
 
 
 class BranchDetail(BranchQuestion, ServerMessage, frozen=True):
-    """Answer to ``branch_detail``; profile and measures are null until they are ready."""
+    """Answer to ``branch_detail``; profile and measurements are null until they are computed."""
 
     measures: BranchMeasures | None
     profile: BranchProfile | None

@@ -34,7 +34,7 @@ class Join(JoinMessage, frozen=True):
 
 
 class Settle(JoinMessage, frozen=True):
-    """Answered by ``settled`` once all that this program sent before is done, its jobs too, and on the disk."""
+    """Request for ``settled`` once all earlier commands and jobs of this program are complete and on the disk."""
 
     settle_id: Count
     all_jobs: bool = False
@@ -42,13 +42,13 @@ class Settle(JoinMessage, frozen=True):
 
 
 class Joined(ToJoinMessage, frozen=True):
-    """Answer to ``join``."""
+    """Answer to ``join``: the program has joined the case."""
 
     carina_version: Words
 
 
 class Problem(FrozenValue, frozen=True):
-    """Something that was asked for and not done."""
+    """Error of a command that was not executed."""
 
     kind: Identifier
     """Name of the error's class in :mod:`carina.errors`."""
@@ -62,7 +62,7 @@ class Problem(FrozenValue, frozen=True):
 
 
 class Settled(ToJoinMessage, frozen=True):
-    """Answer to ``settle``: what is done since the one before is in the live file of the case."""
+    """Answer to ``settle``: the changes since the previous ``settle`` are in the live file of the case."""
 
     settle_id: Count
     problems: tuple[Problem, ...]

@@ -68,10 +68,11 @@ class CaseSnapshot:
 
 
 class FlightPlace(FrozenValue, frozen=True):
-    """A time of a recorded flight that is flown again."""
+    """A recorded flight that is being replayed, and the time in it."""
 
     number: FlightNumber
     time_s: float
+    """Time in s from the start of the flight."""
 
 
 @one_line
@@ -132,7 +133,7 @@ class MaskQuestion:
 
 
 class SavingInfo(FrozenValue, frozen=True):
-    """What of the case is on the disk. Times are seconds since 1970."""
+    """State of the stored case and of its named file on the disk; times are seconds since 1970."""
 
     keeps: bool = False
     """Whether the case is stored; False for a case that cannot be found again, or if nothing is stored."""
@@ -143,9 +144,11 @@ class SavingInfo(FrozenValue, frozen=True):
     problem: Words | None = None
     """Reason why nothing can be written at present; None if writing works."""
     copied_s: float | None = None
-    """Time when the named file was last written."""
+    """Time of the last write of the named file, which is the copy of the case at a path of the user's choice."""
     copy_name: Words | None = None
+    """Name of the named file; null if the case has none."""
     copy_folder: Words | None = None
+    """Folder of the named file."""
     copy_problem: Words | None = None
     """Reason why the named file was not written at the last attempt."""
     copy_conflict: Literal["changed", "other-case", "not-a-case", "missing", "open-elsewhere"] | None = None
@@ -231,12 +234,13 @@ class DevicesInfo:
 
 
 class ShownKeyFrame(FrozenValue, frozen=True):
-    """A pose to fly through."""
+    """A key frame: a pose through which the flight passes."""
 
     key_id: Identifier
     name: Words
     """Name that the user gave, or else the name of the branch."""
     own_name: bool
+    """Whether the user gave the name."""
     branch_id: BranchId | None
     """Branch that contains the pose."""
     speed_mm_s: float | None
