@@ -162,7 +162,7 @@ class Routing(Subject):
 
     @does(c.RemoveTarget)
     def remove_target(self, command: c.RemoveTarget) -> None:
-        """Delete the target and the present route if it leads to the target."""
+        """Delete a target, and the present route if it leads to this target."""
         target_id = command.target_id
         case = self.core.needed_case()
         with self.core.lock:
@@ -196,7 +196,10 @@ class Routing(Subject):
 
 
 def _wall_at_hand(case: OpenCase) -> WallField | None:
-    """Return the airway wall if it has been computed; the wall identifies lesions inside an airway."""
+    """Return the wall field of the document's airways if it has been computed, else None.
+
+    Lesion segmentation uses it.
+    """
     airways, made = case.document.airways, case.planning.made
     if made is not None and made.airways is airways:
         wall: WallField = made.wall
