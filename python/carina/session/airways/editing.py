@@ -149,7 +149,7 @@ class TreeEditing(Subject):
 
 
 def _with_names(document: Document, edited: Any, named: Any) -> Document:
-    """Return the document with the named airways in place of the edited ones; unchanged if it contains other airways."""
+    """Return the document with the named airways in place of the edited ones, if it contains the edited ones."""
     if document.airways is not edited:
         return document
     return replace(
@@ -161,7 +161,7 @@ def _with_names(document: Document, edited: Any, named: Any) -> Document:
 
 
 def found_airways(document: Document) -> Any:
-    """Return the airways from which all edits of a document's airways started: the search result or the imported mask."""
+    """Return the airways from which a document's edits started: a search result or an imported mask."""
     return getattr(document.airways, "base", None) or document.airways
 
 

@@ -93,7 +93,7 @@ class CaseList(Subject):
             self.core.emit(Trouble("case.record", message))
 
     def _opens(self, kept: Sequence[CaseRecord]) -> Callable[[CaseRecord], bool]:
-        """Return a function that returns True for a case whose CT is at a known path, in the case file or in the cache."""
+        """Return a function that returns whether the CT of a case is at a known path, in a case file or cached."""
         if self._saving.scans is None:
             return lambda record: record.place is not None
         cts = {record.digest for record in kept if record.place is not None}

@@ -137,7 +137,10 @@ class Derived(Generic[Inputs, Value]):
             return had[1] if had is not None and self._is(inputs, had[0]) else None
 
     def standing(self, inputs: Inputs) -> Standing:
-        """Return the status of the computation for these inputs."""
+        """Return the status of the value of these inputs.
+
+        The status is *had* (available), *making*, *failed*, *stopped* or *unwanted* (not requested).
+        """
         with self._lock:
             if self._had is not None and self._is(inputs, self._had[0]):
                 return "had"

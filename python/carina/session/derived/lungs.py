@@ -34,7 +34,7 @@ class LungsInfo:
     """State of the maps of the lungs around the targets."""
 
     lungs: LungMap | None
-    """Map of the lungs with the structures computed so far; None before the first structure."""
+    """Map of the lungs with the structures computed so far; None if none is available."""
     standing: Standing
     problem: str | None
     """Reason why the map of the lungs failed; None if it did not fail."""

@@ -693,7 +693,7 @@ class Keeper:
 
     @contextmanager
     def _watched(self) -> Iterator[None]:
-        """Show a problem in the saving info if the block, which waits for the disk, takes longer than :data:`SLOW_S`."""
+        """Show a problem in the saving info if the block waits for the disk longer than :data:`SLOW_S`."""
         this = object()
 
         def slow() -> None:
@@ -721,7 +721,7 @@ class Keeper:
 
     @contextmanager
     def _news(self, values: dict[str, Any], unless: Callable[[], bool] = lambda: False) -> Iterator[None]:
-        """Change the saving info and report the change; other state is changed in the block, with both locks held."""
+        """Change fields of the saving info and report the change; the block runs with both locks held."""
         with self._core.lock:
             with self._wake:
                 before = self.info

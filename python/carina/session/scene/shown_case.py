@@ -72,7 +72,7 @@ class ShownCase:
     path_mm: float | None = None
     """Distance of the tip along the route, in mm; None in free movement."""
     picture_turned: bool = False
-    """Whether the picture is turned about the viewing axis; see :attr:`carina.navigate.Navigator.picture_turned`."""
+    """Whether the picture is turned by 180 degrees, for an operator who faces the patient."""
     content_is_newest: bool = True
     """Whether the renderer shows the document's transfer function and lumen; otherwise a job is updating it."""
     lumen: LumenOutline | None = None

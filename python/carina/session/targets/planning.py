@@ -102,7 +102,7 @@ class Planning(Subject):
 
     @does(c.ChoosePlannedRoute)
     def choose_planned_route(self, command: c.ChoosePlannedRoute) -> None:
-        """Choose a planned route; it ends at the standing point of the scope and includes the line of the needle."""
+        """Choose a planned route, which ends at the scope's standing point and includes the line of the needle."""
         case = self.core.needed_case()
         with self.core.lock:
             document, target = case.document, needed_target(case.document, command.target_id)

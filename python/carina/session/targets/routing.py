@@ -93,7 +93,7 @@ class Routing(Subject):
         return self.core.jobs.start(f"target {number}", f"finding the path to {target.name}", work)
 
     def _is_meant(self, case: OpenCase, target: Target, lesion: Lesion) -> bool:
-        """Return whether a click selects the segmented lesion rather than the airway beside it.
+        """Return whether a target's point selects the lesion segmented there, and not the airway beside the lesion.
 
         The wall and the vessel next to an airway are denser than lung, as nodules are. Near an airway, the lesion is
         therefore selected only if it is plainly a nodule; the user can select the other with one more click.
