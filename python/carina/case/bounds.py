@@ -58,7 +58,7 @@ _NOT_TEXT: Final = re.compile(r"[\x00-\x08\x0b-\x1f\ud800-\udfff]")
 
 
 def bounded_number(value: object, where: str, low: float, high: float) -> float:
-    """Return a value as a finite number if it is within its bounds.
+    """Return a value of a case file as a number; raise an error unless it is a finite number within bounds.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def bounded_number(value: object, where: str, low: float, high: float) -> float:
 
 
 def bounded_whole(value: object, where: str, low: int, high: int) -> int:
-    """Return a value if it is a whole number within its bounds.
+    """Return a value of a case file as an int; raise an error unless it is a whole number within bounds.
 
     Parameters
     ----------
@@ -202,7 +202,7 @@ def check_plain(value: object, where: str, *, most_chars: int = MAX_MESSAGE_CHAR
 
 
 def check_tip(tip: Mapping[str, Any], where: str, *, has_route: bool) -> None:
-    """Check the state of a tip (:meth:`carina.navigate.Navigator.state`); an empty state selects the default start.
+    """Check the saved state of the scope tip (:meth:`carina.navigate.Navigator.state`); an empty state is valid.
 
     Parameters
     ----------
@@ -264,7 +264,7 @@ def cleaned(value: Any, most: int) -> Any:
 
 
 def is_readable_tip(tip: Mapping[str, Any], *, has_route: bool) -> bool:
-    """Return whether :func:`check_tip` accepts the state of a tip."""
+    """Return whether :func:`check_tip` accepts the saved state of the scope tip."""
     try:
         check_tip(tip, "tip", has_route=has_route)
     except CarinaError:

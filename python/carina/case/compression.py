@@ -29,15 +29,15 @@ __all__ = [
 ]
 
 MAX_PIECE_BYTES: Final = 64 << 20
-"""Largest size of one piece in bytes after decompression, far below the limits of SQLite."""
+"""Largest size of one compressed blob in bytes after decompression, far below the limits of SQLite."""
 MAX_JSON_BYTES: Final = 16 << 20
 MOST_DEFLATED = 1040
-"""Largest compression ratio that Deflate reaches; a piece with a larger declared ratio is damaged."""
+"""Largest compression ratio that Deflate reaches; a blob with a larger declared ratio is damaged."""
 DTYPES: Final = {"f8": "<f8", "f4": "<f4", "i8": "<i8", "i4": "<i4", "u4": "<u4"}
 
 
 def digest_of(*parts: object) -> bytes:
-    """Return a digest of 16 bytes of texts, numbers, None and bytes."""
+    """Return a digest, 16 bytes long, of a sequence of texts, numbers, bytes and None."""
     digest = hashlib.blake2b(digest_size=16)
     for part in parts:
         content = part if isinstance(part, bytes | memoryview) else repr(part).encode()
@@ -94,7 +94,7 @@ def packed_ints(values: list[int] | NDArray[np.int32]) -> bytes:
 
 
 def unpacked_ints(data: object, count: int, where: str) -> NDArray[np.int32]:
-    """Return the numbers that :func:`packed_ints` packed.
+    """Return the integers, ``(count,)``, of a blob that :func:`packed_ints` has made.
 
     Parameters
     ----------

@@ -85,7 +85,7 @@ def _text(content: bytes) -> str:
 
 
 def set_up(connection: sqlite3.Connection) -> None:
-    """Set the journal mode and the flush settings of a live file: docs/decisions/0127."""
+    """Set the journal mode and the disk-flush settings of a live case file: docs/decisions/0127."""
     mode = connection.execute("PRAGMA journal_mode=WAL").fetchone()[0]
     if mode != "wal":
         # A network share does not support WAL; the rollback journal is safe there, but slower.
@@ -96,7 +96,7 @@ def set_up(connection: sqlite3.Connection) -> None:
 
 @contextlib.contextmanager
 def transaction(connection: sqlite3.Connection) -> Iterator[None]:
-    """Begin a transaction that is committed at the end of the block, and rolled back after an error."""
+    """Run the block in a transaction, which is committed at its end and rolled back after an error."""
     connection.execute("BEGIN IMMEDIATE")
     try:
         yield
@@ -129,7 +129,7 @@ def told(path: Path) -> Iterator[None]:
 
 
 def _in_words(error: sqlite3.Error, path: Path) -> CarinaError:
-    """Return Carina's error for an error of SQLite."""
+    """Return the Carina error with a message for the user that corresponds to an error of SQLite."""
     code = getattr(error, "sqlite_errorcode", None)
     primary = None if code is None else code & 0xFF
     doing = f"cannot write the case to {path}"
@@ -176,7 +176,7 @@ def no_surprise() -> Iterator[None]:
 
 
 def check_header(path: Path) -> None:
-    """Raise an error for a path that is not a database, by its file type, its journals and its first bytes.
+    """Raise an error if a path is no SQLite database, judged by its file type, its journals and its first bytes.
 
     Raises
     ------

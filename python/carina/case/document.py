@@ -54,12 +54,12 @@ class Target:
     snapped_mm: float | None = None
     length_mm: float | None = None
     problem: str | None = None
-    """Reason why there is no path, as a message for the user."""
+    """Reason, as a message for the user, why the target has no path; None if it has one."""
     route: ChosenRoute | None = None
     cost: PathCost = "lumen"
-    """Edge cost of the path search; see :class:`carina.commands.AddTarget`."""
+    """Name of the edge cost of the path search; see :class:`carina.commands.AddTarget`."""
     root_lps: Point | None = None
-    """Start of the path, with the costs ``walls`` and ``paper``."""
+    """Start of the path for the costs ``walls`` and ``paper``; None selects the root of the airways."""
     outside_mm: float | None = None
     """Length of the path outside the lumen in mm; None if no lumen is known."""
     value_range: tuple[int, int] | None = None

@@ -73,7 +73,7 @@ class StepFacts:
     at_s: float
     """Seconds since the creation of the case."""
     holds: bool
-    """Whether the step is in effect; False if it was undone."""
+    """Whether the step is in effect; False if the user has undone the step."""
 
 
 class CaseFile:
@@ -271,7 +271,7 @@ class CaseFile:
                     scratch.remove()
 
     def save(self, moment: Moment) -> None:
-        """Write a moment in one transaction; content that the file already contains is not written again.
+        """Write a state of the case in one transaction; content that the file already contains is not written again.
 
         Parameters
         ----------
@@ -281,7 +281,7 @@ class CaseFile:
         Raises
         ------
         DiskError
-            If the moment cannot be written; the previously saved state stays.
+            If the state cannot be written; the previously saved state stays.
         """
         with self._lock, told(self.path):
             connection = self._writable()
@@ -290,14 +290,14 @@ class CaseFile:
                 with transaction(connection):
                     writer.write(moment)
             except BaseException:
-                # The writer may remember rows that the transaction rolled back.
+                # The writer may have row numbers of rows that the transaction rolled back.
                 self._writer = None
                 raise
             writer.kept()
             self._has_orphans = True
 
     def load(self, volume: Volume) -> Moment:
-        """Return the moment that was saved last.
+        """Return the case state that was saved last.
 
         Nothing is detected again: airways are read with their stored tree, and paths are computed at first use. The
         airways of steps far from the present step are :class:`carina.track.FoldedAirways`.
@@ -347,7 +347,10 @@ class CaseFile:
             return moment
 
     def history(self) -> tuple[StepFacts, ...]:
-        """Return the facts of all steps, the oldest first, undone steps included; no large data are read."""
+        """Return label, command and time of all steps, the oldest first, undone steps included.
+
+        No large data are read.
+        """
         with self._lock, told(self.path):
             connection = self._open()
             found = connection.execute("SELECT position FROM moment").fetchone()
@@ -481,7 +484,7 @@ class CaseFile:
             recording.keep(self._table())
 
     def recordings(self) -> tuple[RecordingFacts, ...]:
-        """Return the facts of all recordings, in their order."""
+        """Return name, note, start and length of all recordings, in the user's order."""
         with self._lock, told(self.path):
             return self._table().all()
 
@@ -622,7 +625,7 @@ class CaseFile:
                 shutil.copyfileobj(whole, file, 1 << 20)
 
     def _back_up(self, copy: sqlite3.Connection, ct_place: str | None, save_mark: SaveMark | None) -> None:
-        """Copy the whole case to another connection, without unreferenced rows and without a journal."""
+        """Copy the whole case to another database connection, without unreferenced rows and without a journal."""
         with self._lock:
             self._open().backup(copy)
         copy.execute("PRAGMA journal_mode=DELETE")
@@ -636,7 +639,7 @@ class CaseFile:
 
     @contextlib.contextmanager
     def _newer_in_words(self) -> Iterator[None]:
-        """Replace a damage error by an update notice if a newer version of Carina wrote the file."""
+        """Replace a damage error, raised in the block, by an update notice if a newer Carina wrote the file."""
         try:
             yield
         except CaseFileError as trouble:
@@ -725,7 +728,7 @@ def migrate_live(path: Path) -> Path:
 
 
 def _begun(source: SourceFacts) -> sqlite3.Connection:
-    """Create a case without steps in memory."""
+    """Return the connection of a new in-memory database with a case without steps."""
     connection = connected(None)
     with transaction(connection):
         make_tables(connection)
@@ -756,7 +759,7 @@ def all_content(connection: sqlite3.Connection) -> Rows:
 
 
 def step_rows(connection: sqlite3.Connection) -> list[tuple[Any, ...]]:
-    """Return the rows of the steps: number, label, command, seconds, document.
+    """Return the rows of the history's steps: number, label, command as JSON, seconds, row of the document.
 
     Raises
     ------
@@ -776,7 +779,7 @@ def step_rows(connection: sqlite3.Connection) -> list[tuple[Any, ...]]:
 
 
 def check_step(number: int, label: object, at_s: object) -> None:
-    """Check the columns of a step that no digest protects.
+    """Raise an error if the number, the label or the time of a step, which no digest protects, is out of bounds.
 
     Parameters
     ----------
@@ -798,7 +801,7 @@ def check_step(number: int, label: object, at_s: object) -> None:
 
 
 def _ignored(_kind: str, _value: object, _row: int) -> None:
-    """Ignore a row that was read; a file that is open for reading only needs no record of its rows."""
+    """Ignore an object that was read from a row; a read-only file needs no row numbers for later saves."""
 
 
 def _kind_of(command: object) -> str | None:

@@ -24,9 +24,9 @@ __all__ = ["CaseFollower"]
 
 
 class CaseFollower:
-    """Reader of the moments that another process saves in a live file; it writes nothing and reads no row twice.
+    """Reader of the case states that another process saves in a live file; it never writes, and reads each row once.
 
-    The owner only adds rows to a live file, so content that two moments share is the same object in both. If a branch
+    The owner only adds rows to a live file, so content that two states share is the same object in both. If a branch
     is renamed, for example, the lumen is not read again.
 
     Parameters
@@ -50,7 +50,7 @@ class CaseFollower:
         return f"CaseFollower({str(self.path)!r})"
 
     def newest(self) -> Moment:
-        """Return the moment that was saved last; the same object if nothing was saved since the last call.
+        """Return the case state that was saved last; the same object if nothing was saved since the last call.
 
         Raises
         ------
@@ -79,7 +79,7 @@ class CaseFollower:
     def _read(
         self, connection: sqlite3.Connection, found: tuple[Any, ...], numbered: Sequence[tuple[Any, ...]]
     ) -> Moment:
-        """Return the moment of the given rows, after reading the content rows that are new."""
+        """Return the case state of the given step rows, after reading the content rows that are new."""
         if self._reader is None or not self._take_new_rows(connection):
             source = read_source(connection)
             turn = turn_between(source, self._volume)
@@ -115,15 +115,15 @@ class CaseFollower:
 
 
 class _GrowingReader(CaseReader):
-    """Reader of consecutive moments; it holds edited airways in full only while they are the present ones."""
+    """Reader of consecutive case states; only the edited airways of the present step are unpacked."""
 
     _present: int | None = None
     """Row number of the present airways."""
     _whole_documents: dict[int, Document] | None = None
-    """Documents that contain the present airways in full, by row number."""
+    """Documents that contain the present airways unpacked, by row number."""
 
     def moment(self, steps: Sequence[tuple[Any, ...]], position: int, facts: f.MomentFacts) -> Moment:
-        """Return the moment of the given steps; content shared with the preceding moment is reused."""
+        """Return the case state with the given steps; content shared with the preceding state is reused."""
         if not 1 <= position + 1 <= len(steps):
             return super().moment(steps, position, facts)
         with self._lock:
@@ -131,7 +131,8 @@ class _GrowingReader(CaseReader):
             present = self.airways_of(steps[position][3])
             if present != self._present:
                 self._present, self._whole_documents = present, None
-                # Documents that were read while these airways were not the present ones contain them in folded form.
+                # Documents that were read while the present airways were not the present ones contain them in packed
+                # form.
                 folded: object = None if present is None else self._folded.get(present)
                 if folded is not None:
                     self._documents = {row: one for row, one in self._documents.items() if one.airways is not folded}
@@ -148,4 +149,4 @@ class _GrowingReader(CaseReader):
 
 
 def _ignored(_kind: str, _value: object, _row: int) -> None:
-    """Ignore a row that was read; a follower writes nothing, so it needs no record of its rows."""
+    """Ignore an object that was read from a row; a follower writes nothing, so it needs no row numbers."""

@@ -55,7 +55,7 @@ class History(Generic[D]):
         self._gesture_s = float("-inf")
 
     def __repr__(self) -> str:
-        """Return the number of steps and how many of them are in effect."""
+        """Return a text with the number of steps and the number of steps in effect."""
         return f"History({len(self._steps)} changes, {self._position} of them applied)"
 
     @property
@@ -164,7 +164,7 @@ class History(Generic[D]):
             self._position -= 1
 
     def fold_far(self, what: Callable[[D], object], num_near: int, fold: Callable[[D], D]) -> None:
-        """Apply ``fold`` to the documents far from the present one, to save memory.
+        """Replace the documents far from the present one by ``fold(document)``, which takes less memory.
 
         The ``num_near`` different objects ``what(document)`` that are nearest to the present position, in both
         directions, stay unfolded.

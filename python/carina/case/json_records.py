@@ -63,7 +63,7 @@ Ids = Annotated[tuple[RowId, ...], Meta(max_length=MAX_LIST)]
 
 
 class _Facts(msgspec.Struct, frozen=True):
-    """Base of the JSON objects; unknown fields, which a newer version of Carina added, are ignored."""
+    """Base class of the JSON objects in a case file; unknown fields, which a newer Carina may add, are ignored."""
 
 
 class BadgeFacts(_Facts, frozen=True):
@@ -247,7 +247,7 @@ class ScopeFacts(_Facts, frozen=True):
 
 
 class MomentFacts(_Facts, frozen=True):
-    """The present state: the view, the pose of the tip, and the state of the airway search."""
+    """The case state outside the history: the view, the pose of the tip, and the state of the airway search."""
 
     sight: Sight
     tip: dict[Identifier, Any]
@@ -285,7 +285,7 @@ class _Decoders:
 
 @cache
 def decoders() -> _Decoders:
-    """Return the decoders of all JSON in a case file."""
+    """Return the shared decoders of all JSON objects in a case file; they are created at the first call."""
     return _Decoders()
 
 

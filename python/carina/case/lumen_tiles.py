@@ -44,7 +44,7 @@ def to_tiles(lumen_zyx: NDArray[np.uint8]) -> list[tuple[int, bytes]]:
 
 
 def _with_lumen(layer: NDArray[np.uint8]) -> list[tuple[int, int]]:
-    """Return the tiles of one layer that contain lumen, as (y, x) in ascending order."""
+    """Return the indices (y, x) of the tiles that contain lumen in one layer of tiles, in ascending order."""
     seen = np.bitwise_or.reduce(layer, axis=0)
     if not seen.any():
         return []
@@ -89,6 +89,6 @@ def from_tiles(shape_zyx: tuple[int, int, int], tiles: Iterable[tuple[int, bytes
 
 
 def num_tiles(shape_zyx: tuple[int, int, int]) -> int:
-    """Return the largest possible number of tiles."""
+    """Return the number of tiles of a volume, which is the largest possible number of stored tiles."""
     nz, ny, nx = grid_of(shape_zyx)
     return nz * ny * nx

@@ -34,7 +34,7 @@ FIGURES: Final = {
     "shift_mm": 1,
     "share": 1,
 }
-"""Fields of the cross-sections in the order of storage, each with the number of values per cross-section."""
+"""Number of values per cross-section of each stored field, by field name in the order of storage."""
 RAYS: Final = {"edge_mm": 64, "outer_mm": 64}
 NO_RAY: Final = -1
 AT_JUNCTION, AT_EDGE = 1, 2
@@ -52,7 +52,7 @@ def sections_of(measures: BranchMeasures) -> dict[str, Any]:
 
 
 def flags_of(measures: BranchMeasures) -> bytes:
-    """Return packed flags, one number per cross-section, that mark sections excluded from the summary."""
+    """Return compressed flags, one integer per cross-section, that mark sections excluded from the summary."""
     return packed_ints(measures.at_junction * AT_JUNCTION + measures.at_edge * AT_EDGE)
 
 
@@ -85,7 +85,7 @@ def branch_facts(measures: BranchMeasures, fork: ForkMeasures | None) -> f.Measu
 def branch_from(
     columns: tuple[Any, ...], flags: object, facts: f.MeasuredFacts, num_points: int, where: str
 ) -> BranchMeasures:
-    """Return the measures of a branch from a row of ``sections``, the flags and the summary.
+    """Return the measures of a branch, built from a row of ``sections``, the flags and the summary.
 
     Parameters
     ----------

@@ -96,7 +96,7 @@ def packed_volume(connection: sqlite3.Connection) -> Volume | None:
 
 
 def _told_apart(slices: NDArray[np.int16]) -> bytes:
-    """Return the differences along x, all low bytes before all high bytes.
+    """Return the bytes to compress: differences of voxels along x, all low bytes before all high bytes.
 
     Neighbouring voxels have similar values, so this order compresses to two thirds of the size.
     """
@@ -111,5 +111,5 @@ def _put_together(content: bytes, shape: tuple[int, int, int]) -> NDArray[np.int
 
 
 def _standing_in(source: SourceFacts) -> Volume:
-    # Only the grid of this volume is used; unread pages of zeros need no physical memory.
+    # The caller uses only the grid of this volume; unread pages of zeros need no physical memory.
     return Volume(np.zeros(source.shape_zyx, np.int16), source.lps_from_ijk, source.is_hu)

@@ -60,12 +60,12 @@ from carina.volume import Note, Volume
 __all__ = ["CaseReader", "KeptAirways", "KeptMeasures", "Rows"]
 
 Rows = dict[str, dict[int, tuple[Any, ...]]]
-"""Columns after the id, by table and id."""
+"""Columns of each content row except its id, by table name and row id."""
 BOUNDS: Final = {"f8": (-MAX_MM, MAX_MM), "i8": (-1, 2**31), "u4": (0, 2**32)}
-"""Bounds of the numbers of an array, by its type."""
+"""Smallest and largest number in a stored array, by its type code."""
 LENGTH_MM: Final = (0.0, MAX_MM)
 NO_TREES: Final = 4
-"""Number of trees that stay in memory while airways are read: those of a base and of its edits."""
+"""Number of airway trees that stay in memory while airways are read: those of a base and of its edits."""
 
 
 class KeptAirways(FoldedAirways):
@@ -128,7 +128,7 @@ class CaseReader:
     know
         Callback that receives the kind, the object and the row number of each object that was read.
     turn
-        Order of the axes of the case relative to those of the volume.
+        Order and direction of the case's axes relative to those of the volume.
     """
 
     def __init__(self, rows: Rows, volume: Volume, know: Callable[[str, object, int], None], turn: Turn) -> None:
@@ -143,7 +143,7 @@ class CaseReader:
         self._grids: dict[int, PathGrid] = {}
         """Grids of path searches by number of parts of a voxel; trackers on one grid share its volume."""
         self._num_voxels: dict[int, int] = {}
-        """Number of lumen voxels, by row of the lumen."""
+        """Number of lumen voxels of each lumen, by row number of the lumen."""
         self._trackers: weakref.WeakValueDictionary[int, PathTracker] = weakref.WeakValueDictionary()
         self._trees: dict[int, tuple[tuple[Branch, ...], tuple[Note, ...]]] = {}
         self._whole: dict[int, Airways] = {}
@@ -152,10 +152,10 @@ class CaseReader:
         self._values: dict[tuple[str, int], Any] = {}
         self._documents: dict[int, Document] = {}
         self._measures = {columns[1]: row for row, columns in rows["measures"].items()}
-        """Row of the measures, by row of the airways."""
+        """Row number of the measures, by row number of their airways."""
 
     def moment(self, steps: Sequence[tuple[Any, ...]], position: int, facts: f.MomentFacts) -> Moment:
-        """Return the moment of the given steps.
+        """Return the case state with the given steps.
 
         Parameters
         ----------
@@ -179,7 +179,7 @@ class CaseReader:
         if not 1 <= position + 1 <= len(steps):
             raise damaged("position in the history", f"0 to {len(steps) - 1}", str(position))
         with self._lock:
-            # The shown airways are read first and in full, so that all others share data with them.
+            # The airways of the present step are read first and in full, so that all others share data with them.
             present = self.airways_of(steps[position][3])
             if present is not None:
                 self._whole[present] = self.airways(present)
@@ -280,7 +280,7 @@ class CaseReader:
         return found
 
     def made_targets(self, targets: tuple[f.TargetFacts, ...]) -> tuple[Target, ...]:
-        """Return the targets with their paths."""
+        """Return the targets, built from their facts, with their paths."""
         return tuple(
             Target(
                 target_id=t.target_id,
@@ -367,7 +367,7 @@ class CaseReader:
         return known
 
     def _base(self, row: int) -> Airways:
-        """Return the unedited airways in a row, in full, as the base of edited airways."""
+        """Return the unedited airways in a row of ``airways``, in full, as the base of edited airways."""
         if self.columns("airways", row)[0] is not None:
             raise damaged(f"row {row} of airways", "unedited airways as their base", "edited airways")
         whole = self._whole.get(row)
@@ -411,7 +411,7 @@ class CaseReader:
         return made
 
     def _tracker(self, row: int) -> PathTracker:
-        """Return the path tracker in a row, with its start point and its nodes."""
+        """Return the path tracker in a row of ``tracker``, with its start point and its nodes."""
         known = self._trackers.get(row)
         if known is not None:
             return known
@@ -657,7 +657,7 @@ class CaseReader:
 
 
 def _edit(row: dict[str, Any]) -> TreeEdit:
-    """Return an edit, made by its constructor; edits of programs may exceed the limits of the user interface."""
+    """Return an airway edit from its stored fields; edits of programs may exceed the limits of the user interface."""
     check_plain(row, "an edit")
     (edit,) = edits_from_json({**edits_to_json(()), "edits": [row]})
     return edit

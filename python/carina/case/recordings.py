@@ -42,10 +42,10 @@ MAX_RECORDING_BYTES: Final = 1 << 30
 @one_line
 @dataclass(frozen=True, slots=True)
 class RecordingFacts:
-    """The properties of a recording without its lines."""
+    """Number, name, note, start and length of a recording, without its lines."""
 
     recording_id: int
-    """Number in the case, from 1; no two recordings have the same number."""
+    """Number of the recording in its case, from 1; no two recordings of a case have the same number."""
     name: str
     words: str
     """The user's note."""
@@ -53,7 +53,7 @@ class RecordingFacts:
     """Start of the recording in seconds since the creation of the case."""
     length_s: float
     complete: bool
-    """False if Carina was stopped during the recording; the recording then ends early."""
+    """Whether the recording ended normally; False if Carina was stopped during the recording."""
 
 
 @one_line
@@ -74,7 +74,7 @@ class WholeRecording:
 
 
 class RecordingTable:
-    """The recordings in an open case file."""
+    """Table of the recordings in an open case file, for reading and writing."""
 
     def __init__(
         self,
@@ -374,7 +374,7 @@ def _seconds(value: float) -> float:
 
 
 def _time_of(line: str) -> float:
-    """Return the time of a line of a recording in seconds; 0 for its header."""
+    """Return the time of a recording's line in seconds since its start; 0 for its header."""
     try:
         value = json.loads(line)
         return float(value.get("t", value.get("end", 0.0)))

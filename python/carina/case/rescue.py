@@ -148,7 +148,7 @@ class _Rescue:
             yield row
 
     def _moment(self) -> Moment:
-        """Return the moment of all steps whose documents are intact at least in part."""
+        """Return the case state with all steps whose documents are intact at least in part."""
         rows = list(self._rows("step", "n, label, command, at_s, document", "n"))[:MAX_STEPS]
         position, facts = self._facts(len(rows))
         documents: list[tuple[tuple[Any, ...], Document]] = []
@@ -251,7 +251,7 @@ class _Rescue:
         return self._whole[row]
 
     def _without(self, row: int, what: str) -> Document:
-        """Return the intact parts of a document."""
+        """Return the document in a row without its damaged parts, which are added to the losses."""
         reader = self._reader
         airways, route, transfer, look, targets, keys, threshold = reader.columns("document", row)
 
@@ -347,4 +347,4 @@ def _seconds(value: object) -> float:
 
 
 def _ignored(_kind: str, _value: object, _row: int) -> None:
-    """Ignore a row that was read; the new file has no references to rows of the old one."""
+    """Ignore an object that was read from a row; the new file has no references to rows of the old one."""

@@ -37,7 +37,7 @@ __all__ = [
 
 
 PARKED_MM = 2.0
-"""Largest distance in mm by which an edit may move a centreline so that the scope's planned position stays valid."""
+"""Largest distance in mm that an edit may move a centreline while the scope's planned position stays valid."""
 AT_THE_ROOT = "the point lies at the tracheal entry, so there is no path to fly along"
 
 
@@ -75,7 +75,7 @@ class ChosenRoute:
     cumulative_mm: NDArray[np.float64]
     radius_mm: NDArray[np.float64]
     wall_mm: NDArray[np.float64]
-    """Radius in mm of the largest ball around the branch's centre in the lumen: the space for an instrument."""
+    """Radius in mm of the largest ball in the lumen around each centreline point: the space for an instrument."""
     generation: NDArray[np.int64]
     branch_ids: NDArray[np.int64]
     forks_mm: tuple[float, ...]
@@ -86,7 +86,7 @@ class ChosenRoute:
     target_id: str | None = None
     branch_id: int | None = None
     drawn: DrawnPart = field(default_factory=lambda: DrawnPart(0.0))
-    """Lengths of the parts of the route that the CT does not show."""
+    """Lengths in mm of the parts of the route that were drawn by hand or bridged because the CT does not show them."""
     lumen_known: bool = True
     """Whether the airways along the route are known; if not, ``radius_mm`` and ``wall_mm`` are 0 without meaning."""
     needle: NeedleLine | None = None
@@ -94,7 +94,7 @@ class ChosenRoute:
 
     @property
     def frames(self) -> PathFrames:
-        """Planes perpendicular to the path at positions along it, for the views along the path."""
+        """Planes perpendicular to the route's path at positions along it, for the views along the path."""
         return self.path.frames()
 
     @property
@@ -126,7 +126,7 @@ class AirwayIndex:
         return self._branches[int(self._ids[n])], float(self._radius[n]), float(np.sqrt(squared[n]))
 
     def branch(self, branch_id: int) -> Branch:
-        """Return the branch with an id."""
+        """Return the branch of the tree with the given id."""
         return self._branches[branch_id]
 
 
@@ -165,9 +165,10 @@ def path_move(tree: AirwayTree | None, route: ChosenRoute | None) -> SetPath:
 
 
 def seat_mm(before: ChosenRoute, before_mm: float, after: ChosenRoute) -> float | None:
-    """Return the position in mm on a new route for a tip that was on another route: the end of their common part.
+    """Return the position in mm along a new route for a tip beyond its common part with the former route.
 
-    The result is None if the tip is still in the common part; the nearest position on the new route is then correct.
+    The position is the end of the common part. None if the tip is in the common part; the nearest position is then
+    correct.
 
     Parameters
     ----------
@@ -451,7 +452,7 @@ def lookouts_mm(
 
 
 def _inside(forks_mm: Sequence[float], points: NDArray[np.float64]) -> list[float]:
-    """Return the forks limited to the polyline's length, which rounding may exceed."""
+    """Return the positions of forks in mm, limited to the polyline's length, which rounding may exceed."""
     length_mm = _length_mm(points)
     return [min(float(mm), length_mm) for mm in forks_mm]
 

@@ -34,7 +34,7 @@ class SaveMark(FrozenValue, frozen=True):
 
     @classmethod
     def after(cls, parent_id: str | None, generation: int) -> SaveMark:
-        """Return a new mark for a save after the save with this id and generation; generation 0 begins a file."""
+        """Return a mark with a new id for a save that replaces the given save; generation 0 begins a file."""
         return cls(secrets.token_hex(8), generation + 1, parent_id)
 
 

@@ -105,12 +105,12 @@ TABLES: Final = {
 ) STRICT""",
 }
 SINCE: Final = {"sections": 2, "measured_branch": 2, "measures": 2}
-"""Schema version that introduced a table; tables that are not listed exist since version 1."""
+"""Schema version that introduced a table, by table name; tables that are not listed exist since version 1."""
 CONTENT: Final = (
     "value", "array", "branch", "tree", "tile", "lumen", "tracker", "airways", "sections", "measured_branch",
     "measures", "route", "document",
 )  # fmt: skip
-"""Tables of content; each table follows those that it refers to."""
+"""Names of the content tables, each after the tables that its rows refer to."""
 
 
 def _add_measures(connection: sqlite3.Connection) -> None:

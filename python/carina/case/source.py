@@ -37,10 +37,10 @@ class SourceFacts(Geometry):
     path: str | None = None
     """Path of the scan relative to the case file; None if unknown."""
     choices: dict[str, Any] = field(default_factory=dict)
-    """Choices made at import, as plain JSON."""
+    """The user's choices at the import of the CT, as plain JSON."""
 
     def __post_init__(self) -> None:
-        """Refuse an absolute path."""
+        """Raise an error if the path of the scan is absolute."""
         absolute = self.path is not None and (
             PurePosixPath(self.path).is_absolute() or PureWindowsPath(self.path).anchor != ""
         )
@@ -137,7 +137,7 @@ class Turn:
         return turned
 
     def voxel(self, ijk: tuple[int, int, int]) -> tuple[int, int, int]:
-        """Return the index in the volume of a voxel of the case."""
+        """Return the index (i, j, k) in the volume of a voxel of the case's grid."""
         shape = self.shape_zyx[::-1]
         i, j, k = (
             shape[axis] - 1 - ijk[axis] if flip else ijk[axis]

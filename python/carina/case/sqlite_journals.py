@@ -34,9 +34,9 @@ MAX_JOURNAL_BYTES: Final = 16 << 30
 The journal of a live case is truncated to 16 MB after each checkpoint, unless a CT was stored through it.
 """
 MAX_CASE_BYTES: Final = 32 << 30
-"""Largest size in bytes of a case file that is copied: its content has at most 2 GB, and the rest is a packed CT."""
+"""Largest size in bytes of a case file that is copied: at most 2 GB of work and a packed CT."""
 COPY_AGAIN: Final = 5
-"""Number of attempts to copy a file while another program writes to it."""
+"""Largest number of attempts to copy a case file that another program changes during the copy."""
 WAL_MAGIC: Final = (b"\x37\x7f\x06\x82", b"\x37\x7f\x06\x83")
 WAL_VERSION: Final = (3_007_000).to_bytes(4, "big")
 WAL_HEADER_BYTES: Final = 32
@@ -51,7 +51,7 @@ def beside(path: Path, tail: str) -> Path:
 
 
 def has_journal(path: Path) -> bool:
-    """Return whether the file has a journal, which contains the last changes of a case that was not closed."""
+    """Return whether a case file has a journal, which contains the last changes of a case that was not closed."""
     return any(beside(path, tail).exists() for tail in JOURNALS)
 
 
@@ -178,7 +178,10 @@ def copied_with_journal(path: Path, folder: Path) -> Path:
 
 
 def _used_bytes(part: Path, tail: str, size: int) -> int:
-    """Return how many bytes of a file SQLite reads; of a write-ahead log, only the frames of the latest run count."""
+    """Return the number of bytes of a database or journal that SQLite reads.
+
+    Of a write-ahead log, only the frames of the latest run count.
+    """
     if not tail:
         return size
     with open_regular(part) as file:

@@ -1,4 +1,4 @@
-"""The state of a case at one moment: the document, its history, the view, and the pose of the tip."""
+"""The complete saved state of a case (class ``Moment``): document, history, view and pose of the tip."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ __all__ = ["Moment"]
 @one_line
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """The complete state of a case at one moment; its immutable parts are shared with other moments."""
+    """The complete state of a case at one time; its immutable parts are shared with the states at other times."""
 
     first: Document
     """Document before all steps."""
     steps: tuple[Step[Document], ...]
-    """Each step contains the document after it, the oldest first; steps beyond ``position`` are undone."""
+    """Steps of the history, the oldest first, each with the document after it; steps beyond ``position`` are undone."""
     position: int
     """Number of steps in effect."""
     sight: Sight

@@ -38,7 +38,7 @@ def sweep(connection: sqlite3.Connection, rows: Rows) -> int:
 
 
 def reached(rows: Rows, documents: list[int]) -> dict[str, set[int]]:
-    """Return the rows that documents refer to, directly or indirectly, by table."""
+    """Return the row numbers, by table, of all rows that documents refer to directly or indirectly."""
     found: dict[str, set[int]] = {table: set() for table in CONTENT}
     decoders = f.decoders()
     waiting = [("document", row) for row in documents]

@@ -1,4 +1,4 @@
-"""Writer that stores a moment as rows; stored values are found by identity or digest and are not written twice."""
+"""Writer that stores a case state as rows; values that are stored already are not written twice."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _DTYPES = {"f": "f8", "i": "i8", "u": "u4"}
 
 
 class _Identities:
-    """Row numbers of living objects; the weak references do not keep the objects alive."""
+    """Row numbers of stored objects, by object identity; the weak references do not prevent their deletion."""
 
     def __init__(self) -> None:
         self._rows: dict[tuple[str, int], tuple[weakref.ref[Any], int]] = {}
@@ -58,7 +58,7 @@ class _Identities:
 
 
 class CaseWriter:
-    """Writer of moments into the tables of one case file, in a transaction that the caller opened.
+    """Writer of case states into the tables of one case file, in a transaction that the caller opened.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ class CaseWriter:
             self._of_last[kind, id(value)] = (value, row)
 
     def write(self, moment: Moment) -> None:
-        """Write the rows of a moment that are not stored yet."""
+        """Write the rows of a case state that are not stored yet."""
         self._of_this = {}
         entries = [(moment, self._first(moment)), *((step, self._step(step)) for step in moment.steps)]
         self._write_steps(entries)
@@ -124,7 +124,7 @@ class CaseWriter:
         self._connection.execute("INSERT OR REPLACE INTO moment (id, position, facts) VALUES (1, ?, ?)", row)
 
     def kept(self) -> None:
-        """Accept the written rows after the transaction was committed; only objects of this moment stay referenced."""
+        """Mark the written rows as stored after the commit; only objects of this state stay referenced."""
         self._of_last = self._of_this
         self._steps, self._first_n = self._pending
 
@@ -166,7 +166,7 @@ class CaseWriter:
         self._pending = (entries, first_n)
 
     def take_steps(self, entries: list[tuple[object, StepRow]], first_n: int) -> None:
-        """Use the steps that were read from the file as the stored state."""
+        """Set the steps that were read from the file as already written."""
         self._steps, self._first_n = entries, first_n
 
     def _document(self, document: Document) -> int:
@@ -187,7 +187,7 @@ class CaseWriter:
         return self._note("document", document, self._put("document", values))
 
     def _still_held(self, document: Document) -> None:
-        """Keep the row numbers of a known document's parts for the next moment."""
+        """Retain the row numbers of a known document's parts for the next save."""
         parts: list[tuple[str, object]] = [
             ("transfer", document.transfer),
             ("look", document.look),

@@ -17,7 +17,7 @@ __all__ = ["check_export", "export_airways", "export_tree", "is_tree_file"]
 
 
 def is_tree_file(path: Path | str) -> bool:
-    """Return whether a file of this name contains only the tree, so that no lumen is needed.
+    """Return whether the format of a file name stores only the airway tree, so that no lumen is needed.
 
     Raises
     ------

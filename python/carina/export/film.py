@@ -40,14 +40,14 @@ class Film:
     num_frames: int
     rate_hz: float
     size_px: tuple[int, int]
-    """Width and height of the video."""
+    """Width and height of the video, in pixels."""
     path: Path = dataclasses.field(repr=False)
     notes: tuple[str, ...] = dataclasses.field(default=(), repr=False)
     """Notes for the user on changes that players need, such as an even size."""
 
     @property
     def duration_s(self) -> float:
-        """Duration of the video."""
+        """Duration of the video, in seconds."""
         return self.num_frames / self.rate_hz
 
     def _repr_html_(self) -> str:

@@ -77,7 +77,7 @@ def write_mask(
     if mask_zyx.shape != volume.shape_zyx:
         msg = f"the mask must be on the volume's grid: expected shape {volume.shape_zyx}, found {mask_zyx.shape}"
         raise GeometryError(msg, code="geometry.shape")
-    # Codes come first, because NIfTI has no space for whole sentences.
+    # The codes of the notes come first, because NIfTI has no space for whole sentences.
     parts = [*(badge.code for badge in badges), *([] if note is None else [note]), *badge_lines(badges)]
     values = (mask_zyx != 0).astype(np.uint8)
     return write_grid(path, values, volume.lps_from_ijk, what="the mask", note="; ".join(parts) or None)

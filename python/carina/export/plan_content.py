@@ -34,16 +34,16 @@ CORNER_MM = 0.7
 VESSEL_MM = 0.25
 """Distance in mm between needle and vessel below which the needle crosses the vessel (half a voxel)."""
 OFF_ROUTE_MM = 3.0
-"""Largest distance in mm of a tip from the smooth route.
+"""Largest accepted distance in mm between the scope's tip and the smoothed route.
 
-The tip is on the tree's own centreline, and smoothing moves a route by less than this.
+The planned tip is on the tree's own centreline, and smoothing moves a route by less than this distance.
 """
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawnRoute:
-    """Route of a plan as a line with its texts."""
+    """A planned route as a polyline, with its title, its description and its needle."""
 
     title: str
     """Title, such as *Route 1: RB4a*."""
@@ -55,7 +55,7 @@ class DrawnRoute:
 
     @property
     def number_words(self) -> str:
-        """Name of the route without its place, such as *Route 1*."""
+        """Short name of the route without its branch, such as *Route 1*."""
         return self.title.partition(":")[0]
 
     @property
@@ -103,7 +103,7 @@ def named_plans(plan: Plan | Mapping[str, Plan]) -> dict[str, Plan]:
 
 
 def drawn_plans(plan: Plan | Mapping[str, Plan], tree: AirwayTree) -> tuple[DrawnTarget, ...]:
-    """Return plans as lines and texts.
+    """Return the targets of plans with their routes as polylines and with their texts.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def _drawn(route: PlannedRoute, number: int, plan: Plan, tree: AirwayTree) -> Dr
 
 
 def _way(tree: AirwayTree, route: PlannedRoute, number: int) -> Points:
-    """Return the smooth route, with the exact position of the tip as its end."""
+    """Return the points (n, 3) of the smoothed route in LPS mm; the last point is the exact position of the tip."""
     tip = np.array(route.leg.tip_lps)
     if all(branch.id != route.branch_id for branch in tree.branches):
         raise _other_tree(f"route {number} ends in branch {route.branch_id}, which this tree does not have")
@@ -158,7 +158,7 @@ def _way(tree: AirwayTree, route: PlannedRoute, number: int) -> Points:
 
 
 def _to_line_mm(points: Points, place: Points) -> float:
-    """Return the distance of a point from a polyline, mm."""
+    """Return the distance in mm of a point from a polyline."""
     if len(points) < 2:
         return float(np.linalg.norm(points[0] - place))
     steps = np.diff(points, axis=0)

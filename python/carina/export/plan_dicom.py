@@ -68,7 +68,7 @@ _NEVER_LEFT_OUT: Final = (
 _OF_THE_PATIENT: Final = frozenset({"PatientName", "PatientID", "IssuerOfPatientID"})
 _FRAME_OF_REFERENCE = list(IDENTITY).index("FrameOfReferenceUID")
 _LOOKED_AT = 5
-"""Number of slices whose pixels are compared, to distinguish reconstructions with equal geometry."""
+"""Number of slices whose pixels are compared with the volume, to distinguish reconstructions with equal geometry."""
 _MOST_CHARS = 64
 
 

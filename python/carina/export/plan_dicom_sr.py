@@ -194,7 +194,7 @@ def _read_segments(path: Path, images: CtImages, names: Sequence[str]) -> _Segme
 
 
 def _slices(nodule: Nodule, volume: Volume) -> list[int]:
-    """Return the slices that contain the nodule; the nearest slice if it fills half of no voxel."""
+    """Return the indices of the CT slices that contain the nodule; the nearest slice if it fills half of no voxel."""
     seen = np.flatnonzero(inside_on_grid(nodule, volume).any(axis=(1, 2)))
     if len(seen):
         return [int(k) for k in seen]

@@ -340,7 +340,7 @@ def _check_port(port: int, *, least: int) -> None:
 
 
 def _line(points: Points) -> bytes:
-    """Return POLYDATA of one line through all points, without attributes."""
+    """Return the content of a POLYDATA message with one line through all points, without attributes."""
     indices = np.concatenate([[len(points)], np.arange(len(points))]).astype(">u4").tobytes()
     # Number of points; number and bytes of vertices, lines, polygons and strips; attributes.
     head = struct.pack(">10I", len(points), 0, 0, 1, len(indices), 0, 0, 0, 0, 0)
@@ -348,7 +348,10 @@ def _line(points: Points) -> bytes:
 
 
 def _surface(target: DrawnTarget, turn: Points) -> bytes:
-    """Return POLYDATA of triangles; LPS and RAS differ by a rotation, which keeps the triangles' orientation."""
+    """Return the content of a POLYDATA message with a target's surface.
+
+    LPS and RAS differ by a rotation, which does not change the orientation of the triangles.
+    """
     mesh = nodule_surface(target.plan.nodule)
     num = len(mesh.triangles)
     cells = np.concatenate([np.full((num, 1), 3), mesh.triangles], axis=1).astype(">u4").tobytes()
@@ -379,7 +382,7 @@ def _trajectory(target: DrawnTarget, route: DrawnRoute, turn: Points) -> bytes:
 
 
 def _text(text: str, num: int) -> bytes:
-    """Return ASCII text, cut to leave space for a terminating zero byte."""
+    """Return a text as ASCII bytes, at most ``num - 1`` of them, to leave space for a terminating zero byte."""
     return text.encode("ascii", "replace")[: num - 1]
 
 

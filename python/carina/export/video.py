@@ -31,9 +31,9 @@ _OPTIONS = {
 SIZES_PX = (16, 8192)
 # Limits of ITU-T H.264 table A-1, in macroblocks of 16 x 16 pixels: for a frame, and for a second.
 _LARGEST_LEVEL = (139_264, 16_711_680)
-"""Level 6.2, the largest level of the standard."""
+"""H.264 level 6.2, the largest of the standard: macroblocks per frame, and per second."""
 _COMMON_LEVEL = (36_864, 2_073_600)
-"""Level 5.2 (4096 x 2304), which decoders of phones and browsers commonly play."""
+"""H.264 level 5.2 (4096 x 2304), commonly played by phones and browsers: macroblocks per frame, and per second."""
 COMMENT = "Made by Carina from a CT. Not a medical device; not for diagnosis."
 
 
@@ -90,7 +90,7 @@ def size_notes(path: str | os.PathLike[str], width: int, height: int, *, rate_hz
 
 
 def _check(suffix: str, width: int, height: int, rate_hz: float) -> None:
-    """Refuse sizes and rates that no player supports."""
+    """Raise an error for a size or a frame rate that no player supports."""
     least, most = SIZES_PX
     if not (least <= width <= most and least <= height <= most and 1.0 <= rate_hz <= 240.0):
         raise UsageError(
@@ -274,7 +274,7 @@ class VideoWriter:
             self._draft.commit()
 
     def discard(self) -> None:
-        """Discard the video."""
+        """Discard the video and its temporary file; a former file at the path stays unchanged."""
         try:
             if self._container is not None:
                 # Closing writes the last bytes, which are not needed and for which the disk may have no space. PyAV

@@ -32,7 +32,7 @@ __all__ = ["create_app", "web_folder"]
 
 
 def _status(trouble: CarinaError, usual: int) -> int:
-    """Return the HTTP status of an error; 507 for a disk error."""
+    """Return the HTTP status of the response to an error: 507 for a disk error, else ``usual``."""
     if isinstance(trouble, DiskError):
         return 507
     return {"export.suffix": 404, "session.flights": 404, "upload.limit": 413}.get(trouble.code, usual)
@@ -55,9 +55,9 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
     hub
         Hub of the session and its windows; it starts and stops with the application.
     gate
-        Secrets and checks.
+        Secrets of the server, and its access checks.
     uploads
-        Dropped files.
+        Storage of files that users drop on a window.
     web
         Folder of the built client; None shows a page that says how to build it.
     """

@@ -35,7 +35,7 @@ MAX_WAITING = 64
 def door_of(gate: Gate) -> Door:
     """Return the address and secret with which programs of this machine join a server.
 
-    The result is empty if the server is not reachable by loopback.
+    Both fields of the result are None if the server is not reachable by loopback.
     """
     host = {"0.0.0.0": "127.0.0.1", "": "127.0.0.1", "::": "::1"}.get(gate.host, gate.host)
     if not is_loopback(host):
@@ -52,7 +52,7 @@ class JoinedProgram:
     session
         Session in which the case is open.
     case_number
-        The case: nothing is done to another one that is opened in its place.
+        Number of the case to which the commands apply; they are refused while another case is open.
     window
         Number of the program in the session; errors of its commands are sent to the program and to no window.
     """
@@ -103,7 +103,7 @@ class JoinedProgram:
 
 
 def problem_of(error: CarinaError) -> wire.Problem:
-    """Return an error as a message, from which the program can raise the same error."""
+    """Return the wire message of an error, from which the program can raise the same error."""
     problem = wire.Problem(kind_of(error), error.code, str(error))
     if not isinstance(error, NoEvidenceError):
         return problem

@@ -37,17 +37,17 @@ class ClusterWatch:
         self._thread = threading.Thread(target=self._run, name="carina-cluster-watch", daemon=True)
 
     def start(self) -> None:
-        """Start the thread."""
+        """Start the thread that polls the cluster status."""
         self._thread.start()
 
     def stop(self) -> None:
-        """Stop the thread and join it."""
+        """Stop the polling thread and wait for its end."""
         self._stopping.set()
         if self._thread.is_alive():
             self._thread.join()
 
     def look(self) -> None:
-        """Read the status once and send it."""
+        """Read the cluster status once, and send it with its new notices to the windows."""
         status = self._status()
         for words in status.notices:
             if words not in self._told:

@@ -38,11 +38,11 @@ class Phone(Protocol):
     """Interface to start and stop the phone page (:class:`carina.phone.PhoneSwitch`)."""
 
     changed: Callable[[], None]
-    """Callback for a phone that connects or disconnects; called from any thread."""
+    """Callback that is called, from any thread, after a phone has connected or disconnected."""
 
     @property
     def problem(self) -> str | None:
-        """Message that says why the phone page cannot be started, or None."""
+        """Reason, as a message for the user, why the phone page cannot be started; None if it can."""
         ...
 
     def start(self) -> wire.PhoneInfo:
@@ -70,7 +70,7 @@ class DeviceDesk:
     recordings
         Folder for recordings of cases that are not saved.
     phone
-        The phone page, started or not; None if this build has none.
+        Switch of the phone page; None if this build has no phone page.
     """
 
     def __init__(
@@ -92,7 +92,7 @@ class DeviceDesk:
         self._sources: dict[str, Source] = {}
         self._publisher: IgtlServer | None = None
         self._watching: set[int | None] = set()
-        """Ids of the windows that show the values of devices."""
+        """Numbers of the windows that have subscribed to the values of devices."""
         self._shown_s = 0.0
         self._pen_told: wire.Pen | None = None
         self._ports: tuple[tuple[str, ...], str | None] = ((), None)
@@ -101,7 +101,7 @@ class DeviceDesk:
         self._thread = threading.Thread(target=self._run, name="carina-devices", daemon=True)
 
     def start(self) -> None:
-        """Start the thread."""
+        """Start the thread that moves the tip by device samples."""
         self._thread.start()
 
     def stop(self) -> None:
@@ -217,7 +217,7 @@ class DeviceDesk:
         self._publisher.start()
 
     def _picture(self) -> Any:
-        """Render the airway view for the request of an OpenIGTLink peer; None without a case."""
+        """Render the airway view for an OpenIGTLink client that requested an image; None without a case."""
         scene = self._session.scene()
         return None if scene is None else scene.renderer.render(scene.spec(LEAD_VIEW, PICTURE_PX, PICTURE_PX, 1.0)).rgb
 

@@ -218,7 +218,7 @@ class Hub:
         self.in_loop(self._heed, event)
 
     def _heed(self, event: Event) -> None:
-        """Close the viewing page if the case has changed, and delete uploads that are no longer needed."""
+        """Close the viewing page after a change of case, and delete uploads that no job needs any more."""
         if self._watch_page.is_open and self.session.snapshot().case_number != self._watched_case:
             self._switch(self.close_watch_page("the case that you were watching was closed"))
         if isinstance(event, JobEnded):
@@ -264,7 +264,7 @@ class Hub:
                 )
 
     def _switch(self, switching: Coroutine[Any, Any, None]) -> None:
-        """Run a coroutine as a task, so that the window does not wait for key generation and sockets."""
+        """Run a coroutine, which starts or stops the viewing page, as a task, so that windows do not wait for it."""
         task = asyncio.get_running_loop().create_task(switching)
         self._switching.add(task)
         task.add_done_callback(self._switching.discard)
@@ -282,7 +282,7 @@ class Hub:
             words = f"the viewing page failed: internal error in Carina ({type(trouble).__name__})"
             window.outbox.push(wire.Error("carina.fault", words, None))
         if self.session.snapshot().case_number != self._watched_case:
-            # Another case was opened meanwhile.
+            # Another case was opened while the viewing page was starting.
             await self.close_watch_page(SWITCHED_OFF)
 
     async def close_watch_page(self, words: str) -> None:

@@ -66,7 +66,7 @@ class EndSignals:
         return any(signal.Signals(number).name == CLOSED_TERMINAL for number in self._received)
 
     def begin_closing(self) -> None:
-        """Mark the server as stopped; each later signal raises an interrupt as Ctrl-C does."""
+        """Mark the server as stopped; from now on each signal raises KeyboardInterrupt, as Ctrl-C does."""
         self._is_closing = True
 
     def __enter__(self) -> EndSignals:
@@ -195,35 +195,37 @@ def serve(
     Parameters
     ----------
     path
-        CT folder or file, or case file, to open; None shows the start page.
+        CT folder, CT file or case file to open; None shows the start page.
     ct
-        Where the CT of the case file lies now; None looks where it was.
+        Present path of the case file's CT; None searches the paths that the case knows.
     case_id
-        Open this case of the list instead of a path.
+        ID of a stored case to open instead of ``path``.
     demo
-        ``"phantom"`` or ``"patient"``: open a bundled case instead.
+        ``"phantom"`` or ``"patient"``: bundled case to open instead of ``path``.
     host
-        Address to listen on; anything but loopback opens the case to the network, and that is printed.
+        Address on which the server listens; any other than loopback opens the case to the network, and a warning is
+        printed.
     port
-        0 takes a free one.
+        TCP port of the server; 0 selects a free port.
     open_browser
-        Open the start URL in the browser, with a token of its own.
+        Whether to open a start URL with its own token in the browser.
     on_ready
-        Gets, once the server answers, the start URL for a browser, which works once, and the token for programs,
-        which lasts as long as the server (``Authorization: Bearer TOKEN``, protocol/README.md).
+        Called when the server accepts connections, with the start URL, which works once, and the token for programs,
+        which works as long as the server runs (``Authorization: Bearer TOKEN``, protocol/README.md).
     phone
-        Open the page for a phone at once; else a person may, in the window under Devices.
+        Whether to open the phone page at once; otherwise the user can open it under Devices.
     phone_address
-        Where that page listens; this machine's address in its network unless told.
+        Address on which the phone page listens; None selects this machine's address in the local network.
     on_phone
-        Gets, if ``phone``, the link of that page, which holds its token, and the certificate's SHA-256 fingerprint;
-        before ``on_ready``.
+        Called before ``on_ready`` if ``phone`` is True, with the link of the phone page, which contains its token, and
+        the SHA-256 fingerprint of its certificate.
     make_phone
-        Makes the switch of that page from session, built client and address; None offers no phone.
+        Creates the switch of the phone page from session, folder of the built client, and address; None offers no phone
+        page.
     make_renderer
-        Makes the renderer of a volume; this machine's unless told.
+        Creates the renderer of a volume; None selects the renderer of this machine.
     cluster_status
-        How the machines do that render with this one, shown in the window; None where there are none.
+        Returns the status of the machines that render together with this one, for the windows; None without a cluster.
 
     Returns
     -------
@@ -302,7 +304,7 @@ def serve(
             cluster_status=cluster_status,
             # The viewing page listens on the address that the user gave for the phone page.
             watch_address=phone_address,
-            # The session is closed below, where a user can still decide about unsaved work.
+            # The session is closed at the end of this function, where a user can still decide about unsaved work.
             closes_session=False,
         )
 

@@ -34,7 +34,7 @@ class Terminal(Protocol):
         """Print a line."""
 
     def ask(self, prompt: str) -> str | None:
-        """Print a prompt and return the line that the user types; None at the end of the input."""
+        """Print a prompt, and return the line that the user types; None at the end of the input."""
 
 
 class ConsoleTerminal:
@@ -104,7 +104,7 @@ def close_session(session: Session, terminal: Terminal) -> None:
 
 
 def _ask_until_saved(session: Session, terminal: Terminal) -> bool:
-    """Ask until no work is unsaved, and return True; False if the user quits."""
+    """Ask the user at the terminal until no work is unsaved, and return True; return False if the user quits."""
     while work := session.cases.unsaved():
         one = work[0]
         _describe(one, terminal)

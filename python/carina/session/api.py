@@ -115,7 +115,7 @@ class Case:
         return cls(own)
 
     def __enter__(self) -> Case:
-        """Return the case for use in a ``with`` statement."""
+        """Return this open case, so that a ``with`` statement closes it at its end."""
         return self
 
     def __exit__(
@@ -125,11 +125,11 @@ class Case:
         self.close()
 
     def __reduce__(self) -> NoReturn:
-        """Refuse to pickle the case."""
+        """Raise an error, because a case with its jobs and files cannot be pickled."""
         refuse_pickle(self, "save it, and open the file with carina.Case.open in the other process")
 
     def __repr__(self) -> str:
-        """Describe the case without text of its CT."""
+        """Return a text with the state of the airways and the number of changes, without any text of the CT."""
         snapshot = self._session.snapshot()
         if snapshot.case is None:
             return "Case(closed)"
@@ -181,7 +181,8 @@ class Case:
         Parameters
         ----------
         path
-            Path of the file, which becomes the file of the case. None is the file from which the case was opened or to
+            Path of the new case file, which later saves also use. None selects the file from which the case was opened
+            or to
             which it was last saved.
         replace
             Whether to replace another file that exists at ``path``.

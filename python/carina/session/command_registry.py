@@ -48,6 +48,6 @@ def _marked(asked: type[Any]) -> Callable[[F], F]:
 
 
 def handlers_of(subject: object) -> dict[type[Any], Callable[[Any], Any]]:
-    """Return the marked methods of an object by the command or question class that they handle."""
+    """Return the methods of an object that :func:`does` and :func:`answers` marked, by command or question class."""
     methods = (getattr(type(subject), name) for name in dir(type(subject)))
     return {m.handles: getattr(subject, m.__name__) for m in methods if hasattr(m, "handles")}

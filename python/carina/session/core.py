@@ -104,14 +104,14 @@ class SessionCore:
         self._pool = None if submit else ThreadPoolExecutor(4, thread_name_prefix="carina-job")
         self.jobs = JobRunner(submit or self._submit_to_pool, self.emit, clock)
         self._listeners: list[tuple[Callable[[Event], None], int | None]] = []
-        """Each listener with the number of its window; None if the listener is no window."""
+        """Pairs of an event listener and the number of its window; the number is None if the listener is no window."""
         self._watched: dict[int, int] = {}
         """Number of the case that each observer window may see, by window number; entries are never removed."""
         self.case: OpenCase | None = None
         self.case_numbers = itertools.count(1)
         self.device_woken = threading.Event()
         self.saving: Callable[[], SavingInfo] = SavingInfo
-        """Returns the state of saving of the open case."""
+        """Function that returns whether and where the open case is saved."""
         self.before_move: Callable[[], None] = lambda: None
         self.before_document: list[Callable[[OpenCase], None]] = []
         """Functions called after a change of the document, before tip and renderer are updated; the lock is held."""
@@ -169,7 +169,7 @@ class SessionCore:
             raise UsageError("you are watching; you can change only your own slices, zoom and window", code=WATCHING)
 
     def _seen_by(self, window: int | None) -> OpenCase | None:
-        """Return the open case; None for an observer's window that was shown another case."""
+        """Return the open case; None if none is open, or if the window is an observer of another case."""
         case = self.case
         if case is None or window is None:
             return case
@@ -185,7 +185,7 @@ class SessionCore:
             _asked.reset(token)
 
     def emit(self, event: Event) -> None:
-        """Send an event to all listeners."""
+        """Send an event to all listeners, with the session locked."""
         with self.lock:
             if isinstance(event, JobEnded) and event.error is not None and not _is_asked(event.error):
                 self.answer(Trouble(event.error.code, str(event.error)))

@@ -105,7 +105,7 @@ class Parts:
     measure_tree: Callable[..., TreeMeasures] | None = None
     """Measures branches: ``measure_tree(volume, airways, previous=, progress=, cancel=)``; None measures nothing."""
     wall_field: Callable[..., Any] = _wall_field
-    """Computes the airway wall: ``wall_field(volume, airways, progress=, cancel=)``."""
+    """Computes the field of distances to the airway wall: ``wall_field(volume, airways, progress=, cancel=)``."""
     presets: tuple[str, ...] = ("endoscopic", "ct-grey", "see-through", "paper")
     edit_airways: Callable[..., Airways] = _edit_airways
     """Returns edited airways: ``edit_airways(volume, airways, edit, progress=, cancel=)``."""
@@ -131,7 +131,7 @@ class Parts:
 
 
 def default_parts() -> Parts:
-    """Return the processing functions of Carina."""
+    """Return Carina's own processing functions, which a session uses unless a test replaces them."""
     from carina import render, track, volume
 
     def open_volume(path: str, progress: Progress, cancel: Cancel) -> Volume:

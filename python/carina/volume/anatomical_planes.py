@@ -23,7 +23,7 @@ class PlaneDisplay:
     right: str
     down: str
     into: str
-    """Direction away from the viewer: right x down."""
+    """Patient axis that points away from the viewer: the cross product of ``right`` and ``down``."""
     next_slice: Literal[1, -1]
     """Direction along ``into`` of the next slice when scrolling: 1 is deeper into the screen, -1 towards the viewer."""
 

@@ -57,7 +57,7 @@ _SHARE_OF_FREE = 0.1
 _SOURCE = ".source"
 _SOURCE_NAME = re.compile(r"[0-9a-f]{40}\.source")
 _LOCK = "lock"
-# Age in seconds below which voxels without a source stay: another process may be writing the source.
+# Age in seconds below which a voxel file without a source file is not deleted: its source may be about to be written.
 _FOUND_FOR_S = 3600.0
 _MAX_RECORD_BYTES = 1 << 24
 
@@ -111,15 +111,15 @@ class CachedCt:
         self.shape_zyx = record.voxels.shape_zyx
         self.lps_from_ijk: NDArray[np.float64] = np.array(record.lps_from_ijk, dtype=np.float64)
         self.source = record.source
-        """The path, and the state of the files at opening."""
+        """Path from which the CT was opened, and the state of its files at that time."""
 
     def __repr__(self) -> str:
-        """Return the digest and the shape."""
+        """Return a text with the digest and the shape of the CT."""
         return f"CachedCt(digest={self.digest[:12]}..., shape_zyx={self.shape_zyx})"
 
     @property
     def state(self) -> State:
-        """State of the source's files.
+        """State of the files from which the CT was read: unchanged, changed or missing.
 
         If the state is ``changed``, the caller opens the files and compares digests. The state is ``missing`` if a file
         cannot be accessed.
@@ -129,7 +129,7 @@ class CachedCt:
 
     @shows_progress
     def load(self, *, progress: ProgressChoice = None, cancel: Cancel | None = None) -> Volume | None:
-        """Read the volume; return None if the cached file is missing, or damaged and therefore deleted.
+        """Read the cached volume; return None if its voxel file is missing, or is damaged and was therefore deleted.
 
         Parameters
         ----------
@@ -474,7 +474,7 @@ class VolumeCache:
         return True
 
     def _bound(self, held_bytes: int) -> float:
-        """Return the size limit of the cache in bytes."""
+        """Return the size limit of the cache in bytes, which depends on the free space of its disk."""
         if self._max_bytes is not None:
             return self._max_bytes
         try:
@@ -501,7 +501,7 @@ class VolumeCache:
             os.close(descriptor)
 
     def _is_whole(self, place: Path, name: VoxelName) -> bool:
-        """Return whether the voxels of a CT are stored and readable."""
+        """Return whether the voxel file of a CT can be read and is intact; a damaged file is deleted."""
         try:
             read_voxel_file(place, name, Watch())
         except FileNotFoundError:
@@ -568,7 +568,7 @@ class VolumeCache:
         return found
 
     def _touch(self, path: Path) -> None:
-        """Record the last use of a file."""
+        """Set the time of a cached file to now, which records its last use."""
         now_s = self._clock()
         with contextlib.suppress(OSError):
             os.utime(path, (now_s, now_s))
@@ -643,7 +643,7 @@ def _packed(record: _Record) -> bytes:
 
 
 def _unpacked(content: bytes) -> _Record:
-    """Return the record in a file.
+    """Return the record that the content of a ``.source`` file describes.
 
     Raises
     ------
@@ -660,7 +660,7 @@ def _unpacked(content: bytes) -> _Record:
 
 
 def _remove(path: Path) -> int:
-    """Delete a file; return the number of bytes deleted, 0 if the file stays."""
+    """Delete a cached file; return the number of bytes deleted, 0 if the file stays."""
     try:
         size = path.stat().st_size
         path.unlink()

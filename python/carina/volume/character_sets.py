@@ -26,7 +26,7 @@ _UTF_8 = "ISO_IR 192"
 _SPECIFIC_CHARACTER_SET = Tag("SpecificCharacterSet")
 _TEXT = frozenset({"PN", "LO", "SH", "ST", "LT", "UC", "UT"})
 _LATIN = {1: 100, 2: 101, 3: 109, 4: 110, 5: 144, 6: 127, 7: 126, 8: 138, 9: 148}
-"""Registration numbers (ISO_IR) of the parts of ISO 8859, by the number of the part."""
+"""ISO_IR registration number of each part of ISO 8859, by the number of the part."""
 _ONE_BYTE = frozenset(f"ISO_IR {number}" for number in (6, *_LATIN.values(), 166))
 
 

@@ -60,7 +60,7 @@ class FoundSeries:
 
     @property
     def name(self) -> str:
-        """Name of the series in messages."""
+        """Name of the series for messages to the user."""
         return _name(self.info)
 
     @property
@@ -205,7 +205,7 @@ def _notes_of_files(
 
 
 def _with_missing(error: VolumeImportError, missing: Sequence[UnusedFile]) -> VolumeImportError:
-    """Return the error extended by the files that could not be used, because they are its likely cause."""
+    """Return an import error whose message also names the files that could not be used, its likely cause."""
     if not missing:
         return error
     shown = ", ".join(f"{bounded_name(file.path.name)} ({file.reason})" for file in missing[:4])

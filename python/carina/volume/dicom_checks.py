@@ -55,7 +55,7 @@ def check_rescale_tags(slices: Sequence[SliceHeader], what: str) -> None:
 
 
 def _files(slices: Sequence[SliceHeader]) -> str:
-    """Return the complete names of files for an error message."""
+    """Return the complete file names of slices as one text for an error message."""
     shown = ", ".join(sorted(bounded_name(header.path.name) for header in slices)[:6])
     return shown + (f" and {len(slices) - 6} more" if len(slices) > 6 else "")
 
@@ -175,9 +175,10 @@ def odd_slices(values: NDArray[np.int16], *, compressed: bool, slice_mm: float) 
 
 
 def _fits_worst(below: NDArray[Any], middle: NDArray[Any], above: NDArray[Any], *, tile: int | None) -> float:
-    """Return the largest excess in HU of the middle slice's difference from its nearer neighbour.
+    """Return the largest excess in HU of the middle slice over what its two neighbours explain.
 
-    The excess is the part of that difference above a multiple of the difference of the two neighbours. With ``tile``,
+    The excess is the difference from the nearer neighbour minus a multiple of the neighbours' difference. With
+    ``tile``,
     differences are means over square tiles of this side, otherwise over the whole slice.
     """
     step = 4 if tile is None else 1

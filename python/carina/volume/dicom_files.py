@@ -46,7 +46,7 @@ class UnusedFile:
 
     path: Path
     reason: str
-    """Reason for messages, such as "empty" or "truncated header"."""
+    """Reason why the file was not used, for messages, such as "empty" or "truncated header"."""
     size: int
     is_dicom: bool
     """Whether the file begins like DICOM, or is a folder with unknown content."""
@@ -230,7 +230,7 @@ class LostFiles:
                 return True
             return not file.known and file.size > 2048 and abs(file.size - size) <= 0.01 * size
 
-        # The content of a folder that cannot be opened is unknown, so the folder is always reported.
+        # The content of an unreadable folder is unknown, so the folder is always reported.
         found = {file.path: file for file in (*self._closed, *filter(belongs, near))}
         return [found[path] for path in sorted(found)]
 

@@ -67,7 +67,7 @@ def _check_alike(slices: Sequence[SliceHeader], what: str) -> None:
 
 
 def _check_spacing(along_mm: NDArray[np.float64], ordered: Sequence[SliceHeader], what: str) -> None:
-    """Raise an error if slices share a position, or if their distances are irregular."""
+    """Raise an error if two slices have one position, or if the distances of neighbouring slices are irregular."""
     count = len(ordered)
     gaps = np.diff(along_mm)
     # The median is the intended distance; one missing or duplicate slice does not change it.

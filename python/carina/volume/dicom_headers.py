@@ -408,7 +408,7 @@ def _modality_lut(tags: _Tags, *, signed: bool) -> ModalityLut | None:
 
 
 def _is_comparable(element: Any, tag: BaseTag, value: bytes) -> bool:
-    """Return whether the bytes of a value compare like the text, which needs ASCII.
+    """Return whether the bytes of a value can be compared instead of its text, which needs ASCII.
 
     Other characters depend on the character set.
     """
@@ -454,7 +454,7 @@ def read_header(path: Path) -> tuple[SliceHeader | None, Dataset]:
 
 
 def _parse(path: Path, dataset: Dataset, pixels_at: int | None) -> SliceHeader | None:
-    """Return the header of a slice from its tags; None for a file without an image."""
+    """Return the header of a slice, parsed from its tags; None for a file without an image."""
     tags = _Tags(dataset)
     rows, columns = tags.whole("Rows", 0), tags.whole("Columns", 0)
     modality = tags.text("Modality")

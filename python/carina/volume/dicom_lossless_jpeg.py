@@ -70,7 +70,7 @@ def lossless_jpeg_problem(frame: bytes) -> str | None:
 
 
 def _holds(data: bytes, num_codes: int, table: bytes) -> bool:
-    """Return whether data contains exactly ``num_codes`` codes and less than a byte more."""
+    """Return whether entropy-coded data contain exactly ``num_codes`` codes and less than one further byte."""
     padded = np.frombuffer(data + b"\xff\xff\xff\xff", np.uint8).astype(np.uint32)
     three = padded[:-2] << 16 | padded[1:-1] << 8 | padded[2:]
     steps = np.empty((len(three), 8), np.uint8)
@@ -92,7 +92,7 @@ def _holds(data: bytes, num_codes: int, table: bytes) -> bool:
 
 @functools.lru_cache(maxsize=64)
 def _advance(table: bytes) -> np.ndarray:
-    """Return for every 16 bits the length of the first code with its difference; 0 if there is no code."""
+    """Return, for each 16-bit value, the length in bits of its first code and difference; 0 without a code."""
     steps = np.zeros(1 << 16, np.uint8)
     code, at = 0, 16
     for length, count in enumerate(table[:16], 1):

@@ -20,7 +20,7 @@ __all__ = ["Segmentation", "read_segmentation"]
 _SEGMENTATION_STORAGE = "1.2.840.10008.5.1.4.1.1.66.4"
 _LABEL_MAP_STORAGE = "1.2.840.10008.5.1.4.1.1.66.7"
 _TYPES = ("BINARY", "FRACTIONAL", "LABELMAP")
-# Tolerance of the distance of two planes, as a fraction, for rounded decimal strings.
+# Tolerance of the distance of two planes, as a fraction of the plane distance, for rounded decimal strings.
 _PLANE = 0.05
 # Tolerance of directions: two axes within 0.06 degrees are parallel.
 _PARALLEL = 1e-3
@@ -152,7 +152,7 @@ def _read(path: Path, data: Any, volume: Volume | None, watch: Watch) -> Segment
 
 
 def _kind(data: Any) -> str:
-    """Return the segmentation type; files from before 2009 and some writers omit it."""
+    """Return the segmentation type: BINARY, FRACTIONAL or LABELMAP. Some files omit the type and get a default."""
     default = "LABELMAP" if str(data.get("SOPClassUID", "")) == _LABEL_MAP_STORAGE else "BINARY"
     return str(data.get("SegmentationType") or default).strip().upper()
 
@@ -175,7 +175,7 @@ class _Pixels:
     def __init__(self, path: Path, data: Any, kind: str, shape: tuple[int, int, int]) -> None:
         self._path, self._kind, self._shape = path, kind, shape
         self.background = int(data.get("PixelPaddingValue", 0) or 0) if kind == "LABELMAP" else -1
-        """The number in a label map that is not a segment (PS3.3 C.8.20.2)."""
+        """Pixel value of a label map that marks the background (PS3.3 C.8.20.2); -1 for other types."""
         self.is_graded = False
         """Whether fractions other than 0 and 1 occur."""
         self._bits: NDArray[np.uint8] | None = None
@@ -270,7 +270,7 @@ class _Places:
                 continue
             planes = np.rint((heights - levels[0]) / gap)
             off = np.abs(position - (self._first + np.outer(planes * gap, normal))).max()
-            # If two levels are in one plane, the distance is too large.
+            # If two positions along the normal fall into one plane, the plane distance is too large.
             apart = len(np.unique(planes)) == len(levels)
             if apart and off <= _PLANE * gap:
                 break
@@ -313,7 +313,7 @@ def _first(data: Any, name: str) -> Any:
 
 
 def _item(group: Any, shared: Any, sequence: str, name: str) -> Any:
-    """Return a value of a frame, from its own group or the shared one."""
+    """Return an attribute of a frame from its own functional group, or else from the shared one."""
     for place in (group, shared):
         holder = None if place is None else _first(place, sequence)
         value = None if holder is None else holder.get(name)

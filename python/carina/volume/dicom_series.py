@@ -353,12 +353,12 @@ def _heights(slices: Sequence[SliceHeader]) -> np.ndarray:
 def _share_heights(parts: Sequence[Sequence[SliceHeader]]) -> bool:
     """Return whether the height ranges of two parts overlap."""
     spans = sorted((float(h[0]), float(h[-1])) for h in map(_heights, parts))
-    # Slices at one position in two parts count as an overlap, too.
+    # Two slices at one position in two parts count as an overlap of the parts, too.
     return any(later[0] <= earlier[1] + 0.01 for earlier, later in itertools.pairwise(spans))
 
 
 def _are_combs(whole: Sequence[SliceHeader], parts: Sequence[Sequence[SliceHeader]]) -> bool:
-    """Return whether parts of a regular stack interleave, each regular by itself and coarser than the whole.
+    """Return whether each part of a regular stack is regular by itself, and the parts interleave.
 
     Two interleaved scans have this pattern; a block within the stack, a single slice or two outer slices do not.
     """

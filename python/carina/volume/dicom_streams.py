@@ -41,7 +41,7 @@ class Stream:
     signed: bool | None
     """Whether the numbers are signed; None if the format does not state it (JPEG, JPEG-LS)."""
     problem: str | None
-    """Description of a truncated or invalid part; None if the stream is valid."""
+    """Description of a truncated or invalid part of the stream; None if the stream is valid."""
 
 
 def fragments(stored: bytes) -> bytes | None:
@@ -83,7 +83,10 @@ def _read_j2k(stored: bytes, start: int) -> Stream | None:
 
 
 def _follow_j2k(stored: bytes, at: int) -> str | None:
-    """Check the main header and the tile parts up to the end marker; return the problem, or None."""
+    """Return the problem of a JPEG 2000 stream's main header and tile parts.
+
+    None if they are valid to the end marker.
+    """
     while True:
         marker = stored[at : at + 2]
         if marker == _END:
@@ -136,7 +139,7 @@ _AFTER_SCAN = frozenset((0xC4, 0xDA, 0xDB, 0xDC, 0xDD, 0xFE, *range(0xE0, 0xF0),
 
 
 def _follow_jpeg(stored: bytes, at: int, in_data: re.Pattern[bytes]) -> str | None:
-    """Check the coded data and the markers from the first scan to the end marker; return the problem, or None."""
+    """Return the problem of a JPEG stream's data and markers from the first scan on; None if they are valid."""
     while True:
         at += 2 + int.from_bytes(stored[at + 2 : at + 4], "big")  # skip the header of the scan or the table
         found = in_data.search(stored, at)

@@ -65,7 +65,7 @@ class Structure:
     name: str
     contours: tuple[Contour, ...]
     num_open: int
-    """Number of points and open lines, which enclose no area."""
+    """Number of outlines that are points or open lines, which enclose no area."""
     references: References
 
 

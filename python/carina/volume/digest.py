@@ -50,7 +50,7 @@ class Grid(Protocol):
 
     @property
     def shape_zyx(self) -> tuple[int, int, int]:
-        """Shape of the array of voxels."""
+        """Shape (nz, ny, nx) of the array of voxels."""
 
     @property
     def lps_from_ijk(self) -> NDArray[np.float64]:
@@ -73,7 +73,7 @@ class CanonicalAxes:
     axes_ijk: tuple[int, int, int]
     """Index of the axis i, j, k (0, 1, 2) that runs along x, y, z of LPS."""
     flipped: tuple[bool, bool, bool]
-    """Whether that axis runs in the opposite direction, for x, y, z."""
+    """Whether the voxel axis that runs along x, y, z of LPS has the opposite direction."""
 
     @property
     def letters(self) -> str:

@@ -107,7 +107,7 @@ def _check_agreement(path: Path, header: GridHeader) -> None:
     ni, nj, nk = (n - 1 for n in header.shape_ijk)
     corners = np.array([[i, j, k, 1.0] for i in (0, ni) for j in (0, nj) for k in (0, nk)], dtype=np.float64)
     apart_mm = float(np.linalg.norm(corners @ (ours - theirs).T, axis=1).max())
-    # A twentieth of a voxel: float32 headers cause about 1e-4 mm, a different interpretation at least whole voxels.
+    # Tolerance of a twentieth of a voxel: float32 headers cause about 1e-4 mm, another interpretation at least a voxel.
     allowed_mm = 0.05 * float(np.linalg.norm(ours[:3, :3], axis=0).min())
     if apart_mm > allowed_mm:
         msg = (

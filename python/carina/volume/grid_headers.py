@@ -113,7 +113,7 @@ def _read(path: Path, format: str) -> GridHeader:  # noqa: A002 - the word of th
 
 
 def _check(path: Path, header: GridHeader) -> None:
-    """Raise an error if a header does not describe one rectangular volume with a plausible spacing."""
+    """Raise an error if a grid file's header does not describe one rectangular volume with a plausible spacing."""
     if len(header.shape_ijk) != 3 or header.num_components != 1:
         values = f" with {header.num_components} values in each voxel" if header.num_components != 1 else ""
         problem = f"expected one volume with three axes, found {header.sizes}{values}"

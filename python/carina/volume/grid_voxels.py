@@ -82,7 +82,7 @@ def _lying(path: Path, header: GridHeader, found: str) -> VolumeImportError:
 
 
 def _read_plain(path: Path, header: GridHeader, watch: Watch) -> tuple[NDArray[np.uint8], int]:
-    """Return the bytes of uncompressed values, and the number of bytes behind them."""
+    """Return the bytes of uncompressed voxel values, and the number of bytes in the file after them."""
     size, needed = header.data_path.stat().st_size, header.num_bytes
     begin = size - needed if header.data_offset < 0 else header.data_offset
     extra = size - begin - needed
@@ -109,7 +109,7 @@ def _read_plain(path: Path, header: GridHeader, watch: Watch) -> tuple[NDArray[n
 
 
 def _read_packed(path: Path, header: GridHeader, watch: Watch) -> tuple[NDArray[np.uint8], int]:
-    """Return the bytes of compressed values, and the number of bytes behind them."""
+    """Return the decompressed bytes of voxel values, and the number of bytes in the file after them."""
     size, needed = header.data_path.stat().st_size, header.num_bytes
     layers = 2 if header.file_is_gzipped else 1
     if header.data_offset + needed > _MAX_RATIO**layers * size:

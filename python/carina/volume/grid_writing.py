@@ -168,7 +168,7 @@ def write_grid_to(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Grid:
-    """Content of a file: little-endian values, their grid, a note of one line, and the compression level."""
+    """Content of a grid file: little-endian values, their grid, a note of one line, and the compression level."""
 
     values: Values
     lps_from_ijk: NDArray[np.float64]
@@ -303,7 +303,7 @@ def _meta(file: BinaryIO, grid: _Grid) -> None:
 
 
 def _digits(value: float) -> str:
-    """Return the shortest text that gives the number back exactly."""
+    """Return the shortest decimal text from which the same float is read back."""
     return repr(float(value)).removesuffix(".0")
 
 

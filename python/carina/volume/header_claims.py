@@ -64,7 +64,7 @@ class GridHeader:
     compression: str | None
     """Compression of the values: ``gzip`` (the whole file or the stream at ``stream_offset``), ``zlib`` or None."""
     stream_offset: int = 0
-    """Offset of the compressed stream in the file."""
+    """Offset in bytes of the compressed stream in the file."""
     values_are_elsewhere: bool = False
     """Whether the values are in another file than the header."""
     file_is_gzipped: bool = False
@@ -91,7 +91,7 @@ class GridHeader:
 
     @property
     def sizes(self) -> str:
-        """Sizes of the axes as text for messages."""
+        """Numbers of voxels along the axes, as text for messages."""
         return " x ".join(str(n) for n in self.shape_ijk)
 
 

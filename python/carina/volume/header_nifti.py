@@ -112,7 +112,7 @@ def data_files(path: Path) -> list[Path]:
 
 
 def _data_file(path: Path, *, single: bool) -> Path:
-    """Return the file that contains the values."""
+    """Return the path of the file that contains the voxel values of a NIfTI header."""
     if single:
         return path
     siblings = data_files(path)

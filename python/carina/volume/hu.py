@@ -60,7 +60,10 @@ class Int16Values:
 
     values: NDArray[np.int16]
     stretched: str | None
-    """Description of the mapping of values that did not fit into int16; such values are never HU."""
+    """Description of the linear mapping of values that did not fit into int16; None without one.
+
+    Mapped values are not HU.
+    """
     notes: tuple[Note, ...]
     doubt: str | None
     """Reason why the values are not treated as HU although they look like HU; None if there is none."""

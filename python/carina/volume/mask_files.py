@@ -164,7 +164,7 @@ def open_mask(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Labels:
-    """The structures in a file."""
+    """The structures in a mask file, with their names, sizes and voxels."""
 
     num_voxels: dict[int, int]
     """Number of voxels of each structure that is not empty."""
@@ -302,7 +302,7 @@ def _placed(
     resample: bool,
     watch: Watch,
 ) -> Mask:
-    """Return a structure on the grid of the volume: exactly if its voxels coincide, otherwise resampled."""
+    """Return a structure's mask on the volume's grid: exact if its voxels coincide, otherwise resampled."""
     watch.step("Placing the segmentation", None)
     nz, ny, nx = inside.shape
     volume_from_mask = np.linalg.inv(volume.lps_from_ijk) @ lps_from_mask

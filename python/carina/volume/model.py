@@ -32,7 +32,7 @@ class Remark:
     code: str
     """Stable code: ``import.clipped``, ... The list is in ``docs/import-answers.md``."""
     words: str
-    """Part of a sentence for the user, without a patient's name or a UID."""
+    """Text for the user, a part of a sentence, without a patient's name or a UID."""
 
 
 @one_line
@@ -81,7 +81,7 @@ class VolumeSource:
     notes: tuple[Note, ...] = ()
     """Notes for the user, for example on clipped values or on further series."""
     citation: Citation | None = None
-    """Source and licence that must be shown with the data, for the bundled case."""
+    """Source and licence that must be shown with the data of the bundled case; None for other volumes."""
     acquired_on: str | None = field(default=None, repr=False)
     """ISO date of the scan; None if its files contain none.
 

@@ -162,7 +162,7 @@ def refuse_series(path: Path, kind: str, series: str | None) -> None:
 
 
 def place_name(path: Path) -> str:
-    """Return the name of the folder for messages."""
+    """Return the name of a folder, or of a file's folder, for messages."""
     return f"the folder {(path if path.is_dir() else path.parent).resolve().name}"
 
 

@@ -36,7 +36,7 @@ __all__ = [
 ]
 
 AIR_HU = -1024
-"""Lowest value that padding gets: the lowest number of 12-bit CTs."""
+"""Lowest value, in HU, that replaces padding: the lowest number of 12-bit CTs."""
 _HARMLESS_HU = -1000
 _NO_TISSUE_HU = 30_710
 _CORNER_HU = 2000
@@ -57,7 +57,7 @@ class PaddedPixels:
     inside: NDArray[np.bool_]
     """(rows, columns); true for pixels that are padding."""
     fill: float
-    """The value that padding gets."""
+    """Value in HU that replaces the padding."""
     value: float
     """The most frequent rescaled value of the padding."""
     num_kept: int

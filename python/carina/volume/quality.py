@@ -86,7 +86,7 @@ def quality_gate(volume: Volume) -> Quality:
 
 
 def _judge(volume: Volume) -> Quality:
-    """Compute the result of the quality gate."""
+    """Return the findings of the quality gate for a volume, without the cache."""
     findings: list[Finding] = []
     if not volume.is_hu:
         findings.append(Finding("not-hu", f"not in Hounsfield units: {volume.not_hu_reason}"))

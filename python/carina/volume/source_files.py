@@ -101,7 +101,7 @@ def absolute(path: str | Path) -> Path:
 
 
 def _what_is_read(path: Path) -> tuple[Reads, tuple[str, ...]]:
-    """Return the files that opening a path would read; the rules are those of ``opening.find_in``.
+    """Return which kind of files opening a path would read (``Reads``), and the names of single files.
 
     Raises
     ------
@@ -123,7 +123,7 @@ def _what_is_read(path: Path) -> tuple[Reads, tuple[str, ...]]:
 
 
 def _look(path: Path, reads: Reads, names: tuple[str, ...]) -> SourceFiles:
-    """Return the present state of the files.
+    """Return the present number, sizes and times of the files that opening a path reads.
 
     Raises
     ------

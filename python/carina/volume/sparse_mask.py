@@ -60,9 +60,9 @@ class PackedMask:
 
     shape_zyx: tuple[int, int, int]
     first_zyx: tuple[int, int, int]
-    """First voxel of the box."""
+    """Index (z, y, x) of the bounding box's first voxel."""
     box_zyx: tuple[int, int, int]
-    """Shape of the box."""
+    """Shape (z, y, x) of the bounding box, in voxels."""
     bits: bytes
 
     @classmethod

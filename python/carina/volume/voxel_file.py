@@ -57,7 +57,7 @@ class VoxelName:
 
     @property
     def file_name(self) -> str:
-        """The name of the file."""
+        """File name that states this content."""
         nz, ny, nx = self.shape_zyx
         return f"{self.digest}-{self.axes}-{nx}x{ny}x{nz}{SUFFIX}"
 
@@ -200,7 +200,7 @@ def _begin_of_voxels(header_bytes: int) -> int:
 
 
 def _read_header(file: io.FileIO, name: VoxelName) -> tuple[_Header, int]:
-    """Return the header, and the offset of the voxels."""
+    """Return the checked header of a voxel file, and the offset of its voxels in bytes."""
     start = file.read(_START.size)
     if len(start) < _START.size:
         raise DamagedFileError("it is truncated")
@@ -221,7 +221,7 @@ def _read_header(file: io.FileIO, name: VoxelName) -> tuple[_Header, int]:
 
 
 def _fill(file: io.FileIO, place: memoryview) -> None:
-    """Fill a buffer completely from a file."""
+    """Read from a file until a buffer is full; raise an error if the file ends before."""
     while len(place):
         count = file.readinto(place)
         if not count:

@@ -34,7 +34,7 @@ class Downloads:
     session
         Session with the open case.
     export
-        Writes a file; tests replace it.
+        Function that writes the airways to a file; tests replace this function.
     """
 
     def __init__(self, session: Session, export: Callable[..., Path] = export_airways) -> None:
@@ -50,7 +50,7 @@ class Downloads:
         Raises
         ------
         CarinaError
-            If Carina writes no such file, the case has no airways, or the disk takes nothing.
+            If Carina does not write files of this suffix, the case has no airways, or the disk refuses writes.
         """
         if suffix not in EXPORT_SUFFIXES:
             msg = f"Carina can write {', '.join(EXPORT_SUFFIXES)}; found {suffix!r}"
@@ -74,7 +74,7 @@ class Downloads:
         Raises
         ------
         CarinaError
-            If there are none.
+            If the case has no key frames.
         """
         document = await asyncio.to_thread(lambda: self._session.ask(KeyFramesToTakeAway()).to_json())
         disposition = f'attachment; filename="{KEYS_NAME}"'
@@ -86,7 +86,7 @@ class Downloads:
         Raises
         ------
         CarinaError
-            If there is none of this number, or it is not on the disk yet.
+            If the case has no flight of this number, or the flight is not on the disk yet.
         """
         text = await asyncio.to_thread(self._session.ask, FlightToTakeAway(number))
         disposition = f'attachment; filename="{FLIGHT_STEM}-{number}.jsonl"'

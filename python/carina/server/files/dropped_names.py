@@ -71,7 +71,7 @@ _SUFFIXES = frozenset(
         ".mgz",
     ]
 )
-"""File suffixes that neutral names keep; any other suffix may be part of a patient name and is dropped."""
+"""File suffixes that neutral names contain; any other suffix may be part of a patient name and is removed."""
 
 
 def safe_suffix(name: str) -> str:
@@ -150,7 +150,10 @@ class DroppedNames:
         return json.dumps(known[token])[1:-1] + found[0][len(token) :]
 
     def _named(self, tag: str, above: str, part: str, own: str, suffix: str) -> str:
-        """Return the neutral name of one path part; names that differ only in suffix get the same number."""
+        """Return the neutral name of one folder or file of a path.
+
+        Names that differ only in suffix get the same number.
+        """
         known, numbers = self._uploads[tag], self._numbers[tag]
         stem = part[: len(part) - len(suffix)] if suffix else part
         number = numbers.get((above, stem))

@@ -36,7 +36,7 @@ SANDBOX = "sandbox allow-scripts allow-modals"
 
 
 class Reports:
-    """Creator of the reports of the open case.
+    """Creator of the plan reports and plan files of the open case's targets.
 
     Parameters
     ----------
@@ -57,7 +57,8 @@ class Reports:
         Raises
         ------
         CarinaError
-            If Carina writes no such file, there is no plan yet, the job was stopped, or the disk takes nothing.
+            If Carina does not write this suffix, the target has no plan, the job was stopped, or the disk refuses
+            writes.
         """
         known = (*REPORT_SUFFIXES, *PLAN_SUFFIXES, *DICOM_SUFFIXES)
         if suffix not in known:
@@ -74,7 +75,7 @@ class Reports:
             raise
         headers = {"cache-control": "no-store"}
         if suffix == ".html":
-            # Without a file name, the browser displays the report, so that the user can print it.
+            # Without a file name in the headers, the browser displays the report, so that the user can print it.
             return FileForOnce(path, headers=headers | {"content-security-policy": SANDBOX})
         return FileForOnce(path, filename=path.name, headers=headers)
 
@@ -121,13 +122,16 @@ class Reports:
 
 @dataclass(frozen=True, slots=True)
 class _Archive:
-    """CT folder and identity setting for the DICOM files of a plan."""
+    """Writer of a plan's DICOM files, with the CT folder and the setting for the patient identity."""
 
     ct: Path
     identity: Literal["none", "from the CT"]
 
     def export(self, path: Path, materials: PlanMaterials, job: Job) -> Path:
-        """Write a segmentation or measurements under the name of the target, and return the path."""
+        """Write the plan as DICOM segmentation or measurements, and return the path.
+
+        The content has the target's name.
+        """
         job.progress("comparing the CT", None)
         name = materials.notes[0] if materials.notes else "Target"
         return export_plan(
@@ -166,6 +170,6 @@ def _with_verdicts(session: Session, materials: PlanMaterials, target_id: str, j
 
 
 def _settle(done: Future[Path], trouble: BaseException) -> None:
-    """Set the exception of the future unless its waiter has cancelled the future."""
+    """Set an exception as the result of a future, unless the caller that waits for the future has cancelled it."""
     if not done.cancelled():
         done.set_exception(trouble)

@@ -146,7 +146,7 @@ class Uploads:
             raise
 
     def place(self, upload_id: str) -> Path:
-        """Return the path to open: the only file, the only ``.mhd``/``.nhdr`` header, or else the folder."""
+        """Return the path of an upload to open: its only file, its only ``.mhd``/``.nhdr`` header, or its folder."""
         upload = self._needed(upload_id)
         files = sorted(p for p in upload.folder.rglob("*") if p.is_file())
         if not files:
@@ -219,7 +219,7 @@ def _joined(upload: _Upload, header: Path) -> Path:
                     return header
             if wanted.upper() == "LOCAL":
                 return header
-        # The header contains a list or a number pattern of names, so the files must have their original names.
+        # Such a header contains a list or a number pattern of file names, so the files must have their original names.
         for path, (relative, _) in upload.own.items():
             back = upload.folder / relative
             create_folders(back.parent, private=True)

@@ -41,19 +41,19 @@ Each level costs about 0.85 of the level before, so that a budget is never misse
 """
 
 OVER = 1.0
-"""Ratio of predicted time to budget above which a coarser level is chosen."""
+"""Ratio of a picture's predicted time to its time budget above which a coarser level is chosen."""
 FITS = 0.9
-"""Maximum ratio of predicted time to budget for a newly chosen level, finer or coarser.
+"""Maximum ratio of a picture's predicted time to its time budget for a newly chosen level, finer or coarser.
 
 Levels are a factor of 0.85 apart; between 0.9 and 1 the level does not change (hysteresis).
 """
 DWELL_S = 0.4
-"""Minimum seconds between a change and the next step to a finer level; doubled after each step that is taken back."""
+"""Minimum time in s between a change of level and the next finer level; doubled each time a finer level is given up."""
 MAX_DWELL_S = 2.0
 REVOKED_WITHIN_S = 1.5
-"""Seconds within which leaving a finer level again counts as taking the step back."""
+"""Time in s: a finer level that is left again within this time counts as given up, which doubles :data:`DWELL_S`."""
 SMOOTH_FASTER = 0.35
-"""Weight (0..1) of a new median speed that is faster than the estimate; a slower one replaces the estimate at once."""
+"""Weight (0..1) in the mean of a new median cost below the estimate; a higher one replaces the estimate at once."""
 BESIDE_AMONG = 16
 """Number of last pictures from which the fixed time per picture (encoding, header, delivery) is estimated.
 
@@ -65,18 +65,18 @@ WAITS_AMONG = 5
 With fewer pictures, a single delay would count as a lasting load.
 """
 WAITS_RISE = 1.5
-"""Upper limit of the present wait, as a multiple of the mean wait of the last 16 pictures."""
+"""Upper limit of the estimated present wait for cores, as a multiple of the mean wait of the last 16 pictures."""
 RAYS_MATTER = 0.4
-"""Part of the budget below which the time of the rays alone is no reason for a coarser level."""
+"""Share of the time budget: ray times below this share are no reason to choose a coarser level."""
 EACH_S = 0.0005
 """Fixed seconds per picture outside the rays, used if the time of the rays is not measured."""
 CLOCK_VARIES = 1.3
-"""Limit of the ray time relative to the lower quartile of the last 16 pictures, if the ray time is not measured.
+"""Limit of an unmeasured ray time, as a multiple of the lower quartile of the last 16 pictures' ray times.
 
-The time above the limit counts as a wait for cores.
+The time of a picture above this limit counts as a wait for cores.
 """
 SURPRISE = 0.25
-"""Part of the prediction error after a change of level that corrects the cost of the level; the rest is content."""
+"""Share of the prediction error after a change of level that corrects the cost of the level."""
 MAX_SHAPE = math.log(1.3)
 """Limit (natural logarithm) of the learned correction to the expected cost of a level."""
 FORGET = 0.998
@@ -87,12 +87,12 @@ FINDER_BELOW_PER_S = 5.0
 HOPELESS_AMONG = 4
 """Minimum number of pictures before a large fixed time per picture alone switches to the view finder."""
 RECOVERED = 1.5
-"""Factor by which the predicted rate at the coarsest level must exceed the limit before the view returns."""
+"""Ratio of the predicted rate at the coarsest level to :data:`FINDER_BELOW_PER_S` at which the view returns."""
 PROBE_S = 0.010
 """Target seconds of a probe: a small picture that is rendered to measure the speed and is not shown."""
 PROBE_EVERY_S = 0.5
 PROBE_SHARE = 0.05
-"""Maximum part of the time that is spent on probes."""
+"""Maximum share of the elapsed time that is spent on probes."""
 
 
 class FrameBudget:
@@ -118,12 +118,12 @@ class FrameBudget:
     def __init__(self, levels: tuple[Level, ...], *, finder: bool = False) -> None:
         self.levels = levels
         self.level = next(n for n, level in enumerate(levels) if level.scale == levels[-1].scale)
-        """Index of the present level while moving; initially the coarsest resolution, as the first cost is unknown."""
+        """Index of the level for moving pictures; initially the coarsest resolution, as the cost is not known yet."""
         self._may_find = finder
         self._speed: float | None = None
         self._recent: deque[float] = deque(maxlen=3)
         self._beside: deque[float] = deque(maxlen=BESIDE_AMONG)
-        """Seconds of the last pictures outside their rays."""
+        """Time in s of each of the last pictures without its ray time."""
         self._each_s = EACH_S
         self._clocked: deque[float] = deque(maxlen=BESIDE_AMONG)
         """Log speeds of the last pictures from elapsed time, for pictures without a measured ray time."""
@@ -250,11 +250,11 @@ class FrameBudget:
         return self.level
 
     def _less(self, budget_s: float, pixels: int) -> int:
-        """Return the coarser level that fits, assuming that the wait for cores shrinks with the ray time."""
+        """Return the index of the coarser level that fits the budget, if waits for cores shrink with the ray time."""
         stretch = 1.0 + self._wait_s() / self._rays_s(self.level, pixels)
         fits = self._first(lambda n: self._each_s + stretch * self._rays_s(n, pixels) <= FITS * budget_s)
         fits = max(self.level, fits)
-        # If the rays take a small part of the time, fewer rays would only reduce the sharpness.
+        # If the rays take a small share of the picture's time, fewer rays would only reduce the sharpness.
         matter_s = RAYS_MATTER * budget_s
         enough = self._first(lambda n: self._rays_s(n, pixels) <= matter_s)
         if enough >= self.level:
@@ -280,7 +280,7 @@ class FrameBudget:
         return self._finding and now_s >= self._probe_due_s
 
     def probe_scale(self, pixels: int) -> float:
-        """Return the factor on the sides of a probe, which uses the coarsest ray step."""
+        """Return the factor on both sides of the full picture that gives the size of a probe."""
         last = self.levels[-1]
         expected_s = self.predicted_s(len(self.levels) - 1, pixels)
         return last.scale * min(1.0, math.sqrt(PROBE_S / expected_s)) if expected_s > 0.0 else last.scale

@@ -23,14 +23,14 @@ DEFAULT_RATE_HZ = 60.0
 STILL_AFTER_S = 0.150
 """Seconds after the last change of its content for which a view counts as moving."""
 LONG_S = 0.250
-"""Seconds of a full picture above which a picture of medium quality, which fits in this time, precedes it."""
+"""Render time in s of a full picture above which a picture of medium quality precedes it."""
 GAP = 0.97
-"""Mean interval between the starts of two airway pictures, as a part of the period.
+"""Mean interval between the starts of two airway pictures, as a fraction of the target period (1 / rate).
 
 A little less than 1, so that input that arrives at the same rate with a jitter of 1 ms is rendered without delay.
 """
 ALONE_FITS = 0.95
-"""Part of the period that an airway picture may take while no other view moves."""
+"""Fraction of the target period that an airway picture may take while no other view moves."""
 OTHERS_SHARE = 0.35
 """Render time of all other views per second of render time of the moving airway view."""
 OTHERS_MOVE_S = 0.5
@@ -43,7 +43,7 @@ LOST_AFTER_S = 3.0
 """Seconds without acknowledgement after which a picture counts as lost, so that the client gets new pictures."""
 
 FINDER, MOVING, PAUSED, FULL = 0, 1, 2, 3
-"""Grades of a picture, from coarse to fine."""
+"""Quality grades of a picture, from coarse (``FINDER``) to final (``FULL``); ``PAUSED`` is medium quality at rest."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +62,7 @@ class RenderOrder:
     """Full height in pixels that the client requested; ``full_width`` likewise is the requested width."""
     level: int
     purpose: Literal["picture", "finder", "probe"] = "picture"
-    """Purpose: ``finder`` shows the cut-plane in place of the view; ``probe`` is only timed and not shown."""
+    """Purpose of the picture: ``finder`` shows the cut-plane in place of the view; ``probe`` is timed and not shown."""
     begun_s: float = 0.0
 
     @property
@@ -98,7 +98,7 @@ class _View:
         return self.changed_s + STILL_AFTER_S
 
     def grade(self, now_s: float) -> int:
-        """Return the grade of the next picture at this time."""
+        """Return the quality grade of this view's next picture at a time in s."""
         if self.is_moving(now_s):
             return FINDER if self.budget.finding else MOVING
         if self.sent_key == self.seen_key and self.sent_grade >= PAUSED:
@@ -187,7 +187,7 @@ class FrameScheduler:
         return min(times, default=None)
 
     def _held_until_s(self, name: str, now_s: float) -> float:
-        """Return the time until which a view must wait so that the moving airway view has its rate."""
+        """Return the time, in s of the clock, before which a view must wait so that the airway view has its rate."""
         airway = self._views.get(LEAD_VIEW)
         if airway is None or not airway.is_moving(now_s):
             return now_s
@@ -299,7 +299,7 @@ class FrameScheduler:
         return any(now_s < v.changed_s + OTHERS_MOVE_S for name, v in self._views.items() if name != LEAD_VIEW)
 
     def _airway_budget_s(self, now_s: float) -> float:
-        """Return the seconds for a moving airway picture, so that it and the share of the others fit in one period."""
+        """Return the time budget in s of a moving airway picture; the other views get their share of each period."""
         return self._period_s * (GAP / (1.0 + OTHERS_SHARE) if self._others_move(now_s) else ALONE_FITS)
 
     def _other_budget_s(self, now_s: float) -> float:

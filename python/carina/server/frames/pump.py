@@ -84,7 +84,7 @@ def encode_jpeg(rgb: NDArray[np.uint8], *, full: bool) -> tuple[bytes, int]:
 
 
 class FramePump:
-    """Loop that renders the orders of the scheduler.
+    """Render thread of one window, which renders the pictures that the scheduler orders.
 
     :meth:`run` is the body of the thread; :meth:`step` renders one picture.
 
@@ -123,7 +123,7 @@ class FramePump:
         self._rate_hz = DEFAULT_RATE_HZ
         self._scheduler = FrameScheduler(rate_hz=self._rate_hz)
         self._lock = threading.Lock()
-        """Guards the scheduler.
+        """Lock of the scheduler.
 
         The pump never calls the session with this lock held, because the session calls :meth:`wake` under its own lock.
         """
@@ -315,7 +315,8 @@ class FramePump:
         """Send a status message: twice a second while the tip moves, and once after it stops."""
         first = header.pose_id != self._status_pose_id
         if first:
-            # Only the first picture of a pose counts: later, finer pictures do not show the rate of the stream.
+            # Only the first picture of a pose counts: later, finer pictures of it do not show the rate of moving
+            # pictures.
             self._status_pose_id = header.pose_id
             self._answers.append((now_s, now_s - scene.pose_s))
             while self._answers[0][0] < now_s - 1.0:

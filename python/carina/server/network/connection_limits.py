@@ -132,7 +132,7 @@ class Strangers:
             stranger.end_of_life.cancel()
 
     def ended(self) -> None:
-        """Count a connection that the server closed, and write a log line if one is due."""
+        """Count an unauthenticated connection that the server closed, and write a log line if one is due."""
         self._num_untold += 1
         self._tell()
 

@@ -33,7 +33,7 @@ class LanServer(EndingServer):
     app
         Application that answers the requests.
     certificate
-        What it shows.
+        TLS certificate of the server.
     max_message_bytes
         Largest message of a client.
     max_bytes_per_s

@@ -77,7 +77,7 @@ class ImpatientProtocol(H11Protocol):
             self._stop_waiting()
 
     def _look(self) -> None:
-        """Remove the connection from the registry if the headers of its latest request are authorised."""
+        """Remove the connection from the unauthenticated ones if its latest request has valid credentials."""
         if self._is_known or self.authorised is None or self.headers is None or self.headers is self._looked_at:
             return
         self._looked_at = self.headers
@@ -86,7 +86,7 @@ class ImpatientProtocol(H11Protocol):
             self.strangers.left(self)
 
     def _is_idle(self) -> bool:
-        """Return whether no request is being answered."""
+        """Return whether the connection has no request in progress."""
         return self.cycle is None or self.cycle.response_complete
 
     def _wait(self) -> None:

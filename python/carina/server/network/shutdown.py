@@ -74,7 +74,7 @@ class EndingServer(uvicorn.Server):
                     asked.add(connection)
                     connection.shutdown()
                 if not transport.is_closing():
-                    # The server still answers on this connection: abort it only after the grace period.
+                    # The server is still sending a response on this connection: abort it only after the grace period.
                     if now_s >= end_s:
                         self._strangers.cut(transport)
                 elif now_s - closing_since.setdefault(connection, now_s) >= FAREWELL_S:

@@ -41,7 +41,7 @@ MAX_WATCHERS = 4
 """Maximum number of observers; the windows of the workstation are not counted."""
 MAX_MESSAGE_BYTES = 8192
 MAX_BYTES_PER_S = 65_536
-"""Limit for one observer; 600 messages have about 50,000 bytes."""
+"""Largest number of bytes per s that one observer may send; 600 messages have about 50,000 bytes."""
 WRONG_TOKEN_WAIT_S = 0.5
 FAREWELL_S = 1.0
 """Time in s during which observers can receive the reason before the page closes."""
@@ -83,11 +83,11 @@ class WatchPage:
     attach
         Function that creates the window of an observer.
     changed
-        Told when the page opens or closes, and when a watcher comes or goes.
+        Called when the page opens or closes, and when an observer connects or disconnects.
     flooded
         Called when an observer was disconnected for sending too many messages.
     web
-        Folder of the built client; None where it was not built.
+        Folder of the built client; None if the client was not built.
     address
         Address to listen on; None selects this machine's address in the local network.
     """
@@ -111,7 +111,7 @@ class WatchPage:
 
     @cached_property
     def problem(self) -> str | None:
-        """Message that says why the page cannot be opened, or None."""
+        """Reason, as a message for the user, why the page cannot be opened; None if it can."""
         if self._web is None:
             return not_built("the window")
         if importlib.util.find_spec("cryptography") is None:
@@ -120,7 +120,7 @@ class WatchPage:
 
     @property
     def is_open(self) -> bool:
-        """Whether the page is open."""
+        """Whether the viewing page is open, so that observers can connect."""
         return self._open is not None
 
     def info(self) -> wire.WatchPage | None:
@@ -133,7 +133,8 @@ class WatchPage:
         Raises
         ------
         CarinaError
-            ``watch.missing``; ``server.no-network``, ``server.host``.
+            ``watch.missing`` if the client was not built; ``server.no-network`` or ``server.host`` without a usable
+            address.
         """
         async with self._switching:
             if self._open is not None:

@@ -31,9 +31,9 @@ WITHOUT_NAMES = frozenset(
         "import.two-patients",
     }
 )
-"""Codes whose texts contain only numbers and fixed text."""
+"""Note codes whose texts contain only numbers and fixed text, and may therefore be sent to observers."""
 FIXED_WORDS = {"import.not-hu": "the values of this volume are not in Hounsfield units"}
-"""Replacement texts of codes whose original texts quote DICOM tags of the file."""
+"""Replacement texts, by note code, for notes whose original texts quote DICOM tags of the file."""
 ERRORS_WITHOUT_NAMES = frozenset({"session.watching", "session.pick", "session.no-case"})
 
 
@@ -130,7 +130,7 @@ class WatchingWindow(Window):
         return super().topic_text(topic)
 
     def _state(self) -> wire.State:
-        """Return the state without folders, names of files, texts of series, and the name that the user gave.
+        """Return the state message without folders, file names, series texts and the user's name of the case.
 
         That name is the user's free text, which may be the patient's; the observer reads the neutral alias.
         """
@@ -145,11 +145,11 @@ class WatchingWindow(Window):
                 not_hu_reason=None,
                 quality=(),
                 other_series=(),
-                # The reason quotes DICOM tags of the file.
+                # The original reason quotes DICOM tags of the file.
                 off=tuple(replace(one, why=NOT_FOR_THIS_VOLUME) for one in case.off),
                 ct_name=None,
             )
-        # The error text of a failed airway search may contain a file name.
+        # The original error text of a failed airway search may contain a file name.
         airways_words = FAILED_SEARCH if state.airways == "failed" else state.airways_words
         return replace(
             state,
@@ -161,7 +161,10 @@ class WatchingWindow(Window):
         )
 
     def _note(self, event: Event) -> None:
-        """Pass changes alone: messages and errors concern the user at the workstation, and may name files."""
+        """Process session events about changes only.
+
+        Messages and errors may name files and are not sent to observers.
+        """
         if isinstance(event, Changed):
             super()._note(event)
 
@@ -178,7 +181,7 @@ class WatchingWindow(Window):
 
 
 def _smaller(layout: wire.Layout) -> wire.Layout:
-    """Limit each frame to 1600 pixels per side, to save rendering time; the page enlarges the frames."""
+    """Return the layout with each picture limited to 1600 pixels per side; the page enlarges the pictures."""
     views = []
     for view in layout.views:
         scale = min(1.0, MAX_SIDE_PX / max(view.width, view.height))

@@ -42,7 +42,7 @@ class RateLimit:
         self._filled_s = clock()
 
     def take(self, amount: float = 1.0) -> bool:
-        """Take an amount, and return whether it was allowed; nothing is taken if it was not."""
+        """Take an amount from the bucket, and return whether it was allowed; nothing is taken if it was not."""
         now_s = self._clock()
         self._left = min(self._burst, self._left + (now_s - self._filled_s) * self._per_s)
         self._filled_s = now_s
@@ -60,14 +60,14 @@ class BoundedWebSocket(WebSocketsSansIOProtocol):
     """
 
     bytes_per_s = float("inf")
-    """Set by :func:`bounded_websocket`; also the largest burst in bytes."""
+    """Limit of received bytes per s, set by :func:`bounded_websocket`; also the largest burst in bytes."""
     _limit: RateLimit | None = None
     _num_discarded: int | None = None
     """Number of bytes received after the close frame was sent, which are not parsed; None before."""
     _quiet: asyncio.TimerHandle | None = None
 
     def data_received(self, data: bytes) -> None:
-        """Parse a block, or disconnect the client."""
+        """Parse a block of received bytes, or disconnect the client if it has exceeded its limit."""
         if self._limit is None:
             self._limit = RateLimit(self.bytes_per_s, self.bytes_per_s, self.loop.time)
         if self._num_discarded is not None:

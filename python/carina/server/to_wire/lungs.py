@@ -21,15 +21,15 @@ __all__ = ["lungs_message"]
 
 NO_MEDIASTINUM = "Vessels of the mediastinum and the hila are not shown: without contrast the CT does not show them."
 LEAST_SHARE = 0.05
-"""Smallest share of the lobe borders on a fissure that is stated as a number; below it: *hardly any seen*."""
+"""Smallest visible share (0..1) of a fissure's lobe borders that is stated as a number; below: *hardly any seen*."""
 LEAST_LINE_MM = 6.0
-"""Minimum length of a vessel branch without children; shorter ones are noise in the outside view and are not sent."""
+"""Minimum length in mm of a vessel branch without children; shorter ones are noise and are not sent."""
 VESSEL_POINT_EVERY_MM = 2.5
 NO_DRIVE = "Judged by diameter and bend along the way. No drive was simulated, and breathing may move the target."
 
 
 def lungs_message(info: LungsInfo) -> wire.Lungs:
-    """Return the lung map as the steps *Target* and *Route* show it."""
+    """Return the wire message of the lung map for the steps *Target* and *Route*."""
     lungs, reach = info.lungs, info.reach
     layers = (*(() if lungs is None else _lung_layers(lungs)), *(() if reach is None else (_reach_layer(reach),)))
     failed = tuple(words for words in (info.problem, info.reach_problem) if words is not None)

@@ -18,7 +18,7 @@ __all__ = ["plans_message"]
 
 
 def plans_message(info: PlanningInfo) -> wire.Plans:
-    """Return the plans as the steps *Target* and *Route* show them."""
+    """Return the wire message of the plans for the steps *Target* and *Route*."""
     return wire.Plans(
         targets=tuple(_target(one, info) for one in info.targets),
         standing=info.standing,

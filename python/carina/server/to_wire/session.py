@@ -41,7 +41,7 @@ __all__ = [
 
 
 def demos(patient_citation: Citation | None) -> tuple[wire.Demo, ...]:
-    """Return the bundled cases."""
+    """Return the start-page entries of the bundled cases: the phantom, and the patient with its citation."""
     return (
         wire.Demo("phantom", "Phantom", "A synthetic chest CT with known airways, generated on this machine.", None),
         wire.Demo(
@@ -96,7 +96,7 @@ MAX_ROWS_NAMED = 130
 
 
 def picture_lines(lines: PictureLines | None) -> wire.PictureLines | None:
-    """Return the geometry of selected rows of a curved image."""
+    """Return the LPS geometry of selected rows of a curved image; None without such an image."""
     if lines is None:
         return None
     height = len(lines.path_mm)
@@ -150,7 +150,7 @@ def _notes(notes: Sequence[Note]) -> tuple[wire.CaseNote, ...]:
 
 
 def state_message(snapshot: Snapshot, *, frame_rate_hz: float, names_ct: bool = False) -> wire.State:
-    """Return the state of a case without the pose, the airway tree and the route.
+    """Return the wire message of a case's state without the pose, the airway tree and the route.
 
     ``names_ct`` adds the name of the CT file, which only the user at this machine may read.
     """
@@ -293,12 +293,12 @@ def _held(info: PoseInfo) -> wire.HeldScope | None:
 
 
 def key_frames_message(info: KeyFramesInfo) -> wire.KeyFrames:
-    """Return the key frames and the flight through them."""
+    """Return the wire message of the key frames and of the flight through them."""
     return wire.KeyFrames(**msgspec.structs.asdict(info))
 
 
 def history_message(snapshot: Snapshot) -> wire.History:
-    """Return the changes that can be undone and redone."""
+    """Return the wire message of the changes that can be undone and redone."""
     steps = tuple(wire.HistoryStep(step.label, round(step.at_s, 3)) for step in snapshot.steps)
     return wire.History(steps, snapshot.position)
 

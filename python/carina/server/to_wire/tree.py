@@ -52,7 +52,7 @@ def _titles(tree: Any) -> tuple[wire.BranchTitle, ...]:
 
 
 def branch_measures(measures: Any) -> wire.BranchMeasures:
-    """Return the summary of :class:`carina.track.BranchMeasures`."""
+    """Return the wire message with the summary of a branch's measurements (:class:`carina.track.BranchMeasures`)."""
     summary = measures.summary
     widths = np.where(measures.is_usable, measures.equivalent_mm, np.nan)
     most = None if np.isnan(widths).all() else int(np.nanargmax(widths))
@@ -80,7 +80,7 @@ def branch_measures(measures: Any) -> wire.BranchMeasures:
 
 
 def _narrowest_error_mm(measures: Any) -> float | None:
-    """Return the error of the narrowest diameter in mm.
+    """Return the error in mm of a branch's narrowest diameter; None if it is unknown.
 
     Measurements of earlier versions do not contain this error; the error at the smallest cross-section replaces it.
     """

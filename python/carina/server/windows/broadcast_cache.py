@@ -43,7 +43,7 @@ class SharedTexts:
         self._known: dict[str, tuple[tuple[object, ...], str]] = {}
         self._writing: asyncio.Task[None] | None = None
         self._waiting: dict[Outbox, set[str]] = {}
-        """Topics to mark for each window after the tree is encoded."""
+        """Topics, for each window's outbox, to mark for sending after the tree has been encoded."""
         self._unwritable: tuple[Any, Any] | None = None
         """Airways and measures whose tree could not be encoded; no topic waits for this tree."""
 
@@ -88,7 +88,7 @@ class SharedTexts:
         return self._tree_text() if self._is_known("tree", *self._newest_tree()) else None
 
     def route(self) -> str | None:
-        """Return the encoded present route; None while the tree of the route is not encoded.
+        """Return the encoded route of the document; None while the tree of the route is not encoded.
 
         After the tree is encoded, the topics of both are marked.
         """
@@ -101,7 +101,7 @@ class SharedTexts:
         return self._cached("route", lambda: route_message(route), route)
 
     def key_frames(self) -> str:
-        """Return the encoded key frames."""
+        """Return the encoded message of the key frames and their flight."""
         return wire.encode_message(key_frames_message(self._session.key_frames_info()))
 
     def plans(self) -> str:

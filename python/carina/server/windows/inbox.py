@@ -21,7 +21,7 @@ STEER_EVERY_S = 0.004
 MAX_WAITING = 64
 """Number of queued messages above which the server stops reading from the socket."""
 LONGEST_PAUSE_S = 0.1
-"""Maximum pause in seconds between two messages of a client whose share of the time is limited."""
+"""Longest pause in s before the next message of a client whose share of the event loop's time is limited."""
 MAX_ADVANCE_MM = 1000.0
 MAX_TURN_RAD = 7.0
 NEWEST_ONLY = (
@@ -103,7 +103,8 @@ class Inbox:
         while True:
             await self._changed.wait()
             if len(self._waiting) == 1 and self._is_steer_next():
-                # Wait for further movements to merge; no other message of this window is delayed.
+                # The wait lets further movements arrive, which are merged; no other message of this window is delayed
+                # by it.
                 soon_s = self._steered_s + STEER_EVERY_S - loop.time()
                 if soon_s > 0.0:
                     await asyncio.sleep(soon_s)

@@ -22,7 +22,7 @@ class NewestOnly:
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     def start(self) -> None:
-        """Start the thread."""
+        """Start the thread that runs the tasks."""
         self._thread.start()
 
     def ask(self, kind: str, task: Callable[[], None]) -> None:

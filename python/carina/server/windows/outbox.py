@@ -84,7 +84,7 @@ class Outbox:
         self._filled.set()
 
     async def filled(self) -> None:
-        """Wait until at least one message is queued."""
+        """Wait until at least one message, topic or picture is queued."""
         await self._filled.wait()
 
     def take(self) -> tuple[list[str], list[str], list[bytes]]:

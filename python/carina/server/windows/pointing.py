@@ -50,7 +50,7 @@ class Pointing:
         self._newest = NewestOnly("carina-pointing")
 
     def start(self) -> None:
-        """Start the thread."""
+        """Start the thread that answers the requests."""
         self._newest.start()
 
     def end(self) -> None:
@@ -75,7 +75,10 @@ class Pointing:
         self._newest.ask("edit_preview", lambda: self._answer_edit_preview(message))
 
     def ask_branch_detail(self, message: wire.AskBranchDetail) -> None:
-        """Queue a request for the measurements along a branch."""
+        """Queue a request for the measurements along a branch.
+
+        Without measurements the fields of the answer are None.
+        """
         self._newest.ask("branch_detail", lambda: self._answer_branch_detail(message))
 
     def _answer_live_path(self, message: wire.AskLivePath) -> None:

@@ -54,7 +54,7 @@ class Host(Protocol):
         """Call a function in the event loop; callable from any thread."""
 
     def do(self, message: Any, window: Window) -> None:
-        """Execute a message of a window that is not about this window alone."""
+        """Execute a message of a window that concerns the session or other windows."""
 
     def detach(self, window: Window) -> None:
         """Remove a disconnected window."""
@@ -243,7 +243,7 @@ class Window:
     # ------------------------------------------------------------ in
 
     async def admit(self) -> None:
-        """Check the message limit before the next message is parsed.
+        """Check the client's message limit before its next message is parsed.
 
         Raises
         ------

@@ -26,7 +26,10 @@ __all__ = ["MAX_AIRWAYS_KEPT", "TreeEditing", "airway_words", "found_airways"]
 MAX_AIRWAYS_KEPT = 4
 """Number of segmented airways that undo can restore; a lumen and its tracker take some hundred megabytes."""
 NUM_EDITS_WHOLE = 6
-"""Number of edited airways near the present step that stay unpacked; undo computes packed airways again."""
+"""Number of edited airway trees around the present undo step that stay unpacked.
+
+Other ones are packed to save memory.
+"""
 LOOK_S = 0.05
 """Interval, in s, at which an edit that waits for an earlier edit checks whether it was stopped."""
 
@@ -72,7 +75,10 @@ class TreeEditing(Subject):
         return self.core.jobs.start(f"edit {number}", words, work)
 
     def unfold(self, case: OpenCase) -> None:
-        """Compute packed airways that undo has restored; the caller holds the session's lock."""
+        """Replace packed airways in the document, which undo has restored, by unpacked ones.
+
+        The caller holds the session's lock.
+        """
         airways: Any = case.document.airways
         if isinstance(airways, FoldedAirways):
             whole = airways.unfold()
@@ -112,7 +118,8 @@ class TreeEditing(Subject):
             route = followed_route(edited, before.route, targets)
             with self.core.lock:
                 job.check()
-                # The document may have changed since (undo, new target, other route); the edit then runs on the present
+                # The document may have changed while the job ran (undo, new target, other route); the edit then runs on
+                # the
                 # document.
                 now = case.document
                 if now.airways is airways and now.targets == before.targets and now.route is before.route:
@@ -142,7 +149,7 @@ class TreeEditing(Subject):
 
 
 def _with_names(document: Document, edited: Any, named: Any) -> Document:
-    """Return the document with the names in place, if it holds these edited airways."""
+    """Return the document with the named airways in place of the edited ones, if it contains the edited ones."""
     if document.airways is not edited:
         return document
     return replace(
@@ -154,17 +161,17 @@ def _with_names(document: Document, edited: Any, named: Any) -> Document:
 
 
 def found_airways(document: Document) -> Any:
-    """Return the airways of a document as they were found, before any edit."""
+    """Return the airways from which a document's edits started: a search result or an imported mask."""
     return getattr(document.airways, "base", None) or document.airways
 
 
 def airway_words(airways: Any) -> str | None:
-    """Return the notes on airways as one line."""
+    """Return the notes of the airway search or import as one line of text for the user; None if there are no notes."""
     return "; ".join(str(note) for note in airways.report) or None
 
 
 def _lost(before: Document, after: Document) -> list[str]:
-    """Return a message for each path and route that an edit removed."""
+    """Return a message for the user for each target path and for the route that an edit removed from the document."""
     lines = [
         f"there is no longer a path to {new.name}: {new.problem}"
         for old, new in zip(before.targets, after.targets, strict=True)

@@ -127,7 +127,10 @@ class AirwayFinding(Subject):
             self.core.changed("state")
 
     def follow(self, case: OpenCase) -> None:
-        """Update the airway panel after a change; the caller holds the session's lock."""
+        """Update the search status in the airway panel after a change of the document.
+
+        The caller holds the session's lock.
+        """
         # Undo may restore other airways or none; a running search updates the panel when it ends.
         airways = case.document.airways
         if airways is not None and case.search.status in {"found", "failed"}:
@@ -197,7 +200,10 @@ class AirwayFinding(Subject):
             return self.core.jobs.start("airways", title, work)
 
     def _keep_airways(self, case: OpenCase, trouble: BaseException, job: Job) -> None:
-        """Retain the present airways after a search without result; without airways, show the reason in the panel."""
+        """Restore the search status after a search without result.
+
+        If the case has no airways, the status shows the error.
+        """
         with self.core.lock:
             if any(other.kind == "airways" and other is not job for other in self.core.jobs.running):
                 return  # A newer search replaces this one.
@@ -261,6 +267,6 @@ def _question(name: str, trouble: MaskLabelError | MaskGridError) -> MaskQuestio
 
 
 def _suggested(labels: tuple[MaskLabel, ...]) -> int | None:
-    """Return the number of the only label whose name denotes the airway; None if none or several do."""
+    """Return the number of the one mask label whose name denotes the airway; None if no name or several names do."""
     named = [label.number for label in labels if label.name and AIRWAY_NAMES.search(label.name)]
     return named[0] if len(named) == 1 else None

@@ -9,7 +9,7 @@ __all__ = ["TreeMeasuring"]
 
 
 class TreeMeasuring(Subject):
-    """Updates ``Snapshot.measures`` to the document's airways by a job; flight and edits do not wait for the job."""
+    """Starter of the background job that measures the document's airways for ``Snapshot.measures``."""
 
     def follow(self, case: OpenCase) -> None:
         """Request the measurements of the document's airways; the caller holds the session's lock."""

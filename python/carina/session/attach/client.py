@@ -29,15 +29,17 @@ __all__ = ["LinkLostError", "OwnerLink"]
 logger = logging.getLogger(__name__)
 
 ANSWERS_WITHIN_S = 20.0
-"""Time limit for the reply of an owner. If no process listens, the system refuses the connection at once; an owner on a
+"""Time limit, in s, for the reply of an owner. If no process listens, the system refuses the connection at once.
+
+An owner on a
 busy machine replies late."""
 MAX_ANSWER_BYTES = 64 << 20
 CLOSED_CODES = frozenset({"case.closed", "session.no-case"})
-"""Error codes of an owner that has closed the case."""
+"""Error codes with which an owner process replies to a command after it has closed the case."""
 
 
 class LinkLostError(CarinaError):
-    """The owner has ended or has closed the case; commands without a confirmation may have been run."""
+    """Error for a lost owner process, which has ended or closed the case; unconfirmed commands may have been run."""
 
     code = "case.owner-gone"
 
@@ -106,7 +108,9 @@ class OwnerLink:
         return settled
 
     def settle(self, *commands: Command, all_jobs: bool = False) -> Settled:
-        """Send commands, and wait until they and all earlier ones are done and stored on the disk.
+        """Send commands, and wait until these and all earlier commands are done and stored on the disk.
+
+        Return the reply.
 
         With ``all_jobs`` the call also waits for jobs that other programs and windows have started.
 
@@ -144,7 +148,7 @@ class OwnerLink:
         self._close()
 
     def _read(self) -> None:
-        """Read replies until the connection ends."""
+        """Read the owner's replies into the queue of replies until the connection ends."""
         try:
             for text in self._socket:
                 self._answers.put(read_json(text, Settled))
@@ -158,7 +162,7 @@ class OwnerLink:
 
 
 def raised(problem: Problem) -> CarinaError:
-    """Return the error that a problem of the owner describes."""
+    """Return the Carina error of the class and text that the owner process stated in its problem message."""
     if problem.doubtful_mm is not None and problem.way_lps is not None and problem.doubtful is not None:
         return NoEvidenceError(
             problem.message,

@@ -35,11 +35,11 @@ from carina.volume import VolumeCache
 __all__ = ["JoinedCase"]
 
 OWNED_WITHIN_S = 20.0
-"""Time limit, in s, for an ending owner, which may hold the lock while it writes the remaining changes and copies."""
+"""Longest time, in s, for taking over a case whose former owner may hold its lock while it writes the last changes."""
 DOOR_WITHIN_S = 3.0
 LOOK_EVERY_S = 0.05
 CLOCKS_S = 0.1
-"""Tolerance, in s, between the time of a step, which counts from the beginning of its case, and the clock."""
+"""Tolerance, in s, when the time of a step (counted from the beginning of its case) is compared with a clock time."""
 OTHER_CASES = (c.OpenPath, c.OpenDemo, c.OpenRecent, c.OpenFiles, c.OpenVolume, c.BeginAnew, c.CloseCase)
 """Commands that would close this case in the window."""
 
@@ -62,7 +62,7 @@ class JoinedCase:
     case_id
         ID of the case.
     session
-        Session that shows the case in this process.
+        Session of this process that mirrors the case.
     link
         Connection to the owner.
     followed
@@ -266,7 +266,7 @@ class JoinedCase:
     # ------------------------------------------------------------ following
 
     def _catch_up(self) -> None:
-        """Update the session to all changes by the owner; the caller holds the lock."""
+        """Wait for the owner's changes so far and show them in the session; the caller holds this object's lock."""
         while (link := self._link) is not None:
             try:
                 self._saving = _saved(link.settle())
@@ -284,7 +284,7 @@ class JoinedCase:
             self._followed.moment = moment
 
     def _say(self) -> None:
-        """Show the pending message to the user as a warning, once."""
+        """Issue the pending message to the user as a Python warning, and delete the message."""
         words, self._unsaid = self._unsaid, None
         if words is not None:
             warnings.warn(words, stacklevel=4)
@@ -292,13 +292,16 @@ class JoinedCase:
     # ------------------------------------------------------------ the end of the owner
 
     def _lost(self, link: OwnerLink) -> None:
-        """Take over the case at once, in a separate thread, before another process does."""
+        """Start a thread that takes over the case after the connection to its owner has ended."""
         with self._lock:
             if not self._closed:
                 self._go_on_without(link)
 
     def _go_on_without(self, link: OwnerLink) -> None:
-        """Become the owner, join the new owner, or note that neither is possible; the caller holds the lock."""
+        """Become the owner, or join the new owner; after both fail, work on a named file.
+
+        The caller holds this object's lock.
+        """
         if self._link is not link:
             return
         link.close()
@@ -353,7 +356,7 @@ class JoinedCase:
         )
 
     def _was_done(self, command: c.Command, sent_s: float, position: int) -> bool:
-        """Return whether an unconfirmed command is in the case that the owner left, which the session now shows."""
+        """Return whether a command without confirmation is a step of the case that the former owner has stored."""
         moment = self._session.ask(c.MomentToKeep())
         if isinstance(command, c.Undo | c.Redo):
             return bool(moment.position != position)
@@ -364,7 +367,7 @@ class JoinedCase:
 
 
 def _meant(records: CaseRecords, source: str | Path) -> list[CaseRecord]:
-    """Return the cases that a file or a CT may belong to; the last used first."""
+    """Return the records of the cases to which a case file or a CT may belong, the case used last first."""
     place = str(Path(source).expanduser().absolute())
     if is_case_file(place):
         return [one for one in records.all() if place in {one.copy_path, str(records.path_of(one))}]
@@ -372,7 +375,7 @@ def _meant(records: CaseRecords, source: str | Path) -> list[CaseRecord]:
 
 
 def _linked(records: CaseRecords, record: CaseRecord) -> OwnerLink | None:
-    """Connect to the process that has a case open; return None if no process can be joined.
+    """Return a connection to the process that has a case open; None if the program cannot join a process.
 
     The owner writes its connection details once the case is on the disk, which takes a moment after the opening.
     """
@@ -387,19 +390,19 @@ def _linked(records: CaseRecords, record: CaseRecord) -> OwnerLink | None:
 
 
 def _saved(settled: Settled) -> SavingInfo:
-    """Return the saving info of a reply; raise CarinaError if the live file lacks the latest changes."""
+    """Return the saving info in an owner's reply; raise CarinaError if the live file lacks the latest changes."""
     if settled.unsaved is not None:
         raise CarinaError(f"the latest changes to this case cannot be read: {settled.unsaved}", code="case.not-saved")
     return settled.saving
 
 
 def _copy_of(saving: SavingInfo) -> Path | None:
-    """Return the path of the named file; None where the case has none."""
+    """Return the path of the named file that a saving info states; None if the case has no named file."""
     if saving.copy_name is None or saving.copy_folder is None:
         return None
     return Path(saving.copy_folder) / saving.copy_name
 
 
 def _is_sight(command: c.Command) -> bool:
-    """Return whether a command changes only the sight, which is separate for each window and program."""
+    """Return whether a command changes only the sight, of which each window and each program has its own."""
     return isinstance(command, c.SetCrosshair) or command.sets in Sight.__struct_fields__

@@ -79,7 +79,7 @@ class OwnCase:
         return self._named.note
 
     def do(self, command: Command) -> None:
-        """Run a command in this process, and wait for its end."""
+        """Run a command in this process, and wait until the command and its jobs have ended."""
         do_and_wait(self._session, command)
 
     def save(self, path: str | Path | None, *, replace: bool) -> Path:
@@ -90,7 +90,7 @@ class OwnCase:
         return self._named.save(case.volume, moment, path, replace=replace, flights=flights)
 
     def close(self) -> None:
-        """Write the file if the case has changed."""
+        """Save the case to its file if it has unsaved changes, then close the session and the file."""
         try:
             case = self._session.snapshot().case
             if case is not None:

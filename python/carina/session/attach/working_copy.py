@@ -87,7 +87,7 @@ class NamedCase:
         return scan.volume, self._saved
 
     def _open_named(self, mark: FileMark, ct_digest: str) -> None:
-        """Take the lock of the file; if the file is open elsewhere, note why it cannot be written."""
+        """Lock the case file for this program; if another program has it open, set :attr:`note` to the reason."""
         assert self.path is not None
         self._named = NamedFile(self.path, mark, ct_digest=ct_digest, where_work_is=WHERE_WORK_IS)
         try:
@@ -102,7 +102,7 @@ class NamedCase:
             self._named.close()
 
     def came_from(self, place: str | Path) -> None:
-        """Store the path of the CT of a case that has no file yet."""
+        """Remember the path of the CT from which a case without a file was opened, for the first save."""
         self._ct_place = str(Path(place).expanduser().absolute())
 
     def save(
@@ -176,7 +176,7 @@ class NamedCase:
             ) from conflict
 
     def close(self) -> None:
-        """Close the files and release the lock."""
+        """Close the case file and its working copy, and release the lock of the case file."""
         file, self._file = self._file, None
         scratch, self._scratch = self._scratch, None
         named, self._named = self._named, None

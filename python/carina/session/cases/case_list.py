@@ -57,7 +57,7 @@ class StorageInfo:
     num_cts: int
     ct_bytes: int
     keeps_cts: Literal["on", "off", "never"]
-    """*never*: Carina was started without the cache."""
+    """State of the CT cache; *never* means that Carina was started without a cache."""
     forgotten: tuple[ListedCase, ...]
 
 
@@ -93,7 +93,7 @@ class CaseList(Subject):
             self.core.emit(Trouble("case.record", message))
 
     def _opens(self, kept: Sequence[CaseRecord]) -> Callable[[CaseRecord], bool]:
-        """Return a function that tells whether the CT of a case is at a known path, in a case file or cached."""
+        """Return a function that returns whether the CT of a case is at a known path, in a case file or cached."""
         if self._saving.scans is None:
             return lambda record: record.place is not None
         cts = {record.digest for record in kept if record.place is not None}
@@ -103,7 +103,7 @@ class CaseList(Subject):
         return lambda record: record.holds_ct or record.digest in cts
 
     def storage(self) -> StorageInfo:
-        """Return the sizes of the cached CTs and the forgotten cases."""
+        """Return the state and size of the CT cache, and the forgotten cases that can be restored."""
         records, cache = self._saving.records, self._saving.cache
         sizes = () if cache is None else cache.sizes()
         gone = () if records is None else records.forgotten()

@@ -18,7 +18,7 @@ __all__ = ["Following"]
 
 
 class Following(Subject):
-    """Mirror of a case: document, history, tip and numbers come from the owner; the sight belongs to this session."""
+    """Commands that mirror a case of another process: all but the sight of this session is copied from the owner."""
 
     def __init__(self, core: SessionCore, finding: AirwayFinding, holding: ScopeHolding, saving: Saving) -> None:
         super().__init__(core)

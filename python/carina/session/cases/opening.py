@@ -32,19 +32,19 @@ __all__ = ["Opening"]
 
 @dataclass(slots=True)
 class _Found:
-    """Results of reading a case file."""
+    """Results of the job that reads a case file."""
 
     file: CaseFile | None = None
     """The opened case file; None before it is read."""
     mark: FileMark | None = None
     """Mark of the opened file; None for a dropped file."""
     place: str | None = None
-    """Path of the CT."""
+    """Path from which the CT of the case file was opened; None if it has no path."""
 
 
 @dataclass(slots=True)
 class _Dropped:
-    """Results of reading a dropped CT."""
+    """Results of the job that reads a CT from dropped files."""
 
     references: References | None = None
 
@@ -157,7 +157,7 @@ class Opening(Subject):
         return self._open("opening the case", read, listed, found=found, ended=close)
 
     def _asked_for_ct(self, file: CaseFile) -> UsageError:
-        """Store the case until its CT is opened, and return the error that asks for the CT."""
+        """Store a dropped case without its CT, and return the error whose message asks the user to open the CT."""
         waits = file.note is None and self._saving.waits(file)
         if waits:
             with self.core.lock:
@@ -278,7 +278,7 @@ class Opening(Subject):
         self.core.go_to_step(command.step)
 
     def _discard_case(self) -> None:
-        """Stop all computations for the case on screen; the caller holds the session's lock."""
+        """Stop all computations for the case on screen and release its data; the caller holds the session's lock."""
         if self.core.case is not None:
             self.core.case.discard()
 
@@ -313,7 +313,7 @@ class Opening(Subject):
         def open_it(job: Job) -> None:
             job.check()
             volume = read(job)
-            # Up to this point a refused or stopped opening leaves the case on screen unchanged.
+            # Until this check, an opening that fails or is stopped leaves the case on screen unchanged.
             job.check()
             with self.core.lock:
                 # The end of the recording belongs to the case that is being closed.
@@ -354,14 +354,18 @@ class Opening(Subject):
                         case.begun_s -= given.steps[-1].at_s
                     keeping.attach(case, found_place)
                     self.core.changed(*ALL_TOPICS, "flights", "start")
-            # Takes a tenth of a second and makes rendering several times faster; the airway search takes many seconds.
+            # Preparation takes a tenth of a second and makes rendering several times faster; the airway search takes
+            # many seconds.
             case.content.prepare()
             self._go_on(case, kept, finds)
 
         return self.core.jobs.start("open", title, work)
 
     def _show(self, job: Job, case: OpenCase) -> None:
-        """Replace the case on screen; the caller holds the session's lock."""
+        """Show a newly opened case, and discard the previous case with its jobs.
+
+        The caller holds the session's lock.
+        """
         self._recording.stop()
         # All other jobs belong to the previous case.
         self.core.jobs.cancel_others(job)
@@ -373,7 +377,7 @@ class Opening(Subject):
         self.core.moved()
 
     def _go_on(self, case: OpenCase, kept: Moment | None, finds: bool) -> None:
-        """Start the search for the airways, or continue the stored case, and restore a scope that was in the lumen."""
+        """Start the airway search of a new case, or continue a stored case and restore its scope in the lumen."""
         if kept is not None:
             with self.core.lock:
                 self.core.follow(case)

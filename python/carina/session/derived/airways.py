@@ -26,11 +26,11 @@ __all__ = ["LumenWall", "derived_measures", "derived_wall"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LumenWall:
-    """Wall of airways, which constrains a scope in the lumen."""
+    """Wall field of the airways, which constrains a scope in the lumen."""
 
     field: WallField
     made_from: dict[str, Any]
-    """Inputs of the wall; see :attr:`carina.navigate.Pilot.wall_made_from`."""
+    """Inputs from which the wall field was computed; see :attr:`carina.navigate.Pilot.wall_made_from`."""
 
 
 def derived_wall(

@@ -48,12 +48,12 @@ class Attempt(Generic[Value]):
         self.before = before
 
     def is_stale(self) -> bool:
-        """Return whether other inputs have been requested since the start, or were at an earlier call."""
+        """Return whether inputs other than those of this attempt were requested at any time since its start."""
         self._was_stale = self._was_stale or self._is_stale()
         return self._was_stale
 
     def cancel(self) -> bool:
-        """Return whether to stop; passed to long functions as ``cancel``."""
+        """Return whether the computation should stop; long functions receive this method as ``cancel``."""
         return self._job.cancel() or self.is_stale()
 
     def check(self) -> None:
@@ -114,7 +114,7 @@ class Derived(Generic[Inputs, Value]):
         self._then: Callable[[Value], None] | None = None
         self._had: tuple[Inputs, Value] | None = None
         self._came_to: Literal["open", "failed", "stopped"] = "open"
-        """Result for the requested inputs if no value was computed."""
+        """Status of the requested inputs while no value was computed from them."""
         self._error: BaseException | None = None
         self._runs = False
         self._job_id = ""
@@ -131,13 +131,16 @@ class Derived(Generic[Inputs, Value]):
     # ------------------------------------------------------------ state
 
     def of(self, inputs: Inputs | None) -> Value | None:
-        """Return the value of these inputs; None if it has not been computed."""
+        """Return the value that was computed from these inputs; None if the newest computed value has other inputs."""
         with self._lock:
             had = self._had
             return had[1] if had is not None and self._is(inputs, had[0]) else None
 
     def standing(self, inputs: Inputs) -> Standing:
-        """Return the status of the computation for these inputs."""
+        """Return the status of the value of these inputs.
+
+        The status is *had* (available), *making*, *failed*, *stopped* or *unwanted* (not requested).
+        """
         with self._lock:
             if self._had is not None and self._is(inputs, self._had[0]):
                 return "had"
@@ -201,7 +204,10 @@ class Derived(Generic[Inputs, Value]):
         return a is b or (a is not None and b is not None and self._same(a, b))
 
     def _is_stale(self, inputs: Inputs) -> bool:
-        """Return whether other inputs are requested; called without the lock, because kernels call it often."""
+        """Return whether the requested inputs differ from these.
+
+        Called without the lock, because kernels call it often.
+        """
         return self._wanted is not inputs
 
     def _is_open(self) -> bool:

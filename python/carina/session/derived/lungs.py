@@ -34,16 +34,16 @@ class LungsInfo:
     """State of the maps of the lungs around the targets."""
 
     lungs: LungMap | None
-    """Map of the lungs, with the parts that are available."""
+    """Map of the lungs with the structures computed so far; None if none is available."""
     standing: Standing
     problem: str | None
-    """Reason why the map failed."""
+    """Reason why the map of the lungs failed; None if it did not fail."""
     stations: tuple[Landmark, ...]
     reach: ReachAtlas | None
     reach_standing: Standing
     reach_problem: str | None
     outdated: bool
-    """Whether a map was requested and the airways have changed since."""
+    """Whether the airways have changed since a map was requested, so that the map must be requested again."""
 
 
 class CaseLungs:
@@ -83,7 +83,7 @@ class CaseLungs:
             kind="reach", title="mapping the reach of the instrument", make=self._make_reach, same=_same
         )
         self._early: tuple[Airways, LungMap] | None = None
-        """Map with vessels, available while the job still segments the lobes."""
+        """Airways and their lung map with vessels only, shown while the job still segments the lobes."""
         self._asked_reach: tuple[str, str] | None = None
         self._asked_lungs = False
         self._document: Document | None = None

@@ -14,7 +14,8 @@ class MeasuredAirways:
     Parameters
     ----------
     kept
-        Pairs of airways and their measurements; the measurements may still be in a case file.
+        Pairs of airways and their measurements, the initial content of the cache; the measurements may still be in a
+        case file.
     """
 
     def __init__(self, kept: Iterable[tuple[Any, Any]] = ()) -> None:
@@ -26,7 +27,7 @@ class MeasuredAirways:
         return f"MeasuredAirways({len(self._found)})"
 
     def take(self, kept: Iterable[tuple[Any, Any]]) -> None:
-        """Replace all stored measurements by these."""
+        """Replace all cached measurements by the given pairs of airways and measurements."""
         self._found = {id(airways): (airways, measures) for airways, measures in kept}
 
     def of(self, airways: Any) -> Any:
@@ -41,17 +42,17 @@ class MeasuredAirways:
         return None if found is None else found[1]
 
     def put(self, airways: Any, measures: Any) -> None:
-        """Store the measurements of airways."""
+        """Add the measurements of airways to the cache."""
         self._found[id(airways)] = (airways, measures)
 
     def became(self, before: Any, after: Any) -> None:
-        """Move the measurements to the packed or unpacked object of the same airways."""
+        """Assign the measurements of ``before`` to ``after``, the packed or unpacked object of the same airways."""
         found = self._found.pop(id(before), None)
         if found is not None:
             self.put(after, found[1])
 
     def among(self, held: Iterable[Any]) -> tuple[tuple[Any, Any], ...]:
-        """Return the stored pairs whose airways are in ``held``, and delete all other pairs."""
+        """Return the cached pairs whose airways are in ``held``, and delete all other pairs."""
         ids = {id(airways) for airways in held}
         self._found = {key: found for key, found in self._found.items() if key in ids}
         return tuple(self._found.values())

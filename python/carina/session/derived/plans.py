@@ -35,11 +35,11 @@ SAME_PLACE_MM = 0.05
 
 
 PlanTask = tuple["Nodule", tuple[tuple[float, float, float], ...], PlanOptions]
-"""Inputs of a plan besides the airways: nodule, aims and options. Names and notes of a target change no plan."""
+"""Inputs of a plan besides the airways: nodule, aim points and options. Names and notes of a target change no plan."""
 
 
 def task_of(lesion: Lesion) -> PlanTask:
-    """Return the inputs of the plan of a lesion."""
+    """Return the nodule, aim points and options of a lesion, which with the airways determine its plan."""
     return lesion.nodule, lesion.target.aims, lesion.options
 
 
@@ -50,7 +50,7 @@ class TargetPlan:
     task: PlanTask
     plan: Plan | None
     problem: str | None
-    """Reason why there is no plan."""
+    """Reason, for the user, why the target has no plan; None if it has one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,11 +60,14 @@ class MadePlans:
     airways: Airways
     wall: Any
     measures: TreeMeasures | None
-    """Measurements of the airways; None if the case measures none, and each plan then measures for itself."""
+    """Measurements of the airways.
+
+    None if the case does not measure them, so that each plan measures its own branches.
+    """
     plans: tuple[TargetPlan, ...]
 
     def of(self, task: PlanTask) -> TargetPlan | None:
-        """Return the plan of a task; None if there is none."""
+        """Return the planning result for a task; None if these plans do not include the task."""
         return next((one for one in self.plans if one.task == task), None)
 
 
@@ -88,9 +91,9 @@ class PlanningInfo:
     verdicts_standing: Standing
     document: Document
     turns: TurnList | None = None
-    """List of turns of the chosen route."""
+    """List of the turns of the chosen route at its forks; None without a chosen planned route."""
     dicom_problem: str | None = None
-    """Reason why no DICOM file can refer to the CT; None if one can."""
+    """Reason why an exported DICOM file cannot refer to the CT; None if it can."""
 
 
 PlanInputs = tuple[Any, ...]
@@ -102,7 +105,7 @@ VerdictInputs = tuple[Any, ...]
 @one_line
 @dataclass(frozen=True, slots=True)
 class CtOrigin:
-    """Origin of the CT of a case."""
+    """Path or DICOM references from which the CT of a case was read."""
 
     place: str | None = None
     """File or folder on this machine from which the CT was opened; None if it was dropped or generated."""
@@ -161,7 +164,7 @@ class CasePlanning:
             settled=changed,
         )
         self._early: tuple[VerdictInputs, tuple[Verdict, ...]] | None = None
-        """Verdicts that are available while the job computes further ones."""
+        """Inputs and the verdicts computed so far, shown while the job computes further verdicts."""
         self._document: Document | None = None
         self.origin = CtOrigin()
         self._turns: Cached[tuple[Any, ...], TurnList] = Cached(_turns, same=_same_turns)
@@ -169,12 +172,12 @@ class CasePlanning:
     # ------------------------------------------------------------ state
 
     def of(self, lesion: Lesion) -> TargetPlan | None:
-        """Return the plan of a target of the document; None if it is not available."""
+        """Return the planning result for a target's lesion; None if it has not been computed."""
         made = self.made
         return None if made is None else made.of(task_of(lesion))
 
     def standing(self) -> Standing:
-        """Return the status of the plans."""
+        """Return the status of the job that computes the plans of all targets."""
         inputs = self._inputs(self._document)
         return "unwanted" if inputs is None else self._plans.standing(inputs)
 
@@ -191,12 +194,15 @@ class CasePlanning:
             return early[1] if early is not None and _same(early[0], inputs) else ()
 
     def verdicts_standing(self) -> Standing:
-        """Return the status of the verdicts."""
+        """Return the status of the job that computes the verdicts on the chosen route."""
         inputs = self._verdict_inputs()
         return "unwanted" if inputs is None else self._verdicts.standing(inputs)
 
     def turns(self) -> TurnList | None:
-        """Return the turns of the chosen route, with hand movements once the planned scope's drive is simulated."""
+        """Return the turns of the chosen route; None without one.
+
+        Hand movements are added once the scope's drive is simulated.
+        """
         inputs, made = self._verdict_inputs(), self.made
         if inputs is None or made is None:
             return None
@@ -240,11 +246,11 @@ class CasePlanning:
 
     @property
     def made(self) -> MadePlans | None:
-        """Plans of the present document; None if they are not available."""
+        """Plans of all targets of the present document; None if they have not been computed."""
         return self._plans.of(self._inputs(self._document))
 
     def wall_of(self, airways: Airways) -> WallField | None:
-        """Return the wall of airways if it was computed for the plans; None otherwise."""
+        """Return the wall field of airways if it was computed for the plans; None otherwise."""
         made = self.made
         same = made is not None and made.airways.lumen_zyx is airways.lumen_zyx
         return made.wall if made is not None and same else None
@@ -304,7 +310,10 @@ class CasePlanning:
         return MadePlans(airways, wall, measures, tuple(plans))
 
     def _measures_of(self, airways: Airways, attempt: Attempt[MadePlans]) -> TreeMeasures | None:
-        """Return the measurements of airways, from the earlier plans, from the case, or computed now."""
+        """Return the measurements of airways from the earlier plans or the case, else measure them.
+
+        None without a measurer.
+        """
         before = attempt.before
         if before is not None and before.airways is airways:
             return before.measures

@@ -1,4 +1,4 @@
-"""The transfer function and the airways that the renderer shows, and whether they are those of the document."""
+"""Display content of the renderer (transfer function and lumen), and a job that updates it to the document."""
 
 from __future__ import annotations
 
@@ -24,17 +24,19 @@ __all__ = ["ShownContent"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Decided:
-    """Content that the renderer is to show; every request gets a new number, even if the content is equal."""
+    """Requested display content of the renderer; every request gets a new number, even if the content is equal."""
 
     number: int
     transfer: TransferFunction
     lumen_zyx: NDArray[np.uint8] | None
     tree: AirwayTree | None
-    """Tree of that lumen; the renderer places anatomical annotations by it."""
+    """Airway tree of ``lumen_zyx``; the renderer places anatomical annotations by this tree."""
 
 
 class ShownContent:
-    """The transfer function and the lumen that a renderer shows; a job updates the renderer and builds its fast data.
+    """Updater of the transfer function and the lumen that a renderer shows.
+
+    A job also builds its data for fast rendering.
 
     Parameters
     ----------
@@ -68,7 +70,7 @@ class ShownContent:
         self._is_fast = False
         """Whether the renderer has been prepared for its present transfer function and lumen."""
         self._come_to = 0
-        """Number of the requested content that the renderer shows, or whose update failed or was stopped."""
+        """Number of the last requested content that was shown, or whose update failed or was stopped."""
         self._ready: Derived[Decided, bool] = Derived(
             jobs, lock, kind="display", title="preparing fast rendering", make=self._make_ready, settled=self._settled
         )
@@ -125,7 +127,7 @@ class ShownContent:
         self._comes_to(self._decided)
 
     def _comes_to(self, decided: Decided) -> None:
-        """Record which requested content the renderer shows; the caller holds the session's lock."""
+        """Record that the update to the given content has ended; the caller holds the session's lock."""
         if self._come_to != decided.number:
             self._come_to = decided.number
             # The number also increases if a change was undone meanwhile, because no image since was sent as final.

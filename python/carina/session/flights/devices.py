@@ -47,12 +47,15 @@ class Devices(Subject):
 
     @property
     def woken(self) -> threading.Event:
-        """Set when a device has sent a sample that the tip has not followed yet."""
+        """Event that is set when a device has sent a sample that the tip has not followed yet."""
         return self.core.device_woken
 
     @property
     def recording_path(self) -> Path | None:
-        """Path of the file of the running recording; None without one, or if it goes into the case."""
+        """Path of the running recording's file.
+
+        None if no recording runs, or if the recording is stored in the case.
+        """
         return self._recording.path
 
     @property
@@ -80,7 +83,7 @@ class Devices(Subject):
 
     @does(c.DeviceGone)
     def gone(self, command: c.DeviceGone) -> None:
-        """Remove a disconnected device; do nothing while no case is open."""
+        """Remove a disconnected device from the open case; do nothing while no case is open."""
         with self.core.lock:
             if self.core.case is not None:
                 self.core.case.pilot.apply(command)
@@ -124,7 +127,9 @@ class Devices(Subject):
 
     @does(c.ArmPen)
     def arm_pen(self, command: c.ArmPen) -> None:
-        """Choose what the first button of the pen sets; with None the button switches the control mode.
+        """Set the kind of point (root, start or target) that the pen's first button sets.
+
+        None: the button changes the mode.
 
         The point is set at the pen's own tip if the pen is registered to the patient, regardless of how the pen moves
         the scope; otherwise it is set at the tip of the scope.
@@ -135,7 +140,7 @@ class Devices(Subject):
             case.pilot.apply(command)
 
     def info(self) -> DevicesInfo | None:
-        """Return the known devices and how they move the tip; None without a case."""
+        """Return the connected devices and the control mode in which they move the tip; None if no case is open."""
         with self.core.lock:
             if self.core.case is None:
                 return None
@@ -143,12 +148,12 @@ class Devices(Subject):
             return DevicesInfo(pilot.control, pilot.controls, pilot.devices())
 
     def pen(self) -> PenState | None:
-        """Return the pen that moves the tip and the point that its button marks; None if no pen does."""
+        """Return the state of the pen that moves the tip; None if no case is open or no pen moves the tip."""
         with self.core.lock:
             return None if self.core.case is None else self.core.case.pilot.pen()
 
     def _mark(self, case: OpenCase, pen: str, tool: str) -> None:
-        """Run the command of the armed pen's button; the caller holds the session's lock."""
+        """Set the root, the path start or a target at the pen's position; the caller holds the session's lock."""
         own = case.pilot.pen_lps(pen)
         place = as_point(case.navigator.pose.position_lps if own is None else own)
         try:
@@ -162,7 +167,7 @@ class Devices(Subject):
             self.core.emit(Trouble(trouble.code, str(trouble)))
 
     def _take_way(self, case: OpenCase, branch_id: int) -> None:
-        """Continue the route through another branch, which the user chose at a fork with a device."""
+        """Replace the route by one through another branch, which the user chose at a fork with a device."""
         airways = case.document.airways
         if airways is None or all(branch.id != branch_id for branch in airways.tree.branches):
             return

@@ -93,7 +93,7 @@ class KeyFraming(Subject):
 
     @does(c.SetKeyFrameFlight)
     def set_key_frame_flight(self, command: c.SetKeyFrameFlight) -> None:
-        """Set the speed of legs that have none of their own, and whether the flight follows the airways.
+        """Set the common speed of the legs without a speed of their own, and whether the flight follows the airways.
 
         A field that is None leaves its value unchanged.
         """
@@ -131,7 +131,7 @@ class KeyFraming(Subject):
     def follow(self, case: OpenCase) -> None:
         """Delete the cached flight after a change of key frames or airways; the caller holds the session's lock."""
         if case.key_flight.is_of_others((case.document.key_frames, case.document.airways)):
-            # The pose of the tip belongs to the previous flight, so it has no time in the new flight.
+            # The pose of the tip was computed from the previous flight, so this pose has no time in the new flight.
             case.key_flight.forget()
             case.last_move = replace(case.last_move, key_frames_s=None)
 
@@ -198,7 +198,10 @@ class KeyFraming(Subject):
             return _as_shown(keys, tuple(shown), 0.0 if flight is None else flight.duration_s, found.problem)
 
     def _key_flight(self, case: OpenCase) -> KeyFlight:
-        """Return the flight, or the reason why there is none; the caller holds the session's lock."""
+        """Return the flight through the key frames, or the reason why there is none.
+
+        The caller holds the session's lock.
+        """
         return case.key_flight.of((case.document.key_frames, case.document.airways))
 
     # ------------------------------------------------------------ its file
@@ -258,7 +261,7 @@ def _as_shown(
 
 
 def _branch_words(case: OpenCase, key: ChosenKeyFrame) -> tuple[str, int | None]:
-    """Return the default name of a key frame, and the ID of its branch."""
+    """Return a key frame's default name, and the ID of the branch that contains its pose; the ID is None outside."""
     airways, index = case.document.airways, case.index
     if airways is None or index is None:
         return "in the volume", None
@@ -273,7 +276,7 @@ def _new_key_id(case: OpenCase) -> str:
 
 
 def _speeds(file: KeyFrameFile) -> list[float | None]:
-    """Return the speed of each leg to a key frame of a file; times are converted to the speeds that preserve them."""
+    """Return the speed in mm/s of the leg to each key frame of a file; times in the file are converted to speeds."""
     times = [frame.time_s for frame in file.frames]
     if times[0] is None:
         return [frame.speed_mm_s for frame in file.frames]

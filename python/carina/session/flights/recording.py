@@ -34,12 +34,15 @@ class FlightRecording(Subject):
         self._name = ""
         self._recorded_case: OpenCase | None = None
         self._into: RecordingWriter | None = None
-        """Writer of a recording into the case; None if the recording goes to a file."""
+        """Writer of a recording that is stored in the case; None if the recording goes to a file."""
         core.before_move = self.tick
 
     @property
     def path(self) -> Path | None:
-        """Path of the file of the running recording; None without one, or if it goes into the case."""
+        """Path of the running recording's file.
+
+        None if no recording runs, or if the recording is stored in the case.
+        """
         return self._path if self._recorder is not None else None
 
     @property
@@ -51,7 +54,10 @@ class FlightRecording(Subject):
         return self._name if flight is None else flight.name
 
     def _flight(self) -> RecordingFacts | None:
-        """Return the entry of the recording in the list of flights; None if it goes to a file."""
+        """Return the running recording's entry in the list of flights.
+
+        None without one, or if the recording goes to a file.
+        """
         case, into = self._recorded_case, self._into
         if case is None or into is None:
             return None
@@ -149,7 +155,10 @@ class FlightRecording(Subject):
         )
 
     def _ended(self, trouble: OSError) -> None:
-        """Report that the file can no longer be written; the flight continues. The caller holds the session's lock."""
+        """Report that the recording's file can no longer be written; the tip can still be moved.
+
+        The caller holds the lock.
+        """
         self._recorder = None
         kept = f"the recording so far is in {self._path}"
         told = disk_trouble(trouble, "the recording stopped: cannot write to", self._path, unchanged=kept)
@@ -157,7 +166,7 @@ class FlightRecording(Subject):
         self.core.changed("state")
 
     def tick(self, _case: OpenCase | None = None) -> None:
-        """Record the time before a move; the caller holds the session's lock."""
+        """Record the present time before the tip moves; the caller holds the session's lock."""
         if self._recorder is not None:
             self._recorder.tick(self.core.clock())
 

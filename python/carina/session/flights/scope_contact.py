@@ -22,7 +22,7 @@ class ScopeHolding(Subject):
     """Places the scope along the route, constrained by the airway wall, in mode *scope*."""
 
     def enter(self, case: OpenCase) -> None:
-        """Lay the scope along the route once the wall is known."""
+        """Start the job that computes the airway wall, and lay the scope along the route when the wall is available."""
         airways, route = case.document.airways, case.document.route
         if airways is None or route is None:
             msg = "a scope needs a route: wait for the airways, then choose a branch or a target"
@@ -49,7 +49,10 @@ class ScopeHolding(Subject):
                 case.wall.want(case.scope.awaited.airways, then=lay)
 
     def _lay_in(self, case: OpenCase, airways: Airways) -> None:
-        """Lay the scope if the airways are those for which the wall was computed; the caller holds the lock."""
+        """Lay the scope along the route if the document still has the airways of the wall.
+
+        The caller holds the lock.
+        """
         if case.document.airways is airways:
             self.lay(case)
 
@@ -69,7 +72,7 @@ class ScopeHolding(Subject):
         case.scope.laid = name
 
     def follow(self, case: OpenCase) -> None:
-        """Lay the scope again after a change of the instrument; leave the mode after a change of the lumen."""
+        """Lay the scope again after a change of the instrument; switch to free movement after a change of the lumen."""
         state = case.navigator.scope_state
         if state is None:
             return

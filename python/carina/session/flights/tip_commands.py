@@ -30,7 +30,7 @@ def place_pose(pose: Pose) -> c.PlacePose:
 
 
 def view_words(document: Document, sight: Sight) -> dict[str, Any]:
-    """Return the settings of the airway view under the names of the recording format."""
+    """Return the settings of the airway view as a dictionary with the keys of the recording format."""
     look = document.look
     return {
         "scope": look.scope,

@@ -73,7 +73,7 @@ class KeptDrives(Subject):
 
     @answers(c.FlightsToKeep)
     def flights_to_keep(self, _question: c.FlightsToKeep) -> tuple[WholeRecording, ...]:
-        """Return the finished flights of which no line is in the case file, with their lines."""
+        """Return the finished flights, with their lines, of which the case file contains no line yet."""
         with self.core.lock:
             case = self.core.needed_case()
             writers = {one.number: one for one in case.flights.unwritten if one.closed}

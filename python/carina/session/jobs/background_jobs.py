@@ -87,7 +87,10 @@ def _fault(title: str, trouble: BaseException) -> CarinaError:
 
 
 def _of_machine(title: str, trouble: OSError) -> CarinaError:
-    """Return the error for an OSError of a job; disk errors, such as a full disk, are no internal faults of Carina."""
+    """Return a Carina error for an OSError of a job.
+
+    Disk errors, such as a full disk, are no internal faults of Carina.
+    """
     if is_disk_trouble(trouble):
         return disk_trouble(trouble, f"{title} failed", None)
     return _fault(title, trouble)
@@ -108,7 +111,10 @@ class Job:
         self._cancelled = threading.Event()
         self._stage = ""
         self._began_s, self._began_at = 0.0, 0.0
-        """Time (s) and fraction from which the time left is extrapolated."""
+        """Time in s and finished fraction at the start of the present stage.
+
+        The time left is extrapolated from them.
+        """
         self._told_s = float("-inf")
         self.latest: JobProgress | None = None
 
@@ -148,7 +154,7 @@ class Job:
         left_s: float | None = None
         if fraction is not None:
             fraction = min(1.0, max(0.0, fraction))
-            # With less than 5 % done the estimate would be too noisy.
+            # With less than 5 % of the work done the estimate of the time left would be too noisy.
             done = fraction - self._began_at
             if done >= 0.05:
                 left_s = (now_s - self._began_s) * (1.0 - fraction) / done
@@ -190,7 +196,7 @@ class JobRunner:
 
     @property
     def running(self) -> tuple[Job, ...]:
-        """Jobs that have not ended."""
+        """Jobs that were started and have not ended."""
         with self._lock:
             return tuple(self._jobs.values())
 
@@ -270,7 +276,7 @@ class JobRunner:
                 job.stop()
 
     def cancel_others(self, than: Job) -> None:
-        """Stop all other jobs."""
+        """Request all running jobs except ``than`` to stop."""
         for job in self.running:
             if job is not than:
                 job.stop()

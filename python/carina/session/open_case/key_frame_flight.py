@@ -37,7 +37,7 @@ def key_flight(volume: Volume, keys: KeyFrames, airways: Airways | None) -> KeyF
 
 
 def key_frames(keys: KeyFrames, volume: Volume, airways: Airways | None) -> tuple[KeyFrame, ...]:
-    """Return the key frames with the path to each.
+    """Return the key frames, each with the path from the preceding key frame.
 
     If requested, the path between two key frames in the airways follows the airways.
     """

@@ -62,7 +62,7 @@ class AskedMask:
     """An imported segmentation mask that waits for the user's answer to a question."""
 
     asked: TakeMask
-    """The import command, with the answers given so far."""
+    """Import command of the mask, with the user's answers so far."""
     question: MaskQuestion
 
 
@@ -100,7 +100,7 @@ class FlownFlight:
     """(n, 4, 4) camera poses in LPS, mm."""
 
     def pose_at(self, time_s: float) -> Pose:
-        """Return the newest pose whose time is not after ``time_s``."""
+        """Return the last recorded pose at or before ``time_s``."""
         n = int(np.searchsorted(self.times_s, time_s, side="right")) - 1
         return Pose(self.lps_from_camera[max(n, 0)])
 
@@ -115,7 +115,7 @@ class AwaitedScope:
     pose: Pose
 
     def is_due(self, case: OpenCase) -> bool:
-        """Return whether airways and tip are unchanged, so that the scope may be restored."""
+        """Return whether airways, mode and pose are still those of this object, so that the scope may be restored."""
         tip = case.navigator
         is_still = tip.mode == self.mode and np.array_equal(tip.pose.lps_from_camera, self.pose.lps_from_camera)
         return is_still and case.document.airways is self.airways
@@ -126,7 +126,7 @@ class ScopeInLumen:
     """The scope in the lumen, or the scope that waits for the airway wall."""
 
     laid: str | None = None
-    """Name of the scope that was last laid into the lumen."""
+    """Name of the scope preset that was last laid into the lumen; None before the first one."""
     awaited: AwaitedScope | None = None
     """Scope that is laid into the lumen as soon as the airway wall is computed."""
 
@@ -156,7 +156,7 @@ class OpenCase:
     history: History[Document]
     planning: CasePlanning
     wall: Derived[Airways, LumenWall]
-    """Wall of the airways, for a scope in the lumen."""
+    """Wall field of the document's airways, which constrains a scope in the lumen."""
     measures: Derived[Airways, TreeMeasures]
     """Measurements of the airways of the document."""
     measured: MeasuredAirways
@@ -182,7 +182,7 @@ class OpenCase:
     flights: CaseFlights = field(default_factory=CaseFlights)
 
     def next_number(self, what: str) -> int:
-        """Return a number that no object of this kind had before; the caller holds the session's lock."""
+        """Return the next number for objects of a kind (target, key frame, flight), which no such object had before."""
         self.numbers[what] = self.numbers.get(what, 0) + 1
         return self.numbers[what]
 
@@ -406,6 +406,6 @@ def pose_info(case: OpenCase, pose_id: int) -> PoseInfo:
 
 
 def as_point(values: Iterable[Any]) -> Point:
-    """Return three numbers as a tuple of Python floats."""
+    """Return a point, given as three numbers of any type, as a tuple of Python floats."""
     x, y, z = (float(v) for v in values)
     return x, y, z

@@ -31,7 +31,7 @@ def in_lumen(volume: Volume, lumen_zyx: Any, point_lps: Any) -> bool:
 
 
 def in_airways(volume: Volume, airways: Airways, point_lps: Any) -> bool:
-    """Return whether a point is in the lumen, or no farther from the nearest branch's centreline than its radius.
+    """Return whether a point is in the lumen, or no farther from the nearest centreline than the branch's radius there.
 
     The second condition includes a lens that touches the wall.
     """

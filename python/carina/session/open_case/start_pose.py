@@ -19,7 +19,7 @@ __all__ = ["pose_at_root", "pose_before_airways", "pose_before_place"]
 CAUDAL_LPS = (0.0, 0.0, -1.0)
 # Distances, in mm, of the camera before a point; the largest one with a free line of sight is used.
 STAND_BACK_MM = (12.0, 10.0, 8.0, 6.0, 4.0, 3.0, 2.0)
-# Untested end of the line of sight, in mm: the point itself may be in the wall or beyond a blind end.
+# Length of the line of sight before the point, in mm, that is not tested: the point may be in the wall.
 WALL_MM = 1.5
 
 

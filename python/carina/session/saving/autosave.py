@@ -55,21 +55,21 @@ CLOSING_S = 60.0
 @one_line
 @dataclass(slots=True)
 class Reopened:
-    """A stored case while its CT is read."""
+    """A stored case that is being opened: its lock and record, its live file and its flights."""
 
     held: HeldCase
     file: KeptFile
     flights: tuple[RecordingFacts, ...] = ()
 
     def note_ct(self, volume: Volume) -> None:
-        """Store the date of the CT in a record without a date."""
+        """Store the scan date of the CT in the case's record if the record has none."""
         scanned_on = self.held.record.scanned_on or volume.source.acquired_on
         if scanned_on != self.held.record.scanned_on:
             self.held.note(scanned_on=scanned_on)
 
 
 class Between:
-    """Switch from one case to the next: the next stored case is found, and then attached or released."""
+    """The stored case that replaces the open one: it is found and locked, then attached to the session or released."""
 
     def __init__(self, saving: Saving) -> None:
         self._saving = saving
@@ -81,7 +81,10 @@ class Between:
         """Whether the stored case is a new copy; the copy is deleted if the case is not shown after all."""
 
     def begin(self, volume: Volume) -> None:
-        """Begin a new case of a CT; the stored cases of the CT are not changed."""
+        """Prepare a new case of a CT, which is stored after its first change.
+
+        Stored cases of the CT are not changed.
+        """
         self._digest = self._saving.digest_of(volume)
         self._claim_ct(is_new=False)
 
@@ -97,7 +100,10 @@ class Between:
                 self._saving.core.emit(Said(OPEN_ELSEWHERE))
 
     def take(self, digest: str | None, case_id: str | None = None) -> Reopened | None:
-        """Own the stored case of a CT: the selected case, or the case that was used last."""
+        """Lock and return a stored case of a CT, the given or the last used one.
+
+        None if there is none or it cannot be opened.
+        """
         self._digest = digest
         records = self._saving.records
         if records is None or digest is None:
@@ -221,7 +227,7 @@ class Saving(Subject):
         self._ending: list[Keeper] = []
         """Keepers whose disk did not respond when their case was closed."""
         self._awaited: str | None = None
-        """Digest of the CT that a dropped case waits for."""
+        """Digest of the CT that the user must open to continue a dropped case; None if no case waits."""
         if records is not None:
             core.subscribe(self._hear)
 
@@ -286,7 +292,7 @@ class Saving(Subject):
         return named
 
     def stores(self, path: Path) -> bool:
-        """Return whether a path is in the folder of the stored cases."""
+        """Return whether a path is in the folder of the stored cases; False if no cases are stored."""
         return self.records is not None and self.records.stores(path)
 
     def reopened_live(self, case: CaseFile) -> Reopened | None:
@@ -483,7 +489,7 @@ class Saving(Subject):
         kept.start()
 
     def _suggested(self, alias: str | None, case_id: str) -> str | None:
-        """Return the suggested path for the named file of a case."""
+        """Return a path in the documents folder for the named file of a case; None without such a folder."""
         documents = None if self.records is None else self.records.documents
         return None if documents is None else str(documents / f"{suggested_file_name(alias, case_id)}{CASE_SUFFIX}")
 
@@ -579,12 +585,15 @@ class Saving(Subject):
 
     @property
     def info(self) -> SavingInfo:
-        """State of saving, for the window."""
+        """Saving state of the open case, as the window shows it."""
         kept = self._kept
         return SavingInfo() if kept is None else kept.info
 
     def _hear(self, event: Event) -> None:
-        """Pass a change of the open case to its keeper; called with the session locked."""
+        """Notify the keeper of the open case of a change event, so that it writes the case.
+
+        Called with the session locked.
+        """
         kept = self._kept
         if kept is not None and isinstance(event, Changed) and self.core.case is kept.case and not kept.is_telling:
             kept.changed(event.topics)
@@ -713,7 +722,10 @@ class Saving(Subject):
 
 
 def _told(case: CaseFile) -> tuple[tuple[str, float], ...]:
-    """Return the labels and times of a case's steps, which together identify the case."""
+    """Return the label and the time, in s since the creation of the case, of each step.
+
+    Together they identify the case.
+    """
     return tuple((step.label, step.at_s) for step in case.history())
 
 

@@ -128,7 +128,7 @@ def unsaved_error(lost: Sequence[UnsavedWork]) -> UnsavedWorkError:
 
 
 def check_saved(path: Path, why: str, saved: Moment | None, moment: Moment) -> None:
-    """Refuse to close a case whose file lacks changes of this window or program.
+    """Raise an error if the file of a case that is being closed lacks changes of this window or program.
 
     Parameters
     ----------

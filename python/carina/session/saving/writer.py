@@ -42,9 +42,9 @@ logger = logging.getLogger(__name__)
 DECIDED_WITHIN_S = 0.4
 """Longest delay, in s, before a user's change is written; later changes within this time are written with it."""
 MOVED_WITHIN_S = 1.5
-"""Interval, in s, between writes while the tip only moves."""
+"""Longest delay, in s, before a moved tip is written while nothing else changes."""
 RECORDED_WITHIN_S = 0.8
-"""Interval, in s, between writes of a running recording: a crash loses at most its last second."""
+"""Longest delay, in s, before new lines of a running recording are written: a crash loses at most its last second."""
 RETRY_S = 2.0
 SLOW_S = 2.5
 """Time, in s, after which a disk that does not respond is reported and callers stop waiting for it."""
@@ -59,12 +59,12 @@ ELSEWHERE = (
 
 @dataclass(frozen=True, slots=True)
 class SavedAs:
-    """Result of a save under a name."""
+    """Result of writing the case to a named file."""
 
     num_missing: int
-    """Number of recorded flights that are not in the file, because the disk was damaged or did not respond."""
+    """Number of recorded flights missing in the named file, because the live file could not be read."""
     replaced: Path | None
-    """Path of the replaced content; None where no content was replaced."""
+    """Path where the replaced content of the named file was stored; None if no content was replaced."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +78,7 @@ class _SavedElsewhere:
 
 
 class Keeper:
-    """Stores one case, until another case replaces it.
+    """Writer of one case to its live file and its named file, until another case replaces this case.
 
     Parameters
     ----------
@@ -127,34 +127,35 @@ class Keeper:
         self.file = file
         self.info = info
         self.is_telling = False
-        """Whether the present change concerns the saving info alone."""
+        """Whether the session is reporting a change of the saving info alone, which needs no write."""
         # Lock of the fields below; it is taken after the session's lock, and never held while waiting for a disk.
         self._wake = threading.Condition()
         self._changed_s: float | None = None
         self._within_s = MOVED_WITHIN_S
         self._retry_s = float("-inf")
         self._notes: dict[str, Any] = {}
-        """Changed fields of the record, not written yet."""
+        """New values of fields of the case's record that are not written yet, by field name."""
         self._is_urgent = False
         self._elsewhere: _SavedElsewhere | None = None
         """The newest work in a named file while the disk of the live file refuses it."""
         self._is_copy_current = False
         """Whether nothing was reported as changed since the named file was written from memory."""
         self._busy: object = None
-        """Identity of the write in progress; None between writes."""
+        """Object that identifies the write in progress; None between writes."""
         self._is_slow = False
         self._saved = None if file is None else moment_of(case)
         """State of the case in the live file."""
         self._num_begun = self._num_kept = self._num_failed = 0
-        """Numbers of the last begun, the last finished and the last failed write."""
+        """Counters of writes of the live file: number of the last begun, the last finished and the last failed write.
+        """
         self._num_saved = self._num_copied = 0
-        """Number of the last write that saved a change, and of the write that the named file has."""
+        """Number of the last write that saved a change, and number of the write whose state the named file has."""
         self._named = named
         self._claim = claim
         self._copy_s: float | None = None
-        """Time of the next write of the named file."""
+        """Session time, in s, of the next check or write of the named file; None if none is planned."""
         self._is_named_checked = named is None or named.is_locked
-        """Whether the named file was compared since the case was opened."""
+        """Whether the named file's content was compared with the last known content since the case was opened."""
         if held is not None and held.record.copy_path is not None:
             if self._named is None:
                 self._named, self._is_named_checked = _recorded_file(held.record), False
@@ -166,7 +167,7 @@ class Keeper:
         self._pictured = False
         self._is_use_numbered = False
         self._is_told_of = False
-        """Whether the connection details for programs are written."""
+        """Whether the connection details with which programs join this case are on the disk."""
         self._copier: threading.Thread | None = None
 
     def start(self) -> None:
@@ -288,7 +289,7 @@ class Keeper:
         )
 
     def call(self, alias: str | None, suggested: str | None) -> None:
-        """Store the user's name of the case, and suggest a file name made from it."""
+        """Rename the case in its record, and show the new name and the suggested file name in the saving info."""
         with self._wake:
             self._notes["alias"] = alias
             self._wake.notify_all()
@@ -457,7 +458,10 @@ class Keeper:
         return 0.0 if self._is_urgent else max(self._changed_s + self._within_s, self._retry_s) - now_s
 
     def _attempt(self) -> None:
-        """Write the present state of the case, if it has changed, and the changed fields of the record."""
+        """Write the case's state, if it has changed, and changed record fields.
+
+        A failed write is reported and tried again.
+        """
         with self._wake:
             self._num_begun += 1
             self._busy = object()
@@ -599,7 +603,10 @@ class Keeper:
         return self._num_copied < self._num_saved or (self._changed_s is not None and not self._is_copy_current)
 
     def _plan_copy(self, within_s: float) -> None:
-        """Plan the next check of the named file, if it is behind or was not compared; the caller holds ``_wake``."""
+        """Schedule the next check of the named file if it is outdated or not compared yet.
+
+        The caller holds ``_wake``.
+        """
         if self._copy_s is not None or not (self._copy_is_behind() or self._is_named_check_due()):
             return
         self._copy_s = self._core.clock() + within_s
@@ -629,7 +636,10 @@ class Keeper:
         return self._named is not None and (not self._is_named_checked or self.info.copy_conflict == "open-elsewhere")
 
     def _refresh(self, *, writes: bool = True) -> None:
-        """Write or only compare the named file: once a minute, and when the case is closed."""
+        """Write the named file, or only compare its content if ``writes`` is False.
+
+        Called once a minute and at closing.
+        """
         named = self._named
         assert named is not None
         has_ended = threading.Event()
@@ -664,7 +674,7 @@ class Keeper:
             watch.cancel()
 
     def tell_conflict(self, conflict: NamedFileConflictError) -> None:
-        """Show that the named file was not written, and the choices of the user.
+        """Show in the saving info that the named file was not written, and which choices the user has.
 
         A conflict of another path is not shown, because the named file of the case is not affected.
         """
@@ -683,7 +693,7 @@ class Keeper:
 
     @contextmanager
     def _watched(self) -> Iterator[None]:
-        """Report a disk that does not respond while the block waits for it."""
+        """Show a problem in the saving info if the block waits for the disk longer than :data:`SLOW_S`."""
         this = object()
 
         def slow() -> None:
@@ -711,7 +721,7 @@ class Keeper:
 
     @contextmanager
     def _news(self, values: dict[str, Any], unless: Callable[[], bool] = lambda: False) -> Iterator[None]:
-        """Change the saving info and report the change; other state is changed in the block, with both locks held."""
+        """Change fields of the saving info and report the change; the block runs with both locks held."""
         with self._core.lock:
             with self._wake:
                 before = self.info

@@ -33,12 +33,12 @@ MOST_KEPT = 24
 @one_line
 @dataclass(frozen=True, slots=True)
 class OutlineLines:
-    """The outline of a mask in one image."""
+    """Outline of a mask in one image, as encoded closed lines."""
 
     data: bytes
     """Encoded outline (:meth:`carina.track.LumenOutline.encoded`)."""
     complete: bool
-    """False if the mask is too ragged for an outline."""
+    """Whether the outline is complete; False if the mask is too ragged for an outline."""
 
 
 @one_line
@@ -54,7 +54,7 @@ class LayerLines(OutlineLines):
 
 
 class _Part:
-    """A mask to be cut by planes; its surface is computed at the first cut and cached."""
+    """One mask of a layer, with its surface, which is computed at the first cut by an image plane and cached."""
 
     def __init__(self, layer: LayerName, part: str, mask: MappedMask, without: tuple[Nodule, ...] = ()) -> None:
         self.layer, self.part = layer, part

@@ -72,7 +72,7 @@ class ShownCase:
     path_mm: float | None = None
     """Distance of the tip along the route, in mm; None in free movement."""
     picture_turned: bool = False
-    """See :attr:`carina.navigate.Navigator.picture_turned`."""
+    """Whether the picture is turned by 180 degrees, for an operator who faces the patient."""
     content_is_newest: bool = True
     """Whether the renderer shows the document's transfer function and lumen; otherwise a job is updating it."""
     lumen: LumenOutline | None = None
@@ -106,7 +106,7 @@ class ShownCase:
         )
 
     def has(self, needs: Iterable[render.Need]) -> bool:
-        """Return whether everything that a view needs is available."""
+        """Return whether the scene has everything that a view requires: the airways, the route, or both."""
         there = {"airways": self.has_lumen, "route": self.frames is not None}
         return all(there[need] for need in needs)
 
@@ -129,11 +129,11 @@ class ShownCase:
         return self.layers.lines(matrix, self.wanted_layers)
 
     def can_be_final(self, view: str) -> bool:
-        """Return whether a view's image shows the document's content, so that no update of it will follow."""
+        """Return whether an image of a view, rendered now, stays valid until the next change of the case."""
         return self.content_is_newest or not VIEWS[view].by_transfer
 
     def spec(self, view: str, width: int, height: int, step_vox: float, *, full_width: int | None = None) -> Any:
-        """Return the renderer's definition of a view.
+        """Return the definition of a view (camera, size, settings) with which the renderer renders this scene.
 
         Parameters
         ----------

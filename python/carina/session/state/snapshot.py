@@ -110,7 +110,7 @@ class WallPoint:
     voxel_value: int | None
     """Value of the voxel that contains the point; None outside the volume."""
     branch: Branch | None
-    """Branch with the nearest centreline; None without a tree."""
+    """Branch whose centreline is nearest to the point; None without a tree."""
 
 
 @one_line

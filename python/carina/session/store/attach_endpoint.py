@@ -60,7 +60,10 @@ def close_door(folder: Path) -> None:
 
 
 def read_door(folder: Path) -> Door | None:
-    """Return the connection details in a folder, or None without a readable file; the owner may have ended since."""
+    """Return the connection details in a case's folder; None without a readable file.
+
+    The owner may have ended since.
+    """
     with contextlib.suppress(OSError, ValueError, RecursionError, msgspec.ValidationError):
         plain = json.loads(read_regular_text(folder / DOOR, max_bytes=MAX_BYTES))
         if isinstance(plain, dict) and plain.pop("format", None) == FORMAT and plain.pop("version", None) == VERSION:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 __all__ = ["case_files", "small_picture"]
 
 VIEW = "tree"
-"""The outside view, because the trees of two patients differ visibly, while their inside views look alike."""
+"""Name of the view in the thumbnail: the outside view, because the trees of two patients differ visibly."""
 WIDTH, HEIGHT = 320, 240
 STEP_VOX = 1.0
 QUALITY = 82
@@ -46,7 +46,7 @@ def small_picture(scene: ShownCase) -> bytes:
 
 
 def case_files(cache: VolumeCache | None = None, records: CaseRecords | None = None) -> KeptFiles:
-    """Return the storage of case files on the disk; with a cache, earlier CTs come from the cache."""
+    """Return the functions that store case files on the disk; with a cache, CTs opened before come from the cache."""
     from carina.session.engines import default_parts
     from carina.volume import ct_digest
 

@@ -25,7 +25,7 @@ Cancel = Callable[[], bool] | None
 
 
 def is_case_file(path: str | Path) -> bool:
-    """Return whether a path is opened as a case file; a folder with the suffix of case files contains slices."""
+    """Return whether a path has the suffix of case files and is no folder (a folder contains slices)."""
     place = Path(path)
     return place.suffix.lower() == CASE_SUFFIX and not place.is_dir()
 
@@ -33,7 +33,7 @@ def is_case_file(path: str | Path) -> bool:
 @one_line
 @dataclass(frozen=True, slots=True)
 class FoundScan:
-    """The CT of a case, and its location."""
+    """The CT of a case, and the path from which it was opened."""
 
     volume: Volume
     place: str | None

@@ -41,7 +41,7 @@ MAX_NAME_BYTES = 247
 @one_line
 @dataclass(frozen=True, slots=True)
 class FileMark:
-    """Content that a window read or wrote at a path."""
+    """Identity of the content that a window last read or wrote at a path: its digest and its save mark."""
 
     digest: str
     """BLAKE2b-256 of the whole file, hexadecimal."""
@@ -126,7 +126,7 @@ class NamedFile:
         return False
 
     def check(self) -> None:
-        """Take the lock if it is free, and compare the content.
+        """Take the lock of the named file if it is free, and compare the file's content with :attr:`mark`.
 
         Raises
         ------
@@ -218,7 +218,7 @@ class NamedFile:
 
     @contextlib.contextmanager
     def _exclusively(self) -> Iterator[None]:
-        """Exclude other threads; release the lock if the file cannot be written.
+        """Exclude other threads while the block runs, and release the file's lock if the file cannot be written.
 
         A window that waits for the decision of its user must not block the other windows.
         """
@@ -256,7 +256,7 @@ class NamedFile:
             ) from trouble
 
     def _parent(self, place: Path, *, replace: bool) -> FileMark | None:
-        """Return the mark of the content that the next save replaces."""
+        """Return the mark of the content that the next save replaces; the new save mark refers to this content."""
         if not replace:
             return self.mark
         found = read_mark(place)
@@ -437,7 +437,7 @@ def _replace_and_keep(draft: Path, target: Path, *, is_locked: bool) -> list[Pat
 
 
 def _take_back(kept: Path, target: Path) -> None:
-    """Give a replaced file its name back, with its journals, unless the name has other content."""
+    """Move a replaced file and its journals back to the former name, unless another file has this name."""
     if not os.path.lexists(target):
         move_to_new_name(kept, target)
     elif kept.samefile(target):
@@ -464,7 +464,7 @@ def _move_journals(path: Path, target: Path) -> None:
 
 
 def _put_back(aside: Path, target: Path) -> None:
-    """Rename the moved file back; if another file has the name by now, keep both files."""
+    """Move a file that was moved aside back to its name; if another file has the name by now, use a free name."""
     name = target
     while True:
         try:

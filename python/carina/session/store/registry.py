@@ -39,13 +39,16 @@ logger = logging.getLogger(__name__)
 
 FORMAT, VERSION = "carina-record", 2
 READ_VERSIONS = (1, 2)
-"""Version 1 also contained ``title``: the name of the CT's file, or the text of its series."""
+"""Versions of the record format that can be read.
+
+Version 1 also contained ``title``: the CT's file name or series text.
+"""
 RECORD, LOCK, FILE, PICTURE = "record.json", "lock", "case.carina", "picture.jpg"
 FORGOTTEN = ".forgotten"
 """Name of the folder of forgotten cases, beside the other cases; a forgotten case can be restored for a day."""
 MAX_RECORD_BYTES: Final = 1 << 20
 MAX_S: Final = 1e11
-"""Largest time, in the year 5138, which every clock and calendar can show."""
+"""Largest time in a record, in seconds since 1970 (year 5138), which every clock and calendar can show."""
 MAX_TITLE_CHARS: Final = 1000
 MAX_PLACE_CHARS: Final = 4096
 FORGOTTEN_FOR_S = 24 * 3600.0
@@ -69,7 +72,7 @@ class CaseRecord(FrozenValue, frozen=True):
     place: PlaceText | None
     """Last path of the CT: an absolute path, or ``demo:NAME``; None if the CT cannot be found again."""
     begun_s: Seconds
-    """Time when the case was begun; ``used_s`` is the time of its last use."""
+    """Time when the case was begun."""
     used_s: Seconds
     copy_path: PlaceText | None = None
     """Path of the named file; None without a named file."""
@@ -115,11 +118,11 @@ class HeldCase:
 
     @property
     def path(self) -> Path:
-        """The live case file."""
+        """Path of the live case file."""
         return self.folder / FILE
 
     def note(self, **values: object) -> None:
-        """Change fields of the record, in memory and on the disk; may be called from several threads."""
+        """Change fields of the case's record, in memory and on the disk; may be called from several threads."""
         with self._noting:
             self.record = msgspec.structs.replace(self.record, **values)
             write_record(self.folder, self.record)
@@ -135,7 +138,7 @@ class HeldCase:
         self.note(pictured_s=now_s)
 
     def open_door(self) -> None:
-        """Write how programs join this process, or that they cannot."""
+        """Write the address with which programs join this process into the case's folder, or that they cannot join."""
         open_door(self.folder, self._door)
 
     def release(self) -> None:
@@ -185,7 +188,7 @@ class CaseRecords:
         return tuple(sorted((one for one in found if one), key=lambda one: (one.use_number, one.used_s), reverse=True))
 
     def next_use_number(self) -> int:
-        """Return the number of the next use of a case."""
+        """Return the next use number, which is larger than those of all records and orders the cases by last use."""
         return 1 + max((one.use_number for one in self.all()), default=0)
 
     def claim(self, digest: str) -> NamedLock | None:
@@ -211,7 +214,7 @@ class CaseRecords:
         return NamedLock.take(folder / digest[:32])
 
     def newest_of(self, digest: str) -> CaseRecord | None:
-        """Return the case of a CT that was used last."""
+        """Return the record of the case of a CT that was used last; None if the CT has no case."""
         return next((one for one in self.all() if one.digest == digest), None)
 
     def begin(
@@ -351,7 +354,10 @@ class CaseRecords:
         return self._place(record) / FILE
 
     def door_of(self, record: CaseRecord) -> Door | None:
-        """Return how to join the process that has a case open; details that a crash left lead to no process."""
+        """Return the connection details of the process that has a case open; None without them.
+
+        A crash may have left them.
+        """
         return read_door(self._place(record))
 
     def num_bytes(self, record: CaseRecord) -> int:

@@ -101,7 +101,7 @@ def _record_of(folder: Path) -> CaseRecord | None:
 
 
 def _move(path: Path, folder: Path, stem: str, suffix: str) -> Path:
-    """Move a file or folder into another folder, under a free name."""
+    """Move a file or folder into another folder, under a free name, and return the new path."""
     number = 1
     while (target := folder / f"{stem}-{number}{suffix}").exists():
         number += 1

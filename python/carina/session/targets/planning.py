@@ -102,7 +102,7 @@ class Planning(Subject):
 
     @does(c.ChoosePlannedRoute)
     def choose_planned_route(self, command: c.ChoosePlannedRoute) -> None:
-        """Choose a planned route; it ends at the standing point of the scope and includes the line of the needle."""
+        """Choose a planned route, which ends at the scope's standing point and includes the line of the needle."""
         case = self.core.needed_case()
         with self.core.lock:
             document, target = case.document, needed_target(case.document, command.target_id)
@@ -128,7 +128,7 @@ class Planning(Subject):
     def see_turn(self, command: c.SeeTurn) -> None:
         """Place the tip before a turn of the list, in free movement and level for the operator.
 
-        The fork is then shown as the list of turns describes it.
+        The view of the fork then agrees with its description in the list of turns.
         """
         case = self.core.needed_case()
         with self.core.lock:
@@ -144,7 +144,7 @@ class Planning(Subject):
 
     @answers(c.CtFolder)
     def ct_folder(self, _question: c.CtFolder) -> Path:
-        """Return the folder from which the CT was opened."""
+        """Return the path of the folder from which the CT of the open case was read."""
         with self.core.lock:
             case = self.core.needed_case()
             problem = dicom_problem(case)

@@ -93,7 +93,7 @@ class Routing(Subject):
         return self.core.jobs.start(f"target {number}", f"finding the path to {target.name}", work)
 
     def _is_meant(self, case: OpenCase, target: Target, lesion: Lesion) -> bool:
-        """Return whether a click selects the segmented lesion rather than the airway beside it.
+        """Return whether a target's point selects the lesion segmented there, and not the airway beside the lesion.
 
         The wall and the vessel next to an airway are denser than lung, as nodules are. Near an airway, the lesion is
         therefore selected only if it is plainly a nodule; the user can select the other with one more click.
@@ -162,7 +162,7 @@ class Routing(Subject):
 
     @does(c.RemoveTarget)
     def remove_target(self, command: c.RemoveTarget) -> None:
-        """Delete the target and the present route if it leads to the target."""
+        """Delete a target, and the present route if it leads to this target."""
         target_id = command.target_id
         case = self.core.needed_case()
         with self.core.lock:
@@ -196,7 +196,10 @@ class Routing(Subject):
 
 
 def _wall_at_hand(case: OpenCase) -> WallField | None:
-    """Return the airway wall if it has been computed; the wall identifies lesions inside an airway."""
+    """Return the wall field of the document's airways if it has been computed, else None.
+
+    Lesion segmentation uses it.
+    """
     airways, made = case.document.airways, case.planning.made
     if made is not None and made.airways is airways:
         wall: WallField = made.wall

@@ -52,7 +52,7 @@ class TargetEditing(Subject):
 
     @does(c.AimTarget)
     def aim(self, command: c.AimTarget) -> None:
-        """Set the aims of a target: its middle, or proposed points that include its periphery."""
+        """Set the aim points of a target: its middle, or proposed points that include its periphery."""
         case = self.core.needed_case()
         with self.core.lock:
             target, lesion = self._lesion(case, command.target_id)

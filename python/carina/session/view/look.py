@@ -87,7 +87,7 @@ class Looking(Subject):
 
 
 def _with_field(sight: Sight, name: str, view: str | None, value: Any) -> Sight:
-    """Return the sight with another value of a field, or with another value of one view in this field."""
+    """Return a copy of a sight with a new value in one field, or for one view in a field with a value per view."""
     if view is not None:
         value = {**getattr(sight, name), view: value}
     return msgspec.structs.replace(sight, **{name: value})

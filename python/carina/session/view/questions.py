@@ -46,7 +46,7 @@ class CaseQuestions(Subject):
 
     @answers(c.LivePathTo)
     def live_path(self, question: c.LivePathTo) -> Any:
-        """Return the path to a point from the paths that the tracker has already computed."""
+        """Return the path from the root to a point, from the shortest paths that the tracker has already computed."""
         return self._airways().tracker.live_path(question.lps)
 
     @answers(c.PreviewOf)
