@@ -39,7 +39,7 @@ class NeedleErrors:
     """Error of the scope's tip in mm, on each of the two axes across the needle."""
 
     def __post_init__(self) -> None:
-        """Check the fields."""
+        """Raise an error if a field of this `NeedleErrors` has an invalid value."""
         check_fields(self, angle_deg=any_number(), tip_mm=any_number())
         for name, value, most in (("angle_deg", self.angle_deg, 45.0), ("tip_mm", self.tip_mm, 20.0)):
             if not (math.isfinite(value) and 0.0 <= value <= most):

@@ -210,7 +210,7 @@ class Plan(Tabular):
     """
 
     def __post_init__(self) -> None:
-        """Check the fields."""
+        """Raise an error if a field of this `Plan` has an invalid value."""
         check_fields(
             self,
             nodule=instance(Nodule, "get one from carina.grow_nodule"),

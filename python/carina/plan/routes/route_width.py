@@ -62,7 +62,7 @@ class RouteWidth:
     """Part that could not be measured, and the reason; None for ``sections``."""
 
     def __post_init__(self) -> None:
-        """Check the fields."""
+        """Raise an error if a field of this `RouteWidth` has an invalid value."""
         check_fields(
             self,
             mm=number_from(0.0, 1000.0, unit="mm"),

@@ -92,7 +92,7 @@ class Nodule:
     """Notes on the boundary for the user, for example that it was edited by hand or that parts were left out."""
 
     def __post_init__(self) -> None:
-        """Check the fields."""
+        """Raise an error if a field of this `Nodule` has an invalid value."""
         size = number_from(0.0, COORDINATE_MM, unit="mm")
         volume = number_from(0.0, 1e9, unit="mm3")
         check_fields(

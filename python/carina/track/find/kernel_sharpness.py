@@ -12,12 +12,12 @@ from carina.volume.model import Volume
 __all__ = ["edge_undershoot_hu", "undershoots_hu"]
 
 TISSUE_HU, EDGE_HU = -300.0, -500.0
-# The undershoot of a kernel is within the first distance of the edge; undisturbed lung is between the other two.
+# Distances in mm from an edge: the undershoot is measured within the first, undisturbed lung between the other two.
 RIM_MM = 2.3
 LUNG_FROM_MM, LUNG_TO_MM = 4.0, 7.0
-# Longer voxels average the undershoot away or do not show it.
+# Largest voxel size in mm at which undershoot is measured; longer voxels average it away.
 MOST_VOXEL_MM = 1.6
-# Approximate number of voxels per axis in which edges are searched, and least number of edges.
+# Approximate number of voxels per axis in which edges are searched, and least number of edges for a measurement.
 NUM_VOXELS = 400_000
 MIN_EDGES = 150
 
