@@ -39,7 +39,7 @@ class Box:
 
     hu_zyx: Values
     known: Mask
-    """Mask of the voxels that are inside the CT."""
+    """Mask (nz, ny, nx) of the voxels of the box that are inside the CT."""
     step_mm: float
     lps_from_ijk: NDArray[np.float64]
 
@@ -256,7 +256,7 @@ def enclosed(mask: Mask) -> Mask:
 
 
 def from_faces(mask: Mask) -> Mask:
-    """Return the part of a mask that is connected to the faces of the box."""
+    """Return the part of a mask that is connected to the faces of its box."""
     import SimpleITK as sitk  # imported on use: it loads slowly
 
     padded = np.pad(mask, 1, constant_values=True)
@@ -267,7 +267,7 @@ def from_faces(mask: Mask) -> Mask:
 
 
 def beside(mask: Mask) -> Mask:
-    """Return the voxels that share a face with a voxel of the mask."""
+    """Return the mask of all voxels that share a face with a voxel of the given mask."""
     padded = np.pad(mask, 1)
     found = np.zeros_like(mask)
     for axis in range(3):

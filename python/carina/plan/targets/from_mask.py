@@ -18,9 +18,9 @@ from carina.volume import Mask, Volume
 __all__ = ["nodule_from_mask", "one_piece", "target_from_mask", "target_of"]
 
 CRUMB = 0.05
-"""Share of the largest part below which a part is ignored as stray voxels."""
+"""Share of the largest part's voxels below which another part of the mask is ignored as stray voxels."""
 PIECE_MM = 5.0
-"""Largest distance in mm of a point from the part that it selects."""
+"""Largest distance in mm of a point from the part of the mask that it selects."""
 
 
 def nodule_from_mask(volume: Volume, mask: Mask | NDArray[np.bool_], *, at_lps: ArrayLike | None = None) -> Nodule:
