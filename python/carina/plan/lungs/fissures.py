@@ -20,6 +20,7 @@ Values = NDArray[np.float32]
 
 SIGMA_MM = 1.2
 LEAST_HU = 30.0
+"""Least curvature across a plate (fissure), in HU (second derivative times sigma squared)."""
 TIMES_NOISE = 7.0
 """Least curvature across a plate (fissure), as a multiple of the curvature that noise causes."""
 EVEN = 0.5

@@ -22,8 +22,9 @@ THIN_SIGMA_MM = 0.7
 RISE_HU = 60.0
 """Least rise in HU of a vessel above the density of lung, after smoothing by 0.5 mm."""
 LEAST_HU = 40.0
+"""Least curvature across a vessel, in HU (second derivative times sigma squared)."""
 TIMES_NOISE = 5.0
-"""Least curvature across a vessel in HU (times sigma squared), and its least multiple of the curvature of noise."""
+"""Least curvature across a vessel, as a multiple of the curvature that noise causes."""
 LEAST_LENGTH_MM = 3.0
 """Least length in mm of a connected piece of a thin vessel; shorter pieces are noise."""
 SLAB = 48

@@ -23,7 +23,7 @@ SPINE, CLOCK, TEXT = 84.0, 196.0, 226.0
 TOP, NOTES_MM = 62.0, 92.0
 SWAY, SWAY_MOST = 26.0, 34.0
 MOST_LINES = 7
-"""Largest number of lines of notes beside a fork."""
+"""Largest number of lines of text beside a fork."""
 TUBE = 10.0
 SMALL = 9.0
 """Font size in points of the text below a name."""

@@ -27,12 +27,14 @@ SPREAD_PER_MM = 1.0
 BRIDGED_MM = 1.2
 # Largest length in mm over which closed vocal cords hide the air between trachea and vestibule.
 LOST_MM = 14.0
-# Upper limit in HU of air across the wall of a tube (lung is brighter); the next value is its greatest distance in mm.
+# Upper limit in HU of air across the wall of a tube; lung is brighter.
 AIR_HU = -930.0
+# Greatest distance in mm of air across the wall of a tube.
 BESIDE_MM = 3.2
 ROUND_MM = 2.5
-# Least area and least peak value of a tube's material (plastic and its radiopaque line) between air and air.
+# Least area in mm2 of a tube's material (plastic and its radiopaque line) between air and air.
 SEPTUM_MM2 = 12.0
+# Least peak value in HU of a tube's material between air and air.
 SEPTUM_HU = 150.0
 IN_A_TUBE = 3
 

@@ -22,6 +22,7 @@ __all__ = ["Softened", "as_it_is", "softened"]
 # Sigma in mm of the seam (the rim that a sharp kernel produces beside an edge) that is compensated; no seam is
 # narrower than the voxels.
 SEAM_MM = 0.7
+# Least sigma of the compensated seam, in voxels.
 SEAM_VOXELS = 1.1
 # Undershoot in HU up to which a kernel counts as soft; a softened CT keeps this undershoot (docs/decisions/0113).
 SOFT_HU = 3.0
@@ -41,6 +42,7 @@ WALL_RISE_HU = 250.0
 # Distance of the limit of certain air above the value of air: a number of standard deviations of the noise, or a
 # number of HU.
 CERTAIN_NOISES = 2.5
+# Distance of the limit of certain air above the value of air, in HU.
 CERTAIN_HU = 40.0
 
 

@@ -13,7 +13,7 @@ from carina.volume.model import Volume
 __all__ = ["CoreRecipe", "Levels", "edited_core", "found_core"]
 
 Levels = tuple[float, float, float] | None
-"""Wall levels as in :attr:`carina.track.Airways.wall_levels`."""
+"""Type of the wall levels of a lumen, as in :attr:`carina.track.Airways.wall_levels`."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -84,9 +84,9 @@ class TargetResult:
     used_lps: NDArray[np.float64] | None
     """End of the path, LPS in mm: the target, or the lumen voxel to which it was moved; None if there is no path."""
     snapped_mm: float
-    """Distance by which the target was moved."""
+    """Distance in mm by which the target was moved to the lumen."""
     path: TrackedPath | None
-    """Path to the target; None if there is none."""
+    """Path to the target; None if there is no path."""
     problem: str | None
     """Text that states why there is no path; None if there is one."""
 
@@ -106,7 +106,10 @@ class TrackResult(Tabular):
     targets: tuple[TargetResult, ...]
     """Results, one for each target, in order."""
     airways: Airways | None
-    """Airways; None if no lumen was found, which the costs ``paper`` and ``walls`` do not need."""
+    """Airways in which the paths run.
+
+    None if no lumen was found, which the costs ``paper`` and ``walls`` do not need.
+    """
     search: GraphSearch | None = None
     """Graph that was searched and the effort; None for the cost ``lumen`` on the voxel graph."""
 
