@@ -113,7 +113,7 @@ class Console:
         self._thread.start()
 
     def __repr__(self) -> str:
-        """Return the number of renderers."""
+        """Return a one-line description with the number of renderers."""
         return f"Console({len(self._members)} renderers)"
 
     def add_lane(self, lane: Lane, *, reserve: bool = False) -> None:
@@ -133,7 +133,7 @@ class Console:
         lane.close()
 
     def remove_lane(self, name: str) -> None:
-        """Remove a renderer permanently."""
+        """Remove the renderer with this name permanently and close its lane."""
         self._inbox.put(lambda: self._remove(name))
 
     def notice(self, words: str) -> None:
@@ -153,7 +153,7 @@ class Console:
     def render(
         self, view: View, content: Content, *, whole: bool = False, stream: str | None = None
     ) -> tuple[int, Future[Picture]]:
-        """Request a picture.
+        """Request the picture of a view, which the cluster renders.
 
         Parameters
         ----------
@@ -298,7 +298,7 @@ class Console:
             return
         parcel = self._parcel
         if parcel is None:
-            # No content was set yet.
+            # No content was set yet, so there is nothing to load.
             if member.reserve:
                 member.loading = False
                 self._scheduler.join(name, self._clock(), reserve=True)
@@ -364,7 +364,7 @@ class Console:
         """Pass a requested picture to the scheduler."""
         self._frames[frame_id] = frame
         view = frame.view
-        # An answer has three bytes per pixel.
+        # The limit in bytes is converted to rows; an answer has three bytes per pixel.
         max_rows = None if whole else max(1, self._settings.max_strip_bytes // (3 * view.width))
         self._scheduler.want(
             frame_id,
@@ -444,7 +444,7 @@ class Console:
         """Handle a lane's answer: check it, copy its rows into the frame, and report it to the scheduler."""
         _, issued_s = self._tasks.pop(order.task_id, (order, None))
         if issued_s is None:
-            # The lane has answered this order before.
+            # A second answer of a lane to the same order is ignored.
             return
         frame = self._frames.get(order.frame_id)
         if isinstance(answer, BaseException):

@@ -38,9 +38,9 @@ class StripOrder:
     view_bytes: bytes = b""
     """The view, pickled once for all strips of a frame."""
     renderer: Renderer | None = None
-    """Local renderer, for a lane in this process."""
+    """Local renderer of the frame's content, for a lane in this process; else None."""
     scene: Scene | None = None
-    """Scene to render, for a lane in this process."""
+    """Scene that the strip shows, for a lane in this process; else None."""
     stop: CancelToken | None = None
     """Token that cancels the rendering, for a lane in this process."""
 
@@ -144,7 +144,7 @@ class LocalLane:
 
     @property
     def facts(self) -> LaneFacts:
-        """Facts about this machine."""
+        """Facts about this machine, shown to the user."""
         from carina.render import build_info
 
         info = build_info()
@@ -160,7 +160,7 @@ class LocalLane:
         self._orders.put((order, done))
 
     def close(self) -> None:
-        """End the thread after the submitted strips."""
+        """End the lane's thread after the submitted strips are rendered."""
         self._orders.put(None)
 
     def _run(self) -> None:

@@ -40,7 +40,7 @@ TOKEN_NAME = "cluster.token"
 STARTED = "Ray runtime started"
 """Line that Ray prints after a machine has joined."""
 CONSOLE_ENVIRONMENT = {"RAY_gcs_rpc_server_reconnect_timeout_s": str(10 * 365 * 86_400)}
-"""Environment variables for the console only.
+"""Environment variables of Ray that only the console's process sets.
 
 Without them, Ray ends a program whose head node has been unreachable for a minute. The console then renders alone and
 must go on. Other machines do end, and join again.

@@ -332,7 +332,7 @@ class RayCluster:
         """End a renderer permanently, also one that has not started; must not be called from Ray's threads."""
         try:
             self.ray.kill(handle, no_restart=True)
-        except Exception:  # the cluster may be gone already
+        except Exception:  # The cluster may already have ended, and the renderer with it.
             logger.debug("a renderer could not be ended", exc_info=True)
 
     def _watch(self) -> None:
@@ -438,7 +438,7 @@ class RayCluster:
 
 
 def look(address: str, token: Path, *, ip: str | None = None) -> list[dict[str, Any]]:
-    """Return the machines of a cluster.
+    """Return the machines of a cluster with their state.
 
     Parameters
     ----------

@@ -101,7 +101,7 @@ class _Task:
 
 @dataclass(slots=True)
 class _Lane:
-    """State of one lane."""
+    """State of one lane in the scheduler."""
 
     reserve: bool
     content: Hashable
@@ -182,7 +182,7 @@ class StripScheduler:
 
     @property
     def num_waiting(self) -> int:
-        """Number of frames that wait for a buffer."""
+        """Number of requested frames that wait for an image buffer."""
         return len(self._waiting)
 
     def rows(self, frame_id: int, strip: int) -> tuple[int, int] | None:

@@ -45,7 +45,7 @@ class ClusterSettings:
     """Deadline in seconds for the first answer of a lane of unknown speed."""
 
     def __post_init__(self) -> None:
-        """Raise an error for settings outside their ranges."""
+        """Raise an error if a setting is outside its range."""
         for what, value in (("in_flight", self.in_flight), ("open_frames", self.open_frames)):
             if not 1 <= value <= 64:
                 raise UsageError(f"cluster: {what} must be between 1 and 64; found {value}", code="usage.cluster")

@@ -82,5 +82,5 @@ class Shares:
 
     @property
     def all(self) -> dict[Hashable, float]:
-        """The share of every lane."""
+        """The share of every lane, by lane; the shares sum to one."""
         return dict(self._p)

@@ -109,7 +109,7 @@ class Navigator:
 
     @property
     def pose(self) -> Pose:
-        """Pose of the tip."""
+        """Pose of the scope's tip."""
         return self._pose
 
     @property
@@ -119,7 +119,7 @@ class Navigator:
 
     @property
     def operator(self) -> OperatorPosition:
-        """Position of the operator."""
+        """Position of the operator: at the patient's head, or facing the patient."""
         return self._operator
 
     @property
@@ -180,7 +180,7 @@ class Navigator:
         *,
         dt_s: float = 0.0,
     ) -> None:
-        """Turn the tip, then advance it.
+        """Turn the scope's tip, then advance it.
 
         Parameters
         ----------
@@ -407,7 +407,7 @@ class Navigator:
 
     @check_arguments(state=instance(dict, "take one from Navigator.state"), path=A_PATH)
     def restore(self, state: dict[str, Any], path: FlightPath | None) -> None:
-        """Restore a state from :meth:`state`.
+        """Restore a state of the navigator that :meth:`state` returned.
 
         Raises
         ------

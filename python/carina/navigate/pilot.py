@@ -53,7 +53,7 @@ class DeviceState:
     device: str
     holds: bool
     sample: Sample | None
-    """Latest sample, filtered."""
+    """Latest sample of the device, filtered; None before the first sample."""
     latency_ms: float
     num_used: int
     num_ignored: dict[str, int]

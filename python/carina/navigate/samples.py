@@ -73,7 +73,7 @@ class PoseSample(DeviceSample, frozen=True, tag="pose"):
 
 
 class AxesSample(DeviceSample, frozen=True, tag="axes"):
-    """Deflections of sticks and caps.
+    """Sample of a device with sticks or caps: their deflections.
 
     Parameters
     ----------
@@ -260,7 +260,7 @@ class SampleGate:
         self._seen[device].arrived_s = math.inf
 
     def knows(self, device: str) -> bool:
-        """Return whether the gate tracks the device."""
+        """Return whether the gate stores a state for the device."""
         return device in self._seen
 
     def gone(self, device: str) -> None:

@@ -176,7 +176,7 @@ def component_at(mask: Mask, at: tuple[int, ...]) -> Mask:
     at
         Index (z, y, x) of the voxel.
     """
-    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
+    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
 
     image: Any = sitk.GetImageFromArray(mask.astype(np.uint8))
     seed = tuple(int(k) for k in reversed(at))
@@ -196,7 +196,7 @@ def ball_distance(mask: Mask, step_mm: float) -> NDArray[np.float32]:
     step_mm
         Voxel size.
     """
-    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
+    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
 
     found = np.zeros(mask.shape, dtype=np.float32)
     if not mask.any():
@@ -257,7 +257,7 @@ def enclosed(mask: Mask) -> Mask:
 
 def from_faces(mask: Mask) -> Mask:
     """Return the part of a mask that is connected to the faces of its box."""
-    import SimpleITK as sitk  # imported on use: it loads slowly
+    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly.
 
     padded = np.pad(mask, 1, constant_values=True)
     image = sitk.GetImageFromArray(padded.astype(np.uint8))

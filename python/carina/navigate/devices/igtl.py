@@ -275,7 +275,7 @@ def pack_image(
 
 
 def pose_matrix(pose: IgtlPose) -> NDArray[np.float64]:
-    """Return the pose as a 4x4 matrix, mm."""
+    """Return the pose of a tool as a 4x4 matrix, mm."""
     length = math.sqrt(sum(v * v for v in pose.orientation_wxyz))
     matrix = np.eye(4)
     matrix[:3, :3] = rotation_from_wxyz([v / length for v in pose.orientation_wxyz])

@@ -83,7 +83,7 @@ class Source(ABC):
         self._thread = threading.Thread(target=self._run, name=f"carina-{address}", daemon=True)
 
     def start(self) -> None:
-        """Start the thread that connects."""
+        """Start the thread that connects to the device and reads it."""
         self._thread.start()
 
     def stop(self) -> None:
@@ -95,7 +95,7 @@ class Source(ABC):
         self._state = "stopped"
 
     def status(self) -> SourceStatus:
-        """Return the state of the connection."""
+        """Return the state of the connection to the device."""
         recent = tuple(self._recent)
         now = self._clock()
         lively = [at for at in recent if now - at < 1.0]

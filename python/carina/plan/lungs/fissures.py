@@ -150,7 +150,7 @@ def _large_sheets(mask: Mask, step_mm: float) -> Mask:
 
     A gap of one voxel does not divide a piece.
     """
-    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
+    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
 
     joined = sitk.BinaryDilate(sitk.GetImageFromArray(mask.astype(np.uint8)), [1, 1, 1], sitk.sitkCross)
     labels: Any = sitk.GetArrayFromImage(
@@ -163,7 +163,7 @@ def _large_sheets(mask: Mask, step_mm: float) -> Mask:
 
 
 def _with_faint_parts(sheets: Mask, faint: Mask) -> Mask:
-    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
+    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
 
     labels: Any = sitk.GetArrayFromImage(sitk.ConnectedComponent(sitk.GetImageFromArray(faint.astype(np.uint8)), True))
     keep = np.zeros(int(labels.max()) + 1, dtype=bool)

@@ -233,7 +233,7 @@ def _seeds(inside: Mask, lps_from_ijk: NDArray[np.float64], tree: AirwayTree) ->
 
 def _pieces(mask: Mask) -> NDArray[np.uint32]:
     """Return the connected components (by faces) of a mask, numbered from 1."""
-    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
+    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
 
     found: NDArray[np.uint32] = sitk.GetArrayFromImage(
         sitk.ConnectedComponent(sitk.GetImageFromArray(mask.astype(np.uint8)), False)
@@ -243,7 +243,7 @@ def _pieces(mask: Mask) -> NDArray[np.uint32]:
 
 def _arrival(speed: Values, pieces: NDArray[np.uint32], at: NDArray[np.intp]) -> Values:
     """Return the arrival time of a fast-marching front from some voxels, in the bounding box of their components."""
-    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
+    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
 
     part = extent(np.isin(pieces, np.unique(pieces[tuple(at.T)])), 1)
     first = [axis.start for axis in part]

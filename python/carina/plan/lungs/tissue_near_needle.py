@@ -163,7 +163,7 @@ def lung_box(volume: Volume) -> Box:
     NoResultError
         If there is no lung in the CT (code ``plan.no_lung``).
     """
-    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
+    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
 
     image: Any = sitk.GetImageFromArray(volume.hu_zyx)
     image.SetSpacing([float(s) for s in volume.spacing_mm])
@@ -212,7 +212,7 @@ CLOSED_MM = 12.0
 
 
 def _cut(image: Any, low: NDArray[np.float64], high: NDArray[np.float64], step_mm: float, outside_hu: float) -> Any:
-    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
+    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
 
     to = sitk.ResampleImageFilter()
     to.SetSize([int(n) for n in np.floor((high - low) / step_mm) + 1])
@@ -227,7 +227,7 @@ def _cut(image: Any, low: NDArray[np.float64], high: NDArray[np.float64], step_m
 
 def _lung(coarse: NDArray[np.float32]) -> Mask:
     """Return the mask of the lungs: large dark regions other than gas and air outside the body."""
-    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
+    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
 
     dark = sitk.GetImageFromArray((coarse < -500.0).astype(np.uint8))
     labels: Any = sitk.GetArrayFromImage(sitk.RelabelComponent(sitk.ConnectedComponent(dark)))
@@ -299,7 +299,7 @@ def _centres(box: Box, where: Mask, first: int = 0) -> NDArray[np.float64]:
 
 
 def _large_pieces(mask: Mask, least_voxels: float) -> Mask:
-    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
+    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
 
     pieces = sitk.ConnectedComponent(sitk.GetImageFromArray(mask.astype(np.uint8)), True)
     kept: Any = sitk.RelabelComponent(pieces, minimumObjectSize=max(int(least_voxels), 1))

@@ -175,7 +175,7 @@ def eigenvalues(second: list[Values]) -> tuple[Values, Values, Values]:
 
 def _long_pieces(mask: Mask, step_mm: float) -> Mask:
     """Return the pieces of a mask whose bounding box has a diagonal of at least `LEAST_LENGTH_MM`."""
-    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
+    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
 
     labels: Any = sitk.GetArrayFromImage(sitk.ConnectedComponent(sitk.GetImageFromArray(mask.astype(np.uint8)), True))
     at = np.nonzero(labels)
@@ -205,7 +205,7 @@ def grow_tree(box: Box, vessel: Mask, sure: Values, *, on_share: Callable[[float
     on_share
         Receives the share done; it may raise CancelledError.
     """
-    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
+    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
 
     if not vessel.any():
         return VesselTree(())
@@ -252,7 +252,7 @@ def _arrival(vessel: Mask, depth: Values, labels: NDArray[Any]) -> Values:
 
     The front is faster in the middle of a vessel.
     """
-    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
+    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
 
     flat, of = depth.reshape(-1), labels.reshape(-1)
     inside = np.flatnonzero(of)

@@ -140,7 +140,7 @@ class PlanSheet:
     verdicts: tuple[Verdict, ...]
     turns: TurnList | None
     turn_pictures: tuple[TurnPicture, ...] = field(repr=False)
-    """Picture of each turn, or empty."""
+    """Picture of each turn of the route; empty if no pictures were made."""
     turn_clips: tuple[TurnClip | None, ...] = field(repr=False)
     """Clip of the flight to each turn, or empty; None for a stretch without length."""
     forks: tuple[Fork, ...]
@@ -149,13 +149,13 @@ class PlanSheet:
     slices: tuple[SlicePicture, ...]
     needle_slice: SlicePicture | None
     sign_slices: tuple[SlicePicture, ...]
-    """Slices that show the bronchus sign."""
+    """Slices that show the bronchus sign; empty without the sign."""
     shape: TreeShape
     uncertain: tuple[str, ...]
     by_hand: tuple[str, ...]
     """Sentences about parts that were drawn by hand, shown in red."""
     notes: tuple[str, ...]
-    """Notes that the planner wrote."""
+    """Notes on the plan that its planner wrote, shown unchanged."""
     patient: str | None
     provenance: Provenance
     calibrated_shares: CalibratedShares | None

@@ -65,7 +65,7 @@ class SlicePicture:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Over:
-    """Structures that are drawn over each slice."""
+    """Structures (target, needle, lumen) whose lines are drawn over each slice."""
 
     nodule: Nodule
     leg: LastLeg | None

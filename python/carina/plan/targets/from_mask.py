@@ -133,7 +133,7 @@ def one_piece(volume: Volume, drawn: Drawn, at_lps: ArrayLike | None) -> tuple[D
     NoResultError
         If there are several parts and no point selects one, or no part is at the point.
     """
-    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
+    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
 
     image = sitk.GetImageFromArray((drawn.share_zyx > 0.0).astype(np.uint8))
     labels: NDArray[Any] = sitk.GetArrayFromImage(sitk.RelabelComponent(sitk.ConnectedComponent(image, True)))

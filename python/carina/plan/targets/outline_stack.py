@@ -143,7 +143,7 @@ def _sum(parts: Sequence[Share], free: Sequence[bool], like: Share) -> NDArray[n
 
 def _parts(share: Share) -> list[Share]:
     """Return the connected parts of a shape."""
-    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
+    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
 
     if not (share > 0.0).any():
         return []
@@ -183,7 +183,7 @@ def _signed(share: NDArray[np.float64]) -> NDArray[np.float64] | None:
 
     None if no voxel is inside.
     """
-    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
+    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
 
     inside = share >= 0.5
     if not inside.any() or inside.all():

@@ -24,7 +24,7 @@ __all__ = ["Evidence", "Sections", "Start", "evidence_of"]
 
 Points = NDArray[np.float64]
 
-# The next values describe a section: the values of the CT on rays across a path.
+# Number of sides to which rays run from the middle of a section (values of the CT across a path).
 NUM_SIDES = 16
 RING_MM = 0.35
 """Distance in mm between two samples of a ray across a path."""
@@ -48,7 +48,7 @@ MAX_MISSED_MM = 120.0
 The bronchi of the lower lobe extend this far from the intermediate bronchus.
 """
 
-# The next values describe the comparison with plain lung.
+# Limits for the paths through plain lung with which a path is compared.
 NUM_RUNS = 96
 RUN_MM = 10.0
 NEAREST_MM, FARTHEST_MM = 8.0, 25.0

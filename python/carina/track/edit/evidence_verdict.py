@@ -28,8 +28,7 @@ SURE = 1.0
 Sections before a weaker one pass.
 """
 
-# The gain of a section is a sum of terms: each of the next values is the weight of a term, or the limits of a clipped
-# term.
+# Constant term of the gain of a section (a sum of weighted terms, in log odds).
 BASE = 1.45
 RISE, RISE_LIMITS = 0.9, (-0.5, 1.5)
 FAR_RISE, FAR_LIMITS = 1.2, (-0.5, 2.0)

@@ -24,7 +24,7 @@ FARTHEST_MM = 20.0
 BEYOND_END_MM = 3.0
 """Largest distance in mm of the wall of an end beyond the last centreline point, in addition to the radius."""
 
-# The next values are limits for a filled bronchus: soft tissue on the axis, with a border against the lung round it.
+# Range in HU of the soft tissue that fills a bronchus.
 TISSUE_HU = (-150.0, 200.0)
 BLUR_MM = 3.0
 """Largest distance in mm from the wall of the end at which the soft tissue of a filling begins."""

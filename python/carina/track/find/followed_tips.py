@@ -23,13 +23,14 @@ __all__ = ["NOTHING_BEYOND", "STOPPED", "Beyond", "follow_beyond"]
 STOPPED = "track.search-stopped"
 """Code of the permanent note on a search that leaked out of the airways."""
 
-# The next values are limits for airways that are followed beyond the flood by their walls (docs/decisions/0112): least
-# rise to a wall in HU, longest gap, shortest branch. Slices thicker than the smallest lumen show its wall only as
-# partial volume, so more sections must agree.
+# Least rise in HU to the wall of an airway that is followed beyond the flood (docs/decisions/0112).
 LEAST_RISE_HU = 15.0
+# Longest gap in mm in the wall of a followed airway: mucus or heart motion can hide a wall.
 GAP_MM = 2.0
+# Shortest branch in mm that is followed.
 MIN_FOLLOWED_MM = 2.0
 THIN_SLICE_MM = 1.0
+# Slices thicker than the smallest lumen show its wall only as partial volume, so more sections must agree.
 THICK_SECTIONS = 5.0
 HALF_WALL_HU = -500.0
 
@@ -48,18 +49,20 @@ SHARP_BAR = 1.5
 # with the next factor after a leak.
 BARS = (1.0, 2.0, 4.0)
 SHARP_BARS = (3.0, 5.0)
-# Limits of a search that does not leak: share of the lung that it reaches (at most 0.4 % in intact searches), and
-# followed length.
+# Largest share of the lung that a search reaches without a leak (intact searches: at most 0.4 %).
 MOST_REACHED = 0.02
+# Largest length in mm that a search follows without a leak (at most 0.35 m in eight CTs).
 MOST_FOLLOWED_MM = 2500.0
 SHARP_FOLLOWED_MM = 400.0
 
-# The next values are limits for the thinnest airways, bright threads with a dark middle (docs/decisions/0112): least
-# value of the wall in HU, least depth of the dark middle over 5 mm, and largest blur of the CT.
+# The thinnest airways are bright threads with a dark middle (docs/decisions/0112).
 THIN_BRIGHTEST_HU = -400.0
+# Least value in HU of the wall of such an airway, which is brighter than lung.
 THIN_LEAST_WALL_HU = -700.0
+# Least depth in HU of the dark middle, averaged over 5 mm; no such depth occurs in lung.
 THIN_LEAST_DIP_HU = 22.0
 THIN_KEPT_DIP_HU = 20.0
+# Largest sigma in mm of the blur of a CT, without the blur by its voxels.
 THIN_BLUR_MM = 0.85
 # Shortest of the thinnest airways, in mm, slices and voxels: the noise of one voxel also appears in its neighbours.
 THIN_MIN_MM, THIN_MIN_SLICES, THIN_MIN_VOXELS = 2.0, 2.5, 3.0

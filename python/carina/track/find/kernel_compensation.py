@@ -39,8 +39,7 @@ FLOOR_HU = -1024.0
 AIR_HU = -1000.0
 # Least rise in HU from a clipped lumen to its wall; a rim beside tissue has lung on its other sides.
 WALL_RISE_HU = 250.0
-# Distance of the limit of certain air above the value of air: a number of standard deviations of the noise, or a
-# number of HU.
+# Distance of the limit of certain air above the value of air, in standard deviations of the noise.
 CERTAIN_NOISES = 2.5
 # Distance of the limit of certain air above the value of air, in HU.
 CERTAIN_HU = 40.0

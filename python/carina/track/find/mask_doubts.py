@@ -22,19 +22,19 @@ Points = NDArray[np.float64]
 STEP_MM = 1.0
 NUM_SIDES = 16
 NUM_STEPS = 14
-# Distance from the centreline, in radii, within which the middle of the lumen is measured; the wall is searched up to
-# this distance beyond the radius.
+# Distance from the centreline, in radii, within which the middle of the lumen is measured.
 MIDDLE = 0.35
+# Distance in mm beyond the radius up to which the wall is searched.
 WALL_REACH_MM = 2.0
-# Least rise from the lumen to a wall: this many standard deviations of the noise, and this many HU; the wall must be
-# visible on a least share of the sides.
+# Least rise from the lumen to a wall, in standard deviations of the noise and in HU.
 RISE_SIGMA, LEAST_RISE_HU = 4.0, 80.0
+# Least share of the sides on which the wall must be visible.
 MIN_WALLED = 0.6
 # Value in HU (half-way between air and soft tissue) above which a voxel is not air.
 AIR_HU = -500.0
-# Least share of a branch's length with evidence, below which the branch is doubtful; and least share of a mask's
-# length.
+# Least share of a branch's length with evidence; with less the branch is doubtful.
 MIN_EVIDENCE = 0.4
+# Largest share of the mask's length in doubtful branches; with more the mask is doubtful.
 MOST_DOUBTED = 0.2
 # Largest radius in mm of a judged branch: wide airways stay dark under a mask that is displaced by some mm.
 MOST_RADIUS_MM = 7.0

@@ -47,8 +47,7 @@ THROAT_WIDTH = 1.3
 ABOVE_MM = 45.0
 TRACHEA_AGAIN_MM = 20.0
 AGAIN_BY_A_TUBE_MM = 9.0
-# Greatest length in mm of a larynx, from the cone below the true cords to the wide part of the vestibule; and greatest
-# length of its part above the cords.
+# Greatest length in mm of a larynx, from the cone below the true cords to the wide part of the vestibule.
 LONGEST_MM = 40.0
 # Greatest length in mm of the part of the larynx above the cords.
 ABOVE_CORDS_MM = 20.0
@@ -59,19 +58,20 @@ CORDS_ABOVE_CRICOID_MM = (18.0, 25.0)
 # begins at the middle of the heights that are less than 9 mm below the cricoid for every position of the cords.
 BELOW_THE_CORDS_MM = 26.5
 LESS_BELOW_CRICOID_MM = 9.0
-# Adult values in mm: diameter of the trachea, and height of the cords above the lowest section (just below the
-# carina).
+# Diameter of an adult's trachea, mm.
 ADULT_DIAMETER_MM = 17.3
+# Height in mm of an adult's cords above the lowest section, which is just below the carina.
 ADULT_CORDS_MM = 146.0
 # Between these relative sizes the larynx has an adult's size; outside them it scales with the trachea.
 ADULT_SIZES = (0.92, 1.0)
 SIZES = (0.4, 1.2)
-# Smallest extent (left-right and front-back) of a CT of a neck or a head, also of a child's.
+# Smallest extent in mm (left-right and front-back) of a CT of a neck or a head, also of a child's.
 LEAST_NECK_MM = 90.0
-# Largest distance below the cords at which the cone below them begins to narrow.
+# Largest distance in mm below the cords at which the cone below them begins to narrow.
 CONE_MM = 9.0
-# Range of areas of sections above the carina, as shares of the median area; longer gaps than this end the trachea.
+# Range of areas of the trachea's sections above the carina, as shares of the median area.
 AREAS_OF_TRACHEA = (0.6, 1.6)
+# Length in mm of a gap between such sections above which the trachea ends.
 CARINA_GAP_MM = 4.0
 # Ratio of a section's area to the trachea's above which the section is throat, or air outside the body.
 WIDEST = 2.5

@@ -81,9 +81,9 @@ class ReferenceDiameter:
     """Diameter that a healthy branch would have at one place."""
 
     mm: float
-    """Expected diameter, mm."""
+    """Diameter in mm that a healthy branch would have at the place."""
     error: float
-    """Half of the 95 % interval, as a share of ``mm``."""
+    """Half of the 95 % interval of the diameter, as a share of ``mm``."""
     source: str
     """Source as in :attr:`Stenosis.reference_from`."""
 
@@ -118,11 +118,11 @@ class BranchSummary:
     taper: float | None = None
     """Change of the equivalent diameter per mm of length (mm/mm); below 0 if the branch narrows."""
     wall_mm: float | None = None
-    """Median thickness of the branch's wall, mm."""
+    """Median thickness of the branch's wall, mm; None if not measured."""
     wall_error_mm: float | None = None
     """Error of ``wall_mm``: half of a 95 % interval."""
     measured_stenosis: Stenosis | None = dataclasses.field(default=None, repr=False)
-    """Stenosis as measured or read.
+    """Stenosis as measured or read from a file; None if there is none.
 
     Case files of earlier versions also contain stenoses within their errors: use ``stenosis``.
     """

@@ -69,7 +69,7 @@ class Absence:
     name: str
     """Name of the missing lobe or segment, such as RML or RB4."""
     kind: AbsenceKind
-    """Reason, from the evidence of the CT.
+    """Reason why the lobe or segment is missing, from the evidence of the CT.
 
     ``outside``: its bronchus begins outside the scan. ``resected``: its bronchus is a stump. ``blocked`` and
     ``filled``: soft tissue is in the bronchus that leads there. ``lost`` and ``leak``: the search lost the airway
@@ -92,7 +92,7 @@ class Absence:
     num_slices: int | None = None
     """Number of slices of the scan."""
     has_clips: bool = False
-    """Whether surgical clips are at the stump."""
+    """Whether surgical clips are at the stump of the missing bronchus."""
     hidden_by: CalibratedShares | None = None
     """Thick slices that may hide the bronchus; None if the slices are thin or do not explain the absence."""
 
@@ -151,7 +151,7 @@ class Absence:
 
     @property
     def words(self) -> str:
-        """Sentence with the full name and the reason."""
+        """Sentence with the full name of the missing lobe or segment and the reason."""
         match self.kind:
             case "outside":
                 return f"{self.full_name} is {self.reason}"

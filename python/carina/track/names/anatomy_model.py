@@ -154,11 +154,11 @@ class Division:
     """All divisions of states in two, in both orders, as arrays sorted by the dividing state."""
 
     state: NDArray[np.intp]
-    """State (n,) that divides."""
+    """State (n,) that each division divides, as index in the grammar."""
     one: NDArray[np.intp]
-    """State (n,) of the first part."""
+    """State (n,) of the first part of each division."""
     two: NDArray[np.intp]
-    """State (n,) of the second part."""
+    """State (n,) of the second part of each division."""
     log_prior: NDArray[np.float64]
     """Log probability (n,) of the division, from anatomy alone."""
     place: NDArray[np.float64]
@@ -174,7 +174,7 @@ class Grammar:
     """States and rules of the grammar, as arrays."""
 
     names: list[str]
-    """Name of each state."""
+    """Name of each state of the grammar."""
     segments: list[frozenset[str]]
     """Keys of the segments that a state carries (nominally)."""
     lobe: list[str | None]

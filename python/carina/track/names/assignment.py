@@ -55,6 +55,7 @@ def _log_peak(kappa: Array | float) -> Array:
 
 
 STUMP_MM = 2.5
+"""Least radius of a stump, mm."""
 STUMP_SHARE = 0.55
 """Least ratio of a stump's radius to its parent's radius.
 
@@ -97,7 +98,7 @@ class Reading:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """Readings of all bronchi."""
+    """Labels (readings) that the solver assigned to all bronchi of a tree."""
 
     readings: list[Reading]
 

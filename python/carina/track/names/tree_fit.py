@@ -36,7 +36,7 @@ GOOD_FIT = 4.0
 # carina_bench.track_confidence).
 NAME_ODDS = (0.295, 1.073, 0.706)
 SUREST = 0.995
-"""Upper limit of the share of a reading."""
+"""Upper limit of the share of all readings that supports a name."""
 
 
 def calibrated(reading: float, fit: float | None) -> float:

@@ -111,7 +111,7 @@ class PathGrid:
 
     @property
     def shape_zyx(self) -> tuple[int, int, int]:
-        """Number of voxels along z, y, x."""
+        """Number of voxels of the grid along z, y, x."""
         shape = list(self.ct.shape_zyx)
         shape[2 - self._axis] *= self.parts
         return shape[0], shape[1], shape[2]

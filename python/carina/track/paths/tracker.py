@@ -516,7 +516,7 @@ class PathTracker:
 def _tracker_of(
     values: dict[str, Any], lumen: PackedMask, branches: tuple[Branch, ...], nodes: list[NDArray[np.uint32]] | None
 ) -> PathTracker:
-    """Return the tracker from the values in a pickle."""
+    """Return the path tracker that the values in a pickle describe."""
     tracker = PathTracker(core=None, lumen_zyx=lumen.mask_zyx(), **values)
     tracker._tell(branches, nodes)
     return tracker

@@ -56,7 +56,7 @@ NO_LUMEN = Note(
 
 
 def check_choice(cost: str, graph: str) -> None:
-    """Raise an error for an unknown cost or graph.
+    """Raise an error if the name of a cost or a graph is unknown.
 
     Raises
     ------

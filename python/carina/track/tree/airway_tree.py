@@ -88,7 +88,7 @@ class Branch:
     """Distance (n,) to the wall in mm; None for a tree that was read from a file. See ``wall_distance``."""
 
     def __post_init__(self) -> None:
-        """Check the types and ranges of the fields."""
+        """Raise an error if a field of the branch has an invalid type or value."""
         check_fields(
             self,
             id=whole_from(0, 2**31),
@@ -326,7 +326,7 @@ class AirwayTree(Tabular):
 
     @property
     def root(self) -> Branch:
-        """Trunk of the tree."""
+        """Trunk of the tree: the branch without a parent."""
         return self.branches[0]
 
     @check_arguments(branch_id=whole_from(0, 2**31))

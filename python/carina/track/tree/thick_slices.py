@@ -68,9 +68,9 @@ class CalibreShare:
     """Share of the length of airways of one calibre that the search finds in CTs of one slice thickness."""
 
     from_mm: float
-    """Smallest inner diameter."""
+    """Smallest inner diameter of the airways, mm."""
     to_mm: float | None
-    """Largest inner diameter; None: no upper limit."""
+    """Largest inner diameter of the airways, mm; None: no upper limit."""
     least: float
     """Least share among the CTs that were measured: 0 to 1, a multiple of 0.05 like :attr:`typical` and :attr:`most`.
     """

@@ -70,7 +70,7 @@ class Uncertainty(AirwayPlace, frozen=True, kw_only=True):
     """
 
     kind: UncertaintyKind
-    """Kind of the place.
+    """Kind of the uncertain place.
 
     ``lost``: the search lost the airway, although its calibre shows that it continues; the CT proves no disease.
     ``blocked``: soft tissue continues the bronchus beyond the end of its lumen. ``stump``: a wall closes the
@@ -80,7 +80,7 @@ class Uncertainty(AirwayPlace, frozen=True, kw_only=True):
     coarse; once for the whole tree.
     """
     width_mm: float
-    """Diameter of the airway where it was last visible.
+    """Diameter in mm of the airway where it was last visible.
 
     For ``fine``: the median of the ends that are this thin. For ``filled``: that of the circle with the area of the
     remaining air, 0 without air.
@@ -163,7 +163,7 @@ class Uncertainty(AirwayPlace, frozen=True, kw_only=True):
 
     @property
     def reason(self) -> str:
-        """Statement with its explanation."""
+        """Statement on the uncertain place, with its explanation."""
         return self.statement if self.explanation is None else f"{self.statement}: {self.explanation}"
 
 
