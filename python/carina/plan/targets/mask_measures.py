@@ -97,7 +97,7 @@ def drawn_nodule(volume: Volume, drawn: Drawn, *, notes: tuple[str, ...] = (), o
 def _on_cubes(
     volume: Volume, drawn: Drawn, matrix: NDArray[np.float64], shape: tuple[int, int, int], volume_mm3: float
 ) -> Mask:
-    """Return the mask of the cubic voxels with the largest shares, whose sum is the drawn structure's volume."""
+    """Return the mask of the cubic voxels with the largest shares; their total volume is the structure's volume."""
     padded = np.pad(drawn.share_zyx, 1)
     to_ijk = volume.ijk_from_lps @ matrix
     first = np.array(drawn.first_zyx[::-1]) - 1.0

@@ -142,7 +142,7 @@ class _Shape:
 
 
 def _merged(shapes: Sequence[_Shape]) -> tuple[list[_Shape], int, float]:
-    """Return the shapes with each group of outlines of one boundary replaced by its mean, and number and distance."""
+    """Merge outlines of one boundary; return the shapes, the number of merged outlines, and the largest distance."""
     groups: list[list[_Shape]] = []
     apart = 0.0
     for one in shapes:

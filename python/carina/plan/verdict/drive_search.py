@@ -94,7 +94,7 @@ class _Rule:
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> _Rule:
-        """Return a random steering rule."""
+        """Return a steering rule with randomly drawn values."""
         return cls(
             mode=("visible", "ahead", "opening", "opening")[int(rng.integers(4))],
             far_mm=rng.uniform(12.0, 30.0),
