@@ -1,4 +1,4 @@
-"""Orders and answers as plain bytes, which the transport passes on unchanged.
+"""Packing of strip orders and answers as plain bytes, which the transport passes on unchanged.
 
 Ray would pickle each argument and result of another type separately, at both ends, for each strip
 (docs/decisions/0109).
@@ -18,9 +18,9 @@ from carina.render import Picture
 __all__ = ["Counts", "Strip", "open_answer", "open_order", "pack_answer", "pack_order"]
 
 Counts = tuple[int, int, int, int, int, int, int]
-"""Number of rays, samples, look-ups, leaps, skipped samples, shaded samples and loads."""
+"""Type of the counts of a rendered strip: rays, samples, look-ups, leaps, skipped samples, shaded samples, loads."""
 Strip = tuple[int, int, int, int, float, str, Counts, Picture | None, NDArray[np.uint8]]
-"""Content of an answer.
+"""Type of the content of an answer to a strip order.
 
 The fields are frame, content, first row, number of rows, seconds, method, counts, picture and pixels. The picture has
 no pixels, and is None unless the strip contains the first row.
@@ -49,13 +49,13 @@ def pack_order(frame_id: int, content: int, view: bytes, rows: tuple[int, int] |
 
 
 def open_order(order: bytes) -> tuple[int, int, bytes, tuple[int, int] | None]:
-    """Return the frame, the content, the pickled view and the rows of an order."""
+    """Return the frame number, the content number, the pickled view and the rows of a packed order."""
     frame_id, content, first_row, end_row = _ORDER.unpack_from(order)
     return frame_id, content, order[_ORDER.size :], None if first_row < 0 else (first_row, end_row)
 
 
 def pack_answer(strip: Strip) -> bytes:
-    """Return an answer as bytes; the pixels are copied once.
+    """Return a rendered strip packed as bytes; the pixels are copied once.
 
     Raises
     ------
@@ -75,7 +75,7 @@ def pack_answer(strip: Strip) -> bytes:
 
 
 def open_answer(answer: bytes) -> Strip:
-    """Return the content of an answer; the pixels are a read-only view of ``answer``.
+    """Return the rendered strip of a packed answer; its pixels are a read-only view of ``answer``.
 
     An answer contains a pickle, so only answers of machines that joined with a token may be opened.
 

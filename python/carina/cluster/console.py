@@ -29,11 +29,11 @@ logger = logging.getLogger(__name__)
 RETRY_S = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 """Waiting times in seconds before a renderer that cannot load the content is tried again; the last one repeats."""
 TELL_AFTER_LOADS = 5
-"""Failed attempts to load before the user is notified; a restart can cause one or two failures."""
+"""Number of failed loads of a renderer before the user is notified; a restart can cause one or two."""
 TELL_AFTER_S = 0.5
 """Delay of a renderer in seconds from which the user is notified."""
 MAX_FAULTS = 5
-"""Number of wrong answers after which a renderer is not used any more."""
+"""Number of wrong answers after which the console removes a renderer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +102,7 @@ class Console:
         self._status: ClusterStatus | None = None
         self.jobs: list[Job] | None = [] if keep_jobs else None
         self.parcels = Parcels()
-        """Source of content numbers that are unique over all cases shown one after the other."""
+        """Source of the content numbers, which stay unique when another case is shown."""
         self.address = "local"
         self.mixed = False
         self._closed = False
@@ -113,7 +113,7 @@ class Console:
         self._thread.start()
 
     def __repr__(self) -> str:
-        """Return the number of renderers."""
+        """Return a one-line description with the number of renderers."""
         return f"Console({len(self._members)} renderers)"
 
     def add_lane(self, lane: Lane, *, reserve: bool = False) -> None:
@@ -133,7 +133,7 @@ class Console:
         lane.close()
 
     def remove_lane(self, name: str) -> None:
-        """Remove a renderer permanently."""
+        """Remove the renderer with this name permanently and close its lane."""
         self._inbox.put(lambda: self._remove(name))
 
     def notice(self, words: str) -> None:
@@ -141,7 +141,7 @@ class Console:
         self._inbox.put(lambda: self._tell(words))
 
     def set_content(self, parcel: Parcel) -> None:
-        """Set the content that renderers load; each frame names its own content.
+        """Set the content (volume and scene) that renderers load; each frame names the content that it shows.
 
         Parameters
         ----------
@@ -153,7 +153,7 @@ class Console:
     def render(
         self, view: View, content: Content, *, whole: bool = False, stream: str | None = None
     ) -> tuple[int, Future[Picture]]:
-        """Request a picture.
+        """Request the picture of a view, which the cluster renders.
 
         Parameters
         ----------
@@ -205,11 +205,11 @@ class Console:
         return any(not m.reserve and not m.loading for m in list(self._members.values()))
 
     def facts(self, name: str) -> LaneFacts:
-        """Return the facts of a lane's machine."""
+        """Return the facts about the machine of the lane with this name."""
         return self._members[name].lane.facts
 
     def lane(self, name: str) -> Lane:
-        """Return a lane, for tests and benchmarks."""
+        """Return the lane with this name, for tests and benchmarks."""
         return self._members[name].lane
 
     @property
@@ -298,7 +298,7 @@ class Console:
             return
         parcel = self._parcel
         if parcel is None:
-            # No content was set yet.
+            # No content was set yet, so there is nothing to load.
             if member.reserve:
                 member.loading = False
                 self._scheduler.join(name, self._clock(), reserve=True)
@@ -321,7 +321,7 @@ class Console:
             self._act()
 
     def _loaded(self, name: str, generation: int, parcel: Parcel, trouble: BaseException | None) -> None:
-        """Handle the end of a load: let the renderer take part, load newer content, or try again."""
+        """Handle the end of a load: let the renderer take part, load newer content, or schedule another attempt."""
         member = self._members.get(name)
         if member is None or generation != member.generation:
             return
@@ -364,7 +364,7 @@ class Console:
         """Pass a requested picture to the scheduler."""
         self._frames[frame_id] = frame
         view = frame.view
-        # An answer has three bytes per pixel.
+        # The limit in bytes is converted to rows; an answer has three bytes per pixel.
         max_rows = None if whole else max(1, self._settings.max_strip_bytes // (3 * view.width))
         self._scheduler.want(
             frame_id,
@@ -410,7 +410,7 @@ class Console:
             self._tell(f"the renderer {name} is late; the other machines render its part until it responds")
 
     def _issue(self, task: Issue) -> None:
-        """Send a strip to a lane."""
+        """Send a strip order to the lane that the scheduler chose."""
         frame = self._frames[task.frame_id]
         member = self._members[str(task.lane)]
         whole = (task.first_row, task.end_row) == (0, frame.view.height)
@@ -441,10 +441,10 @@ class Console:
             done(trouble)
 
     def _answered(self, name: str, order: StripOrder, answer: StripAnswer | BaseException, at_s: float) -> None:
-        """Handle an answer: check it, copy its rows, and report it to the scheduler."""
+        """Handle a lane's answer: check it, copy its rows into the frame, and report it to the scheduler."""
         _, issued_s = self._tasks.pop(order.task_id, (order, None))
         if issued_s is None:
-            # The lane has answered this order before.
+            # A second answer of a lane to the same order is ignored.
             return
         frame = self._frames.get(order.frame_id)
         if isinstance(answer, BaseException):
@@ -581,4 +581,4 @@ def _whatever_happens(step: Callable[[], object]) -> None:
 
 
 def _nothing() -> None:
-    """Do nothing; the wait for the next event has timed out."""
+    """Do nothing; this is the event handler for a wait that timed out."""

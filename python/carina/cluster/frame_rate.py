@@ -8,7 +8,7 @@ __all__ = ["RateMeter"]
 
 
 class RateMeter:
-    """Meter of the rate over the last ``over_s`` seconds, and of the median of the last ``keep`` durations."""
+    """Meter of the event rate over the last ``over_s`` seconds, and of the median of the last ``keep`` durations."""
 
     def __init__(self, over_s: float = 1.0, keep: int = 64) -> None:
         self._over_s = over_s

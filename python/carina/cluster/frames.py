@@ -19,7 +19,7 @@ __all__ = ["Content", "Frame", "fail", "what_is_wrong"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Content:
-    """The content of a frame, with the local renderer that can render it."""
+    """Content that a frame shows (volume and scene), with the local renderer that can render it."""
 
     number: int
     renderer: Renderer
@@ -68,7 +68,7 @@ class Frame:
         self._method = max(self._method, answer.method, key=lambda m: (m.startswith("gpu"), m))
 
     def deliver(self, now_s: float) -> None:
-        """Set the result of the future after the last row: the picture, or the error of the assembly.
+        """Complete the frame's future after the last row: set the picture, or the error of the assembly.
 
         Parameters
         ----------
@@ -102,7 +102,7 @@ def fail(future: Future[Picture], trouble: BaseException) -> None:
 
 
 def what_is_wrong(answer: StripAnswer, order: StripOrder) -> str | None:
-    """Return the difference between an answer and its order as text; None if the answer is valid."""
+    """Return the difference between a lane's answer and its order as text; None if the answer is valid."""
     first, end = order.rows or (0, order.view.height)
     expected = (end - first, order.view.width, 3)
     if answer.frame_id != order.frame_id:

@@ -38,11 +38,11 @@ class StripOrder:
     view_bytes: bytes = b""
     """The view, pickled once for all strips of a frame."""
     renderer: Renderer | None = None
-    """Local renderer, for a lane in this process."""
+    """Local renderer of the frame's content, for a lane in this process; else None."""
     scene: Scene | None = None
-    """Scene to render, for a lane in this process."""
+    """Scene that the strip shows, for a lane in this process; else None."""
     stop: CancelToken | None = None
-    """Cancels the rendering, for a lane in this process."""
+    """Token that cancels the rendering, for a lane in this process."""
 
 
 @one_line
@@ -63,7 +63,7 @@ class StripAnswer:
 
     @classmethod
     def of(cls, strip: Strip) -> StripAnswer:
-        """Return the answer with the content that a host returned."""
+        """Return the answer of a lane from the content that a renderer host returned."""
         return cls(*strip)
 
 
@@ -85,10 +85,10 @@ class Lane(Protocol):
 
     @property
     def facts(self) -> LaneFacts:
-        """Facts of the machine."""
+        """Facts about the machine of the lane."""
 
     def load(self, parcel: Parcel, done: Loaded) -> bool:
-        """Load new content.
+        """Load new content on the renderer of the lane.
 
         Parameters
         ----------
@@ -105,7 +105,7 @@ class Lane(Protocol):
         """
 
     def submit(self, order: StripOrder, done: Answered) -> None:
-        """Render a strip.
+        """Send a strip order to the renderer of the lane.
 
         Parameters
         ----------
@@ -116,7 +116,7 @@ class Lane(Protocol):
         """
 
     def close(self) -> None:
-        """Close the connection; the caller submits no more strips."""
+        """Close the connection to the renderer; the caller submits no more strips."""
 
 
 class LocalLane:
@@ -144,7 +144,7 @@ class LocalLane:
 
     @property
     def facts(self) -> LaneFacts:
-        """Facts of this machine."""
+        """Facts about this machine, shown to the user."""
         from carina.render import build_info
 
         info = build_info()
@@ -156,11 +156,11 @@ class LocalLane:
         return True
 
     def submit(self, order: StripOrder, done: Answered) -> None:
-        """Render a strip after those submitted before."""
+        """Render a strip after the strips that were submitted before."""
         self._orders.put((order, done))
 
     def close(self) -> None:
-        """End the thread after the submitted strips."""
+        """End the lane's thread after the submitted strips are rendered."""
         self._orders.put(None)
 
     def _run(self) -> None:
@@ -193,5 +193,5 @@ class LocalLane:
 
 
 def with_pixels(picture: Picture, rgb: NDArray[np.uint8], **changes: Any) -> Picture:
-    """Return a picture with other pixels."""
+    """Return a copy of a picture with other pixels."""
     return dataclasses.replace(picture, rgb=rgb, **changes)

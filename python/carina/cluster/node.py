@@ -40,7 +40,7 @@ TOKEN_NAME = "cluster.token"
 STARTED = "Ray runtime started"
 """Line that Ray prints after a machine has joined."""
 CONSOLE_ENVIRONMENT = {"RAY_gcs_rpc_server_reconnect_timeout_s": str(10 * 365 * 86_400)}
-"""Environment variables for the console only.
+"""Environment variables of Ray that only the console's process sets.
 
 Without them, Ray ends a program whose head node has been unreachable for a minute. The console then renders alone and
 must go on. Other machines do end, and join again.
@@ -156,7 +156,7 @@ def own_address(towards: str | None = None) -> str:
 
 
 def split_address(address: str) -> tuple[str, int]:
-    """Return the host and the port of ``HOST[:PORT]``."""
+    """Return the host and the port of an address ``HOST[:PORT]``; a missing port is replaced by the default."""
     host, _, port = address.partition(":")
     if not host or (port and not port.isdecimal()):
         raise UsageError(f"expected a cluster address HOST or HOST:PORT, such as 10.0.0.5:6379; found {address!r}")
@@ -260,7 +260,7 @@ class Node:
 
     @property
     def running(self) -> bool:
-        """Whether this machine's process of the cluster runs."""
+        """Whether the process that keeps this machine in the cluster is running."""
         return self.process.poll() is None
 
     def wait_ready(self, timeout_s: float = 150.0) -> None:
@@ -336,7 +336,7 @@ def _usual_store_bytes() -> int:
 
 
 def _parents() -> dict[int, tuple[int, str]]:
-    """Return the parent and the start time of every process."""
+    """Return the parent and the start time of every process of this machine, by process id."""
     found = {}
     for entry in Path("/proc").iterdir():
         if entry.name.isdecimal():

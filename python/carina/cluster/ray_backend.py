@@ -87,13 +87,16 @@ def _connect(ray: Any, address: str, ip: str | None) -> None:
 
 
 def _plain(trouble: BaseException) -> BaseException:
-    """Return the original error of the other machine without Ray's wrapper."""
+    """Return the original error of another machine without Ray's wrapper."""
     cause = getattr(trouble, "cause", None)
     return cause if isinstance(cause, BaseException) else trouble
 
 
 class _Store:
-    """Large arrays in Ray's object store, which every machine fetches once, while the present content needs them."""
+    """Large arrays in Ray's object store, stored while the present content needs them.
+
+    Every machine fetches each one once.
+    """
 
     def __init__(self, ray: Any) -> None:
         self._ray = ray
@@ -125,7 +128,7 @@ class RayLane:
 
     @property
     def facts(self) -> LaneFacts:
-        """Facts of the machine."""
+        """Facts about the machine of the lane."""
         return self._facts
 
     def load(self, parcel: Parcel, done: Loaded) -> bool:
@@ -210,7 +213,7 @@ class RayLane:
         return self._handle.ping.options(concurrency_group="control").remote()
 
     def close(self) -> None:
-        """End the renderer."""
+        """End the renderer of the lane."""
         self._cluster.end(self._handle)
 
 
@@ -224,7 +227,7 @@ def _words(num_bytes: float) -> str:
 
 @dataclass(slots=True, eq=False)
 class _Started:
-    """A renderer from its creation until its end."""
+    """Renderer that was created on a machine, until its end."""
 
     node: str
     store_bytes: float
@@ -329,7 +332,7 @@ class RayCluster:
         """End a renderer permanently, also one that has not started; must not be called from Ray's threads."""
         try:
             self.ray.kill(handle, no_restart=True)
-        except Exception:  # the cluster may be gone already
+        except Exception:  # The cluster may already have ended, and the renderer with it.
             logger.debug("a renderer could not be ended", exc_info=True)
 
     def _watch(self) -> None:
@@ -435,7 +438,7 @@ class RayCluster:
 
 
 def look(address: str, token: Path, *, ip: str | None = None) -> list[dict[str, Any]]:
-    """Return the machines of a cluster.
+    """Return the machines of a cluster with their state.
 
     Parameters
     ----------
@@ -475,7 +478,7 @@ def look(address: str, token: Path, *, ip: str | None = None) -> list[dict[str, 
 
 
 def version_words(console: str, renderer: str, name: str) -> str | None:
-    """Return a message about incompatible versions and which side to upgrade; None if the versions are equal."""
+    """Return a message about different versions on console and renderer; None if they are equal."""
     if console == renderer:
         return None
 
@@ -495,7 +498,7 @@ def _first_line(trouble: BaseException) -> str:
 
 
 def _refusal(address: str, trouble: BaseException) -> str:
-    """Return the message about a connection that failed, with the likely cause."""
+    """Return the message for the user about a connection to a cluster that failed, with the likely cause."""
     text = str(trouble)
     if "version" in text.lower() and "mismatch" in text.lower():
         return (

@@ -84,7 +84,7 @@ class ClusterRenderer:
 
     @property
     def scene(self) -> Scene:
-        """The present content of pictures."""
+        """The present scene, which pictures show."""
         return self._renderer.scene
 
     def set_transfer(self, transfer: TransferFunction) -> None:

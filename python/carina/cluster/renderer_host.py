@@ -25,7 +25,7 @@ __all__ = ["RendererHost", "available_bytes", "bare_picture", "counts_of"]
 
 
 def available_bytes() -> int | None:
-    """Return the available memory in bytes, limited by the container; None if the system does not report it."""
+    """Return the memory available on this machine in bytes, limited by the container; None if it is not reported."""
     found: list[int] = []
     try:
         for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():
@@ -46,7 +46,7 @@ def bare_picture(picture: Picture) -> Picture:
 
 
 def counts_of(stats: RenderStats) -> Counts:
-    """Return the counts of a rendered picture as a tuple."""
+    """Return the counts of a rendered picture as a tuple, in the order of ``Counts``."""
     return (
         stats.num_rays,
         stats.num_samples,

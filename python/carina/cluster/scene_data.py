@@ -19,7 +19,7 @@ from carina.volume import Volume
 __all__ = ["Parcel", "Parcels", "open_parcel"]
 
 Array = np.ndarray[Any, Any]
-# Smaller arrays are sent within the skeleton.
+# Size in bytes from which an array is sent apart; smaller arrays are sent within the skeleton (the pickled content).
 LARGE_BYTES = 1 << 16
 
 
@@ -76,7 +76,7 @@ class Parcels:
         self._lock = threading.Lock()
 
     def pack(self, volume: Volume, scene: Scene) -> Parcel:
-        """Return a parcel with a new content number."""
+        """Return a volume and its scene packed as a parcel with a new content number."""
         bare = Volume(volume.hu_zyx, volume.lps_from_ijk, volume.is_hu, volume.not_hu_reason)
         file = io.BytesIO()
         packer = _Packer(file, self)
@@ -84,7 +84,7 @@ class Parcels:
         return Parcel(next(self._contents), file.getvalue(), packer.arrays)
 
     def token(self, array: Array) -> int:
-        """Return the token of an array; views of the same values have the same token."""
+        """Return the token (identification number) of an array; views of the same values have the same token."""
         # Views of the same memory count as one array; the owner of the memory shows whether it still exists.
         owner = array
         while isinstance(owner.base, np.ndarray):

@@ -80,7 +80,7 @@ class LaneView:
     state: LaneState
     reserve: bool
     share: float
-    """Share of the next frame, 0 to 1."""
+    """Share of the lane in the next frame, 0 to 1."""
     num_in_flight: int
     num_answers: int
     num_late: int
@@ -101,7 +101,7 @@ class _Task:
 
 @dataclass(slots=True)
 class _Lane:
-    """State of one lane."""
+    """State of one lane in the scheduler."""
 
     reserve: bool
     content: Hashable
@@ -112,9 +112,9 @@ class _Lane:
     """Strips that are not issued yet, as (frame id, strip), the oldest frame first."""
     answered_s: float = float("-inf")
     pace: dict[Hashable, float] = field(default_factory=dict)
-    """Smoothed seconds per row by ``cost``, from which deadlines are estimated."""
+    """Smoothed rendering time per row in seconds, by the frame's ``cost``; deadlines are estimated from it."""
     measured: dict[Hashable, tuple[float, int]] = field(default_factory=dict)
-    """Seconds and rows since the last epoch, by ``cost``."""
+    """Rendering time in seconds and number of rows since the last update of the shares, by the frame's ``cost``."""
     last_m: dict[Hashable, float] = field(default_factory=dict)
     num_answers: int = 0
     num_late: int = 0
@@ -122,7 +122,7 @@ class _Lane:
 
 @dataclass(slots=True)
 class _Frame:
-    """State of one frame."""
+    """State of one frame that waits or is being rendered."""
 
     frame_id: int
     num_rows: int
@@ -137,11 +137,11 @@ class _Frame:
     """Lanes to which a strip is issued or queued, including late lanes."""
 
 
-# Weight of a new time in the estimate for deadlines: near a wall, the cost of a row changes within a few frames.
+# Weight of a new time in the smoothed time per row: near a wall, the cost of a row changes within a few frames.
 PACE_WEIGHT = 0.3
 KINDS_REMEMBERED = 32
 ALONE_S = 0.05
-"""Rendering time in seconds from which a single lane has only one frame open.
+"""Rendering time of a frame in seconds from which a single lane has only one frame open.
 
 The rule halves the response time for less than a seventh of the frame rate. For faster frames the rule would cost up to
 half of the rate, because of the transport.
@@ -165,7 +165,7 @@ class StripScheduler:
         self._actions: list[Action] = []
 
     def take(self) -> list[Action]:
-        """Return the collected actions in order, and clear them."""
+        """Return the actions that were collected since the last call, in order, and clear them."""
         actions, self._actions = self._actions, []
         return actions
 
@@ -182,7 +182,7 @@ class StripScheduler:
 
     @property
     def num_waiting(self) -> int:
-        """Number of frames that wait for a buffer."""
+        """Number of requested frames that wait for an image buffer."""
         return len(self._waiting)
 
     def rows(self, frame_id: int, strip: int) -> tuple[int, int] | None:
@@ -269,7 +269,7 @@ class StripScheduler:
         whole: bool = False,
         max_rows: int | None = None,
     ) -> None:
-        """Render a frame as soon as a buffer is available.
+        """Request a frame, which is rendered as soon as a buffer is available.
 
         Parameters
         ----------
@@ -318,7 +318,7 @@ class StripScheduler:
         self._go_on(now_s)
 
     def wants(self, lane: Lane, task_id: int) -> bool:
-        """Return whether :meth:`answered` would accept an answer; nothing changes."""
+        """Return whether :meth:`answered` would accept this answer of a lane; the state does not change."""
         state = self._lanes.get(lane)
         task = None if state is None else next((t for t in state.in_flight if t.task_id == task_id), None)
         frame = None if task is None else self._frames.get(task.frame_id)
@@ -463,7 +463,7 @@ class StripScheduler:
             lane.queue = [item for item in lane.queue if item[0] != frame_id]
 
     def _release(self, lane: Lane, frame_id: int, strip: int) -> None:
-        """Remove a lane from the holders of a strip."""
+        """Remove a lane from the set of lanes that have a strip."""
         frame = self._frames.get(frame_id)
         if frame is not None and strip in frame.holders:
             frame.holders[strip].discard(lane)

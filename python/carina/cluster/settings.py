@@ -20,29 +20,32 @@ class ClusterSettings:
     open_frames: int = 2
     """Frames that are rendered at the same time: image buffers (paper 5.1). 1 waits for each frame."""
     balances: bool = True
-    """Whether shares follow the measured times (paper 5.2); if not, all lanes get the same number of rows."""
+    """Whether the lanes' shares follow their measured times (paper 5.2).
+
+    If False, all lanes get the same number of rows.
+    """
     inertia: float = 0.9
-    """Inertia I of the forgetting function (paper 5.2)."""
+    """Inertia I of the forgetting function: weight of a lane's former share (paper 5.2)."""
     settling_inertia: float = 0.5
-    """Inertia for the first epochs after a lane has joined or returned.
+    """Inertia for the first complete frames (epochs) after a lane has joined or returned.
 
     The share reaches its true value after 5 frames with 0.5, and after 23 frames with 0.9.
     """
     settling_epochs: int = 10
-    """Number of epochs with ``settling_inertia``."""
+    """Number of complete frames (epochs) for which ``settling_inertia`` applies."""
     min_rows: int = 4
     """Smallest height of a strip, so that a slow lane is still measured."""
     max_strip_bytes: int = 1_000_000
     """Largest size of an answer; larger strips are divided. Answers above 1 MiB take 9 ms instead of 1 ms."""
     late_factor: float = 3.0
-    """A strip is late if it takes this multiple of the expected time."""
+    """Multiple of the expected time after which a strip counts as late."""
     late_floor_s: float = 0.05
     """Shortest time in seconds after which a strip can be late."""
     first_answer_s: float = 2.0
     """Deadline in seconds for the first answer of a lane of unknown speed."""
 
     def __post_init__(self) -> None:
-        """Raise an error for settings outside their ranges."""
+        """Raise an error if a setting is outside its range."""
         for what, value in (("in_flight", self.in_flight), ("open_frames", self.open_frames)):
             if not 1 <= value <= 64:
                 raise UsageError(f"cluster: {what} must be between 1 and 64; found {value}", code="usage.cluster")

@@ -44,7 +44,7 @@ class Shares:
         self.settle()
 
     def settle(self) -> None:
-        """Use the smaller inertia for some epochs, because the speeds have changed permanently."""
+        """Use the smaller inertia for the next complete frames, because the lanes' speeds have changed permanently."""
         self._settling = self._settings.settling_epochs
 
     def epoch(self, row_seconds: dict[Hashable, float]) -> None:
@@ -71,7 +71,7 @@ class Shares:
             self._p[lane] = self._p[lane] * inertia + mass * speed[lane] / total * (1.0 - inertia)
 
     def of(self, lanes: Iterable[Hashable]) -> dict[Hashable, float]:
-        """Return the shares of some lanes, scaled to a sum of one; unknown lanes get the mean share."""
+        """Return the shares of the given lanes, scaled to a sum of one; an unknown lane gets the mean share."""
         chosen = list(lanes)
         mean = 1.0 / max(1, len(self._p))
         found = {lane: self._p.get(lane, mean) for lane in chosen}
@@ -82,5 +82,5 @@ class Shares:
 
     @property
     def all(self) -> dict[Hashable, float]:
-        """The share of every lane."""
+        """The share of every lane, by lane; the shares sum to one."""
         return dict(self._p)

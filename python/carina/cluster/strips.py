@@ -59,7 +59,7 @@ def cut_rows(
         left = num_rows - sum(heights.values())
         for lane in sorted(served, key=lambda lane: -(exact[lane] % 1.0))[:left]:
             heights[lane] += 1
-    # If all remainders are zero, rounding can leave one or two rows.
+    # Rounding can leave one or two rows although all remainders are zero; the fastest lane gets these rows.
     heights[served[0]] += num_rows - sum(heights.values())
     strips: list[tuple[Lane, int, int]] = []
     first = 0

@@ -55,7 +55,7 @@ class AutoFlight:
             )
         self._path = path
         stops = [mm for mm in path.lookouts_mm if 0.0 < mm < path.length_mm]
-        # Times and positions between which the flight moves at constant speed.
+        # The flight moves at constant speed between these times and positions.
         times, places, now_s = [0.0], [0.0], 0.0
         for stop_mm in [*stops, path.length_mm]:
             now_s += (stop_mm - places[-1]) / speed_mm_s
@@ -67,7 +67,7 @@ class AutoFlight:
         self._times, self._places = np.array(times), np.array(places)
 
     def __repr__(self) -> str:
-        """Return a short description for the interpreter."""
+        """Return a one-line description of this `AutoFlight` for the Python interpreter."""
         return f"AutoFlight({self._path!r}, {self.duration_s:.1f} s)"
 
     @property
@@ -82,7 +82,7 @@ class AutoFlight:
 
     @check_arguments(time_s=number_from(-1e9, 1e9, unit="s"))
     def pose_at(self, time_s: float) -> Pose:
-        """Return the pose at a time."""
+        """Return the pose of the camera at a time of the flight, in seconds from its start."""
         return self._path.pose_at(self.path_mm(time_s))
 
 
@@ -99,7 +99,7 @@ def frame_times_s(duration_s: float, rate_hz: float) -> NDArray[np.float64]:
 
 
 def check_duration(duration_s: float) -> None:
-    """Reject a flight of more than a day: its frames do not fit in memory."""
+    """Raise an error if a flight lasts more than a day, because the frames of such a flight do not fit in memory."""
     if not duration_s <= MAX_DURATION_S:
         raise UsageError(
             f"a flight can last at most 24 hours ({MAX_DURATION_S:.0f} s); found {duration_s:g} s; check that the "

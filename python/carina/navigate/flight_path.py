@@ -35,7 +35,7 @@ class PathPoints(Protocol):
 
 
 def _check_points(where: str, name: str, value: object) -> None:
-    """Reject anything but finite numbers or a path with points."""
+    """Raise an error unless a path consists of finite numbers or has points."""
     numbers_within()(where, name, getattr(value, "points_lps", value))
 
 
@@ -175,7 +175,7 @@ class FlightPath:
         return _path_of, values
 
     def __repr__(self) -> str:
-        """Return a short description for the interpreter."""
+        """Return a one-line description of this `FlightPath` for the Python interpreter."""
         return f"FlightPath(length_mm={self.length_mm:.1f}, num_forks={len(self._forks_mm)})"
 
     @property
@@ -195,12 +195,12 @@ class FlightPath:
 
     @property
     def points_lps(self) -> NDArray[np.float64]:
-        """Knots of the smooth curve, ``(m, 3)``, LPS mm, at even distances along the path (a copy)."""
+        """Points that define the smooth curve, ``(m, 3)``, LPS mm, at even distances along the path (a copy)."""
         return self._curve.knots_lps()
 
     @property
     def source_lps(self) -> NDArray[np.float64]:
-        """The given points, ``(n, 3)``, LPS mm; not to be modified."""
+        """Points from which the path was created, ``(n, 3)``, LPS mm; the caller must not modify them."""
         return self._source_lps
 
     def made_from(self) -> dict[str, Any]:
@@ -245,13 +245,19 @@ class FlightPath:
 
     @check_arguments(path_mm=number_from(-COORDINATE_MM, COORDINATE_MM, unit="mm"))
     def next_fork_mm(self, path_mm: float) -> float:
-        """Return the first look-out beyond a position, or the end of the path, in mm."""
-        # Tolerance 0.01 mm: from a fork the next one is returned, in spite of rounding.
+        """Return the position in mm of the first look-out beyond a position of the path.
+
+        The path's end if there is none.
+        """
+        # Tolerance 0.01 mm: from a look-out, the following look-out is returned in spite of rounding.
         return next((f for f in self._lookouts_mm if f > path_mm + 0.01), self.length_mm)
 
     @check_arguments(path_mm=number_from(-COORDINATE_MM, COORDINATE_MM, unit="mm"))
     def previous_fork_mm(self, path_mm: float) -> float:
-        """Return the last look-out before a position, or the start of the path, in mm."""
+        """Return the position in mm of the last look-out before a position of the path.
+
+        The path's start if there is none.
+        """
         return next((f for f in reversed(self._lookouts_mm) if f < path_mm - 0.01), 0.0)
 
     def _on_path(self, what: str, places_mm: Sequence[float]) -> tuple[float, ...]:
@@ -269,7 +275,7 @@ def _path_of(
     lookouts_mm: tuple[float, ...],
     max_deviation_mm: float,
 ) -> FlightPath:
-    """Return the path that a pickle contains; its curve is computed when it is first needed."""
+    """Return the flight path of pickled arguments; its curve is computed when it is first needed."""
     return FlightPath.made_before(
         source_lps, up_lps=up_lps, forks_mm=forks_mm, lookouts_mm=lookouts_mm, max_deviation_mm=max_deviation_mm
     )

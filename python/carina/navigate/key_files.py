@@ -31,7 +31,7 @@ MAX_NAME = 200
 @one_line
 @dataclass(frozen=True, slots=True)
 class KeyFrameFile:
-    """Key frames with the data of the flight through them.
+    """Content of a file of key frames: the key frames, and speed, route, case and view of the flight through them.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class KeyFrameFile:
         return KeyFrameFlight(self.frames, speed_mm_s=self.speed_mm_s)
 
     def check(self, volume: Volume) -> None:
-        """Raise an error if the key frames belong to another case.
+        """Raise an error if the key frames were made in another case than the volume's.
 
         Raises
         ------

@@ -18,9 +18,9 @@ from carina.scopes import Pose
 
 __all__ = ["MAX_SPEED_MM_S", "MIN_SPEED_MM_S", "KeyFrame", "KeyFrameFlight"]
 
-# Mean rotation speed of the camera; a rotation takes this time however short the leg is.
+# Mean rotation speed of the camera, rad/s: a rotation takes at least this time, even on a short leg.
 TURN_RAD_S = math.radians(40.0)
-# Time of acceleration from rest to full speed.
+# Time in seconds in which the flight accelerates from rest to full speed.
 RAMP_S = 0.5
 STAND_S = 0.1
 
@@ -52,7 +52,7 @@ class KeyFrame:
 
 
 class _Timed:
-    """Positions through key frames at given times.
+    """Curve of positions through key frames at given times.
 
     The curve is a cubic Hermite curve over time whose slopes are the differences of the neighbours (Catmull-Rom over
     unequal times).
@@ -93,7 +93,7 @@ class _Cruise:
         return self._begin_mm + (time_s - self._begin_s) * self._speed
 
     def _ramp_mm(self, slow_mm_s: float) -> float:
-        """Return the distance over which the speed changes: at most half of the leg."""
+        """Return the distance in mm over which the speed changes at an end of the leg: at most half of the leg."""
         wanted = 0.5 * (self._speed + slow_mm_s) * (self._speed - slow_mm_s) / self._speed * RAMP_S
         return min(wanted, 0.5 * self._length_mm)
 
@@ -170,7 +170,7 @@ class KeyFrameFlight:
             check_duration(self.duration_s)
 
     def __repr__(self) -> str:
-        """Return a short description for the interpreter."""
+        """Return a one-line description of this `KeyFrameFlight` for the Python interpreter."""
         return f"KeyFrameFlight({len(self._poses)} key frames, {self.duration_s:.1f} s)"
 
     @property
@@ -190,7 +190,7 @@ class KeyFrameFlight:
 
     @property
     def through_airways(self) -> tuple[bool, ...]:
-        """Whether each leg follows the airways."""
+        """Whether each leg of the flight follows the airways."""
         return tuple(leg.frames is not None for leg in self._legs)
 
     def pose_at(self, time_s: float) -> Pose:

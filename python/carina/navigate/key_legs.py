@@ -24,7 +24,7 @@ STEP_MM = 0.5
 MAX_SAMPLES = 400
 # Lengths below this count as zero: two equal poses can differ by this much after they were saved and read.
 STAND_MM = 1e-6
-# The flight rests between legs that meet at a larger angle than this.
+# Angle between two legs above which the flight rests where they meet.
 BEND_RAD = math.radians(40.0)
 # Half the length of the airway over which the direction of the camera is averaged, so that the camera turns smoothly
 # into a fork.
@@ -80,12 +80,12 @@ class Leg:
     """
 
     start: Points
-    """Pose ``lps_from_camera`` at the start."""
+    """Pose ``lps_from_camera`` (4, 4) at the start of the leg."""
     end: Points
     place_mm: NDArray[np.float64]
     points_lps: Points
     tangents: Points
-    """Unit tangents of the path at the points; zeros for a leg of no length."""
+    """Unit tangents (n, 3) of the path at the leg's points; zeros for a leg of no length."""
     frames: Points | None = None
     """Directions of the airway at the points, ``(n, 3, 3)``, distal forward.
 
@@ -104,11 +104,11 @@ class Leg:
 
     @property
     def turn_rad(self) -> float:
-        """Angle between the directions at the ends."""
+        """Angle in radians between the camera's axes at the start and at the end of the leg."""
         return float(np.linalg.norm(vector_from_rotation(orthonormal(self.start[:3, :3].T @ self.end[:3, :3]))))
 
     def position(self, mm: float) -> Points:
-        """Return the point (3,), LPS mm, at a distance.
+        """Return the point (3,), LPS mm, at a distance in mm from the start of the leg.
 
         Cubic interpolation with tangents makes the velocity continuous.
         """
@@ -124,7 +124,7 @@ class Leg:
         )
 
     def rotation(self, mm: float, share: float) -> Points:
-        """Return the camera's axes (3, 3) at a distance and a fraction of the time.
+        """Return the camera's axes (3, 3) at a distance from the start of the leg and a fraction of its time.
 
         The offset of a key frame's direction from the airway's direction decreases along the leg.
         """
@@ -189,7 +189,7 @@ def _through_space(n: int, at: Points, poses: Sequence[Points], airways: Sequenc
     knot = math.sqrt(length)
 
     def slope(beyond: int, leg_beyond: int, tangent_at: int) -> Points:
-        """Return the slope at an end per knot interval: from the neighbour in space or the adjoining airway."""
+        """Return the slope of a leg at one end, per knot interval, from the next key frame or the adjoining airway."""
         if 0 <= leg_beyond < len(airways):
             airway = airways[leg_beyond]
             if airway is not None:
@@ -211,7 +211,7 @@ def _through_space(n: int, at: Points, poses: Sequence[Points], airways: Sequenc
 
 
 def _along(way: AirwayWay, start: Points, end: Points) -> Leg | None:
-    """Build the leg along the centreline; return None if there is hardly any airway between the key frames."""
+    """Return the leg along the airways' centreline; None if there is hardly any airway between the key frames."""
     given_mm = _cumulative(way.points_lps)
     if given_mm[-1] <= STAND_MM:
         return None
@@ -236,7 +236,7 @@ def _along(way: AirwayWay, start: Points, end: Points) -> Leg | None:
 
 
 def _corner(leg: Leg, place_mm: float) -> float | None:
-    """Return the position if the path turns sharply at it, else None."""
+    """Return the position in mm at which the path turns sharply, if the path does so near ``place_mm``, else None."""
     before = int(np.searchsorted(leg.place_mm, place_mm - CORNER_MM))
     after = int(np.searchsorted(leg.place_mm, place_mm + CORNER_MM))
     if before == 0 or after == len(leg.place_mm):
@@ -256,7 +256,7 @@ def _leg(start: Points, end: Points, points: Points, slopes: Points) -> Leg:
 
 
 def _airway_frames(points: Points, mm: NDArray[np.float64], apex_mm: float) -> Points:
-    """Return axes that look distally, averaged along the airway, with a level horizon if possible."""
+    """Return camera axes (n, 3, 3) that look distally, averaged along the airway, with a level horizon if possible."""
     tangents = np.gradient(points, axis=0)
     tangents /= np.maximum(np.linalg.norm(tangents, axis=1), 1e-12)[:, None]
     distal = np.where((mm < apex_mm)[:, None], -tangents, tangents)
@@ -273,7 +273,7 @@ def _airway_frames(points: Points, mm: NDArray[np.float64], apex_mm: float) -> P
 
 
 def _with_ups(looks: Points) -> Points:
-    """Return axes for viewing directions: level if all of them are far from the anterior axis, else untwisted."""
+    """Return camera axes for viewing directions: level if all are far from the anterior axis, else untwisted."""
     level = bool((np.abs(looks @ ANTERIOR_LPS) < LEVEL_LIMIT).all())
     frames = np.empty((len(looks), 3, 3))
     up = upright(looks[0])
@@ -307,7 +307,7 @@ def _turned_level(a: Points, b: Points, share: float) -> Points:
 
 
 def _roll(rotation: Points) -> float:
-    """Return the roll angle against the horizon."""
+    """Return the roll angle of a camera rotation against the horizon, in radians."""
     level = _with_ups(rotation[:, 2][None])[0].T @ rotation
     return math.atan2(float(level[1, 0]), float(level[0, 0]))
 

@@ -100,7 +100,7 @@ class Navigator:
         self.place(pose)
 
     def __repr__(self) -> str:
-        """Return a short description for the interpreter."""
+        """Return a one-line description of this `Navigator` for the Python interpreter."""
         at = ", ".join(f"{v:.1f}" for v in self._pose.position_lps)
         along = f", path_mm={self._path_mm:.1f}" if self._mode == "path" else ""
         return f"Navigator(mode={self._mode!r}, at_lps=({at}){along}, operator={self._operator!r})"
@@ -109,7 +109,7 @@ class Navigator:
 
     @property
     def pose(self) -> Pose:
-        """Pose of the tip."""
+        """Pose of the scope's tip."""
         return self._pose
 
     @property
@@ -119,7 +119,7 @@ class Navigator:
 
     @property
     def operator(self) -> OperatorPosition:
-        """Position of the operator."""
+        """Position of the operator: at the patient's head, or facing the patient."""
         return self._operator
 
     @property
@@ -129,7 +129,7 @@ class Navigator:
 
     @property
     def path_mm(self) -> float | None:
-        """Position along the path in mode *path*, mm, else None."""
+        """Position along the path in mm in mode *path*; None in the other modes."""
         return self._path_mm if self._mode == "path" else None
 
     @property
@@ -141,22 +141,22 @@ class Navigator:
 
     @property
     def limit(self) -> Limit:
-        """Limit that stopped the last movement: the volume's edge, an end of the path, or nothing."""
+        """Reason why the last movement stopped early: the volume's edge, an end of the path, or nothing."""
         return self._limit
 
     @property
     def scope_state(self) -> ScopeState | None:
-        """State of the scope in the lumen, in mode *scope*, else None."""
+        """State of the scope in the lumen in mode *scope*; None in the other modes."""
         return self._drive.state if self._mode == "scope" and self._drive is not None else None
 
     @property
     def scope_tip_mm(self) -> float | None:
-        """Diameter of the scope's tip in mm, in mode *scope*, else None."""
+        """Diameter of the scope's tip in mm in mode *scope*; None in the other modes."""
         return self._drive.scope.tip_mm if self._mode == "scope" and self._drive is not None else None
 
     @property
     def flexion_range_rad(self) -> tuple[float, float] | None:
-        """Flexion limits of the lever in mode *scope*, down (below 0) and up, else None."""
+        """Flexion limits of the lever in radians, down (below 0) and up, in mode *scope*; None in the other modes."""
         return self._drive.flexion_range_rad if self._mode == "scope" and self._drive is not None else None
 
     @property
@@ -180,7 +180,7 @@ class Navigator:
         *,
         dt_s: float = 0.0,
     ) -> None:
-        """Turn the tip, then advance it.
+        """Turn the scope's tip, then advance it.
 
         Parameters
         ----------
@@ -279,12 +279,12 @@ class Navigator:
         self._advance_on_path(path_mm)
 
     def next_fork(self) -> float:
-        """Go to the next fork of the path, or to its end; return the position in mm."""
+        """Move the tip to the next look-out or the end of the path; return the position in mm."""
         self.go_to(self._needed_path().next_fork_mm(self._nearest_mm()))
         return self._path_mm
 
     def previous_fork(self) -> float:
-        """Go back to the last fork of the path, or to its start; return the position in mm."""
+        """Move the tip back to the previous look-out or the start of the path; return the position in mm."""
         self.go_to(self._needed_path().previous_fork_mm(self._nearest_mm()))
         return self._path_mm
 
@@ -332,7 +332,7 @@ class Navigator:
 
     @check_arguments(mode=choice("free", "path", "scope"))
     def set_mode(self, mode: Mode) -> None:
-        """Enter a mode; the picture does not jump (see the class).
+        """Enter a movement mode; the picture jumps only if the tip is far from the path (see the class).
 
         Raises
         ------
@@ -407,7 +407,7 @@ class Navigator:
 
     @check_arguments(state=instance(dict, "take one from Navigator.state"), path=A_PATH)
     def restore(self, state: dict[str, Any], path: FlightPath | None) -> None:
-        """Restore a state from :meth:`state`.
+        """Restore a state of the navigator that :meth:`state` returned.
 
         Raises
         ------
@@ -480,7 +480,7 @@ class Navigator:
         return self._path
 
     def _nearest_mm(self) -> float:
-        """Return the position along the path, or the one nearest to the tip outside mode *path*, mm."""
+        """Return the tip's position along the path in mm; outside mode *path*, the nearest position."""
         if self._mode == "path":
             return self._path_mm
         return self._needed_path().nearest_mm(self._pose.position_lps)
@@ -504,7 +504,7 @@ class Navigator:
         on_path = self._needed_path().pose_at(path_mm).lps_from_camera
         self._entry = orthonormal((on_path[:3, :3] @ self._base()).T @ before[:3, :3])
         self._shift_lps = before[:3, 3] - on_path[:3, 3]
-        # The pose is not computed again from the offsets, because rounding would change it.
+        # The pose is kept instead of computed again from the offsets, because rounding would change the pose.
 
     def _advance_on_path(self, path_mm: float) -> None:
         length_mm = self._needed_path().length_mm
@@ -521,7 +521,7 @@ class Navigator:
         return rotation_from_vector(np.array([0.0, 0.0, self._base_roll_rad]))
 
     def _follow(self) -> None:
-        """Set the pose from the position along the path and the offsets."""
+        """Compute the pose in mode *path* from the position along the path and the offsets."""
         on_path = self._needed_path().pose_at(self._path_mm).lps_from_camera
         rotation = orthonormal(on_path[:3, :3] @ self._base() @ self._entry @ self._look)
         self._set_pose(rotation, on_path[:3, 3] + self._shift_lps)
@@ -546,7 +546,7 @@ class Navigator:
         return np.full(3, -0.5 + hair), np.array([nx, ny, nz]) - 0.5 - hair
 
     def _clamped(self, point_lps: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the point, or the nearest point of the volume's box, LPS mm."""
+        """Return a point, or the nearest point of the volume's box if the point lies outside, LPS mm."""
         box = self._box()
         if box is None or self._volume is None:
             return point_lps
@@ -557,7 +557,7 @@ class Navigator:
     def _held_inside(
         self, start_lps: NDArray[np.float64], end_lps: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], bool]:
-        """Return the end of a move, cut where the move leaves the box; the tip does not slide along the face."""
+        """Return the end of a move (cut where the move leaves the volume's box), and whether the move was cut."""
         box = self._box()
         if box is None or self._volume is None:
             return end_lps, False

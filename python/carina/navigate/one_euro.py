@@ -14,7 +14,7 @@ from carina.navigate.samples import HandleSample, PoseSample, Sample
 
 __all__ = ["SampleFilter", "filter_latency_ms"]
 
-# After a longer gap the filter starts again.
+# Gap between two samples, in seconds, after which the filter starts again.
 MAX_GAP_S = 0.25
 # Weight of a radian of roll and of half the lever's range, in mm of shaft, so that hand movements have similar size.
 HANDLE_MM = 50.0
@@ -66,7 +66,7 @@ class SampleFilter:
         self._latency_s = 0.0
 
     def __repr__(self) -> str:
-        """Return a short description for the interpreter."""
+        """Return a one-line description of this `SampleFilter` for the Python interpreter."""
         return f"SampleFilter({self._settings!r})"
 
     @property
@@ -129,7 +129,10 @@ class SampleFilter:
 
 
 def _values(sample: Sample) -> NDArray[np.float64] | None:
-    """Return the smoothed quantities as numbers, in mm; None for sticks, whose integrated speeds are smooth already."""
+    """Return the quantities of a sample that the filter smooths, scaled to mm.
+
+    None for sticks, which need no smoothing.
+    """
     match sample:
         case PoseSample():
             return np.zeros(0) if sample.position_mm is None else np.array(sample.position_mm, dtype=np.float64)
@@ -144,5 +147,5 @@ def _time_constant_s(cutoff_hz: float) -> float:
 
 
 def _share(cutoff_hz: float, passed_s: float) -> float:
-    """Return the weight of the new value: exponential smoothing whose delay equals the time constant."""
+    """Return the weight of the newest value in exponential smoothing with this cut-off frequency and time step."""
     return 1.0 / (1.0 + _time_constant_s(cutoff_hz) / passed_s)

@@ -48,12 +48,12 @@ Tool = Literal["root", "start", "target"]
 @one_line
 @dataclass(frozen=True, slots=True)
 class DeviceState:
-    """State of a device, for display."""
+    """State of an input device, for display."""
 
     device: str
     holds: bool
     sample: Sample | None
-    """Latest sample, filtered."""
+    """Latest sample of the device, filtered; None before the first sample."""
     latency_ms: float
     num_used: int
     num_ignored: dict[str, int]
@@ -74,25 +74,25 @@ class PenState:
     off_mm: float | None
     """In *absolute*: remaining distance between the scope's tip and the pen, mm."""
     off_rad: float | None
-    """In *absolute*: remaining angle between the scope's tip and the pen."""
+    """In *absolute*: remaining angle between the scope's tip and the pen, radians."""
     is_armed: bool
-    """Whether the pen's first button marks the point."""
+    """Whether a press of the pen's first button marks a point."""
 
 
 @dataclass(slots=True)
 class _Device:
     filter: SampleFilter
     measured: Sample | None = None
-    """Latest sample as measured."""
+    """Latest sample as the device measured it, unfiltered."""
     newest: Sample | None = None
-    """Latest sample, filtered."""
+    """Latest sample after the filter."""
     arrived_s: float = -math.inf
     buttons: int = 0
     registration: Registration | None = None
 
 
 class Pilot:
-    """Object that applies moves to a :class:`Navigator`; device samples pass a gate, a filter and a mapping.
+    """Object that applies every move to a :class:`Navigator` and filters the samples of devices.
 
     A pilot reads no clock: times are arguments. Samples of devices may arrive at any time (:class:`moves.DeviceSaid`);
     the tip follows the latest sample when a frame is due (:class:`moves.Frame`). So a device with a high sample rate
@@ -148,7 +148,7 @@ class Pilot:
         self._off_lps: MM3 = np.zeros(3)
 
     def __repr__(self) -> str:
-        """Return a short description for the interpreter."""
+        """Return a one-line description of this `Pilot` for the Python interpreter."""
         held = "" if self.holder is None else f", held by {as_words(self.holder)}"
         return f"Pilot({self.navigator!r}{held})"
 
@@ -185,7 +185,7 @@ class Pilot:
         return isinstance(newest, AxesSample) and any(abs(v) > 0.0 for v in newest.axes)
 
     def devices(self) -> tuple[DeviceState, ...]:
-        """State of all devices that have sent samples."""
+        """States of all devices that have sent samples."""
         return tuple(
             DeviceState(
                 name,
@@ -242,12 +242,15 @@ class Pilot:
         return self._gate.take_message(now_s)
 
     def take_wanted_way(self) -> int | None:
-        """Return the branch that the device requested at a fork that the tip has reached, and clear the request."""
+        """Return the branch that a device requested at a fork that the tip has reached, and clear the request.
+
+        None for none.
+        """
         wanted, self._wanted_way = self._wanted_way, None
         return wanted
 
     def take_marks(self) -> tuple[tuple[str, Tool], ...]:
-        """Return the presses of an armed pen's first button since the last call: device, and kind of point."""
+        """Return the presses of the first button of pens with a tool since the last call, as (device, tool) pairs."""
         marks, self._marks = tuple(self._marks), []
         return marks
 
@@ -277,7 +280,7 @@ class Pilot:
     # ------------------------------------------------------------ moves
 
     def apply(self, move: m.Move, *, dt_s: float = 0.0) -> None:
-        """Apply a move.
+        """Apply a move of the hand, a key, a device or a program to the tip.
 
         Parameters
         ----------
@@ -570,7 +573,7 @@ class Pilot:
         return Pose(matrix)
 
     def _move_by(self, offset_mm: MM3, turn: NDArray[np.float64], held: MM3) -> None:
-        """Move in the camera's axes; stop at a fork of the path where another branch is aimed at.
+        """Move the tip in the camera's axes; stop at a fork if the direction of view requests another branch.
 
         ``held`` is the deflection of a stick, added to the direction of view.
         """

@@ -120,7 +120,7 @@ class Recorder:
         pilot.on_move = self._moved
 
     def __repr__(self) -> str:
-        """Return a short description for the interpreter."""
+        """Return a one-line description of this `Recorder` for the Python interpreter."""
         ended = "" if self.trouble is None else ", ended early"
         return f"Recorder({self.length_s:.1f} s, {self.num_moves} moves, {self.num_poses} poses{ended})"
 
@@ -136,7 +136,7 @@ class Recorder:
             self._write({"t": self._time(now_s), "view": view})
 
     def tick(self, now_s: float) -> None:
-        """Set the present time for the next records; moves of devices have their own times."""
+        """Set the present time for the next records; moves of devices contain their own times."""
         self._at_s = max(self._at_s, now_s)
 
     def close(self) -> None:
@@ -190,7 +190,7 @@ class Recorder:
 
 @dataclass(frozen=True, slots=True)
 class ReplayedPose:
-    """Moment of a replay: seconds from the start, pose, and display settings of the view."""
+    """Pose of a replay at one time: seconds from the start, pose, and display settings of the view."""
 
     time_s: float
     pose: Pose
@@ -220,7 +220,7 @@ class Recording:
 
     @property
     def length_s(self) -> float:
-        """Time from the first to the last moment, s."""
+        """Time from the first to the last line of the recording, s."""
         return max((float(line.get("t", line.get("end", 0.0))) for line in self.lines), default=0.0)
 
     def check(self, volume: Volume, *, carina: str) -> None:
@@ -394,7 +394,7 @@ def _refused(place: Path, why: str) -> VolumeImportError:
 
 
 def sampled(moments: list[ReplayedPose], times_s: NDArray[np.float64]) -> list[ReplayedPose]:
-    """Return the moment that was displayed at each time: the latest that is not later."""
+    """Return the pose that a replay displayed at each time: the latest pose that is not later than the time."""
     known = np.array([moment.time_s for moment in moments])
     places = np.maximum(np.searchsorted(known, times_s, side="right") - 1, 0)
     return [moments[int(n)] for n in places]

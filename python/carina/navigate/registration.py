@@ -93,7 +93,7 @@ def fit_registration(tracker_mm: ArrayLike, patient_lps: ArrayLike) -> Registrat
 
 
 def as_registration(matrix: Sequence[float]) -> Registration:
-    """Return the registration of a matrix of 16 numbers, row by row.
+    """Return the registration that a matrix of 16 numbers, row by row, defines.
 
     Raises
     ------

@@ -71,7 +71,10 @@ def yaw_pitch_roll(yaw_rad: float, pitch_rad: float, roll_rad: float) -> NDArray
 
 
 def orthonormal(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the axes made orthonormal, with the forward axis kept: rounding of many small rotations accumulates."""
+    """Return orthonormal camera axes near the given ones, with the same forward axis.
+
+    This removes accumulated rounding.
+    """
     forward = rotation[:, 2] / np.linalg.norm(rotation[:, 2])
     down = rotation[:, 1] - float(rotation[:, 1] @ forward) * forward
     down = down / np.linalg.norm(down)

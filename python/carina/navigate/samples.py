@@ -73,7 +73,7 @@ class PoseSample(DeviceSample, frozen=True, tag="pose"):
 
 
 class AxesSample(DeviceSample, frozen=True, tag="axes"):
-    """Deflections of sticks and caps.
+    """Sample of a device with sticks or caps: their deflections.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def _numbers(sample: Sample) -> tuple[float, ...]:
 
 
 def _checked(sample: Sample) -> Sample | Refusal:
-    """Return the sample with a quaternion of unit length, or the reason why it is invalid."""
+    """Return a sample with its quaternion scaled to unit length, or the reason why the sample is invalid."""
     if not all(math.isfinite(v) for v in _numbers(sample)):
         return "non-finite numbers"
     if not 0 <= sample.buttons < 1 << MAX_BUTTONS:
@@ -156,10 +156,10 @@ def _at_rest(sample: Sample) -> bool:
 
 @dataclass(slots=True)
 class _Seen:
-    """State of one device in the gate."""
+    """State that the gate stores for one device."""
 
     last_s: float | None = None
-    """Device clock of the last admitted sample."""
+    """Time of the device's clock in its last admitted sample, s."""
     backwards_since_s: float | None = None
     arrived_s: float = -math.inf
     rests: bool = True
@@ -198,13 +198,13 @@ class SampleGate:
         self._unsaid: Counter[tuple[str, Refusal]] = Counter()
 
     def __repr__(self) -> str:
-        """Return a short description for the interpreter."""
+        """Return a one-line description of this `SampleGate` for the Python interpreter."""
         held = "free" if self._holder is None else f"held by {as_words(self._holder)}"
         return f"SampleGate({len(self._seen)} devices, {held})"
 
     @property
     def holder(self) -> str | None:
-        """Name of the device whose samples move the tip, or None."""
+        """Name of the device whose samples move the tip; None if no device does."""
         return self._holder
 
     def admit(self, device: str, sample: Sample, now_s: float) -> Sample | None:
@@ -260,7 +260,7 @@ class SampleGate:
         self._seen[device].arrived_s = math.inf
 
     def knows(self, device: str) -> bool:
-        """Return whether the gate tracks the device."""
+        """Return whether the gate stores a state for the device."""
         return device in self._seen
 
     def gone(self, device: str) -> None:
@@ -281,7 +281,10 @@ class SampleGate:
         return dict(self._seen[device].ignored) if device in self._seen else {}
 
     def take_message(self, now_s: float) -> str | None:
-        """Return one sentence about all samples that were ignored since the last message, or None."""
+        """Return one sentence about all samples that were ignored since the last message.
+
+        None if there is nothing to report.
+        """
         if not self._unsaid or now_s - self._message_s < self._message_every_s:
             return None
         self._message_s = now_s
@@ -303,7 +306,7 @@ class SampleGate:
         self._unsaid[device, why] += 1
 
     def _make_room(self, now_s: float) -> bool:
-        """Remove the device that was silent the longest, if any was silent, to free a place for another."""
+        """Remove the device that has been silent the longest and return True; return False if no device was silent."""
         if len(self._seen) < MAX_DEVICES:
             return True
         longest = min((d for d in self._seen if d != self._holder), key=lambda d: self._seen[d].arrived_s)

@@ -39,7 +39,7 @@ class Box:
 
     hu_zyx: Values
     known: Mask
-    """Mask of the voxels that are inside the CT."""
+    """Mask (nz, ny, nx) of the voxels of the box that are inside the CT."""
     step_mm: float
     lps_from_ijk: NDArray[np.float64]
 
@@ -176,7 +176,7 @@ def component_at(mask: Mask, at: tuple[int, ...]) -> Mask:
     at
         Index (z, y, x) of the voxel.
     """
-    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
+    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
 
     image: Any = sitk.GetImageFromArray(mask.astype(np.uint8))
     seed = tuple(int(k) for k in reversed(at))
@@ -196,7 +196,7 @@ def ball_distance(mask: Mask, step_mm: float) -> NDArray[np.float32]:
     step_mm
         Voxel size.
     """
-    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
+    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
 
     found = np.zeros(mask.shape, dtype=np.float32)
     if not mask.any():
@@ -256,8 +256,8 @@ def enclosed(mask: Mask) -> Mask:
 
 
 def from_faces(mask: Mask) -> Mask:
-    """Return the part of a mask that is connected to the faces of the box."""
-    import SimpleITK as sitk  # imported on use: it loads slowly
+    """Return the part of a mask that is connected to the faces of its box."""
+    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly.
 
     padded = np.pad(mask, 1, constant_values=True)
     image = sitk.GetImageFromArray(padded.astype(np.uint8))
@@ -267,7 +267,7 @@ def from_faces(mask: Mask) -> Mask:
 
 
 def beside(mask: Mask) -> Mask:
-    """Return the voxels that share a face with a voxel of the mask."""
+    """Return the mask of all voxels that share a face with a voxel of the given mask."""
     padded = np.pad(mask, 1)
     found = np.zeros_like(mask)
     for axis in range(3):

@@ -39,13 +39,13 @@ TRACHEA_LEFT_MM = 6.0
 The place is Wang 4 on Wang's map for needles.
 """
 MAIN_SHARE = 0.6
-"""Share of a main bronchus's length at which stations 7 and 10 are examined."""
+"""Position at which stations 7 and 10 are examined, as a share of the length of a main bronchus."""
 BEYOND_MM = 4.0
 """Distance in mm beyond a fork, in the branch that goes on downwards, at which station 11 is examined."""
 ANGLE_MM = 10.0
 """Distance in mm along both bronchi of a fork to two points; the point between them is in the angle of the fork."""
 AXIS_MM = 3.0
-"""Distance in mm to both sides over which the direction of a bronchus is measured."""
+"""Distance in mm to both sides of a point over which the direction of a bronchus is measured."""
 
 _BORDERS = {
     "4R": "from where the left brachiocephalic vein crosses the trachea down to the lower border of the azygos vein, "
@@ -73,25 +73,28 @@ class Landmark:
     station: str
     """Name of the station: 4R, 4L, 7, 10R, 10L, 11Rs, 11Ri, 11L; in a mirrored chest 11R, 11Ls, 11Li."""
     seen_from: str
-    """Name of the airway as text."""
+    """Name, as text, of the airway from which the station is examined."""
     branch_id: int | None
-    """Id of the branch; None if the tree lacks the airways that define the place (``words`` names the missing ones)."""
+    """ID of the branch from which the station is examined.
+
+    None if the tree lacks the airways that define the landmark.
+    """
     point_lps: tuple[float, float, float] | None
-    """Point on the centreline, LPS mm."""
+    """Point on the centreline of the airway from which the station is examined, LPS mm; None without a place."""
     from_carina_mm: float | None
-    """Distance along the airways from the main carina, mm; below 0 above the carina."""
+    """Distance of the point from the main carina along the airways, mm; below 0 if the point is above the carina."""
     direction_lps: tuple[float, float, float] | None
     """Unit vector across the airway, LPS, towards the wall behind which the station is."""
     clock_head: float | None
     """Clock hour in the levelled picture of an operator at the patient's head, 0 < hours <= 12; error about 1 hour."""
     clock_facing: float | None
-    """Clock hour for an operator who faces the patient."""
+    """Clock hour of the station for an operator who faces the patient, 0 < hours <= 12; None without a place."""
     direction_basis: DirectionBasis
     borders: str
     """Anatomical borders of the station on the IASLC map, as text."""
     words: str
     doubts: tuple[str, ...]
-    """Doubts about the airways that define the place."""
+    """Doubts, as texts, about the airways that define the landmark."""
 
     def to_json(self) -> dict[str, Any]:
         """Return the landmark as plain JSON types."""
@@ -225,7 +228,7 @@ class _Finder:
         return self._told(blank, pieces, MAIN_SHARE * _length(pieces), _aside(side, 45.0))
 
     def _interlobar(self, station: str, like: str, upper: str, lower: str) -> Landmark:
-        """Return the landmark of a station between two bronchi of one fork, seen from the lower bronchus."""
+        """Return the landmark of a station that lies between two bronchi of one fork, seen from the lower bronchus."""
         blank = _blank(station, _long(lower), _BORDERS[like], "tree")
         pieces = self._pieces(lower)
         if not pieces:
@@ -309,7 +312,7 @@ def _blank(station: str, seen_from: str, borders: str, basis: DirectionBasis) ->
 
 
 def _aside(side: Side, turn_deg: float) -> Points:
-    """Return the anterior direction, turned towards a side of the patient."""
+    """Return the anterior direction (LPS unit vector), turned by an angle towards a side of the patient."""
     turn = math.radians(turn_deg)
     return np.array([math.sin(turn) * (-1.0 if side == "R" else 1.0), -math.cos(turn), 0.0])
 
@@ -319,7 +322,7 @@ def _length(pieces: tuple[Branch, ...]) -> float:
 
 
 def _place(pieces: tuple[Branch, ...], at_mm: float) -> tuple[Points, Points, Branch]:
-    """Return point, direction and branch at a distance along consecutive branches, limited to their ends."""
+    """Return point, direction and branch at a distance along consecutive branches, clamped to their two ends."""
     points = np.concatenate([pieces[0].points, *(branch.points[1:] for branch in pieces[1:])])
     run = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
 
@@ -346,7 +349,7 @@ def _lobe_words(lobe: str) -> str:
 
 
 def _spoken(hours: float) -> str:
-    """Return hours as text, rounded to half an hour: 10:30."""
+    """Return clock hours as text, rounded to half an hour, such as 10:30."""
     half = round(2.0 * hours)
     hour = (half // 2 - 1) % 12 + 1
     return f"{hour}:30" if half % 2 else f"{hour}"

@@ -63,7 +63,10 @@ class ReachAtlas:
     lps_from_ijk: NDArray[np.float64]
     """(4, 4) transform from voxel indices of both arrays to LPS mm; the voxels are 2 mm cubes along LPS."""
     tip_mm: dict[int, float]
-    """Distance in mm that the tip advances into each branch, by branch id; 0 if the tip does not enter the branch."""
+    """Distance in mm that the scope's tip advances into each branch, by branch ID.
+
+    0 if the tip does not enter the branch.
+    """
 
     @property
     def lung_ml(self) -> float:

@@ -28,7 +28,7 @@ TABLES_IN_MEMORY = 8
 
 
 class AirwayCaster:
-    """Caster of the airway view of one volume; any thread may use it."""
+    """Caster of the airway view of one volume, which renders pictures and finds first walls; any thread may use it."""
 
     def __init__(self, volume: Volume, *, simd: str | None = None, backend: Backend | None = None) -> None:
         self._volume = volume
@@ -48,13 +48,13 @@ class AirwayCaster:
         rows: tuple[int, int] | None = None,
         stop: _core.CancelToken | None = None,
     ) -> Picture:
-        """Return the picture, or its rows ``rows[0]`` to ``rows[1]``."""
+        """Return the picture of an airway view, or only its rows ``rows[0]`` to ``rows[1]``."""
 
         def cast(scene: Scene, view: AirwayView, gpu: _core.GpuScene | None) -> Picture:
             return self._cast(scene, view, rows=rows, stop=stop, gpu=gpu)
 
         method, _ = _choose_method(scene, view, _shades(scene, view))
-        # Only the CPU can leap over all classes.
+        # Method "leap-all" (leaps over all classes) exists on the CPU only.
         on_device = method != "leap-all"
         picture = None
         if on_device:
@@ -121,12 +121,12 @@ class AirwayCaster:
         )
 
     def surface(self, scene: Scene, view: AirwayView, *, rows: tuple[int, int] | None = None) -> Surface:
-        """Return the first walls of the picture, or of its rows ``rows[0]`` to ``rows[1]``."""
+        """Return the first wall at every pixel of an airway view, or of its rows ``rows[0]`` to ``rows[1]``."""
         depth, position, normal = self._first_walls(scene, view, rows=rows)
         return Surface(depth, position, normal, pose=view.pose, fov_deg=view.optics.fov_deg)
 
     def pick(self, scene: Scene, view: AirwayView, column: int, row: int) -> Hit | None:
-        """Return the first wall at one pixel."""
+        """Return the first wall at one pixel of an airway view; None if the ray of the pixel meets no wall."""
         if column < 0 or row < 0:
             raise RenderError(
                 f"expected a pixel column and row of 0 or more; found column {column}, row {row}", code="render.setting"
@@ -214,7 +214,7 @@ def _appearance(scene: Scene, view: AirwayView) -> Appearance | None:
 
 
 def _decorated(scene: Scene, appearance: Appearance | None) -> tuple[DecorationName, ...]:
-    """Return the names of the decorations that a picture shows."""
+    """Return the names of the decorations that a picture of this scene and appearance shows."""
     parts = () if appearance is None else appearance.decorations
     return parts if scene.decoration is not None else tuple(part for part in parts if part not in FROM_TREE)
 
@@ -222,7 +222,7 @@ def _decorated(scene: Scene, appearance: Appearance | None) -> tuple[DecorationN
 def _choose_method(
     scene: Scene, view: AirwayView, shading: bool
 ) -> tuple[str, NDArray[np.uint8] | tuple[NDArray[np.uint8], NDArray[np.uint8], list[int]] | None]:
-    """Return the casting method that the present maps allow, and its maps.
+    """Return the casting method that a scene's present maps allow, and the maps that the method reads.
 
     With shading only transparent classes are leaped, because shading varies inside the others.
     """

@@ -16,9 +16,9 @@ __all__ = ["DECORATIONS", "FROM_TREE", "Appearance", "DecorationName", "check_gu
 DecorationName = Literal["texture", "vessels", "rings", "membrane", "hue", "spurs", "specks", "secretions", "fog"]
 DECORATIONS: tuple[DecorationName, ...] = get_args(DecorationName)
 FROM_TREE: frozenset[DecorationName] = frozenset(("rings", "membrane", "hue", "spurs"))
-"""Decorations that need the airway tree."""
+"""Names of the decorations that are drawn only if the airway tree is known."""
 
-# Positions beside the lens of a common video bronchoscope, a little above its centre.
+# Ends of the two light guides of a common video bronchoscope in camera space, mm: a little above the lens's centre.
 TWO_GUIDES_MM = ((-1.9, -0.5, 0.0), (1.9, -0.5, 0.0))
 
 
@@ -40,7 +40,7 @@ class Appearance:
     """
 
     guides_mm: tuple[tuple[float, float, float], ...] = TWO_GUIDES_MM
-    """Ends of the light guides in camera space, mm, one or two; they share the light."""
+    """Raise an error unless the light guides are one or two finite points in camera space."""
     exposure: float | None = None
     """Brightness of the guides; None for automatic exposure."""
     ambient: float = 0.12
@@ -48,7 +48,7 @@ class Appearance:
     wrap: float = 0.15
     """Scattering of light below the surface, 0..1."""
     gloss: float = 0.7
-    """Strength of the highlights of the film of mucus."""
+    """Strength of the highlights on the film of mucus that covers the wall; 0 for none."""
     shininess_log2: int = 7
     """Base-2 logarithm of the highlight's exponent: the exponent is ``2 ** shininess_log2``."""
     paleness: float = 0.5
@@ -92,7 +92,7 @@ class Appearance:
     """Strength of pale ridges at forks, from the airway tree, 0..1."""
 
     def __post_init__(self) -> None:
-        """Check the values of the fields."""
+        """Raise an error if a field of this `Appearance` has an invalid value."""
         check_guides(self.guides_mm)
         if self.exposure is not None and not 0 <= self.exposure <= 1e6:
             raise RenderError(f"exposure must be between 0 and 1000000; found {self.exposure}")
@@ -123,11 +123,11 @@ class Appearance:
 
     @property
     def decorations(self) -> tuple[DecorationName, ...]:
-        """Names of the fields of the decorations that are on."""
+        """Names of the decorations whose strength in this appearance is above 0."""
         return tuple(name for name in DECORATIONS if getattr(self, name) > 0)
 
     def undecorated(self) -> Appearance:
-        """Return a copy without decoration."""
+        """Return a copy of the appearance with every decoration off."""
         dry = replace(self, specks=0.0, secretions=0.0, fog=0.0)
         return replace(dry, texture=0.0, vessels=0.0, rings=0.0, membrane=0.0, hue=0.0, spurs=0.0)
 

@@ -1,4 +1,4 @@
-"""State of the machines that render one picture together; the cluster creates it and the server sends it."""
+"""State of the machines of a cluster that render one picture together; the cluster creates it, the server sends it."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class MemberStatus(Machine, frozen=True):
 
     name: Words
     state: Literal["ready", "late", "away", "loading"]
-    """State of the machine.
+    """State in which the machine is.
 
     ``late``: the machine has not answered in time, and others render its strips until it answers. ``loading``: the
     machine is receiving the volume.
@@ -35,7 +35,10 @@ class MemberStatus(Machine, frozen=True):
     share: Part
     """Share of a picture that the machine renders, 0..1."""
     latency_ms: float | None
-    """Median time from the request of a strip to its answer, ms, of the last strips; null before the first."""
+    """Median time from the request of a strip of rows to its answer, ms, of the latest strips.
+
+    Null before the first strip.
+    """
     num_late: Count
     num_strips: Count
 
@@ -52,7 +55,10 @@ class ClusterState(FrozenValue, frozen=True):
     fps: float
     """Number of pictures that were assembled in the last second."""
     frame_ms: float | None
-    """Median time from the request of a picture to its completion, ms, of the last pictures; null before the first."""
+    """Median time from the request of a picture to its completion, ms, of the latest pictures.
+
+    Null before the first picture.
+    """
 
 
 class ClusterStatus(ClusterState, frozen=True):

@@ -32,7 +32,7 @@ def plane_axes(plane: Plane) -> tuple[Matrix, Matrix, Matrix]:
 
 
 def _direction(axis: str) -> Matrix:
-    """Return a patient axis such as ``-z`` as a unit vector, LPS."""
+    """Return the unit vector, LPS, of a signed patient axis that is given as text such as ``-z``."""
     direction = np.zeros(3)
     direction["xyz".index(axis[-1])] = -1.0 if axis[0] == "-" else 1.0
     return direction
@@ -41,7 +41,7 @@ def _direction(axis: str) -> Matrix:
 def plane_matrix(
     centre_lps: Matrix, axes: tuple[Matrix, Matrix, Matrix], mm_per_px: float, width: int, height: int
 ) -> Matrix:
-    """Return ``lps_from_pixel`` of a plane.
+    """Return the matrix ``lps_from_pixel`` of a plane, which maps pixel positions to LPS mm.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def plane_matrix(
 
 
 def box_corners_lps(volume: Volume) -> Matrix:
-    """Return the eight corners of the voxels' box, (8, 3), LPS mm."""
+    """Return the eight corners of the box that encloses all voxels of a volume, (8, 3), LPS mm."""
     nz, ny, nx = volume.shape_zyx
     ends = [(-0.5, nx - 0.5), (-0.5, ny - 0.5), (-0.5, nz - 0.5)]
     return volume.to_lps(np.array([[x, y, z] for x in ends[0] for y in ends[1] for z in ends[2]]))

@@ -25,14 +25,14 @@ log = logging.getLogger(__name__)
 PICTURES_FIRST = 3
 # Number of pictures after which a view without a radius map is measured too: such a view does not leap.
 PICTURES_WITHOUT_MAP = 30
-# Number of timed pairs of pictures; the shortest time of each processor counts.
+# Number of timed pairs of pictures (one on the CPU, one on the GPU); the shortest time of each processor counts.
 NUM_PAIRS = 5
 # Largest ratio of GPU time to CPU time for which the GPU is chosen: it also costs memory and a copy of every new wall.
 WORTH_IT = 0.9
 # Error code of a limit of this volume or view, not of the device: another volume may fit.
 LIMIT = "render.gpu-limit"
 FAILED = "render.gpu"
-# A test picture that is smaller or darker than this shows neither speed nor agreement.
+# Smallest number of pixels of a test picture: a smaller or darker picture shows neither speed nor agreement.
 LEAST_PIXELS = 96 * 96
 LEAST_LIGHT = 40
 
@@ -83,7 +83,7 @@ class DeviceCaster:
         self._lock = threading.Lock()
         self._resident: _Resident | None = None
         self._is_busy = False
-        # Values that did not fit the device.
+        # Values of the volume that did not fit into the memory of the device; None if all values so far did fit.
         self._unfit: NDArray[np.int16] | None = None
         self._num_seen = 0
         # In auto, three states: not measured; measured without a choice (adapter None); measured, with an adapter.
@@ -107,7 +107,7 @@ class DeviceCaster:
             return None
 
     def seen(self, scene: Scene, view: AirwayView) -> None:
-        """Count a whole picture from the CPU.
+        """Count a whole picture that the CPU has rendered.
 
         In ``auto``, start the measurement of the adapters after some pictures.
         """
@@ -181,7 +181,7 @@ class DeviceCaster:
         self._start(work)
 
     def _refused(self, scene: Scene, error: RenderError, adapter: Adapter | None = None) -> None:
-        """Stop using the device, for these values or for the rest of the process."""
+        """Stop using the device after an error, for the present values or for the rest of the process."""
         resident, self._resident = self._resident, None
         if error.code == LIMIT:
             if self._unfit is not scene.values:
@@ -201,7 +201,7 @@ class DeviceCaster:
             self._is_busy = False
 
     def _try(self, adapter: Adapter, scene: Scene, view: AirwayView) -> bool:
-        """Measure one adapter.
+        """Measure the speed of one graphics adapter, and check that its picture agrees with the CPU's.
 
         Return False to end the search (adapter chosen, or the picture is too dark to measure).
         """

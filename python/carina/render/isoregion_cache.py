@@ -52,18 +52,21 @@ class MapName:
 
     @property
     def stem(self) -> str:
-        """First part of the name, from the classes and the shape; it does not need the voxels."""
+        """First part of the map's file name, from the classes and the shape.
+
+        It is computed without reading the voxels.
+        """
         text = repr((MAP_VERSION, self.values_zyx.shape, self.classes))
         return hashlib.blake2b(text.encode(), digest_size=10).hexdigest()
 
     def full(self) -> str:
-        """Return the whole name of the map; this reads every voxel."""
+        """Return the complete file name of the map, which contains a digest of every voxel."""
         return self.stem + _core.content_digest(np.ascontiguousarray(self.values_zyx))[:40]
 
 
 @dataclass(frozen=True, slots=True)
 class CachedMap:
-    """Arrays ``(nz, ny, nx)`` uint8 of the volume's shape, and their interpretation as JSON values."""
+    """IsoRegion map as arrays ``(nz, ny, nx)`` uint8 of the volume's shape, with describing JSON values."""
 
     arrays: Arrays
     meaning: Any = None
@@ -145,7 +148,7 @@ class MapCache:
             logger.warning("an IsoRegion map could not be cached: %s", error.strerror)
 
     def _trim(self) -> None:
-        """Delete the least recently used maps beyond the limit, and temporary files of killed processes."""
+        """Delete the least recently used maps beyond the size limit, and temporary files of killed processes."""
         ages = []
         for path in self._folder.iterdir():
             try:
@@ -164,7 +167,7 @@ class MapCache:
 
 
 def _read(file: Any, shape_zyx: tuple[int, ...]) -> CachedMap:
-    """Read the map in an open file.
+    """Read the IsoRegion map that an open cache file contains.
 
     Raises
     ------

@@ -41,7 +41,7 @@ _TEXT_RGB, _QUIET_RGB, _AXIS_RGB, _RADIUS_RGB = (230, 232, 234), (169, 177, 184)
 _DRAWN_RGB = (244, 180, 76)
 _DASH_ROWS = 10
 
-# Number of rows over which the direction of the path at an end is measured.
+# Number of picture rows over which the direction of the path at an end is measured.
 LOCAL_ROWS = 12
 
 _LETTERS = (("L", "R"), ("P", "A"), ("S", "I"))
@@ -60,7 +60,10 @@ class PathSpan:
 
 
 def letters_of(direction_lps: NDArray[np.float64]) -> str:
-    """Return the letters of a direction, dominant first; two letters if it is oblique by 12 degrees or more."""
+    """Return the anatomical letters of a direction, dominant first.
+
+    Two letters if it is oblique by 12 degrees or more.
+    """
     unit = np.asarray(direction_lps, dtype=np.float64) / float(np.linalg.norm(direction_lps))
     order = np.argsort(-np.abs(unit), kind="stable")[:2]
     return "".join(
@@ -107,7 +110,7 @@ def letter_edges(picture: Picture) -> Picture:
 
 
 def _way(lines: PictureLines, first: int, last: int) -> NDArray[np.float64]:
-    """Return the vector from one row to another along the path, mm."""
+    """Return the vector from one row of a picture to another row along the displayed path, LPS mm."""
     ends = [lines.lps_of(float(lines.path_column[row]), row + 0.5) for row in (first, last)]
     return ends[1] - ends[0] if last > first else np.array([0.0, 0.0, -1.0])
 

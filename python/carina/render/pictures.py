@@ -60,7 +60,7 @@ AN_OUTLINE = choice(*OUTLINES, optional=True)
 
 
 def _check_view(where: str, name: str, value: object) -> None:
-    """Reject a name that is too long for an error message; `render_view` rejects every other invalid view."""
+    """Reject a view's name that is too long for an error message; `render_view` rejects other invalid views."""
     if isinstance(value, str):
         text_of(80, least=0)(where, name, value)
 
@@ -456,7 +456,7 @@ def _preset(scope: ScopePreset | str | None) -> ScopePreset | None:
 
 
 def _field(scope: ScopePreset | str | None, outline: Outline | None, vignette: float | None) -> ImageField:
-    """Return outline and vignette of an airway view; values that are not given are the scope's."""
+    """Return outline and vignette of an airway view; a value that the caller does not give is taken from the scope."""
     preset = _preset(scope)
     own = FULL_FRAME if preset is None else preset.field
     return ImageField(

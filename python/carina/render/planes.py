@@ -30,7 +30,7 @@ class PlaneCaster:
         self._projections: dict[str, tuple[NDArray[np.int16], NDArray[np.float64]]] | None = None
 
     def render(self, view: CutPlaneView | SliceView | XrayView | TriPlaneView, *, rows: Rows = None) -> Picture:
-        """Return the picture of any of these views."""
+        """Return the picture of a slice, cut-plane, X-ray or tri-plane view."""
         match view:
             case CutPlaneView():
                 return self.cut_plane(view, rows=rows)
@@ -58,7 +58,7 @@ class PlaneCaster:
         return self._plane("cut-plane", matrix, view, rows)
 
     def slice(self, view: SliceView, *, rows: Rows = None) -> Picture:
-        """Return the picture of a slice along patient axes."""
+        """Return the picture of a slice along the patient's axes."""
         return self._plane(view.plane, self._slice_matrix(view), view, rows)
 
     def xray(self, view: XrayView, *, rows: Rows = None) -> Picture:

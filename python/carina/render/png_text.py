@@ -46,7 +46,7 @@ def read_png_badges(path: str | os.PathLike[str]) -> tuple[Note, ...]:
 
 
 def _text(path: str | os.PathLike[str], wanted: str) -> Any:
-    """Return the JSON of a text chunk; None if the file has no such chunk."""
+    """Return the JSON value of the named text chunk of a PNG file; None if the file has no such chunk."""
     with open_regular(path) as file:
         data = file.read()
     if not data.startswith(SIGNATURE):

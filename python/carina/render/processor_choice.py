@@ -28,7 +28,7 @@ log = logging.getLogger(__name__)
 RECORD_NAME = "backend.json"
 FORMAT = "carina-backend"
 VERSION = 1
-# Fraction of pixels that may differ by more than one grey level from the CPU's picture: the GPU caster's contract.
+# Largest fraction of pixels that may differ by more than one grey level from the CPU's picture.
 MAX_PART_OFF = 1e-3
 
 
@@ -70,7 +70,7 @@ class AdapterMeasurement:
     shape_zyx: tuple[int, int, int]
     chosen: bool
     why: str
-    """Reason of the choice, as text for the user."""
+    """Reason why this processor was chosen, as text for the user."""
     cpu_ms: float | None = None
     gpu_ms: float | None = None
     """Time of a picture in ms, including the transfers to and from the device."""
@@ -126,7 +126,7 @@ class Backend:
             self._measurements = {_key(v): v for v in _read(record)}
 
     def __repr__(self) -> str:
-        """Return a short description for the interpreter."""
+        """Return a one-line description of this `Backend` for the Python interpreter."""
         return f"Backend({self.mode!r})"
 
     def adapters(self) -> tuple[Adapter, ...]:
@@ -157,7 +157,7 @@ class Backend:
 
     @property
     def measurements(self) -> tuple[AdapterMeasurement, ...]:
-        """Measurements of this process and of earlier ones on this machine."""
+        """Measurements of adapters that this process and earlier processes on this machine have made."""
         return tuple(self._measurements.values())
 
     def measurement(self, adapter: Adapter, shape_zyx: tuple[int, int, int]) -> AdapterMeasurement | None:
@@ -165,7 +165,7 @@ class Backend:
         return self._measurements.get((adapter.name, adapter.driver, shape_zyx))
 
     def remember(self, measurement: AdapterMeasurement) -> None:
-        """Store a measurement in memory and in the record."""
+        """Store a measurement in memory and in the file of measurements."""
         with self._lock:
             self._measurements[_key(measurement)] = measurement
             measurements = list(self._measurements.values())
@@ -182,7 +182,7 @@ def _carina() -> str:
 
 
 def _read(path: Path) -> list[AdapterMeasurement]:
-    """Return the recorded measurements; empty if the file is missing or of another version of Carina."""
+    """Return the measurements that a file contains; empty if the file is missing or of another version of Carina."""
     try:
         data = json.loads(read_regular_text(path, max_bytes=1 << 20))
         # Another version of Carina has other casters, so its times do not apply.
@@ -208,7 +208,7 @@ def _measurement(item: dict[str, Any]) -> AdapterMeasurement:
 
 
 def _write(path: Path, measurements: list[AdapterMeasurement]) -> None:
-    """Replace the record completely; without write access the measurements stay in memory only."""
+    """Replace the file of measurements; without write access the measurements stay in memory only."""
     measured = [dataclasses.asdict(v) for v in measurements]
     data = {"format": FORMAT, "version": VERSION, "carina": _carina(), "measured": measured}
     try:

@@ -72,7 +72,7 @@ def cast_drr(volume: Volume, view: DrrView, *, rows: tuple[int, int] | None = No
 
 
 def _fitting_mm_per_px(volume: Volume, view: DrrView) -> float:
-    """Return the pixel size at which the volume's box fits at primary angles 0 and 90, mm.
+    """Return the pixel size in mm at which the box of a volume fits the radiograph at primary angles 0 and 90.
 
     The size does not depend on the angle, so the picture keeps its scale while the C-arm turns.
     """

@@ -123,11 +123,11 @@ class Renderer:
         self._planes = PlaneCaster(volume)
 
     def __reduce__(self) -> NoReturn:
-        """Raise an error: the object is bound to its process and cannot be pickled."""
+        """Raise an error, because a `Renderer` is bound to its process and cannot be pickled."""
         refuse_pickle(self, "pickle its volume, and create a carina.Renderer of it in the other process")
 
     def __repr__(self) -> str:
-        """Return a short description for the interpreter."""
+        """Return a one-line description of this `Renderer` for the Python interpreter."""
         ready = "prepared" if self.prepared else "not prepared"
         return f"Renderer({self._volume!r}, transfer={self.transfer.name!r}, {ready})"
 
@@ -143,7 +143,10 @@ class Renderer:
 
     @property
     def prepared(self) -> bool:
-        """Whether the maps exist that ``leap`` needs; without them the same picture is rendered by brute force."""
+        """Whether the maps that method ``leap`` needs exist.
+
+        Without maps the same picture is rendered by brute force.
+        """
         scene = self._scenes.scene
         return scene.maps is not None or scene.class_maps is not None
 
@@ -319,7 +322,7 @@ class Renderer:
 
 
 def _between(first_s: float | None, last_s: float | None, seconds: float) -> float | None:
-    """Return the mean processor time per picture thread between two readings.
+    """Return the mean processor time per picture thread between two clock readings, in seconds.
 
     The result is None if a reading is missing, or if the difference is negative or exceeds the wall time ``seconds``.
     The readings then belong to different sets of threads, because a force device started or ended between them.

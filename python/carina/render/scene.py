@@ -38,7 +38,7 @@ class Maps(LeapedValues):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ClassMaps(LeapedValues):
-    """Labels of all classes, their radii, and one value of each class; for leaps by the step table."""
+    """Labels of all classes, radii of all labels, and one value of each class; method ``leap-all`` reads them."""
 
     points: NDArray[np.float64]
     labels: NDArray[np.uint8]
@@ -52,7 +52,7 @@ class Scene:
     transfer: TransferFunction
     lumen: NDArray[np.uint8] | None
     values: NDArray[np.int16]
-    """Values of the airway view: the volume's, or a copy with the wall."""
+    """Voxel values that the airway view shows: the volume's values, or a copy in which the lumen's wall is closed."""
     range: tuple[int, int]
     tree: TreeField | None
     maps: Maps | None
@@ -75,7 +75,7 @@ class SceneKeeper:
 
     @property
     def scene(self) -> Scene:
-        """Present scene."""
+        """Present scene of the volume."""
         return self._scene
 
     def adopt(self, scene: Scene) -> None:

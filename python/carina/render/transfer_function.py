@@ -46,7 +46,7 @@ class Light:
     """Distance at which half the light remains; None for light that does not decrease with distance."""
 
     def __post_init__(self) -> None:
-        """Check the values of the fields."""
+        """Raise an error if a field of this `Light` has an invalid value."""
         check_fields(
             self,
             RenderError,
@@ -120,7 +120,7 @@ class TransferFunction:
     appearance: Appearance | None = None
 
     def __post_init__(self) -> None:
-        """Check the values of the fields."""
+        """Raise an error if a field of this `TransferFunction` has an invalid value."""
         check_fields(
             self,
             RenderError,

@@ -28,12 +28,12 @@ class LeapedValues:
 
     values: NDArray[np.int16]
     radius: NDArray[np.uint8]
-    """Radius of the IsoRegion around each voxel, chessboard distance."""
+    """Chessboard radius in voxels of the IsoRegion around each voxel."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class TreeField(LeapedValues):
-    """Smooth field of a lumen, cropped to its box, and the map of its empty regions."""
+    """Smooth field of a lumen on a grid cropped to the lumen's box, with the map of the field's empty regions."""
 
     lps_from_ijk: NDArray[np.float64]
     centre_lps: NDArray[np.float64]
@@ -42,7 +42,7 @@ class TreeField(LeapedValues):
 
 
 def build_tree_field(lumen_zyx: NDArray[np.uint8], lps_from_ijk: NDArray[np.float64]) -> TreeField | None:
-    """Build the smooth field of a mask; return None for an empty mask."""
+    """Build the smooth field of a lumen mask for the external view; return None for an empty mask."""
     box = bounding_box(lumen_zyx, 0)
     if box is None:
         return None

@@ -19,7 +19,7 @@ class ViewSettings:
     """Settings of one picture of a case's window or of one call."""
 
     pose: Pose
-    """Pose of the tip."""
+    """Pose of the scope's tip."""
     point_lps: PointLps
     """Point where the slices and the tri-plane meet, LPS mm."""
     sight: Sight = Sight()
@@ -29,7 +29,7 @@ class ViewSettings:
     """Width of the picture to which the scales of ``sight`` apply; a smaller picture shows the same area."""
     pose_id: int = 0
     """Number that identifies the pose, so that poses need no comparison."""
-    # Settings of the airway view.
+    # The next fields are settings of the airway view.
     scope: ScopePreset | None = None
     picture_turned: bool = False
     fov_deg: float | None = None
@@ -37,26 +37,29 @@ class ViewSettings:
     field: ImageField = FULL_FRAME
     depth_of_field: DepthOfField | None = None
     step_vox: float = 0.5
-    # Setting of the tri-plane view.
+    # Object that the camera of the tri-plane view looks at.
     look_at: Literal["point", "volume"] = "point"
-    # Settings of the views along the route.
+    # The next fields are settings of the views along the route.
     path: PathFrames | None = None
     path_mm: float = 0.0
     """Position on the path at the centre of a zoomed view, mm."""
 
     @property
     def window_hu(self) -> tuple[float, float] | None:
-        """Width and level; None is the view's default: the lung window, or a window fitted to the values."""
+        """Width and level of the grey window; None selects the view's default (lung window or fitted window)."""
         window = self.sight.window
         return None if window is None else (window.width_hu, window.level_hu)
 
     @property
     def slab(self) -> Slab | None:
-        """Slab; None for thin slices."""
+        """Slab of the slices and of the views along the route; None for thin slices."""
         return self.sight.slab if self.sight.slab.thickness_mm > 0.0 else None
 
     def pixel_mm(self, mm_per_px: float | None) -> float | None:
-        """Return a scale of the sight, in mm per pixel of this picture."""
+        """Return a scale of the user's display settings, converted to mm per pixel of this picture.
+
+        None if there is none.
+        """
         if mm_per_px is None or self.full_width is None:
             return mm_per_px
         return mm_per_px * self.full_width / self.width

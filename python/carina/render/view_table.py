@@ -125,13 +125,13 @@ class ViewRow:
     overlay: Literal["airway", "flat", "seen", "lines"]
     """Projection of overlays: through the lens, in a plane, through an orbit camera, or along a path."""
     pick: Literal["wall", "plane", "planes", "branch", "path"] | None = None
-    """Object that a click selects, or None for a view whose picture has no depth.
+    """Object that a click in the view selects, or None for a view whose picture has no depth.
 
     It is a point of the wall, of the plane, of the plane under the cursor, of a branch, or of the surface through the
     path. The brush works only in a plane.
     """
     zoom: Literal["tip", "slice", "extent", "path", "carm", "orbit"] | None = None
-    """Object that the wheel, dragging and the keys move.
+    """Object that the wheel, dragging and the keys move in this view, or None.
 
     It is the tip, the slice stack (with its scale in mm per pixel), the extent of the plane, the reformation, the C-arm
     or the orbit camera.
@@ -221,7 +221,7 @@ def _slice_row(plane: Plane) -> ViewRow:
     axis = PLANES[plane].normal_axis
 
     def centre(s: ViewSettings) -> tuple[float, float, float]:
-        """Return the centre of the zoomed slice, moved to the depth of the displayed point."""
+        """Return the centre of a zoomed slice, moved along the slice's normal to the displayed point's depth."""
         place = s.sight.place(plane)
         if place.mm_per_px is None or place.centre_lps is None:
             return s.point_lps
@@ -231,7 +231,7 @@ def _slice_row(plane: Plane) -> ViewRow:
     def depends(s: ViewSettings) -> tuple[Hashable, ...]:
         mm_per_px = s.sight.place(plane).mm_per_px
         if mm_per_px is None:
-            # The whole slice fits: only its depth matters.
+            # An unzoomed slice shows the whole plane, so only its depth matters.
             return (_hundredths(s.point_lps)[axis], s.window_hu, s.slab)
         return (_hundredths(centre(s)), s.window_hu, mm_per_px, s.slab)
 
@@ -444,7 +444,7 @@ VIEW_NAMES: tuple[ViewName, ...] = tuple(row.name for row in VIEWS.values())
 
 
 def view_row(name: str) -> ViewRow:
-    """Return the row of a view.
+    """Return the row of the view table for a view's name.
 
     Raises
     ------

@@ -55,7 +55,7 @@ class Slab(FrozenValue, frozen=True):
     kind: SlabKind
 
     def __post_init__(self) -> None:
-        """Check the values of the fields."""
+        """Raise an error if a field of this `Slab` has an invalid value."""
         check_fields(self, RenderError, "render.setting", thickness_mm=any_number(), kind=text_of())
         if not 0.0 <= self.thickness_mm <= 100.0:
             raise RenderError(
@@ -108,7 +108,7 @@ class Sight(FrozenValue, frozen=True):
     crosshair_lps: PointLps | None = None
     """Point that slices and the tri-plane view show; null follows the tip."""
     window: GreyWindow | None = None
-    """Grey window of all views; null is each view's default."""
+    """Grey window of all views: width and level; null selects each view's default."""
     slab: Slab = THIN
     """Slab thickness of slices and of views along the route."""
     zoom: dict[str, FlatPlace] = msgspec.field(default_factory=dict)
@@ -122,14 +122,14 @@ class Sight(FrozenValue, frozen=True):
     texture: bool = True
     """Whether mottling and micro relief, which do not come from the CT, are drawn on the mucosa."""
     method: Method = "leap"
-    """Ray casting by leaping or by the brute-force reference; the pictures are the same."""
+    """Casting method of the airway view: leaping, or the brute-force reference; the pictures are the same."""
 
     def place(self, view: str) -> FlatPlace:
-        """Return the zoom and the centre of a planar view."""
+        """Return the zoom and the centre of a planar view; without an entry, those of the whole area."""
         return self.zoom.get(view, FITS)
 
     def centred(self, views: Collection[str]) -> Sight:
-        """Return a copy in which these views are centred on the displayed point, with unchanged scales.
+        """Return a copy in which the named planar views are centred on the displayed point, with unchanged scales.
 
         Returns
         -------

@@ -157,7 +157,7 @@ class AirwayView:
     texture: bool = True
 
     def __post_init__(self) -> None:
-        """Check the values of the fields."""
+        """Raise an error if a field of this `AirwayView` has an invalid value."""
         _check(self.width, self.height, fov_deg=self.fov_deg)
         check_fields(
             self,
@@ -191,7 +191,7 @@ class AirwayView:
 
     @property
     def optics(self) -> Optics:
-        """Lens of the view, fitted to the size of its picture."""
+        """Optics of the view: its lens, fitted to the size of its picture."""
         return self.lens.optics(self.width, self.height, self.fov_deg)
 
     @classmethod
@@ -269,7 +269,7 @@ class CutPlaneView(GreyView):
     centre_lps: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
-        """Check the values of the fields."""
+        """Raise an error if a field of this `CutPlaneView` has an invalid value."""
         GreyView.__post_init__(self)
         check_fields(self, RenderError, "render.setting", pose=A_POSE, extent_mm=any_number())
         _check_mm("the extent of a cut-plane", self.extent_mm)
@@ -297,7 +297,7 @@ class TriPlaneView(OrbitView):
     look_at: Literal["point", "volume"] = "point"
 
     def __post_init__(self) -> None:
-        """Check the values of the fields."""
+        """Raise an error if a field of this `TriPlaneView` has an invalid value."""
         OrbitView.__post_init__(self)
         _check(self.width, self.height, window_hu=self.window_hu)
         clear = number_from(-40_000.0, 40_000.0, optional=True)
@@ -323,7 +323,7 @@ class XrayView:
     window_hu: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        """Check the values of the fields."""
+        """Raise an error if a field of this `XrayView` has an invalid value."""
         _check(self.width, self.height, window_hu=self.window_hu)
         _check_plane(self.axis)
 
@@ -369,7 +369,7 @@ class DrrView:
     window_mm: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        """Check the values of the fields."""
+        """Raise an error if a field of this `DrrView` has an invalid value."""
         _check(self.width, self.height, window_hu=self.window_mm)
         check_fields(
             self,
@@ -432,7 +432,7 @@ class PathView(GreyView):
     centre_mm: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the values of the fields."""
+        """Raise an error if a field of this `PathView` has an invalid value."""
         GreyView.__post_init__(self)
         check_fields(
             self,
@@ -469,7 +469,7 @@ class SliceView(GreyView):
     mm_per_px: float | None = None
 
     def __post_init__(self) -> None:
-        """Check the values of the fields."""
+        """Raise an error if a field of this `SliceView` has an invalid value."""
         GreyView.__post_init__(self)
         _check_plane(self.plane)
         _check_mm("the size of a pixel", self.mm_per_px)
@@ -518,7 +518,7 @@ class RenderStats:
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class PictureLines:
-    """Positions of the rows of a picture whose surface is curved.
+    """Positions in the patient of the rows of a picture whose surface is curved.
 
     Column ``column`` of a row is at ``start_lps + column * step_lps``, measured at the row's middle; both arrays are
     (height, 3), LPS mm. ``path_mm`` (height,) is the position of each row along the path, NaN beyond the ends of the
@@ -608,7 +608,7 @@ class Picture:
     decorated: tuple[DecorationName, ...] = ()
 
     def __repr__(self) -> str:
-        """Return a short description for the interpreter."""
+        """Return a one-line description of this `Picture` for the Python interpreter."""
         height, width = self.rgb.shape[:2]
         return f"Picture({self.view!r}, {width}x{height}, {self.stats.method}, {self.stats.seconds:.3g} s)"
 
@@ -647,7 +647,7 @@ class Picture:
     def place(self) -> dict[str, Any]:
         """Return view, pose and field of view as a ``carina-pose`` document, LPS mm.
 
-        Fields that the view lacks are None.
+        Fields that do not apply to the view are None.
         """
 
         def rows(matrix: NDArray[np.float64] | None) -> list[list[float]] | None:

@@ -15,7 +15,7 @@ __all__ = ["bounding_box", "grow_one_voxel", "wall_levels", "with_wall"]
 # opaque about one voxel outside.
 CAP_LUMEN = (0.0, 0.3, 0.6, 1.0)
 CAP_HEIGHT = (7 / 6, 1.0, -1 / 3, -1.0)
-# Lowest height of the shell, for corners where most neighbours are lumen.
+# Lowest height of the shell (the voxels around the lumen), for corners where most neighbours are lumen.
 LOWEST_SHELL = 2 / 3
 
 
@@ -33,7 +33,10 @@ def grow_one_voxel(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def bounding_box(mask: NDArray[np.bool_] | NDArray[np.uint8], margin: int) -> tuple[slice, slice, slice] | None:
-    """Return the box of the true voxels, extended by ``margin`` on each side; None for an empty mask."""
+    """Return the box that contains all true voxels of a mask, extended by ``margin`` voxels on each side.
+
+    None if empty.
+    """
     slices = []
     for axis in range(3):
         others = tuple(a for a in range(3) if a != axis)
@@ -46,7 +49,7 @@ def bounding_box(mask: NDArray[np.bool_] | NDArray[np.uint8], margin: int) -> tu
 
 
 def wall_levels(transfer: TransferFunction) -> tuple[int, int]:
-    """Return the highest clear value below the wall's ramp, and the lowest value that is nearly opaque."""
+    """Return the highest voxel value that is shown as clear, and the lowest that is nearly opaque."""
     alphas = transfer.points[:, 4]
     opaque = int(np.flatnonzero(alphas >= 0.9 * alphas.max())[0])
     clear = max(opaque - 1, 0)

@@ -24,7 +24,7 @@ __all__ = ["CHANNELS", "Decoration", "DecorationBranch", "DecorationTree", "deco
 Floats = NDArray[np.float64]
 
 CHANNELS = ("phase", "left", "back", "rings", "proximal", "spur", "membrane", "regular")
-"""Channels of a cell.
+"""Names of the channels of a grid cell.
 
 ``phase`` is the number of rings since the top of the trachea. ``left`` and ``back`` are the position across the airway,
 towards the patient's left and back, in units of the airway's radius. The others are strengths 0..1: rings, colour of
@@ -32,7 +32,7 @@ the trachea, ridge of a fork, membranous wall, and regularity of the rings.
 """
 
 CELL_MM = 2.5
-"""Cell size, mm: less than half the distance of two rings, so that bends at forks are followed.
+"""Cell size of the decoration grid, mm: below half the distance of two cartilage rings, so that bends are followed.
 
 The ridge of a fork is one cell wide.
 """
@@ -41,7 +41,7 @@ REACH = 1.6
 SMOOTH_MM = 3.0
 """Length of the smoothing of the centreline, mm: below the radius of airways with rings, above a voxel."""
 BLEND = 0.08
-"""Width of the transition between two tubes, in radii."""
+"""Width of the transition between the decorations of two neighbouring tubes, in radii of the airway."""
 TAIL_MM = 20.0
 """Length over which the last cartilage plates fade out along a segmental bronchus, mm."""
 FORK_MM = 6.0
@@ -51,7 +51,7 @@ LEVELS = {"Trachea": 0.0, "RMB": 1.0, "LMB": 1.0, "BI": 1.5}
 LEVELS |= dict.fromkeys(("RUL", "RML", "RLL", "LUL", "LML", "LLL", "Upper division", "Lingula"), 2.0)
 LEVELS |= dict.fromkeys(("Right basal trunk", "Left basal trunk"), 2.5)
 LAST_LEVEL = 3.0
-"""Level of the segmental bronchi."""
+"""Level of the segmental bronchi in the tables by level: 0 trachea, 1 main, 2 lobar, 3 segmental."""
 
 # Tables by level: 0 trachea, 1 main, 2 lobar, 3 segmental bronchi. Gray, Anatomy of the Human Body (1918), The Trachea
 # and Bronchi: 16 to 20 rings of 4 mm with narrow intervals in a trachea of some 11 cm; 6 to 8 along the right bronchus
@@ -62,11 +62,11 @@ _REGULAR = ((0.0, 1.0, 1.5, 2.0), (1.0, 0.85, 0.35, 0.0))
 _MEMBRANE = ((0.0, 1.0, 1.5, 2.0), (1.0, 0.9, 0.5, 0.0))
 _PROXIMAL = ((0.0, 1.0, 2.0, 3.0), (1.0, 0.7, 0.35, 0.0))
 
-# Relative difference of the radius from its smooth course at which rings begin to fade and have vanished: beyond it the
-# branch may be diseased.
+# Relative difference of a branch's radius from its smooth course: the rings begin to fade at the first value, and have
+# vanished at the second, since such a branch may be diseased.
 _OFF_COURSE = (0.14, 0.30)
 _OFF_AROUND_MM = 9.0
-# Confidence of a branch below which no rings are drawn, and above which rings have full strength.
+# Confidence of a branch: no rings are drawn below the first value, and rings have full strength above the second.
 _SURE = (0.5, 0.8)
 
 
@@ -135,7 +135,7 @@ class Decoration:
     cell_mm: float
 
     def __post_init__(self) -> None:
-        """Check the values of the fields."""
+        """Raise an error if a field of this `Decoration` has an invalid value."""
         shape = self.cells.shape
         if len(shape) != 4 or shape[3] != len(CHANNELS) or min(shape) < 2 or self.cells.dtype != np.float32:
             msg = f"a decoration: expected (nz, ny, nx, {len(CHANNELS)}) float32, 2 cells or more; found {shape}"
@@ -155,9 +155,9 @@ class _Tube:
     phase: Floats
     per_mm: Floats
     parts: Floats
-    """(n, 4) strengths: rings, proximal, membrane, regular."""
+    """(n, 4) strengths of the decoration at each point: rings, proximal, membrane, regular."""
     end: Floats
-    """(4,) last row of ``parts`` before the reduction for doubt; the child branches start with these values."""
+    """(4,) last row of ``parts``, before the reduction for doubtful branches; the child branches start with it."""
     id: int
     parent: int | None
 
@@ -275,7 +275,7 @@ def _even(points: Floats, radius: Floats) -> tuple[Floats, Floats]:
 
 
 def _course(mm: Floats, radius: Floats) -> Floats:
-    """Fit a straight line to the radius along a branch; Tukey's weights exclude narrow and wide places."""
+    """Return the smooth course of the radius along a branch: a straight line fitted with Tukey's weights."""
     line = np.full(len(radius), np.median(radius))
     if len(radius) < 8:
         return line
@@ -296,7 +296,7 @@ def _course(mm: Floats, radius: Floats) -> Floats:
 
 
 def _tube_like(mm: Floats, radius: Floats, course: Floats) -> Floats:
-    """Return 1 for each point whose measured radius is near its fitted course, 0 if it or a near one is not."""
+    """Return 1 for each point of a branch where the measured radii around it are near the fitted course, else 0."""
     like = 1.0 - _smoothstep(np.abs(radius / course - 1.0), *_OFF_COURSE)
     around = np.abs(mm[:, None] - mm[None, :]) <= _OFF_AROUND_MM
     least = np.where(around, like[None, :], 1.0).min(axis=1)
@@ -351,7 +351,7 @@ def _cells_near(tube: _Tube, first: Floats, shape: tuple[int, ...]) -> tuple[_Bo
 
 
 def _nearest(tube: _Tube, cells: Floats) -> tuple[NDArray[np.intp], Floats]:
-    """Return the index of the nearest centreline point (n,) and the vector from it to each cell (n, 3), mm."""
+    """Return the centreline point nearest to each cell, as index (n,), and the vector to the cell (n, 3), mm."""
     nearest = np.empty(len(cells), dtype=np.intp)
     square = np.einsum("ij,ij->i", tube.points, tube.points)
     for at in range(0, len(cells), 4096):
@@ -361,7 +361,7 @@ def _nearest(tube: _Tube, cells: Floats) -> tuple[NDArray[np.intp], Floats]:
 
 
 def _spurs(tubes: Sequence[_Tube], first: Floats, shape: tuple[int, ...]) -> Floats:
-    """Return the strength (nz, ny, nx) of fork ridges: cells on the wall of two siblings and between them."""
+    """Return the strength (nz, ny, nx) of fork ridges: high in cells on the walls of two siblings and between them."""
     spurs = np.zeros(shape)
     by_parent: dict[int | None, list[_Tube]] = {}
     for tube in tubes:
@@ -396,7 +396,7 @@ def _spurs(tubes: Sequence[_Tube], first: Floats, shape: tuple[int, ...]) -> Flo
 
 
 def _level_of(one: _Tube, other: _Tube) -> float:
-    """Return the level of two siblings: about 1 at the carina, 2 and 3 farther out."""
+    """Return the level at which two sibling branches arise: about 1 at the carina, 2 and 3 farther out."""
     proximal = max(float(one.parts[-1, 1]), float(other.parts[-1, 1]))
     return float(np.interp(-proximal, [-v for v in _PROXIMAL[1]], _PROXIMAL[0]))
 

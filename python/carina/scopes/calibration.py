@@ -65,7 +65,7 @@ def lens_from_file(path: str | os.PathLike[str]) -> Lens:
         with open_regular(path) as file:
             data = file.read(MAX_BYTES + 1)
     except VolumeImportError:
-        raise  # Not a regular file.
+        raise  # The error states that the path is not a regular file; it needs no translation.
     except OSError as error:
         raise VolumeImportError(f"{path}: cannot be read: {error.strerror}", code="render.lens") from error
     if len(data) > MAX_BYTES:
@@ -79,7 +79,7 @@ def lens_from_file(path: str | os.PathLike[str]) -> Lens:
     try:
         return lens_from_text(text)
     except CarinaError as error:
-        # The error belongs to the file, not to an argument.
+        # The invalid value comes from the file, not from an argument, so the error names the file.
         raise VolumeImportError(f"{path}: {error}", code="render.lens") from error
 
 
@@ -102,7 +102,7 @@ def _refused(words: str) -> VolumeImportError:
     return VolumeImportError(f"reading a camera calibration: {words}", code="render.lens")
 
 
-# ------------------------------------------------------------ the three file formats
+# ------------------------------------------------------------ readers of the three file formats
 
 
 def _read_json(text: str) -> Entries:
@@ -168,7 +168,7 @@ def _read_yaml(text: str) -> Entries:
     return entries
 
 
-# ------------------------------------------------------------ from entries to a lens
+# ------------------------------------------------------------ lens from the entries of a calibration
 
 
 def _numbers(what: str, value: Any) -> list[float]:

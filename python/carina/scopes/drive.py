@@ -44,12 +44,12 @@ _LENGTH_MM = 600.0
 @one_line
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """Contact of the tip with the wall."""
+    """Contact of the scope's tip with the wall."""
 
     point_lps: Point
-    """Point of the wall, LPS mm."""
+    """Point of the wall that the tip touches, LPS mm."""
     normal_lps: Point
-    """Unit vector away from the wall, LPS."""
+    """Unit vector that points from the wall into the lumen, LPS."""
     depth_mm: float
     """Distance in mm by which the commanded tip exceeds the position that the wall permits."""
 
@@ -73,15 +73,15 @@ class ScopeHold(FrozenValue, frozen=True):
     insertion_mm: float
     """Insertion in mm from the start of the path along which the scope enters (the trachea's start)."""
     roll_rad: float
-    """Roll, clockwise as the operator sees it."""
+    """Roll of the shaft in radians, clockwise as the operator sees it."""
     flexion_rad: float
-    """Flexion; above 0 towards the instrument's up, below 0 down."""
+    """Flexion of the tip in radians; above 0 towards the instrument's up, below 0 down."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class ScopeState:
-    """State of the scope after a sample."""
+    """State of the scope after a move."""
 
     pose: Pose
     """Pose of the tip's face, turned by 180 degrees about its axis for an operator who faces the patient.
@@ -92,7 +92,7 @@ class ScopeState:
     hold: ScopeHold
     """Insertion, roll and flexion that the scope has reached."""
     contact: Contact | None
-    """Contact of the tip, or None."""
+    """Contact of the tip with the wall, or None if the tip touches no wall."""
     red_out: float
     """Loss of the view by contact: 0 for a clear view to 1 where the lens lies on the wall and the picture is red."""
     limit: ScopeLimit
@@ -102,23 +102,23 @@ class ScopeState:
     is too narrow: see `passable_mm`); ``length`` (end of the scope's length); ``flexion`` (the lever's stop).
     """
     passable_mm: float | None
-    """Largest diameter that would pass, if the limit is ``narrow``, else None."""
+    """Largest diameter in mm of a scope that would pass the narrow place, if the limit is ``narrow``, else None."""
     record: ContactRecord
-    """All contacts since the scope was placed."""
+    """Summary of all contacts since the scope was placed."""
 
     @property
     def insertion_mm(self) -> float:
-        """Insertion, mm; see `ScopeHold`."""
+        """Insertion of the scope, mm; see `ScopeHold`."""
         return self.hold.insertion_mm
 
     @property
     def roll_rad(self) -> float:
-        """Roll; see `ScopeHold`."""
+        """Roll of the scope, radians; see `ScopeHold`."""
         return self.hold.roll_rad
 
     @property
     def flexion_rad(self) -> float:
-        """Flexion; see `ScopeHold`."""
+        """Flexion of the scope, radians; see `ScopeHold`."""
         return self.hold.flexion_rad
 
 
@@ -210,20 +210,20 @@ class ScopeDrive:
         self._state = self._seen(self._core.state)
 
     def __copy__(self) -> ScopeDrive:
-        """Return an independent copy."""
+        """Return an independent copy of this `ScopeDrive`."""
         return self.copy()
 
     def __deepcopy__(self, _memo: object) -> ScopeDrive:
         # Both copies share the wall, which never changes.
-        """Return an independent copy."""
+        """Return an independent copy of this `ScopeDrive`."""
         return self.copy()
 
     def __reduce__(self) -> NoReturn:
-        """Raise an error: the object is bound to its process and cannot be pickled."""
+        """Raise an error, because a `ScopeDrive` is bound to its process and cannot be pickled."""
         refuse_pickle(self, "create a carina.ScopeDrive in the other process, and drive it to the same place")
 
     def __repr__(self) -> str:
-        """Return a short description for the interpreter."""
+        """Return a one-line description of this `ScopeDrive` for the Python interpreter."""
         return f"ScopeDrive({self._scope.name!r}, insertion_mm={self._state.insertion_mm:.1f})"
 
     @property
@@ -277,7 +277,7 @@ class ScopeDrive:
 
     @property
     def flexion_range_rad(self) -> tuple[float, float]:
-        """Flexion limits of the lever, down (below 0) and up."""
+        """Flexion limits of the lever in radians, down (below 0) and up."""
         return -self._flexion_rad[0], self._flexion_rad[1]
 
     @check_arguments(
@@ -319,7 +319,7 @@ class ScopeDrive:
 
     @check_arguments(path=numbers_within(), insertion_mm=bounded(COORDINATE_MM, unit="mm"))
     def place(self, path: ArrayLike, insertion_mm: float) -> ScopeState:
-        """Place the scope along a path, with roll and flexion 0 and a new record of contact.
+        """Place the scope along a path, with roll and flexion 0 and an empty record of contacts.
 
         Parameters
         ----------
@@ -391,7 +391,7 @@ def _check_operator(operator: OperatorPosition) -> None:
 
 
 def _turned(pose: Pose) -> Pose:
-    """Return the pose turned by 180 degrees about its axis; only signs change, so nothing is rounded."""
+    """Return a pose turned by 180 degrees about its forward axis; only signs change, so nothing is rounded."""
     matrix = pose.lps_from_camera.copy()
     matrix[:3, :2] *= -1.0
     return Pose(matrix)

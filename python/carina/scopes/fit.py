@@ -33,7 +33,7 @@ class Residual:
 
     @property
     def relative(self) -> float:
-        """Relative difference: (fitted - published) / published."""
+        """Relative difference between the fitted and the published value: (fitted - published) / published."""
         return self.fitted / self.published - 1.0
 
 
@@ -100,7 +100,7 @@ def _magnification(distance_mm: float, face_mm: float) -> float:
 
 
 def _fit_face() -> float:
-    """Fit ``face_mm`` by Gauss-Newton on the logarithms; the initial pupil is in the face."""
+    """Return ``face_mm`` in mm, fitted by Gauss-Newton on the logarithms; the initial pupil lies in the tip's face."""
     face = 0.0
     for _ in range(50):
         top = bottom = 0.0

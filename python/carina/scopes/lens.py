@@ -84,7 +84,7 @@ class Lens:
     calibration: Calibration | None = None
 
     def __post_init__(self) -> None:
-        """Check the values of the fields."""
+        """Raise an error if a field of this `Lens` has an invalid value."""
         check_fields(
             self,
             RenderError,
@@ -171,7 +171,7 @@ class ImageField:
     vignette: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the values of the fields."""
+        """Raise an error if a field of this `ImageField` has an invalid value."""
         check_fields(self, RenderError, "render.camera", outline=text_of(), edge_px=any_number(), vignette=any_number())
         if self.outline not in OUTLINES:
             raise RenderError(
@@ -204,7 +204,7 @@ class DepthOfField:
     far_mm: float
 
     def __post_init__(self) -> None:
-        """Check the values of the fields."""
+        """Raise an error if a field of this `DepthOfField` has an invalid value."""
         check_fields(
             self,
             RenderError,
@@ -244,17 +244,17 @@ class Optics:
 
     @property
     def formula(self) -> tuple[Literal["brown", "fisheye"], tuple[float, ...]]:
-        """Lens as one of OpenCV's two models: its name and 8 or 4 coefficients."""
+        """Lens as one of OpenCV's two models: name of the model, and its 8 or 4 coefficients."""
         return _formula(self.lens)
 
     @property
     def focal_px(self) -> tuple[float, float]:
-        """Focal lengths across and down, pixels."""
+        """Focal lengths of the picture across and down, pixels."""
         return self._core.focal_px
 
     @property
     def centre_px(self) -> tuple[float, float]:
-        """Position of the axis in the picture, in corner coordinates."""
+        """Point where the optical axis meets the picture, in corner coordinates."""
         return self._core.centre_px
 
     def directions_of(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -279,7 +279,7 @@ class Optics:
         return self._core.rays(shape=field.outline, edge_px=field.edge_px, vignette=field.vignette)
 
     def __repr__(self) -> str:
-        """Return a short description for the interpreter."""
+        """Return a one-line description of this `Optics` for the Python interpreter."""
         return f"Optics({self.lens.model}, fov_deg={self.fov_deg:.1f})"
 
 

@@ -21,7 +21,7 @@ from carina.scopes.pose import Pose
 __all__ = ["DEFAULT_SCOPE", "FIT_MARGIN_MM", "ScopePreset", "scope_preset", "scope_presets"]
 
 FIT_MARGIN_MM = 0.4
-"""Margin for measured diameters, which exceed the stated tip by 0.19 to 0.66 mm.
+"""Margin in mm that is added to the stated tip diameter, because measured diameters exceed it by 0.19 to 0.66 mm.
 
 Mean 0.41 mm (10 scopes of 2.2 to 4.9 mm; basis s).
 """
@@ -44,18 +44,18 @@ class ScopePreset:
     title: str
     scope_class: ScopeClass
     tip_mm: float
-    """Outer diameter of the distal end, as stated by the maker."""
+    """Outer diameter of the distal end in mm, as stated by the maker."""
     tube_mm: float | None
-    """Outer diameter of the insertion tube if it differs."""
+    """Outer diameter of the insertion tube in mm, if it differs from the tip's."""
     channel_mm: float | None
-    """Inner diameter of the working channel."""
+    """Inner diameter of the working channel, mm."""
     fov_deg: float | None
     focus_mm: tuple[float, float] | None
-    """Depth of field: nearest and farthest sharp distance."""
+    """Depth of field: nearest and farthest sharp distance from the tip, mm."""
     flexion_deg: tuple[float, float] | None
-    """Largest flexion up and down."""
+    """Largest flexion of the tip up and down, degrees."""
     length_mm: float | None
-    """Working length."""
+    """Working length of the insertion tube, mm."""
     basis: str
     """Basis of the values: ``s`` or ``k`` (see the module), or a list of the values of each basis."""
     view_up_deg: float = 0.0
@@ -65,20 +65,23 @@ class ScopePreset:
     lens: Lens = _LENS
     """Lens; the generic lens, since no maker publishes one."""
     rigid_tip_mm: float | None = 10.0
-    """Longest rigid part of the tip ("< 10 mm", a specification of the 1960s; basis s)."""
+    """Length in mm of the longest rigid part of the tip ("< 10 mm", a specification of the 1960s; basis s)."""
     bending_mm: tuple[float, float] | None = (30.0, 50.0)
-    """Length of the bending section, shortest and longest of the class (basis k)."""
+    """Length of the bending section in mm, shortest and longest of the class (basis k)."""
     bend_radius_mm: tuple[float, float] | None = (10.0, 15.0)
-    """Radius at full flexion, smallest and largest of the class (basis k)."""
+    """Radius of the bending section at full flexion in mm, smallest and largest of the class (basis k)."""
 
     @property
     def fit_mm(self) -> float:
-        """Diameter of the lumen that the scope needs: the tip plus `FIT_MARGIN_MM`, or the tube if that is larger."""
+        """Diameter in mm of the lumen that the scope needs: tip plus `FIT_MARGIN_MM`, or the tube if that is larger."""
         return max(self.tip_mm + FIT_MARGIN_MM, self.tube_mm or 0.0)
 
     @property
     def face_mm(self) -> float:
-        """Distance of the tip's face in front of the camera's centre, fitted; below 0 the face is behind it."""
+        """Distance in mm of the tip's face in front of the camera's centre, fitted.
+
+        Below 0 the face is behind the centre.
+        """
         return _FIT.face_mm
 
     @property
@@ -92,7 +95,7 @@ class ScopePreset:
 
     @property
     def usual_fov_deg(self) -> float:
-        """Field of view, or the generic scope's if it is unknown."""
+        """Field of view of the instrument in degrees; the generic scope's if it is unknown."""
         return FOV_DEG if self.fov_deg is None else self.fov_deg
 
     @property
@@ -102,7 +105,7 @@ class ScopePreset:
 
     @property
     def depth_of_field(self) -> DepthOfField | None:
-        """Range of sharp distances, or None if unknown."""
+        """Range of distances that the scope shows sharp; None if unknown."""
         return None if self.focus_mm is None else DepthOfField(*self.focus_mm)
 
     def camera_pose(self, tip: Pose, *, picture_turned: bool = False) -> Pose:
@@ -360,7 +363,7 @@ def scope_presets() -> tuple[ScopePreset, ...]:
 
 
 def scope_preset(name: str) -> ScopePreset:
-    """Return the instrument of a name.
+    """Return the instrument of the library with this name.
 
     Raises
     ------

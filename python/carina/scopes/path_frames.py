@@ -62,7 +62,10 @@ class PathFrames:
 
     @check_arguments(path_mm=array_of(None))
     def at(self, path_mm: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return points (m, 3) and axes (m, 3, 3; columns right, down, along) at positions; straight beyond an end."""
+        """Return points (m, 3) and axes (m, 3, 3: columns right, down, along) at positions.
+
+        Straight beyond the ends.
+        """
         inside = np.clip(path_mm, self.path_mm[0], self.path_mm[-1])
         place = np.interp(inside, self.path_mm, np.arange(len(self.path_mm), dtype=np.float64))
         first = np.minimum(place.astype(np.int64), len(self.path_mm) - 2)

@@ -72,7 +72,7 @@ class Pose:
         object.__setattr__(self, "lps_from_camera", m)
 
     def __repr__(self) -> str:
-        """Return a short description for the interpreter."""
+        """Return a one-line description of this `Pose` for the Python interpreter."""
         at, look = (as_words(tuple(np.round(self.lps_from_camera[:3, n], 3).tolist())) for n in (3, 2))
         return f"Pose(position_lps={at}, forward_lps={look})"
 
@@ -137,10 +137,10 @@ class Pose:
 
     @property
     def right_lps(self) -> NDArray[np.float64]:
-        """Direction (3,) that appears to the right, LPS."""
+        """Direction (3,) that appears to the right in the picture, LPS."""
         return self.lps_from_camera[:3, 0]
 
     @property
     def down_lps(self) -> NDArray[np.float64]:
-        """Direction (3,) that appears down, LPS."""
+        """Direction (3,) that appears at the bottom of the picture, LPS."""
         return self.lps_from_camera[:3, 1]

@@ -28,7 +28,7 @@ from carina.errors import refuse_pickle
 __all__ = ["WallField"]
 
 STEP_MM = 0.6
-"""Distance in mm from a point to its probes: above the diagonal of a square of samples, which contains the ridge."""
+"""Distance in mm from a point to its probes; larger than the diagonal of a square of grid samples."""
 BEYOND_MM = 0.3
 """Largest distance in mm behind a wall at which a probe may lie, since another lumen may be near."""
 INSIDE_MM = 4.5
@@ -56,7 +56,7 @@ class WallField:
     core: _core.WallField
 
     def __post_init__(self) -> None:
-        """Check the values of the fields."""
+        """Raise an error if a field of this `WallField` has an invalid value."""
         check_fields(self, core=instance(_core.WallField, "make one with carina.wall_field"))
 
     @classmethod
@@ -131,22 +131,22 @@ class WallField:
         return cls(made)
 
     def __copy__(self) -> WallField:
-        """Return an independent copy."""
+        """Return an independent copy of this `WallField`."""
         return self
 
     def __deepcopy__(self, _memo: object) -> WallField:
-        """Return an independent copy."""
+        """Return an independent copy of this `WallField`."""
         return self
 
     def __reduce__(self) -> NoReturn:
-        """Raise an error: the object is bound to its process and cannot be pickled."""
+        """Raise an error, because a `WallField` is bound to its process and cannot be pickled."""
         refuse_pickle(
             self, "pickle the airways, and make the wall from them with carina.wall_field in the other process"
         )
 
     @property
     def num_bytes(self) -> int:
-        """Memory of the samples, bytes."""
+        """Memory that the samples of the field occupy, bytes."""
         return self.core.num_bytes
 
     def to_bytes(self) -> bytes:
@@ -157,12 +157,12 @@ class WallField:
         return self.core.to_bytes()
 
     def digest(self) -> str:
-        """Identification of the field: equal for fields with equal samples, bit for bit."""
+        """Identification of the field: equal for fields whose samples are equal bit for bit."""
         return self.core.digest()
 
     @check_arguments(points_lps=coordinates(COORDINATE_MM))
     def distance_mm(self, points_lps: ArrayLike) -> NDArray[np.float64]:
-        """Return the distances (n,) of points (n, 3), LPS mm."""
+        """Return the signed distances (n,) in mm from points (n, 3), LPS mm, to the wall; positive in the lumen."""
         return self.core.distance_mm(np.atleast_2d(np.asarray(points_lps, dtype=np.float64)))
 
     @check_arguments(points_lps=coordinates(COORDINATE_MM))

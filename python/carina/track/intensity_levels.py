@@ -21,9 +21,9 @@ class AirScale:
     """Values of air and soft tissue in the numbers of a volume; HU levels are interpolated between them."""
 
     air: float
-    """Value of air (-1000 HU)."""
+    """Value of air (-1000 HU) in the numbers of the volume."""
     tissue: float
-    """Value of soft tissue (0 HU and slightly more)."""
+    """Value of soft tissue (0 HU and slightly more) in the numbers of the volume."""
 
     def level(self, hu: float) -> int:
         """Return the value of the volume for a level in HU."""

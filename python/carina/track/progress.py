@@ -42,6 +42,6 @@ class Stages:
             self._progress(what, fraction)
 
     def share(self, fraction: float) -> None:
-        """Report the completed share (0..1) of the current stage."""
+        """Report the completed share (0 to 1) of the current stage."""
         if self._progress is not None:
             self._progress(self._what, fraction)

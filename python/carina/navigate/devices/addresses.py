@@ -19,7 +19,7 @@ KINDS = ("fastrak:PORT", "fastrak-binary:PORT", "handle:PORT", "openigtlink:HOST
 
 
 def open_source(address: str, listener: Listener, *, clock: Callable[[], float] = time.monotonic) -> Source:
-    """Return a connection to a device, not started yet.
+    """Return the connection to the device of an address; the caller starts the connection.
 
     Raises
     ------
@@ -42,7 +42,7 @@ def open_source(address: str, listener: Listener, *, clock: Callable[[], float] 
 
 
 def _silence_s(option: str) -> float | None:
-    """Return the seconds of ``silence=S``, 0.1 to 3,600; None for anything else."""
+    """Return S, in seconds, of the option ``silence=S`` of a device address, 0.1 to 3,600; None for any other text."""
     name, _, text = option.partition("=")
     try:
         seconds = float(text)

@@ -23,7 +23,7 @@ CM = 10.0
 MAX_WAITING = 4096
 _ASCII = re.compile(rb"0([1-4])([ -~])((?:[ +-]*\d+\.\d+){3})((?:[ +-]*\d+\.\d+){4})\s*([01])")
 _NUMBER = re.compile(rb"[+-]?\s*\d+\.\d+")
-# Header and 7 floats; the switch and CR LF follow.
+# Layout of a binary record: a header and 7 floats; the switch and CR LF follow.
 _BINARY = struct.Struct("<7f")
 _BINARY_BYTES = 3 + _BINARY.size
 _TAIL = re.compile(rb" ?([01])\r\n")
@@ -34,7 +34,7 @@ _RECEIVER_FROM_PEN = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]
 
 @dataclass(frozen=True, slots=True)
 class FastrakRecord:
-    """One measurement: position in mm, and ``transmitter_from_pen`` (wxyz)."""
+    """One measurement of the FASTRAK: position in mm, and quaternion ``transmitter_from_pen`` (wxyz)."""
 
     station: int
     position_mm: tuple[float, float, float]
@@ -43,7 +43,7 @@ class FastrakRecord:
 
 
 def setup_commands(*, station: int = 1, binary: bool = False) -> bytes:
-    """Return the setup commands: stop, centimetres, items, ASCII or binary, continuous output.
+    """Return the commands that set up a FASTRAK: stop, centimetres, items, ASCII or binary, continuous output.
 
     The tracker's own position and orientation filters are not set up: Carina filters, and shows the delay of its
     filter.
@@ -81,7 +81,7 @@ class FastrakStream:
             del self._buffer[: end + 1]
             if not line:
                 continue
-            # A line may start with the rest of another line, or with noise.
+            # A line may start with a fragment of another line, or with noise.
             match = _ASCII.search(line)
             if match is None or match.end() != len(line):
                 self.num_bad["bytes outside any record"] += len(line) + 1

@@ -45,7 +45,7 @@ _SECOND = 1 << 32
 
 @dataclass(frozen=True, slots=True)
 class IgtlPose:
-    """Pose of a tool.
+    """Pose of a tracked tool, as an OpenIGTLink message states it.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ class IgtlStream:
         self._skip = 0
         self.num_bad: Counter[str] = Counter()
         self.num_skipped = 0
-        """Number of messages of kinds without a pose."""
+        """Number of received messages of types that contain no pose, which were skipped."""
 
     def feed(self, data: bytes) -> list[IgtlPose | IgtlRequest]:
         """Return the messages that are complete after these bytes.
@@ -158,7 +158,7 @@ def _text(data: bytes) -> str | None:
 
 
 def _content(version: int, body: bytes) -> bytes:
-    """Return the bytes between the extended header and the metadata."""
+    """Return the content of a message: the bytes between the extended header and the metadata."""
     if version < 2:
         return body
     size, num_metadata_header, num_metadata, _ = EXTENDED.unpack_from(body)
@@ -175,7 +175,7 @@ def _poses(kind: str, name: str, time_s: float, content: bytes) -> list[IgtlPose
         # Nine numbers in float32: a matrix that is no rotation is rejected, since it has no quaternion.
         if not np.isfinite(rotation).all() or np.abs(rotation.T @ rotation - np.eye(3)).max() > 1e-3:
             raise ValueError("not a rotation")
-        # Within that tolerance of orthonormal, the determinant is near 1 or near -1.
+        # The test above admits only near-orthonormal matrices, so the determinant is near 1 or near -1.
         if np.linalg.det(rotation) < 0.0:
             raise ValueError("a reflection, which is not a rotation")
         return [IgtlPose(name, time_s, _three(values[9:]), wxyz_from_rotation(rotation))]
@@ -205,7 +205,7 @@ def _three(values: Sequence[float]) -> tuple[float, float, float]:
 
 
 def _wxyz(values: Sequence[float]) -> tuple[float, float, float, float]:
-    """Return a quaternion wxyz from the wire's order x, y, z, w."""
+    """Return a quaternion in the order wxyz, from the OpenIGTLink order x, y, z, w."""
     x, y, z, w = values
     return float(w), float(x), float(y), float(z)
 
@@ -214,7 +214,7 @@ def _wxyz(values: Sequence[float]) -> tuple[float, float, float, float]:
 
 
 def pack_message(kind: str, name: str, content: bytes, *, time_s: float = 0.0, version: int = 1) -> bytes:
-    """Return a complete message.
+    """Return the bytes of a complete OpenIGTLink message: header, content and checksum.
 
     Parameters
     ----------
@@ -275,7 +275,7 @@ def pack_image(
 
 
 def pose_matrix(pose: IgtlPose) -> NDArray[np.float64]:
-    """Return the pose as a 4x4 matrix, mm."""
+    """Return the pose of a tool as a 4x4 matrix, mm."""
     length = math.sqrt(sum(v * v for v in pose.orientation_wxyz))
     matrix = np.eye(4)
     matrix[:3, :3] = rotation_from_wxyz([v / length for v in pose.orientation_wxyz])

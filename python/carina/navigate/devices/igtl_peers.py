@@ -21,7 +21,7 @@ __all__ = ["DEFAULT_PORT", "IgtlClient", "IgtlServer"]
 
 DEFAULT_PORT = 18944
 CHUNK = 1 << 16
-# Settings of TCP keep-alive, in seconds and number of probes: they detect a peer that lost its power.
+# Options of TCP keep-alive, in seconds (KEEPCNT: number of probes), which detect a peer that lost its power.
 KEEPALIVE = (("TCP_KEEPIDLE", 4), ("TCP_KEEPALIVE", 4), ("TCP_KEEPINTVL", 2), ("TCP_KEEPCNT", 3))
 # RAS is what 3D Slicer expects; Carina uses LPS.
 RAS_FROM_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
@@ -163,12 +163,12 @@ class IgtlServer:
         self._thread = threading.Thread(target=self._run, name="carina-openigtlink", daemon=True)
 
     def start(self) -> None:
-        """Start to listen."""
+        """Start to listen for OpenIGTLink clients."""
         self._thread.start()
         self._ready.wait(5.0)
 
     def stop(self) -> None:
-        """Stop, and close all connections."""
+        """Stop listening, and close the connections of all clients."""
         loop, task = self._loop, self._task
         if loop is not None and task is not None and not loop.is_closed():
             with contextlib.suppress(RuntimeError):
@@ -214,7 +214,7 @@ class IgtlServer:
             try:
                 await asyncio.Event().wait()
             finally:
-                # Peers end before the server closes, because the server waits for all connections from Python 3.12 on.
+                # Peers are closed before the server, because the server waits for all connections from Python 3.12 on.
                 ending = True
                 server.close()
                 for peer in peers:

@@ -51,7 +51,7 @@ class HandleStream:
             line = bytes(self._buffer[:end]).rstrip(b"\r")
             del self._buffer[: end + 1]
             if line.startswith(b"#") or not line:
-                continue  # A line of information about the handle, without a sample.
+                continue  # A line that describes the handle contains no sample.
             taken = self._line(line)
             if taken is None:
                 self.num_bad["damaged lines"] += 1

@@ -16,7 +16,7 @@ from carina.navigate.samples import PoseSample
 __all__ = ["FastrakSource", "HandleSource", "found_ports", "serial_ports"]
 
 BAUD = 115_200
-# Timeout of a read, and time without data after which the setup commands are sent again, in seconds.
+# Timeout of a read in seconds; after a read without data the setup commands are sent again.
 READ_S = 0.05
 SILENT_S = 2.0
 
@@ -33,7 +33,7 @@ def _pyserial() -> Any:
 
 
 def serial_ports() -> list[dict[str, str]]:
-    """Return the ports of this machine as ``{"port", "title"}``.
+    """Return the serial ports of this machine as ``{"port", "title"}``.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def serial_ports() -> list[dict[str, str]]:
 
 
 def found_ports() -> tuple[list[dict[str, str]], str | None]:
-    """Return :func:`serial_ports`, and a text that explains why there are none, or None."""
+    """Return :func:`serial_ports` and None, or an empty list and the error text if the ports cannot be listed."""
     try:
         return serial_ports(), None
     except CarinaError as trouble:
@@ -55,7 +55,7 @@ def found_ports() -> tuple[list[dict[str, str]], str | None]:
 
 
 class _SerialSource(Source):
-    """Source that reads a serial port and opens it again after it was lost."""
+    """Connection that reads a device at a serial port and opens the port again after it was lost."""
 
     def __init__(
         self,

@@ -26,7 +26,7 @@ WORDS = {
     errno.EHOSTUNREACH: "the machine cannot be reached; check the network and the address",
     errno.ENETUNREACH: "the machine cannot be reached; check the network and the address",
 }
-"""Texts for error numbers of the operating system."""
+"""Texts for the user about error numbers of the operating system."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ class Listener:
 
 @dataclass(frozen=True, slots=True)
 class SourceStatus:
-    """State of a connection, for display."""
+    """State of a device connection, for display."""
 
     address: str
     title: str
@@ -83,7 +83,7 @@ class Source(ABC):
         self._thread = threading.Thread(target=self._run, name=f"carina-{address}", daemon=True)
 
     def start(self) -> None:
-        """Start the thread that connects."""
+        """Start the thread that connects to the device and reads it."""
         self._thread.start()
 
     def stop(self) -> None:
@@ -95,7 +95,7 @@ class Source(ABC):
         self._state = "stopped"
 
     def status(self) -> SourceStatus:
-        """Return the state of the connection."""
+        """Return the state of the connection to the device."""
         recent = tuple(self._recent)
         now = self._clock()
         lively = [at for at in recent if now - at < 1.0]
@@ -111,7 +111,7 @@ class Source(ABC):
 
     @abstractmethod
     def _connect_and_read(self) -> None:
-        """Connect and read until the connection is lost; raise OSError (or ProtocolError) when it is lost."""
+        """Connect to the device and read until the connection is lost; then raise OSError or ProtocolError."""
 
     def _wake(self) -> None:  # noqa: B027 - most sources need none
         """Wake a waiting connection so that it checks ``_stopping``."""
@@ -153,14 +153,14 @@ def _words(trouble: Exception) -> str:
 
 
 class StampSpreader:
-    """Generator of times for records without time: records that arrive together are spaced by one period."""
+    """Generator of times for records that have no time: records that arrive together are spaced by one period."""
 
     def __init__(self, period_s: float) -> None:
         self._period_s = period_s
         self._last_s = float("-inf")
 
     def stamps(self, number: int, now_s: float) -> list[float]:
-        """Return increasing times for a number of records, the last one now."""
+        """Return increasing times in seconds for records that arrived together; the last time is at least ``now_s``."""
         found = []
         for n in range(number):
             at = now_s - (number - 1 - n) * self._period_s

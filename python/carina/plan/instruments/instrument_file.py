@@ -20,7 +20,7 @@ MOST_LETTERS = 300
 
 @dataclass(frozen=True, slots=True)
 class OwnFile:
-    """A JSON document and the name of the file that it came from."""
+    """User's own instrument file: its JSON document and its name for error messages."""
 
     where: str
     document: Any
@@ -80,14 +80,14 @@ class OwnFile:
             raise self.refusal("names", f"only {', '.join(sorted(known))}", strange)
 
     def text(self, name: str) -> str:
-        """Return the field ``name``, a text that is not empty."""
+        """Return the value of the field ``name``, a text that is not empty."""
         found = self.document.get(name)
         if not (isinstance(found, str) and 0 < len(found.strip()) <= MOST_LETTERS):
             raise self.refusal(name, f"words, at most {MOST_LETTERS} letters", found)
         return found
 
     def text_or_none(self, name: str) -> str | None:
-        """Return the field ``name``, a text that is not empty, or None."""
+        """Return the value of the field ``name``, a text that is not empty, or None."""
         return None if self.document.get(name) is None else self.text(name)
 
     def flag(self, name: str, expected: str) -> bool:

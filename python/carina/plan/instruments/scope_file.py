@@ -29,7 +29,7 @@ NAMES = (
     "bending_mm",
     "bend_radius_mm",
 )
-# Limits of the mechanics (crates/scope, body.rs).
+# Smallest and largest diameter in mm of a scope that the mechanical model accepts (crates/scope, body.rs).
 LEAST_TIP_MM, MOST_TIP_MM = 1.4, 7.8
 MOST_FLEXION_DEG = 229.0
 BENDING_MM, RIGID_MM, LENGTH_MM = (10.0, 100.0), (2.0, 20.0), (100.0, 1000.0)

@@ -28,30 +28,30 @@ _MOST = {"outer_mm": 10.0, "reach_mm": 100.0, "rigid_mm": 100.0, "flexion_loss_d
 @one_line
 @dataclass(frozen=True, slots=True)
 class Tool:
-    """Instrument for the working channel; lengths in mm, None if unknown."""
+    """Instrument for the working channel of a scope; lengths in mm, None if unknown."""
 
     name: str
     title: str
     outer_mm: float
-    """Diameter that the channel must let pass: needle with sheath."""
+    """Diameter in mm that the working channel must let pass: for a needle, needle with sheath."""
     reach_mm: float
-    """Distance beyond the scope's tip at which the tool works.
+    """Distance in mm beyond the scope's tip at which the tool works.
 
     For a needle it is the throw, for a flexible tool the distance that it is pushed under vision.
     """
     pierces: bool
     """Whether the tool passes through the wall of an airway; other tools stay in the lumen."""
     rigid_mm: float | None
-    """Length of the longest part that does not bend."""
+    """Length in mm of the longest part of the tool that does not bend; None if unknown."""
     basis: str
-    """Basis of the values: ``s`` (source), ``k`` (common knowledge), or a text that states the basis of each."""
+    """Basis of the tool's values: ``s`` (source), ``k`` (common knowledge), or a text with the basis of each."""
     source: str | None = None
-    """Source of the values that are marked ``s``."""
+    """Source of the values whose basis is ``s``; None if no value has a source."""
     flexion_loss_deg: float | None = None
     """Loss of the scope's greatest flexion with the tool in the channel, degrees."""
 
     def __post_init__(self) -> None:
-        """Check the lengths and the loss of flexion."""
+        """Raise an error if a length of the tool or the loss of flexion is invalid."""
         for what, most in _MOST.items():
             value = getattr(self, what)
             needed = what in {"outer_mm", "reach_mm"}
@@ -120,7 +120,7 @@ def tools() -> tuple[Tool, ...]:
 
 
 def tool(name: str) -> Tool:
-    """Return the instrument with a name.
+    """Return the instrument of the library with this name.
 
     Raises
     ------

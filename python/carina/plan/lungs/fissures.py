@@ -20,18 +20,19 @@ Values = NDArray[np.float32]
 
 SIGMA_MM = 1.2
 LEAST_HU = 30.0
+"""Least curvature across a plate (fissure), in HU (second derivative times sigma squared)."""
 TIMES_NOISE = 7.0
-"""Least curvature across a plate in HU (times sigma squared), and its least multiple of the curvature of noise."""
+"""Least curvature across a plate (fissure), as a multiple of the curvature that noise causes."""
 EVEN = 0.5
-"""Largest share of a plate's other two curvatures in the curvature across it."""
+"""Largest ratio of each other curvature of a plate to the curvature across the plate."""
 LEAST_MM2 = 600.0
-"""Least area of a piece of plate in mm2; half of it let textures of 7 cm2 pass in a lung without fissures."""
+"""Least area in mm2 of a connected piece of a fissure; smaller pieces may be texture of the lung."""
 FROM_BORDER_MM = 30.0
 """Largest distance in mm of a fissure from the estimated lobe border; a plate farther away is scar or pleura."""
 FROM_EDGE_MM = 3.0
 """Least distance in mm of a fissure from the chest wall, whose pleura looks like a plate too."""
 FAINT = 0.5
-"""Share of the least curvature that suffices for voxels connected to a fissure."""
+"""Share of the least curvature that suffices for voxels that are connected to a fissure."""
 SLAB = 48
 
 
@@ -41,11 +42,11 @@ class FissureBox:
     """Visible fissures on a grid of 1 mm along LPS; a fissure that is not visible may exist, or the lobes are fused."""
 
     mask: Mask
-    """(nz, ny, nx) mask of plates, about 2 mm thick."""
+    """(nz, ny, nx) mask of the visible fissures, plates about 2 mm thick."""
     box: Box
 
     def crossed(self, points_lps: NDArray[np.float64]) -> Mask:
-        """Return which points (n, 3) LPS mm are in a visible fissure, (n,)."""
+        """Return for each of (n, 3) points, LPS mm, whether the point is in a visible fissure, (n,)."""
         ijk = np.rint((points_lps - self.box.lps_from_ijk[:3, 3]) / self.box.step_mm).astype(np.intp)
         top = np.array(self.mask.shape[::-1])
         inside = ((ijk >= 0) & (ijk < top)).all(axis=1)
@@ -123,7 +124,7 @@ def _near_border(box: Box, label_zyx: NDArray[np.uint8], border_mm: Values, lps_
 
 
 def _plate_strength(soft: Values, where: Mask, sigma_vox: float) -> tuple[Values, float]:
-    """Return the curvature across plates, less the curvature along them, and the spread of its noise."""
+    """Return the curvature across plates less the curvature along them, per voxel, and the spread of its noise."""
     found = np.zeros(soft.shape, dtype=np.float32)
     num = soft.shape[0]
     noise = []
@@ -145,8 +146,11 @@ def _plate_strength(soft: Values, where: Mask, sigma_vox: float) -> tuple[Values
 
 
 def _large_sheets(mask: Mask, step_mm: float) -> Mask:
-    """Return the pieces of plate that are large enough; pieces with a gap of one voxel count as one piece."""
-    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
+    """Return the pieces of a mask of plates that have at least the least area.
+
+    A gap of one voxel does not divide a piece.
+    """
+    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
 
     joined = sitk.BinaryDilate(sitk.GetImageFromArray(mask.astype(np.uint8)), [1, 1, 1], sitk.sitkCross)
     labels: Any = sitk.GetArrayFromImage(
@@ -159,7 +163,7 @@ def _large_sheets(mask: Mask, step_mm: float) -> Mask:
 
 
 def _with_faint_parts(sheets: Mask, faint: Mask) -> Mask:
-    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
+    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
 
     labels: Any = sitk.GetArrayFromImage(sitk.ConnectedComponent(sitk.GetImageFromArray(faint.astype(np.uint8)), True))
     keep = np.zeros(int(labels.max()) + 1, dtype=bool)

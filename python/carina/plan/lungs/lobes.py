@@ -31,44 +31,47 @@ STEP_MM = 2.0
 FISSURE_SLOWS = 12.0
 """Factor by which a visible fissure slows the fast-marching front that assigns voxels to lobes."""
 UNSEEN_MM, SEEN_MM = 9.0, 3.0
-"""Standard deviations in mm of a lobe border's position.
+"""Standard deviations in mm of the position of a lobe border: without, and with, a visible fissure.
 
 The first is for a border from airways alone (measured on patients with masks of lobes,
 benchmarks/carina_bench/plan_around.py), the second for a border at a visible fissure.
 """
 FAR_SHARE = 0.35
-"""Least ratio of the first deviation to the distance from the nearest airway; a short tree gives poor borders.
+"""Least ratio of a border's standard deviation without a fissure to the distance from the nearest airway.
 
 The value is common knowledge, not measured.
 """
 RIM_MM, WALL_HU = 6.0, -400.0
-"""Width in mm and least density in HU of the tissue at the outside of the lungs that is wall.
+"""Width in mm, and least density in HU, of the tissue at the outside of the lungs that counts as wall.
 
 The density is half-way between lung and muscle.
 """
 SEEN_REACH_MM = 6.0
-"""Largest distance in mm of a fissure from a lobe border that it defines."""
+"""Largest distance in mm between a fissure and the lobe border that the fissure defines."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class Lobes:
-    """Lobes on a grid of 2 mm along LPS."""
+    """Labels of the lobes of both lungs on a grid of 2 mm along LPS."""
 
     label_zyx: NDArray[np.uint8]
     """(nz, ny, nx) label: 0 outside the lungs, else the index in `LOBE_NAMES` plus one."""
     border_mm: Values
-    """(nz, ny, nx) distance in mm to the border with another lobe of the same lung; infinite if there is none."""
+    """(nz, ny, nx) distance in mm of each voxel to the border with another lobe of the same lung.
+
+    Infinite if there is none.
+    """
     sure_zyx: Values
-    """(nz, ny, nx) confidence in the label, 0 to 1."""
+    """(nz, ny, nx) confidence in the label of each voxel, 0 to 1."""
     lps_from_ijk: NDArray[np.float64]
     missing: tuple[str, ...]
-    """Lobes without a bronchus in the tree; their volume is labelled as that of their neighbours."""
+    """Names of the lobes without a bronchus in the tree; their volume is labelled as that of their neighbours."""
     fissure: FissureBox | None
-    """Visible fissures."""
+    """Visible fissures; None if fissures were not searched."""
 
     def at(self, point_lps: NDArray[np.float64]) -> tuple[str | None, float]:
-        """Return the lobe at a point in LPS mm and its confidence; (None, 0) outside the lungs."""
+        """Return the name of the lobe at a point in LPS mm, and the confidence; (None, 0) outside the lungs."""
         ijk = np.rint((np.asarray(point_lps) - self.lps_from_ijk[:3, 3]) / STEP_MM).astype(np.intp)
         k, j, i = ijk[::-1]
         nz, ny, nx = self.label_zyx.shape
@@ -190,7 +193,7 @@ def nearest_lobe(
     way_mm = STEP_MM * np.where(reached, np.minimum(times.min(axis=0), 200.0), 0.0)
     spread: Values = np.maximum(UNSEEN_MM, FAR_SHARE * way_mm).astype(np.float32)
     if near_seen.any():
-        # The confidence of a voxel follows from its nearest piece of border.
+        # Voxels whose nearest piece of border lies at a fissure have a smaller position error.
         spread[_nearest_border_is_seen(label, near_seen)] = SEEN_MM
     sure = np.where(reached, 0.5 * (1.0 + _erf(border / (spread * math.sqrt(2.0)))), 0.0).astype(np.float32)
     expected = {"RUL", "RML", "RLL", "LUL", "LLL"} if "LML" not in seeds else {"RUL", "RLL", "LUL", "LML", "LLL"}
@@ -213,7 +216,7 @@ def lung_grid(box: Box) -> tuple[Mask, NDArray[np.float64]]:
 
 
 def _seeds(inside: Mask, lps_from_ijk: NDArray[np.float64], tree: AirwayTree) -> dict[str, NDArray[np.intp]]:
-    """Return the voxels (n, 3) k, j, i of the lungs on the airways of each lobe."""
+    """Return for each lobe the lung voxels (n, 3) k, j, i on the lobe's airways."""
     lobe_of = branch_side_and_lobe(tree)
     found: dict[str, list[NDArray[np.intp]]] = {}
     for branch in tree.branches:
@@ -229,8 +232,8 @@ def _seeds(inside: Mask, lps_from_ijk: NDArray[np.float64], tree: AirwayTree) ->
 
 
 def _pieces(mask: Mask) -> NDArray[np.uint32]:
-    """Return the connected components of a mask by faces, numbered from 1."""
-    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
+    """Return the connected components (by faces) of a mask, numbered from 1."""
+    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
 
     found: NDArray[np.uint32] = sitk.GetArrayFromImage(
         sitk.ConnectedComponent(sitk.GetImageFromArray(mask.astype(np.uint8)), False)
@@ -240,7 +243,7 @@ def _pieces(mask: Mask) -> NDArray[np.uint32]:
 
 def _arrival(speed: Values, pieces: NDArray[np.uint32], at: NDArray[np.intp]) -> Values:
     """Return the arrival time of a fast-marching front from some voxels, in the bounding box of their components."""
-    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
+    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
 
     part = extent(np.isin(pieces, np.unique(pieces[tuple(at.T)])), 1)
     first = [axis.start for axis in part]
@@ -253,7 +256,7 @@ def _arrival(speed: Values, pieces: NDArray[np.uint32], at: NDArray[np.intp]) ->
 
 
 def _border_mm(label: NDArray[np.uint8]) -> Values:
-    """Return the distance in mm to the next lobe of the same lung."""
+    """Return for each voxel of a lobe the distance in mm to the nearest other lobe of the same lung."""
     right = np.isin(label, [1, 2, 3])
     out = np.full(label.shape, np.inf, dtype=np.float32)
     for side in (right, (label > 0) & ~right):

@@ -26,13 +26,13 @@ __all__ = ["LungMap", "MappedMask", "map_lungs"]
 Mask = NDArray[np.bool_]
 
 SURE = 0.8
-"""Mean confidence below which a stretch of vessel is drawn as doubtful, as at 1.3 times the least curvature."""
+"""Mean confidence below which a stretch of vessel is displayed as doubtful."""
 RIM_MM = 3.0
-"""Width in mm removed at the outside of the closed lungs, where the chest wall looks like vessels."""
+"""Width in mm of the layer at the outside of the lungs in which no vessels are searched (chest wall)."""
 LUNG_HU = 250.0
-"""Rise over the median density of the lungs, in HU, up to which a voxel is lung."""
+"""Rise above the median density of the lungs, in HU, up to which a voxel counts as lung."""
 ROUND_MM, LEAST_LUNG = 5.0, 0.35
-"""Width in mm of a Gaussian, and least share of lung in it round a vessel of the lungs.
+"""Width in mm of the Gaussian that averages the share of lung round a vessel, and least share of lung.
 
 The share is a half beside the pleura and a fifth between trachea and spine. The closed lungs include hila and trachea,
 where folds of the mediastinum look like vessels.
@@ -40,14 +40,14 @@ where folds of the mediastinum look like vessels.
 AIRWAY_GENERATIONS = 2
 """Highest generation of airways whose air is excluded from the lung; airways beyond it are too thin to matter."""
 DEEP_MM, LEAST_DEEP = 6.0, 0.25
-"""Depth in mm below the edge of the lungs, and least share of a vessel line at this depth.
+"""Depth in mm below the surface of the lungs, and least share of a vessel's line that must be at this depth.
 
 Lines along the edge of the lungs are steps between slices that breathing has shifted.
 """
 NEAR_MM = 3.0
-"""Largest distance in mm between a lobe border and a fissure on it; the lobes have a grid of 2 mm."""
+"""Largest distance in mm between a lobe border and a fissure that lies on this border."""
 STRETCH_MM = 1.5
-"""Width in mm of the Gaussian for the mean confidence, so that lines do not alternate between sure and doubtful."""
+"""Width in mm of the Gaussian that averages the confidence along vessels."""
 
 
 @one_line
@@ -57,12 +57,12 @@ class MappedMask:
 
     inside_zyx: Mask
     first_lps: tuple[float, float, float]
-    """Centre of the first voxel, LPS mm."""
+    """Centre of the first voxel of the mask, LPS mm."""
     spacing_mm: float
 
     @classmethod
     def placed(cls, inside_zyx: Mask, lps_from_ijk: NDArray[np.float64]) -> MappedMask:
-        """Return the mask on the grid of a (4, 4) transform."""
+        """Return a mask as a `MappedMask` on the grid of a (4, 4) transform."""
         x, y, z = (float(v) for v in lps_from_ijk[:3, 3])
         return cls(inside_zyx, (x, y, z), float(lps_from_ijk[0, 0]))
 
@@ -79,7 +79,7 @@ class MappedMask:
 
     @property
     def ml(self) -> float:
-        """Volume in ml."""
+        """Volume of the structure in ml."""
         return float(np.count_nonzero(self.inside_zyx)) * self.spacing_mm**3 / 1000.0
 
 
@@ -94,7 +94,7 @@ class LungMap:
     vessels: MappedMask | None = None
     """Vessels at 1 mm; arteries and veins are not distinguished, and vessels thinner than about 1 mm are incomplete."""
     sure_vessels: MappedMask | None = None
-    """Parts of the vessels with high confidence."""
+    """Parts of the vessels with a high mean confidence."""
     vessel_tree: VesselTree | None = None
     """Vessels as lines with radii, without those along the edge of the lungs."""
     fissures: MappedMask | None = None
@@ -105,11 +105,11 @@ class LungMap:
     None for a lung without a border: it is one lobe, or it is outside the CT.
     """
     lobes: tuple[tuple[str, MappedMask], ...] = ()
-    """Name and mask of each lobe at 2 mm; without a visible fissure the borders follow from the airways."""
+    """Name and mask (2 mm grid) of each lobe; where no fissure is visible, the borders follow from the airways."""
     missing_lobes: tuple[str, ...] = ()
-    """Lobes without a bronchus in the tree; their volume is labelled as that of their neighbours."""
+    """Names of the lobes without a bronchus in the tree; their volume is labelled as that of their neighbours."""
     problems: tuple[str, ...] = ()
-    """Messages about structures that could not be found."""
+    """Messages for the user about structures that could not be found."""
 
 
 @shows_progress
@@ -194,7 +194,7 @@ def _within(known: Mask, num_voxels: int) -> Mask:
 
 
 def _amid_lung(seen: Surroundings, tree: AirwayTree) -> Mask:
-    """Return the mask of voxels surrounded by lung, not by mediastinum or chest wall, from every second voxel."""
+    """Return the mask of the voxels of vessels that are surrounded by lung, and not by mediastinum or chest wall."""
     lung = seen.box.known & (seen.box.hu_zyx < seen.lung_hu + LUNG_HU)
     step_mm, first = seen.box.step_mm, seen.box.lps_from_ijk[:3, 3]
     for branch in tree.branches:
@@ -217,7 +217,10 @@ def _amid_lung(seen: Surroundings, tree: AirwayTree) -> Mask:
 
 
 def _deep_lines(tree: VesselTree, box: Box) -> VesselTree:
-    """Return the branches deep enough in the lungs; a branch whose parent is removed becomes a root."""
+    """Return a vessel tree with only the branches that are deep enough in the lungs.
+
+    An orphaned branch becomes a root.
+    """
     deep = _within(box.known, round(DEEP_MM / box.step_mm))
     places: dict[int, int] = {}
     kept: list[VesselBranch] = []
@@ -232,7 +235,7 @@ def _deep_lines(tree: VesselTree, box: Box) -> VesselTree:
 
 
 def _standing_out(inside: Mask, seen: Surroundings) -> Mask:
-    """Return the parts of the vessels whose mean confidence over a stretch is high."""
+    """Return the parts of a vessel mask whose mean confidence over a stretch is high."""
     sigma = STRETCH_MM / seen.box.step_mm
     weight = smoothed(inside.astype(np.float32), sigma)
     mean = smoothed(np.where(inside, seen.sure, 0.0).astype(np.float32), sigma)
@@ -269,5 +272,5 @@ def _seen_shares(told: Lobes, fissure: FissureBox) -> tuple[float | None, float 
 
 
 def _cropped(mask: Mask, box: Box) -> MappedMask:
-    """Return a mask on the grid of a box, without the box's values, which are large."""
+    """Return a mask on the grid of a box as a `MappedMask`, cropped to the structure."""
     return MappedMask.placed(mask, np.array(box.lps_from_ijk, dtype=np.float64))

@@ -26,17 +26,17 @@ Mask = NDArray[np.bool_]
 
 SMOOTH_MM = 0.7
 RISE_HU = 250.0
-"""Rise over the lung in HU that counts as tissue; a blurred vessel of 1 mm still exceeds it."""
+"""Rise in HU above the density of lung from which a voxel counts as tissue; a blurred vessel of 1 mm exceeds it."""
 WALL_MM = 1.5
 """Distance in mm from a lumen within which tissue is the airway's wall."""
 LINE_WALL_MM = 1.0
-"""Distance in mm from a lumen beyond which a line-shaped structure is a vessel; a plate-shaped one needs `WALL_MM`."""
+"""Distance in mm from a lumen beyond which a line-shaped structure counts as a vessel; a plate needs `WALL_MM`."""
 BLUR_MM = 1.5
 """Distance in mm from the nodule within which tissue is the nodule's blurred edge."""
 THICKEST_VESSEL_MM = 14.0
 """Largest diameter in mm of a vessel; thicker tissue is mediastinum, chest wall or diaphragm."""
 LEAST_MM3 = 12.0
-"""Least volume in mm3 of a piece; smaller pieces are noise."""
+"""Least volume in mm3 of a connected piece of tissue; smaller pieces are noise."""
 SLAB = 48
 """Number of slices for which wall distances are computed between two checks for cancellation."""
 
@@ -55,9 +55,9 @@ class Surroundings:
     lung_hu: float
     vessel: Mask
     thick: Mask
-    """Mask of mediastinum, chest wall, diaphragm, or a consolidation."""
+    """Mask of tissue too thick for a vessel: mediastinum, chest wall, diaphragm, or a consolidation."""
     vessel_mm: NDArray[np.float32]
-    """Distance in mm to the nearest vessel; infinite if there is none."""
+    """Distance in mm of each voxel to the nearest vessel; infinite if there is none."""
     thick_mm: NDArray[np.float32]
     sure: NDArray[np.float32]
     """Confidence that a voxel of ``vessel`` is a vessel, 0.5 to 1; 0 elsewhere.
@@ -73,7 +73,7 @@ class Surroundings:
         return grow_tree(self.box, self.vessel, self.sure)
 
     def read(self, of: NDArray[Any], points_lps: NDArray[np.float64]) -> NDArray[Any]:
-        """Return the values of an array of the box at the nearest voxels of points, (n,); undefined outside the box.
+        """Return the values of an array of the box at the voxels nearest to points, (n,); undefined outside the box.
 
         Parameters
         ----------
@@ -86,7 +86,7 @@ class Surroundings:
         return found
 
     def holds(self, points_lps: NDArray[np.float64]) -> Mask:
-        """Return which points are inside the box and the CT, (n,)."""
+        """Return for each point whether it is inside both the box and the CT, (n,)."""
         ijk = self._ijk(points_lps)
         inside = ((ijk >= 0) & (ijk < np.array(self.vessel.shape[::-1]))).all(axis=1)
         found: Mask = inside & self.read(self.box.known, points_lps)
@@ -163,7 +163,7 @@ def lung_box(volume: Volume) -> Box:
     NoResultError
         If there is no lung in the CT (code ``plan.no_lung``).
     """
-    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
+    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
 
     image: Any = sitk.GetImageFromArray(volume.hu_zyx)
     image.SetSpacing([float(s) for s in volume.spacing_mm])
@@ -203,13 +203,16 @@ def lung_box(volume: Volume) -> Box:
 
 OUTSIDE_HU = -4096.0
 AIR_HU, SIDE_AIR_HU = -980.0, -950.0
-"""Median densities in HU below which a dark piece is gas or outer air; the second is for pieces at the sides."""
+"""Median densities in HU below which a dark region is gas or air outside the body.
+
+The second is for regions at the sides.
+"""
 CLOSED_MM = 12.0
-"""Radius in mm of the closing of the lungs; holes up to twice this width are vessels and airways in them."""
+"""Radius in mm of the morphological closing that adds vessels and airways to the lungs."""
 
 
 def _cut(image: Any, low: NDArray[np.float64], high: NDArray[np.float64], step_mm: float, outside_hu: float) -> Any:
-    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
+    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
 
     to = sitk.ResampleImageFilter()
     to.SetSize([int(n) for n in np.floor((high - low) / step_mm) + 1])
@@ -223,8 +226,8 @@ def _cut(image: Any, low: NDArray[np.float64], high: NDArray[np.float64], step_m
 
 
 def _lung(coarse: NDArray[np.float32]) -> Mask:
-    """Return large dark pieces other than air; in a closely cropped CT lungs reach the sides too."""
-    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
+    """Return the mask of the lungs: large dark regions other than gas and air outside the body."""
+    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
 
     dark = sitk.GetImageFromArray((coarse < -500.0).astype(np.uint8))
     labels: Any = sitk.GetArrayFromImage(sitk.RelabelComponent(sitk.ConnectedComponent(dark)))
@@ -241,7 +244,7 @@ def _lung(coarse: NDArray[np.float32]) -> Mask:
 
 
 def _ignore_share(_share: float) -> None:
-    """Ignore the share done."""
+    """Ignore a progress report; used where the caller wants no progress."""
 
 
 def _seen(box: Box, nodule: Nodule | None, wall: WallField, on_share: OnShare = _ignore_share) -> Surroundings:
@@ -279,7 +282,7 @@ def _distance(mask: Mask, step_mm: float) -> NDArray[np.float32]:
 
 
 def _to_wall(box: Box, wall: WallField, where: Mask, on_share: OnShare) -> NDArray[np.float32]:
-    """Return the signed distance to the airways' wall in mm, above 0 in a lumen; minus infinity where not computed."""
+    """Return the signed distance in mm of the selected voxels to the airways' wall, above 0 in a lumen."""
     found = np.full(where.shape, -np.inf, dtype=np.float32)
     num = len(where)
     for first in range(0, num, SLAB):
@@ -290,13 +293,13 @@ def _to_wall(box: Box, wall: WallField, where: Mask, on_share: OnShare) -> NDArr
 
 
 def _centres(box: Box, where: Mask, first: int = 0) -> NDArray[np.float64]:
-    """Return the centres (n, 3) LPS mm of the voxels of a mask whose first slice is ``first``."""
+    """Return the centres (n, 3), LPS mm, of the voxels of a mask; ``first`` is the mask's first slice in the box."""
     k, j, i = np.nonzero(where)
     return np.stack([i, j, k + first], axis=1) * box.step_mm + box.lps_from_ijk[:3, 3]
 
 
 def _large_pieces(mask: Mask, least_voxels: float) -> Mask:
-    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
+    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
 
     pieces = sitk.ConnectedComponent(sitk.GetImageFromArray(mask.astype(np.uint8)), True)
     kept: Any = sitk.RelabelComponent(pieces, minimumObjectSize=max(int(least_voxels), 1))

@@ -18,21 +18,22 @@ Mask = NDArray[np.bool_]
 Values = NDArray[np.float32]
 
 THIN_SIGMA_MM = 0.7
-"""Width in mm of the Gaussian before the curvature is computed; the blur of the CT adds to this width."""
+"""Standard deviation in mm of the Gaussian that smooths the CT before the curvature is computed."""
 RISE_HU = 60.0
-"""Least rise of a vessel over the lung in HU, after smoothing by 0.5 mm."""
+"""Least rise in HU of a vessel above the density of lung, after smoothing by 0.5 mm."""
 LEAST_HU = 40.0
+"""Least curvature across a vessel, in HU (second derivative times sigma squared)."""
 TIMES_NOISE = 5.0
-"""Least curvature across a vessel in HU (times sigma squared), and its least multiple of the curvature of noise."""
+"""Least curvature across a vessel, as a multiple of the curvature that noise causes."""
 LEAST_LENGTH_MM = 3.0
-"""Least length in mm of a piece; shorter pieces are noise."""
+"""Least length in mm of a connected piece of a thin vessel; shorter pieces are noise."""
 SLAB = 48
 """Number of slices processed together, which limits the memory for whole lungs."""
 SPUR_MM = 2.0
 """Least length in mm of a branch beyond the surface of its parent; a shorter one is a bump of the parent."""
 MOST_BRANCHES = 4000
 LOOK_EVERY = 20_000
-"""Number of voxels between two progress reports; most voxels already belong to a branch."""
+"""Number of voxels that are processed between two progress reports."""
 
 
 @one_line
@@ -41,16 +42,16 @@ class VesselBranch:
     """Part of a vessel from where it leaves its parent to its end."""
 
     points_lps: NDArray[np.float64]
-    """(n, 3) smoothed centreline in LPS mm, from the wide end."""
+    """(n, 3) smoothed centreline of the branch in LPS mm, from its wide end."""
     radius_mm: NDArray[np.float64]
     """(n,) radius in mm of the largest ball inside the segmented vessel.
 
     A vessel thinner than the CT resolves appears about 0.7 mm wide.
     """
     parent: int | None
-    """Index of the parent branch; None at the beginning of a piece."""
+    """Index of the parent branch in the tree; None for the first branch of a connected piece."""
     sure: float
-    """Median confidence of its voxels, 0 to 1."""
+    """Median confidence of the branch's voxels, 0 to 1."""
 
 
 @one_line
@@ -62,7 +63,7 @@ class VesselTree:
     """
 
     branches: tuple[VesselBranch, ...] = field(repr=False)
-    """Branches; parents precede their children."""
+    """Branches of the tree; parents precede their children."""
     is_whole: bool = True
     """Whether all branches are included; False if there were more than `MOST_BRANCHES`."""
 
@@ -75,7 +76,7 @@ class VesselTree:
 def thin_vessels(
     box: Box, lung_hu: float, clear: Mask, *, on_share: Callable[[float], None] | None = None
 ) -> tuple[Mask, Values]:
-    """Return the voxels of bright lines, and the confidence of each voxel.
+    """Return the mask of the voxels of thin bright lines (vessels), and the confidence of each voxel.
 
     The curvature of a line is negative in two directions across it and small along it. A plate (a fissure, the pleura)
     has one such direction, and a wall of a lumen has two unequal ones.
@@ -110,7 +111,7 @@ def thin_vessels(
 
 
 def _line_strength(box: Box, rises: Mask, plain: Mask) -> tuple[Values, float]:
-    """Return the curvature across lines where the values rise, and the spread of the curvature in plain lung."""
+    """Return the curvature across bright lines, and the spread of the curvature in plain lung."""
     values = smoothed(box.hu_zyx, THIN_SIGMA_MM / box.step_mm)
     scale = np.float32((THIN_SIGMA_MM / box.step_mm) ** 2)
     found = np.zeros(values.shape, dtype=np.float32)
@@ -173,8 +174,8 @@ def eigenvalues(second: list[Values]) -> tuple[Values, Values, Values]:
 
 
 def _long_pieces(mask: Mask, step_mm: float) -> Mask:
-    """Return the pieces whose bounding box has a diagonal of at least `LEAST_LENGTH_MM`."""
-    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
+    """Return the pieces of a mask whose bounding box has a diagonal of at least `LEAST_LENGTH_MM`."""
+    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
 
     labels: Any = sitk.GetArrayFromImage(sitk.ConnectedComponent(sitk.GetImageFromArray(mask.astype(np.uint8)), True))
     at = np.nonzero(labels)
@@ -204,7 +205,7 @@ def grow_tree(box: Box, vessel: Mask, sure: Values, *, on_share: Callable[[float
     on_share
         Receives the share done; it may raise CancelledError.
     """
-    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
+    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
 
     if not vessel.any():
         return VesselTree(())
@@ -230,7 +231,7 @@ def grow_tree(box: Box, vessel: Mask, sure: Values, *, on_share: Callable[[float
         # The path of voxels deviates from the middle, so the radius is taken from the deepest neighbour.
         radius = _deepest(depth, way)
         if parent is not None:
-            # The branch begins on the parent's centreline, not at the parent's surface.
+            # The branch begins on the centreline of its parent, not at the surface of the parent.
             joint = ways[parent][((ways[parent] - way[0]) ** 2).sum(axis=1).argmin()]
             length = _length(way) * box.step_mm
             way = np.concatenate([joint[None], way])
@@ -247,11 +248,11 @@ def grow_tree(box: Box, vessel: Mask, sure: Values, *, on_share: Callable[[float
 
 
 def _arrival(vessel: Mask, depth: Values, labels: NDArray[Any]) -> Values:
-    """Return the arrival time of a fast-marching front from each piece's widest voxel; infinite outside.
+    """Return the arrival time of a fast-marching front from the widest voxel of each vessel piece; infinite outside.
 
     The front is faster in the middle of a vessel.
     """
-    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
+    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
 
     flat, of = depth.reshape(-1), labels.reshape(-1)
     inside = np.flatnonzero(of)
@@ -270,7 +271,7 @@ _AROUND = np.array([(z, y, x) for z in (-1, 0, 1) for y in (-1, 0, 1) for x in (
 
 
 def _downhill(at: NDArray[np.intp], arrival: Values, owner: NDArray[np.int32]) -> tuple[NDArray[np.intp], int | None]:
-    """Return the path from a known branch, or from the start of the front, to a voxel, and the index of the branch."""
+    """Return the path to a voxel from a known branch or the front's start, and the index of that branch or None."""
     way = [at]
     top = np.array(arrival.shape) - 1
     while True:
@@ -299,7 +300,7 @@ def _length(way: NDArray[np.intp]) -> float:
 def _cover(
     owner: NDArray[np.int32], way: NDArray[np.intp], reach: NDArray[np.float64], number: int, vessel: Mask
 ) -> None:
-    """Assign the free voxels round a path to a branch, in place."""
+    """Assign the free voxels round the path of a branch to this branch, in place."""
     shape = np.array(vessel.shape)
     for at, far in zip(way, reach, strict=True):
         whole = int(np.ceil(far))
@@ -312,7 +313,7 @@ def _cover(
 
 
 def _evened(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Smooth the voxel steps of a line; its ends are unchanged."""
+    """Return a line with its voxel steps smoothed and its ends unchanged."""
     out = points
     for _ in range(2):
         if len(out) > 2:

@@ -28,7 +28,7 @@ class Words:
 @one_line
 @dataclass(frozen=True, slots=True)
 class Bullets:
-    """List of sentences."""
+    """Bulleted list of sentences."""
 
     items: tuple[str, ...]
     tone: Tone = "plain"
@@ -37,7 +37,7 @@ class Bullets:
 @one_line
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """Names with their values: the main figures of a section."""
+    """Table of names with their values: the main figures of a section."""
 
     rows: tuple[tuple[str, str], ...]
 
@@ -63,7 +63,7 @@ class Clip:
     num_frames: int
     duration_s: float
     says: str
-    """Text alternative for screen readers."""
+    """Text alternative of the clip for screen readers."""
 
 
 @one_line

@@ -13,7 +13,7 @@ from carina.display.html import escaped
 __all__ = ["Disc", "Drawing", "Label", "Pen", "Place", "Raster", "Shape", "Stroke", "svg"]
 
 Place = tuple[float, float]
-"""Position right and down from the upper left corner, in the drawing's own unit (a point if it fills its page)."""
+"""Type of a position in a drawing: right and down from the upper left corner, in the drawing's own unit."""
 Anchor = Literal["start", "middle", "end"]
 
 
@@ -32,7 +32,7 @@ class Pen:
 @one_line
 @dataclass(frozen=True, slots=True)
 class Stroke:
-    """Polyline, or polygon if ``closed``."""
+    """Polyline of a drawing, or polygon if ``closed``."""
 
     places: tuple[Place, ...]
     pen: Pen
@@ -42,7 +42,7 @@ class Stroke:
 @one_line
 @dataclass(frozen=True, slots=True)
 class Disc:
-    """Circle."""
+    """Circle of a drawing."""
 
     middle: Place
     radius: float
@@ -52,7 +52,7 @@ class Disc:
 @one_line
 @dataclass(frozen=True, slots=True)
 class Label:
-    """Line of text; ``at`` is the anchor on its baseline."""
+    """Line of text in a drawing; ``at`` is the anchor on the baseline of the text."""
 
     at: Place
     text: str
@@ -67,7 +67,7 @@ class Label:
 @one_line
 @dataclass(frozen=True, slots=True)
 class Raster:
-    """Image in a rectangle."""
+    """Image in a rectangle of a drawing."""
 
     corner: Place
     size: Place
@@ -80,7 +80,7 @@ Shape = Stroke | Disc | Label | Raster
 @one_line
 @dataclass(frozen=True, slots=True)
 class Drawing:
-    """Shapes on a sheet, later ones in front; ``says`` is the text alternative for screen readers."""
+    """Drawing: shapes on a sheet, later shapes in front; ``says`` is the text alternative for screen readers."""
 
     width: float
     height: float

@@ -133,7 +133,7 @@ def _bar_words(one: Crossed) -> str:
 
 
 def _label_rows(crossed: Sequence[Crossed], scale: float) -> list[int]:
-    """Return the row above the bar for each label, so that labels do not overlap."""
+    """Return for each label of a needle bar the row above the bar, so that labels do not overlap."""
     ends: list[float] = []
     rows = []
     for one in crossed:
@@ -217,7 +217,7 @@ def _scale_bar(scale: float, width: float, height: float) -> tuple[Shape, ...]:
 
 
 def _hull(places: Sequence[Place]) -> tuple[Place, ...]:
-    """Return the convex hull of places, in order (Andrew's monotone chain)."""
+    """Return the convex hull of positions in a drawing, in order (Andrew's monotone chain)."""
     ordered = sorted(set(places))
     if len(ordered) < 3:
         return tuple(ordered)

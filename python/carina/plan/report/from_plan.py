@@ -23,13 +23,13 @@ from carina.volume import Volume
 __all__ = ["PlanMaterials", "whole_sheet"]
 
 PICTURES_SHARE, CLIPS_SHARE = 0.35, 0.35
-"""Shares of the pictures and of the clips in the progress, if there are turns."""
+"""Shares of the report's progress that the pictures, and the clips, of turns take."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanMaterials:
-    """Inputs of a report."""
+    """Inputs of a report: the CT, its airways, the plan and options."""
 
     volume: Volume
     airways: Airways
@@ -38,7 +38,7 @@ class PlanMaterials:
     route_number: int = 1
     """Number of the route that is described in detail, from 1."""
     verdicts: tuple[Verdict, ...] = ()
-    """Verdicts on that route."""
+    """Verdicts of instruments on the route ``route_number``."""
     operator: Operator = "head"
     carina_depth_mm: float | None = None
     """Depth of the main carina at nose or mouth in mm, as measured by the user."""

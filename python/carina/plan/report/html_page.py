@@ -58,7 +58,7 @@ def _hash(text: str) -> str:
 
 
 def _running(sheet: PlanSheet) -> str:
-    """Return the head and foot of each printed page."""
+    """Return the HTML of the head and foot of each printed page."""
     who = "" if sheet.patient is None else f" \u00b7 {sheet.patient}"
     left, right = (
         f"{TITLE}{who} \u00b7 {target_words(sheet)}",
@@ -156,7 +156,7 @@ def _has_clip(block: Block) -> bool:
 
 
 def _clip(clip: Clip) -> str:
-    """Return a clip's frames and controls; they are hidden until the script that plays them runs."""
+    """Return the HTML of a clip's frames and controls; they are hidden until the script that plays them runs."""
     data = base64.b64encode(clip.strip_jpeg).decode("ascii")
     return (
         f'<div class="clip on-screen" data-seconds="{clip.duration_s:.2f}" hidden>'

@@ -22,7 +22,7 @@ PAD = 3
 
 
 class NoduleShare:
-    """Share of a nodule at any place, 0 to 1, interpolated between the voxels of its mask."""
+    """Share of a nodule at any point, 0 to 1, interpolated between the voxels of the nodule's mask."""
 
     def __init__(self, nodule: Nodule) -> None:
         mask = np.pad(nodule.inside_zyx, PAD).astype(np.float32)
@@ -32,7 +32,7 @@ class NoduleShare:
         self._ijk_from_lps = np.linalg.inv(self._lps_from_ijk)
 
     def at(self, points_lps: Points) -> Values:
-        """Return the shares at points (..., 3) LPS mm."""
+        """Return the share of the nodule at each of (..., 3) points, LPS mm."""
         ijk = points_lps @ self._ijk_from_lps[:3, :3].T + self._ijk_from_lps[:3, 3]
         last = np.array(self._share.shape[::-1]) - 1
         ijk = np.clip(ijk, 0.0, last)
@@ -122,7 +122,7 @@ def surface_of(nodule: Nodule) -> tuple[Points, NDArray[np.int64]]:
 
 
 def _outwards(vertices: Points, faces: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Orient quads so that their normals point away from the middle; for display, exact only for convex surfaces."""
+    """Return the quads of a surface oriented so that their normals point away from the surface's middle."""
     if not len(faces):
         return faces
     corners = vertices[faces]
@@ -135,7 +135,7 @@ def _outwards(vertices: Points, faces: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _closed_lines(share: Values) -> list[Points]:
-    """Return the contours at 0.5 of values on a grid with a rim of 0, each a closed line (n, 2) of columns and rows."""
+    """Return the closed contours at 0.5 of values on a grid with a rim of 0, as (n, 2) columns and rows."""
     rows, columns = share.shape
     total, count = np.zeros((rows, columns, 2)), np.zeros((rows, columns))
     links: dict[tuple[int, int], list[tuple[int, int]]] = {}

@@ -42,7 +42,7 @@ __all__ = ["laid_out"]
 
 TITLE = "Bronchoscopy plan"
 SIDE, TOP, BOTTOM = 34.0, 50.0, 46.0
-"""Margins in points; the top and bottom margins contain the head and foot of each page."""
+"""Side, top and bottom margins of a page in points; the last two contain the head and foot of each page."""
 GAP = 8.0
 HEADING, PARAGRAPH = 48.0, 44.0
 """Largest heights in points of a heading and a paragraph on a page that a drawing fills."""
@@ -77,7 +77,7 @@ def _built(
 
 
 def _furniture(canvas: Any, page: Any, *, sheet: PlanSheet, fonts: tuple[str, str], num_pages: int) -> None:
-    """Draw the head and foot of a page."""
+    """Draw the head and foot of a PDF page."""
     width, height = page.pagesize
     plain, bold = fonts
     who = "" if sheet.patient is None else f" \u00b7 {sheet.patient}"
@@ -182,7 +182,7 @@ class _Layout:
         return Paragraph(escaped(text), style, bulletText="\u2022" if is_item else None)
 
     def _facts(self, rows: tuple[tuple[str, str], ...]) -> Any:
-        """Return names and values in two columns."""
+        """Return a table of names and values in two columns, as a reportlab flowable."""
         half = (len(rows) + 1) // 2
         cells = []
         for n in range(half):
@@ -365,7 +365,7 @@ def _font(name: str) -> Any:
 
 
 def _texts(sheet: PlanSheet, parts: tuple[Section, ...]) -> Iterator[str]:
-    """Yield all texts of the document."""
+    """Yield all texts of the report, to check the characters that its font must have."""
     yield from (
         TITLE,
         NOT_A_DEVICE,

@@ -50,7 +50,7 @@ class TargetPlace:
     """Lobe of the nearest airway; None if it is not known."""
     nearest_branch: str | None
     pleura_mm: float | None
-    """Distance in mm from the target's edge to the nearest tissue thicker than a vessel.
+    """Distance in mm from the target's edge to the nearest tissue thicker than a vessel (pleura or mediastinum).
 
     None if there is none within ``looked_mm``, or if the CT ends before it.
     """
@@ -85,7 +85,7 @@ class Provenance:
 
     version: str
     made_on: str
-    """Date in ISO format."""
+    """Date of the report in ISO format."""
     scan_format: str
     series: str | None
     """Modality and number of the series in the study; never its description, which may contain a patient's name."""
@@ -113,17 +113,20 @@ class Fork:
     """Fork of the route, with the branches that are not entered there."""
 
     number: int
-    """Number of the fork, from 1."""
+    """Number of the fork on the route, from 1."""
     from_name: str
     to_name: str
     to_branch_id: int
     place_lps: tuple[float, float, float]
     carina_mm: float | None
-    """Distance in mm from the main carina along the route; 0 at it, below 0 before it, None if it is not known."""
+    """Distance in mm of the fork from the main carina along the route.
+
+    Below 0 before the carina, None if it is not known.
+    """
     others: tuple[str, ...]
     warnings: tuple[str, ...]
     turn: Turn | None
-    """Turn with clock hours and moves; None if no list of turns was made."""
+    """Turn at the fork with clock hours and moves; None if no list of turns was made."""
 
 
 @one_line
@@ -137,7 +140,7 @@ class PlanSheet:
     verdicts: tuple[Verdict, ...]
     turns: TurnList | None
     turn_pictures: tuple[TurnPicture, ...] = field(repr=False)
-    """Picture of each turn, or empty."""
+    """Picture of each turn of the route; empty if no pictures were made."""
     turn_clips: tuple[TurnClip | None, ...] = field(repr=False)
     """Clip of the flight to each turn, or empty; None for a stretch without length."""
     forks: tuple[Fork, ...]
@@ -146,25 +149,25 @@ class PlanSheet:
     slices: tuple[SlicePicture, ...]
     needle_slice: SlicePicture | None
     sign_slices: tuple[SlicePicture, ...]
-    """Slices that show the bronchus sign."""
+    """Slices that show the bronchus sign; empty without the sign."""
     shape: TreeShape
     uncertain: tuple[str, ...]
     by_hand: tuple[str, ...]
     """Sentences about parts that were drawn by hand, shown in red."""
     notes: tuple[str, ...]
-    """Notes of the planner."""
+    """Notes on the plan that its planner wrote, shown unchanged."""
     patient: str | None
     provenance: Provenance
     calibrated_shares: CalibratedShares | None
-    """Shares of airways that the search finds in slices as thick as these; None for thin slices."""
+    """Shares of airways that the search finds in slices of this CT's thickness; None for thin slices."""
 
     @property
     def route(self) -> PlannedRoute | None:
-        """Route that is described in detail."""
+        """Route that the report describes in detail; None if the plan has no route."""
         return None if self.route_number is None else self.plan.routes[self.route_number - 1]
 
     def carina_mm(self, route: PlannedRoute) -> float | None:
-        """Return the distance in mm from the main carina to the tip on a route.
+        """Return the distance in mm from the main carina to the tip on a route, or None.
 
         The origin is that of the list of turns; without a list it is that of the plan.
         """
@@ -359,7 +362,10 @@ def _place(volume: Volume, airways: Airways, nodule: Nodule, wall: WallField) ->
 
 
 def _to_edge_mm(around: Surroundings, nodule: Nodule) -> float:
-    """Return the distance in mm from a nodule to the edge of the CT in the box round it; infinite if there is none."""
+    """Return the distance in mm from a nodule to the edge of the CT inside the box round the nodule.
+
+    Infinite if none.
+    """
     unknown = np.argwhere(~around.box.known)
     if not len(unknown):
         return math.inf
@@ -369,7 +375,7 @@ def _to_edge_mm(around: Surroundings, nodule: Nodule) -> float:
 
 
 def _check_pictures(turns: TurnList | None, pictures: Sequence[TurnPicture], operator: Operator) -> None:
-    """Refuse pictures of other turns, or for another position of the operator."""
+    """Raise an error for pictures of other turns, or for another position of the operator."""
     if not pictures:
         return
     expected = () if turns is None else turns.turns
@@ -387,7 +393,7 @@ def _check_pictures(turns: TurnList | None, pictures: Sequence[TurnPicture], ope
 
 
 def _check_clips(pictures: Sequence[TurnPicture], clips: Sequence[TurnClip | None]) -> None:
-    """Refuse clips that do not belong to the pictures over which they are played."""
+    """Raise an error for clips that do not belong to the pictures over which they are played."""
     if not clips:
         return
     ends = [(one.turn, one.operator) for one in pictures]
@@ -402,7 +408,7 @@ def _check_clips(pictures: Sequence[TurnPicture], clips: Sequence[TurnClip | Non
 
 
 def _check_turns(airways: Airways, route: PlannedRoute | None, turns: TurnList | None) -> None:
-    """Refuse a list of turns that belongs to another route."""
+    """Raise an error for a list of turns that belongs to another route."""
     if turns is None:
         return
     lineage = set() if route is None else {branch.id for branch in airways.tree.lineage(route.branch_id)}
@@ -457,7 +463,10 @@ def _forks(airways: Airways, plan: Plan, route: PlannedRoute, turns: TurnList | 
 
 
 def _past_carina_mm(from_axes_mm: float, plan: Plan) -> float:
-    """Return the distance in mm from the ridge of the main carina; 0 for the fork of the main carina itself."""
+    """Return the distance in mm of a point from the ridge of the main carina.
+
+    0 for the fork of the main carina itself.
+    """
     return 0.0 if abs(from_axes_mm) < SAME_PLACE_MM else from_axes_mm - (plan.carina_ridge_mm or 0.0)
 
 

@@ -72,7 +72,7 @@ def tracing_sections(sheet: PlanSheet) -> tuple[Section, ...]:
 
 
 def _red(sheet: PlanSheet) -> tuple[Block, ...]:
-    """Return the warnings that every view of the route shows."""
+    """Return the blocks with warnings (shown in red) that every view of the route contains."""
     route = sheet.route
     if route is None or not route.doubts:
         return ()
@@ -113,7 +113,7 @@ def _target(sheet: PlanSheet) -> Section:
 
 
 def _lead(sheet: PlanSheet) -> str:
-    """Return the summary of the report."""
+    """Return the summary sentence at the beginning of the report."""
     plan, route = sheet.plan, sheet.route
     nodule = target_words(sheet)
     nodule = nodule[0].upper() + nodule[1:]
@@ -217,7 +217,7 @@ def _route(sheet: PlanSheet) -> list[Section]:
 
 
 def _far_edge_mm(route: PlannedRoute) -> float:
-    """Return the distance in mm from the tip to the far edge of the target; to its aimed edge if the needle misses."""
+    """Return the distance in mm from the tip to the target's far edge; to its aimed edge if the needle misses."""
     ends = [one.end_mm for one in route.leg.crossed if one.tissue == "target"]
     return max(ends, default=route.leg.to_target_mm)
 

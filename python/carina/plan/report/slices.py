@@ -30,16 +30,16 @@ LUNG_HU = (1500.0, -600.0)
 """Width and level of the lung window, HU."""
 WIDTH_PX = 440
 LEAST_MM, ROOM_MM = 70.0, 50.0
-"""Least width of a slice in mm, and least difference between its width and the length of its target."""
+"""Least width of a slice in mm, and least excess in mm of the width over the length of the target."""
 PROOF_MM = 44.0
 THICK_MM = 1.5
-"""Largest distance in mm of a line from a slice in which it is drawn as in the plane."""
+"""Largest distance in mm of a line from a slice at which the line is drawn as in the plane of the slice."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class SlicePicture:
-    """Slice with the lines drawn over it; positions are columns and rows in corner coordinates."""
+    """Picture of a slice with the lines drawn over it; positions are columns and rows in corner coordinates."""
 
     title: str
     """Name of the plane if it is along the patient's axes, else empty."""
@@ -48,21 +48,24 @@ class SlicePicture:
     height_px: int
     mm_per_px: float
     letters: tuple[str, str, str, str]
-    """Orientation letters at the left, right, upper and lower edge."""
+    """Orientation letters at the left, right, upper and lower edge of the slice."""
     target: tuple[Line, ...]
-    """Lines in which the plane cuts the target."""
+    """Lines in which the plane of the slice cuts the target."""
     lumen: tuple[Line, ...]
-    """Lines in which the plane cuts airways."""
+    """Lines in which the plane of the slice cuts airways."""
     needle: tuple[tuple[Line, bool], ...]
-    """Pieces of the last leg from tip to aim, each with whether it is in the plane; the others are projected."""
+    """Pieces of the last leg from tip to aim, each with whether it is in the slice's plane.
+
+    Other pieces are projected.
+    """
     tip: tuple[float, float] | None
     cross: tuple[float, float] | None = None
-    """Position of a marker."""
+    """Position of a marker in the slice; None for no marker."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Over:
-    """Structures that are drawn over each slice."""
+    """Structures (target, needle, lumen) whose lines are drawn over each slice."""
 
     nodule: Nodule
     leg: LastLeg | None
@@ -185,7 +188,7 @@ def _picture(
 
 
 def _needle(shown: Picture, leg: LastLeg) -> tuple[tuple[tuple[Line, bool], ...], tuple[float, float]]:
-    """Return the pieces of the last leg, each with whether it is in the plane of a slice, and the tip's position."""
+    """Return the pieces of the last leg, each with whether it is in a slice's plane, and the tip's position."""
     assert shown.lps_from_pixel is not None
     tip, aim = np.array(leg.tip_lps), np.array(leg.aim_lps)
     normal = np.cross(shown.lps_from_pixel[:3, 0], shown.lps_from_pixel[:3, 1])

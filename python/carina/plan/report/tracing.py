@@ -15,18 +15,18 @@ from carina.plan.turns.turn_list import Turn
 __all__ = ["TRACING_SIZE", "tracing_drawings"]
 
 TRACING_SIZE = (520.0, 640.0)
-"""Width and height in points; the size fits A4 and Letter."""
+"""Width and height of a page of the tracing sheet, in points; the size fits A4 and Letter."""
 MOST_FORKS = 12
-"""Largest number of forks on one page; a longer route continues on the next page."""
+"""Largest number of forks on one page of the tracing sheet; a longer route continues on the next page."""
 SPINE, CLOCK, TEXT = 84.0, 196.0, 226.0
-"""Horizontal positions of diagram, clock faces and text, from the left."""
+"""Horizontal positions of diagram, clock faces and text from the left edge of the page, in points."""
 TOP, NOTES_MM = 62.0, 92.0
 SWAY, SWAY_MOST = 26.0, 34.0
 MOST_LINES = 7
-"""Largest number of lines of notes."""
+"""Largest number of lines of text beside a fork."""
 TUBE = 10.0
 SMALL = 9.0
-"""Font size of the text below a name."""
+"""Font size in points of the text below a name."""
 
 
 def tracing_drawings(sheet: PlanSheet) -> tuple[Drawing, ...]:
@@ -79,7 +79,7 @@ def _head(sheet: PlanSheet) -> list[Shape]:
 
 
 def _diagram(sheet: PlanSheet, forks: tuple[Fork, ...], step: float, *, is_last: bool) -> list[Shape]:
-    """Return the tubes of the diagram; each tube leans to the side of the opening in the picture."""
+    """Return the shapes of the bronchial diagram; each tube leans to the side of the opening in the picture."""
     places: list[Place] = [(SPINE, TOP - 6.0)]
     x = SPINE
     leans = [_lean(fork, sheet) for fork in forks]
@@ -132,7 +132,7 @@ def _target(at: Place, step: float) -> list[Shape]:
 
 
 def _lean(fork: Fork, sheet: PlanSheet) -> float:
-    """Return the side of an opening in the picture, -1 (left) to 1 (right); 0 if it is straight ahead or not known."""
+    """Return the side of a fork's opening in the picture, -1 (left) to 1 (right); 0 if straight ahead or unknown."""
     if fork.turn is None or fork.turn.straight_ahead:
         return 0.0
     return math.sin(math.radians(30.0 * _hours(fork.turn, sheet)))
@@ -188,7 +188,7 @@ def _fork_words(fork: Fork, sheet: PlanSheet, y: float, step: float) -> list[Sha
         said += [(line, QUIET) for line in lines_of(moves_words(turn.moves), SMALL, width - TEXT)]
     warned = [(line, WARNING) for words in fork.warnings for line in lines_of(words, SMALL, width - TEXT)]
     room = max(int((step - 18.0) / 11.0), 1)
-    # Warnings are never omitted; other lines are.
+    # If the text is too long, other lines are omitted, but never warnings.
     said = said[: max(room - len(warned), 1)] + warned
     top = y - 0.5 * (14.0 + 11.0 * len(said)) + 11.0
     shapes: list[Shape] = [Label((TEXT, top), fork.to_name, 12.5, INK, bold=True)]

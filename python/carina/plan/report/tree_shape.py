@@ -18,13 +18,13 @@ __all__ = ["ShapedBranch", "TreeShape", "tree_shape"]
 
 Points = NDArray[np.float64]
 EVERY_MM = 2.5
-"""Distance in mm between the retained points of a centreline."""
+"""Distance in mm between the points of a centreline that are kept for drawings."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class ShapedBranch:
-    """Branch reduced to few points: (n, 3) LPS mm and (n,) radii in mm."""
+    """Branch of the tree reduced to few points: (n, 3) LPS mm and (n,) radii in mm."""
 
     id: int
     name: str | None
@@ -42,9 +42,9 @@ class TreeShape:
 
     branches: tuple[ShapedBranch, ...]
     route_lps: Points
-    """(n, 3) points along the route to the scope's tip, LPS mm; (0, 3) without a route."""
+    """(n, 3) points along the route from the root to the scope's tip, LPS mm; (0, 3) without a route."""
     needle_lps: Points
-    """(2, 3) tip and aim, LPS mm; (0, 3) without a route."""
+    """(2, 3) tip of the scope and aim of the needle, LPS mm; (0, 3) without a route."""
     vertices_lps: Points
     """(n, 3) vertices of the target's surface, LPS mm."""
     quads: NDArray[np.int64]
@@ -98,7 +98,7 @@ def _few(points: Points) -> Points:
 
 
 def _rows(points: Points) -> NDArray[np.intp]:
-    """Return the indices of points about `EVERY_MM` apart, including both ends."""
+    """Return the indices of points of a line about `EVERY_MM` apart, including both ends of the line."""
     if len(points) < 3:
         return np.arange(len(points))
     at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])

@@ -16,7 +16,7 @@ from carina.volume import Volume
 __all__ = ["by_hand", "dense_words", "movement_words", "uncertain"]
 
 THICK_MM = 1.5
-"""Slice distance in mm above which small airways are hidden and boundaries blurred."""
+"""Distance in mm between slices above which small airways are hidden and boundaries blurred."""
 DENSE_HU = 110.0
 """Density in HU above which a target may be a vessel or calcified.
 
@@ -111,7 +111,7 @@ def _aimed_again(route: PlannedRoute | None) -> str:
 
 
 def dense_words(nodule: Nodule) -> str | None:
-    """Return a warning if a target is denser than soft tissue, else None."""
+    """Return a warning if a target is denser than soft tissue; None otherwise."""
     if nodule.density_hu <= DENSE_HU:
         return None
     return (
@@ -175,7 +175,7 @@ def _of_ct(volume: Volume) -> list[str]:
 
 
 def _of_airways(airways: Airways, route: PlannedRoute | None) -> list[str]:
-    """Return doubts about the airways of the route and about all airways.
+    """Return sentences about doubtful airways of the route and about doubts on all airways.
 
     Airways that were lost near the target are among the plan's notes.
     """

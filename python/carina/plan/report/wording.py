@@ -39,12 +39,12 @@ def carina_words(mm: float | None) -> str:
 
 
 def per_cent(share: float | None) -> str:
-    """Return a share as text, such as ``92 %``."""
+    """Return a share (0 to 1) as text in per cent, such as ``92 %``."""
     return "not calculated" if share is None else f"{100.0 * share:.0f} %"
 
 
 def text_width(text: str, size: float) -> float:
-    """Return the approximate width of a line of text, in the unit of its size."""
+    """Return the approximate width of a line of text, in the unit of its font size."""
     return AVERAGE_ADVANCE * size * len(text)
 
 
@@ -70,7 +70,7 @@ def lines_of(text: str, size: float, width: float) -> list[str]:
 
 
 def _pieces(word: str, size: float, width: float) -> list[str]:
-    """Return a word in pieces that fit a width; a piece has at least one character."""
+    """Return a word cut into pieces that fit a width; a piece has at least one character."""
     pieces = [""]
     used = 0.0
     for letter in word:

@@ -25,7 +25,7 @@ At a fork the centreline cuts the corner up to 2 mm beside the middle.
 """
 NUM_ROUND = 8
 HALF_SAMPLE_MM = 0.2
-"""Half the sample distance of the wall field in mm.
+"""Half the distance in mm between the samples of the wall field.
 
 The distance to the wall has its peak on the middle line of the lumen. A field with samples 0.4 mm apart cuts off some
 0.25 mm of the peak, so the distance is measured beside the line.
@@ -36,11 +36,11 @@ INWARDS_MM = 0.19
 Measured on three CTs with known airways (0.55 to 0.9 mm, radii 0.8 to 4 mm): 0.13 to 0.23 mm.
 """
 SMOOTH_MM = 1.0
-"""Half the length in mm over which widths are averaged to reduce noise of the wall; a scope's tip is longer."""
+"""Half the length in mm over which the widths along a branch are averaged to reduce noise of the wall."""
 
 
 def rooms_mm(branch: Branch, wall: WallField | None) -> Points:
-    """Return the diameter of the largest ball near each point of a branch, at most that of the lumen's area.
+    """Return for each point of a branch the diameter of the largest ball near the point that fits the lumen, (n,) mm.
 
     Parameters
     ----------

@@ -32,18 +32,18 @@ Points = NDArray[np.float64]
 Tissue = Literal[
     "lumen", "airway wall", "lung", "fissure", "vessel", "target", "mediastinum or chest wall", "not examined"
 ]
-"""Tissue on a needle path.
+"""Type of the tissues on a needle path.
 
 ``fissure`` is used only for a visible fissure. ``not examined`` is outside the CT, or too far from the target.
 """
 
 STEP_MM = 0.25
 LEAST_MM = 0.5
-"""Least length in mm of a tissue; a shorter stretch is added to the tissue before it."""
+"""Least length in mm of a stretch of one tissue; a shorter stretch is added to the tissue before it."""
 SPREAD = 1.645
-"""Multiple of the standard deviation of the needle's error; nine needles of ten are closer to the line."""
+"""Multiple of the standard deviation of the needle's error within which nine of ten needles pass the planned line."""
 BEYOND_MM = 10.0
-"""Distance in mm beyond the target that is examined."""
+"""Distance in mm beyond the target up to which the tissues on the needle path are examined."""
 OPEN_MM = 0.8
 """Largest distance in mm of a target from the lumen at which no wall has to be pierced."""
 
@@ -55,12 +55,12 @@ class Crossed:
 
     tissue: Tissue
     start_mm: float
-    """Distance of its start from the tip of the scope, mm."""
+    """Distance of the start of the stretch from the tip of the scope, mm."""
     length_mm: float
 
     @property
     def end_mm(self) -> float:
-        """Distance of its end from the tip of the scope, mm."""
+        """Distance of the end of the stretch from the tip of the scope, mm."""
         return self.start_mm + self.length_mm
 
 
@@ -70,7 +70,7 @@ class NearVessel:
     """Vessel that is nearer to the needle than the margin."""
 
     at_mm: float
-    """Position of the nearest point along the needle, mm from the tip of the scope."""
+    """Distance in mm from the scope's tip to the point of the needle that is nearest to the vessel."""
     distance_mm: float
     """Distance of the vessel from the needle's line, mm; 0 if the needle passes through it."""
     place_lps: tuple[float, float, float]
@@ -89,19 +89,22 @@ class LastLeg:
     to_target_mm: float
     """Distance from the tip to the edge of the target, along the needle, mm."""
     outside_mm: float
-    """Part of ``to_target_mm`` outside the lumen."""
+    """Part of ``to_target_mm`` that lies outside the lumen, mm."""
     angle_deg: float
     """Angle in degrees between the needle and the airway's axis at the tip."""
     crossed: tuple[Crossed, ...]
-    """Tissues in order, to the end of the needle's reach or 10 mm beyond the target, whichever is farther."""
+    """Tissues along the needle in order, to the end of its reach or 10 mm beyond the target, whichever is farther."""
     in_target_mm: float
-    """Length of the needle in the target if it goes as aimed, mm."""
+    """Length of the needle in the target in mm, if the needle goes exactly as aimed."""
     least_in_target_mm: float
-    """Least length in the target of needles at 1.6 standard deviations, mm; 0 if one misses."""
+    """Least length in the target, in mm, of needles deviating by 1.6 standard deviations; 0 if one of them misses."""
     vessel_mm: float | None
-    """Distance in mm between the line, up to the target's far edge, and the nearest visible vessel; None if none."""
+    """Least distance in mm between the needle's line up to the target's far edge and a visible vessel.
+
+    None if there is none.
+    """
     vessel_lps: tuple[float, float, float] | None
-    """Point on the needle's line nearest to that vessel, LPS mm."""
+    """Point on the needle's line nearest to the vessel of ``vessel_mm``, LPS mm; None if there is none."""
     beyond_mm: float | None
     """Distance along the needle from the target's far edge to pleura or mediastinum, mm; None if more than 10 mm."""
     hit_share: float
@@ -111,7 +114,7 @@ class LastLeg:
     hit_share_moved: float | None = None
     """Share of hits if the target may have moved and the needle is not aimed again; None if not computed."""
     vessels: tuple[NearVessel, ...] = ()
-    """Visible vessels nearer than the margin, in order, from the wall to the target's far edge."""
+    """Visible vessels nearer to the needle than the margin, in order, from the wall to the target's far edge."""
     vessel_beyond_mm: float | None = None
     """Distance in mm along the needle from the target's far edge to the first vessel; None if more than 10 mm."""
     mediastinum_mm: float = 0.0
@@ -153,7 +156,7 @@ class LastLeg:
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class NeedleScene:
-    """Nodule, tissue round it, and the needle that is planned for it."""
+    """Inputs of a needle path: the nodule, the tissue round the nodule, and the planned needle."""
 
     nodule: Nodule
     wall: WallField
@@ -161,7 +164,7 @@ class NeedleScene:
     tool: Tool
     errors: NeedleErrors
     margin_mm: float = 3.0
-    """Margin in mm; vessels nearer to the needle are listed."""
+    """Distance in mm from the needle within which vessels are listed."""
 
 
 def last_leg(scene: NeedleScene, tip_lps: Points, forward: Points, aim_lps: Points | None = None) -> LastLeg:
@@ -281,13 +284,13 @@ def where_it_may_have_moved(scene: NeedleScene, leg: LastLeg, moved_mm: float) -
 
 
 def _first_mm(there: NDArray[np.bool_]) -> float | None:
-    """Return the distance in mm to the first true sample; None if there is none within `BEYOND_MM`."""
+    """Return the distance in mm along the needle to the first true sample; None if there is none within `BEYOND_MM`."""
     first = np.flatnonzero(there[: int(BEYOND_MM / STEP_MM) + 1])
     return STEP_MM * float(first[0]) if first.size else None
 
 
 def _near_vessels(to_vessel: Points, at: Points, points: Points, margin_mm: float) -> tuple[NearVessel, ...]:
-    """Return the nearest point of each stretch on which a vessel is nearer than the margin."""
+    """Return for each stretch on which a vessel is nearer to the needle than the margin, the nearest point."""
     near = np.flatnonzero(to_vessel < margin_mm)
     if not near.size:
         return ()

@@ -43,6 +43,6 @@ def ridge_beyond_axes_mm(volume: Volume, airways: Airways, branch_id: int, axes_
 
 
 def _without_rest(branch: Branch, ids: set[int]) -> Branch:
-    """Return a branch whose parent and children are limited to the given ids."""
+    """Return a copy of a branch in which parent and children are limited to the given IDs."""
     parent = branch.parent if branch.parent in ids else None
     return replace(branch, parent=parent, children=tuple(i for i in branch.children if i in ids))

@@ -28,7 +28,7 @@ TIPS_AT_ONCE = 32
 @one_line
 @dataclass(frozen=True, slots=True)
 class NeedleErrors:
-    """Standard deviations of the needle's direction and position from the planned ones.
+    """Standard deviations of the needle's direction and position around the planned values.
 
     The defaults are common knowledge, not measured.
     """
@@ -39,7 +39,7 @@ class NeedleErrors:
     """Error of the scope's tip in mm, on each of the two axes across the needle."""
 
     def __post_init__(self) -> None:
-        """Check the fields."""
+        """Raise an error if a field of this `NeedleErrors` has an invalid value."""
         check_fields(self, angle_deg=any_number(), tip_mm=any_number())
         for name, value, most in (("angle_deg", self.angle_deg, 45.0), ("tip_mm", self.tip_mm, 20.0)):
             if not (math.isfinite(value) and 0.0 <= value <= most):
@@ -84,14 +84,14 @@ def hit_share(
     if moved_mm <= 0.0:
         return _share(nodule, tip_lps[None], _cone(along, sigma, NUM_RINGS, NUM_ROUND), reach_mm)
     ball = _fibonacci_sphere(NUM_WAYS)
-    # Shells of equal volume have equal weight.
+    # The shells have equal volumes, so each shell has equal weight.
     radii = moved_mm * ((np.arange(NUM_SHELLS) + 0.5) / NUM_SHELLS) ** (1.0 / 3.0)
     shifts = (radii[:, None, None] * ball).reshape(-1, 3)
     return _share(nodule, tip_lps - shifts, _cone(along, sigma, FEW_RINGS, FEW_ROUND), reach_mm)
 
 
 def _cone(along: Points, sigma_rad: float, num_rings: int, num_round: int) -> Points:
-    """Return directions (n, 3) of equal weight in a Gaussian cone."""
+    """Return directions (n, 3) that represent equal shares of a Gaussian cone round an axis."""
     across, up = axes_across(along)
     share = (np.arange(num_rings) + 0.5) / num_rings
     # The angle of a two-dimensional Gaussian has a Rayleigh distribution.
@@ -121,7 +121,7 @@ def axes_across(along: Points) -> tuple[Points, Points]:
 
 @cache
 def _fibonacci_sphere(num: int) -> Points:
-    """Return directions (num, 3) spread evenly over the sphere."""
+    """Return unit vectors (num, 3) spread evenly over the sphere."""
     n = np.arange(num)
     z = 1.0 - (2.0 * n + 1.0) / num
     across = np.sqrt(1.0 - z * z)

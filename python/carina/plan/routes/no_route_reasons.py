@@ -15,7 +15,7 @@ from carina.volume import Volume
 __all__ = ["check_target", "notes_of_target", "notes_of_tools", "why_none"]
 
 LOST_MM = 40.0
-"""Largest distance in mm of a lost airway from the target at which the airway may lead closer."""
+"""Largest distance in mm from the target at which an airway that the search lost may lead closer."""
 LOST_KINDS = {"lost", "blocked", "stump", "filled", "leak", "volume"}
 LOBES = {"RUL", "RML", "RLL", "LUL", "LML", "LLL"}
 LUNG_HU = -860.0
@@ -23,7 +23,7 @@ NUM_SAMPLES = 400
 
 
 def check_target(volume: Volume, airways: Airways, nodule: Nodule) -> None:
-    """Refuse airways or a target that belong to another CT.
+    """Raise an error if airways or target belong to another CT.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def why_none(airways: Airways, nodule: Nodule, nearest: NearestPlace | None, too
 
 
 def _lost_airways(airways: Airways, nodule: Nodule, nearest: NearestPlace | None) -> list[str]:
-    """Return notes on airways that were lost near the target, and on lobes without any airway."""
+    """Return notes on airways that the search lost near the target, and on lobes without any airway."""
     found = []
     lost = [one for one in airways.uncertain if one.kind in LOST_KINDS and one.branch_id is not None]
     if lost:

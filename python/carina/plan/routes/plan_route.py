@@ -70,7 +70,7 @@ MOST_AIMS = 3
 APART_MM = 4.0
 """Least distance in mm between the scope positions of two routes to one aim."""
 BEYOND_MM, LEAST_MARGIN_MM, ROUND_MM = 10.0, 3.0, 6.0
-"""Margins in mm of the examined box: beyond the target's far edge, beside the needle, and for the filters' reach."""
+"""Margins in mm of the examined box: beyond the target's far edge, beside the needle, and for the reach of filters."""
 MOST_BOX_MM = 60.0
 
 
@@ -80,23 +80,23 @@ class PlannedRoute:
     """Route along the airways to the position of the scope, and from there into the target."""
 
     branch_id: int
-    """Id of the branch in which the scope stands."""
+    """ID of the branch in which the tip of the scope stands."""
     branch_name: str
     along_mm: float
-    """Distance of the tip from the root, mm."""
+    """Distance of the tip from the root along the airways, mm."""
     from_carina_mm: float | None
     """Distance of the tip from the main carina, mm; None if the route passes no main carina."""
     forward: tuple[float, float, float]
-    """Direction of the airway at the tip, LPS."""
+    """Direction of the airway at the tip, unit vector, LPS."""
     width: RouteWidth
     """Narrowest diameter of the route, with its error."""
     fit: Fit
-    """Whether the scope with its margin fits, may fit within the errors, or does not fit."""
+    """Whether the scope with its margin fits through the route, may fit within the errors, or does not fit."""
     leg: LastLeg
     parts: dict[str, float]
-    """Parts of the score, each 0 (best) to 1 (`ScoreWeights`)."""
+    """Parts of the route's score by name, each 0 (best) to 1 (`ScoreWeights`)."""
     score: float
-    """Score, 0 to 1 (best)."""
+    """Score of the route, 0 to 1 (best)."""
     doubts: tuple[str, ...]
     """Warnings that every view of the route shows: drawn branches, bridges, doubtful branches."""
     aim: int = 0
@@ -116,7 +116,7 @@ class PlannedRoute:
 
     @property
     def key(self) -> str:
-        """Identifier of the place and aim, independent of the rank: "17-204.5", or "17-204.5-2" for the second aim."""
+        """Identifier of scope position and aim, independent of the rank: "17-204.5", or "17-204.5-2" for aim 2."""
         return f"{self.branch_id}-{self.along_mm:.1f}" + (f"-{self.aim + 1}" if self.aim else "")
 
     @property
@@ -160,7 +160,7 @@ class PlannedRoute:
 
 
 def _check_target(where: str, name: str, value: object) -> None:
-    """Refuse any value but a target, a nodule or a point."""
+    """Raise an error unless a value is a target, a nodule or a point."""
     if not isinstance(value, PlanTarget | Nodule):
         lps_point()(where, name, value)
 
@@ -188,9 +188,9 @@ class Plan(Tabular):
     tool: Tool
     bronchus_sign: BronchusSign
     sign_branch: str | None
-    """Name of the airway that shows the bronchus sign."""
+    """Name of the airway that shows the bronchus sign; None if no airway does."""
     sign_lps: tuple[float, float, float] | None
-    """Place of the bronchus sign, LPS mm; slices through it show the sign."""
+    """Place of the bronchus sign, LPS mm, for slices that show the sign; None without the sign."""
     moved_mm: float
     routes: tuple[PlannedRoute, ...]
     why: str | None
@@ -210,7 +210,7 @@ class Plan(Tabular):
     """
 
     def __post_init__(self) -> None:
-        """Check the fields."""
+        """Raise an error if a field of this `Plan` has an invalid value."""
         check_fields(
             self,
             nodule=instance(Nodule, "get one from carina.grow_nodule"),
@@ -413,7 +413,7 @@ def plan_route(
         scene = NeedleScene(nodule, wall, around, used, errors or NeedleErrors(), vessel_margin_mm)
         search = _Search(scene, judge, meant)
         best = {key: search.best(drafts) for key, drafts in search.drafts(places, candidates, say).items()}
-        # The best place of a branch may be between two of the evaluated ones.
+        # Each best place is refined, because the best place of a branch may be between two evaluated places.
         for aim, aim_lps in enumerate(meant):
             finer = places.beside((one.branch_id, one.along_mm) for one in best.values() if one.aim == aim)
             near = [(n, aim) for n in finer.within_reach(used, aim_lps, MOST_ANGLE_DEG, apart_mm=0.0)]
@@ -453,7 +453,7 @@ def plan_route(
 
 @dataclass(frozen=True, slots=True)
 class _Search:
-    """Search for the best place for each pair of branch and aim."""
+    """Search for the best scope position for each pair of branch and aim."""
 
     scene: NeedleScene
     judge: Judge
@@ -462,7 +462,7 @@ class _Search:
     def drafts(
         self, places: Places, candidates: Sequence[tuple[Any, int]], say: Callable[[float], None] | None = None
     ) -> dict[tuple[int, int], list[PlannedRoute]]:
-        """Return the routes whose needles reach the target, by branch and aim, without the needle's errors."""
+        """Return the routes whose needles reach the target, by branch and aim, computed without the needle's errors."""
         found: dict[tuple[int, int], list[PlannedRoute]] = {}
         for step, (n, aim) in enumerate(candidates):
             if say is not None:
@@ -491,7 +491,7 @@ class _Search:
 
 
 def _aims(nodule: Nodule, aims: ArrayLike | None) -> Points:
-    """Return the aims, (k, 3) points in the nodule, LPS mm."""
+    """Return the aims as (k, 3) points in the nodule, LPS mm; raise an error for an invalid aim."""
     if aims is None:
         return np.array([nodule.middle_lps], dtype=np.float64)
     try:
@@ -514,7 +514,7 @@ def _aims(nodule: Nodule, aims: ArrayLike | None) -> Points:
 
 
 def _route(places: Places, n: int, aim: int, leg: LastLeg, judge: Judge) -> PlannedRoute:
-    """Return the judged route to a place with its last leg."""
+    """Return a route to a place with its last leg and its score."""
     branch = places.of_branch(n)
     asked = places.asks(n, bending_mm(judge.scope))
     parts = judge.parts(leg, asked.width.mm, places.nodule)

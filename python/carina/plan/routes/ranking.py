@@ -24,7 +24,7 @@ RANK: dict[Outlook, int] = {"reaches": 0, "may reach": 1, "does not reach": 2}
 DEEP_MM = 8.0
 """Length in mm of the needle in the target that suffices for a sample."""
 SURE = 0.9
-"""Least probability of *reaches*; at a probability of at most 1 less this value the outlook is *does not reach*."""
+"""Least probability for the outlook *reaches*; at a probability of at most 1 less this value it is *does not reach*."""
 BEND_SIGMA_DEG = 8.0
 """Standard deviation in degrees of the angle that a route requires of the bending section (common knowledge)."""
 DEPTH_SIGMA_MM = 0.5
@@ -39,23 +39,23 @@ class ScoreWeights:
     """Weights of the parts of a route's score; each part is 0 at its best and 1 at its worst."""
 
     misses: float = 0.25
-    """Weight of the needle positions that miss."""
+    """Weight of the share of needle positions that miss the target."""
     way: float = 0.15
-    """Weight of the distance outside the lumen, divided by the tool's reach."""
+    """Weight of the needle's distance outside the lumen, divided by the tool's reach."""
     angle: float = 0.15
     """Weight of the angle between needle and airway, divided by 90 degrees."""
     narrow: float = 0.3
-    """Weight of the missing width at the narrowest place.
+    """Weight of the width that the scope lacks at the narrowest place of the route.
 
     The missing width is relative to the scope's size; the part is 1 if a quarter is missing.
     """
     vessels: float = 0.1
-    """Weight of a vessel within the margin.
+    """Weight of a vessel nearer to the needle than the margin.
 
     The part is 1 if the needle crosses mediastinum, whose vessels are not visible.
     """
     shallow: float = 0.15
-    """Weight of a short length in the target, compared with 8 mm or 90 % of the target's short diameter."""
+    """Weight of a short length of needle in the target, compared with 8 mm or 90 % of the target's short diameter."""
 
     def __post_init__(self) -> None:
         """Check the weights."""
@@ -65,17 +65,17 @@ class ScoreWeights:
             raise UsageError(f"weights: expected numbers from 0 up, not all 0; found {values}", code="plan.weights")
 
     def to_json(self) -> dict[str, float]:
-        """Return the weights as plain JSON types."""
+        """Return the weights as plain JSON types, by name."""
         return {name: float(getattr(self, name)) for name in self.__slots__}
 
 
 @dataclass(frozen=True, slots=True)
 class Worst:
-    """Worst value along a path from the root, and its place."""
+    """Worst value of a measure along a path from the root, and the place of this value."""
 
     value: float
     at_mm: float
-    """Distance of the place from the root, mm."""
+    """Distance of the worst value's place from the root, mm."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,17 +83,17 @@ class Demands:
     """Width, bend and doubts of a path from the root, which a scope must pass."""
 
     width: RouteWidth
-    """Narrowest diameter of the path."""
+    """Narrowest diameter of the path, with its error."""
     bend_deg: Worst
     """Sharpest turn in degrees over the length of rigid tip and bending section, and the place where it ends."""
     doubts: tuple[str, ...]
     trust: float
-    """Probability that the whole path is airway; 1 without doubts."""
+    """Probability that the whole path is airway; 1 if no branch is doubtful."""
 
 
 @dataclass(frozen=True, slots=True)
 class Judge:
-    """Criteria for the judgement of a route."""
+    """Criteria by which routes to one target are judged: scope, tool and weights."""
 
     scope: ScopePreset
     margin_mm: float
@@ -102,7 +102,7 @@ class Judge:
     """Distance in mm beyond the scope's tip that the tool reaches."""
 
     def parts(self, leg: LastLeg, narrowest_mm: float, nodule: Nodule) -> dict[str, float]:
-        """Return the parts of the score, each 0 (best) to 1 (`ScoreWeights`).
+        """Return the parts of a route's score by name, each 0 (best) to 1 (`ScoreWeights`).
 
         Parameters
         ----------
@@ -125,13 +125,13 @@ class Judge:
         return {name: float(np.clip(part, 0.0, 1.0)) for name, part in found.items()}
 
     def score(self, parts: dict[str, float]) -> float:
-        """Return the score, 0 to 1 (best)."""
+        """Return the score of a route from its parts, 0 to 1 (best)."""
         total = sum(getattr(self.weights, name) for name in parts)
         lost = sum(getattr(self.weights, name) * part for name, part in parts.items())
         return 1.0 - float(lost) / float(total)
 
     def outlook(self, way: Demands, leg: LastLeg | None = None) -> tuple[Outlook, float, tuple[str, ...]]:
-        """Return whether the scope reaches a place, the probability, and the reasons against it.
+        """Return whether the scope reaches a place, the probability, and the reasons against reaching the place.
 
         The criteria are width, bend, doubts about the airways and, with a leg, the tool's reach.
 
@@ -185,7 +185,7 @@ class Judge:
 
 
 def bending_mm(scope: ScopePreset) -> float | None:
-    """Return the length of rigid tip and bending section in mm; None if it is not known."""
+    """Return the length of a scope's rigid tip and bending section in mm; None if the length is not known."""
     return None if scope.bending_mm is None else float(np.mean(scope.bending_mm)) + (scope.rigid_tip_mm or 0.0)
 
 
@@ -196,5 +196,5 @@ def order(route: Any) -> tuple[Any, ...]:
 
 
 def _share(sigmas: float) -> float:
-    """Return the probability of a standard normal variable below a value."""
+    """Return the probability that a standard normal variable is below a value."""
     return 0.5 * (1.0 + math.erf(sigmas / math.sqrt(2.0)))

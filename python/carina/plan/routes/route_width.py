@@ -37,7 +37,7 @@ Ten scopes exceed their stated tip by 0.19 to 0.66 mm, by a published source; th
 DEVIATIONS_90 = 1.645
 """Number of standard deviations on each side of the mean that contain 90 % of a normal distribution."""
 BALL_SHARE, BALL_SLICES = 0.3, 1.0
-"""Error of a ball's diameter: share of the diameter, and multiple of the largest spacing.
+"""Error of the diameter of the largest ball: share of the diameter, and multiple of the CT's largest spacing.
 
 91 % of the routes in CTs with painted airways have their true diameter within this error
 (``carina_bench.plan_widths``).
@@ -49,20 +49,23 @@ CUT_MM = 10.0
 @one_line
 @dataclass(frozen=True, slots=True)
 class RouteWidth:
-    """Narrowest diameter of a route."""
+    """Narrowest diameter of a route, with its error, place and source."""
 
     mm: float
     error_mm: float
-    """Half width of the interval that contains the true diameter with 90 % probability."""
+    """Half width in mm of the interval that contains the true diameter with 90 % probability."""
     at_mm: float
     """Distance of the narrowest place from the root, mm."""
     source: WidthSource = "sections"
-    """Source of the diameter; ``ball`` if it or its lower limit depends on a part that could not be measured."""
+    """Source of the diameter.
+
+    ``ball`` if the diameter or its lower limit depends on a part that could not be measured.
+    """
     why: str | None = None
     """Part that could not be measured, and the reason; None for ``sections``."""
 
     def __post_init__(self) -> None:
-        """Check the fields."""
+        """Raise an error if a field of this `RouteWidth` has an invalid value."""
         check_fields(
             self,
             mm=number_from(0.0, 1000.0, unit="mm"),
@@ -74,12 +77,12 @@ class RouteWidth:
 
     @property
     def lower_mm(self) -> float:
-        """Lower end of the interval, mm."""
+        """Lower end of the 90 % interval of the diameter, mm."""
         return self.mm - self.error_mm
 
     @property
     def words(self) -> str:
-        """Diameter as text: *3.2 ± 0.3 mm*, or *2.4 ± 1.5 mm by the largest ball*."""
+        """Diameter with its error as text: *3.2 ± 0.3 mm*, or *2.4 ± 1.5 mm by the largest ball*."""
         by = " by the largest ball" if self.source == "ball" else ""
         return f"{self.mm:.1f} \u00b1 {self.error_mm:.1f} mm{by}"
 
@@ -134,7 +137,7 @@ def matches_tree(measures: TreeMeasures, tree: AirwayTree) -> bool:
 def widths_on_the_way(
     tree: AirwayTree, wall: WallField | None, measures: TreeMeasures | None, spacing_mm: float
 ) -> dict[int, Widths]:
-    """Return for each branch the narrowest diameter of the path to each of its points, (n,) of `RouteWidth`.
+    """Return for each branch the narrowest width of the path to each of its points, (n,) of `RouteWidth`.
 
     Parameters
     ----------
@@ -163,7 +166,7 @@ def widths_on_the_way(
 
 @dataclass(slots=True, eq=False)
 class _Places:
-    """Places along a branch with their diameters."""
+    """Places along a branch at which a diameter is known, with the diameters."""
 
     at_mm: Points
     diameter_mm: Points
@@ -185,7 +188,8 @@ def _places(
     if branch.parent is None:
         own = at >= min(CUT_MM, float(along[-1]))
         at, diameter, error = at[own], diameter[own], error[own]
-        # Sections may be missing at both ends of the trachea.
+        # The branch counts as unmeasured only if it has no section, because sections may be missing at both ends of
+        # the trachea.
         unmeasured = unmeasured[:0] if len(at) else np.arange(len(along))
     if len(unmeasured):
         room = rooms_mm(branch, wall)
@@ -227,7 +231,7 @@ def _width(places: _Places, n: int) -> RouteWidth:
 
 
 def _narrower(before: RouteWidth | None, here: RouteWidth) -> RouteWidth:
-    """Return the narrower of two widths, with an error that covers the lower ends of both."""
+    """Return the narrower of two widths, with an error that covers the lower ends of both intervals."""
     if before is None:
         return here
     if before.mm <= here.mm and before.lower_mm <= here.lower_mm:

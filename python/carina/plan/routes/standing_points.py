@@ -24,13 +24,13 @@ Points = NDArray[np.float64]
 BronchusSign = Literal["into", "beside", "none"]
 
 PLACES_MM = 0.7
-"""Least distance in mm between two places on one branch."""
+"""Least distance in mm between two evaluated scope positions on one branch."""
 FINE_MM = 0.175
-"""Distance in mm of the additional places beside the best ones."""
+"""Distance in mm between the additional scope positions round the best ones."""
 INTO_MM, BESIDE_MM = 0.8, 2.0
-"""Largest distance in mm of a lumen from a nodule that it leads into, and of one that it is beside."""
+"""Largest distances in mm of a lumen from a nodule: for an airway that leads into the nodule, and for one beside it."""
 DOUBTFUL = 0.5
-"""Confidence below which a branch is doubtful."""
+"""Confidence below which a branch counts as doubtful."""
 LOWER_LOBE_MM, ELSEWHERE_MM = 20.0, 15.0
 """Largest distance in mm of a nodule from its place in a CT at full inspiration, in the lower lobes and elsewhere.
 
@@ -53,11 +53,11 @@ class NearestPlace:
     branch_name: str
     place_lps: tuple[float, float, float]
     along_mm: float
-    """Distance from the root, mm."""
+    """Distance of the place from the root along the airways, mm."""
     width_mm: float
-    """Diameter of the largest ball that fits there, mm."""
+    """Diameter of the largest ball that fits in the airway at the place, mm."""
     gap_mm: float
-    """Distance from the middle of the airway to the edge of the target, mm."""
+    """Distance from the middle of the airway at the place to the edge of the target, mm."""
 
     def to_json(self) -> dict[str, Any]:
         """Return the place as plain JSON types."""
@@ -112,7 +112,7 @@ class Ways:
         self.radius: Points = joined([b.wall_distance for b in branches])
 
     def of_branch(self, n: int) -> Branch:
-        """Return the branch of point ``n``."""
+        """Return the branch that contains point ``n``."""
         return self._row[int(self.branch[n])]
 
     def asks(self, n: int, section_mm: float | None) -> Demands:
@@ -148,7 +148,7 @@ class Ways:
 
 
 class Places(Ways):
-    """Centreline points of a tree and their relation to one nodule."""
+    """Centreline points of a tree, with their distance and direction to one nodule."""
 
     def __init__(
         self,
@@ -297,7 +297,7 @@ class Places(Ways):
 
 
 def branch_doubts(branch: Branch) -> tuple[str, ...]:
-    """Return the warnings about a branch that every view of a route over it shows."""
+    """Return the warnings about a doubtful branch that every view of a route through the branch shows."""
     if branch.kind == "bridge":
         return (f"{branch_title(branch)} is a bridge across an obstruction: the CT shows no airway there",)
     if branch.kind == "manual":
@@ -314,7 +314,7 @@ def branch_title(branch: Branch) -> str:
 
 
 def _along(tree: AirwayTree) -> dict[int, Points]:
-    """Return for the points of each branch the distance from the root, mm."""
+    """Return for each branch the distance of its points from the root along the airways, mm."""
     along: dict[int, Points] = {}
     # Parents precede their children in the tree.
     for branch in tree.branches:
@@ -324,7 +324,7 @@ def _along(tree: AirwayTree) -> dict[int, Points]:
 
 
 def _bends(lineage: tuple[Branch, ...] | list[Branch], section_mm: float) -> tuple[Points, Points, Points]:
-    """Return the sharpest turn up to each place along a path.
+    """Return the sharpest turn of a path up to each place along the path.
 
     Returns
     -------

@@ -67,7 +67,10 @@ CAVITY_MM, SMALLEST_CAVITY_MM3 = 0.9, 10.0
 LEAST_RISE_HU = 110.0
 """Least difference in HU between a nodule and the lung."""
 HALVES_MM = (22.0, 36.0, 60.0)
-"""Half side lengths in mm of the searched boxes; the next one is used if the nodule comes near the box's faces."""
+"""Half side lengths in mm of the boxes that are searched in turn.
+
+The next box is used if the nodule nears the faces.
+"""
 EDGE_MM = 4.0
 MOST_CUT = 0.4
 """Largest share of a nodule's surface that the edge of the CT may cut off."""
@@ -78,7 +81,7 @@ The first share that suffices is used. A nodule at the wall begins with smaller 
 edges of a nodule with a flat side.
 """
 TAIL = 2.4
-"""Largest distance of a part from the nodule's middle, as a multiple of the radius; a part farther away is a vessel."""
+"""Largest distance of a part of a nodule from the nodule's middle, in radii; a part farther away is a vessel."""
 RIM_MM = 1.6
 """Distance in mm over which blur spreads a boundary."""
 STUB_MM = 2.0
@@ -86,7 +89,7 @@ STUB_MM = 2.0
 FILM_MM = 1.1
 """Radius in mm of the largest ball in a nodule on the wall; a thinner one is unevenness of the wall."""
 FILLET_MM = 3.0
-"""Distance in mm from a removed wall within which a remaining part is neither nodule nor vessel."""
+"""Distance in mm from a removed chest wall within which a remaining part is neither nodule nor vessel."""
 GLASS_RISE_HU, GLASS_MM, GLASS_SHARE = 120.0, (1.0, 1.7), 0.55
 """Rise over the lung in HU for the first boundary, depth range in mm, and largest share of the core's rise.
 
@@ -175,7 +178,7 @@ class Boundary:
         return seed, level
 
     def _round_cavity(self, off: NDArray[np.float64]) -> Mask:
-        """Return the wall of the cavity that contains the click.
+        """Return the mask of the wall of the cavity that contains the clicked point.
 
         The mask is empty if the click is in lung or in an airway that reaches the faces of the box.
         """
@@ -239,7 +242,7 @@ class Boundary:
             self.touches.append("vessel")
 
     def _large_hollow(self, hollow: Mask) -> Mask:
-        """Return the hollows if they form a cavity, else an empty mask; small hollows are noise."""
+        """Return the hollows of a nodule if they form a cavity, else an empty mask; small hollows are noise."""
         if float(hollow.sum()) * self.box.step_mm**3 < SMALLEST_CAVITY_MM3:
             return np.zeros_like(hollow)
         deep = ball_distance(hollow, self.box.step_mm)
@@ -259,7 +262,7 @@ class Boundary:
         self.seed = _first(off.argmin(), off.shape)
 
     def _parted(self, whole: Mask) -> tuple[Mask, Mask]:
-        """Divide the voxels that the opening removed into vessels and parts of the nodule."""
+        """Divide the voxels that the opening removed into masks of vessels and of parts of the nodule."""
         away = distance_from(self.inside, self.box.step_mm, STUB_MM)
         left = whole & ~self.inside
         cut, own = np.zeros_like(left), np.zeros_like(left)
@@ -277,7 +280,7 @@ class Boundary:
         return cut, own
 
     def rim(self, inside: Mask, mm: float) -> Mask:
-        """Return the mask of the voxels outside a mask that are within a distance of it, mm.
+        """Return the mask of the voxels outside a mask that are at most a given distance in mm from it.
 
         Parameters
         ----------
@@ -293,7 +296,7 @@ class Boundary:
         return any(mask.take(end, axis=axis).any() for axis in range(3) for end in (0, -1))
 
     def _glass_hu(self) -> float | None:
-        """Return the density in HU of the ground glass round a denser core; None if there is none."""
+        """Return the density in HU of the ground glass round a denser core of the nodule; None if there is none."""
         self._grow(self.lung_hu + 2.0 * GLASS_RISE_HU)
         if self.is_near_faces:
             return None

@@ -22,9 +22,9 @@ Mask = NDArray[np.bool_]
 SHELL_MM = 4.0
 """Thickness in mm of the shell of lung beyond the rim, from which the density of the lung is measured."""
 MOUTH_MM = 2.5
-"""Uncertainty in mm of the position of a cut through a vessel."""
+"""Uncertainty in mm of the position of the cut between a nodule and a vessel that leaves it."""
 CORE_MM = 1.5
-"""Depth in mm beyond which the blur of the edge has no effect."""
+"""Depth in mm below the boundary beyond which the blur of the edge has no effect."""
 RING_MM, RING_SHOWS, ALIKE = (0.8, 1.6), 0.97, 0.8
 """Depth range in mm, and two shares of the nodule's rise over the lung at this depth.
 
@@ -32,14 +32,14 @@ A uniform nodule shows 0.84 to 0.93 of its rise at this depth; a nodule with a d
 """
 MOST_SHARE = 1.5
 SMALL_MM, SMALL_OFF = 2.4, 0.2
-"""Radius in mm of the largest ball in a small nodule, and the error of its boundary in slice distances."""
+"""Radius in mm of the largest ball in a small nodule, and boundary error of a small nodule in slice distances."""
 FAINT_SHARE, FAINT_HU, FAINT_MM, FAINT_SLICES_MM = 0.22, 80.0, 1.5, 1.5
 """Limits for thin vessels beyond the rim: share of the nodule's rise, rise in HU, length in mm, largest spacing in mm.
 
 The blur of the nodule itself has less than this share there, but not in thicker slices.
 """
 THIN_OFF = 0.25
-"""Error of the boundary of a cavity's wall, in slice distances."""
+"""Error of the boundary of a cavity's thin wall, in slice distances."""
 SMALLEST_PART_MM3 = 15.0
 """Least volume in mm3 of a denser part (3 mm across); a smaller one may be the end of a vessel."""
 
@@ -154,14 +154,14 @@ def measured(grown: Boundary, coarsest_mm: float) -> Nodule:
 
 
 def _faint(grown: Boundary, away: NDArray[np.float32]) -> Mask:
-    """Return the mask of thin vessels that leave the nodule: fainter than its boundary, but brighter than its blur."""
+    """Return the mask of thin vessels that leave the nodule, fainter than its boundary but brighter than its blur."""
     rise = max(FAINT_SHARE * 2.0 * (grown.bar_hu - grown.lung_hu), FAINT_HU)
     found: Mask = (away > RIM_MM) & (away <= RIM_MM + FAINT_MM) & (grown.smooth > grown.lung_hu + rise)
     return found & ~grown.dense
 
 
 def _rim_hu(grown: Boundary, depth: NDArray[np.float32], lung_hu: float, core_hu: float) -> float | None:
-    """Return the density in HU near the edge of a nodule with a denser middle; None if the nodule is uniform."""
+    """Return the density in HU near the edge of a nodule with a denser middle; None for a uniform nodule."""
     ring = (depth >= RING_MM[0]) & (depth <= RING_MM[1])
     if ring.sum() < 20:
         return None
@@ -173,7 +173,7 @@ def _rim_hu(grown: Boundary, depth: NDArray[np.float32], lung_hu: float, core_hu
 
 
 def _noise(box: Box, lung_hu: float) -> float:
-    """Return the standard deviation of the lung's density in HU."""
+    """Return the standard deviation of the density of lung in a box, HU."""
     dark = box.hu_zyx[np.abs(box.hu_zyx - lung_hu) < 200.0]
     return float(dark.std()) if dark.size > 100 else 50.0
 

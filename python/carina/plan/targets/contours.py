@@ -31,10 +31,10 @@ SAME_FRAME = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Plane:
-    """All outlines at one height."""
+    """All outlines of a structure at one height."""
 
     height: float
-    """Height in slices of the CT."""
+    """Height of the outlines in slices of the CT."""
     outlines: tuple[SliceOutline, ...]
 
 
@@ -117,7 +117,7 @@ def drawn_in(
 
 
 def _axis_across(points: Sequence[NDArray[np.float64]]) -> int:
-    """Return the voxel axis (0, 1, 2 for i, j, k) that is perpendicular to all outlines."""
+    """Return the voxel axis (0, 1, 2 for i, j, k) that is perpendicular to the planes of all outlines."""
     spread = np.max([np.ptp(one, axis=0) for one in points], axis=0)
     axis = int(np.argmin(spread))
     if spread[axis] > PLANE:
@@ -191,7 +191,7 @@ def _notes_on_stack(
 
 
 def _off_mm(stack: OutlineStack, share: NDArray[np.float32], start: int, slice_mm: float, *, is_between: bool) -> float:
-    """Return the additional uncertainty in mm of a boundary that was not drawn on every slice."""
+    """Return the additional uncertainty in mm of a structure's boundary that was not drawn on every slice."""
     if is_between:
         return 0.5 * slice_mm * max(stack.step, 1.0)
     num = int((share > 0.0).any(axis=(1, 2)).sum())

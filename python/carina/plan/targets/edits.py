@@ -152,7 +152,7 @@ def _edited(nodule: Nodule, volume: Volume, inside: Mask, matrix: Place, note: s
 
 
 def _padded(nodule: Nodule, margin_mm: float, also: tuple[Place, float] | None = None) -> tuple[Mask, Place]:
-    """Return the nodule's mask and transform, enlarged by a margin and, if given, by a ball."""
+    """Return a nodule's mask and transform, enlarged by a margin and, if given, by the extent of a ball."""
     matrix = nodule.lps_from_ijk
     step = float(np.linalg.norm(matrix[:3, 0]))
     low = np.zeros(3, dtype=int)
@@ -172,7 +172,7 @@ def _padded(nodule: Nodule, margin_mm: float, also: tuple[Place, float] | None =
 
 
 def _in_ct(volume: Volume, inside: Mask, matrix: Place) -> Mask:
-    """Return the part of a mask inside the CT; it must be at least half."""
+    """Return the part of a mask inside the CT; raise an error if less than half of the mask is inside."""
     known = Box.at(volume, matrix, inside.shape).known
     kept = inside & known
     if kept.sum() < 0.5 * inside.sum():
@@ -181,7 +181,7 @@ def _in_ct(volume: Volume, inside: Mask, matrix: Place) -> Mask:
 
 
 def _main_piece(mask: Mask) -> Mask:
-    """Return the connected part with most voxels."""
+    """Return the connected part of a mask with the most voxels."""
     left, best = mask.copy(), np.zeros_like(mask)
     while left.sum() > best.sum():
         first = np.unravel_index(int(left.argmax()), left.shape)
@@ -193,7 +193,7 @@ def _main_piece(mask: Mask) -> Mask:
 
 
 def _off(shape: tuple[int, ...], matrix: Place, point: Place) -> NDArray[np.float64]:
-    """Return the distances of all voxels from a point, mm."""
+    """Return the distances (nz, ny, nx) of all voxels of a grid from a point, mm."""
     k, j, i = np.indices(shape)
     places = np.stack([i, j, k], axis=-1) @ matrix[:3, :3].T + matrix[:3, 3]
     off: NDArray[np.float64] = np.linalg.norm(places - point, axis=-1)

@@ -1,4 +1,4 @@
-"""Target from one click."""
+"""Segmentation of a target from one click in the CT."""
 
 from __future__ import annotations
 

@@ -175,7 +175,7 @@ def _from_structures(
     ours: References | None,
     watch: Watch,
 ) -> tuple[Nodule, str]:
-    """Return the nodule of a structure set, and the structure's name."""
+    """Return the nodule of a structure in a structure set, and the structure's name."""
     chosen = _chosen(file, read_structures(file, watch).structures, wanted, volume)
     if not chosen.contours:
         problem = f"the structure {_told(chosen)} is empty"
@@ -199,7 +199,7 @@ def _from_structures(
 
 
 def _chosen(file: Path, structures: tuple[Structure, ...], wanted: int | str | None, volume: Volume) -> Structure:
-    """Return the selected structure, or the only one that is drawn."""
+    """Return the structure that the user selected, or the only structure that is drawn."""
     labels = tuple(MaskLabel(one.number, one.name or None, _about_ml(one, volume)) for one in structures)
     if wanted is None:
         drawn = [one for one in structures if one.contours]
@@ -217,12 +217,12 @@ def _chosen(file: Path, structures: tuple[Structure, ...], wanted: int | str | N
 
 
 def _about_ml(structure: Structure, volume: Volume) -> float:
-    """Return the approximate volume in ml: area times slice distance, without regard to holes."""
+    """Return the approximate volume of a structure in ml: area times slice distance, without regard to holes."""
     return sum(contour.area_mm2 for contour in structure.contours) * volume.spacing_mm[2] / 1000.0
 
 
 def _belonging(file: Path, theirs: References, ours: References | None) -> tuple[str, ...]:
-    """Return notes on which CT a file belongs to; refuse a file that belongs to another one."""
+    """Return notes on the CT to which a file belongs; raise an error if the file belongs to another CT."""
     if not (theirs.frames or theirs.series or theirs.images):
         return (UNCHECKED,)
     if ours is None:

@@ -18,9 +18,9 @@ from carina.volume import Mask, Volume
 __all__ = ["nodule_from_mask", "one_piece", "target_from_mask", "target_of"]
 
 CRUMB = 0.05
-"""Share of the largest part below which a part is ignored as stray voxels."""
+"""Share of the largest part's voxels below which another part of the mask is ignored as stray voxels."""
 PIECE_MM = 5.0
-"""Largest distance in mm of a point from the part that it selects."""
+"""Largest distance in mm of a point from the part of the mask that it selects."""
 
 
 def nodule_from_mask(volume: Volume, mask: Mask | NDArray[np.bool_], *, at_lps: ArrayLike | None = None) -> Nodule:
@@ -133,7 +133,7 @@ def one_piece(volume: Volume, drawn: Drawn, at_lps: ArrayLike | None) -> tuple[D
     NoResultError
         If there are several parts and no point selects one, or no part is at the point.
     """
-    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
+    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
 
     image = sitk.GetImageFromArray((drawn.share_zyx > 0.0).astype(np.uint8))
     labels: NDArray[Any] = sitk.GetArrayFromImage(sitk.RelabelComponent(sitk.ConnectedComponent(image, True)))

@@ -22,7 +22,7 @@ __all__ = ["Nodule", "NoduleKind", "endobronchial_lesion", "grow_nodule"]
 HALF_MM = 26.0
 AIR_HU = -1000.0
 CLOSING_MM = 9.0
-"""Radius in mm of the closing of the lumen; tissue that protrudes up to about this far into the lumen is a lesion."""
+"""Radius in mm of the closing of the lumen that reconstructs the lumen without a lesion."""
 THINNEST_MM = 1.0
 """Radius in mm of the largest ball in a lesion; anything thinner is unevenness of the wall, or mucus."""
 OWN_AIR = 0.9

@@ -25,19 +25,19 @@ Mask = NDArray[np.bool_]
 DRAWN_OFF = 0.5
 """Error of a drawn boundary in voxels of the CT, by common knowledge (a voxel is the cube of equal volume)."""
 SOLID_SHARE = 0.6
-"""Share of solid voxels behind the edge below which a nodule with a solid part is part-solid."""
+"""Share of solid voxels away from the edge below which a nodule with a solid part is part-solid."""
 MARGIN_MM = 4.0
 LARGEST_MM = 200.0
 
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """Structure in a part of a CT's grid."""
+    """Structure that was drawn on a part of a CT's grid."""
 
     share_zyx: NDArray[np.float32]
-    """(nz, ny, nx) share of each voxel in the structure, 0 to 1."""
+    """(nz, ny, nx) share of each voxel inside the structure, 0 to 1."""
     first_zyx: tuple[int, int, int]
-    """Index of the CT voxel at the corner of the part."""
+    """Index of the CT voxel at the first corner of the part."""
 
 
 def drawn_nodule(volume: Volume, drawn: Drawn, *, notes: tuple[str, ...] = (), off_mm: float = 0.0) -> Nodule:
@@ -97,7 +97,7 @@ def drawn_nodule(volume: Volume, drawn: Drawn, *, notes: tuple[str, ...] = (), o
 def _on_cubes(
     volume: Volume, drawn: Drawn, matrix: NDArray[np.float64], shape: tuple[int, int, int], volume_mm3: float
 ) -> Mask:
-    """Return the cubic voxels with the largest shares, as many as have the volume of the drawn structure."""
+    """Return the mask of the cubic voxels with the largest shares; their total volume is the structure's volume."""
     padded = np.pad(drawn.share_zyx, 1)
     to_ijk = volume.ijk_from_lps @ matrix
     first = np.array(drawn.first_zyx[::-1]) - 1.0

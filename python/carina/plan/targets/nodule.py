@@ -63,36 +63,36 @@ class Nodule:
     """
 
     centre_lps: tuple[float, float, float]
-    """Centroid, LPS mm."""
+    """Centroid of the nodule, LPS mm."""
     kind: NoduleKind
     volume_mm3: float
     volume_error_mm3: float
-    """Half width of the interval that contains the true volume with 90 % probability."""
+    """Half width in mm3 of the interval that contains the true volume with 90 % probability."""
     long_mm: float
     """Longest diameter in the axial plane with the largest cross-section."""
     short_mm: float
     """Longest diameter perpendicular to ``long_mm`` in the same plane."""
     diameter_error_mm: float
-    """Half width of the 90 % interval of both diameters."""
+    """Half width in mm of the 90 % interval of both diameters."""
     solid_mm3: float
-    """Volume of the solid part; less than the whole in a part-solid or ground-glass nodule or one with a cavity."""
+    """Volume of the solid part in mm3; below the whole volume in a nodule with ground glass or a cavity."""
     density_hu: float
     """Mean density of the middle of the nodule, HU."""
     touches: tuple[str, ...]
-    """Structures that the nodule was cut from.
+    """Names of the structures from which the nodule was cut.
 
     ``pleura`` is chest wall, mediastinum or diaphragm, which the CT does not distinguish; ``vessel`` a vessel;
     ``edge of the CT`` means that the scan ends in the nodule.
     """
     inside_zyx: Mask
-    """(nz, ny, nx) mask in a box of its own."""
+    """(nz, ny, nx) mask of the nodule in a box of its own."""
     lps_from_ijk: NDArray[np.float64]
     """(4, 4) transform from voxel indices of the mask to LPS mm; cubic voxels."""
     notes: tuple[str, ...] = ()
     """Notes on the boundary for the user, for example that it was edited by hand or that parts were left out."""
 
     def __post_init__(self) -> None:
-        """Check the fields."""
+        """Raise an error if a field of this `Nodule` has an invalid value."""
         size = number_from(0.0, COORDINATE_MM, unit="mm")
         volume = number_from(0.0, 1e9, unit="mm3")
         check_fields(
@@ -114,12 +114,12 @@ class Nodule:
 
     @property
     def equivalent_mm(self) -> float:
-        """Diameter of the ball of equal volume."""
+        """Diameter in mm of the ball with the nodule's volume."""
         return float((6.0 * self.volume_mm3 / np.pi) ** (1.0 / 3.0))
 
     @property
     def mean_mm(self) -> float:
-        """Mean of the two axial diameters, as in guidelines (Fleischner 2017)."""
+        """Mean in mm of the two axial diameters, as in guidelines (Fleischner 2017)."""
         return 0.5 * (self.long_mm + self.short_mm)
 
     @property
@@ -202,7 +202,7 @@ class Nodule:
 
     @check_arguments(points_lps=lps_points(or_none=True))
     def distance_mm(self, points_lps: ArrayLike) -> NDArray[np.float64]:
-        """Return the distances of points from the boundary; 0 inside.
+        """Return the distances of points from the nodule's boundary; 0 inside.
 
         Parameters
         ----------
@@ -222,7 +222,7 @@ class Nodule:
 
     @check_arguments(points_lps=lps_points(or_none=True))
     def contains(self, points_lps: ArrayLike) -> Mask:
-        """Return whether points (n, 3) LPS mm are in the nodule, by the nearest voxel of its mask."""
+        """Return for each of (n, 3) points, LPS mm, whether the nearest voxel of the mask is in the nodule, (n,)."""
         points = np.atleast_2d(np.asarray(points_lps, dtype=np.float64))
         ijk = np.rint((points - self.lps_from_ijk[:3, 3]) @ np.linalg.inv(self.lps_from_ijk[:3, :3]).T).astype(int)
         there = ((ijk >= 0) & (ijk < np.array(self.inside_zyx.shape[::-1]))).all(axis=1)
@@ -232,7 +232,7 @@ class Nodule:
 
 
 def _unpacked(text: str, shape: Any) -> Mask:
-    """Return the bits of a record as a mask.
+    """Return the mask that the compressed bits of a record contain.
 
     Raises
     ------

@@ -13,26 +13,26 @@ __all__ = ["OutlineStack"]
 Share = NDArray[np.float32]
 
 SHORT_GAP = 3.0
-"""Largest gap that is always filled, in slices of the CT, as in planning systems."""
+"""Largest gap between two outlines that is always filled, in slices of the CT, as in planning systems."""
 GAP_STEPS = 2.0
-"""Largest gap that is filled, in typical distances of the outlines: the gap of one omitted outline."""
+"""Largest gap between two outlines that is filled, in typical distances of the outlines: one omitted outline."""
 GAP_DIAMETERS = 1.5
-"""Largest gap within one structure, in diameters of the larger neighbour."""
+"""Largest gap between two outlines of one structure, in diameters of the larger outline."""
 SHIFTS = 26
-"""Number of bisections for the level at which an interpolated shape has its area: float32 precision."""
+"""Number of bisections that find the level at which an interpolated shape has its area: float32 precision."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Link:
-    """Shapes of two neighbouring planes that belong to one structure."""
+    """Pair of shapes in neighbouring planes that belong to one structure."""
 
     below: NDArray[np.float64]
     above: NDArray[np.float64]
     distances: tuple[NDArray[np.float64], NDArray[np.float64]] | None
-    """Signed distances of both shapes; None if one is smaller than a voxel."""
+    """Signed distances in voxels to the boundaries of both shapes; None if one shape is smaller than a voxel."""
 
     def at(self, part: float) -> NDArray[np.float64]:
-        """Interpolate the shape by signed distance, and its area linearly.
+        """Return the shape between two outlines, interpolated by signed distance; its area is interpolated linearly.
 
         Linear areas give each outline exactly the volume of its slab.
         """
@@ -53,7 +53,7 @@ class _Link:
 
 
 class OutlineStack:
-    """Shapes at increasing heights.
+    """Structure as a stack of shapes at increasing heights.
 
     An outline represents the slab half-way to its neighbours. At an end of a structure, the slab extends half the
     typical distance of the outlines beyond the last outline.
@@ -101,7 +101,7 @@ class OutlineStack:
         return 0.5 * self.step
 
     def at(self, height: float) -> NDArray[np.float64]:
-        """Compute the shape at a height, in slices of the CT."""
+        """Return the shape of the structure at a height, in slices of the CT."""
         exact = np.flatnonzero(np.abs(self.heights - height) < 1e-6)
         if exact.size:
             return self._shares[int(exact[0])].astype(np.float64)
@@ -142,8 +142,8 @@ def _sum(parts: Sequence[Share], free: Sequence[bool], like: Share) -> NDArray[n
 
 
 def _parts(share: Share) -> list[Share]:
-    """Split a shape into its connected parts."""
-    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
+    """Return the connected parts of a shape."""
+    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
 
     if not (share > 0.0).any():
         return []
@@ -154,7 +154,7 @@ def _parts(share: Share) -> list[Share]:
 
 
 def _groups(below: Sequence[Share], above: Sequence[Share]) -> list[tuple[list[int], list[int]]]:
-    """Group the parts of two planes that overlap, directly or through others."""
+    """Return the groups of parts of two planes that overlap, directly or through other parts."""
     groups: list[tuple[set[int], set[int]]] = []
     for i, one in enumerate(below):
         for j, other in enumerate(above):
@@ -179,8 +179,11 @@ def _distances(
 
 
 def _signed(share: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Return the distance to the boundary in voxels, positive inside; None if no voxel is inside."""
-    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
+    """Return the signed distance of each voxel to a shape's boundary in voxels, positive inside.
+
+    None if no voxel is inside.
+    """
+    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
 
     inside = share >= 0.5
     if not inside.any() or inside.all():

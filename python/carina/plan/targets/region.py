@@ -27,7 +27,7 @@ WHERE_WORDS: dict[Whereabouts, str] = {
 }
 
 TISSUE_HU, OUTER_AIR_HU = -300.0, -940.0
-"""Densities in HU of tissue and of the air round a body.
+"""Least density in HU of tissue, and largest density in HU of the air round a body.
 
 90 % of the air's voxels are darker than the second, which is below a lung at full inspiration (about -860 HU) and most
 emphysema.
@@ -36,7 +36,7 @@ WALL_HU = -400.0
 THICK_MM = 3.5
 """Radius in mm of the opening that removes vessels; the rest is chest wall, mediastinum or diaphragm."""
 LOOK_MM = 12.0
-"""Distance in mm round a target that is examined."""
+"""Distance in mm round a target within which the tissue is examined."""
 SHELL_MM = (2.0, 4.0)
 """Range of distances in mm of the shell round a target; the blur of the target's edge ends before the shell."""
 BURIED, BESIDE = 0.6, 0.06

@@ -39,7 +39,7 @@ _PLAIN = re.compile(r"[^\x00-\x08\x0b-\x1f\x7f\ud800-\udfff]*")
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanTarget:
-    """Target of a plan.
+    """Target of a plan: nodule, name, priority, location and aims.
 
     Examples
     --------
@@ -54,16 +54,16 @@ class PlanTarget:
     """
 
     target_id: str
-    """Identifier: 1 to 64 letters, digits, hyphens and underscores."""
+    """Identifier of the target: 1 to 64 letters, digits, hyphens and underscores."""
     name: str
     nodule: Nodule
     seed_lps: Point
-    """Clicked point, or the middle of a structure from a file, LPS mm."""
+    """Point that the user clicked, or the middle of a structure from a file, LPS mm."""
     source: TargetSource
     where: Whereabouts
     note: str = ""
     priority: int = 1
-    """Priority, 1 (first) to 9."""
+    """Priority of the target, 1 (first) to 9."""
     aims: tuple[Point, ...] = ()
     """One to three points in the nodule, LPS mm, in order of preference; its middle if none is given."""
 

@@ -29,12 +29,12 @@ from carina.volume import Volume
 __all__ = ["MOST_FRAMES", "TurnClip", "turn_clips"]
 
 MOST_FRAMES = 24
-"""Largest number of frames; a strip of 24 frames of 256 pixels is 0.08 MB, small enough for reports by mail."""
+"""Largest number of frames of a clip."""
 SIZES_PX = (64, 512)
 LONGEST_S = 4.0
-"""Longest duration in s; a longer flight is shown faster, because with so few frames it would stutter."""
+"""Longest duration of a clip in s; a longer flight is shown faster."""
 QUALITY = 70
-"""Quality of the JPEG. The still picture beside the clip is a PNG."""
+"""JPEG quality of the strip of frames, 0 to 100."""
 
 
 @one_line
@@ -47,17 +47,17 @@ class TurnClip:
     frames: tuple[NDArray[np.uint8], ...] = field(repr=False)
     """Frames of (size, size, 3) each; the last one is the picture of the turn without marks."""
     cameras: tuple[Pose, ...] = field(repr=False)
-    """Camera of each frame."""
+    """Pose of the camera for each frame."""
     duration_s: float
-    """Time from the first frame to the last, s."""
+    """Time from the first frame of the clip to the last, s."""
 
     @property
     def size_px(self) -> int:
-        """Width and height of a frame."""
+        """Width and height of a frame in pixels."""
         return int(self.frames[0].shape[0])
 
     def strip(self) -> bytes:
-        """Return all frames below one another as one JPEG."""
+        """Return all frames of the clip below one another as one JPEG image."""
         return bytes(
             simplejpeg.encode_jpeg(
                 np.concatenate(self.frames), quality=QUALITY, colorspace="RGB", colorsubsampling="420"

@@ -111,7 +111,7 @@ class _Way:
         self._forks_mm = np.cumsum([turn.from_fork_mm for turn in turns.turns])
 
     def before(self, index: int, operator: Operator) -> tuple[float, float, Pose | None]:
-        """Return the camera position along the route, the position of the fork in mm, and the camera of a turn.
+        """Return the camera's position along the route, the position of the fork in mm, and the camera, for one turn.
 
         Both ends of the route have no camera.
         """
@@ -126,13 +126,13 @@ class _Way:
         return self._nearest_mm(camera.position_lps, fork_mm), fork_mm, camera
 
     def between(self, begin_mm: float, end_mm: float) -> Points:
-        """Return the points of the centreline between two positions."""
+        """Return the points (n, 3), LPS mm, of the route's centreline between two positions in mm."""
         inner = self._along[(self._along > begin_mm + SHORT_MM) & (self._along < end_mm - SHORT_MM)]
         at = np.concatenate([[begin_mm], inner, [end_mm]])
         return np.stack([np.interp(at, self._along, self._points[:, axis]) for axis in range(3)], axis=1)
 
     def _nearest_mm(self, point: Points, before_mm: float) -> float:
-        """Return the position along the route nearest to a point, not beyond a fork."""
+        """Return the position in mm along the route nearest to a point, but not beyond a fork."""
         best = (math.inf, 0.0)
         for n in range(len(self._points) - 1):
             if self._along[n] > before_mm:
@@ -154,14 +154,14 @@ def _posed(path: FlightPath, at_mm: float, base: Points) -> Pose:
 
 
 def _off(pose: Pose, wanted: Pose | None, operator: Operator) -> tuple[Points, Points]:
-    """Return rotation and shift from a pose of the path to a wanted pose; a level pose if none is wanted."""
+    """Return rotation and shift from a pose of the path to a wanted pose; a level pose is used if none is wanted."""
     there = levelled(pose.position_lps, pose.forward_lps, operator) if wanted is None else wanted
     turn = vector_from_rotation(orthonormal(pose.lps_from_camera[:3, :3].T @ there.lps_from_camera[:3, :3]))
     return turn, there.position_lps - pose.position_lps
 
 
 def _eased(path: FlightPath, base: Points, off: list[tuple[Points, Points]], at_mm: float, length_mm: float) -> Pose:
-    """Return the pose of the path with the corrections of both ends, blended along the stretch."""
+    """Return the pose at a position of the stretch: the path's pose with the corrections of both ends blended."""
     share = at_mm / length_mm
     late = share * share * (3.0 - 2.0 * share)
     pose = _posed(path, at_mm, base).lps_from_camera.copy()

@@ -48,7 +48,7 @@ class Opening:
     hours: float
     """Clock hour in the picture, 12 at the top, clockwise; 0 < hours <= 12."""
     tangent: float
-    """Tangent of the angle to the line of sight."""
+    """Tangent of the angle between the line of sight and the opening."""
     straight_ahead: bool
     """Whether the opening is in the middle of the picture and so has no clock hour."""
 
@@ -75,7 +75,7 @@ def levelled(eye_lps: Points, look_lps: Points, operator: Operator) -> Pose:
 
 
 def whole_hour(hours: float) -> int:
-    """Return the nearest whole clock hour, 1 to 12."""
+    """Return the whole clock hour nearest to a clock hour, 1 to 12."""
     return (math.floor(hours + 0.5) + 11) % 12 + 1
 
 

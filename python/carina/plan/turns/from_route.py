@@ -175,12 +175,12 @@ def main_carina_ridge_mm(volume: Volume, airways: Airways, planned: PlannedRoute
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fork:
-    """Fork of a route."""
+    """Fork of a route, with the branches that begin there."""
 
     mother: Branch
     daughter: Branch
     at_mm: float
-    """Distance from the root, mm."""
+    """Distance of the fork from the root along the airways, mm."""
 
 
 def _forks(lineage: Sequence[Branch]) -> list[list[_Fork]]:
@@ -203,7 +203,7 @@ def _forks(lineage: Sequence[Branch]) -> list[list[_Fork]]:
 
 
 def _eye(way: Points, fork: _Fork, branches: Sequence[Branch]) -> Points:
-    """Return the position of the camera before a fork; it is on the centreline, so in the lumen."""
+    """Return the position (3,), LPS mm, of the camera before a fork, on the centreline."""
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))])
     at_mm = max(fork.at_mm - stand_mm(fork.mother), 0.0)
     eye: Points = np.array([np.interp(at_mm, along, way[:, axis]) for axis in range(3)])
@@ -219,14 +219,14 @@ def _eye(way: Points, fork: _Fork, branches: Sequence[Branch]) -> Points:
 
 
 def _enters_mm(mother: Branch, branch: Branch) -> float:
-    """Return the diameter of the largest ball that enters a branch by one diameter, beyond the parent's lumen."""
+    """Return the diameter in mm of the largest ball that enters a branch, outside the parent's lumen."""
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(branch.points, axis=0), axis=1))])
     reach = float(np.median(mother.radius)) + 2.0 * float(np.median(branch.radius))
     return 2.0 * float(branch.wall_distance[along <= reach].min())
 
 
 def _sides(forward: Points, into: Points) -> tuple[str, ...]:
-    """Return the patient's directions of an opening, as seen along the parent branch."""
+    """Return the patient's directions (such as anterior) of an opening, as seen along the parent branch."""
     ahead = forward / np.linalg.norm(forward)
     across = into - float(into @ ahead) * ahead
     if float(np.linalg.norm(across)) < SAME_PLACE_MM:

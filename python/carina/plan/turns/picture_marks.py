@@ -74,7 +74,7 @@ def draw_clock(rgb: Rgb, turn: Turn, operator: Operator, colour: Colour) -> None
 
 
 class _Dial:
-    """Clock round a picture; lengths in pixels of a picture of 512 pixels."""
+    """Clock drawn round a picture; lengths are in pixels of a picture of 512 pixels."""
 
     def __init__(self, rgb: Rgb) -> None:
         self._rgb = rgb
@@ -87,7 +87,7 @@ class _Dial:
         self._outer = 0.5 * min(height, width) - 36.0 * self.scale
 
     def tick(self, hour: float, *, long: bool) -> None:
-        """Draw a line towards the middle."""
+        """Draw an hour tick: a line at an hour towards the middle of the picture."""
         length = (9.0 if long else 6.0) * self.scale
         along = np.minimum(self._radius - (self._outer - length), self._outer - self._radius)
         off = self._off_px(hour)
@@ -96,14 +96,14 @@ class _Dial:
             _blend(self._rgb, share, colour)
 
     def wedge(self, hours: float, colour: Colour) -> None:
-        """Draw a triangle that points inwards."""
+        """Draw a triangle at an hour that points towards the middle of the picture."""
         length = 16.0 * self.scale
         inwards = np.clip((self._radius - (self._outer - length)) / length, 0.0, 1.0)
         within = (self._radius >= self._outer - length) & (self._radius <= self._outer)
         _blend(self._rgb, np.clip(7.0 * self.scale * inwards - self._off_px(hours) + 0.5, 0.0, 1.0) * within, colour)
 
     def write(self, text: str, hours: float, size: int, colour: Colour) -> None:
-        """Draw a text inside the ring."""
+        """Draw a text inside the clock's ring at an hour."""
         height, width = self._rgb.shape[:2]
         angle, radius = hours / 12.0 * math.tau, self._outer - (16.0 + 6.0 * size) * self.scale
         column, row = width / 2 + radius * math.sin(angle), height / 2 - radius * math.cos(angle)

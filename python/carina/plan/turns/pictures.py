@@ -35,14 +35,14 @@ Points = NDArray[np.float64]
 Field = NDArray[np.float64]
 
 FOV_DEG = 120.0
-"""Field of view, as wide as that of the library's scopes, so that an opening beside the axis is in the picture too."""
+"""Field of view of the pictures in degrees, as wide as that of the library's scopes."""
 SIZES_PX = (128, 2048)
 LINE_PX = 2.5
-"""Width of the outline in a picture of 512 pixels."""
+"""Width of the outline in pixels of a picture of 512 pixels."""
 SMOOTH_PX = 2.0
-"""Smoothing of the outline against noise of the walls, in a picture of 512 pixels."""
+"""Sigma of the smoothing of the outline, in pixels of a picture of 512 pixels."""
 LEAST_SHARE = 2e-4
-"""Least share of the picture for an opening that is outlined; a smaller one is reported as out of view."""
+"""Least share of the picture's pixels for an opening that is outlined; a smaller opening counts as out of view."""
 ROUTE_RGB = (79, 211, 230)
 DOUBTFUL_RGB = (244, 180, 76)
 """Colour of an opening into a branch that the CT does not show with certainty."""
@@ -51,7 +51,7 @@ NEAR_MM = 80.0
 PLACES_MM = 0.7
 """Distance in mm between the centreline points from which the distance to a branch's surface is computed."""
 COARSE = 2
-"""Step in pixels at which walls are assigned to branches; their edge is smoothed in any case."""
+"""Step in pixels at which pixels of wall are assigned to branches."""
 BESIDE_MM = 4.0
 """Largest distance in mm of a wall outside a branch's surface that still belongs to the branch."""
 
@@ -66,12 +66,12 @@ class TurnPicture:
     picture: Picture
     """Picture with outline, hours and letters, and the positions of its pixels."""
     in_view: bool
-    """Whether the opening is visible and outlined.
+    """Whether the opening of the branch to enter is visible and outlined.
 
     If not, a fold of the wall hides the opening, and only its hour is marked.
     """
     outline: NDArray[np.bool_]
-    """(height, width) mask of the visible part of the branch to enter."""
+    """(height, width) mask of the visible wall of the branch to enter."""
 
     @property
     def rgb(self) -> NDArray[np.uint8]:
@@ -85,7 +85,7 @@ class TurnPicture:
 
     @property
     def words(self) -> str:
-        """Caption of the picture."""
+        """Caption of the picture as text."""
         seen = "" if self.in_view else "; the opening itself is not in view from here"
         return f"{self.turn.to_branch}, {hour_words(self.turn.hour(self.operator))}{seen}"
 
@@ -99,7 +99,7 @@ class TurnPicture:
         return png_bytes(np.ascontiguousarray(self.rgb), {KEYWORD: place})
 
     def _repr_png_(self) -> bytes:
-        """Return the picture for a notebook."""
+        """Return the picture as PNG, which a notebook displays."""
         return self.png()
 
 
@@ -256,7 +256,7 @@ def _least_gap_mm(points: Points, tubes: list[tuple[Points, Field]]) -> Field:
 
 
 def _places(branch: Branch) -> tuple[Points, Field]:
-    """Return evenly spaced points of a centreline (n, 3) and the radii (n,) there."""
+    """Return evenly spaced points (n, 3) of a branch's centreline and the radii (n,) at these points."""
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(branch.points, axis=0), axis=1))])
     at = np.linspace(0.0, along[-1], max(2, math.ceil(along[-1] / PLACES_MM) + 1))
     line = np.stack([np.interp(at, along, branch.points[:, axis]) for axis in range(3)], axis=1)
@@ -273,7 +273,7 @@ def _to_surface_mm(points: Points, line: Points, radius: Field) -> Field:
 
 
 def _seed(picture: Picture, turn: Turn) -> tuple[float, float]:
-    """Return the position of the opening's middle in the picture, limited to the picture."""
+    """Return the position (column, row) of the opening's middle, clamped to the picture."""
     height, width = picture.rgb.shape[:2]
     at = None if turn.opening_lps is None else picture.pixel_of(turn.opening_lps)
     if at is None:

@@ -10,11 +10,11 @@ __all__ = ["hour_words", "joined", "moves_words", "place_words", "with_depth"]
 
 STILL_DEG = 0.5
 STILL_MM = 0.5
-"""Smallest turn, flexion and advance that the text contains; smaller ones would read 0."""
+"""Size of a turn in degrees, a flexion in degrees or an advance in mm below which the text omits it."""
 
 
 def hour_words(hour: int | None) -> str:
-    """Return an hour as text, as in the window."""
+    """Return a clock hour as text, as the window shows it."""
     return "straight ahead" if hour is None else f"{hour} o\u2019clock"
 
 
@@ -40,14 +40,14 @@ def place_words(from_carina_mm: float | None, from_fork_mm: float, depth_mm: flo
 
 
 def with_depth(where: str, depth_mm: float | None) -> str:
-    """Return a place with its depth at nose or mouth, if the depth is known."""
+    """Return the text of a place with its depth at nose or mouth added, if the depth is known."""
     return (
         where if depth_mm is None else f"{where} (about {round(depth_mm / 5.0) / 2.0:g} cm on the scope, an estimate)"
     )
 
 
 def moves_words(moves: Sequence[Move]) -> str:
-    """Return moves as text; consecutive advances with one roll and flexion are combined."""
+    """Return moves of the hand as text; consecutive advances with one roll and flexion are combined."""
     steps: list[Move] = []
     for move in moves:
         held = (
@@ -82,5 +82,5 @@ def _flexion_words(flexion_deg: float) -> str:
 
 
 def joined(words: Sequence[str]) -> str:
-    """Return words as a list in a sentence."""
+    """Return words joined as an enumeration in a sentence."""
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"

@@ -23,17 +23,20 @@ Zero = Literal["ridge", "axes"]
 @one_line
 @dataclass(frozen=True, slots=True)
 class OtherWay:
-    """Opening at a turn that is not entered."""
+    """Opening at a turn that the route does not enter."""
 
     name: str
     branch_id: int
     hour_head: int | None
-    """Hour in the window for an operator at the head; None if the opening is straight ahead."""
+    """Whole clock hour of the opening for an operator at the head; None if the opening is straight ahead."""
     opening_mm: float
     """Diameter of the largest ball that enters the opening, mm."""
 
     def hour(self, operator: Operator) -> int | None:
-        """Return the hour for a position of the operator; None if the opening is straight ahead."""
+        """Return the clock hour of the opening for a position of the operator.
+
+        None if the opening is straight ahead.
+        """
         if self.hour_head is None or operator == "head":
             return self.hour_head
         return whole_hour(turned_hours(self.hour_head))
@@ -59,9 +62,12 @@ class Turn:
     to_branch_id: int
     fork_lps: tuple[float, float, float]
     from_carina_mm: float | None
-    """Distance from the main carina along the route, mm; below 0 before it, None if the tree has no main carina."""
+    """Distance of the turn from the main carina along the route, mm.
+
+    Below 0 before the carina, None if the tree has none.
+    """
     from_fork_mm: float
-    """Distance from the previous fork, mm; for the first fork from the beginning of the route."""
+    """Distance of the turn from the previous fork, mm; for the first fork, from the beginning of the route."""
     clock_head: float
     """Clock hour of the opening, 0 < hours <= 12, in the levelled picture of an operator at the patient's head."""
     clock_facing: float
@@ -69,20 +75,20 @@ class Turn:
     angle_deg: float
     """Angle in degrees between the branches before and after the fork."""
     diameter_mm: float
-    """Diameter of the largest ball that enters the branch, mm."""
+    """Diameter of the largest ball that enters the branch after the turn, mm."""
     moves: tuple[Move, ...] | None
     """Moves of the hand from the previous fork until the tip is past this fork, in the drive of a verdict.
 
     None if no drive is known.
     """
     doubts: tuple[str, ...]
-    """Warnings about the branch to enter."""
+    """Warnings about the branch to enter after the turn."""
     straight_ahead: bool = False
     """Whether the opening is in the middle of the picture; its hours then have no meaning and are not shown."""
     sides: tuple[str, ...] = ()
     """The patient's directions of the opening, the dominant one first; empty if it is straight ahead."""
     others: tuple[OtherWay, ...] = ()
-    """Openings that are not entered, clockwise from the one that is."""
+    """Openings that the route does not enter, clockwise from the opening that it enters."""
     through: tuple[str, ...] = ()
     """Names of short branches that are passed within this turn."""
     at_main_carina: bool = False
@@ -92,7 +98,10 @@ class Turn:
     """Position of the camera for the hours, LPS mm: one diameter before the fork, looking at the fork."""
 
     def hour(self, operator: Operator) -> int | None:
-        """Return the hour that the window shows, 1 to 12; None if the opening is straight ahead."""
+        """Return the clock hour of the opening that the window shows, 1 to 12.
+
+        None if the opening is straight ahead.
+        """
         if self.straight_ahead:
             return None
         return whole_hour(self.clock_head if operator == "head" else self.clock_facing)

@@ -22,7 +22,7 @@ __all__ = ["Answer", "Check", "bend_check", "channel_check", "diameter_check", "
 Answer = Literal["yes", "perhaps", "no", "unknown"]
 
 SURE = 0.9
-"""Least share for *yes*; at a share of at most 1 less this value the answer is *no*."""
+"""Least probability for the answer *yes*; at a probability of at most 1 less this value the answer is *no*."""
 BEND_SIGMA_DEG = 8.0
 """Standard deviation in degrees of the angle that a route requires of the bending section (common knowledge)."""
 LONGEST_ENTRY_MM = 250.0
@@ -102,7 +102,7 @@ def bend_check(way: DriveWay, scope: ScopePreset, *, errors: bool) -> Check:
 
 
 def length_check(way: DriveWay, scope: ScopePreset, entry_mm: float | None) -> Check:
-    """Return whether the scope is long enough.
+    """Return whether the scope is long enough to reach the end of the route.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ def answer_of(share: float) -> Answer:
 
 
 def passes(spare: float, sigma: float) -> float:
-    """Return the probability that a difference with a Gaussian error is above 0.
+    """Return the probability that a difference (what is available less what is needed) is above 0.
 
     Parameters
     ----------

@@ -30,20 +30,20 @@ STEP_DEG = 5.0
 ADVANCE_MM = 1.0
 """Step in mm in which a move advances the scope; a step that the wall blocks is not repeated."""
 TURN_DEG_PER_S, FLEX_DEG_PER_S, ADVANCE_MM_PER_S = 60.0, 60.0, 10.0
-"""Speeds at which a drive is shown (common knowledge)."""
+"""Speeds at which a drive is displayed: turn and flexion in degrees/s, advance in mm/s (common knowledge)."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class DrivenRoute:
-    """Completed drive of a scope, from the upper trachea to where it stopped."""
+    """Completed drive of a scope along a route, from the upper trachea to the place where the scope stopped."""
 
     scope_name: str
     start_mm: float
     """Insertion in mm at which the scope was placed (`carina.ScopeDrive.place`)."""
     moves: tuple[Move, ...]
     ends_mm: tuple[float, ...]
-    """Insertion in mm at the end of each move: the length of the scope inside the patient."""
+    """Insertion in mm of the scope at the end of each move: the length of the scope inside the patient."""
     ends_along_mm: tuple[float, ...]
     """Distance of the tip along the route at the end of each move, mm along the centrelines from the root."""
     samples: Points
@@ -122,7 +122,7 @@ class MoveRecorder:
 
     @property
     def state(self) -> ScopeState:
-        """Current state of the scope."""
+        """State of the scope after the last move."""
         return self.drive.state
 
     def set(self, turn_deg: float, flexion_deg: float) -> None:
@@ -225,7 +225,7 @@ class MoveRecorder:
         return True
 
     def repeat(self, moves: Iterable[Move]) -> None:
-        """Execute moves.
+        """Execute a sequence of moves.
 
         Raises
         ------

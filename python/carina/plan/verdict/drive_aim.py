@@ -23,7 +23,9 @@ HitShare = Callable[[Points, Points], float]
 GAIN, MOST_CHANGE_DEG, MOST_MOVES = 0.8, 30.0, 12
 FLEXION_MOST_DEG = 210.0
 GOOD, ENOUGH = 0.95, 0.5
-"""Shares of needles that hit.
+"""Shares of needles that hit the target: above the first, no more moves are tried.
+
+Below the second, a grid of holds is.
 
 Above the first share no more moves are tried. Below the second share a grid of rolls and lever settings is tried.
 """
@@ -38,9 +40,9 @@ class Aimed:
 
     driven: DrivenRoute
     share: float
-    """Share of the needles that hit from there, 0 to 1."""
+    """Share of the needles from the tip's final pose that hit the target, 0 to 1."""
     off_deg: float
-    """Angle in degrees between the tip's direction and the middle of the target."""
+    """Angle in degrees between the tip's direction and the direction to the middle of the target."""
 
 
 def aim_drive(way: DriveWay, wall: WallField, scope: ScopePreset, driven: DrivenRoute, hit_share: HitShare) -> Aimed:
@@ -95,7 +97,7 @@ def _judged(recorder: MoveRecorder, aim: Points, hit_share: HitShare) -> tuple[f
 
 
 def _holds(recorder: MoveRecorder, aim: Points) -> list[Move]:
-    """Return the rolls and lever settings that point nearest to the target, as moves from the present state."""
+    """Return the rolls and lever settings that point the tip nearest to the target, as moves from the present state."""
     drive, roll_deg = recorder.drive, recorder.roll_deg
     down, up = (math.degrees(rad) for rad in drive.flexion_range_rad)
     levers = [*np.linspace(0.0, up, NUM_LEVERS + 1)[1:], 0.0, *np.linspace(0.0, down, NUM_LEVERS + 1)[1:]]

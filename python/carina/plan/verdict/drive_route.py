@@ -87,18 +87,18 @@ class DriveWay:
         return float(np.interp(mm, self._knots[:, 0], self._knots[:, 1]))
 
     def at(self, mm: float | Points) -> Points:
-        """Return points at distances along the route, (..., 3) LPS mm."""
+        """Return the points (..., 3), LPS mm, at distances in mm along the route."""
         return np.stack([np.interp(mm, self.cumulative_mm, self.points[:, axis]) for axis in range(3)], axis=-1)
 
     def direction(self, mm: float) -> Points:
-        """Return the unit vector along the route at a distance."""
+        """Return the unit vector (3,) along the route at a distance in mm."""
         low, high = max(mm - SMOOTH_MM, 0.0), min(mm + SMOOTH_MM, self.length_mm)
         ahead = self.at(high) - self.at(low)
         found: Points = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
         return found
 
     def radius_mm(self, mm: float) -> float:
-        """Return the largest distance in mm of a tip from the centreline.
+        """Return the largest distance in mm of a tip in the lumen from the centreline, at a place of the route.
 
         The distance is the radius of the circle with the lumen's area, or of the largest ball if that is larger.
         """

@@ -33,7 +33,7 @@ ARRIVED_MM = 1.0
 START_MM, START_BEFORE_FORK_MM = 30.0, 20.0
 """Start of the scope in the upper trachea: distance along the route, and least distance before the first fork."""
 BLOCKED_STEPS = 7
-"""Number of consecutive steps blocked by the wall after which an attempt ends."""
+"""Number of consecutive advances blocked by the wall after which an attempt ends."""
 ASTRAY_MM = 2.5
 SLACK_MM = 25.0
 """Largest difference in mm between insertion and distance along the route; beyond it the scope buckles or strays."""
@@ -45,12 +45,12 @@ BEND_BEHIND_MM, BEND_AHEAD_MM = 45.0, 8.0
 AT_FORK_MM = 12.0
 """Distance from a fork in mm within which a stop of the drive is reported as a stop at this fork."""
 HOOKING = 0.5
-"""Share of the drawn rules that pull the lever at each fork."""
+"""Probability that a drawn rule pulls the lever at each fork."""
 HOOK_BLOCKED_STEPS = 4
 PAST_FORK_MM = 6.0
 """Distance in mm beyond a fork up to which the fork still counts as the next one."""
 CONDENSING = 60
-"""Number of shorter drives that are tried."""
+"""Largest number of shorter drives that are tried after a drive has arrived."""
 STATION_MM = 2.0
 """Distance in mm along the route between stored copies of an attempt from which other attempts can start."""
 KEPT = 3
@@ -73,28 +73,28 @@ class _Rule:
     fork_within_mm: float = 20.0
     beyond_fork_mm: float = 6.0
     gain: float = 0.8
-    """Change of flexion divided by the angle between the tip and the point."""
+    """Change of flexion divided by the angle between the tip's direction and the point that the tip turns to."""
     dead_deg: float = 8.0
-    """Angle between tip and point below which nothing is changed."""
+    """Angle in degrees between the tip's direction and the point below which roll and lever are not changed."""
     hold_mm: float = 2.0
-    """Least insertion in mm between two changes."""
+    """Least insertion in mm between two changes of roll or lever."""
     rate_deg: float = 15.0
-    """Largest change of flexion at once."""
+    """Largest change of flexion in one step, degrees."""
     slack_deg: float = 60.0
-    """Largest excess of the flexion over the bend of the route."""
+    """Largest excess of the flexion over the bend of the route, degrees."""
     hook: bool = False
     """Whether the lever is pulled towards the opening at each fork, millimetre by millimetre, and held."""
     hook_before_mm: float = 0.0
     hook_until_mm: float = 8.0
     hook_flexion_deg: float = 120.0
     hook_rate_deg: float = 10.0
-    """Change of flexion per millimetre of advance; a pull where the wall leaves no room for the tip has no effect."""
+    """Change of flexion in degrees per millimetre of advance while the lever is pulled towards an opening."""
     hook_off_deg: float = 0.0
-    """Offset of the roll from the direction of the opening."""
+    """Offset of the roll from the direction of the opening, degrees."""
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> _Rule:
-        """Return a random rule."""
+        """Return a steering rule with randomly drawn values."""
         return cls(
             mode=("visible", "ahead", "opening", "opening")[int(rng.integers(4))],
             far_mm=rng.uniform(12.0, 30.0),
@@ -125,7 +125,7 @@ class _Kept:
     """Copies of the attempt at earlier points of the route, from its start; other attempts start from them."""
 
     def before(self, along_mm: float) -> _Attempt:
-        """Return the last stored copy before a distance along the route."""
+        """Return the last stored copy of the attempt before a distance along the route."""
         return next((one for one in reversed(self.stations) if one.along_mm <= along_mm), self.stations[0])
 
 
@@ -306,7 +306,7 @@ class _Attempt:
         return self._is_on_course() and abs(self.along_mm - self.way.park_mm) <= 2.0 * ARRIVED_MM
 
     def go(self, rule: _Rule) -> None:
-        """Advance by a rule until the tip arrives or leaves the route."""
+        """Advance the scope by a steering rule until the tip arrives or leaves the route."""
         self._forget()
         for _ in range(MOST_STEPS):
             self._steer(rule)
@@ -323,13 +323,13 @@ class _Attempt:
                     return
 
     def _forget(self) -> None:
-        """Reset the state of the previous rule."""
+        """Reset the state that the previous steering rule left."""
         self._changed_mm = 0.0
         self._blocked = 0
         self._hooked_fork = self._done_fork = None
 
     def why(self) -> str:
-        """Return the reason for the stop as text."""
+        """Return the reason why the attempt stopped, as text."""
         state = self.recorder.state
         before = self.way.forks_mm[self.way.forks_mm < self.good_mm + AT_FORK_MM]
         if len(before) and before[-1] > self.good_mm - AT_FORK_MM:

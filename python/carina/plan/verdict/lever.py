@@ -20,12 +20,12 @@ from carina.scopes import ScopePreset, WallField
 __all__ = ["lever_check"]
 
 SHORTER = ((1.645, 0.95), (0.674, 0.85))
-"""Reductions of the lever in standard errors, and the share reported if a drive arrives with each.
+"""Reductions of the lever's range in standard errors, and the probability reported if a drive arrives with each.
 
 Each share is the middle of the range between this reduction and the next.
 """
 AS_IT_IS = 0.62
-"""Share reported if a drive arrives only with the full lever."""
+"""Probability reported if a drive arrives only with the full lever."""
 
 
 def lever_check(

@@ -44,27 +44,27 @@ Points = NDArray[np.float64]
 Outcome = Literal["reaches", "may reach", "does not reach", "cannot say"]
 
 NEAR_MM = 1.5
-"""Largest distance in mm of the tip from the end of the route."""
+"""Largest distance in mm of the tip from the end of the route at which the tip counts as arrived."""
 POINTS, BARELY = 0.5, 0.1
 """Shares of needles that hit: from the first up the scope points at the target, below the second it does not.
 
 The second is small, because a needle pass can be repeated.
 """
 SLIMMER_MM, THINNEST_MM, SPARE_MM = 0.8, 1.5, 0.2
-"""Sizes in mm for an instrument about as wide as the airway, whose drive is simulated with a thinner substitute.
+"""Sizes in mm that choose a thinner substitute for an instrument about as wide as the airway.
 
 The substitute is thinner than the airway by the first size, and has at least the second size. It is used if the airway
 is wider than the instrument by less than the third size.
 """
 UNFOUND = 0.5
-"""Share reported if a scope fits along the route but no drive was found; the search may have missed one.
+"""Probability reported if a scope fits along the route but no drive was found, as the search may have missed one.
 
 The value is common knowledge, not measured.
 """
 EFFORT_A_TRY = 1000.0
 """Search effort for which one shorter drive is tried."""
 LEVER_EFFORT = 0.3
-"""Effort of each search with a shorter lever, as a share of the effort for a drive.
+"""Effort of each search with a shorter lever, as a share of the effort of the search for a drive.
 
 It is small, because the moves of a drive that arrived are tried first.
 """
@@ -75,21 +75,21 @@ MECHANICS = "the scope's mechanics in the airways' wall; rigid tip and bending s
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class Verdict:
-    """Result for one instrument on one route."""
+    """Result of the checks and of the simulated drive for one instrument on one route."""
 
     scope: ScopePreset
     outcome: Outcome
     share: float | None
-    """Smallest share of the checks."""
+    """Smallest probability of the checks; None if it cannot be computed."""
     checks: tuple[Check, ...]
     reached_mm: float
-    """Distance that the tip reaches along the route, mm."""
+    """Distance along the route that the tip reaches, mm."""
     hold: ScopeHold | None
-    """Roll and lever that point at the target; None if the scope did not arrive."""
+    """Roll and lever with which the scope points at the target; None if the scope did not arrive."""
     driven: DrivenRoute | None
     """Simulated drive; None if checks without a simulation decide, or too little is known about the instrument."""
     would: str | None
-    """Changes with which the instrument would reach the target, as text; None if none is needed."""
+    """Changes with which the instrument would reach the target, as text; None if no change is needed."""
 
     @property
     def words(self) -> str:
@@ -284,7 +284,7 @@ def judge_scope(
 
 @dataclass(frozen=True, slots=True)
 class _Figures:
-    """Results of the checks that need no simulated drive."""
+    """Results of the checks of one instrument that need no simulated drive."""
 
     checks: tuple[Check, ...]
     driven_as: ScopePreset | None
@@ -330,7 +330,7 @@ class _Bench:
             raise CancelledError("the verdicts were cancelled")
 
     def figures(self, scope: ScopePreset) -> _Figures:
-        """Return the checks that need no drive, and the instrument to be driven."""
+        """Return the results of the checks that need no drive, and the instrument whose drive is simulated."""
         checks = (
             diameter_check(self._way.width, scope, errors=self._errors),
             bend_check(self._way, scope, errors=self._errors),
@@ -349,7 +349,7 @@ class _Bench:
         return _Figures(checks, driven_as)
 
     def undriven(self, scope: ScopePreset, figures: _Figures) -> Verdict:
-        """Return the verdict without a drive; the reached distance is that of a scope laid along the route."""
+        """Return the verdict on an instrument without a simulated drive."""
         reached_mm = 0.0
         if figures.checks[1].answer != "unknown":
             # A scope that is too wide to enter reaches nothing.
@@ -358,7 +358,7 @@ class _Bench:
         return _verdict(scope, figures.checks, min(reached_mm, self._way.park_mm), None, driven=False)
 
     def driven(self, scope: ScopePreset, figures: _Figures, drive: _Drive) -> Verdict:
-        """Return the verdict from the checks and a simulated drive."""
+        """Return the verdict on an instrument from its checks and its simulated drive."""
         checks = drive.checks
         if figures.driven_as is not scope:
             doubt = "if it fits"
@@ -436,7 +436,7 @@ class _Bench:
 
 
 def _sizes(scope: ScopePreset) -> tuple[Any, ...]:
-    """Return the sizes of an instrument that determine its mechanics."""
+    """Return the sizes of an instrument that determine its mechanics, as a key for shared drives."""
     return (
         scope.tip_mm,
         scope.tube_mm or scope.tip_mm,

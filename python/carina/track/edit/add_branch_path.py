@@ -26,15 +26,21 @@ from carina.volume.model import Volume
 __all__ = ["BranchWay", "PlannedWay", "branch_way", "join_of", "lumen_node", "no_evidence", "planned_way", "together"]
 
 MIN_ADDED_MM = 1.0
-"""A branch shorter than this beyond the tree is already in the tree."""
+"""Least length in mm of a new branch beyond the tree; a shorter branch is already in the tree."""
 FORK_RADII = 1.0
-"""A path has left a tube if it is farther from its centreline than this multiple of its radius (as in the search)."""
+"""Distance from a tube's centreline, in radii of the tube, beyond which a path has left the tube (as in the search)."""
 LEAST_LEFT_MM = 3.0
-"""A rest of a tip behind a new fork that is shorter than this, or than 1.5 slices, is removed."""
+"""Least length in mm of the remaining tip of a branch beyond a new fork.
+
+A tip shorter than this or 1.5 slices is removed.
+"""
 LEAST_TOLD_MM = 5.0
-"""The message does not mention shorter pieces with evidence, which are not worth adding separately."""
+"""Least length in mm of a piece with evidence that the message mentions.
+
+A shorter piece is not worth adding separately.
+"""
 SMOOTH_MM, STEP_MM = 1.0, 1.0
-"""Sigma of the smoothing of a path of voxels, and distance of its points."""
+"""Sigma in mm of the smoothing of a path of voxels, and distance in mm between the points of the smoothed path."""
 
 
 @one_line
@@ -43,7 +49,7 @@ class BranchWay(EditPreview):
     """Path of the branch that :class:`carina.track.AddBranch` would create to a point."""
 
     parent_id: int | None
-    """ID of the branch that it leaves; None if there is a problem."""
+    """ID of the branch that the new branch leaves; None if there is a problem."""
 
     @property
     def points_lps(self) -> NDArray[np.float64]:
@@ -52,7 +58,7 @@ class BranchWay(EditPreview):
 
     @property
     def doubtful(self) -> NDArray[np.bool_]:
-        """Flags (n-1,): whether the CT shows no wall round each segment."""
+        """Flags (n-1,): True for each segment of the path round which the CT shows no wall."""
         return self.lines[0].doubtful if self.lines else np.empty(0, dtype=bool)
 
 
@@ -98,17 +104,17 @@ class PlannedWay:
     points: Points
     """Points (n, 3) of the future centreline, LPS in mm; the first is the end of ``parent_id``."""
     doubtful: NDArray[np.bool_]
-    """Flags (n-1,): whether each segment is doubtful."""
+    """Flags (n-1,): True for each segment of the path round which the CT shows no wall."""
     voxels: Voxels
     """Voxels (m, 3) of the path outside the lumen, as face neighbours; (0, 3) if the path is inside it."""
     parent_id: int
-    """ID of the branch of the draft at whose end it begins; that branch may have been split for it."""
+    """ID of the branch of the draft at whose end the new branch begins; that branch may have been split for this."""
     leaves_id: int
-    """ID of the branch that it leaves in the tree before the edit."""
+    """ID of the branch that the new branch leaves in the tree before the edit."""
 
     @property
     def doubtful_mm(self) -> float:
-        """Length of the doubtful segments."""
+        """Length of the doubtful segments of the path, mm."""
         return float(np.linalg.norm(np.diff(self.points, axis=0), axis=1)[self.doubtful].sum())
 
 
@@ -147,7 +153,7 @@ def planned_way(lumen: EditedLumen, tree: AirwayTree, draft: TreeDraft, evidence
     doubtful = _doubtful(lumen, evidence, points, draft[parent_id])
     is_shorter = not draft[parent_id].children and len(draft[parent_id].points) < len(left_before.points)
     if is_shorter and kind_of_added(doubtful) == "manual":
-        # A branch drawn by hand must not shorten another one: it begins at the end of that branch.
+        # A branch drawn by hand must not shorten another branch: the new branch begins at the end of that branch.
         draft.change(
             parent_id,
             points=left_before.points,
@@ -168,7 +174,7 @@ def _line(lumen: EditedLumen, parent: Branch, beyond: Points, *, is_inside: bool
 def _doubtful(lumen: EditedLumen, evidence: Evidence, points: Points, parent: Branch) -> NDArray[np.bool_]:
     inside = lumen.core.inside(points)
     if inside.all():
-        # Already in lumen: found by the search, or painted, which is not evidence.
+        # These points are already in the lumen: found by the search, or painted by the user, which is not evidence.
         i, j, k = np.floor(lumen.volume.to_ijk(points) + 0.5).astype(int).T
         was_found = evidence.found_zyx[k, j, i] != 0
         return np.asarray(evidence.doubtful(points) & ~(was_found[1:] & was_found[:-1]))
@@ -201,7 +207,7 @@ def no_evidence(plan: PlannedWay) -> NoEvidenceError:
 
 
 def drawn(chain: Points) -> Points:
-    """Return a smooth line with a point every mm along voxel centres; both ends are unchanged."""
+    """Return a smooth line with a point every mm along given voxel centres; both ends are unchanged."""
     along = along_mm(chain)
     fine = np.linspace(0.0, along[-1], max(2, int(np.ceil(4.0 * along[-1])) + 1))
     line = np.stack([np.interp(fine, along, chain[:, axis]) for axis in range(3)], axis=1)
@@ -227,7 +233,7 @@ def _ended(points: Points, ends: Points) -> Points:
 
 
 def lumen_node(lumen: EditedLumen, voxel: NDArray[np.int64], reach_mm: float = 0.0) -> int:
-    """Return the node of a voxel, or the nearest node within ``reach_mm``, that a path reaches.
+    """Return the tracker's node of a voxel that a path reaches; otherwise the nearest such node within ``reach_mm``.
 
     Raises
     ------
@@ -248,7 +254,7 @@ def lumen_node(lumen: EditedLumen, voxel: NDArray[np.int64], reach_mm: float = 0
 
 
 def path_to(lumen: EditedLumen, node: int) -> Points:
-    """Return the voxel centres from the root to a node, LPS in mm."""
+    """Return the centres of the voxels on the path from the root to a node, (n, 3) LPS in mm."""
     found = lumen.core.path(node)
     assert found is not None
     return found[0]
@@ -262,14 +268,14 @@ def together(branches: list[Branch]) -> tuple[Points, NDArray[np.int64]]:
 
 
 def join_of(lumen: EditedLumen, branches: list[Branch], path: Points) -> tuple[Place, int]:
-    """Return the place at which a path leaves the tree, and the index of its first point beyond.
+    """Return the place at which a path leaves the tree, and the index of the path's first point outside the tree.
 
     A point of the path is still inside a tube if some point of the tube's centreline is within its radius and
     visible from it.
     """
     tree_points, starts = together(branches)
     radius = np.concatenate([branch.radius for branch in branches])
-    # Half a voxel more: the middle of a tube of one voxel is that voxel.
+    # Half a voxel is added, because the middle of a tube of one voxel is that voxel.
     reach = FORK_RADII * radius + 0.5 * min(lumen.volume.spacing_mm)
     low, high = path.min(axis=0) - reach.max(), path.max(axis=0) + reach.max()
     near = np.flatnonzero(((tree_points >= low) & (tree_points <= high)).all(axis=1))

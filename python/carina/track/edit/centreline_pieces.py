@@ -1,4 +1,4 @@
-"""Division of a new centreline into pieces of one kind: found in the CT, drawn by the user, or along a bridge."""
+"""Division of a new centreline into pieces, each found in the CT, drawn by the user, or along a bridge."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from carina.track.edit.tree_changes import Points, along_mm
 __all__ = ["Piece", "bridge_pieces", "kind_of_added", "painted_pieces"]
 
 Piece = tuple[Points, str]
-"""Points and their kind; the last point of a piece is the first of the next."""
+"""Type of a piece of a centreline: points and kind; the last point of a piece is the first point of the next."""
 
 
 def bridge_pieces(points: Points, kind: str, bridges: Sequence[Points], near_mm: float, least_mm: float) -> list[Piece]:
-    """Divide a line into pieces on and off the bridges that were made before.
+    """Divide a line into pieces on and off the bridges that the user made before.
 
     The lumen of a bridge may have been erased and painted or grown again; the part on the bridge stays a bridge,
     because the CT never showed an airway there.
@@ -40,7 +40,8 @@ def bridge_pieces(points: Points, kind: str, bridges: Sequence[Points], near_mm:
     for way in bridges:
         off = np.sqrt(np.square(points[:, None] - way[None]).sum(axis=2))
         place = off.argmin(axis=1)
-        # Require points along the bridge, not before its start, beyond its end or on a path that leaves it sideways.
+        # A point is on a bridge if it is along the bridge, not before its start, beyond its end or on a path that
+        # leaves it sideways.
         on_way = (off.min(axis=1) <= near_mm) & (place > 0) & (place < len(way) - 1)
         if on_way.any() and np.ptp(along_mm(way)[place[on_way]]) >= near_mm:
             is_on |= on_way

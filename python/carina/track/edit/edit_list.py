@@ -96,7 +96,7 @@ def _edit_from_row(row: object, number: int) -> TreeEdit:
 
 
 def branch_title(name: str | None, branch_id: int) -> str:
-    """Return the name of a branch for a sentence."""
+    """Return the title of a branch for use in a sentence: its name, or a text with its ID."""
     return name or f"branch {branch_id}"
 
 

@@ -305,7 +305,7 @@ def _edited(
 
 
 def _lumen_on_ct(airways: Airways, tracker: PathTracker, *, is_changed: bool) -> NDArray[np.uint8]:
-    """Return the lumen of edited airways on the grid of the CT; the previous array if it is equal."""
+    """Return the lumen of edited airways on the grid of the CT, (nz, ny, nx); the previous array if both are equal."""
     if not is_changed and not tracker.grid.is_divided:
         return airways.lumen_zyx
     lumen = tracker.grid.lumen_on_ct(tracker.lumen_zyx, tracker.branches)
@@ -313,7 +313,7 @@ def _lumen_on_ct(airways: Airways, tracker: PathTracker, *, is_changed: bool) ->
 
 
 def steps_of(airways: Airways, *, is_fresh: bool = False, cancel: Cancel | None = None) -> EditSteps:
-    """Return the steps of an edit of these airways, to make or to preview it; the airways are not changed."""
+    """Return an object that makes or previews an edit of these airways; the airways are not changed."""
     before = EditedLumen(airways.tracker.grid, airways.tracker.core, is_fresh, cancel)
     return EditSteps(
         before,
@@ -330,13 +330,13 @@ def _uncertain_after(volume: Volume, airways: Airways, tree: AirwayTree) -> tupl
     found = (airways.base or airways).uncertain
     if not found:
         return ()
-    # An edit does not change where the search would leak into the lung.
+    # Leaks of the search stay listed, because an edit does not change where the search would leak into the lung.
     leaks = np.array([one.lps for one in found if one.kind == "leak"]).reshape(-1, 3)
     return find_uncertain(volume, tree, leaks, [one for one in found if one.kind == "filled"])
 
 
 def named_anew(tree: AirwayTree) -> AirwayTree:
-    """Return the tree with anatomical names determined again; names that a user gave are kept."""
+    """Return the tree with its anatomical names determined again; names that a user gave are kept."""
     return name_tree(tree)
 
 

@@ -24,40 +24,40 @@ __all__ = ["Evidence", "Sections", "Start", "evidence_of"]
 
 Points = NDArray[np.float64]
 
-# Limits for sections.
+# Number of sides to which rays run from the middle of a section (values of the CT across a path).
 NUM_SIDES = 16
 RING_MM = 0.35
-"""Distance between the samples of a ray."""
+"""Distance in mm between two samples of a ray across a path."""
 REACH_MM, FAR_MM = 3.2, 8.1
-"""Reach within which the wall of a small airway is, and reach for the wall of a lobar bronchus."""
+"""Lengths in mm of the rays that find the wall of a small airway, and that of a lobar bronchus."""
 OPEN_SIDES = 0.2
-"""Share of the sides that may have no wall: a fork opens more sides, but is shorter than the averaged length."""
+"""Share of the 16 sides of a section that may have no wall."""
 CLOSED_BUT = 1
-"""Number of sides that may be open in a closed ring: one may be hidden by the next slice."""
+"""Number of sides of a section that may have no wall although the wall counts as closed."""
 BEND_MM = 3.0
-"""The bend of a path is the angle between its directions over this distance before and after a point."""
+"""Length in mm before and after a point of a path over which the two directions are measured that define the bend."""
 HALF_SECTIONS = 2
-"""Number of sections before and after one that are averaged with it."""
+"""Number of sections before, and of sections after, a section that are averaged with it."""
 TANGENT_MM = 1.5
 AROUND = 0.25
-"""Quantile of the farther samples that is the value of the lung round a section."""
+"""Quantile of the farther samples round a section that is taken as the value of the lung there."""
 
 MAX_MISSED_MM = 120.0
-"""Largest distance from the tree at which a path is searched.
+"""Largest distance in mm from the tree at which a path to a new branch is searched.
 
 The bronchi of the lower lobe extend this far from the intermediate bronchus.
 """
 
-# Limits for the comparison with plain lung.
+# Limits for the paths through plain lung with which a path is compared.
 NUM_RUNS = 96
 RUN_MM = 10.0
 NEAREST_MM, FARTHEST_MM = 8.0, 25.0
-"""Range of distances of plain lung from the branches of the tree."""
+"""Least and largest distance in mm of plain lung from the branches of the tree."""
 MIN_RUNS = 12
 BEST_RUNS = 0.9
 LEAST_RISE_HU = 15.0
 NOISE_SHARE, FAR_SHARE = 1.25, 2.0
-"""Least rises to a wall, whatever the comparison shows.
+"""Factors of the least rises from the middle of a path to its wall, whatever the comparison with plain lung shows.
 
 NOISE_SHARE times the noise for near walls; FAR_SHARE times the near rise for far walls.
 """
@@ -80,9 +80,9 @@ class Evidence:
         self._volume = volume
         self._scale = air_scale(volume)
         self.noise = self._scale.span(base.tracker.noise_hu)
-        """Standard deviation of the values in air, in the numbers of the volume."""
+        """Standard deviation of the values in air, in the units of the volume's values."""
         self.found_zyx = base.tracker.lumen_zyx
-        """Lumen (nz, ny, nx) on that grid that was found or imported as a mask."""
+        """Lumen (nz, ny, nx) on the grid of the paths before any edit, found by the search or imported as a mask."""
         self.enclosures = _core.Enclosures(volume.hu_zyx, volume.lps_from_ijk)
         least = self._scale.span(LEAST_RISE_HU)
         lung = _plain_lung(volume, base, self._scale.level(LUNG_END_HU))
@@ -105,7 +105,7 @@ class Evidence:
         }
         usual = max(least, NOISE_SHARE * self.noise)
         self.compared_with = Lung(usual, FAR_SHARE * usual, float(self._scale.level(PLAIN_HU)))
-        """Comparison values: the rises that a tenth of the sections on the best paths through plain lung exceed."""
+        """Rises that a tenth of the sections on the best paths through plain lung exceed, and lung brightness."""
         if enough:
             self._compare(lung[:: max(1, len(lung) // NUM_RUNS)][:NUM_RUNS])
 
@@ -159,7 +159,7 @@ class Evidence:
         return way
 
     def doubtful(self, points: Points, start: Start | None = None) -> NDArray[np.bool_]:
-        """Return, for each segment of a line of (n, 3) points (LPS, mm), whether the CT shows no airway there.
+        """Return whether the CT shows no airway, for each segment of a line.
 
         Parameters
         ----------
@@ -185,12 +185,12 @@ class Evidence:
         return found
 
     def crosses_wall(self, points: Points, before: Points) -> bool:
-        """Return whether a line crosses brighter points than the line before an edit, and than half-way to tissue."""
+        """Return whether a line crosses brighter points than the former line, and than half-way to tissue."""
         new, old = (float(self.enclosures.values_at(_fine(line)).max()) for line in (points, before))
         return new > max(old, self._scale.level(WALL_HU)) + 3.0 * self.noise
 
     def sections(self, points: Points) -> Sections:
-        """Measure the sections across a line of (n, 3) points, LPS in mm."""
+        """Measure the sections across a line of (n, 3) points, LPS in mm, one every half millimetre."""
         along = along_mm(points)
         at = np.linspace(0.0, along[-1], max(2, int(np.ceil(along[-1] / STEP_MM)) + 1))
 
@@ -233,14 +233,14 @@ class Evidence:
 
 
 def evidence_of(airways: Airways) -> Evidence:
-    """Return the evidence in the volume of the paths; computed at first use and shared by all edited airways."""
+    """Return the evidence in the CT of these airways; computed at first use and shared by all edited airways."""
     volume = airways.tracker.volume
     found: Evidence = airways.evidence.of(volume, lambda: Evidence(volume, airways.base or airways))
     return found
 
 
 def _plain_lung(volume: Volume, base: Airways, brightest: float) -> Voxels:
-    """Return (n, 3) voxels of plain lung: 8 to 25 mm from a tree's branches, neither near lumen nor tissue."""
+    """Return (n, 3) voxels of plain lung, 8 to 25 mm from the branches of a tree, away from lumen and tissue."""
     places = _beside(base.tree)
     shape = np.array(volume.shape_zyx[::-1])
     ijk = np.floor(volume.to_ijk(places) + 0.5).astype(np.int64)
@@ -268,7 +268,7 @@ def _beside(tree: AirwayTree) -> Points:
 
 
 def _mean_along(values: NDArray[np.float64], half: int) -> NDArray[np.float64]:
-    """Return means over ``half`` entries before and after on the first axis, clamped at the ends."""
+    """Return the mean of each entry and ``half`` entries before and after it on the first axis, clamped at the ends."""
     padded = np.concatenate([values[:1]] * half + [values] + [values[-1:]] * half)
     total = np.cumsum(np.concatenate([np.zeros_like(padded[:1]), padded]), axis=0)
     num = 2 * half + 1

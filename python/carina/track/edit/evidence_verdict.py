@@ -20,92 +20,95 @@ Points = NDArray[np.float64]
 Values = NDArray[np.float64]
 
 STEP_MM = 0.5
-"""Distance between sections."""
+"""Distance in mm between two sections of a path."""
 WINDOW_MM = 5.0
 SURE = 1.0
-"""In a window that fails, the sections before the first one with less than this gain stay evident."""
+"""Least gain of the first sections of a failed window of 5 mm that still count as evident.
 
-# Terms of the gain of a section: each has a weight and, if it is clipped, its limits.
+Sections before a weaker one pass.
+"""
+
+# Constant term of the gain of a section (a sum of weighted terms, in log odds).
 BASE = 1.45
 RISE, RISE_LIMITS = 0.9, (-0.5, 1.5)
 FAR_RISE, FAR_LIMITS = 1.2, (-0.5, 2.0)
 CLOSED, FAR_CLOSED, CLOSED_LIMITS = 1.0, 1.4, (0.0, 1.5)
 """Walls in units of plain lung, clipped so that one bright wall cannot compensate a long path without walls."""
 LEAST_WALLS = 0.6
-"""Least average of the four wall terms over a window, whatever the other terms are.
+"""Least average of the sum of the four wall terms over a window of 5 mm, whatever the other terms are.
 
 Fewer than one in 100 paths to removed branches have a smaller average.
 """
 DROP, DROP_HU, MOST_DROP = -2.0, 100.0, 3.0
-"""Penalty for a value that rises and falls along a path, which has then probably crossed a wall."""
+"""Weight, unit in HU and upper limit of the penalty for a value that rises and falls along a path, as across a wall."""
 WIDER, AS_WIDE, MOST_WIDER = -1.6, 0.8, 1.0
-"""Penalty for a path that is wider than its parent.
+"""Weight, free ratio and upper limit of the penalty for a path that is wider than the branch that it leaves.
 
 An airway is narrower than the branch that it leaves: up to 0.8 of the parent's radius costs nothing, 1.8 times costs
 all.
 """
 BEND = -2.6
-"""Penalty for bends: a path between vessels turns within some millimetres, an airway does not."""
+"""Weight of the penalty for bends: a path between vessels turns within some millimetres, an airway does not."""
 UNEVEN = -3.9
-"""Penalty for a changing radius, per mm of standard deviation over 5 mm."""
+"""Weight of the penalty for a changing radius, per mm of the radius's standard deviation over 5 mm."""
 UNEVEN_OVER = 5
-"""Number of sections before and after one."""
+"""Number of sections before, and after, a section over which the radius's deviation is computed."""
 GAP, THREAD_MM, AIR_HU, GAP_HU, MOST_GAP = -1.1, 1.0, -980.0, 100.0, 3.0
-"""Penalty for wide bright places: one 2 mm from its walls and as bright as lung is a gap between vessels."""
+"""Values of the penalty for gaps between vessels: wide places that are as bright as lung."""
 
 WALL_DROP_HU = 350.0
-"""A path that rises and falls by more has crossed a wall, and its end is not connected to the tree this way."""
+"""Rise and fall in HU along a path above which the path has crossed a wall, so its end is not connected."""
 NEAR_MM = 3.0
-"""Distance within which near walls, and with them the radius, are measured."""
+"""Distance in mm from the middle of a section within which near walls, and the radius, are measured."""
 WIDE_HU = -930.0
-"""Upper limit of the middle of a wide lumen.
+"""Upper limit in HU of the middle of a lumen that is too wide for ``NEAR_MM``.
 
 A darker middle with walls all round but none within ``NEAR_MM`` is a lumen too wide for this distance: a rise within
 it is noise, and so is a radius measured from it.
 """
 NO_LUMEN_HU, NO_LUMEN = -450.0, -100.0
-"""A middle that is brighter over 2.5 mm is not a lumen, whatever is before and after; NO_LUMEN is its gain."""
+"""Value in HU over 2.5 mm above which the middle of a section is no lumen, and the gain that such a section gets."""
 MOUTH_MM = 4.0
-"""The lumen that a path leaves is as wide as the widest of the sections over this length inside it."""
+"""Length in mm inside the lumen that a path leaves, over which the widest section gives the width of that lumen."""
 MOST_TURN_DEG = 130.0
-"""A branch that leaves the tree turns by less than this against the direction of its parent."""
+"""Largest angle in degrees between a branch that leaves the tree and the direction of its parent."""
 TURN_OVER_MM = 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sections:
-    """Sections across a path, one every half millimetre; values in the numbers of the volume."""
+    """Measures of the sections across a path, one every half millimetre; values in the units of the volume."""
 
     at_mm: Values
-    """Distance (n,) along the path."""
+    """Distance (n,) of each section along the path, mm."""
     own: Values
-    """Value (n,) in the middle."""
+    """Value (n,) in the middle of each section."""
     rise: Values
-    """Rise (n,) of four fifths of the sides above the middle within 3 mm."""
+    """Rise (n,) above the middle that four fifths of the sides of a section reach within 3 mm."""
     far_rise: Values
-    """Rise (n,) of four fifths of the sides above the middle within 8 mm."""
+    """Rise (n,) above the middle that four fifths of the sides of a section reach within 8 mm."""
     closed: Values
-    """Rise (n,) of all sides but one within 3 mm."""
+    """Rise (n,) above the middle that all sides of a section but one reach within 3 mm."""
     far_closed: Values
-    """Rise (n,) of all sides but one within 8 mm."""
+    """Rise (n,) above the middle that all sides of a section but one reach within 8 mm."""
     around: Values
-    """Value (n,) of the surroundings farther out."""
+    """Value (n,) of the lung farther out round each section."""
     radius_mm: Values
-    """Median distance (n,) of the sides to half of their rise within 3 mm."""
+    """Radius (n,) of each section, mm: median distance of the sides to half of their rise within 3 mm."""
     bend: Values
-    """Bend (n,): 1 less the cosine between the directions of the 3 mm before and after."""
+    """Bend (n,) of the path at each section: 1 less the cosine between its directions over 3 mm before and after."""
 
 
 @dataclass(frozen=True, slots=True)
 class Lung:
-    """Values of the best paths through plain lung of the same CT, in the numbers of the volume."""
+    """Comparison values from the best paths through plain lung of the same CT, in the units of the volume."""
 
     rise: float
-    """Rise within 3 mm that a tenth of their sections exceeds."""
+    """Rise within 3 mm that a tenth of the sections through plain lung exceeds."""
     far_rise: float
-    """Rise within 8 mm that a tenth of their sections exceeds."""
+    """Rise within 8 mm that a tenth of the sections through plain lung exceeds."""
     bright: float
-    """Value that a quarter of their middles exceeds."""
+    """Value that the middles of a quarter of the sections through plain lung exceed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,15 +116,15 @@ class Start:
     """Start of a path at a branch of the tree."""
 
     inside_mm: float
-    """Length of its beginning inside the lumen; sections there contain both lumens and need no wall."""
+    """Length of the beginning of the path inside the lumen, mm; sections there contain both lumens and need no wall."""
     branch_radius_mm: float
-    """Radius of the branch that it leaves."""
+    """Radius of the branch that the path leaves, mm."""
     branch_direction: NDArray[np.float64]
-    """Direction (3,) of that branch from the root outwards, LPS."""
+    """Direction (3,) of the branch that the path leaves, from the root outwards, LPS."""
 
 
 def doubtful_sections(sections: Sections, lung: Lung, scale: AirScale, start: Start | None = None) -> NDArray[np.bool_]:
-    """Return (n,) flags: whether each section is in a window of 5 mm with too little average gain.
+    """Return (n,) flags: True for each section in a window of 5 mm with too little average gain.
 
     In a window that fails, the evident sections before its first weak one are not flagged.
 
@@ -154,7 +157,7 @@ def doubtful_sections(sections: Sections, lung: Lung, scale: AirScale, start: St
 
 
 def gains(sections: Sections, lung: Lung, scale: AirScale, start: Start | None = None) -> Values:
-    """Return the (n,) gain of each section, in log odds plus ``BASE``: above 0 for an airway, below 0 against it."""
+    """Return the (n,) gain of each section, in log odds plus ``BASE``: positive for an airway, negative against it."""
     gain = BASE + _walls(sections, lung)
     mine = _beyond(sections, start)
     radius_mm = _radii(sections, lung, scale)
@@ -173,7 +176,7 @@ def gains(sections: Sections, lung: Lung, scale: AirScale, start: Start | None =
 
 
 def turns_back(points: Points, along: Values, start: Start) -> bool:
-    """Return whether a line, after it has left the lumen, runs back along the branch that it leaves."""
+    """Return whether a line, after it has left the lumen, runs back along the branch of the tree that it leaves."""
     reach_mm = min(start.inside_mm + TURN_OVER_MM, float(along[-1]))
     goes = points[min(int(np.searchsorted(along, reach_mm)), len(points) - 1)] - points[0]
     length = float(np.linalg.norm(goes) * np.linalg.norm(start.branch_direction))
@@ -181,7 +184,7 @@ def turns_back(points: Points, along: Values, start: Start) -> bool:
 
 
 def along_mm(points: Points) -> Values:
-    """Return the (n,) distance of each point along a line of (n, 3) points."""
+    """Return the (n,) distance in mm of each of (n, 3) points along their line."""
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
 
 

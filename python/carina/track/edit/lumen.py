@@ -29,16 +29,16 @@ from carina.volume.model import Volume
 __all__ = ["EditedLumen", "bridge_way", "by_faces", "grown_beyond", "painted_voxels", "tissue_there", "tube_round"]
 
 Voxels = NDArray[np.uint16]
-"""Voxels (n, 3) as i, j, k."""
+"""Type of an array of voxels (n, 3), as indices i, j, k."""
 
 MAX_BRIDGE_MM = 60.0
-"""Longest bridge. A lobe's bronchus and its first division are shorter; a longer bridge would be a guess."""
+"""Length in mm of the longest allowed bridge, because a longer bridge would be a guess."""
 BRIDGE_RADIUS_MM = 1.0
 MAX_MISSED_RADIUS_MM = 4.0
 AIR_REACH_MM = 2.0
-"""Distance within which a click beside an airway is moved to the darkest voxel."""
+"""Distance in mm from a click within which the darkest voxel is used if the click is beside an airway."""
 GROWTH_REACH_MM = (60.0, 60.0, 100.0)
-"""Reach along LPS x, y, z of growth beyond a bridge: the airways beyond a blocked lobar bronchus."""
+"""Reach in mm along LPS x, y, z of the growth beyond a bridge: the airways beyond a blocked lobar bronchus."""
 GROWTH_LEAK_MM3 = 20_000.0
 GROWTH_SMALL_LEAK_MM3 = 3_000.0
 CLOSED_RADIUS_MM = 10.0
@@ -55,10 +55,10 @@ class EditedLumen:
     grid: PathGrid
     core: LumenTracker
     is_fresh: bool = False
-    """Whether each change computes everything from scratch: slow, the reference for the fast updates."""
+    """Whether each change computes the tracker from scratch, which is slow: the reference for the fast updates."""
     cancel: Cancel | None = None
     changed_box: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None
-    """First and last voxel that the last change affected; None: it may have affected any voxel."""
+    """First and last voxel of the box that the last change affected; None if any voxel may be affected."""
 
     @property
     def volume(self) -> Volume:
@@ -66,7 +66,7 @@ class EditedLumen:
         return self.grid.volume
 
     def changed(self, added: Voxels, removed: Voxels) -> EditedLumen:
-        """Return the lumen with voxels added and removed."""
+        """Return a copy of the lumen with voxels added and removed."""
         hu = self.volume.hu_zyx
         if self.is_fresh:
             lumen = lumen_array(self.core)
@@ -78,14 +78,14 @@ class EditedLumen:
         return EditedLumen(self.grid, core, False, self.cancel, (first, first + shape - 1))
 
     def rerooted(self, root_ijk: tuple[int, int, int]) -> EditedLumen:
-        """Return the same lumen with paths from another root voxel."""
+        """Return a copy of the lumen with paths from another root voxel."""
         if self.is_fresh:
             return self.built(lumen_array(self.core), root_ijk)
         core = reroot_lumen(self.core, root_ijk, cancel=self.cancel)
         return EditedLumen(self.grid, core, False, self.cancel)
 
     def built(self, lumen_zyx: NDArray[np.uint8], root_ijk: tuple[int, int, int]) -> EditedLumen:
-        """Return another lumen of the same search, computed from scratch."""
+        """Return an edited lumen of the same search from a mask and a root, computed from scratch."""
         core = fresh_lumen(self.core, self.volume.hu_zyx, lumen_zyx, root_ijk, cancel=self.cancel)
         return EditedLumen(self.grid, core, self.is_fresh, self.cancel)
 
@@ -106,7 +106,7 @@ class EditedLumen:
 
 
 def voxel_of(volume: Volume, lps: Point) -> NDArray[np.int64]:
-    """Return the voxel that contains a point.
+    """Return the voxel (i, j, k) that contains a point.
 
     Raises
     ------
@@ -155,7 +155,7 @@ def painted_voxels(volume: Volume, edit: PaintLumen) -> Voxels:
         off -= share[:, None] * way
         height = off @ normal
         beside = np.linalg.norm(off - height[:, None] * normal, axis=1)
-        # A half-open interval: a plane between two slices selects only one of them.
+        # The interval is half-open, so a plane between two slices selects only one of them.
         inside = (beside <= edit.radius_mm) & (height > -half_mm) & (height <= half_mm)
         found.append(voxels[inside])
     centres = np.floor(volume.to_ijk(points) + 0.5).astype(np.int64)
@@ -199,7 +199,7 @@ def bridge_way(lumen: EditedLumen, start: NDArray[np.int64]) -> Voxels:
 
 
 def tissue_there(lumen: EditedLumen, start: NDArray[np.int64], wall: float) -> None:
-    """Raise an error for a voxel that is brighter than half-way to tissue.
+    """Raise an error that states why a voxel is refused, if the voxel is brighter than half-way to tissue.
 
     Raises
     ------
@@ -217,7 +217,7 @@ def tissue_there(lumen: EditedLumen, start: NDArray[np.int64], wall: float) -> N
 
 
 def air_voxel(lumen: EditedLumen, start: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the voxel itself if it is as dark as lumen, otherwise the darkest voxel within 2 mm.
+    """Return the voxel itself if it is as dark as lumen, otherwise the darkest voxel within 2 mm of it.
 
     Raises
     ------
@@ -345,7 +345,7 @@ def _interpolated(volume: Volume, points: NDArray[np.float64]) -> NDArray[np.flo
 
 
 def _away_mm(lumen: EditedLumen, start: NDArray[np.int64], reach_mm: float) -> float | None:
-    """Return the distance (mm) to the nearest reachable lumen, searched in growing boxes; None beyond ``reach_mm``."""
+    """Return the distance in mm from a voxel to the nearest reachable lumen, searched in growing boxes."""
     volume = lumen.volume
     centre = volume.to_lps(start.astype(np.float64))
     for reach in (10.0, 25.0, reach_mm):
@@ -373,7 +373,7 @@ def _way(
 
 
 def by_faces(way: Voxels) -> Voxels:
-    """Return the path with voxels inserted where two meet at an edge or a corner: such a step may be closed."""
+    """Return a path with voxels inserted where two meet only at an edge or a corner, as such a step may be closed."""
     found = [way[0].astype(np.int64)]
     for voxel in way[1:].astype(np.int64):
         for axis in range(3):
@@ -392,7 +392,7 @@ def _length_mm(volume: Volume, way: Voxels) -> float:
 def _box_round(
     volume: Volume, voxel: NDArray[np.int64], reach_mm: tuple[float, ...]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the first and last voxel of the box that extends ``reach_mm`` along LPS x, y, z."""
+    """Return the first and last voxel of the box that extends ``reach_mm`` from a voxel along LPS x, y, z."""
     inverse = np.abs(np.linalg.inv(volume.lps_from_ijk[:3, :3]))
     reach = np.ceil(inverse @ np.array(reach_mm)).astype(np.int64)
     shape = np.array(volume.shape_zyx[::-1])

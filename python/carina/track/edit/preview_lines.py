@@ -40,12 +40,12 @@ class EditPreview:
 
     @property
     def length_mm(self) -> float:
-        """Total length of the lines."""
+        """Total length of the new lines, mm."""
         return sum(float(_steps_mm(line.points_lps).sum()) for line in self.lines)
 
     @property
     def doubtful_mm(self) -> float:
-        """Length of the segments that the CT does not show."""
+        """Total length of the segments at which the CT shows no airway, mm."""
         return sum(float(_steps_mm(line.points_lps)[line.doubtful].sum()) for line in self.lines)
 
 

@@ -18,7 +18,7 @@ Box = tuple[NDArray[np.int64], NDArray[np.int64]]
 """First and last voxel (i, j, k) of a box."""
 
 REACH_RADII = 3.5
-"""Distance from a branch, in largest distances to its wall, within which a change affects its sections.
+"""Distance from a branch within which a change affects its sections, in multiples of its largest distance to the wall.
 
 A section extends over 2.5 median distances to the wall, and each of these depends on the nearest wall.
 """
@@ -26,7 +26,7 @@ REACH_VOXELS = 6.0
 
 
 def with_walls(tree: AirwayTree) -> AirwayTree:
-    """Return the tree with the distances to the wall as radii.
+    """Return the tree with each branch's distances to the wall as its radii.
 
     Edits use these distances, because a path must fit into the lumen.
     """
@@ -90,7 +90,7 @@ def _is_new(branch: Branch, old: dict[int, Branch]) -> bool:
 
 
 def _family(branch: Branch, by_id: dict[int, Branch]) -> tuple[tuple[int, ...], bool]:
-    """Return the branches that leave the same fork, and whether the branch itself ends in a fork."""
+    """Return the IDs of the branches that start at the same fork as a branch, and whether the branch ends in a fork."""
     siblings = () if branch.parent is None else by_id[branch.parent].children
     return siblings, len(branch.children) > 1
 

@@ -56,13 +56,13 @@ __all__ = ["EditSteps"]
 NO_VOXELS = np.zeros((0, 3), dtype=np.uint16)
 SMOOTHING_ROUNDS = 3
 LEAST_BEYOND_MM = 4.0
-"""Least visible length of airway beyond a bridge."""
+"""Least length in mm of visible airway beyond a bridge."""
 MOST_TURN_DEG = 120.0
-"""Largest turn of an airway that continues beyond a bridge."""
+"""Largest angle in degrees between an airway before a bridge and its continuation beyond the bridge."""
 COVER_REACH_MM = 30.0
-"""Points farther than this from a centreline are not in its tube: more than the diameter of any trachea."""
+"""Distance in mm from a centreline beyond which a point is not in its tube: more than the diameter of any trachea."""
 RECENTRE_VOXELS = 0.5
-"""A centreline is computed again if the distance to the wall changed by more than this share of a voxel."""
+"""Change of the distance to the wall, in voxels, above which a centreline is computed again."""
 
 
 class EditSteps:
@@ -95,7 +95,7 @@ class EditSteps:
         self.lumen = lumen
         self._evidence = evidence
         self.judged: set[int] = set()
-        """IDs of new or extended branches with a wall, whose confidence is still to be measured."""
+        """IDs of new or extended branches with a visible wall, whose confidence is still to be measured."""
         self._found_zyx = found_zyx
         self.bridges = bridges
         self.lumen_changed = False
@@ -106,7 +106,7 @@ class EditSteps:
         self._volume = lumen.volume
 
     def make(self, edit: TreeEdit) -> None:
-        """Make the edit.
+        """Make the edit: change the lumen and the draft of the tree.
 
         Raises
         ------
@@ -273,7 +273,7 @@ class EditSteps:
         self.lumen = self.lumen.rerooted((i, j, k))
 
     def _begin_inside(self, place: Place) -> None:
-        """Make a place inside a branch the root.
+        """Make a place inside a branch the root of the tree.
 
         The trunk becomes a single point, at which the branches in both directions begin, unless the place is at a
         tip.
@@ -404,7 +404,7 @@ class EditSteps:
             self.draft.change(branch.id, radius=radius)
 
     def _mend(self, voxels: Voxels) -> Voxels:
-        """Move the centrelines back into a changed lumen; remove branches that no path reaches any more.
+        """Move the centrelines back into a changed lumen; remove branches that paths no longer reach.
 
         Parameters
         ----------
@@ -429,7 +429,10 @@ class EditSteps:
         return voxels_of(self.lumen.core, np.unique(nodes[nodes >= 0]).astype(np.uint32))
 
     def _mend_once(self, voxels: Voxels, lost: list[Points]) -> bool:
-        """Check every branch once; return whether a branch was removed, so that two others may have been joined."""
+        """Check every branch against the lumen once.
+
+        Return whether a branch was removed, which may have joined two others.
+        """
         branches = self.draft.ordered()
         points, starts = together(branches)
         all_fit = self._fits(points)
@@ -491,7 +494,7 @@ class EditSteps:
         return bool(moved_mm > RECENTRE_VOXELS * min(self._volume.spacing_mm))
 
     def _tracked_again(self, branch: Branch) -> Points | None:
-        """Return the branch between its ends along the least-cost path; None if the path does not pass its start."""
+        """Return the points of a branch, computed again as the least-cost path between its ends."""
         node = int(nodes_at(self.lumen.core, branch.points[-1:])[0])
         path = self._path(node)
         off = np.linalg.norm(path - branch.points[0], axis=1)
@@ -516,7 +519,7 @@ class EditSteps:
         return np.unique(nodes[nodes >= 0]).astype(np.uint32)
 
     def _fits(self, points: Points) -> NDArray[np.bool_]:
-        """Return flags: whether each point is in lumen that a path reaches."""
+        """Return (n,) flags: True for each point in lumen that a path from the root reaches."""
         nodes = nodes_at(self.lumen.core, points)
         fits = np.array(nodes >= 0, dtype=bool)
         fits[fits] = reached(self.lumen.core, nodes[fits].astype(np.uint32))
@@ -542,7 +545,10 @@ class EditSteps:
         return self._ended(self.lumen.core.smooth(chain, step_mm=STEP_MM, keep_end=True), chain)
 
     def _attach(self, path: Points, kind: str, least_mm: float) -> int | None:
-        """Attach the end of a path to the tree where it leaves it; None if less than ``least_mm`` is beyond."""
+        """Attach the end of a path to the tree at the place where the path leaves the tree.
+
+        Return the ID of the new branch.
+        """
         place, left = self._join(path)
         beyond = path[left:]
         if not len(beyond) or along_mm(path[left - 1 :])[-1] < least_mm:
@@ -559,7 +565,10 @@ class EditSteps:
         return parent_id
 
     def _hang(self, parent_id: int, points: Points, kind: str, asked_kind: str) -> int:
-        """Add a new branch at the end of another, or extend that one if both are the same airway; return the ID."""
+        """Add a branch at the end of another, or extend the other if both are the same airway.
+
+        Return the ID of the branch.
+        """
         parent, radius = self.draft[parent_id], self._radius(points)
         goes_on = kind == "tracked" or (kind == "bridge" and asked_kind != "bridge")
         if not parent.children and parent.kind == kind and goes_on:
@@ -600,7 +609,7 @@ class EditSteps:
         return np.asarray(is_new)
 
     def _forget_bridges(self, cut: list[Branch]) -> None:
-        """Remove the bridges that the user cuts from the list of bridges."""
+        """Remove the bridges that the cut removes from the list of bridges."""
         if not cut or not self.bridges:
             return
         gone = np.concatenate([branch.points for branch in cut])
@@ -629,7 +638,7 @@ def _point(values: NDArray[np.float64]) -> Point:
 
 
 def _first_in(way: Voxels, voxels: Voxels) -> NDArray[np.int64]:
-    """Return the first voxel of a path that is among other voxels, or the last of the path if none is."""
+    """Return the first voxel of a path that is in a set of voxels; the last voxel of the path if none is."""
     known = {(int(i), int(j), int(k)) for i, j, k in voxels}
     for voxel in way:
         if (int(voxel[0]), int(voxel[1]), int(voxel[2])) in known:

@@ -20,7 +20,7 @@ __all__ = ["Place", "TreeDraft", "along_mm", "needed_branch", "turn_deg"]
 Points = NDArray[np.float64]
 
 ONE_FORK_RADII = 0.9
-"""Two forks are one if their distance is below this multiple of the tube's radius (as in the search)."""
+"""Distance between two forks, in radii of the tube, below which both are one fork (as in the search)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +86,7 @@ class TreeDraft:
         return branch_id in self._branches
 
     def ordered(self) -> list[Branch]:
-        """Return all branches, parents before their children, in the order of the parents' lists."""
+        """Return all branches of the draft, parents before their children, in the order of the parents' lists."""
         found: list[Branch] = []
         waiting = [self.root_id]
         while waiting:
@@ -103,7 +103,7 @@ class TreeDraft:
         return found
 
     def change(self, branch_id: int, **values: object) -> Branch:
-        """Replace fields of a branch and return the new branch."""
+        """Replace fields of a branch of the draft and return the new branch."""
         branch = dataclasses.replace(self._branches[branch_id], **values)  # type: ignore[arg-type]
         self._branches[branch_id] = branch
         return branch
@@ -121,7 +121,7 @@ class TreeDraft:
         return branch_id
 
     def remove(self, branch_id: int) -> None:
-        """Remove a branch with all branches below it.
+        """Remove a branch and all branches below it from the draft.
 
         The parent of the removed branch and the only remaining child are joined, as they were before the fork,
         unless the child has another name or is of another kind.
@@ -154,7 +154,7 @@ class TreeDraft:
             self.change(grandchild, parent=branch_id)
 
     def shorten(self, branch_id: int, last: int) -> None:
-        """End a branch at one of its points and remove its children."""
+        """End a branch at one of its points, and remove all branches below it."""
         for child in self._branches[branch_id].children:
             for branch in self.below(child):
                 del self._branches[branch.id]
@@ -200,7 +200,7 @@ class TreeDraft:
         return lower_id
 
     def parent_at(self, place: Place, least_mm: float) -> int:
-        """Return the branch at whose end a new branch begins that leaves the tree at a place.
+        """Return the ID of the branch at whose end a new branch begins that leaves the tree at a place.
 
         The branch is split there if no fork is near. If the place is so close to a tip that less than ``least_mm``
         would be left, the branch is shortened instead: such a rest is only the end of the centreline.
@@ -220,7 +220,7 @@ class TreeDraft:
         return branch.id
 
     def turn_round(self, root_branch_id: int) -> None:
-        """Make the tip of a branch, which must be a leaf, the root; the branches on the path to it are reversed."""
+        """Make the tip of a leaf branch the root; the branches on the path to this tip are reversed."""
         lineage = [root_branch_id]
         while (parent := self._branches[lineage[-1]].parent) is not None:
             lineage.append(parent)
@@ -244,7 +244,7 @@ class TreeDraft:
         self.root_id = root_branch_id
 
     def finished(self) -> tuple[Branch, ...]:
-        """Return the branches in order, with generations.
+        """Return the branches of the draft in order, with generations.
 
         The only child of a branch has the generation of its parent, because there is no fork between them.
         """
@@ -263,7 +263,7 @@ class TreeDraft:
 
 
 def _share_mm(branch: Branch, last: int) -> float:
-    """Return the doubtful length before a point; doubt is stored per branch and is assumed to be evenly distributed."""
+    """Return the doubtful length in mm of a branch up to a point, with the doubt evenly distributed."""
     along = along_mm(branch.points)
     return branch.doubtful_mm * float(along[last] / along[-1]) if branch.doubtful_mm > 0.0 and along[-1] > 0.0 else 0.0
 

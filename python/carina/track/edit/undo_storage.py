@@ -30,7 +30,7 @@ class FoldedAirways:
     __slots__ = ()
 
     base: Airways
-    """Airways to which the edits were applied; they also define the wall levels."""
+    """Airways to which the edits were applied; their wall levels also apply to the edited airways."""
 
     def __repr__(self) -> str:
         """Return one line that shows ``base``."""

@@ -17,67 +17,70 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 
 __all__ = ["Section", "disc", "follow_up", "grown", "spread"]
 
-# Half the side of the square window that is examined in each slice.
+# Half the side length in mm of the square window that is examined in each slice.
 WINDOW_MM = 45.0
-# The edge of a section moves by at most this per mm of height, so air that leaves the trachea sideways or forwards is
-# not followed.
+# Largest movement in mm of a section's edge per mm of height, so that air that leaves the trachea sideways or forwards
+# is not followed.
 SPREAD_PER_MM = 1.0
-# The wall of a tube is up to 1.5 mm thick; air across a wall of this thickness belongs to the section.
+# Largest thickness in mm of a tube's wall across which air still belongs to the section; tube walls are up to 1.5 mm
+# thick.
 BRIDGED_MM = 1.2
-# Closed vocal cords hide the air between trachea and vestibule for at most this length.
+# Largest length in mm over which closed vocal cords hide the air between trachea and vestibule.
 LOST_MM = 14.0
-# Upper limit of air across the wall of a tube, and the greatest distance of this air; lung is brighter.
+# Upper limit in HU of air across the wall of a tube; lung is brighter.
 AIR_HU = -930.0
+# Greatest distance in mm of air across the wall of a tube.
 BESIDE_MM = 3.2
 ROUND_MM = 2.5
-# Least area and peak of plastic and its radiopaque line between air and air.
+# Least area in mm2 of a tube's material (plastic and its radiopaque line) between air and air.
 SEPTUM_MM2 = 12.0
+# Least peak value in HU of a tube's material between air and air.
 SEPTUM_HU = 150.0
 IN_A_TUBE = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Section:
-    """Section of the trachea, larynx or throat in one slice."""
+    """Section of the air of trachea, larynx or throat in one slice."""
 
     k: int
-    """Index of the slice."""
+    """Index k of the slice."""
     corner: tuple[int, int]
-    """First voxel (j, i) of the masks."""
+    """Indices (j, i) of the first voxel of the window that the masks cover."""
     air: NDArray[np.bool_]
-    """Mask (ny, nx) of the air, in the window."""
+    """Mask (ny, nx) of the section's air, in the window."""
     whole: NDArray[np.bool_]
-    """Mask of the air and everything that it encloses or nearly encloses, such as the wall of a tube."""
+    """Mask (ny, nx) of the air and of material that the air encloses or nearly encloses, such as the wall of a tube."""
     voxel: tuple[int, int, int]
-    """Voxel (i, j, k) of the air, nearest to the centre of the section."""
+    """Voxel (i, j, k) of the section's air that is nearest to the section's centre."""
     centre_lps: NDArray[np.float64]
     """Centre of the section, LPS in mm."""
     area_mm2: float
-    """Area of ``whole``."""
+    """Area of the section with the material that its air encloses (``whole``), mm2."""
     width_mm: float
-    """Extent from right to left."""
+    """Extent of the section from right to left, mm."""
     depth_mm: float
-    """Extent from front to back."""
+    """Extent of the section from front to back, mm."""
     septum_mm2: float
-    """Area of material other than air that the air encloses."""
+    """Area of the material that the section's air encloses, mm2."""
     septum_hu: float
-    """Median value of the enclosed material; NaN if there is none."""
+    """Median value of the enclosed material in HU; NaN if there is none."""
     noise_hu: float
-    """Standard deviation of the air, from the median deviation."""
+    """Standard deviation of the section's air in HU, estimated from the median deviation."""
     peak: float
-    """Highest value in the section or close round it, in HU."""
+    """Highest value in the section or close round the section, HU."""
     leaves_in_front: bool
-    """Whether the air continues in front of the section, beyond the followed part."""
+    """Whether the air continues in front of the section, outside the part that is followed."""
 
     def window_of(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
-        """Return the part of (nz, ny, nx) values that the masks cover."""
+        """Return the part of (nz, ny, nx) values that the masks of this section cover."""
         j, i = self.corner
         nj, ni = self.air.shape
         return values[self.k, j : j + nj, i : i + ni]
 
 
 def disc(radius_mm: float, step_mm: tuple[float, float]) -> list[tuple[int, int]]:
-    """Return the offsets (j, i) within a radius, without (0, 0)."""
+    """Return the offsets (j, i) of the pixels within a radius of a pixel, without (0, 0)."""
     rj, ri = (int(radius_mm / step) for step in step_mm)
     return [
         (j, i)
@@ -88,7 +91,7 @@ def disc(radius_mm: float, step_mm: tuple[float, float]) -> list[tuple[int, int]
 
 
 def spread(mask: NDArray[np.bool_], offsets: list[tuple[int, int]]) -> NDArray[np.bool_]:
-    """Return the union of the mask and its copies moved by each offset."""
+    """Return the union of a mask and copies of it moved by each offset (dilation)."""
     out = mask.copy()
     nj, ni = mask.shape
     for j, i in offsets:
@@ -104,7 +107,7 @@ SIDES = [(-1, 0), (1, 0), (0, -1), (0, 1)]
 
 
 def grown(start: NDArray[np.bool_], within: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the pixels of ``within`` that are connected to ``start`` through pixel sides."""
+    """Return the pixels of a mask that are connected to start pixels through pixel sides."""
     out = start & within
     size = -1
     while size != (size := int(out.sum())):

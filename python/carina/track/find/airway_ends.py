@@ -19,17 +19,19 @@ __all__ = ["find_uncertain"]
 
 Points = NDArray[np.float64]
 
-# Thinner airways are at the limit of a CT; an airway that ends wider was lost.
+# Diameter in mm below which an airway is at the limit of a CT; an airway that ends wider was lost.
 FINE_MM = 2.5
 FINE_VOX = 3.0
-# Radius of the ball that the flood closes round a leak.
+# Radius in mm of the ball round a leak within which the flood was closed.
 NEAR_LEAK_MM = 10.0
-# Largest distance between the end of the lumen and the filling at which it ends.
+# Largest distance in mm between the end of the lumen and the filling (mucus or tissue in the lumen) at which the lumen
+# ends.
 AT_END_MM = 4.0
-# The calibre is measured from CALIBRE_MM to BLUNT_MM before the tip: the last part runs into the blind end.
+# Distance in mm from the tip at which the measurement of the calibre stops, because the last part runs into the blind
+# end; it starts CALIBRE_MM before the tip.
 BLUNT_MM = 2.0
 CALIBRE_MM = 8.0
-# Stumps of lobar bronchi are in airways up to this generation; the trachea is generation 0.
+# Highest generation in which an end can be a stump of a lobar bronchus; the trachea is generation 0.
 LAST_LOBAR_GENERATION = 3
 
 
@@ -111,7 +113,7 @@ def _with_slice(volume: Volume, place: Uncertainty) -> Uncertainty:
 
 
 def _end(volume: Volume, look: Across, branch: Branch, calibre_mm: float) -> Uncertainty:
-    """Return an end that is wide enough to continue: blocked or a stump if the CT proves it, otherwise lost."""
+    """Return the uncertain place at the end of a branch that is wide enough to continue: blocked, a stump, or lost."""
     evidence = find_end_evidence(volume, look, branch, calibre_mm)
     if evidence is None:
         return _uncertain(branch.tip_lps, "lost", branch.id, calibre_mm)
@@ -144,7 +146,10 @@ def _uncertain(
 
 
 def _still_filled(tree: AirwayTree, place: Uncertainty) -> Uncertainty | None:
-    """Return the place with its nearest branch; None if the bronchus was removed or the tree continues beyond it."""
+    """Return a filled place with its nearest branch.
+
+    None if the bronchus was removed or the tree continues beyond it.
+    """
     at = np.array(place.lps)
     branch, index, away_mm = tree.nearest_branch(at)
     if place.beyond_lps is not None:
@@ -154,7 +159,7 @@ def _still_filled(tree: AirwayTree, place: Uncertainty) -> Uncertainty | None:
             return msgspec.structs.replace(place, branch_id=branch.id, beyond_lps=None)
     reach_mm = float(branch.radius[index]) + 0.5 * (place.calibre_mm or 0.0)
     if place.beyond_lps is not None:
-        # Add the distance to the end of the lumen, which is where the filling begins.
+        # The filling begins at the end of the lumen, so the distance to that end is added.
         reach_mm += 0.5 * (place.length_mm or 0.0) + AT_END_MM
     return msgspec.structs.replace(place, branch_id=branch.id) if away_mm <= reach_mm else None
 
@@ -166,7 +171,7 @@ def _ends_at(branch: Branch, place: Uncertainty) -> bool:
 
 
 def _calibre_mm(branch: Branch) -> float:
-    """Return the diameter (mm) of the last part of a branch before its blind end."""
+    """Return the median diameter in mm of the last part of a branch before its blind end."""
     steps = np.linalg.norm(np.diff(branch.points, axis=0), axis=1)
     to_tip = float(steps.sum()) - np.concatenate([[0.0], np.cumsum(steps)])
     stretch = (to_tip >= min(BLUNT_MM, 0.5 * to_tip[0])) & (to_tip <= CALIBRE_MM)
@@ -175,7 +180,7 @@ def _calibre_mm(branch: Branch) -> float:
 
 
 def _leaves_volume(volume: Volume, branch: Branch, calibre_mm: float) -> bool:
-    """Return whether the tip is closer to a face of the volume than its own radius plus a voxel."""
+    """Return whether the tip of a branch is closer to a face of the volume than its own radius plus a voxel."""
     ijk = volume.to_ijk(branch.tip_lps)
     last = np.array(volume.shape_zyx[::-1]) - 1
     spacing = np.array(volume.spacing_mm)

@@ -52,12 +52,12 @@ from carina.volume.sparse_mask import sparse_mask
 
 __all__ = ["Airways", "doubt_of_totals", "find_airways"]
 
-# Upper limits of a tree. The airways that CTs show are 1 to 4 m long in total, in 100 to 600 branches of up to 10 to 16
-# generations.
+# Upper limits of the length in mm, the number of branches and the generations of a tree; CTs show 1 to 4 m of airways
+# in 100 to 600 branches.
 MOST_LENGTH_MM = 12_000.0
 MOST_BRANCHES = 2_500
 MOST_GENERATION = 40
-# Beyond a trachea that divides, both main bronchi with their lobar bronchi are longer than this in total.
+# Least total length in mm of the airways beyond a trachea that divides: main bronchi and lobar bronchi are longer.
 LEAST_BEYOND_MM = 150.0
 
 
@@ -91,7 +91,7 @@ def doubt_of_totals(branches: tuple[Branch, ...], *, splits: bool) -> Note | Non
     return None
 
 
-# Trachea, two main, five lobar and some segmental bronchi: fewer branches do not suffice to distinguish the lobes.
+# Least number of branches for naming lobes: trachea, two main, five lobar and some segmental bronchi.
 MIN_GRAMMAR_BRANCHES = 12
 
 
@@ -235,14 +235,14 @@ def _found(
     was_given_root = root is not None
     found_notes: list[str] = []
     badges: list[Note] = []
-    # None for a lumen from another tool: it need not agree with this CT and is not judged by it.
+    # The noise is None for a lumen from another tool: that lumen need not agree with this CT and is not judged by it.
     noise: float | None = None
     searched = volume
     leaks = np.empty((0, 3))
     beyond = NOTHING_BEYOND
     size = 1.0
     rims_hu: float | None = None
-    # None if the root was not found by the split into two main bronchi.
+    # The length of the trachea is None if the root was not found by the division into two main bronchi.
     trachea_mm: float | None = None
     top: TopOfTrachea | None = None
     given_start: GivenStart | None = None

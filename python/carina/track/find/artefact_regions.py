@@ -1,4 +1,4 @@
-"""Parts of a CT that metal or breathing motion disturbs, in which only the flood is trusted."""
+"""Regions of a CT that metal streaks or breathing motion disturb; small airways are not followed in these regions."""
 
 from __future__ import annotations
 
@@ -24,31 +24,31 @@ __all__ = ["METAL", "STEP", "Disturbed", "find_disturbed"]
 METAL = "track.metal"
 """Code of the permanent note on metal streaks in the lungs."""
 STEP = "track.breathing-step"
-"""Code of the permanent note on a movement of the chest between two slices."""
+"""Code of the permanent note on a movement of the chest between two slices (breathing step)."""
 
 LUNG_HU = -860.0
-"""Usual value of lung. No wall surrounds an airway in a region of this value, so no small airway is followed there."""
+"""Usual value of lung in HU, written in place of metal streaks so that no small airway is followed there."""
 IN_REGION = 0.5
-"""A branch is in the disturbed part if at least this share of its points is in it."""
+"""Least share of a branch's points in a disturbed region for which the branch counts as in the region."""
 BESIDE_STEP_MM = 2.0
 TISSUE_HU = 40.0
 CERTAIN_AIR_HU = -940.0
 MOST_DOUBTFUL = 0.3
-"""A search leaked if a larger share of the branches has a confidence below 0.5."""
+"""Share of branches with a confidence below 0.5 above which a search counts as leaked."""
 SOME_IN_REGION = 0.2
 LEAST_BEYOND_MM = 10.0
-"""Least length by which a branch must continue beyond the disturbed part to be kept.
+"""Least length in mm by which a branch must continue beyond a disturbed region to be kept.
 
 The limit applies to branches with more than ``SOME_IN_REGION`` in the disturbed part; such branches must also
 continue by more than their length in that part.
 """
 MOST_CONFIDENCE = 0.8
-"""Highest confidence of a branch in the streaks or beside a step."""
+"""Highest confidence of a branch in metal streaks or beside a breathing step."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Disturbed:
-    """Parts of a CT whose values do not prove a small airway, found in its own slices, and the grid of the search."""
+    """Regions of a CT whose values do not prove a small airway, and the grid of the search."""
 
     grid: PathGrid
     """Grid of the search: that of the CT, or a finer one."""
@@ -57,7 +57,7 @@ class Disturbed:
     steps: tuple[int, ...] = ()
     """Slices k of the CT after which the chest has moved."""
     is_closed: bool = False
-    """Whether the streaks and steps are excluded from the search, because a search has leaked there."""
+    """Whether the search treats the streaks and steps as tissue, because an earlier search leaked there."""
 
     def without_walls(self, volume: Volume, scale: AirScale) -> Volume:
         """Return a volume with uniform lung in place of the streaks; the given volume if there are no streaks."""
@@ -68,7 +68,7 @@ class Disturbed:
         return dataclasses.replace(volume, hu_zyx=values)
 
     def _in_grid(self, ct_mask_zyx: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return a mask of the CT on the grid of the search."""
+        """Return a mask on the CT's grid converted to the grid of the search."""
         return self.grid.mask_in_parts(ct_mask_zyx.view(np.uint8)).view(np.bool_)
 
     def share_of(self, points_lps: NDArray[np.float64]) -> float:
@@ -153,7 +153,7 @@ class Disturbed:
         return tree if branches == tree.branches else dataclasses.replace(tree, branches=branches)
 
     def notes(self, removed_mm: float) -> list[Note]:
-        """Return the permanent notes: place (in slices of the CT), missing airways, and advice."""
+        """Return the permanent notes on the disturbed regions: place in slices, missing airways, advice."""
         ct = self.grid.ct
         notes = []
         if self.streaks_zyx is not None:
@@ -189,7 +189,7 @@ class Disturbed:
 
 
 def _mean_of_9(plane: NDArray[np.int16]) -> NDArray[np.float32]:
-    """Return the mean of each pixel of a slice and its eight neighbours."""
+    """Return the mean of each pixel of a slice and its eight neighbours, (ny, nx)."""
     padded = np.pad(plane.astype(np.float32), 1, mode="edge")
     nj, ni = plane.shape
     parts = [padded[j : j + nj, i : i + ni] for j in range(3) for i in range(3)]
@@ -197,7 +197,7 @@ def _mean_of_9(plane: NDArray[np.int16]) -> NDArray[np.float32]:
 
 
 def _slices(volume: Volume, first: int, last: int, to: str = "to") -> str:
-    """Return the text of a range of slices k, counted from the feet."""
+    """Return the range of slices from k ``first`` to ``last`` as text, counted from the feet."""
     ends = volume.to_lps(np.array([[0.0, 0.0, first], [0.0, 0.0, last]]))
     (low, count), (high, _) = (slice_from_feet(volume, end) for end in ends)
     return f"slices {min(low, high)} {to} {max(low, high)} of {count} from the feet"

@@ -14,18 +14,17 @@ __all__ = ["find_steps"]
 Floats = NDArray[np.float64]
 
 BLOCK_MM = 2.0
-"""Slices are compared as means over blocks of this size: blocks have less noise but still show vessels."""
+"""Side length in mm of the blocks whose means are compared between two slices."""
 BESIDE_HU = 100.0
-"""Blocks up to this much brighter than lung are also compared: they contain the vessels."""
+"""Brightness above lung in HU up to which blocks are compared: these blocks contain the vessels."""
 LEAST_AREA_MM2 = 2000.0
 LEAST_SHARE = 0.4
-"""Least share of the largest lung section: slices at the top of the lungs and at the diaphragm differ anyway."""
+"""Least lung area of a compared slice, as a share of the largest area in the scan."""
 NUM_BESIDE = 2
-# Least drop of similarity between two slices against the least similar pair of their neighbours (difference of the
-# Fisher transforms of the correlations). Steps of 4 to 7 mm: 0.24 to 0.82; without a step (five phantoms, four CTs): at
-# most 0.08, once 0.21.
+# Least drop of similarity between two slices against the least similar neighbouring pair, as a difference of Fisher
+# transforms of correlations; without a step the drop is at most 0.21.
 LEAST_DROP = 0.22
-# Least ratio of a drop to the fourth largest drop of the scan: streaks make many slices dissimilar.
+# Least ratio of a drop to the fourth largest drop of the scan, because streaks make many slices dissimilar.
 LEAST_RATIO = 2.5
 MOST_STEPS = 3
 
@@ -75,7 +74,7 @@ def _drops(volume: Volume, scale: AirScale, is_changed: NDArray[np.bool_] | None
     alike[area < LEAST_SHARE * area.max(initial=0.0)] = np.nan
     padded = np.pad(alike, NUM_BESIDE, constant_values=np.nan)
     places = [n for n in range(2 * NUM_BESIDE + 1) if n != NUM_BESIDE]
-    # The minimum is NaN if any of the pairs is not compared.
+    # The minimum is NaN if any neighbouring pair is not compared.
     beside = np.min([padded[n : n + num] for n in places], axis=0)
     return np.asarray(np.nan_to_num(beside - alike, nan=0.0), np.float64)
 

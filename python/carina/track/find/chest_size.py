@@ -11,20 +11,21 @@ from carina.volume.model import Volume
 __all__ = ["ADULT_MM", "WIDE_PART", "longest_trachea_mm", "search_size", "thread_confidence", "usual_trachea_mm"]
 
 ADULT_MM = 16.0
-"""Smallest diameter of the trachea for which the lengths of the search are those of an adult."""
+"""Smallest diameter in mm of the trachea for which the lengths of the search are those of an adult."""
 WIDE_PART = 75.0
-"""Percentile of the trachea's diameters that is used: a stenosis along less than three quarters of it has no effect."""
-# The measured edge of an air space is inside the true wall by this share of a voxel (phantoms with voxels of 0.8 to 4
+"""Percentile of the trachea's diameters that counts as its width, so that a stenosis has no effect."""
+# Distance in voxels by which the measured edge of an air space lies inside the true wall (phantoms, voxels of 0.8 to 4
 # mm).
 EDGE_VOXELS = 0.5
-# Lower limit: a trachea of 4 mm is that of a newborn.
+# Smallest size of a chest relative to an adult's: a trachea of 4 mm is that of a newborn.
 LEAST_SIZE = 0.25
-# Longest and usual trachea of an adult (most are 100 to 140 mm long). Both are longer in proportion if the trachea is
-# wider than usual, up to the factor ``MOST_LONGER``.
+# Longest and usual length in mm of an adult's trachea; both grow with a trachea that is wider than usual, up to the
+# factor ``MOST_LONGER``.
 LONGEST_TRACHEA_MM, USUAL_TRACHEA_MM = 150.0, 110.0
 USUAL_DIAMETER_MM = 17.3
 MOST_LONGER = 1.2
-# The thinnest airways were verified in adult chests only: their confidence falls over this reduction of the size.
+# Reduction of the size over which the confidence of the thinnest airways falls, because they were verified in adults
+# only.
 THREAD_FALL = 0.04
 UNPROVEN_THREAD = 0.5
 

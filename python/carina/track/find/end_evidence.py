@@ -17,17 +17,17 @@ __all__ = ["EndEvidence", "closed_level", "find_end_evidence", "has_clips", "is_
 Points = NDArray[np.float64]
 Floats = NDArray[np.float64]
 
-# The axis at the end of a branch is the direction of its last part before the blunt end.
+# Distances in mm from the tip of a branch between which its direction is measured, before the blunt end.
 BLUNT_MM, AXIS_MM = 2.0, 10.0
 STEP_MM = 0.5
 FARTHEST_MM = 20.0
 BEYOND_END_MM = 3.0
-"""The wall of the end is at most this far beyond the radius from the last point of the centreline."""
+"""Largest distance in mm of the wall of an end beyond the last centreline point, in addition to the radius."""
 
-# Limits for a filled bronchus: soft tissue on the axis, with a border against the lung round it.
+# Range in HU of the soft tissue that fills a bronchus.
 TISSUE_HU = (-150.0, 200.0)
 BLUR_MM = 3.0
-"""Soft tissue must begin within this distance of the wall of the end."""
+"""Largest distance in mm from the wall of the end at which the soft tissue of a filling begins."""
 LEAST_TISSUE_MM, LEAST_TISSUE_WIDTHS, LEAST_TISSUE_SLICES = 6.0, 1.2, 3.0
 """Least length of soft tissue in mm, in lumen widths and in slices.
 
@@ -40,25 +40,27 @@ LEAST_WIDTH, MOST_WIDTH = 0.75, 1.35
 SECTIONS = (0.2, 0.4, 0.6, 0.8)
 LEAST_SECTIONS = 3
 
-# Limits for a stump: a wall in every direction beyond the end. An open airway that the search lost has no such wall.
 LEAST_STUMP_MM = 5.0
-"""Narrower ends are not judged: the next branches may be too thin for the CT."""
+"""Least width in mm of an end that is judged as a stump.
+
+The branches beyond a narrower end may be too thin for the CT.
+"""
 CLOSED_HU = -600.0
 WIDE_MM, CLOSED_WIDE_HU = 7.0, -700.0
-"""Least width of a wide end, and the lowest value of the wall that closes a wide end.
+"""Least width in mm of a wide end, and lowest value in HU of a wall that closes a wide end.
 
 An airway that continues a wide end is wide enough for its lumen to show in slices of 3 mm, so a faint wall proves that
 there is none.
 """
 LEAST_RISE_HU = 120.0
-"""Least rise from the lung to the wall of a wide end, unless the wall reaches ``CLOSED_HU``."""
+"""Least rise in HU from the lung to the wall of a wide end, unless the wall reaches ``CLOSED_HU``."""
 LUNG_FROM_MM = 4.0
-"""Distance from the wall of an end to the lung beside the end."""
+"""Distance in mm from the wall of an end at which the lung beside the end is measured."""
 CLOSED_CONE_DEG = (0.0, 15.0, 30.0, 45.0, 60.0)
 CLOSED_STEP_DEG = 15.0
 LEAST_JUDGED = 0.6
 CLIP_HU = 2000.0
-"""Surgical clips are brighter than bone, calcified cartilage and calcified lymph nodes."""
+"""Least value in HU of surgical clips: brighter than bone, calcified cartilage and calcified lymph nodes."""
 CLIP_REACH_MM = 12.0
 LEAST_CLIP_MM3 = 3.0
 
@@ -68,15 +70,15 @@ class EndEvidence:
     """Evidence in the CT beyond the end of an airway."""
 
     kind: Literal["tissue", "closed"]
-    """Kind of evidence.
+    """Kind of evidence: filling by soft tissue, or closed wall.
 
     ``tissue``: soft tissue continues the bronchus with its outer width. ``closed``: a wall closes the end in every
     direction.
     """
     length_mm: float
-    """Length of the visible soft tissue for ``tissue``; 0 for ``closed``."""
+    """Length of the visible soft tissue in mm for kind ``tissue``; 0 for ``closed``."""
     has_clips: bool
-    """Whether surgical clips are at the end."""
+    """Whether surgical clips are near the end of the airway."""
 
 
 def find_end_evidence(volume: Volume, look: Across, branch: Branch, width_mm: float) -> EndEvidence | None:
@@ -105,7 +107,7 @@ def find_end_evidence(volume: Volume, look: Across, branch: Branch, width_mm: fl
 
 
 def _axis(branch: Branch) -> Points | None:
-    """Return the unit direction of the last part of a branch."""
+    """Return the unit direction (3,) of the last part of a branch; None if the part has no length."""
     to_tip = np.linalg.norm(branch.points - branch.tip_lps, axis=1)
     part = branch.points[(to_tip >= BLUNT_MM) & (to_tip <= AXIS_MM)]
     if len(part) < 2:
@@ -116,7 +118,7 @@ def _axis(branch: Branch) -> Points | None:
 
 
 def _cone(axis: Points, degrees: tuple[float, ...]) -> Points:
-    """Return (n, 3) unit vectors at the given angles to an axis."""
+    """Return unit vectors (n, 3) at the given angles in degrees to an axis."""
     one = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
     one /= np.linalg.norm(one)
     two = np.cross(axis, one)
@@ -167,7 +169,7 @@ def _filled_mm(volume: Volume, look: Across, tip: Points, axis: Points, width_mm
 
 
 def _lung_level(look: Across, tip: Points, width_mm: float) -> float:
-    """Return the median value of the lung beside an end; NaN if there is no lung."""
+    """Return the median value of the lung beside an end, in the units of the volume; NaN if there is no lung."""
     offsets = np.array([o for o in np.ndindex(3, 3, 3) if o != (1, 1, 1)], dtype=np.float64) - 1.0
     directions = offsets / np.linalg.norm(offsets, axis=1)[:, None]
     away = np.arange(0.5 * width_mm + LUNG_FROM_MM, FARTHEST_MM, STEP_MM)
@@ -177,7 +179,7 @@ def _lung_level(look: Across, tip: Points, width_mm: float) -> float:
 
 
 def closed_level(look: Across, tip: Points, width_mm: float) -> float:
-    """Return the lowest value of a wall that closes an end of the given width."""
+    """Return the lowest value that a wall which closes an end of this width may have, in the units of the volume."""
     usual = float(look.scale.level(CLOSED_HU))
     if width_mm < WIDE_MM:
         return usual
@@ -216,7 +218,7 @@ def is_closed(
 
 
 def has_clips(volume: Volume, point: Points) -> bool:
-    """Return whether metal is near a point."""
+    """Return whether values as bright as surgical clips are near a point."""
     if not volume.is_hu:
         return False
     spacing = np.array(volume.spacing_mm)

@@ -19,16 +19,15 @@ from carina.volume.model import Volume
 __all__ = ["Flood", "flood"]
 
 MIN_WALL_CONTRAST_HU = 60.0
-# Larger air spaces that the flood enters are leaks. A trachea has 20-40 ml, both lungs some litres; the largest part
-# of a tree behind one noisy voxel is below 60 ml.
+# Volume in mm3 above which an air space that the flood enters counts as a leak; a trachea has 20 to 40 ml.
 LEAK_MM3 = 60_000.0
 SMALL_LEAK_MM3 = 3_000.0
 CLOSED_RADIUS_MM = 10.0
-# A lumen above both limits, its volume and its share of lung and lumen, contains lung. Trachea and bronchi have 40 to
-# 100 ml, 0.8 to 2 % of the lungs' volume; tracheas twice as wide as most 200 ml, 5 %.
+# Volume in mm3 of a lumen above which, together with its share of lung and lumen, the lumen contains lung; trachea and
+# bronchi have 40 to 100 ml.
 MOST_LUMEN_MM3 = 150_000.0
 MOST_OF_LUNG = 0.1
-# Sigmas of the smoothed copies in which a flood that leaked is repeated.
+# Sigmas in mm of the smoothed copies in which a flood that leaked is repeated.
 SMOOTHED_MM = (0.7, 1.0, 1.5)
 
 
@@ -45,10 +44,10 @@ class Flood:
     num_voxels: int
     """Number of voxels of the lumen."""
     air: float
-    """Value of the air in the trachea, in the numbers of the volume; ``noise`` is its standard deviation."""
+    """Value of the air in the trachea, in the units of the volume; ``noise`` is the air's standard deviation."""
     noise: float
     core: int
-    """Upper limit of air with its noise."""
+    """Upper limit of air and its noise, in the units of the volume."""
 
 
 def flood(
@@ -150,7 +149,7 @@ def _is_lung(volume: Volume, lumen: NDArray[np.uint8], scale: AirScale) -> bool:
 
 
 def _air_and_noise(volume: Volume, seeds: Sequence[tuple[int, int, int]], scale: AirScale) -> tuple[float, float]:
-    """Return the value of the air round the seeds and its noise, in the numbers of the volume."""
+    """Return the median value of the air round the seeds and its standard deviation, in the units of the volume."""
     sample = _values_round(volume, seeds)
     middle = float(np.median(sample))
     # Median deviation: a drop of mucus or the tube of a ventilator does not change it.
@@ -158,7 +157,7 @@ def _air_and_noise(volume: Volume, seeds: Sequence[tuple[int, int, int]], scale:
 
 
 def _values_round(volume: Volume, seeds: Sequence[tuple[int, int, int]]) -> NDArray[np.float64]:
-    """Return the values of the seeds and of their neighbours within one voxel, all well inside the air."""
+    """Return the values (n,) of the seed voxels and of their neighbours within one voxel."""
     at = np.array(seeds)
     offsets = np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     voxels = (at[:, None, :] + offsets[None]).reshape(-1, 3)

@@ -23,47 +23,48 @@ __all__ = ["NOTHING_BEYOND", "STOPPED", "Beyond", "follow_beyond"]
 STOPPED = "track.search-stopped"
 """Code of the permanent note on a search that leaked out of the airways."""
 
-# Limits for airways that are followed by the shape of their walls beyond the flood (docs/decisions/0112): least rise to
-# a wall; longest gap (mucus or heart motion can hide a wall); shortest branch. Slices thicker than the smallest lumen
-# show its wall only as partial volume, so more sections must agree.
+# Least rise in HU to the wall of an airway that is followed beyond the flood (docs/decisions/0112).
 LEAST_RISE_HU = 15.0
+# Longest gap in mm in the wall of a followed airway: mucus or heart motion can hide a wall.
 GAP_MM = 2.0
+# Shortest branch in mm that is followed.
 MIN_FOLLOWED_MM = 2.0
 THIN_SLICE_MM = 1.0
+# Slices thicker than the smallest lumen show its wall only as partial volume, so more sections must agree.
 THICK_SECTIONS = 5.0
 HALF_WALL_HU = -500.0
 
-# Least probability that a path, and every path that it continues, is an airway (docs/decisions/0112).
+# Least probability that a followed path, and each path from which it continues, is an airway (docs/decisions/0112).
 LEAST_PROBABILITY = 0.7
-# In divided slices a section supports a path by the amount by which its log odds exceed this (docs/decisions/0114).
+# Log odds that a section must exceed in divided slices; the excess supports the path (docs/decisions/0114).
 LEAST_ODDS = 0.3
 
-# Signs of a search that leaks (docs/decisions/0113). Rims darker than this beside every edge look like airways; a soft
-# kernel leaves none. Noise makes edges seem steeper and so accounts for a share of the depth.
+# Undershoot in HU beside edges above which a kernel counts as sharp; dark rims look like airways
+# (docs/decisions/0113).
 SHARP_HU = 4.0
 NOISE_SHARE = 0.15
-# With a sharp kernel, a wall must rise by at least this multiple of the undershoot.
+# Least rise of a wall in CTs with a sharp kernel, as a multiple of the undershoot.
 SHARP_BAR = 1.5
-# Factors on how enclosed by walls a path must be, relative to the lung of the CT; the search is repeated with the next
-# factor after a leak.
+# Factors on the least enclosure by walls that a path needs, relative to the lung of the CT; the search is repeated
+# with the next factor after a leak.
 BARS = (1.0, 2.0, 4.0)
 SHARP_BARS = (3.0, 5.0)
-# Limits of a search that does not leak: share of the lung that it reaches (intact searches: 0.02 to 0.4 %) and length
-# that it follows (at most 0.35 m in eight CTs).
+# Largest share of the lung that a search reaches without a leak (intact searches: at most 0.4 %).
 MOST_REACHED = 0.02
+# Largest length in mm that a search follows without a leak (at most 0.35 m in eight CTs).
 MOST_FOLLOWED_MM = 2500.0
 SHARP_FOLLOWED_MM = 400.0
 
-# Thinnest airways: bright threads with a dark middle (docs/decisions/0112). The wall of such an airway is brighter than
-# lung; a dip of this depth, averaged over 5 mm, does not occur in lung; the blur of a CT, besides its voxels, has at
-# most this sigma.
+# The thinnest airways are bright threads with a dark middle (docs/decisions/0112).
 THIN_BRIGHTEST_HU = -400.0
+# Least value in HU of the wall of such an airway, which is brighter than lung.
 THIN_LEAST_WALL_HU = -700.0
+# Least depth in HU of the dark middle, averaged over 5 mm; no such depth occurs in lung.
 THIN_LEAST_DIP_HU = 22.0
 THIN_KEPT_DIP_HU = 20.0
+# Largest sigma in mm of the blur of a CT, without the blur by its voxels.
 THIN_BLUR_MM = 0.85
-# Shortest airway, in mm, slices and voxels: the noise of one voxel also appears in its neighbours. A side branch must
-# be longer, because vessels and walls enclose shorter strands of lung.
+# Shortest of the thinnest airways, in mm, slices and voxels: the noise of one voxel also appears in its neighbours.
 THIN_MIN_MM, THIN_MIN_SLICES, THIN_MIN_VOXELS = 2.0, 2.5, 3.0
 THIN_SIDE_MM, THIN_SIDE_SLICES, THIN_SIDE_VOXELS = 5.0, 3.3, 6.0
 MOST_REACHED_THIN = 0.1
@@ -76,9 +77,9 @@ class Beyond:
     """Result of the search for small airways beyond the flood."""
 
     notes: tuple[str, ...]
-    """Texts about the airways that were followed."""
+    """Texts for the user about the airways that were followed."""
     badge: Note | None
-    """Note that the search leaked, and how it was limited; None if it did not leak."""
+    """Permanent note that the search leaked, and how the search was limited; None if the search did not leak."""
     threads_lps: NDArray[np.float64]
     """Points (n, 3) along the thinnest airways, LPS in mm; each airway was judged by the CT along 5 mm of it."""
     judged: NDArray[np.float64]
@@ -100,7 +101,7 @@ def follow_beyond(
     noise: float,
     size: float = 1.0,
 ) -> Beyond:
-    """Follow the airways beyond the flooded ``lumen``; raise the limit until the search stays in the airways.
+    """Follow the airways beyond the flooded lumen; repeat with stricter limits until the search does not leak.
 
     Parameters
     ----------
@@ -168,7 +169,8 @@ def follow_beyond(
         ):
             followed = found["followed"]
             break
-        # In divided slices, interpolated noise forms rows, along which a search with the lung's own limit goes far.
+        # In divided slices, interpolated noise forms rows; a search with the limit of undivided lung goes far along
+        # these rows.
         ran_out = searched.divided is None or is_sharp or raised > BARS[0]
         lumen[lumen > 1] = 0
     np.minimum(lumen, 1, out=lumen)
@@ -221,7 +223,7 @@ def _in_adult_mm(volume: Volume, size: float) -> Volume:
 def _thin(
     volume: Volume, lumen: NDArray[np.uint8], scale: AirScale, stage: Stages, *, air: float
 ) -> list[dict[str, Any]]:
-    """Follow the thinnest airways from ``lumen`` (1 inside, changed in place)."""
+    """Return the thinnest airways that were followed from a lumen; the lumen (1 inside) is changed in place."""
     _, voxel_mm, slice_mm = sorted(volume.spacing_mm)
     found = extend_thin_lumen(
         volume.hu_zyx,
@@ -246,7 +248,7 @@ def _thin(
 
 
 def _judged(followed: Sequence[dict[str, Any]], size: float) -> NDArray[np.float64]:
-    """Return the points of the paths that were judged by odds, with their probabilities: (n, 4), LPS in mm."""
+    """Return the points of followed paths that were judged by odds, with their probabilities: (n, 4), LPS in mm."""
     points = [
         np.column_stack([size * way["points_lps"], np.full(len(way["points_lps"]), way["probability"])])
         for way in followed

@@ -25,13 +25,14 @@ __all__ = [
     "refuse_open_air",
 ]
 
-# The air of an airway is enclosed in a slice at one of these levels (HU); lung with emphysema is hardly brighter.
+# Levels in HU at one of which the air of an airway must be enclosed in a slice; lung with emphysema is hardly
+# brighter.
 ENCLOSED_HU = (-800.0, -900.0, -950.0)
-# Largest section of an airway in a slice: a main bronchus that runs along the slice.
+# Largest area in mm2 of an airway's section in a slice: a main bronchus that runs along the slice.
 MOST_SECTION_MM2 = 1500.0
-# Largest distance from the middle of the trachea to its wall.
+# Largest distance in mm from the middle of the trachea to its wall.
 IN_TRACHEA_MM = 18.0
-# A point farther than this above the upper end of the found trachea may be in the true trachea.
+# Distance in mm above the upper end of the found trachea beyond which a given point may be in the true trachea.
 ABOVE_MM = 5.0
 
 
@@ -44,7 +45,7 @@ class GivenStart:
     point: Point
     """Centre of the nearest voxel of the lumen, LPS in mm."""
     snapped_mm: float
-    """Distance of the given point from the lumen; 0 inside the lumen."""
+    """Distance in mm of the given point from the lumen; 0 inside the lumen."""
     trachea_is_doubted: bool
     """Whether the trachea lacks one of its usual features, so that it may be a bronchus."""
 
@@ -57,12 +58,12 @@ class GivenStart:
         return [f"the point {where} is in the trachea: the start was moved {moved_mm:.0f} mm to its upper end"]
 
     def notes_if_kept(self) -> list[str]:
-        """Return the notes for a tree that begins at the given start."""
+        """Return the notes for a tree that begins at the point that the user gave."""
         return [f"the start was moved {self.snapped_mm:.1f} mm to the nearest lumen voxel"] if self.snapped_mm else []
 
 
 def air_round(volume: Volume, root: Point, scale: AirScale) -> list[tuple[int, int, int]]:
-    """Return the voxels of air at a given root: the nearest voxel and those within 2 mm of that voxel."""
+    """Return the voxels of air near a given root: the nearest voxel, and those within 2 mm of this voxel."""
     centre = volume.to_ijk(np.array(root))
     shape = np.array(volume.shape_zyx[::-1])
     reach = np.ceil((SNAP_MM + 2.0) / np.array(volume.spacing_mm)) + 1

@@ -19,28 +19,29 @@ from carina.volume.model import Volume
 
 __all__ = ["Softened", "as_it_is", "softened"]
 
-# Width (sigma) of the seam that a sharp kernel produces beside an edge; this width compensates seams of 0.6 to 1.1 mm.
-# No seam is narrower than the voxels.
+# Sigma in mm of the seam (the rim that a sharp kernel produces beside an edge) that is compensated; no seam is
+# narrower than the voxels.
 SEAM_MM = 0.7
+# Least sigma of the compensated seam, in voxels.
 SEAM_VOXELS = 1.1
-# CTs with soft kernels show undershoot up to this, with as much as 60 HU of noise: patients -24 to -2 HU, phantoms -9
-# to 2 HU. A softened CT keeps this undershoot: more softening only removes small airways (docs/decisions/0113).
+# Undershoot in HU up to which a kernel counts as soft; a softened CT keeps this undershoot (docs/decisions/0113).
 SOFT_HU = 3.0
-# If the softened copy leaks too, the next copy is softened down to this undershoot: the remaining noise opens walls.
+# Undershoot in HU of the more strongly softened copy, which is searched if the first softened copy leaks too.
 SOFTEST_HU = -8.0
-# Largest factor by which a kernel in use enhances fine detail; above it there is only noise.
+# Largest factor by which a kernel in use enhances fine detail; a larger estimate comes from noise.
 MOST_RAISED = 3.2
 STEPS = 5
-# The amount of softening is determined on a slab of this thickness in the middle of the volume.
+# Thickness in mm of the slab in the middle of the volume from which the amount of softening is determined.
 SLAB_MM = 40.0
 LEAST_SLAB = 24
-# Lowest value of most files. If a file has lower values, darker voxels inside a small tube are still air.
+# Lowest value in HU of most files.
 FLOOR_HU = -1024.0
 AIR_HU = -1000.0
-# Rise of the wall over a clipped lumen; a rim beside tissue has lung on its other sides.
+# Least rise in HU from a clipped lumen to its wall; a rim beside tissue has lung on its other sides.
 WALL_RISE_HU = 250.0
-# Limit of certain air above the value of air: this many standard deviations of the noise, or this many HU.
+# Distance of the limit of certain air above the value of air, in standard deviations of the noise.
 CERTAIN_NOISES = 2.5
+# Distance of the limit of certain air above the value of air, in HU.
 CERTAIN_HU = 40.0
 
 
@@ -51,7 +52,10 @@ class Softened:
     volume: Volume
     """CT as a soft kernel would show it; the original if its kernel is soft."""
     undershoot_hu: float | None
-    """Undershoot beside edges in the original CT (how much darker lung is there); None if it could not be measured."""
+    """Undershoot in HU beside edges of the original CT (how much darker lung is there).
+
+    None if it was not measurable.
+    """
     raised: float
     """Factor, less 1, by which the kernel enhances the finest detail; 0 if the kernel is soft."""
     smoothed_mm: float
@@ -127,7 +131,7 @@ class Softened:
 
 
 def as_it_is(volume: Volume, undershoot_hu: float | None = None) -> Softened:
-    """Return the original CT for a search, whatever its kernel is.
+    """Return the original CT for a search, unchanged whatever its kernel is.
 
     Parameters
     ----------
@@ -140,7 +144,7 @@ def as_it_is(volume: Volume, undershoot_hu: float | None = None) -> Softened:
 
 
 def softened(volume: Volume, scale: AirScale, most_hu: float = SOFT_HU) -> Softened:
-    """Return the CT without the enhancement of its kernel, if the kernel is edge-enhancing.
+    """Return a CT with the enhancement of an edge-enhancing kernel reversed; the original if the kernel is soft.
 
     The kernel is modelled as ``1 + a (1 - g)``, where g is the transfer function of a Gaussian (its sigma:
     :data:`SEAM_MM`). The inverse never amplifies anything, in particular no noise. ``a`` is the smallest value for

@@ -12,13 +12,15 @@ from carina.volume.model import Volume
 __all__ = ["edge_undershoot_hu", "undershoots_hu"]
 
 TISSUE_HU, EDGE_HU = -300.0, -500.0
-# The undershoot of a kernel is within the first distance of the edge; undisturbed lung is between the other two.
+# Distance in mm from an edge within which the undershoot is measured.
 RIM_MM = 2.3
+# Distances in mm from an edge between which undisturbed lung is measured.
 LUNG_FROM_MM, LUNG_TO_MM = 4.0, 7.0
-# Longer voxels average the undershoot away or do not show it.
+# Largest voxel size in mm at which undershoot is measured; longer voxels average it away.
 MOST_VOXEL_MM = 1.6
-# Approximate number of voxels per axis in which edges are searched, and least number of edges.
+# Approximate number of voxels per axis in which edges are searched.
 NUM_VOXELS = 400_000
+# Least number of edges for a measurement.
 MIN_EDGES = 150
 
 

@@ -22,25 +22,26 @@ Points = NDArray[np.float64]
 STEP_MM = 1.0
 NUM_SIDES = 16
 NUM_STEPS = 14
-# The middle of the lumen is within this share of its radius; the wall is searched up to this distance beyond the
-# radius.
+# Distance from the centreline, in radii, within which the middle of the lumen is measured.
 MIDDLE = 0.35
+# Distance in mm beyond the radius up to which the wall is searched.
 WALL_REACH_MM = 2.0
-# A wall is brighter than the lumen by this many standard deviations of the noise, and by at least this many HU; it must
-# be visible on this share of the sides.
+# Least rise from the lumen to a wall, in standard deviations of the noise and in HU.
 RISE_SIGMA, LEAST_RISE_HU = 4.0, 80.0
+# Least share of the sides on which the wall must be visible.
 MIN_WALLED = 0.6
-# Voxels brighter than half-way between air and soft tissue are not air.
+# Value in HU (half-way between air and soft tissue) above which a voxel is not air.
 AIR_HU = -500.0
-# A branch is doubtful if a smaller share of its length has evidence; a mask, if more of its length is doubtful.
+# Least share of a branch's length with evidence; with less the branch is doubtful.
 MIN_EVIDENCE = 0.4
+# Largest share of the mask's length in doubtful branches; with more the mask is doubtful.
 MOST_DOUBTED = 0.2
-# Wide airways stay dark under a mask that is displaced by some mm, so only small ones are judged.
+# Largest radius in mm of a judged branch: wide airways stay dark under a mask that is displaced by some mm.
 MOST_RADIUS_MM = 7.0
 
 
 def mask_evidence(volume: Volume, branches: tuple[Branch, ...], noise_hu: float, scale: AirScale) -> list[Points]:
-    """Return the evidence for each branch at points 1 mm apart, (n,): the share of sides with a wall.
+    """Return for each branch the share of sides with a wall, (n,), at points 1 mm apart along the branch.
 
     The share is 0 where the middle of the lumen is not dark.
     """

@@ -19,26 +19,26 @@ Mask = NDArray[np.bool_]
 Floats = NDArray[np.float32]
 
 METAL_HU = 2000.0
-"""Lowest value of metal. Clips are brighter, even as partial volume; so are dense contrast medium and tooth enamel."""
+"""Lowest value in HU of metal; surgical clips, dense contrast medium and tooth enamel are brighter."""
 LEAST_METAL_HU = 1000.0
-"""Lowest value of metal in a file with a smaller range of values.
+"""Lowest value in HU of metal in a file whose values have a smaller range.
 
 Voxels at the highest value of such a file may be metal if that value is at least this.
 """
 LEAST_METAL_MM2 = 0.4
 JOINED_MM = 4.0
-"""Voxels of metal within this distance belong to one piece."""
+"""Largest distance in mm between voxels of metal that belong to one piece."""
 MOST_PIECES = 5
-"""Number of largest pieces per slice that are examined."""
+"""Largest number of pieces of metal that are examined per slice, the largest first."""
 
 NUM_DIRECTIONS = 180
 FROM_MM, TO_MM, STEP_MM = 3.0, 120.0, 1.0
 LOWEST_HU, HIGHEST_HU = -1024.0, 300.0
-"""Range of values; higher and lower values, of metal and bone, are clipped to it."""
+"""Range in HU to which values are clipped, so that metal and bone do not dominate the comparison."""
 ROUND_DEG = 24.0
-"""The value of a direction is compared with the median over this angle round it."""
+"""Angle in degrees round a direction over which the median is taken with which the direction's value is compared."""
 ALONG_MM = 20.0
-"""Distance over which a streak must differ from its surroundings (median)."""
+"""Distance in mm over which a streak must differ from its surroundings (in the median)."""
 STREAK_HU = 60.0
 # Least share of directions with a streak, beside the metal and at the end of the changed part. In 552 slices of four
 # CTs with dense contrast medium, calcium and catheters: at most 5 % beside it and 9 % from 18 to 38 mm; with noise of
@@ -47,7 +47,7 @@ BESIDE_MM = 18.0
 LEAST_SHARE = 0.18
 LEAST_SHARE_FAR = 0.2
 SAME_MM = 2.0
-"""Slices within this distance of streaks contain a part of them."""
+"""Distance in mm from a slice with streaks within which other slices contain a part of the streaks."""
 
 
 def find_streaks(volume: Volume, scale: AirScale) -> Mask | None:

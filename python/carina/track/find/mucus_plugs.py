@@ -27,18 +27,19 @@ Floats = NDArray[np.float64]
 
 # Limits for air and lung.
 DARKEST_HU = -930.0
-"""Upper limit of air in an island: half-way between air and lung."""
+"""Upper limit in HU of air in an island (air that no path reaches): half-way between air and lung."""
 LEAST_RISE_HU = 150.0
+"""Least rise in HU of a wall above the lumen, if ``NOISE_RISE`` times the noise is less."""
 NOISE_RISE = 4.0
-"""A wall must rise by this multiple of the noise, or by 150 HU if that is more."""
+"""Least rise of a wall above the lumen, as a multiple of the noise."""
 LEAST_WALLED = 0.85
 LEAST_IN_LUNG = 0.5
-"""At least one end of an airway island must touch lung on this share of its sides; air in the oesophagus does not."""
+"""Least share of the sides of an airway island's end that touch lung; air in the oesophagus has no such end."""
 WIDER, WALL_REACH_MM = 1.6, 2.5
-"""The wall of an airway island is searched within this multiple of its radius plus this distance in mm."""
+"""Largest distance of an airway island's wall from its axis: a multiple of its radius, plus a distance in mm."""
 
 EDGE_MM = 2.0
-"""Islands of air closer than this to the edge of the scan are ignored: they may continue outside the scan."""
+"""Least distance in mm of an examined island from the edge of the scan."""
 
 # Limits for the gap between an island and the airways.
 FARTHEST_MM = 45.0
@@ -47,28 +48,28 @@ STEP_MM = 0.4
 LEAST_GAP_MM = 2.5
 LEAST_GAP_VOX = 2.0
 MOST_DARK = 0.25
-"""Largest share of the gap that may be as dark as lung: above a fluid level there is air."""
+"""Largest share of the gap between an island and the airways that may be as dark as lung."""
 MOST_LOOSE_MM = 2.5
-"""Largest distance between the filling and the lumen on either side: blur fills a shorter distance."""
+"""Largest distance in mm between the filling and the lumen on either side of the filling."""
 BRIGHTEST_HU = 250.0
-"""Brighter voxels are bone, calcification or vessels with contrast medium, not a filling."""
+"""Value in HU above which a voxel is bone, calcification or a vessel with contrast medium, and no filling."""
 NUM_TRIED = 60
 UNFILLED = 4.0
-"""Penalty for a gap without tissue: the score (lower is better) is multiplied by up to 1 plus this."""
+"""Penalty for a gap without tissue: the gap's score (lower is better) is multiplied by up to 1 plus this value."""
 
 # Constants for the measurement of the calibre.
 USUAL_WALL_MM = 1.2
 CROSS = (0.25, 0.4, 0.5, 0.6, 0.75)
 MOST_OUTER_MM = 9.0
-"""The border of a filled bronchus is searched within this distance of its axis."""
+"""Largest distance in mm from the axis of a filled bronchus at which its border is searched."""
 LEAST_AIR = 0.15
-"""Smaller shares of air may be fat, noise, or blur from outside the wall."""
+"""Least share of air in a filled bronchus that counts as air; less may be fat, noise, or blur."""
 LEAST_CROSS = 2
-"""Smallest number of sections across the filling in which the border must be visible."""
+"""Least number of sections across the filling in which the border of the bronchus must be visible."""
 ALIKE = 1.4
 """Largest ratio between the widths of sections of one lumen; with a larger ratio, a section cuts the end or a fork."""
 FINE_MM, FINE_VOX, FINE_SLICES = 2.5, 3.0, 2.0
-"""Thinner airways are not reported: the CT does not show whether they are filled.
+"""Limits of the calibre below which an airway is not reported as filled: mm, voxels and slices.
 
 The limit is the largest of 2.5 mm, three voxels, and two slices of the CT. An airway that runs along one slice has the
 brightness of its lumen and its wall together, as if it were partly filled.
@@ -136,7 +137,7 @@ def find_filled(
 
 
 def _each_once(found: Sequence[Uncertainty]) -> tuple[Uncertainty, ...]:
-    """Remove the narrower of two places in the same bronchus.
+    """Return the filled places with the narrower of two places in the same bronchus removed.
 
     Air that remains in a filled bronchus is traced as a separate thin airway.
     """
@@ -242,7 +243,7 @@ class _Search:
         return result
 
     def _inner(self, end: IslandEnd, back_mm: float = 0.0) -> tuple[Floats, Floats]:
-        """Return rays across an island, ``back_mm`` inside its end, and the lumen's edge on each ray in mm."""
+        """Return rays across an island, ``back_mm`` inside the island's end, and the lumen's edge on each ray in mm."""
         reach = WIDER * end.radius_mm + WALL_REACH_MM
         rays = self._look.rays(end.axis_lps - back_mm * end.outward, end.outward, reach)
         return rays, self._look.inner_mm(rays, self._rise)
@@ -285,7 +286,7 @@ class _Search:
         )
 
     def _calibre_after(self, end: IslandEnd) -> float | None:
-        """Return the calibre of the lumen beyond the filling, from the narrowest section: wider ones may cut forks."""
+        """Return the calibre in mm of the lumen beyond the filling, from its narrowest section; None if unknown."""
         widths = []
         for back_mm in (0.0, 1.5, 3.0, 4.5):
             _, inner = self._inner(end, back_mm)
@@ -294,7 +295,7 @@ class _Search:
         return min(widths) if len(widths) > 1 and max(widths) <= ALIKE * min(widths) else None
 
     def _wall_mm(self, end: IslandEnd) -> float | None:
-        """Return the thickness (mm) of the wall beyond the filling, up to the same border as across the gap."""
+        """Return the thickness in mm of the wall beyond the filling, up to the same outer border as across the gap."""
         rays, inner = self._inner(end)
         at = np.arange(rays.shape[1]) * self._look.step_mm
         thick = []
@@ -319,7 +320,7 @@ class _Search:
         return axis, outer
 
     def _air_mm(self, centre: Points, direction: Points, calibre: float | None) -> float:
-        """Return the diameter (mm) of the circle with the same area as the air that remains between the walls."""
+        """Return the diameter in mm of the circle with the area of the air that remains in the filled bronchus."""
         reach = 0.5 * (calibre if calibre is not None else 6.0)
         plane = self._look.plane(centre, direction, reach)
         scale = self._look.scale
@@ -331,7 +332,7 @@ class _Search:
         return 2.0 * float(np.sqrt(area / np.pi)) if area >= self.voxel_mm**2 else 0.0
 
     def _calibre(self, outer: list[float], end: IslandEnd) -> tuple[float | None, float | None]:
-        """Return the calibre from wall to wall and its error in mm; None if too little of the outer border is visible.
+        """Return the calibre of a filled bronchus from wall to wall and the calibre's error, in mm.
 
         The lumen beyond the filling is not sufficient alone: the part before its next fork is short.
         """

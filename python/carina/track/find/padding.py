@@ -11,13 +11,13 @@ from carina.volume.model import Volume
 __all__ = ["padding_near"]
 
 REACH_MM = 30.0
-"""Padding is searched within this distance of the trachea."""
+"""Largest distance in mm from the trachea at which padding is searched."""
 BLOCK_KJI = (3, 5, 5)
-"""Smallest block (k, j, i) of one value that counts as padding; noise does not produce such a block."""
+"""Size in voxels (k, j, i) of the smallest block of one value that counts as padding; noise produces no such block."""
 LEAST_MM3 = 60_000.0
-"""Least volume of padding: larger than a wide trachea, in which a scanner may have clipped the values of air."""
+"""Least volume of padding in mm3: larger than a wide trachea, whose air values a scanner may have clipped."""
 MOST_EQUAL = 0.25
-"""If a larger share of the lower trachea has equal neighbours, its air has no noise and looks like padding."""
+"""Share of equal neighbours in the lower trachea above which its air has no noise and looks like padding."""
 
 
 def padding_near(volume: Volume, trachea: list[tuple[int, int, int]]) -> NDArray[np.bool_] | None:
@@ -85,7 +85,7 @@ def _share_of_equal_neighbours(volume: Volume, voxels: NDArray[np.int64]) -> flo
 
 
 def _spread(mask: NDArray[np.bool_], block: tuple[int, int, int], before: int) -> NDArray[np.bool_]:
-    """Return the union of the blocks of the mask's voxels.
+    """Return the union of the blocks that begin at, or a number of voxels before, each voxel of a mask.
 
     Parameters
     ----------

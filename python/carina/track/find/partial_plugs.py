@@ -20,23 +20,23 @@ Points = NDArray[np.float64]
 Floats = NDArray[np.float64]
 
 NARROW = 0.88
-"""Air narrower than this share of the calibre before and beyond is examined.
+"""Width of the air as a share of the calibre before and beyond, below which a part of a branch is examined.
 
 A bronchus that is filled to half its height has 0.71.
 """
 LEAST_LONG_MM = 4.0
 NEAR_MM = 25.0
-"""The air must be wide again within this distance."""
+"""Largest distance in mm along a branch from narrow air to air that is wide again."""
 MOST_SHARE = 0.9
 """Quantile of the width that counts as the widest part of a branch: forks flare."""
 INNER = 0.85
 """Share of the radius that is certainly inside the wall, despite blur and a bent axis."""
 LEAST_FILLED, MOST_LUNG = 0.1, 0.1
-"""Least share of filling and largest share of lung in the circle inside the wall."""
+"""Least share of filling, and largest share of lung, in the circle inside the wall of a filled bronchus."""
 ONE_SIDED = 0.15
 EACH_MM = 1.0
 LEAST_TOLD = 4
-"""Smallest number of sections with material between air and wall."""
+"""Smallest number of sections with material between air and wall for a reported place."""
 MOST_SHIFT = 0.9
 
 
@@ -109,7 +109,7 @@ def _median(values: Floats) -> float | None:
 
 
 def _smoothed(values: Floats) -> Floats:
-    """Return the median of each value and its two neighbours."""
+    """Return the median of each value and its two neighbours, (n,)."""
     padded = np.pad(values, 1, mode="edge")
     result: Floats = np.median(np.stack([padded[:-2], padded[1:-1], padded[2:]]), axis=0)
     return result
@@ -122,7 +122,7 @@ def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 def _middle(look: Across, branch: Branch, at: Floats, place_mm: float, calibre_mm: float) -> Points | None:
-    """Return the centre between the walls (LPS, mm), or None if there is no material between air and wall."""
+    """Return the centre between the walls of a section (LPS, mm); None if no material is between air and wall."""
 
     def on_axis(mm: float) -> Points:
         return np.array([np.interp(mm, at, branch.points[:, a]) for a in range(3)])

@@ -39,7 +39,7 @@ TREE_EDITS = get_args(TreeEdit)
 
 
 def _check_threshold(where: str, name: str, value: object) -> None:
-    """Check that a threshold is a finite number or NaN (the threshold of a lumen from a file)."""
+    """Raise an error unless a threshold is a finite number, or NaN (the threshold of a lumen from a file)."""
     if not (isinstance(value, float) and math.isnan(value)):
         number_from(-40_000.0, 40_000.0)(where, name, value)
 
@@ -68,11 +68,11 @@ class Airways:
     the slices are thick.
     """
     root_lps: NDArray[np.float64]
-    """Start of all paths, LPS in mm."""
+    """Start of all paths in the airways, LPS in mm."""
     tree: AirwayTree
     """Airway tree in the lumen."""
     tracker: PathTracker
-    """Tracker of paths in the lumen."""
+    """Tracker of least-cost paths in the lumen."""
     threshold: float
     """Value at which the lumen ends (HU if the volume is in HU); NaN for a given lumen."""
     notes: tuple[str, ...] = ()
@@ -105,13 +105,13 @@ class Airways:
     None if the scan ends below the larynx. Not stored in a case file.
     """
     evidence: KeptForVolume[Any] = field(default_factory=KeptForVolume, repr=False, compare=False)
-    """Cached evidence in the CT for further airways, used by edits.
+    """Cached evidence in the CT for further airways, which edits use.
 
     The evidence is computed at first use and shared by all edited versions of the airways.
     """
 
     def __post_init__(self) -> None:
-        """Check the types and ranges of the fields."""
+        """Raise an error if a field of the airways has an invalid type or value."""
         check_fields(
             self,
             lumen_zyx=mask_array(),

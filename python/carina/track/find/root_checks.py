@@ -23,19 +23,19 @@ __all__ = [
 # Range of values of lung from inspiration to expiration, partly with emphysema; there must be lung on both sides of the
 # trachea's division.
 LUNG_HU = (-950.0, -600.0)
-# A path goes up first if it rises by this before it falls by this.
+# Rise in mm, before a fall by as much, from which a path counts as going up first.
 UP_FIRST_MM = 10.0
-# A tube this long above its division is the trachea: the next longest, the left main bronchus, has 40 to 55 mm.
+# Length in mm above its division from which a tube is surely the trachea; the left main bronchus has 40 to 55 mm.
 SURE_TRACHEA_MM = 60.0
-# Ends within this distance of the middle between the lungs belong to neither side.
+# Distance in mm from the middle between the lungs within which the end of a branch belongs to neither side.
 MIDDLE_MM = 10.0
-# Least share of the lateral ends on the side with fewer ends: an upper lobe without its bronchi leaves more.
+# Least share of the lateral ends of branches on the side with fewer ends.
 LEAST_SIDE = 0.05
-# Lung is distinguished from air outside the body on blocks of this size, which suppress noise and blurred skin edges.
+# Side length in mm of the blocks on which lung is distinguished from air outside the body.
 BLOCK_MM = 4.0
-# Highest standard deviation (HU) in a block of lung; the blurred edge between air and skin has more. A volume below
-# ``LEAST_LUNG_MM3`` is not lung but mastoid air cells or bowel.
+# Highest standard deviation in HU in a block of lung; the blurred edge between air and skin has more.
 EVEN_HU = 150.0
+# Least volume in mm3 of lung; a smaller volume is mastoid air cells or bowel.
 LEAST_LUNG_MM3 = 40_000.0
 
 

@@ -17,7 +17,7 @@ Points = NDArray[np.float64]
 
 # The stump is too short for a branch of the tree: the wide airway and the narrow one are one branch without a fork.
 LEAST_WIDE_MM = 8.0
-"""Least width of the wide part; its narrow continuation alone would carry less than the wide part did."""
+"""Least width in mm of the wide part of an airway that ends in a wall."""
 MOST_NARROWED = 0.65
 """Largest ratio between the radii of the narrow and the wide part."""
 LEAST_TURN_DEG = 25.0
@@ -25,14 +25,14 @@ LEAST_TURN_DEG = 25.0
 FROM_START_MM = 10.0
 """Least distance from the start of the branch, whose first part is inside its parent."""
 BEFORE_MM, AFTER_MM, FADE_MM = 6.0, 8.0, 3.0
-"""Lengths of the parts over which the radii are compared, and of the step between the parts."""
+"""Lengths in mm of the parts before and after a step in radius over which radii are compared, and of the step."""
 AXIS_FROM_MM, AXIS_TO_MM = 12.0, 4.0
-"""The axis of the wide part is measured between these distances before the step."""
+"""Distances in mm before the step between which the axis of the wide part is measured."""
 STEP_MM = 0.5
 MARGIN_MM = 1.0
-"""Directions that come this near to the lumen of the narrow airway are not judged."""
+"""Distance in mm from the lumen of the narrow airway within which a direction is not judged."""
 FARTHEST_RADII = 3.0
-"""Largest distance from the end of the axis to the wall, in radii."""
+"""Largest distance from the end of the wide part's axis to the closing wall, in radii."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,9 +42,9 @@ class StraightEnd:
     lps: Points
     """Middle of the lumen before the end, LPS in mm."""
     width_mm: float
-    """Diameter of the wide airway."""
+    """Diameter of the wide airway, mm."""
     axis: Points
-    """Unit direction of the wide airway."""
+    """Unit direction (3,) of the wide airway, LPS."""
 
 
 def find_straight_end(look: Across, branch: Branch) -> StraightEnd | None:
@@ -114,5 +114,5 @@ def _direction(points: Points) -> Points | None:
 
 
 def _off_tubes_mm(branch: Branch, point: Points) -> float:
-    """Return the distance of a point from the surface of a branch's lumen; negative inside."""
+    """Return the distance in mm of a point from the surface of a branch's lumen; negative inside the lumen."""
     return float((np.linalg.norm(branch.points - point, axis=1) - branch.radius).min())

@@ -38,7 +38,7 @@ AT_CARINA_MM = 10.0
 MOST_BELOW = 0.85
 # The seeds are in a bronchus if the sections above them are larger by this factor and at least as long as a trachea.
 WIDER_ABOVE = 1.5
-# More air than a throat contains is air outside the body.
+# Volume in mm3 above which air above the trachea is not a throat but air outside the body.
 MOST_THROAT_MM3 = 150_000.0
 
 
@@ -55,17 +55,17 @@ class TopOfTrachea:
     upper_zyx: NDArray[np.uint8] | None
     """Mask (nz, ny, nx), 1 in larynx and throat; None if the scan ends below them."""
     sections: list[Section]
-    """Sections of the trachea that contain a tube."""
+    """Sections of the trachea that contain a tube; empty without a tube."""
     tip_lps: NDArray[np.float64] | None
     """Tip of the tube, LPS in mm; None if there is no tube."""
     cut: list[Section]
-    """Sections beside an opening, where the lumen is limited to the section."""
+    """Sections beside an opening to the air outside, where the lumen is limited to the section."""
     starts_in_it: bool
-    """Whether the lowest section is already inside the tube."""
+    """Whether the lowest section of the trachea is already inside the tube."""
     is_open: bool
     """Whether the trachea is open to the air outside through the front of the neck."""
     cords: Cords | None
-    """Vocal cords; None if the scan ends below them."""
+    """Vocal cords; None if the scan ends below the cords."""
 
 
 def top_of_trachea(
@@ -131,7 +131,7 @@ def top_of_trachea(
 
 
 def _below_padding(sections: list[Section], padding: NDArray[np.bool_]) -> list[Section]:
-    """Return the sections below the lowest one that touches padding."""
+    """Return the sections below the lowest section that touches padding."""
     for n, section in enumerate(sections):
         if (spread(section.air, SIDES) & section.window_of(padding)).any():
             return sections[:n]

@@ -70,13 +70,13 @@ class Trachea:
     top: Point
     """Uppermost voxel of the trachea, LPS in mm."""
     notes: list[str]
-    """Doubts about the trachea, as texts."""
+    """Doubts about the trachea, as texts for the user."""
     split_mm: float | None
-    """Length above the carina; None if a main bronchus or a lung is missing."""
+    """Length of the trachea above the carina in mm; None if a main bronchus or a lung is missing."""
     diameters_mm: NDArray[np.float64]
-    """Equivalent diameter in each slice, (n,)."""
+    """Equivalent diameter of the trachea in each of its slices, (n,) mm."""
     carina_lps: NDArray[np.float64]
-    """Carina, LPS in mm."""
+    """Position (3,) of the carina, LPS in mm."""
 
 
 def trachea_in(

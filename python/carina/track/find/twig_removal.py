@@ -13,15 +13,15 @@ __all__ = ["without_twigs"]
 Points = NDArray[np.float64]
 
 NEAR_TOP = 3.0
-"""A cut end leaves the trachea within this many radii of its upper end."""
+"""Largest distance from the upper end of the trachea, in radii, at which a cut end can leave the trachea."""
 INSIDE = 1.5
-"""A cut end stays within this many radii of the trachea's axis; a bronchus leaves this range."""
+"""Largest distance of a cut end from the trachea's axis, in radii; a bronchus leaves this range."""
 LEAST_FALL_MM = 2.0
-"""A branch that descends by more than this is a bronchus."""
+"""Descent of a branch in mm above which the branch is a bronchus and no cut end."""
 LEAST_BULGING_MM = 3.0
-"""Least radius of an airway whose bulges are removed; in thinner airways the bulge may be a single voxel."""
+"""Least radius in mm of an airway whose bulges are removed; in a thinner airway a bulge may be a single voxel."""
 AXIS_MM = 15.0
-"""The axis above the upper end is extrapolated from the first part of the trachea, of this length."""
+"""Length in mm of the upper part of the trachea from which the axis above its upper end is extrapolated."""
 
 
 def without_twigs(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -18,21 +18,21 @@ Points = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 ROUND_TREE_MM = 30.0
-"""Air farther than this from the bounding box of the tree does not belong to an airway of the tree."""
+"""Largest distance in mm of an island of air from the bounding box of the tree."""
 LEAST_MM3 = 15.0
 LEAST_VOXELS = 8
 LEAST_LONG_MM = 6.0
 MOST_MM3 = 60_000.0
-"""Largest island.
+"""Largest volume in mm3 of an island of air.
 
 All airways beyond a main bronchus are smaller; the stomach, air outside the body and large bullae are larger.
 """
 MOST_ISLANDS = 80
 MOST_ENDS = 12
 DARK_NEIGHBOURS = 3
-"""A voxel of air needs at least this many air voxels among its six neighbours; otherwise it counts as noise."""
+"""Least number of air voxels among the six neighbours of an air voxel; a voxel with fewer counts as noise."""
 MOST_DARK = 4_000_000
-"""More dark voxels than this are emphysema, in which islands cannot be distinguished by their darkness."""
+"""Number of dark voxels above which they are emphysema, in which no island can be distinguished."""
 CELL_MM = 2.0
 """Least edge length of the cells between which paths inside an island run; at least one voxel."""
 AXIS_MM, ONWARD_MM = 3.0, 9.0
@@ -45,24 +45,24 @@ common centre is on the axis of their trunk.
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IslandEnd:
-    """End of an island: position, direction and radius."""
+    """End of an island of air: position, direction and radius."""
 
     axis_lps: Points
     """Point (3,) on the axis just inside the end, LPS in mm."""
     outward: Points
     """Unit vector (3,) that points out of the island, LPS."""
     radius_mm: float
-    """Radius calculated from the number of voxels near the end."""
+    """Radius of the island near the end in mm, calculated from the number of voxels there."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Island:
-    """Connected piece of air that does not touch the lumen."""
+    """Connected piece of air that does not touch the found lumen (an island)."""
 
     points_lps: Points
-    """Centres (n, 3) of the voxels, LPS in mm."""
+    """Centres (n, 3) of the island's voxels, LPS in mm."""
     ends: tuple[IslandEnd, ...]
-    """Ends of the piece."""
+    """Ends of the island."""
 
 
 def find_islands(volume: Volume, lumen_zyx: NDArray[np.uint8], tree_lps: Points, darkest: float) -> list[Island]:

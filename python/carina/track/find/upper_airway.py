@@ -26,66 +26,72 @@ __all__ = [
     "tube_in",
 ]
 
-# The vocal cords are searched at least this many diameters of the trachea above the carina. The cords of an adult are 7
-# diameters above it, those of a newborn 8.
+# Least height above the carina at which the vocal cords are searched, in diameters of the trachea. The cords of an
+# adult are 7 diameters above the carina, those of a newborn 8.
 LEAST_DIAMETERS = 4.0
-# The same for sections that start inside a tube: these begin above the tip of the tube, some way above the carina.
+# Least height at which the cords are searched if the sections start inside a tube, in diameters of the trachea: these
+# sections begin above the tip of the tube, some way above the carina.
 LEAST_DIAMETERS_IN_A_TUBE = 2.0
-# If little of the trachea is visible, only its lowest part is compared with the sections above.
+# Length in mm of visible trachea below which only its lowest part is compared with the sections above.
 SHORT_MM = 15.0
-# A section with a smaller share of the trachea's width or area is the cone below the cords, or a stenosis.
+# Share of the trachea's width below which a section is the cone below the cords or a stenosis.
 NARROW_WIDTH = 0.7
+# Share of the trachea's area below which a section is the cone below the cords or a stenosis.
 NARROW_AREA = 0.6
-# A section is a slit if the ratio of its width (left-right) to its depth (front-back) is at most this.
+# Largest ratio of the width (left-right) to the depth (front-back) of a section that counts as a slit.
 SLIT = 0.6
-# The throat is wider than the trachea by at least this factor.
+# Least ratio of the throat's width to the trachea's width.
 THROAT_WIDTH = 1.3
 # Sections up to this height above a narrow place are examined; if they contain a trachea of this length, the narrow
 # place is a stenosis.
 ABOVE_MM = 45.0
 TRACHEA_AGAIN_MM = 20.0
 AGAIN_BY_A_TUBE_MM = 9.0
-# Longest larynx, from the cone below the true cords to the wide part of the vestibule, and the part of it above the
-# cords.
+# Greatest length in mm of a larynx, from the cone below the true cords to the wide part of the vestibule.
 LONGEST_MM = 40.0
+# Greatest length in mm of the part of the larynx above the cords.
 ABOVE_CORDS_MM = 20.0
-# Range of heights of an adult's cords above the lower border of the cricoid; scaled in smaller and larger people.
+# Range of heights in mm of an adult's cords above the lower border of the cricoid, scaled in smaller and larger
+# people.
 CORDS_ABOVE_CRICOID_MM = (18.0, 25.0)
 # The tree begins below the cricoid: this far below an adult's cords, scaled in smaller people. In larger people it
 # begins at the middle of the heights that are less than 9 mm below the cricoid for every position of the cords.
 BELOW_THE_CORDS_MM = 26.5
 LESS_BELOW_CRICOID_MM = 9.0
-# Adult values: diameter of the trachea, and height of the cords above the lowest section (just below the carina).
+# Diameter of an adult's trachea, mm.
 ADULT_DIAMETER_MM = 17.3
+# Height in mm of an adult's cords above the lowest section, which is just below the carina.
 ADULT_CORDS_MM = 146.0
 # Between these relative sizes the larynx has an adult's size; outside them it scales with the trachea.
 ADULT_SIZES = (0.92, 1.0)
 SIZES = (0.4, 1.2)
-# Smallest extent (left-right and front-back) of a CT of a neck or a head, also of a child's.
+# Smallest extent in mm (left-right and front-back) of a CT of a neck or a head, also of a child's.
 LEAST_NECK_MM = 90.0
-# Largest distance below the cords at which the cone below them begins to narrow.
+# Largest distance in mm below the cords at which the cone below them begins to narrow.
 CONE_MM = 9.0
-# Range of areas of sections above the carina, as shares of the median area; longer gaps than this end the trachea.
+# Range of areas of the trachea's sections above the carina, as shares of the median area.
 AREAS_OF_TRACHEA = (0.6, 1.6)
+# Length in mm of a gap between such sections above which the trachea ends.
 CARINA_GAP_MM = 4.0
-# A section that is larger than the trachea by this factor is throat, or air outside that was reached by an opening.
+# Ratio of a section's area to the trachea's above which the section is throat, or air outside the body.
 WIDEST = 2.5
-# Smallest length of a tube in the trachea.
+# Smallest length in mm of a tube in the trachea.
 LEAST_TUBE_MM = 12.0
-# Smallest median value of plastic between air and air, also after blur by thick slices. Noise that crosses the upper
-# limit of air (-800 HU) is only just above that limit.
+# Smallest median value in HU of plastic between air and air, also after blur by thick slices; noise is only just above
+# -800 HU.
 LEAST_PLASTIC_HU = -600.0
 # Limits for a tube whose wall touches the wall of the trachea all round: brightness, area and length.
 LINE_HU = 500.0
 LINE_NOISES = 8.0
-"""The radiopaque line of a tube is brighter than water by at least this many standard deviations of the noise."""
+"""Least brightness of a tube's radiopaque line above water, in standard deviations of the noise."""
 TIGHT_AREA = 0.55
 LEAST_TIGHT_MM = 25.0
-# A section beside an opening in front is deeper than the trachea by this factor.
+# Ratio of depths: a section beside an opening in the front of the neck is deeper than the trachea by at least this
+# factor.
 DEEPER = 1.12
 WHOLE_AGAIN = 1.3
 DENT_MM = 8.0
-# Fluid round a tube leaves less air than this share of the trachea's area.
+# Share of the trachea's area below which the air round a tube shows that fluid surrounds the tube.
 LITTLE_AREA = 0.8
 # Extent of the search for an opening in the front of the neck, and the highest value of the air in it.
 FORWARD_MM = 160.0
@@ -96,9 +102,9 @@ OPEN_AIR_HU = -900.0
 # in front of the middle of the trachea.
 PURE_AIR_HU, PURE_AIR_MM = -940.0, 7.0
 FRONT_MM = 25.0
-# A section larger than the trachea by this factor is lung: noise has opened the wall between them.
+# Ratio of a section's area to the trachea's above which the section is lung: noise has opened the wall between them.
 LUNG_AREA = 5.0
-# Air outside the body has at least this volume, without the trachea's own air.
+# Least volume in mm3 of air outside the body, without the trachea's own air.
 OUTSIDE_MM3 = 12_000.0
 
 
@@ -107,7 +113,7 @@ class Cords:
     """Position of the vocal cords in a stack of sections, and the root of the tree below them."""
 
     at: int
-    """Index of the section at the cords."""
+    """Index of the section at the vocal cords."""
     begins_at: int
     """Index of the first section below the cricoid, where the tree begins."""
     above_root_mm: float
@@ -118,7 +124,7 @@ class Cords:
     Without visible cords, only the length shows that more than the trachea was followed.
     """
     size: float = 1.0
-    """Size of the larynx relative to an adult's."""
+    """Size of the larynx relative to an adult's larynx."""
 
     @property
     def are_seen(self) -> bool:
@@ -147,7 +153,7 @@ def _heights(sections: list[Section]) -> NDArray[np.float64]:
 def _typical(
     sections: list[Section], heights: NDArray[np.float64], tube: Tube | None, *, within_mm: float = 60.0
 ) -> tuple[float, float, float]:
-    """Return the median width, depth and area of the trachea's lower part, below the tip of a tube if there is one."""
+    """Return the median width, depth and area of the trachea's lower sections, below the tip of any tube."""
     stop = len(sections) if tube is None else max(tube.first - 1, 1)
     lower = [s for s, z in zip(sections[:stop], heights[:stop], strict=True) if z - heights[0] <= within_mm]
     rows = np.array([[s.width_mm, s.depth_mm, s.area_mm2] for s in lower])
@@ -267,7 +273,7 @@ def root_below_cords_mm(size: float) -> float:
 
 
 def _larynx_size(diameter_mm: float, cords_mm: float | None) -> float:
-    """Return the size of the larynx relative to an adult's.
+    """Return the size of the larynx relative to an adult's larynx.
 
     Parameters
     ----------

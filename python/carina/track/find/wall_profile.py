@@ -21,15 +21,15 @@ HALF_HU = -500.0
 LUNG_HU = -650.0
 """Highest value of lung, in HU; beyond an outer border the values fall to it (fat and mediastinum are brighter)."""
 BORDER_MM = 1.5
-"""Distance beyond the outer border within which the values must fall to ``LUNG_HU``."""
+"""Distance in mm beyond the outer border within which the values must fall to ``LUNG_HU``."""
 NUM_CENTRED = 5
 LEAST_SEEN = 0.4
-"""Smallest share of the sides on which the outer border must be visible."""
+"""Smallest share of the sides of a bronchus on which its outer border must be visible."""
 LEAST_OCTANTS = 5
 ROUND = 0.15
-"""Largest distance of a border from the fitted circle, as a share of the radius."""
+"""Largest distance of a border point from the fitted circle, as a share of the radius."""
 CORE_MM = 0.8
-"""Radius of the disc over which values on an axis are averaged."""
+"""Radius in mm of the disc over which values on an axis are averaged."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,13 +37,13 @@ class Plane:
     """CT values on a square grid across an axis."""
 
     values: Floats
-    """(n, n) values of the CT, on its own scale."""
+    """(n, n) values of the plane, in the units of the volume."""
     off_mm: Floats
     """(n, n, 2) offset of each sample from the centre of the plane, in mm along ``across``."""
     step_mm: float
-    """Distance between neighbouring samples."""
+    """Distance between neighbouring samples of the plane, mm."""
     across: Points
-    """(2, 3) unit vectors of the plane, LPS."""
+    """(2, 3) unit vectors that span the plane, LPS."""
 
 
 class Across:
@@ -59,7 +59,7 @@ class Across:
         self._values = Enclosures(volume.hu_zyx, volume.lps_from_ijk)
         self.scale: AirScale = air_scale(volume)
         self.half = float(self.scale.level(HALF_HU))
-        """Value half-way between air and soft tissue."""
+        """Value half-way between air and soft tissue, in the units of the volume."""
         self.lung = float(self.scale.level(LUNG_HU))
         self.step_mm = 0.5 * float(min(volume.spacing_mm))
 
@@ -154,7 +154,7 @@ class Across:
 
 
 def _across(direction: Points) -> Points:
-    """Return (2, 3) unit vectors across a direction."""
+    """Return two unit vectors (2, 3) across a direction and perpendicular to each other."""
     along = direction / max(float(np.linalg.norm(direction)), 1e-9)
     one = np.cross(along, np.eye(3)[int(np.argmin(np.abs(along)))])
     one /= np.linalg.norm(one)
@@ -172,7 +172,7 @@ def _first_mm(above: Floats, step_mm: float) -> Floats:
 
 
 def _circle(points: Floats, step_mm: float) -> tuple[Floats, float] | None:
-    """Return centre and radius of the circle through most of (n, 2) points round the origin (Kasa 1976).
+    """Return centre and radius in mm of the circle through most of (n, 2) points round the origin (Kasa 1976).
 
     Returns None if the points cover too few sides or are not round.
     """

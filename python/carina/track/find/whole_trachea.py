@@ -25,21 +25,23 @@ __all__ = [
 
 AIR_END_HU = -800.0
 WALL_HU = 40.0
-# Least area of each main bronchus, their least distance from side to side, the length over which they diverge, and the
-# least divergence over that length.
+# Least area in mm2 of the section of each main bronchus.
 LEAST_PART_MM2 = 12.0
+# Least distance in mm of the two main bronchi from side to side.
 LEAST_APART_MM = 7.0
+# Length in mm over which the divergence of the main bronchi is measured.
 FOLLOWED_MM = 6.0
+# Least divergence in mm of the main bronchi over FOLLOWED_MM.
 DIVERGE_MM = 2.0
-# A main bronchus has less than this share of the trachea's area.
+# Share of the trachea's area that a main bronchus has at most.
 LEAST_AREA = 0.7
-# Largest error of the ends of the trachea in the search by anatomy.
+# Largest error in mm of the ends of the trachea in the search by anatomy.
 MISSED_MM = 10.0
-# Least and largest area of a section of the trachea, as shares of the trachea's area.
+# Least and largest area of a section that counts as a section of the trachea, as shares of the trachea's area.
 LIKE_IT = (0.6, 1.5)
 # Least share of the sections above that are like the trachea, if the trachea continues there.
 MOSTLY = 0.65
-# Thickness of the trachea's wall, which is not changed; air in the oesophagus and in the lung is farther away.
+# Thickness in mm of the trachea's wall, in which values are not changed; air in oesophagus and lung is farther away.
 OWN_WALL_MM = 2.0
 
 
@@ -48,7 +50,7 @@ class DownToCarina:
     """Air of the trachea below a given voxel."""
 
     sections: list[Section]
-    """Sections from the given voxel down to the last one above the carina."""
+    """Sections of the trachea's air from the given voxel down to the last section above the carina."""
     divides: bool
     """Whether two main bronchi follow below; False if the air ends, narrows or leaves the scan first."""
 
@@ -94,7 +96,10 @@ def down_to_the_carina(
 
 
 def _parts_apart_mm(volume: Volume, section: Section) -> float | None:
-    """Return the distance from side to side of the two largest parts of a section's air; None if there is one part."""
+    """Return the distance in mm from side to side of the two largest parts of a section's air.
+
+    None for a single part.
+    """
     dx, dy, _ = volume.spacing_mm
     left = section.air.copy()
     parts: list[tuple[float, float]] = []
@@ -140,7 +145,7 @@ def begins_late(sections: list[Section], top_k: int, area_mm2: float) -> bool:
 
 
 def sections_like_it(sections: list[Section], top_k: int, area_mm2: float) -> list[Section]:
-    """Return the sections up to a slice, and those above it up to a long part that is unlike the trachea."""
+    """Return the sections up to a slice, and the sections above it up to a long part unlike the trachea."""
     low, high = LIKE_IT[0] * area_mm2, LIKE_IT[1] * area_mm2
     last = 0
     for n, section in enumerate(sections):

@@ -72,20 +72,19 @@ _SECTION_FIGURES = (
 FORMAT = "carina-measures"
 VERSION = 1
 METHOD = 2
-"""Version of the method by which sections are measured; 1: flat wall, before decision 0117."""
+"""Version of the method by which sections are measured; version 1 (before decision 0117) assumed a flat wall."""
 
 MIN_CONTRAST_HU = 100.0
-"""Least rise of a wall above its lumen; or 4 standard deviations of the noise, if that is more."""
+"""Least rise in HU of a wall above the lumen, if 4 standard deviations of the noise are less."""
 BRIGHTEST_WALL_HU = 100.0
-"""Upper limit of wall values: calcified cartilage and enhanced vessels would otherwise determine the half-way level."""
+"""Upper limit in HU of wall values, so that calcified cartilage and enhanced vessels have no effect."""
 WALL_RISE_HU = 1020.0
-"""Rise of an airway wall (soft tissue of 20 HU) above air. A thinner wall shows less, in proportion to its thickness.
-"""
+"""Rise in HU of an airway wall (soft tissue of 20 HU) above air; a thinner wall shows less in proportion."""
 USUAL_NOISE_HU = 25.0
 OPEN_SHARE = 0.9
-"""If fewer rays than this share meet a wall, the lumen is open to another one, as at a fork."""
+"""Least share of the rays of a section that meet a wall; with fewer the lumen is open to another one, as at a fork."""
 RAYS_PER_MM = 1024.0
-"""Rays are rounded to 1/1024 mm, a hundredth of their error, which reduces their stored size to a quarter."""
+"""Number of steps per mm to which rays are rounded: a hundredth of their error, for a quarter of the stored size."""
 
 
 @one_line
@@ -100,23 +99,23 @@ class BranchMeasures(Tabular):
 
     branch_id: int
     at_mm: Floats
-    """Distance (n,) along the branch."""
+    """Distance (n,) of each section along the branch, mm."""
     centre_lps: Floats
-    """Centre (n, 3) of the measured lumen, LPS in mm, in the plane across the centreline."""
+    """Centre (n, 3) of the measured lumen in each section, LPS in mm."""
     normal_lps: Floats
-    """Unit vector (n, 3) along the branch, LPS."""
+    """Unit vector (n, 3) along the branch at each section, LPS."""
     area_mm2: Floats
-    """Area (n,) of the lumen across the branch."""
+    """Area (n,) of the lumen in each section, mm2."""
     equivalent_mm: Floats
-    """Diameter (n,) of the circle with the area of the lumen."""
+    """Diameter (n,) of the circle with the area of the lumen in each section, mm."""
     min_mm: Floats
-    """Least width (n,) through the centre."""
+    """Least width (n,) of the lumen through the centre of each section, mm."""
     max_mm: Floats
-    """Greatest width (n,) through the centre."""
+    """Greatest width (n,) of the lumen through the centre of each section, mm."""
     wall_mm: Floats
-    """Thickness (n,) of the wall where it has an outer side, that is, where no vessel or mediastinum touches it."""
+    """Thickness (n,) of the wall in mm, where neither a vessel nor the mediastinum touches its outer side."""
     at_junction: NDArray[np.bool_]
-    """Flags (n,): whether the section cuts through a fork; such sections are left out of the summary."""
+    """Flags (n,): True for sections that cut through a fork; the summary does not use these sections."""
     at_edge: NDArray[np.bool_]
     """Flags (n,): whether rays left the volume before they met a wall.
 
@@ -128,16 +127,16 @@ class BranchMeasures(Tabular):
     max_error_mm: Floats
     wall_error_mm: Floats
     shift_mm: Floats
-    """Displacement (n,) of the edges outwards from the half-maximum: the correction for the blur of the scanner."""
+    """Displacement (n,) of the edges outwards from the half-maximum in mm, to correct for the scanner's blur."""
     edge_mm: Floats
     """Distance (n, 64) of the lumen's edge from the centre, rounded to 1/1024 mm.
 
     The rays have equal angles, starting from ``section_axes(normal)``.
     """
     outer_mm: Floats
-    """Distance (n, 64) of the wall's outer side from the centre, on the same rays."""
+    """Distance (n, 64) of the wall's outer side from the centre in mm, on the rays of ``edge_mm``."""
     share: Floats
-    """Share (n,) of the rays that met a wall, 0 to 1."""
+    """Share (n,) of the 64 rays of a section that met a wall, 0 to 1."""
     summary: BranchSummary
     """Summary of the branch."""
     found_by: str = CARINA_VERSION
@@ -152,7 +151,7 @@ class BranchMeasures(Tabular):
 
     @property
     def is_usable(self) -> NDArray[np.bool_]:
-        """Flags (n,) of the sections that are used in the summary."""
+        """Flags (n,): True for sections that the summary uses."""
         usable: NDArray[np.bool_] = np.isfinite(self.equivalent_mm) & ~self.at_junction & ~self.at_edge
         return usable
 
@@ -237,7 +236,7 @@ class TreeMeasures(Tabular):
     notes: tuple[str, ...] = ()
     """Texts about the measurement, such as a blur that could not be measured."""
     _keys: tuple[bytes, ...] = dataclasses.field(default=(), repr=False)
-    """Cache key of each branch: the data from which it was measured (see :func:`measure_tree`)."""
+    """Cache key of each branch: the data from which the branch was measured (see :func:`measure_tree`)."""
     _measured: tuple[Branch, ...] = dataclasses.field(default=(), repr=False)
     """Branches that were measured, in the same order: the table contains their names."""
 
@@ -539,7 +538,7 @@ def _key(branch: Branch, tree: AirwayTree) -> bytes:
 
 
 def _is_same(old: BranchMeasures, new: BranchMeasures) -> bool:
-    """Return whether a branch's summary and junctions are the same as before an edit."""
+    """Return whether the inputs of a branch's summary and junctions are the same as before an edit."""
     return old.summary == new.summary and np.array_equal(old.at_junction, new.at_junction)
 
 
@@ -583,7 +582,7 @@ def _cast(
 
 
 def _noise_in_trunk(volume: Volume, trunk: Branch, scale: AirScale) -> float:
-    """Return the standard deviation of values well inside the trunk, from the median deviation (robust to mucus)."""
+    """Return the standard deviation of values well inside the trachea, estimated from the median deviation."""
     rest = []
     shape = np.array(volume.shape_zyx[::-1])
     for point, radius in zip(trunk.points, trunk.radius, strict=True):

@@ -26,22 +26,22 @@ __all__ = [
 Floats = NDArray[np.float64]
 
 HEALTHY_SHARE = 0.9
-"""A section counts as healthy if it has at least this share of the wide part of its branch."""
+"""Least diameter of a section that counts as healthy, as a share of the wide part of its branch."""
 WIDE_PERCENTILE = 80.0
 LEAST_HEALTHY_MM = 3.0
-"""Least length of healthy branch that is used as a reference on its own."""
+"""Least length in mm of healthy branch on one side of a narrowing that suffices as a reference."""
 MURRAY_POWER = 3.0
-"""Murray (1926): the cubes of the diameters of two branches add up to that of their parent."""
+"""Exponent of Murray's law (1926): the cubes of the diameters of two branches add up to that of their parent."""
 NEIGHBOURS_ERROR = 0.15
-"""Airways deviate from Murray's law by about this share (one standard deviation)."""
+"""Standard deviation of the deviation of airways from Murray's law, as a share of the diameter."""
 EQUAL_DAUGHTER = 2.0 ** (-1.0 / MURRAY_POWER)
-"""Diameter of each of two equal daughters over that of their parent, by Murray's law."""
+"""Ratio of the diameter of each of two equal daughter branches to their parent's, by Murray's law."""
 DIAMETERS_TO_FORK = 3.0
-"""Mean length of an airway from fork to fork over its diameter (Weibel 1963)."""
+"""Ratio of the mean length of an airway from fork to fork to its diameter (Weibel 1963)."""
 DEVIATIONS_95 = 1.96
-"""Standard deviations on each side of a mean that contain 95 % of a normal distribution."""
+"""Number of standard deviations on each side of a mean that contain 95 % of a normal distribution."""
 SECTION_REACH_MM = 1.5
-"""A section also contains values of the airway this far above and below its plane, by blur and voxel size."""
+"""Distance in mm above and below the plane of a section from which blur and voxel size mix values into it."""
 
 
 @one_line
@@ -52,15 +52,15 @@ class Stenosis:
     percent: float
     """Reduction of the diameter relative to the reference: 0 is healthy, 100 closed; below 0 it is wider."""
     percent_error: float
-    """Half of an interval that is to contain the true value in 95 of 100 cases."""
+    """Half of the 95 % interval of ``percent``."""
     area_percent: float
-    """Reduction of the area, in percent."""
+    """Reduction of the area relative to the reference's area, in percent."""
     at_mm: float
-    """Distance of the narrowest place along the branch."""
+    """Distance of the narrowest place along the branch, mm."""
     min_mm: float
-    """Equivalent diameter at the narrowest place."""
+    """Equivalent diameter at the narrowest place, mm."""
     reference_mm: float
-    """Expected healthy diameter at the narrowest place."""
+    """Expected healthy diameter at the narrowest place, mm."""
     reference_from: str
     """Source of the reference: ``branch``, its own healthy parts, or ``neighbours``, its parent, siblings and children.
     """
@@ -81,9 +81,9 @@ class ReferenceDiameter:
     """Diameter that a healthy branch would have at one place."""
 
     mm: float
-    """Expected diameter."""
+    """Diameter in mm that a healthy branch would have at the place."""
     error: float
-    """Half of the 95 % interval, as a share of ``mm``."""
+    """Half of the 95 % interval of the diameter, as a share of ``mm``."""
     source: str
     """Source as in :attr:`Stenosis.reference_from`."""
 
@@ -94,11 +94,11 @@ class BranchSummary:
     """Summary of a branch, from its sections away from forks and from the volume's faces; None without any."""
 
     length_mm: float = 0.0
-    """Length of the centreline."""
+    """Length of the branch's centreline, mm."""
     angle_deg: float | None = None
     """Angle to the parent (0: straight on), between the chords of two diameters on both sides of the fork."""
     num_sections: int = 0
-    """Number of sections that are used."""
+    """Number of sections of the branch that the summary uses."""
     mean_mm: float | None = None
     """Diameter of the branch (:mod:`carina.track.measures.diameter`): the median.
 
@@ -112,17 +112,17 @@ class BranchSummary:
     In measurements of earlier versions it is the smallest section.
     """
     min_error_mm: float | None = None
-    """Error of ``min_mm``; None in measurements of earlier versions."""
+    """Error of ``min_mm`` (half of a 95 % interval); None in measurements of earlier versions."""
     min_at_mm: float | None = None
-    """Distance of the narrowest place along the branch."""
+    """Distance of the narrowest place along the branch, mm."""
     taper: float | None = None
     """Change of the equivalent diameter per mm of length (mm/mm); below 0 if the branch narrows."""
     wall_mm: float | None = None
-    """Median thickness of the wall."""
+    """Median thickness of the branch's wall, mm; None if not measured."""
     wall_error_mm: float | None = None
     """Error of ``wall_mm``: half of a 95 % interval."""
     measured_stenosis: Stenosis | None = dataclasses.field(default=None, repr=False)
-    """Stenosis as measured or read.
+    """Stenosis as measured or read from a file; None if there is none.
 
     Case files of earlier versions also contain stenoses within their errors: use ``stenosis``.
     """
@@ -196,7 +196,7 @@ def summed_up(
 
 
 def _slope(at: Floats, values: Floats) -> float | None:
-    """Return the median slope of all pairs (Theil 1950, Sen 1968); None over less than 5 mm or 5 sections."""
+    """Return the median slope of all pairs of values (Theil 1950, Sen 1968); None over less than 5 mm or 5 sections."""
     if len(at) < 5 or at[-1] - at[0] < 5.0:
         return None
     one, other = np.triu_indices(len(at), k=1)

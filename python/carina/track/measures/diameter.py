@@ -28,11 +28,11 @@ __all__ = [
 Floats = NDArray[np.float64]
 
 DEVIATIONS_95 = 1.96
-"""Standard deviations on each side of a mean that contain 95 % of a normal distribution."""
+"""Number of standard deviations on each side of a mean that contain 95 % of a normal distribution."""
 SCATTER_SHARE = 0.5
 """Share of the 95 % interval of a branch's scatter that is added to its error; the model error contains the rest."""
 NARROW_REACH_DIAMETERS = 0.5
-"""A running median covers the sections within this many diameters before and behind a point."""
+"""Length before and after a point that a running median covers, in diameters."""
 PASSAGE_ERROR = 0.03
 """Additional error of the passage of a branch, as a share of its diameter.
 
@@ -40,7 +40,7 @@ A section through a fork contains both lumens and so hides a narrowing there. (`
 error raises the coverage in painted patients by 4 %.)
 """
 LEAST_FOR_SCATTER = 5
-"""Fewer sections do not suffice to estimate their scatter."""
+"""Least number of sections from which their scatter is estimated."""
 
 
 @one_line
@@ -50,11 +50,11 @@ class Diameter:
 
     mm: float
     error_mm: float
-    """Half of the 95 % interval."""
+    """Half of the 95 % interval of the diameter, mm."""
     branch_id: int | None = None
     """ID of the branch that contains the narrowest place; None for the diameter of a whole branch."""
     at_mm: float | None = None
-    """Distance of the narrowest place along that branch."""
+    """Distance of the narrowest place along the branch ``branch_id``, mm."""
 
 
 @one_line
@@ -70,7 +70,7 @@ class Passage:
 
     branch_id: int
     at_mm: Floats
-    """Distance (n,) along the branch."""
+    """Distance (n,) of each point along the branch, mm."""
     diameter_mm: Floats
     """Passable diameter (n,) in mm."""
     error_mm: Floats
@@ -213,7 +213,7 @@ def narrowest_diameter(
 
 
 def _scatter_mm(at_mm: Floats, diameter_mm: Floats) -> float:
-    """Return the standard deviation of diameters about their straight line; 0 for fewer than three."""
+    """Return the standard deviation in mm of diameters about their straight line; 0 for fewer than three diameters."""
     if len(at_mm) < 3 or np.ptp(at_mm) <= 0.0:
         return 0.0
     line = np.polynomial.Polynomial.fit(at_mm, diameter_mm, 1)
@@ -221,7 +221,10 @@ def _scatter_mm(at_mm: Floats, diameter_mm: Floats) -> float:
 
 
 def _robust_scatter_mm(at_mm: Floats, diameter_mm: Floats) -> float:
-    """Return the standard deviation about a straight line, from the median deviation; 0 for few sections."""
+    """Return the standard deviation in mm of diameters about a straight line, from the median deviation.
+
+    0 for few sections.
+    """
     if len(at_mm) < LEAST_FOR_SCATTER or np.ptp(at_mm) <= 0.0:
         return 0.0
     one, other = np.triu_indices(len(at_mm), k=1)

@@ -18,13 +18,13 @@ __all__ = ["ForkMeasures", "angle_deg", "directions", "find_forks", "junction_fl
 Points = NDArray[np.float64]
 
 CHORD_DIAMETERS = 2.0
-"""An angle is measured between the chords of this many diameters on both sides of the fork."""
+"""Length of the chords on both sides of a fork between which an angle is measured, in diameters."""
 LOOK_MM = 0.25
-"""Distance between the points at which two branches are compared."""
+"""Distance in mm between the points at which two branches of a fork are compared."""
 BEYOND_CARINA_RADII = 0.5
-"""The lumen is a tube again this many radii beyond the carina: the edge of the carina is an arch, not a knife edge."""
+"""Distance beyond the carina, in radii, from which the lumen of a branch is a tube again."""
 BEFORE_FORK_RADII = 1.0
-"""A lumen begins to widen about one radius before its axis meets the axes of its children."""
+"""Distance before the fork of the axes, in radii, from which the lumen widens."""
 
 
 @one_line
@@ -41,9 +41,9 @@ class ForkMeasures:
     carina_lps: tuple[float, float, float] | None
     """Ridge of the wall between the first two children that part (LPS, mm); None if no wall separates them."""
     fork_to_carina_mm: float | None
-    """Distance from ``fork_lps`` to ``carina_lps``; None without a carina."""
+    """Distance from ``fork_lps`` to ``carina_lps``, mm; None without a carina."""
     angle_between_deg: float | None
-    """Angle between the chords of the two widest children; None if one has no length."""
+    """Angle in degrees between the chords of the two widest children; None if one has no length."""
 
     def to_json(self) -> dict[str, Any]:
         """Return the measurements as JSON values."""

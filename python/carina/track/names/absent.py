@@ -49,7 +49,7 @@ LONG_MAIN_MM = 30.0
 # An unnamed branch that begins farther than this beyond the end of a carrier belongs to another segment.
 FARTHEST_MM = 15.0
 USUAL_ORIGIN = 1.3
-"""Factor between the usual and the shortest distances of bronchi from the carina."""
+"""Ratio of the usual to the shortest distance of a bronchus from the carina."""
 LEAST_MATCH = 0.5
 """Least cosine between the direction beyond a filled place and the usual direction of a bronchus."""
 # Largest distance between a filled place and the end of the airway before it.
@@ -67,9 +67,9 @@ class Absence:
     """Lobe or segment of which no named bronchus was found."""
 
     name: str
-    """Name of the lobe or segment, such as RML or RB4."""
+    """Name of the missing lobe or segment, such as RML or RB4."""
     kind: AbsenceKind
-    """Reason, from the evidence of the CT.
+    """Reason why the lobe or segment is missing, from the evidence of the CT.
 
     ``outside``: its bronchus begins outside the scan. ``resected``: its bronchus is a stump. ``blocked`` and
     ``filled``: soft tissue is in the bronchus that leads there. ``lost`` and ``leak``: the search lost the airway
@@ -78,33 +78,33 @@ class Absence:
     evidence.
     """
     carrier: str
-    """Nearest named airway that leads there, or from which the bronchus would arise."""
+    """Name of the nearest found airway that leads to the missing lobe or segment (its carrier)."""
     beyond_mm: float | None
     """Distance of ``lps`` from the start of ``carrier``, along the airway; None if no place is known."""
     lps: tuple[float, float, float] | None
-    """Place where the airway ends, or where the missing bronchus should arise, LPS in mm."""
+    """Place where the airway ends, or where the missing bronchus should arise, LPS in mm; None if no place is known."""
     width_mm: float | None
-    """Diameter of the airway that ends there; None if no airway ends there."""
+    """Diameter in mm of the airway that ends at ``lps``; None if no airway ends there."""
     branch_id: int | None
-    """ID of the unnamed branch in its place, or that leads there."""
+    """ID of the unnamed branch in place of the missing bronchus, or of the branch that leads there; None if unknown."""
     slice_number: int | None = None
     """Slice of ``lps``, counted from the feet, from 1."""
     num_slices: int | None = None
     """Number of slices of the scan."""
     has_clips: bool = False
-    """Whether surgical clips are at the stump."""
+    """Whether surgical clips are at the stump of the missing bronchus."""
     hidden_by: CalibratedShares | None = None
-    """Thick slices that may hide it; None if the slices are thin or do not explain the absence."""
+    """Thick slices that may hide the bronchus; None if the slices are thin or do not explain the absence."""
 
     @property
     def reason(self) -> str:
-        """Text on what the CT shows in its place; used by the window, the command line, reports and exports."""
+        """Text on what the CT shows in place of the missing bronchus, for all displays, reports and exports."""
         hidden = "" if self.hidden_by is None else miss_text(self.hidden_by, self.width_mm)
         return self._shown + hidden
 
     @property
     def _shown(self) -> str:
-        """Text on what the CT shows in its place, without the effect of thick slices."""
+        """Text on what the CT shows in place of the missing bronchus, without the effect of thick slices."""
         at = slice_text(self.slice_number, self.num_slices)
         where = f"{self.beyond_mm or 0.0:.0f} mm beyond the start of {self.carrier}"
         width = f"{self.width_mm or 0.0:.1f} mm wide{at}"
@@ -145,13 +145,13 @@ class Absence:
 
     @property
     def full_name(self) -> str:
-        """Short and long name, such as RB4 (lateral segment, RML)."""
+        """Short and long name of the missing lobe or segment, such as RB4 (lateral segment, RML)."""
         known = name_words(self.name)
         return self.name if known is None else known.full
 
     @property
     def words(self) -> str:
-        """Sentence with the full name and the reason."""
+        """Sentence with the full name of the missing lobe or segment and the reason."""
         match self.kind:
             case "outside":
                 return f"{self.full_name} is {self.reason}"
@@ -226,11 +226,11 @@ class _Missing:
 
     name: str
     usual: str
-    """Name in a chest that is not mirrored."""
+    """Name of the missing lobe or segment in a chest that is not mirrored."""
     carriers: tuple[str, ...]
-    """Names of the airways from which it may arise, the nearest first."""
+    """Names of the airways (carriers) from which the missing bronchus may arise, the nearest first."""
     segments: frozenset[str]
-    """Segments that it comprises."""
+    """Names of the segments that the missing lobe or segment comprises."""
 
 
 def _on_side(name: str, is_mirrored: bool) -> str:
@@ -408,7 +408,7 @@ class _Found:
         return max(found, key=lambda branch: float(np.median(branch.radius))) if found else None
 
     def _reading(self, branch_id: int) -> frozenset[str]:
-        """Return the segments to which a branch without a name probably leads."""
+        """Return the segments to which an unnamed branch probably leads."""
         if self._unnamed is None:
             has_unnamed = any(name is None for name in self._names.values())
             self._unnamed = segments_of_unnamed(self._tree) if has_unnamed else {}
@@ -439,7 +439,7 @@ class _Found:
         return None
 
     def _chain(self, start: Branch) -> list[Branch]:
-        """Return the consecutive branches of one name, into which side branches divide an airway."""
+        """Return the consecutive branches of the name of a branch, into which side branches divide an airway."""
         chain = [start]
         while True:
             name = self._names[start.id]
@@ -528,7 +528,7 @@ def _is_at_end(place: Uncertainty, branch: Branch) -> bool:
 
 
 def _is_beside(place: Uncertainty, branch: Branch | None) -> bool:
-    """Return whether a place is far from the tip of its branch."""
+    """Return whether a filled or closed place is far from the tip of its branch."""
     return branch is not None and float(np.linalg.norm(branch.tip_lps - np.array(place.lps))) > AT_END_MM
 
 

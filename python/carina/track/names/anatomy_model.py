@@ -37,11 +37,11 @@ class Segment:
     lobe: str
     """Lobe of the segment, such as RUL."""
     direction: Vector
-    """Direction of the bronchus, body frame."""
+    """Direction (3,) of the segment's bronchus, body frame."""
     place: Vector
     """Position of the territory in its lung, from the centre of the lung, in units of about half a lung height."""
     absent: float
-    """Probability that the segment is missing from the tree of a good CT: truly absent, or not found."""
+    """Probability that the segment is missing from the tree of a good CT because it is absent or was not found."""
     bulk: float = 1.0
     """Size of the segment's part of the tree, relative to other segments."""
 
@@ -146,7 +146,7 @@ GROUPS_LOST = (
     frozenset({"LB8", "LB9", "LB10"}),
 )
 DOUBLE = math.log(0.1)
-"""Log odds of two bronchi of one segment that leave the same fork side by side."""
+"""Log odds that two bronchi of one segment leave the same fork side by side."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -154,11 +154,11 @@ class Division:
     """All divisions of states in two, in both orders, as arrays sorted by the dividing state."""
 
     state: NDArray[np.intp]
-    """State (n,) that divides."""
+    """State (n,) that each division divides, as index in the grammar."""
     one: NDArray[np.intp]
-    """State (n,) of the first part."""
+    """State (n,) of the first part of each division."""
     two: NDArray[np.intp]
-    """State (n,) of the second part."""
+    """State (n,) of the second part of each division."""
     log_prior: NDArray[np.float64]
     """Log probability (n,) of the division, from anatomy alone."""
     place: NDArray[np.float64]
@@ -174,7 +174,7 @@ class Grammar:
     """States and rules of the grammar, as arrays."""
 
     names: list[str]
-    """Name of each state."""
+    """Name of each state of the grammar."""
     segments: list[frozenset[str]]
     """Keys of the segments that a state carries (nominally)."""
     lobe: list[str | None]

@@ -35,12 +35,12 @@ WRONG_SIDE = -6.0
 CALIBRE_SPREAD = 0.3
 CALIBRE_ANY = 0.5
 CALIBRE_INSIDE = math.log(0.7)
-"""Log of the usual radius of airways inside a segment, relative to its bronchus."""
+"""Log of the usual radius of airways inside a segment, relative to the segment's bronchus."""
 MAX_FORKS = 11
-"""RB10 may be the eighth bronchus from the trachea; side branches in between may add a few more."""
+"""Largest number of forks from the root up to which bronchi are read; RB10 may be the eighth bronchus."""
 TEMPER = 0.6
 DIVISION = -0.8
-"""Log penalty of each division.
+"""Log penalty of each division of a set of segments at a fork.
 
 Forks inside a segment spread like neighbouring segments, so a fork that looks like a division of segments is weaker
 evidence than among forks in all directions.
@@ -55,14 +55,15 @@ def _log_peak(kappa: Array | float) -> Array:
 
 
 STUMP_MM = 2.5
+"""Least radius of a stump, mm."""
 STUMP_SHARE = 0.55
-"""Least radius of a stump (mm), and least radius relative to its parent.
+"""Least ratio of a stump's radius to its parent's radius.
 
 A short blind bronchus of this width is not a twig but the rest of a lost bronchus.
 """
 STUMP_SPUR = 6.0
 LOST_LOBE = math.log(0.05)
-"""Log odds that nothing is left of a lobe with such a stump: resected, or plugged at its origin."""
+"""Log odds that nothing is left of a lobe with a stump: the lobe was resected, or is plugged at its origin."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,20 +85,20 @@ class Reading:
     state: int | None
     """State of the grammar; None for a bronchus that carries no segment (a twig, an accessory bronchus)."""
     confidence: float
-    """Probability of the label."""
+    """Probability of the label, 0 to 1."""
     inside: int | None = None
-    """State (a segment) in whose territory the bronchus is."""
+    """State of the segment in whose territory the bronchus lies; None if it lies in none."""
     twin: bool = False
-    """Whether it is one of several bronchi of its segment that leave side by side."""
+    """Whether the bronchus is one of several bronchi of its segment that leave a fork side by side."""
     settled: int | None = None
     """State that remains if a part of ``state`` is missing: RB5 of a middle lobe without RB4."""
     again: bool = False
-    """Whether it continues the state of its parent, past a side branch."""
+    """Whether the bronchus continues the state of its parent past a side branch."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """Readings of all bronchi."""
+    """Labels (readings) that the solver assigned to all bronchi of a tree."""
 
     readings: list[Reading]
 

@@ -74,18 +74,18 @@ _NAME = re.compile(
 @one_line
 @dataclass(frozen=True, slots=True)
 class NameWords:
-    """Forms of one anatomical name."""
+    """Forms of the anatomical name of one bronchus."""
 
     short: str
-    """Short name, such as RB6."""
+    """Short name of the bronchus, such as RB6."""
     long: str
-    """Long name, such as superior segment, RLL."""
+    """Long name of the bronchus, such as superior segment, RLL."""
     jackson_huber: str
     """Name by Jackson and Huber, such as superior segment."""
     boyden: str | None
     """Number by Boyden, such as B6; None for a trunk without a number."""
     side: str | None
-    """Side: right or left; None for the trachea."""
+    """Side of the bronchus: right or left; None for the trachea."""
     lobe: str | None
     """Lobe, such as RLL; None for trunks of several lobes."""
 

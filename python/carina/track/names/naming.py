@@ -36,7 +36,7 @@ __all__ = [
 ]
 
 SURE_ENOUGH = 0.5
-"""Least probability of a name; below it only the lobe of a branch is determined."""
+"""Least probability of a name; with a lower probability only the lobe of a branch is determined."""
 UNFIT = -40.0
 """Log odds of a reading that contradicts a user's name."""
 LOG_MIRRORED = math.log(1e-3)
@@ -45,11 +45,11 @@ LOG_MIRRORED = math.log(1e-3)
 Situs inversus has a frequency of 1 in 10,000; files with left and right exchanged are more frequent.
 """
 TURN_SPREAD_RAD = math.radians(15.0)
-"""Standard deviation of a patient's rotation on the table."""
+"""Standard deviation in radians of a patient's rotation on the table."""
 MIN_BRANCHES = 12
-"""Trachea, two main, five lobar and some segmental bronchi: fewer branches do not suffice to distinguish the lobes."""
+"""Least number of branches of a tree in which lobes are distinguished."""
 COARSE_FORKS = 5
-"""Frame and side are chosen on the central airways, up to this number of forks."""
+"""Number of forks from the root up to which airways are used to choose the body frame and the side."""
 LETTERS, ROMAN = "abcdefgh", ("i", "ii", "iii", "iv", "v", "vi", "vii", "viii")
 
 _VARIANT_STEMS = {
@@ -79,7 +79,7 @@ class _Named:
     frame: NDArray[np.float64]
     mirrored: bool
     fit: float | None
-    """Goodness of fit, see :func:`carina.track.names.tree_fit.fit_of`."""
+    """Goodness of fit of the tree, in nats per bronchus; see :func:`carina.track.names.tree_fit.fit_of`."""
 
     @property
     def is_misfit(self) -> bool:
@@ -556,7 +556,7 @@ def _variants(read: _Named, words: list[str | None], sure: NDArray[np.float64], 
 
 
 def _lobes_of(read: _Named) -> dict[int, str | None]:
-    """Return the lobe by index of the branch in the tree."""
+    """Return the lobe of each branch, by the branch's index in the tree; None if unknown."""
     rules = read.grammar
     found: dict[int, str | None] = {}
     own: list[str | None] = [None] * len(read.bronchi)

@@ -32,7 +32,7 @@ _ORIGINS = {
     **dict.fromkeys(("LB8", "LB9", "LB10"), (36.0, 10.0, -46.0)),
 }
 PADDING_MM = 5.0
-"""Voxels of one value within this distance on all sides are padding, not tissue."""
+"""Distance in mm from a voxel within which equal values on all sides show that the voxel is padding."""
 
 
 class ScanExtent:

@@ -21,14 +21,14 @@ MISFIT = "track.tree-unlike-human"
 POOR_FIT = 1.5
 """Lowest goodness of fit of a human bronchial tree in the orientation of its file (docs/decisions/0116)."""
 AGAINST = 1.5
-"""Weight of the advantage over other orientations, relative to the evidence itself."""
+"""Weight of a tree's advantage over other orientations, relative to the evidence itself."""
 MIRRORED_FIT = 0.75
 """Additional goodness of fit that a mirrored reading needs.
 
 Situs inversus is rare, and a tree of any kind may fit a mirrored one.
 """
 MIN_READ = 10
-"""Least number of bronchi with an assigned state; with fewer bronchi the fit is chance."""
+"""Least number of bronchi with an assigned state from which the goodness of fit is computed."""
 GOOD_FIT = 4.0
 """Goodness of fit above which a better fit no longer raises the confidence."""
 # Log odds of a correct name: constant, factor of the log odds of the reading, and change per nat below a good fit.
@@ -36,7 +36,7 @@ GOOD_FIT = 4.0
 # carina_bench.track_confidence).
 NAME_ODDS = (0.295, 1.073, 0.706)
 SUREST = 0.995
-"""Upper limit of the share of a reading."""
+"""Upper limit of the share of all readings that supports a name."""
 
 
 def calibrated(reading: float, fit: float | None) -> float:

@@ -14,12 +14,12 @@ from carina.track.tree.airway_tree import AirwayTree, Branch
 __all__ = ["Bronchus", "Lung", "body_frame", "bronchi_of", "find_lungs"]
 
 TWIG = 1.1
-"""A tip that ends within this many radii of its parent's axis does not leave the parent's lumen."""
+"""Largest distance of a twig's tip from the parent's axis, in radii: such a tip stays in the parent's lumen."""
 STUB = 0.8
-"""Two forks closer than this many radii of the airway before them are one fork into three."""
+"""Largest distance of two forks, in radii of the airway before them, at which they are one fork into three."""
 MAX_AT_A_FORK = 5
 LEAN = 0.22
-"""Backward inclination of a trachea on its way down, per mm."""
+"""Backward inclination of a trachea, in mm per mm of descent."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,28 +27,28 @@ class Bronchus:
     """Airway between two true forks; it consists of one or several branches of the tree."""
 
     pieces: tuple[int, ...]
-    """Indices in ``tree.branches``, in order."""
+    """Indices of the bronchus's branches in ``tree.branches``, in order."""
     parent: int | None
     """Index of the parent in the list of bronchi; None at the root."""
     children: tuple[int, ...]
-    """Indices in the list of bronchi; parents come first."""
+    """Indices of the child bronchi in the list of bronchi; parents come first."""
     stubs: tuple[int, ...]
-    """Branches that were merged into the fork at its end."""
+    """Indices of the branches that were merged into the fork at the end of the bronchus."""
     start: NDArray[np.float64]
-    """First point, LPS in mm."""
+    """First point (3,) of the bronchus, LPS in mm."""
     end: NDArray[np.float64]
-    """Last point, LPS in mm."""
+    """Last point (3,) of the bronchus, LPS in mm."""
     length_mm: float
     radius_mm: float
     """Mean of the median radii of its branches, weighted by their lengths."""
     direction: NDArray[np.float64]
-    """Unit vector, LPS."""
+    """Unit vector (3,) along the bronchus, LPS."""
     middle: NDArray[np.float64]
-    """Centre of the tips beyond the bronchus, LPS in mm."""
+    """Centre (3,) of the tips of the tree beyond the bronchus, LPS in mm."""
     bulk_mm: float
-    """Total length of the airways from its start outwards."""
+    """Total length in mm of the airways from the start of the bronchus outwards."""
     below: tuple[int, ...]
-    """All branches beyond its own pieces, including twigs and stubs."""
+    """Indices of all branches beyond the bronchus's own pieces, including twigs and stubs."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,13 +56,13 @@ class Lung:
     """All bronchi of one lung."""
 
     members: frozenset[int]
-    """Indices of its bronchi."""
+    """Indices of the lung's bronchi in the list of bronchi."""
     middle: NDArray[np.float64]
-    """Centre of its tips, LPS in mm."""
+    """Centre (3,) of the tips of the lung's airways, LPS in mm."""
     size_mm: float
-    """Root mean square distance of the tips from their centre."""
+    """Root mean square distance in mm of the tips from their centre."""
     unit_radius_mm: float
-    """Radius of a bronchus of one segment, derived from trachea and main bronchi: flow is proportional to its cube."""
+    """Radius in mm of a bronchus of one segment, derived from trachea and main bronchi."""
 
 
 def _arc(points: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -10,7 +10,7 @@ __all__ = ["with_divided_slices"]
 POLE = np.sqrt(3.0) - 2.0
 """Pole of the filter that converts values to the coefficients of a cubic B-spline."""
 NUM_TERMS = 24
-"""Number of terms of a coefficient at the border: the next term is below 1e-13 of the values."""
+"""Number of terms of the sum for a coefficient at the border of a stack."""
 NUM_ROWS = 32
 """Number of rows that are interpolated at a time, so that their coefficients stay in the processor cache."""
 
@@ -88,7 +88,7 @@ def _coefficients(values: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _spline(x: float) -> float:
-    """Return the cubic B-spline at x."""
+    """Return the value of the cubic B-spline at x."""
     x = abs(x)
     if x < 1.0:
         return 2.0 / 3.0 - x * x + 0.5 * x**3
@@ -96,7 +96,7 @@ def _spline(x: float) -> float:
 
 
 def _mirrored(places: NDArray[np.int64], num: int) -> NDArray[np.int64]:
-    """Return indices in a stack that is mirrored at its first and last slice."""
+    """Return the indices of positions in a stack that is mirrored at its first and last slice."""
     period = 2 * (num - 1)
     places = np.abs(places) % period
     return np.minimum(places, period - places)

@@ -15,7 +15,7 @@ from carina.volume.model import Volume
 
 __all__ = ["LivePath", "find_live_path", "noise_hu", "sampled", "wall_scores"]
 
-# Number of rays round a point of the path, and largest number of points.
+# Number of rays round a point of the path, and largest number of points that are judged.
 NUM_RAYS = 8
 MAX_POINTS = 48
 # The wall of a bronchus is 0.5 to 2 mm thick; the scanner blurs it by about a voxel.
@@ -26,9 +26,9 @@ NOTHING_SIGMA, CERTAIN_SIGMA = 2.0, 6.0
 LEAST_CONTRAST_HU = 60.0
 # A lumen below the first width (voxels) may be noise; from the second width on it is completely visible.
 FEW_VOXELS, ENOUGH_VOXELS = 0.5, 3.0
-# Length at the end of the path that is judged if the path contains nothing new.
+# Length in mm at the end of the path that is judged if the path contains no new part.
 LAST_MM = 10.0
-# Radius round a pointer outside all airways in which the nearest airway is searched.
+# Radius in mm round a pointer outside all airways within which the nearest airway is searched.
 SEARCH_MM = 40.0
 # The wall is judged by its weakest points; a quantile, because noise determines the single weakest sample.
 WEAK_SHARE = 0.1
@@ -60,16 +60,16 @@ class LivePath:
     """Points (n, 3) from the root to the target, LPS in mm, smoothed inside the lumen; (0, 3) if there is a problem."""
     length_mm: float
     min_radius_mm: float
-    """Smallest distance from the centreline to the wall, without one radius at both ends."""
+    """Smallest distance in mm from the centreline to the wall, without one radius at both ends of the path."""
     confidence: float | None
     """Confidence (0..1) that the new part is an airway, from its wall and lumen (see :func:`find_live_path`).
 
     None if there is no path.
     """
     snapped_mm: float
-    """Distance of the given point from the lumen; 0 inside it."""
+    """Distance in mm of the given point from the lumen; 0 inside the lumen."""
     new_mm: float
-    """Length of the path outside the present tree."""
+    """Length in mm of the path outside the present tree."""
     joins_branch_id: int | None
     """Branch of the present tree from which the new part starts; None without a tree."""
     problem: str | None
@@ -204,7 +204,7 @@ def noise_hu(volume: Volume, points_lps: NDArray[np.float64], scale: AirScale) -
 
 
 def _across(points: NDArray[np.float64], path: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return two unit vectors (n, 3) across the path at each of its points."""
+    """Return two unit vectors (n, 3) across a path at each of its points."""
     place = np.argmin(np.linalg.norm(path[None, :, :] - points[:, None, :], axis=2), axis=1)
     last = len(path) - 1
     along = path[np.minimum(place + 2, last)] - path[np.maximum(place - 2, 0)]
@@ -242,7 +242,7 @@ def _no_path(problem: str) -> LivePath:
 
 
 def _where(tracker: LumenPaths, volume: Volume, point: Point, reach_mm: float) -> str:
-    """Return a text that states what is at a point outside the lumen, and what to do."""
+    """Return a text for the user that states what is at a point outside the lumen, and what to do."""
     found = tracker.core.nearest(point, SEARCH_MM)
     far = f"more than {SEARCH_MM:g} mm" if found is None else f"{found[1]:.0f} mm"
     do = (

@@ -18,15 +18,15 @@ from carina.volume.sparse_mask import empty_mask
 __all__ = ["MOST_PARTS", "DividedSlices", "PathGrid"]
 
 PART_MM = 1.0
-"""Slices are divided into parts of about this thickness; a slice up to a quarter thicker is not divided."""
+"""Thickness in mm of the parts into which slices are divided; a slice up to a quarter thicker is not divided."""
 THICK = 1.5
-"""A slice is thick if its thickness is at least this many times the voxel width."""
+"""Ratio of a slice's thickness to the voxel width from which a slice counts as thick."""
 WIDEST_MM = 1.0
-"""Slices with wider voxels are not divided: such voxels do not show the airways that thick slices interrupt."""
+"""Largest voxel width in mm at which slices are divided."""
 LEAST_SLICES = 4
 MOST_PARTS = 16
 LEAST_PART_MM = 0.5
-"""Least thickness of a part; a case file with thinner parts is damaged, and its grid would need too much memory."""
+"""Least thickness in mm of a part; a case file with thinner parts is damaged."""
 
 
 class DividedSlices(NamedTuple):
@@ -35,7 +35,7 @@ class DividedSlices(NamedTuple):
     axis: int
     """Axis across the slices: 0 is i, 1 is j, 2 is k."""
     slice_mm: float
-    """Thickness of the slices before the division."""
+    """Thickness in mm of the slices before the division."""
 
 
 class PathGrid:
@@ -111,14 +111,14 @@ class PathGrid:
 
     @property
     def shape_zyx(self) -> tuple[int, int, int]:
-        """Number of voxels along z, y, x."""
+        """Number of voxels of the grid along z, y, x."""
         shape = list(self.ct.shape_zyx)
         shape[2 - self._axis] *= self.parts
         return shape[0], shape[1], shape[2]
 
     @property
     def lps_from_ijk(self) -> NDArray[np.float64]:
-        """Affine matrix (4x4) from the voxels of this grid to LPS in mm."""
+        """Affine matrix (4, 4) from the voxels of this grid to LPS in mm."""
         place = self.ct.lps_from_ijk.copy()
         # The first part of the first voxel begins where that voxel begins.
         place[:3, 3] += place[:3, self._axis] * (0.5 / self.parts - 0.5)

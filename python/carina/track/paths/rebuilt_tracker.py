@@ -13,7 +13,7 @@ from carina.volume.model import Volume
 __all__ = ["CoreRecipe", "Levels", "edited_core", "found_core"]
 
 Levels = tuple[float, float, float] | None
-"""Wall levels as in :attr:`carina.track.Airways.wall_levels`."""
+"""Type of the wall levels of a lumen, as in :attr:`carina.track.Airways.wall_levels`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +21,7 @@ class CoreRecipe:
     """Parameters from which the compiled tracker of a lumen is rebuilt, in another process or from a case file."""
 
     levels: Levels
-    """Wall levels of the lumen."""
+    """Wall levels of the lumen; None for a lumen from another tool."""
     is_edited: bool
     """Whether paths have the order of edits (`edited_core`) rather than that of a search (`found_core`)."""
 

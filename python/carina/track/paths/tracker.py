@@ -46,7 +46,7 @@ class TrackedPath:
     The distance is less than ``radius_mm`` if the lumen is not round.
     """
     length_mm: float
-    """Length of the smoothed path."""
+    """Length of the smoothed path, mm."""
     cost: float
     """Cost of the voxel path: the sum over its edges of length in mm times weight."""
     generation: NDArray[np.int32]
@@ -58,7 +58,7 @@ class TrackedPath:
     target_node: int
     """Node of the target in the compiled tracker."""
     snapped_mm: float
-    """Distance of the requested point from the lumen; 0 inside the lumen."""
+    """Distance in mm of the requested point from the lumen; 0 inside the lumen."""
 
 
 class PathTracker:
@@ -143,7 +143,7 @@ class PathTracker:
 
     @property
     def num_nodes(self) -> int:
-        """Number of lumen voxels."""
+        """Number of lumen voxels, each of which is a node."""
         return self.core.num_nodes
 
     @property
@@ -469,7 +469,7 @@ class PathTracker:
 
     @property
     def _branch_of_node(self) -> NDArray[np.int32]:
-        """Index of the branch to whose lumen each node belongs; computed at first use."""
+        """Index of the branch to whose lumen each node belongs, (nodes,); computed at first use."""
         labels = self._labels
         if labels is None:
             if not self._branches:
@@ -516,7 +516,7 @@ class PathTracker:
 def _tracker_of(
     values: dict[str, Any], lumen: PackedMask, branches: tuple[Branch, ...], nodes: list[NDArray[np.uint32]] | None
 ) -> PathTracker:
-    """Return the tracker from the values in a pickle."""
+    """Return the path tracker that the values in a pickle describe."""
     tracker = PathTracker(core=None, lumen_zyx=lumen.mask_zyx(), **values)
     tracker._tell(branches, nodes)
     return tracker
@@ -554,7 +554,7 @@ def branches_from_rows(rows: Sequence[dict[str, Any]]) -> tuple[Branch, ...]:
 
 
 def as_point(point_lps: Sequence[float] | NDArray[np.float64]) -> Point:
-    """Return a point as three finite numbers.
+    """Return a point as three finite numbers, or raise an error.
 
     Raises
     ------
@@ -569,5 +569,5 @@ def as_point(point_lps: Sequence[float] | NDArray[np.float64]) -> Point:
 
 
 def words(point: Point) -> str:
-    """Return the text of a point, such as (1.0, 2.0, 3.0)."""
+    """Return the coordinates of a point as text, such as (1.0, 2.0, 3.0)."""
     return "({:.1f}, {:.1f}, {:.1f})".format(*point)

@@ -126,7 +126,7 @@ class FieldPaths:
 
     @property
     def num_open(self) -> int:
-        """Number of voxels that are not wall."""
+        """Number of voxels of the region whose weight is finite (no wall)."""
         return self._core.num_open
 
     @property
@@ -141,7 +141,7 @@ class FieldPaths:
 
     @property
     def core(self) -> FieldTracker:
-        """Compiled tracker."""
+        """Compiled tracker that computes the paths."""
         return self._core
 
     @shows_progress

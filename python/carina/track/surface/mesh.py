@@ -21,7 +21,7 @@ __all__ = ["Mesh", "lumen_mask", "lumen_mesh", "mask_mesh"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
-    """Closed mesh of triangles."""
+    """Closed mesh of triangles, the surface of a mask or lumen."""
 
     vertices_lps: NDArray[np.float64]
     """Vertices (n, 3), LPS in mm."""
@@ -34,14 +34,14 @@ class Mesh:
 
     @property
     def volume_mm3(self) -> float:
-        """Volume inside the mesh."""
+        """Volume inside the mesh, mm3."""
         # Relative to a point nearby: far from the origin of the scanner the terms would cancel badly.
         corners = (self.vertices_lps - self.vertices_lps.mean(axis=0))[self.triangles]
         return float(np.einsum("na,na->n", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6.0)
 
     @property
     def area_mm2(self) -> float:
-        """Total area of the triangles."""
+        """Total area of the triangles, mm2."""
         corners = self.vertices_lps[self.triangles]
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         return float(np.linalg.norm(across, axis=1).sum() / 2.0)
@@ -151,7 +151,10 @@ def lumen_mask(volume: Volume, airways: Airways) -> NDArray[np.uint8]:
 
 
 def _levels(volume: Volume, airways: Airways) -> tuple[float, float, float] | None:
-    """Return the threshold, the level of the wall and its rise; None for a lumen from another tool."""
+    """Return the threshold, the level of the wall and the least rise to the wall.
+
+    None for a lumen from another tool.
+    """
     if not np.isfinite(airways.threshold):
         return None
     scale = air_scale(volume)

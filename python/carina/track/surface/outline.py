@@ -41,7 +41,7 @@ class LumenOutline:
 
     @property
     def lumen_zyx(self) -> NDArray[np.uint8]:
-        """Lumen that is outlined."""
+        """Lumen (nz, ny, nx) that is outlined."""
         return self._lumen_zyx
 
     def lines(

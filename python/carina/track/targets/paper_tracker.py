@@ -40,9 +40,9 @@ Labels = Literal["bins", "lumen"]
 Box = tuple[tuple[int, int, int], tuple[int, int, int]]
 
 MAX_BYTES = 1 << 30
-"""Memory limit of a search with the cost ``paper`` or ``walls``, without its queue."""
+"""Memory limit in bytes of a search with the cost ``paper`` or ``walls``, without its queue."""
 BYTES_PER_VOXEL = {"voxel": 22, "isoregion": 38}
-"""Memory per voxel of the searched box.
+"""Memory in bytes per voxel of the searched box, by graph.
 
 5 bytes for the cost and 17 for the tree; on the IsoRegion graph 16 more for pruned voxels.
 """
@@ -56,7 +56,7 @@ NO_LUMEN = Note(
 
 
 def check_choice(cost: str, graph: str) -> None:
-    """Raise an error for an unknown cost or graph.
+    """Raise an error if the name of a cost or a graph is unknown.
 
     Raises
     ------
@@ -331,7 +331,7 @@ class _Way:
 
     @property
     def whole(self) -> Points:
-        """Positions of the nodes, and the end."""
+        """Positions (n, 3) of the nodes of the path and of its end, LPS in mm."""
         return self.points if self.end is None else np.concatenate([self.points, self.end[None]])
 
 
@@ -345,7 +345,7 @@ def _densely(points: Points, step_mm: float) -> Points:
 
 
 def _outside(way: _Way, airways: Airways, volume: Volume) -> tuple[int, float]:
-    """Return the number of nodes of a path outside the lumen, and the length (mm) of the path outside it."""
+    """Return the number of nodes of a path outside the lumen, and the length (mm) of the path outside the lumen."""
     num = int((~airways.tracker.inside(way.points)).sum())
     whole = way.whole
     if len(whole) < 2:
@@ -354,7 +354,7 @@ def _outside(way: _Way, airways: Airways, volume: Volume) -> tuple[int, float]:
 
 
 def outside_mm(points: Points, airways: Airways, volume: Volume) -> float:
-    """Return the length (mm) of a polyline outside the lumen; it has (n, 3) points, LPS in mm, n >= 2."""
+    """Return the length (mm) of a polyline outside the lumen."""
     dense = _densely(points, 0.25 * min(volume.spacing_mm))
     pieces = np.linalg.norm(np.diff(dense, axis=0), axis=1)
     return float(pieces[~airways.tracker.inside((dense[:-1] + dense[1:]) / 2)].sum())

@@ -23,13 +23,13 @@ class TargetSearch:
     """Effort of the search for one target, and statistics of its path."""
 
     cost: float
-    """Sum over the edges of length in mm times weight."""
+    """Cost of the path: the sum over its edges of length in mm times weight."""
     search_s: float
     """Seconds from the call to the least cost; nodes settled for earlier targets are not searched again."""
     num_settled: int
     """Number of nodes that were settled for this target."""
     num_path_nodes: int
-    """Number of nodes of the path."""
+    """Number of nodes of the path to the target."""
     num_outside: int | None
     """Number of nodes of the path outside the found lumen; None if there is no lumen to compare with."""
     outside_mm: float | None
@@ -57,7 +57,7 @@ class GraphSearch:
     num_centres: int
     """Number of nodes in the centre of an IsoRegion."""
     build_s: float
-    """Seconds for building graph and cost."""
+    """Time for building the graph and the cost of its edges, s."""
     quantum: float
     """Smallest unit of the costs: costs are whole multiples of it."""
     first_ijk: tuple[int, int, int]
@@ -65,13 +65,13 @@ class GraphSearch:
     shape_ijk: tuple[int, int, int]
     """Shape of the box of voxels that was searched, from ``first_ijk`` on (for the cost ``lumen``: its lumen)."""
     is_whole: bool
-    """Whether the box is the whole volume."""
+    """Whether the searched box is the whole volume."""
     branch_nodes_lps: Points
     """Positions (n, 3) where paths part, LPS in mm: predecessors of two or more nodes (paper, Figure 13)."""
     targets: tuple[TargetSearch | None, ...]
     """Search of each target; None if there is no path to the target."""
     notes: tuple[str, ...] = ()
-    """Texts about limits of the search."""
+    """Texts for the user about limits of the search."""
 
 
 @one_line
@@ -84,9 +84,9 @@ class TargetResult:
     used_lps: NDArray[np.float64] | None
     """End of the path, LPS in mm: the target, or the lumen voxel to which it was moved; None if there is no path."""
     snapped_mm: float
-    """Distance by which the target was moved."""
+    """Distance in mm by which the target was moved to the lumen."""
     path: TrackedPath | None
-    """Path to the target; None if there is none."""
+    """Path to the target; None if there is no path."""
     problem: str | None
     """Text that states why there is no path; None if there is one."""
 
@@ -106,7 +106,10 @@ class TrackResult(Tabular):
     targets: tuple[TargetResult, ...]
     """Results, one for each target, in order."""
     airways: Airways | None
-    """Airways; None if no lumen was found, which the costs ``paper`` and ``walls`` do not need."""
+    """Airways in which the paths run.
+
+    None if no lumen was found, which the costs ``paper`` and ``walls`` do not need.
+    """
     search: GraphSearch | None = None
     """Graph that was searched and the effort; None for the cost ``lumen`` on the voxel graph."""
 

@@ -25,7 +25,7 @@ __all__ = ["track_paths"]
 
 
 def _check_root(where: str, name: str, value: object) -> None:
-    """Check that a root is "auto" or a point."""
+    """Raise an error unless a root is "auto" or a point."""
     (choice("auto") if isinstance(value, str) else lps_point())(where, name, value)
 
 

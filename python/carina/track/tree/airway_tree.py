@@ -51,15 +51,15 @@ class Branch:
     """Piece of airway between two forks, or between a fork and a tip."""
 
     id: int
-    """ID, unique in the tree; it stays the same through edits."""
+    """ID of the branch, unique in the tree; it stays the same through edits."""
     parent: int | None
     """ID of the parent branch; None at the root."""
     children: tuple[int, ...]
-    """IDs of the branches that leave its end."""
+    """IDs of the branches that leave the end of the branch."""
     generation: int
     """Number of forks between the root and the branch: 0 in the trachea."""
     name: str | None
-    """Anatomical name, if it is beyond doubt; otherwise None."""
+    """Anatomical name of the branch, if it is beyond doubt; otherwise None."""
     kind: str
     """``tracked`` through the lumen, ``bridge`` across an obstruction, or ``manual``: drawn, the CT shows no airway."""
     points: Points
@@ -78,7 +78,7 @@ class Branch:
     name_confidence: float | None = None
     """Confidence of the name, 0 to 1; None without a name, and for a name that a user gave."""
     name_from: str | None = None
-    """Source of the name: ``anatomy`` or ``person``; None without a name. A name from ``person`` is never replaced."""
+    """Source of the name: ``anatomy`` or ``person`` (a user, whose name is never replaced); None without a name."""
     variant: str | None = None
     """Text on uncommon anatomy of the branch, such as "RB1 and RB2 share a stem"; None if there is none."""
     doubtful_mm: float = 0.0
@@ -88,7 +88,7 @@ class Branch:
     """Distance (n,) to the wall in mm; None for a tree that was read from a file. See ``wall_distance``."""
 
     def __post_init__(self) -> None:
-        """Check the types and ranges of the fields."""
+        """Raise an error if a field of the branch has an invalid type or value."""
         check_fields(
             self,
             id=whole_from(0, 2**31),
@@ -124,7 +124,7 @@ class Branch:
 
     @property
     def length_mm(self) -> float:
-        """Length of the centreline."""
+        """Length of the branch's centreline, mm."""
         return float(_cumulative_mm(self.points)[-1])
 
     @property
@@ -151,22 +151,22 @@ class TreeRow:
 
     @property
     def id(self) -> int:
-        """ID of the first piece."""
+        """ID of the first piece of the bronchus."""
         return self.branches[0].id
 
     @property
     def name(self) -> str | None:
-        """Name of all pieces."""
+        """Name that all pieces of the bronchus share; None without a name."""
         return self.branches[0].name
 
     @property
     def generation(self) -> int:
-        """Generation of the first piece."""
+        """Generation of the first piece of the bronchus."""
         return self.branches[0].generation
 
     @property
     def length_mm(self) -> float:
-        """Total length of the pieces."""
+        """Total length of the pieces of the bronchus, mm."""
         return sum(branch.length_mm for branch in self.branches)
 
     @property
@@ -201,11 +201,11 @@ class Route:
     branch_ids: NDArray[np.int32]
     """ID (n,) of the branch at each point; at a fork that of the branch that ends there."""
     forks_mm: list[float]
-    """Positions of the forks along the path."""
+    """Positions of the forks along the route, mm."""
 
     @property
     def length_mm(self) -> float:
-        """Length of the whole path."""
+        """Length of the whole route, mm."""
         return float(self.cumulative_mm[-1])
 
 
@@ -240,7 +240,7 @@ class AirwayTree(Tabular):
     """Function that smooths a path inside the lumen: evenly spaced points and their radii. Not saved."""
 
     def __post_init__(self) -> None:
-        """Check the branches and notes."""
+        """Raise an error for inconsistent branches or notes."""
         check_fields(
             self,
             branches=each(instance(Branch, "get branches from an AirwayTree"), least=1),
@@ -326,7 +326,7 @@ class AirwayTree(Tabular):
 
     @property
     def root(self) -> Branch:
-        """Trunk of the tree."""
+        """Trunk of the tree: the branch without a parent."""
         return self.branches[0]
 
     @check_arguments(branch_id=whole_from(0, 2**31))

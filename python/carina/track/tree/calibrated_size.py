@@ -22,13 +22,13 @@ __all__ = [
 UNCALIBRATED_SIZE = "track.size-not-calibrated"
 """Code of the permanent note on a tree whose trachea is outside the calibrated range."""
 CALIBRATED_MM = (12.0, 27.0)
-"""Diameters of the trachea in the CTs on which confidence was calibrated and verified (docs/decisions/0116)."""
+"""Range of diameters in mm of the trachea in the CTs on which confidence was calibrated (docs/decisions/0116)."""
 UNPROVEN = 0.5
-"""Highest confidence of a branch or a name far outside the calibrated range."""
+"""Highest confidence of a branch or a name in a tree whose trachea is far outside the calibrated range."""
 # Share below or above the range over which the limit falls from 1 to UNPROVEN.
 FALL_SHARE = 0.15
 WIDE_PART = 75.0
-"""Percentile of the radius along a branch that is used: a narrow place has no effect."""
+"""Percentile of the radius along a branch that counts as its radius, so that a narrow place has no effect."""
 MAIN_OF_TRACHEA = 0.77
 """Root mean square diameter of the main bronchi over the diameter of the trachea (34 phantoms: 0.73 to 0.80)."""
 
@@ -53,7 +53,7 @@ def _diameter_mm(tree: AirwayTree, name: str) -> float | None:
 
 
 def _sizes_mm(tree: AirwayTree) -> tuple[float, ...]:
-    """Return the diameter of the trachea, and the one that the main bronchi suggest; empty without a named trachea."""
+    """Return the diameters in mm of the trachea: measured, and derived from the main bronchi; empty if unnamed."""
     trachea = _diameter_mm(tree, "Trachea")
     if trachea is None:
         return ()

@@ -17,7 +17,7 @@ from carina.value import FrozenValue
 __all__ = ["DrawnPart", "drawn_part", "drawn_tree", "kind_words"]
 
 SHOWN_MM = 0.05
-"""Shorter lengths are rounding errors."""
+"""Length in mm below which a drawn or bridged length is a rounding error."""
 
 
 class DrawnPart(FrozenValue, frozen=True):

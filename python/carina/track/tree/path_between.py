@@ -53,12 +53,12 @@ def way_between(
 
 
 def _place(trunk: Branch, branch: Branch, index: int) -> int:
-    """Return the index on the trunk of a point on it, or of the fork at which the branch of the point leaves."""
+    """Return the index on a trunk of a point, or of the fork at which the branch of the point leaves the trunk."""
     return index if branch.id == trunk.id else len(trunk.points) - 1
 
 
 def _below(branches: Sequence[Branch], index: int) -> Points:
-    """Return the centrelines from a fork down to a point on the last of the given branches."""
+    """Return the centrelines (n, 3), LPS in mm, from a fork down to a point on the last of the given branches."""
     if not branches:
         return np.empty((0, 3))
     return np.concatenate([*(branch.points for branch in branches[:-1]), branches[-1].points[: index + 1]])

@@ -47,15 +47,15 @@ SHARES: dict[tuple[float, float | None], tuple[tuple[int, int, int], ...]] = {
 JUDGED_MM = 2.0
 """Slices are judged by the airways of 2 to 3 mm: small segmental and subsegmental bronchi."""
 THIN_SHARE = 0.95
-"""Slices are thick if the mean share of these airways is lower; in slices of 0.7 and 1 mm it is .98."""
+"""Least mean share of airways of 2 to 3 mm in thin slices; slices with a lower share count as thick."""
 PATIENT_FACTOR = 1.25
-"""Factor on the thickness for patients.
+"""Factor on the slice thickness for CTs of patients.
 
 Slices of patients hide as much as painted slices that are thicker by this factor (four CTs, lists of readers).
 """
 STEP_PERCENT = 5
 WIDEST_PIXEL_MM = 0.8
-"""Widest pixels for which the least and mean shares are known.
+"""Largest pixel width in mm for which the least and mean shares are known.
 
 The calibrated CTs have pixels of 0.46 to 0.7 mm. In wider pixels fewer airways are found, so the greatest shares are
 upper limits.
@@ -68,9 +68,9 @@ class CalibreShare:
     """Share of the length of airways of one calibre that the search finds in CTs of one slice thickness."""
 
     from_mm: float
-    """Smallest inner diameter."""
+    """Smallest inner diameter of the airways, mm."""
     to_mm: float | None
-    """Largest inner diameter; None: no upper limit."""
+    """Largest inner diameter of the airways, mm; None: no upper limit."""
     least: float
     """Least share among the CTs that were measured: 0 to 1, a multiple of 0.05 like :attr:`typical` and :attr:`most`.
     """
@@ -193,7 +193,7 @@ def with_slice_note(tree: AirwayTree, ct: Volume) -> AirwayTree:
 
 
 def _percent(share: CalibreShare) -> str:
-    """Return the text of a share in percent."""
+    """Return a share (0 to 1) as text in percent."""
     low, high = (f"{100.0 * part:.0f}" for part in (share.least, share.most))
     if low == high:
         return f"{high} %"

@@ -30,7 +30,7 @@ UncertaintyKind = Literal["lost", "blocked", "stump", "filled", "leak", "volume"
 Points = NDArray[np.float64]
 
 FAINT = 0.5
-"""A branch with a lower confidence is more likely not an airway and is listed as uncertain."""
+"""Confidence below which a branch is more likely not an airway and is listed as uncertain."""
 # Calibration of wall scores: (score, share of branches with this score that are true airways), rising. Isotonic fit on
 # phantoms of the seeds 101 to 114, good and degraded, with strands beside the airways; verified on the seeds 201 to 214
 # (docs/decisions/0116; carina_bench.track_confidence).
@@ -44,7 +44,7 @@ THREAD_SHARE = 0.95
 NEAR_THREAD_MM = 1.5
 NEAR_JUDGED_MM = 2.0
 WALL_WEIGHT = 0.2
-"""Weight of the walls' log odds relative to those of the path: both are from the same values."""
+"""Weight of the log odds of a branch's walls relative to those of the path along the branch."""
 SUREST_WALLS, SUREST_WAY = 0.99, 0.995
 MOST_OF_ONE = 0.94
 """Highest confidence of a branch of which only the path or only the walls are more certain."""
@@ -57,7 +57,7 @@ NOISE_POWER = 0.75
 SHARP_RIM_HU = 15.0
 THIN_VOXELS = 2.0
 MOST_BESIDE_RIMS = 0.95
-# Length of the last part of a branch, which runs into its blind end and is not judged.
+# Length in mm of the last part of a branch, which runs into its blind end and is not judged.
 BLUNT_MM = 2.0
 NUM_SECTIONS = 12
 NUM_SIDES = 16
@@ -70,7 +70,7 @@ class Uncertainty(AirwayPlace, frozen=True, kw_only=True):
     """
 
     kind: UncertaintyKind
-    """Kind of the place.
+    """Kind of the uncertain place.
 
     ``lost``: the search lost the airway, although its calibre shows that it continues; the CT proves no disease.
     ``blocked``: soft tissue continues the bronchus beyond the end of its lumen. ``stump``: a wall closes the
@@ -80,7 +80,7 @@ class Uncertainty(AirwayPlace, frozen=True, kw_only=True):
     coarse; once for the whole tree.
     """
     width_mm: float
-    """Diameter of the airway where it was last visible.
+    """Diameter in mm of the airway where it was last visible.
 
     For ``fine``: the median of the ends that are this thin. For ``filled``: that of the circle with the area of the
     remaining air, 0 without air.
@@ -163,7 +163,7 @@ class Uncertainty(AirwayPlace, frozen=True, kw_only=True):
 
     @property
     def reason(self) -> str:
-        """Statement with its explanation."""
+        """Statement on the uncertain place, with its explanation."""
         return self.statement if self.explanation is None else f"{self.statement}: {self.explanation}"
 
 
@@ -318,7 +318,7 @@ def _judged_with(
 
 
 def judged(volume: Volume, branch: Branch, noise: float) -> Branch:
-    """Return a branch with its confidence, see :func:`with_confidence`."""
+    """Return a branch with its confidence from its walls, see :func:`with_confidence`."""
     share = np.interp(_wall_score(volume, branch, noise), *np.array(AIRWAY_SHARE).T)
     return dataclasses.replace(branch, confidence=round(float(share), 3))
 
