@@ -22,6 +22,7 @@ from carina.config import load_settings
 from carina.errors import CarinaError
 from carina.phantom import Phantom, generate_phantom
 from carina.track import Airways, find_airways
+from carina.track.names.anatomy_model import LOBES
 from carina.volume import Volume
 from carina_bench.filled_bronchi import with_secretions
 from carina_bench.track_hard_cases import hard_cases
@@ -50,7 +51,6 @@ BLUNT_END_MM = 5.0
 THIN_MM, THICK_MM = 1.0, 3.0
 NUM_PEOPLE = 20
 NUM_PATIENTS_OF_A_FINDING = 4
-LOBES = ("RUL", "RML", "RLL", "LUL", "LLL")
 FILLED = ("RB6", "LB10", "RML", "LB6", "RB10")
 FLUID = ((1.0, 4.0, 9.0), (0.8, 4.0, 9.0))
 """Share of the height, start and length in mm of the secretions."""
@@ -210,10 +210,9 @@ def _covers(name: str, segment: str) -> bool:
 
 
 def _lobe(segment: str) -> str:
-    number = int(segment[2:].split("+", maxsplit=1)[0])
-    if segment[0] == "R":
-        return "RUL" if number <= 3 else "RML" if number <= 5 else "RLL"
-    return "LUL" if number <= 5 else "LLL"
+    """Return the lobe of a segment such as RB3 or LB1+2."""
+    first = segment.split("+", maxsplit=1)[0]
+    return next(lobe for lobe, segments in LOBES.items() if first in segments)
 
 
 def run(quick: bool, say: Say, cases: Sequence[str] = ()) -> list[Row]:
