@@ -97,9 +97,8 @@ def bench_track(
         list[str] | None,
         typer.Option(
             "--case",
-            help="With --only evidence: patient, QIN-LSC-0003, phantom-24, phantom-22 or phantom-29; with --only hard: "
-            "a patient (Patient1), a kernel (medium), a slice thickness (2.5mm), without-softening. May be given "
-            "several times.",
+            help="With one --only: a case of that part, such as phantom-24 (evidence), 2.5mm (hard) or tubes "
+            "(statements); a wrong one lists them all. May be given several times.",
         ),
     ] = None,
     quick: BenchQuick = False,
@@ -107,9 +106,9 @@ def bench_track(
 ) -> None:
     """Compare the path tracker with its peers, and the airway tree with the truth.
 
-    Parts: speed, paper, quality, hard (only if it is named), visible, names, measures, evidence. A part that this
-    version does not have, or whose peers or data are missing, is named and omitted. A missed limit is a result and no
-    failure: the exit code is 0.
+    Parts: speed, paper, quality, visible, names, measures, evidence; and, each for up to an hour or more and only if
+    --only names it, hard, shares, classes, statements, diameters. A part that this version does not have, or whose
+    peers or data are missing, is named and omitted. A missed limit is a result and no failure: the exit code is 0.
 
     Example: carina bench track --only speed --quick
     """

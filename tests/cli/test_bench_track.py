@@ -36,6 +36,13 @@ def test_quality_cases_are_those_that_it_paints():
     assert track.PARTS["quality"].cases == track_quality.CASES
 
 
+def test_help_names_every_part_and_which_ones_run_only_if_named(carina):
+    listed = " ".join(carina("bench", "track", "--help").out.split()).partition("Parts: ")[2].partition(". ")[0]
+    always, _, if_named = listed.partition("; and, ")
+    assert set(always.split(", ")) == {name for name, part in track.PARTS.items() if not part.needs_name}
+    assert set(if_named.partition("names it, ")[2].split(", ")) == {n for n, p in track.PARTS.items() if p.needs_name}
+
+
 def test_unknown_case_exits_2_and_lists_the_known_ones(carina, tmp_path):
     ended = carina("bench", "track", "--only", "quality", "--case", "sharper", "--json", "-o", tmp_path / "out")
     assert ended.code == 2

@@ -166,8 +166,8 @@ def without_bars() -> Iterator[None]:
 def shows_progress(function: Callable[P, T]) -> Callable[P, T]:
     """Let a function with an argument ``progress`` accept every `ProgressChoice`.
 
-    The function receives a progress function or None. A function that another such function calls without a choice
-    shows no bar of its own.
+    The function receives a progress function or None. If another such function calls it without
+    ``progress``, it shows no bar, because the caller already shows one.
     """
     place = list(inspect.signature(function).parameters).index("progress")
 

@@ -101,7 +101,7 @@ def write_film(
     volume
         The CT.
     flight
-        A path, which is flown at ``speed_mm_s``, or a flight with times of its own.
+        A path, which is flown at ``speed_mm_s``, or a flight that contains its times.
     view
         Settings of the frames, except the pose; 640 x 480, 100 degrees by default. An odd width or height becomes the
         next even number, because players need even sizes (`Film.notes`).

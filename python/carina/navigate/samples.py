@@ -256,7 +256,7 @@ class SampleGate:
         if before is not None and self._seen[before].arrived_s == math.inf:
             self._seen[before].arrived_s = -math.inf  # The previous device has sent no sample.
         self._holder = device
-        # The arrival time is set by the next sample of any device: a recorded move contains no time of its own.
+        # The arrival time is set by the next sample of any device: a recorded move contains no time.
         self._seen[device].arrived_s = math.inf
 
     def knows(self, device: str) -> bool:

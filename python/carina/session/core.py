@@ -435,5 +435,5 @@ class SessionCore:
 
 
 def _is_asked(error: CarinaError) -> bool:
-    """Return whether the error needs no message of its own, because :class:`NotEvident` has reported it."""
+    """Return whether the error needs no further message, because :class:`NotEvident` has reported it."""
     return isinstance(error, NoEvidenceError)

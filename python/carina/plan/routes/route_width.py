@@ -206,8 +206,8 @@ def _places(
 def _cumulated(places: _Places, along: Points, before: RouteWidth | None) -> Widths:
     """Return the narrowest width up to each point of a centreline, including the path before the branch.
 
-    A point without a place of its own also uses the next place: where a branch leaves its parent, the branch's first
-    section is some distance along the branch, and a scope at the point is in the branch already.
+    A point at which no width was measured also uses the next measured place: where a branch leaves its parent, the
+    first measured section of the branch is some distance along it, and a scope at the point is in the branch already.
     """
     widths = np.empty(len(along), dtype=object)
     now, used = before, 0

@@ -107,8 +107,8 @@ def grow_nodule(
     at_lps
         A point in the nodule, LPS mm; within 4 mm of its densest part, or in its cavity.
     wall
-        The airways' wall (`carina.wall_field`). With it, tissue that protrudes into an airway is segmented as a lesion
-        of its own, and a click into a lumen without a lesion is refused.
+        The airways' wall (`carina.wall_field`). With it, tissue that protrudes into an airway is segmented as a
+        separate lesion, and a click into a lumen without a lesion is refused.
     progress
         False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
         None where it is unknown. It may raise CancelledError.

@@ -85,7 +85,7 @@ class Nodule:
     ``edge of the CT`` means that the scan ends in the nodule.
     """
     inside_zyx: Mask
-    """(nz, ny, nx) mask of the nodule in a box of its own."""
+    """(nz, ny, nx) mask of the nodule in the box around it."""
     lps_from_ijk: NDArray[np.float64]
     """(4, 4) transform from voxel indices of the mask to LPS mm; cubic voxels."""
     notes: tuple[str, ...] = ()

@@ -674,7 +674,7 @@ class Saving(Subject):
 
     @answers(c.MomentToKeep)
     def moment_to_keep(self, _question: c.MomentToKeep) -> Moment:
-        """Return the present state of the case, for a caller that stores the case in a file of its own."""
+        """Return the present state of the case, for a caller that stores the case in a separate file."""
         case = self.core.needed_case()
         with self.core.lock:
             return moment_of(case)

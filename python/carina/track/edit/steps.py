@@ -168,7 +168,7 @@ class EditSteps:
             self.draft.shorten(branch.id, last)
         before = self.lumen.core
         self._change_lumen(NO_VOXELS, voxels)
-        # Remove lumen that was only connected through the cut piece: a leak without a branch of its own.
+        # Remove lumen that was only connected through the cut piece: a leak that belongs to no branch.
         loose = newly_reached(before, self.lumen.core)
         loose = loose[nodes_at(self.lumen.core, self._volume.to_lps(loose.astype(np.float64))) >= 0]
         if len(loose):

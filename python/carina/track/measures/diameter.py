@@ -81,7 +81,7 @@ class Passage:
     def until(self, mm: float) -> Passage:
         """Return the passage up to a length along the branch, with the next section if there is none at that length.
 
-        At the start of a branch the first section of its own may be some way along it.
+        The first measured section of a branch may be some way beyond its start.
         """
         own = np.concatenate([[True], self.at_mm < mm - 1e-6])[: len(self.at_mm)]
         return Passage(self.branch_id, self.at_mm[own], self.diameter_mm[own], self.error_mm[own], self.unmeasured)

@@ -170,7 +170,7 @@ def _bronchus(
     ahead = min(total, 5.0 * max(r, 0.5))
     toward = np.array([np.interp(ahead, along, points[:, axis]) for axis in range(3)]) - points[0]
     if total < 2.5 * r:
-        # A very short bronchus has no direction of its own: half of it is the direction towards its tips.
+        # A very short bronchus has too few points for a direction: half of it is the direction to its tips.
         toward = _unit(toward) + _unit(middle - points[0])
     return Bronchus(
         pieces=tuple(pieces),

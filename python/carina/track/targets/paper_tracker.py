@@ -449,7 +449,7 @@ def _tree_of(
             end_of[nodes[-1]] = way.end
     root = int(ways[0].nodes[0])
     branches: list[Branch] = []
-    # Node at which a branch starts, first node of its own, its parent, and its generation.
+    # Node from which a branch leaves its parent, first node of the branch, its parent, and its generation.
     waiting: list[tuple[int | None, int, int | None, int]] = [(None, root, None, 0)]
     while waiting:
         leaves, node, parent, generation = waiting.pop(0)
