@@ -1,7 +1,6 @@
 //! Limits of the extension, thresholds from the lung of a volume, and the marks of voxels during the search.
 
-use rayon::prelude::*;
-
+use crate::find::lung_sample::{LungSample, quantile};
 use crate::find::tubeness::Enclosure;
 
 /// Limits of the extension.
@@ -89,11 +88,6 @@ const LEAST_DROP: f64 = 0.4;
 /// Smallest enclosure of a voxel in a gap, as a fraction of the threshold.
 const GAP_SHARE: f64 = 0.3;
 
-/// Number of lung voxels that the calibration uses at most, and needs at least.
-const NUM_SAMPLES: usize = 20_000;
-const MIN_SAMPLES: usize = 2_000;
-/// Strides of the sample, largest first. They are primes, so that they have no factor in common with rows and slices.
-const STRIDES: [usize; 6] = [1009, 499, 251, 127, 61, 31];
 /// Least probability of a way in divided slices that has no wall on one side.
 const SURE_PROBABILITY: f64 = 0.8;
 
@@ -117,49 +111,20 @@ impl Levels {
         limits: &ExtensionLimits,
     ) -> Self {
         let (low, high) = limits.lung;
-        let is_lung = |at: usize| lumen[at] == 0 && (low..=high).contains(&smooth[at]);
-        let stride = sample_stride(smooth.len());
-        let sample: Vec<usize> = (0..smooth.len())
-            .step_by(stride)
-            .filter(|at| is_lung(*at))
-            .collect();
-        let every = (sample.len() / NUM_SAMPLES).max(1);
-        let mut rises: Vec<i16> = sample
-            .par_iter()
-            .step_by(every)
-            .map(|at| enclosure.at(smooth, *at))
-            .collect();
-        rises.sort_unstable();
-        let share = |share: f64| {
-            if rises.len() < MIN_SAMPLES {
-                0.0
-            } else {
-                f64::from(rises[((rises.len() - 1) as f64 * share) as usize])
-            }
-        };
-        let pretended = share(FOLLOWED_SHARE).max(limits.least_rise);
+        let sample = LungSample::new(smooth.len(), |at| {
+            lumen[at] == 0 && (low..=high).contains(&smooth[at])
+        });
+        let rises = sample.measured(|at| enclosure.at(smooth, at));
+        let pretended = quantile(&rises, FOLLOWED_SHARE).max(limits.least_rise);
         let followed = limits.raised * pretended;
         Self {
             drop: (DROP * pretended).max(LEAST_DROP * (f64::from(limits.brightest) - limits.air)),
-            most_reached: if sample.len() < MIN_SAMPLES {
-                usize::MAX
-            } else {
-                (limits.most_reached * sample.len() as f64 * stride as f64) as usize
-            },
+            most_reached: sample.num_voxels(limits.most_reached),
             followed: followed.ceil() as i16,
-            kept: share(KEPT_SHARE).max(1.2 * followed),
+            kept: quantile(&rises, KEPT_SHARE).max(1.2 * followed),
             gap: (GAP_SHARE * followed) as i16,
         }
     }
-}
-
-/// Return the largest stride that gives more voxels than the calibration uses.
-fn sample_stride(num_voxels: usize) -> usize {
-    let is_enough = |stride: &&usize| num_voxels / **stride >= NUM_SAMPLES;
-    *STRIDES
-        .iter()
-        .find(is_enough)
-        .unwrap_or(&STRIDES[STRIDES.len() - 1])
 }
 
 #[cfg(test)]
@@ -167,10 +132,26 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_small_volume_is_sampled_more_densely() {
-        assert_eq!(sample_stride(80_000_000), 1009);
-        assert_eq!(sample_stride(20_180_000), 1009);
-        assert_eq!(sample_stride(5_100_000), 251);
-        assert_eq!(sample_stride(1000), 31);
+    fn a_path_may_be_open_on_one_side_only_in_divided_slices_and_if_it_is_probable() {
+        let mut limits = ExtensionLimits {
+            air: -1000.0,
+            lung: (-950, -700),
+            brightest: -500,
+            least_rise: 15.0,
+            gap_mm: 2.0,
+            min_length_mm: 2.0,
+            raised: 1.0,
+            most_reached: 0.02,
+            least_probability: 0.7,
+            divided: None,
+        };
+        assert!(!limits.may_be_open(0.99));
+        limits.divided = Some(Divided {
+            axis: 2,
+            slice_mm: 3.0,
+            least_odds: 0.3,
+        });
+        assert!(limits.may_be_open(SURE_PROBABILITY));
+        assert!(!limits.may_be_open(0.79));
     }
 }

@@ -7,6 +7,7 @@ mod extension_reach;
 mod extension_verdict;
 mod extension_ways;
 pub mod flood;
+mod lung_sample;
 mod lungs;
 pub mod pieces;
 pub mod soft;

@@ -8,9 +8,9 @@
 
 use carina_grid::{Grid, VolumeView};
 use carina_leastcost::{TrackError, Watch};
-use rayon::prelude::*;
 
 use crate::find::extension_levels::{EXTENDED, Followed, LUMEN};
+use crate::find::lung_sample::{LungSample, quantile};
 use crate::find::thin_profile::{Asked, Place, Profile, length_mm};
 use crate::find::thin_reach::{Dips, Reached, Ways};
 use crate::find::tube_filter::{ThinSection, TubeFilter, across, sides};
@@ -56,8 +56,6 @@ pub struct Thin {
 
 /// Share of the lung whose voxels have a smaller dip than followed voxels.
 const FOLLOWED_SHARE: f64 = 0.985;
-const MIN_SAMPLES: usize = 2_000;
-const NUM_SAMPLES: usize = 20_000;
 /// Distance from an accepted path within which voxels are no separate tips, mm.
 ///
 /// The next constant is the same distance for a rejected path.
@@ -94,18 +92,11 @@ pub fn extend_thin(
     let grid = values.grid();
     let data = values.data();
     let smooth = smoothed(values);
-    // A stride without a common factor with rows and slices samples the whole volume evenly.
-    let stride = 1009;
-    let sample: Vec<usize> = (0..data.len())
-        .step_by(stride)
-        .filter(|at| lumen[*at] == 0 && (limits.lung.0..=limits.lung.1).contains(&smooth[*at]))
-        .collect();
-    let most = if sample.len() < MIN_SAMPLES {
-        usize::MAX
-    } else {
-        (limits.most_reached * (sample.len() * stride) as f64) as usize
-    };
-    let lung = median_lung(&sample, &smooth, limits);
+    let sample = LungSample::new(data.len(), |at| {
+        lumen[at] == 0 && (limits.lung.0..=limits.lung.1).contains(&smooth[at])
+    });
+    let most = sample.num_voxels(limits.most_reached);
+    let lung = median_lung(&sample.voxels, &smooth, limits);
     let section = ThinSection {
         air: limits.air,
         least_wall: limits.least_wall,
@@ -113,7 +104,8 @@ pub fn extend_thin(
         lung,
     };
     let filter = TubeFilter::new(grid, section);
-    let asked_dip = pretended(&sample, |at| filter.dip(data, at)).max(limits.least_dip);
+    let dips = sample.measured(|at| filter.dip(data, at));
+    let asked_dip = quantile(&dips, FOLLOWED_SHARE).max(limits.least_dip);
     let mut dips = Dips::new(&filter, data, &smooth, limits.brightest);
     let reached = Reached::from_lumen(grid, lumen, &mut dips, asked_dip, most, watch)?;
     drop(dips);
@@ -168,21 +160,6 @@ fn median_lung(sample: &[usize], smooth: &[i16], limits: &ThinLimits) -> f64 {
     values
         .get(values.len() / 2)
         .map_or(middle, |value| f64::from(*value))
-}
-
-/// Return the dip that all but a few of the sampled voxels of lung do not reach.
-fn pretended(sample: &[usize], dip: impl Fn(usize) -> i16 + Sync) -> f64 {
-    if sample.len() < MIN_SAMPLES {
-        return 0.0;
-    }
-    let every = (sample.len() / NUM_SAMPLES).max(1);
-    let mut dips: Vec<i16> = sample
-        .par_iter()
-        .step_by(every)
-        .map(|at| dip(*at))
-        .collect();
-    dips.sort_unstable();
-    f64::from(dips[((dips.len() - 1) as f64 * FOLLOWED_SHARE) as usize])
 }
 
 /// Accepted path along a thin airway: its voxels, its positions and its mean dip.
