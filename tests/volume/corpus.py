@@ -11,14 +11,13 @@ from __future__ import annotations
 import importlib
 import re
 import sys
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-__all__ = ["PAGE", "Input", "all_inputs", "page_with_tables", "repeated_advice", "tables"]
+__all__ = ["PAGE", "Input", "all_inputs", "numbered_remedies", "page_with_tables", "sentences", "tables"]
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "import-answers.md"
 _SOURCES = ("corpus_dicom", "corpus_grids")
@@ -29,7 +28,7 @@ class Input:
     """One input file or folder: how it is made, and the answer that the importer must give."""
 
     name: str
-    """Description of the input in plain words: a cell of the page."""
+    """Description of the input: a cell of the page."""
     family: str
     """Heading of the page under which the input is listed."""
     make: Callable[[Path], Path]
@@ -40,7 +39,7 @@ class Input:
     """Codes of all notes that the importer must give; any other note is a failure."""
     is_hu: bool = True
     do: str = ""
-    """Remedy that the page shows; empty if the input needs none."""
+    """Remedy that the page shows, in sentences; empty if the input needs none."""
     voxels: Callable[[], np.ndarray] | None = None
     """Function that returns the exact HU values [z, y, x] of an input that opens."""
     series: int | None = None
@@ -61,30 +60,76 @@ def all_inputs() -> tuple[Input, ...]:
 def _answer(entry: Input) -> str:
     if entry.expected != "opens":
         return f"refused, `{entry.expected}`"
-    words = "opens" if entry.is_hu else "opens, not HU"
+    words = "opens" if entry.is_hu else "opens, not in HU"
     if entry.series is not None:
         words += f", {entry.series} series"
     return words + (f"; notes {', '.join(f'`{code}`' for code in entry.notes)}" if entry.notes else "")
 
 
-def repeated_advice() -> dict[str, str]:
-    """Return each remedy of two or more inputs with its number on the page, the most frequent first."""
-    counted = Counter(entry.do for entry in all_inputs() if entry.do)
-    repeated = [advice for advice, count in counted.most_common() if count > 1]
-    return {advice: f"A{number}" for number, advice in enumerate(repeated, 1)}
+REMEDIES = (
+    "To open another series, use `--series`.",
+    "Choose another series.",
+    "Check that this is the right scan.",
+    "Check that the file contains the whole scan.",
+    "Copy the file again.",
+    "Copy the series again.",
+    "Copy the missing slices.",
+    "Export the file again.",
+    "Export the file again with its spacing in mm.",
+    "Export the series again.",
+    "Export the series again without compression.",
+    "Export the series again from its original archive.",
+    "Export the series again with a rescale and without a Modality LUT.",
+    "Export the series with one file for each slice (classic CT images).",
+    "Open the DICOM series from which the file was made, or convert that series again.",
+    "Open the folder of the scan.",
+    "Save the file again with only one of the two positions.",
+    "Save the scan again, with both files in one folder.",
+    "Save the scan again with its position before you import masks or targets.",
+    "Save each volume as a separate file.",
+    "Resample the file to a rectangular grid first.",
+    "Decompress the file and open the result.",
+    "Correct the header, or export the file again.",
+    "Check left and right by the heart and the liver, or open the DICOM series.",
+    "Check the edge of the slices.",
+    "Check these voxels before you trust a measure near them.",
+    "Compare a known tissue with its HU.",
+)
+"""Remedies that the page uses more than once; the page states each in full once, with a number."""
+
+
+def numbered_remedies() -> dict[str, str]:
+    """Return each remedy that the page uses more than once, with its number on the page."""
+    return {remedy: f"A{number}" for number, remedy in enumerate(REMEDIES, 1)}
+
+
+def sentences(advice: str) -> list[str]:
+    """Return the sentences of a remedy."""
+    return re.split(r"(?<=\.) (?=[A-Z])", advice) if advice else []
+
+
+def _advice(entry: Input) -> str:
+    """Return the cell of an input's remedies: numbers, then remedies that only this input needs."""
+    numbers = numbered_remedies()
+    found = [numbers[one] for one in sentences(entry.do) if one in numbers]
+    single = [one for one in sentences(entry.do) if one not in numbers]
+    return ". ".join([", ".join(found)] * bool(found) + [" ".join(single)] * bool(single)) or "-"
 
 
 def tables() -> str:
     """Return the list of remedies and the tables of inputs, with a heading for each family."""
-    inputs, numbers = all_inputs(), repeated_advice()
-    lines = ["## What to do", "", "Several inputs need the same remedy. The tables name these remedies by number.", ""]
+    inputs = all_inputs()
+    lines = [
+        "## What to do",
+        "",
+        "Several inputs need the same remedy. The tables state the numbers of these remedies.",
+        "",
+    ]
     lines += ["| number | what to do |", "|---|---|"]
-    lines += [f"| {number} | {advice} |" for advice, number in numbers.items()]
+    lines += [f"| {number} | {remedy} |" for remedy, number in numbered_remedies().items()]
     for family in dict.fromkeys(entry.family for entry in inputs):
         lines += ["", f"## {family}", "", "| input | answer | what to do |", "|---|---|---|"]
-        lines += [
-            f"| {e.name} | {_answer(e)} | {numbers.get(e.do, e.do) or '-'} |" for e in inputs if e.family == family
-        ]
+        lines += [f"| {one.name} | {_answer(one)} | {_advice(one)} |" for one in inputs if one.family == family]
     return "\n".join(lines)
 
 

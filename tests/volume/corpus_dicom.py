@@ -18,9 +18,12 @@ from pydicom.dataset import Dataset
 __all__ = ["INPUTS"]
 
 Make = Callable[[Path], Path]
-SOURCE = "export the series again from its original archive"
-CHOOSE = "choose with `--series` if another one is wanted"
-CHECK = "look whether it is the right scan"
+SOURCE = "Export the series again from its original archive."
+CHOOSE = "To open another series, use `--series`."
+CHECK = "Check that this is the right scan."
+TISSUE = "Compare a known tissue with its HU."
+OTHER = "Choose another series."
+MISSING_SLICES = "Copy the missing slices."
 WHOLE = {"expected": "opens", "voxels": chest}
 SECOND = chest(seed=6)
 """HU values of a second scan: the same anatomy with other noise."""
@@ -95,16 +98,16 @@ RESCALE = [
     Input("half of the slices without slope", "DICOM: rescale", _some(tuple(range(10)), RescaleSlope=None), names=("10 of its 20", "RescaleSlope"), **MIXED),
     Input("three slices with intercept 0, the others -1024", "DICOM: rescale", _some(THREE, RescaleIntercept=0), "import.rescale-contradicts", names=("IM004",), do=SOURCE),
     Input("the upper half with intercept 0, the lower -1024", "DICOM: rescale", _some(tuple(range(10)), RescaleIntercept=0), "import.rescale-contradicts", names=("IM010",), do=SOURCE),
-    Input("one slice whose intercept is no number", "DICOM: rescale", _lettered("RescaleIntercept", "none"), "import.tags", names=("IM004",), do=SOURCE),
+    Input("one slice with an intercept that is not a number", "DICOM: rescale", _lettered("RescaleIntercept", "none"), "import.tags", names=("IM004",), do=SOURCE),
     Input("one slice with slope 0", "DICOM: rescale", _some((4,), RescaleSlope=0), "import.tags", names=("IM004",), do=SOURCE),
     Input("one slice with slope NaN", "DICOM: rescale", _lettered("RescaleSlope", "nan"), "import.tags", names=("IM004",), do=SOURCE),
-    Input("no rescale at all, numbers 1024 above HU", "DICOM: rescale", _unscaled(as_hu=False), "opens", ("import.rescale-absent",), is_hu=False, voxels=_stored, do=SOURCE),
-    Input("no rescale at all, numbers that are HU", "DICOM: rescale", _unscaled(as_hu=True), "opens", ("import.rescale-absent",), voxels=chest, do="compare a known tissue with its HU"),
-    Input("intercept 0 in all slices, numbers 1024 above HU", "DICOM: rescale", _all(RescaleIntercept=0), "opens", is_hu=False, voxels=_stored, do=SOURCE),
-    Input("no slope in any slice, an intercept in all", "DICOM: rescale", _all(RescaleSlope=None), "opens", ("import.rescale-absent",), voxels=chest, do="compare a known tissue with its HU"),
-    Input("a unit that is not HU", "DICOM: rescale", _all(RescaleType="US"), "opens", is_hu=False, voxels=chest, do="choose another series"),
-    Input("a slope and an intercept of its own in every slice", "DICOM: rescale", _own_rescale, **WHOLE),
-    Input("an enhanced image, several frames in one file", "DICOM: rescale", _all(NumberOfFrames=7), "import.multi-frame", do="export it as single slices"),
+    Input("no rescale in any slice, stored values 1024 above HU", "DICOM: rescale", _unscaled(as_hu=False), "opens", ("import.rescale-absent",), is_hu=False, voxels=_stored, do=SOURCE),
+    Input("no rescale in any slice, stored values are HU", "DICOM: rescale", _unscaled(as_hu=True), "opens", ("import.rescale-absent",), voxels=chest, do=TISSUE),
+    Input("intercept 0 in all slices, stored values 1024 above HU", "DICOM: rescale", _all(RescaleIntercept=0), "opens", is_hu=False, voxels=_stored, do=SOURCE),
+    Input("no slope in any slice, an intercept in all", "DICOM: rescale", _all(RescaleSlope=None), "opens", ("import.rescale-absent",), voxels=chest, do=TISSUE),
+    Input("a rescale type that is not HU", "DICOM: rescale", _all(RescaleType="US"), "opens", is_hu=False, voxels=chest, do=OTHER),
+    Input("a different slope and intercept in every slice", "DICOM: rescale", _own_rescale, **WHOLE),
+    Input("an enhanced image: several frames in one file", "DICOM: rescale", _all(NumberOfFrames=7), "import.multi-frame", do="Export the series with one file for each slice (classic CT images)."),
 ]  # fmt: skip
 
 
@@ -154,34 +157,34 @@ def _with_scout(folder: Path) -> Path:
 
 ONE = "DICOM: one series"
 HEALTHY = [
-    Input("the acquisition number changes in mid-stack (two breaths)", ONE, _change("AcquisitionNumber", 1, 2), notes=CHANGE, **WHOLE),
-    Input("an acquisition number for every slice (step and shoot)", ONE, _tags(lambda i: {"AcquisitionNumber": i}), notes=CHANGE, **WHOLE),
-    Input("an acquisition number for every two slices", ONE, _tags(lambda i: {"AcquisitionNumber": i // 2}), notes=CHANGE, **WHOLE),
-    Input("a middle part of another acquisition", ONE, _change("AcquisitionNumber", 1, 2, lambda i: 5 <= i < 12), notes=CHANGE, **WHOLE),
+    Input("the acquisition number changes in mid-stack (two breath-holds)", ONE, _change("AcquisitionNumber", 1, 2), notes=CHANGE, **WHOLE),
+    Input("a different acquisition number in every slice (step and shoot)", ONE, _tags(lambda i: {"AcquisitionNumber": i}), notes=CHANGE, **WHOLE),
+    Input("a different acquisition number in every two slices", ONE, _tags(lambda i: {"AcquisitionNumber": i // 2}), notes=CHANGE, **WHOLE),
+    Input("slices of another acquisition in mid-stack", ONE, _change("AcquisitionNumber", 1, 2, lambda i: 5 <= i < 12), notes=CHANGE, **WHOLE),
     Input("the kernel changes in mid-stack", ONE, _change("ConvolutionKernel", "B41f", "B70f"), notes=CHANGE, **WHOLE),
-    Input("one slice in mid-stack of another kernel", ONE, _change("ConvolutionKernel", "B41f", "B70f", lambda i: i == 7), notes=CHANGE, **WHOLE),
-    Input("first and last slice of another image type", ONE, _change("ImageType", ["ORIGINAL", "PRIMARY", "AXIAL"], ["DERIVED", "PRIMARY", "AXIAL"], lambda i: i in (0, 19)), notes=CHANGE, **WHOLE),
+    Input("one slice of another kernel in mid-stack", ONE, _change("ConvolutionKernel", "B41f", "B70f", lambda i: i == 7), notes=CHANGE, **WHOLE),
+    Input("another image type in the first and the last slice", ONE, _change("ImageType", ["ORIGINAL", "PRIMARY", "AXIAL"], ["DERIVED", "PRIMARY", "AXIAL"], lambda i: i in (0, 19)), notes=CHANGE, **WHOLE),
     Input("the temporal position changes in mid-stack", ONE, _change("TemporalPositionIdentifier", 1, 2), notes=CHANGE, **WHOLE),
     Input("contrast agent and tube voltage change in mid-stack", ONE, _tags(lambda i: {"KVP": 100 + 20 * (i < 9), "ContrastBolusAgent": ("X", "Y")[i < 9]}), notes=CHANGE, names=("tube voltage and contrast agent",), **WHOLE),
-    Input("a time of its own in every slice", ONE, _tags(lambda i: {"AcquisitionTime": f"1015{i:02d}.5"}), **WHOLE),
+    Input("a different time in every slice", ONE, _tags(lambda i: {"AcquisitionTime": f"1015{i:02d}.5"}), **WHOLE),
     Input("120 kV written as 120 and as 120.0", ONE, _change("KVP", "120", "120.0", lambda i: i % 2 == 1), **WHOLE),
     Input("the patient's name in capitals in some slices", ONE, _change("PatientName", "Secret^One", "SECRET^ONE^^", lambda i: i % 3 == 1), **WHOLE),
     Input("half of the slices without contrast agent", ONE, _tags(lambda i: {"ContrastBolusAgent": "X"} if i < 10 else {}), notes=MISSING, **WHOLE),
     Input("every second slice without acquisition number", ONE, _some(tuple(range(0, 20, 2)), AcquisitionNumber=None), notes=MISSING, **WHOLE),
     Input("some slices without series number and kernel", ONE, _some(THREE, SeriesNumber=None, ConvolutionKernel=""), notes=MISSING, **WHOLE),
-    Input("three slices without patient", ONE, _some(THREE, PatientID=None, PatientName="", PatientBirthDate=None), notes=NAMELESS, names=NAMED[:3], do=CHECK, **WHOLE),
+    Input("three slices without patient name, ID and birth date", ONE, _some(THREE, PatientID=None, PatientName="", PatientBirthDate=None), notes=NAMELESS, names=NAMED[:3], do=CHECK, **WHOLE),
     Input("three slices without SeriesInstanceUID", ONE, _some(THREE, SeriesInstanceUID=None), notes=NAMELESS, names=NAMED[:3], do=CHECK, **WHOLE),
     Input("no slice with a SeriesInstanceUID", ONE, _all(SeriesInstanceUID=""), **WHOLE),
     Input("half of the slices without frame of reference", ONE, _some(tuple(range(10)), FrameOfReferenceUID=None), notes=NAMELESS, do=CHECK, **WHOLE),
-    Input("a frame of reference for every slice", ONE, _tags(lambda i: {"FrameOfReferenceUID": f"1.2.3.4.6.{i}"}), notes=FRAMES, names=("20 slices", "20 frames"), **WHOLE),
-    Input("a frame of reference for most slices, two share one, three have none", ONE, _tags(lambda i: {"FrameOfReferenceUID": None if i in THREE else f"1.2.3.4.6.{max(i, 1)}"}), notes=FRAMES, **WHOLE),
-    Input("a frame of reference for every slice, two kernels half-way", ONE, _two_kernels_and_a_frame_per_slice, "opens", ("import.several-series", "import.frame-per-slice", "import.series-parted"), series=2, voxels=chest, do="choose with `--series` if another one is wanted"),
-    Input("a frame of reference for every slice, a slice missing", ONE, _frame_per_slice_with_a_gap, "import.geometry.irregular", names=("IM007",), do="copy the missing slice"),
-    Input("some slices without study", ONE, _some(THREE, StudyInstanceUID=""), notes=NAMELESS, do=CHECK, **WHOLE),
-    Input("no patient, study, frame of reference or numbers at all", ONE, _all(PatientID=None, PatientName=None, PatientBirthDate=None, StudyInstanceUID=None, FrameOfReferenceUID=None, SeriesNumber=None, AcquisitionNumber=None, SOPInstanceUID=None), **WHOLE),
-    Input("directions rounded differently", ONE, _change("ImageOrientationPatient", [1, 0, 0, 0, 1, 0], [1, 0.00001, 0, -0.00001, 1, 0]), **WHOLE),
-    Input("two slices copied, byte for byte", ONE, _copied, notes=("import.copies",), **WHOLE),
-    Input("a folder for every slice, names in another order", ONE, lambda folder: series(folder, name=lambda i: f"{(i * 7) % 20:02d}/slice"), **WHOLE),
+    Input("a different frame of reference in every slice", ONE, _tags(lambda i: {"FrameOfReferenceUID": f"1.2.3.4.6.{i}"}), notes=FRAMES, names=("20 slices", "20 frames"), **WHOLE),
+    Input("a different frame of reference in most slices; two slices share one, three slices have none", ONE, _tags(lambda i: {"FrameOfReferenceUID": None if i in THREE else f"1.2.3.4.6.{max(i, 1)}"}), notes=FRAMES, **WHOLE),
+    Input("a different frame of reference in every slice, and two kernels in alternating slices", ONE, _two_kernels_and_a_frame_per_slice, "opens", ("import.several-series", "import.frame-per-slice", "import.series-parted"), series=2, voxels=chest, do=CHOOSE),
+    Input("a different frame of reference in every slice, and a missing slice", ONE, _frame_per_slice_with_a_gap, "import.geometry.irregular", names=("IM007",), do=MISSING_SLICES),
+    Input("some slices without StudyInstanceUID", ONE, _some(THREE, StudyInstanceUID=""), notes=NAMELESS, do=CHECK, **WHOLE),
+    Input("no patient, study, frame of reference, series number or acquisition number in any slice", ONE, _all(PatientID=None, PatientName=None, PatientBirthDate=None, StudyInstanceUID=None, FrameOfReferenceUID=None, SeriesNumber=None, AcquisitionNumber=None, SOPInstanceUID=None), **WHOLE),
+    Input("image orientations that are rounded differently", ONE, _change("ImageOrientationPatient", [1, 0, 0, 0, 1, 0], [1, 0.00001, 0, -0.00001, 1, 0]), **WHOLE),
+    Input("two slices that are present twice, byte for byte", ONE, _copied, notes=("import.copies",), **WHOLE),
+    Input("each slice in a separate folder, file names in another order", ONE, lambda folder: series(folder, name=lambda i: f"{(i * 7) % 20:02d}/slice"), **WHOLE),
     Input("a scout in the same series", ONE, _with_scout, notes=("import.several-series",), series=2, **WHOLE),
 ]  # fmt: skip
 
@@ -233,7 +236,7 @@ def _two(
 OTHER_PATIENT = {"PatientID": "SECRET-2", "PatientName": "Secret^Two", "PatientBirthDate": "19020202"}
 PARTED = ("import.several-series", "import.series-parted")
 PATIENTS = ("import.several-series", "import.two-patients")
-TWO = "DICOM: several in one"
+TWO = "DICOM: several stacks in one folder"
 
 
 def _short(index: int) -> bool:
@@ -264,31 +267,31 @@ def _four_patients(folder: Path) -> Path:
 
 PART = {"expected": "opens", "do": CHOOSE, "series": 2, "voxels": chest}
 SEVERAL = [
-    Input("two patients under one UID, half-way between each other", TWO, _two(OTHER_PATIENT, keep=_short), notes=(*PATIENTS, "import.series-parted"), **PART),
-    Input("two patients under one UID, at the same places", TWO, _two(OTHER_PATIENT, shift_mm=0, keep=_short), notes=(*PATIENTS, "import.series-parted"), **PART),
-    Input("two patients under one UID, one above the other", TWO, _two(OTHER_PATIENT, shift_mm=50, keep=_short), notes=(*PATIENTS, "import.series-parted"), **PART),
-    Input("two patients with one name", TWO, _two({"PatientID": "SECRET-2"}, keep=_short), notes=(*PATIENTS, "import.series-parted"), **PART),
-    Input("two patients with one number", TWO, _two({"PatientName": "Secret^Two"}, keep=_short), notes=(*PATIENTS, "import.series-parted"), **PART),
-    Input("two patients, each with a series of its own", TWO, _two(OTHER_PATIENT, same_uid=False, keep=_short), notes=PATIENTS, **PART),
-    Input("two patients and no UID of a series, one above the other", TWO, _four_patients, "opens", (*PATIENTS, "import.series-parted"), voxels=lambda: chest()[:12], series=2, do=CHECK),
-    Input("two studies half-way between each other", TWO, _two({"StudyInstanceUID": "1.2.3.4.55"}, keep=_short), notes=PARTED, **PART),
-    Input("two frames of reference half-way between each other", TWO, _two({"FrameOfReferenceUID": "1.2.3.4.66"}, keep=_short), notes=PARTED, **PART),
-    Input("CT and MR under one UID", TWO, _two({"Modality": "MR"}, keep=_short), notes=PARTED, **PART),
-    Input("two matrices under one UID", TWO, _two({"PixelSpacing": [0.8, 0.6]}, keep=_short), notes=PARTED, **PART),
-    Input("coronal images under the UID of the slices", TWO, _coronal_too, notes=PARTED, **PART),
-    Input("two kernels at the same places", TWO, _two({"ConvolutionKernel": "B70f"}, shift_mm=0, keep=_short), notes=PARTED, **PART),
-    Input("two kernels half-way between each other", TWO, _two({"ConvolutionKernel": "B70f"}, keep=_short), notes=PARTED, **PART),
-    Input("two kernels half-way, all of one height", TWO, _two({"ConvolutionKernel": "B70f"}), notes=PARTED, **PART),
-    Input("two acquisitions half-way between each other", TWO, _two({"AcquisitionNumber": 2}), notes=PARTED, **PART),
-    Input("two acquisitions half-way, told by their time alone", TWO, _two({"AcquisitionTime": "101530.0"}), notes=PARTED, **PART),
-    Input("two phases at the same places", TWO, _two({"TemporalPositionIdentifier": 2}, both={"TemporalPositionIdentifier": 1}, shift_mm=0), notes=PARTED, **PART),
-    Input("with and without contrast at the same places", TWO, _two({"ContrastBolusAgent": "X"}, shift_mm=0, keep=_short), notes=PARTED, **PART),
-    Input("maximum projections at the places of the slices", TWO, _two({"ImageType": ["DERIVED", "SECONDARY", "MIP"]}, shift_mm=0), notes=PARTED, **PART),
-    Input("no UID of a series, two kernels half-way", TWO, _two({"ConvolutionKernel": "B70f"}, both={"SeriesInstanceUID": None}), notes=PARTED, **PART),
-    Input("two breaths that overlap by four slices", TWO, _two({"AcquisitionNumber": 2}, shift_mm=16 * GAP_MM, keep=_short), notes=(*PARTED, "import.part-of-stack"), **PART),
-    Input("a second kernel at some of the places", TWO, _two({"ConvolutionKernel": "B70f"}, shift_mm=0, keep=lambda i: i in (2, 3, 7, 11)), notes=PARTED, **PART),
-    Input("two kernels at the same places, both with gaps", TWO, _two({"ConvolutionKernel": "B70f"}, shift_mm=0, keep=lambda i: i not in (6, 7), keep_first=lambda i: i not in (11, 12, 13)), "import.geometry.irregular", do="copy the missing slices, or choose another series"),
-    Input("two scans at the same places and no tag that tells them apart", TWO, _two({}, shift_mm=0), "import.geometry.duplicate", do="keep one slice for each position"),
+    Input("two patients under one series UID, in alternating slices", TWO, _two(OTHER_PATIENT, keep=_short), notes=(*PATIENTS, "import.series-parted"), **PART),
+    Input("two patients under one series UID, at the same positions", TWO, _two(OTHER_PATIENT, shift_mm=0, keep=_short), notes=(*PATIENTS, "import.series-parted"), **PART),
+    Input("two patients under one series UID, one above the other", TWO, _two(OTHER_PATIENT, shift_mm=50, keep=_short), notes=(*PATIENTS, "import.series-parted"), **PART),
+    Input("two patients with the same name and different IDs", TWO, _two({"PatientID": "SECRET-2"}, keep=_short), notes=(*PATIENTS, "import.series-parted"), **PART),
+    Input("two patients with the same ID and different names", TWO, _two({"PatientName": "Secret^Two"}, keep=_short), notes=(*PATIENTS, "import.series-parted"), **PART),
+    Input("two patients with different series UIDs", TWO, _two(OTHER_PATIENT, same_uid=False, keep=_short), notes=PATIENTS, **PART),
+    Input("two patients without a series UID, one above the other", TWO, _four_patients, "opens", (*PATIENTS, "import.series-parted"), voxels=lambda: chest()[:12], series=2, do=CHECK),
+    Input("two studies in alternating slices", TWO, _two({"StudyInstanceUID": "1.2.3.4.55"}, keep=_short), notes=PARTED, **PART),
+    Input("two frames of reference in alternating slices", TWO, _two({"FrameOfReferenceUID": "1.2.3.4.66"}, keep=_short), notes=PARTED, **PART),
+    Input("CT and MR under one series UID", TWO, _two({"Modality": "MR"}, keep=_short), notes=PARTED, **PART),
+    Input("two pixel spacings under one series UID", TWO, _two({"PixelSpacing": [0.8, 0.6]}, keep=_short), notes=PARTED, **PART),
+    Input("coronal images under the series UID of the axial slices", TWO, _coronal_too, notes=PARTED, **PART),
+    Input("two kernels at the same positions", TWO, _two({"ConvolutionKernel": "B70f"}, shift_mm=0, keep=_short), notes=PARTED, **PART),
+    Input("two kernels in alternating slices", TWO, _two({"ConvolutionKernel": "B70f"}, keep=_short), notes=PARTED, **PART),
+    Input("two kernels in alternating slices, with equal numbers of slices", TWO, _two({"ConvolutionKernel": "B70f"}), notes=PARTED, **PART),
+    Input("two acquisitions in alternating slices", TWO, _two({"AcquisitionNumber": 2}), notes=PARTED, **PART),
+    Input("two acquisitions in alternating slices that differ only in their time", TWO, _two({"AcquisitionTime": "101530.0"}), notes=PARTED, **PART),
+    Input("two phases at the same positions", TWO, _two({"TemporalPositionIdentifier": 2}, both={"TemporalPositionIdentifier": 1}, shift_mm=0), notes=PARTED, **PART),
+    Input("with and without contrast agent at the same positions", TWO, _two({"ContrastBolusAgent": "X"}, shift_mm=0, keep=_short), notes=PARTED, **PART),
+    Input("maximum intensity projections at the positions of the slices", TWO, _two({"ImageType": ["DERIVED", "SECONDARY", "MIP"]}, shift_mm=0), notes=PARTED, **PART),
+    Input("no series UID, two kernels in alternating slices", TWO, _two({"ConvolutionKernel": "B70f"}, both={"SeriesInstanceUID": None}), notes=PARTED, **PART),
+    Input("two breath-holds that overlap by four slices", TWO, _two({"AcquisitionNumber": 2}, shift_mm=16 * GAP_MM, keep=_short), notes=(*PARTED, "import.part-of-stack"), **PART),
+    Input("a second kernel at some of the positions", TWO, _two({"ConvolutionKernel": "B70f"}, shift_mm=0, keep=lambda i: i in (2, 3, 7, 11)), notes=PARTED, **PART),
+    Input("two kernels at the same positions, both with missing slices", TWO, _two({"ConvolutionKernel": "B70f"}, shift_mm=0, keep=lambda i: i not in (6, 7), keep_first=lambda i: i not in (11, 12, 13)), "import.geometry.irregular", do=f"{MISSING_SLICES} {OTHER}"),
+    Input("two scans at the same positions that do not differ in any tag", TWO, _two({}, shift_mm=0), "import.geometry.duplicate", do="Keep one slice for each position."),
 ]  # fmt: skip
 
 INPUTS = (*RESCALE, *HEALTHY, *SEVERAL, *FILES, *PIXELS, *PADDING, *MODALITY_LUT)

@@ -23,8 +23,8 @@ from pydicom.uid import (
 __all__ = ["FILES", "PIXELS"]
 
 Make = Callable[[Path], Path]
-COPY = "copy the series again"
-AGAIN = "export the series again, uncompressed"
+COPY = "Copy the series again."
+AGAIN = "Export the series again without compression."
 UNREAD = {"expected": "opens", "notes": ("import.files-unread",), "do": COPY}
 
 
@@ -91,23 +91,23 @@ LAST = (17, 18, 19)
 FILE = "DICOM: files"
 FILES = [
     Input("the last three files empty", FILE, _spoil(*LAST, change=lambda data: b""), voxels=_top, names=("3 files", "IM017 (empty)", "IM018", "IM019"), **UNREAD),
-    Input("the last three files cut within the first tags", FILE, _spoil(*LAST, change=lambda data: data[:300]), voxels=_top, names=("3 files", "IM017", "IM019"), **UNREAD),
-    Input("the last three files cut in front of the size of the image", FILE, _spoil(*LAST, change=lambda data: data[: data.index(b"\x28\x00\x10\x00")]), voxels=_top, names=("3 files", "IM017 (truncated header)"), **UNREAD),
-    Input("the last three files full of zeros", FILE, _spoil(*LAST, change=lambda data: bytes(len(data))), voxels=_top, names=("3 files", "IM017"), **UNREAD),
+    Input("the last three files truncated within the first tags", FILE, _spoil(*LAST, change=lambda data: data[:300]), voxels=_top, names=("3 files", "IM017", "IM019"), **UNREAD),
+    Input("the last three files truncated before the image size", FILE, _spoil(*LAST, change=lambda data: data[: data.index(b"\x28\x00\x10\x00")]), voxels=_top, names=("3 files", "IM017 (truncated header)"), **UNREAD),
+    Input("the last three files contain only zeros", FILE, _spoil(*LAST, change=lambda data: bytes(len(data))), voxels=_top, names=("3 files", "IM017"), **UNREAD),
     Input("the last three files without their first 200 bytes", FILE, _spoil(*LAST, change=lambda data: data[200:]), voxels=_top, names=("3 files", "IM017 (not DICOM)"), **UNREAD),
-    Input("the last three files replaced by a page of a web server", FILE, _spoil(*LAST, change=lambda data: b"<html>404</html>"), voxels=_top, names=("3 files", "IM017"), **UNREAD),
-    Input("the first file empty, names with an extension", FILE, _spoil(0, change=lambda data: b"", name=lambda i: f"ct{'abcdefghijklmnopqrst'[i]}.dcm"), voxels=lambda: chest()[1:], names=("1 file", "cta.dcm"), **UNREAD),
-    Input("the last file a link to nothing", FILE, _dead_link, voxels=lambda: chest()[:19], names=("IM019",), **UNREAD),
-    Input("the last file empty, a folder for every slice", FILE, _subfolders, voxels=lambda: chest()[:19], names=("1 file",), **UNREAD),
-    Input("a damaged DICOM file of another name", FILE, _beside(("extra", bytes(128) + b"DICM\x02\x00\x00\x00UL\x04\x00" + b"\xff" * 50)), voxels=chest, names=("extra (truncated header)",), **UNREAD),
+    Input("the last three files replaced by an HTML page", FILE, _spoil(*LAST, change=lambda data: b"<html>404</html>"), voxels=_top, names=("3 files", "IM017"), **UNREAD),
+    Input("the first file empty, file names with an extension", FILE, _spoil(0, change=lambda data: b"", name=lambda i: f"ct{'abcdefghijklmnopqrst'[i]}.dcm"), voxels=lambda: chest()[1:], names=("1 file", "cta.dcm"), **UNREAD),
+    Input("the last file is a broken link", FILE, _dead_link, voxels=lambda: chest()[:19], names=("IM019",), **UNREAD),
+    Input("the last file empty, each slice in a separate folder", FILE, _subfolders, voxels=lambda: chest()[:19], names=("1 file",), **UNREAD),
+    Input("a damaged DICOM file with a different kind of name", FILE, _beside(("extra", bytes(128) + b"DICM\x02\x00\x00\x00UL\x04\x00" + b"\xff" * 50)), voxels=chest, names=("extra (truncated header)",), **UNREAD),
     Input("three empty files in mid-stack", FILE, _spoil(8, 9, 10, change=lambda data: b""), "import.geometry.irregular", names=("IM008 (empty)", "IM010"), do=COPY),
-    Input("the pixels of the last file cut short", FILE, _spoil(19, change=lambda data: data[:-100]), "import.truncated", names=("IM019",), do=COPY),
-    Input("the last file without any pixels", FILE, _spoil(19, change=lambda data: data[: data.index(b"\xe0\x7f\x10\x00")]), "import.truncated", names=("IM019",), do=COPY),
-    Input("every file cut", FILE, _spoil(*range(20), change=lambda data: data[:300]), "import.no-images", names=("IM000",), do=COPY),
+    Input("the pixels of the last file truncated", FILE, _spoil(19, change=lambda data: data[:-100]), "import.truncated", names=("IM019",), do=COPY),
+    Input("the last file without pixels", FILE, _spoil(19, change=lambda data: data[: data.index(b"\xe0\x7f\x10\x00")]), "import.truncated", names=("IM019",), do=COPY),
+    Input("every file truncated", FILE, _spoil(*range(20), change=lambda data: data[:300]), "import.no-images", names=("IM000",), do=COPY),
     Input("documents, archives and hidden files beside the slices", FILE, _beside(("README.txt", b"hello"), (".DS_Store", b"\0\0\0\1Bud1"), ("Thumbs.db", b""), ("report.pdf", b"%PDF-1.4"), ("._IM003", b"\0\5\26\7"), ("all.zip", b"PK\3\4"), ("VERSION", b"")), "opens", voxels=chest),
-    Input("a directory file that is damaged beyond reading", FILE, _beside(("DICOMDIR", b"")), "opens", voxels=chest),
-    Input("a structured report named like the slices", FILE, _report, "opens", voxels=chest),
-    Input("an empty file of another series", FILE, _other_series_cut, "opens", ("import.several-series",), voxels=chest, series=2, do="copy the other series again if it is wanted"),
+    Input("a directory file (DICOMDIR) that cannot be read", FILE, _beside(("DICOMDIR", b"")), "opens", voxels=chest),
+    Input("a structured report with a file name like those of the slices", FILE, _report, "opens", voxels=chest),
+    Input("an empty file of another series", FILE, _other_series_cut, "opens", ("import.several-series",), voxels=chest, series=2, do="If you need the other series, copy it again."),
 ]  # fmt: skip
 
 
@@ -218,28 +218,28 @@ PIXELS = [
     Input("implicit little endian", PIXEL, lambda folder: series(folder, syntax=ImplicitVRLittleEndian), "opens", voxels=chest),
     Input("big endian", PIXEL, _edited(_big, syntax=ExplicitVRBigEndian), "opens", voxels=chest),
     Input("deflated", PIXEL, lambda folder: series(folder, syntax=DeflatedExplicitVRLittleEndian), "opens", voxels=chest),
-    Input("JPEG 2000 without loss", PIXEL, _packed("JPEG2000"), "opens", voxels=chest),
-    Input("JPEG without loss", PIXEL, _packed("JPEG"), "opens", voxels=chest),
+    Input("lossless JPEG 2000", PIXEL, _packed("JPEG2000"), "opens", voxels=chest),
+    Input("lossless JPEG", PIXEL, _packed("JPEG"), "opens", voxels=chest),
     Input("RLE", PIXEL, _packed("RLE"), "opens", voxels=chest),
     Input("a sharp kernel with 90 HU of noise", PIXEL, lambda folder: series(folder, hu=_noisy()), "opens", voxels=_noisy),
-    Input("JPEG 2000, 12 bits in a stream of 16", PIXEL, _packed("JPEG2000", BitsStored=12, HighBit=11), "opens", voxels=chest),
+    Input("JPEG 2000, 12 bits in a 16-bit stream", PIXEL, _packed("JPEG2000", BitsStored=12, HighBit=11), "opens", voxels=chest),
     Input("JPEG 2000, the end marker missing in two slices", PIXEL, _packed("JPEG2000", _cut_end), names=("IM004",), **REFUSED),
-    Input("JPEG 2000, two slices cut to the half", PIXEL, _packed("JPEG2000", lambda frame: frame[: len(frame) // 2]), names=("IM004",), **REFUSED),
-    Input("JPEG 2000, signed numbers by the stream, unsigned by the tags", PIXEL, _packed("JPEG2000", _with(_depth, b"\x8f"), at=tuple(range(20))), "opens", ("import.clipped", "import.pixels-contradict"), is_hu=False, names=("20 of 20",), do=AGAIN),
-    Input("JPEG 2000, signed numbers by the tags, unsigned by the stream", PIXEL, _packed("JPEG2000", PixelRepresentation=1), names=("20 of 20",), **CONTRADICT),
-    Input("JPEG 2000, 16 bits by the stream, 10 by the tags", PIXEL, _packed("JPEG2000", BitsStored=10, HighBit=9), names=("20 of 20",), **CONTRADICT),
-    Input("JPEG 2000, another size in the stream", PIXEL, _packed("JPEG2000", _with(lambda frame: frame.index(b"\xff\x4f\xff\x51") + 8, b"\0\0\0\x40")), names=("IM004",), **REFUSED),
-    Input("JPEG 2000, one slice with a picture that does not fit", PIXEL, _noise_of, "opens", ("import.slices-odd",), is_hu=False, names=("IM007",), do=AGAIN),
+    Input("JPEG 2000, two slices truncated to half of their length", PIXEL, _packed("JPEG2000", lambda frame: frame[: len(frame) // 2]), names=("IM004",), **REFUSED),
+    Input("JPEG 2000, signed in the stream, unsigned in the tags", PIXEL, _packed("JPEG2000", _with(_depth, b"\x8f"), at=tuple(range(20))), "opens", ("import.clipped", "import.pixels-contradict"), is_hu=False, names=("20 of 20",), do=AGAIN),
+    Input("JPEG 2000, signed in the tags, unsigned in the stream", PIXEL, _packed("JPEG2000", PixelRepresentation=1), names=("20 of 20",), **CONTRADICT),
+    Input("JPEG 2000, 16 bits in the stream, 10 in the tags", PIXEL, _packed("JPEG2000", BitsStored=10, HighBit=9), names=("20 of 20",), **CONTRADICT),
+    Input("JPEG 2000, a different image size in the stream", PIXEL, _packed("JPEG2000", _with(lambda frame: frame.index(b"\xff\x4f\xff\x51") + 8, b"\0\0\0\x40")), names=("IM004",), **REFUSED),
+    Input("JPEG 2000, noise instead of the picture in one slice", PIXEL, _noise_of, "opens", ("import.slices-odd",), is_hu=False, names=("IM007",), do=AGAIN),
     Input("JPEG 2000, 40 bytes of one slice overwritten", PIXEL, _packed("JPEG2000", _with(lambda frame: len(frame) * 3 // 10, b"\x55" * 40), at=(7,)), "opens", ("import.pixels-damaged", "import.slices-odd"), is_hu=False, names=("IM007",), do=AGAIN),
     Input("JPEG 2000, one bit of one slice changed", PIXEL, _packed("JPEG2000", _flipped, at=(7,)), "opens", ("import.pixels-damaged",), is_hu=False, names=("IM007", "1 of 20"), do=AGAIN),
     Input("JPEG, 40 bytes of one slice overwritten", PIXEL, _packed("JPEG", _with(lambda frame: len(frame) * 3 // 10, b"\x55" * 40), at=(7,)), names=("IM007",), **DAMAGED),
-    Input("JPEG, the second half of two slices zeros", PIXEL, _packed("JPEG", lambda frame: frame[: len(frame) // 2] + bytes(len(frame) - len(frame) // 2)), names=("IM004",), **DAMAGED),
-    Input("JPEG, two slices cut to the half", PIXEL, _packed("JPEG", lambda frame: frame[: len(frame) // 2]), names=("IM004",), **REFUSED),
-    Input("JPEG, a marker within the data of two slices", PIXEL, _packed("JPEG", _with(lambda frame: len(frame) * 3 // 4, b"\xff\xc0")), names=("IM004",), **REFUSED),
-    Input("RLE, a run in two slices longer than it was", PIXEL, _packed("RLE", _with(lambda frame: 64, b"\x7f")), names=("IM004",), **REFUSED),
-    Input("little endian, said to be big endian", PIXEL, lambda folder: series(folder, syntax=ExplicitVRBigEndian), "opens", ("import.clipped", "import.byte-order"), is_hu=False, do=AGAIN),
+    Input("JPEG, zeros in the second half of two slices", PIXEL, _packed("JPEG", lambda frame: frame[: len(frame) // 2] + bytes(len(frame) - len(frame) // 2)), names=("IM004",), **DAMAGED),
+    Input("JPEG, two slices truncated to half of their length", PIXEL, _packed("JPEG", lambda frame: frame[: len(frame) // 2]), names=("IM004",), **REFUSED),
+    Input("JPEG, a marker inside the data of two slices", PIXEL, _packed("JPEG", _with(lambda frame: len(frame) * 3 // 4, b"\xff\xc0")), names=("IM004",), **REFUSED),
+    Input("RLE, a run in two slices lengthened", PIXEL, _packed("RLE", _with(lambda frame: 64, b"\x7f")), names=("IM004",), **REFUSED),
+    Input("little endian, declared as big endian", PIXEL, lambda folder: series(folder, syntax=ExplicitVRBigEndian), "opens", ("import.clipped", "import.byte-order"), is_hu=False, do=AGAIN),
     Input("three slices with swapped bytes", PIXEL, _edited(_turned), "opens", ("import.clipped", "import.byte-order"), is_hu=False, names=("IM004", "3 of 20"), do=AGAIN),
-    Input("a little metal beyond what 16 bits hold", PIXEL, _edited(_little_metal), "opens", ("import.clipped",), do="none needed: 1 % of the voxels at most"),
-    Input("4 % of the voxels beyond what 16 bits hold", PIXEL, _edited(_metal), "opens", ("import.clipped",), is_hu=False, do=AGAIN),
-    Input("padding of -32768 round the picture", PIXEL, _edited(_padded), "opens", ("import.clipped",), voxels=_padded_hu, do="none needed: padding is no part of the picture"),
+    Input("a few metal voxels outside the range of 16 bits", PIXEL, _edited(_little_metal), "opens", ("import.clipped",), do="None: at most 1 % of the voxels are affected."),
+    Input("4 % of the voxels outside the range of 16 bits", PIXEL, _edited(_metal), "opens", ("import.clipped",), is_hu=False, do=AGAIN),
+    Input("padding of -32768 round the picture", PIXEL, _edited(_padded), "opens", ("import.clipped",), voxels=_padded_hu, do="None: padding is not a part of the picture."),
 ]  # fmt: skip

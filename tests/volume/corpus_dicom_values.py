@@ -20,8 +20,8 @@ OUTSIDE = (_X - 15.5) ** 2 + (_Y - 15.5) ** 2 > 17.5**2
 """Mask of the pixels outside the reconstructed circle."""
 METAL = (slice(14, 16), slice(10, 12))
 PADDED, LUT = "DICOM: padding", "DICOM: Modality LUT"
-LOOK = "look at the edge of the slices"
-EXPORT = "export the series again with a rescale alone"
+LOOK = "Check the edge of the slices."
+EXPORT = "Export the series again with a rescale and without a Modality LUT."
 
 
 def ringed(
@@ -102,18 +102,18 @@ NOTE = {"expected": "opens", "notes": ("import.padding",)}
 PADDING = [
     Input("padding 63536 round the picture, with its tag", PADDED, ringed(63536, tag=63536), voxels=_air_outside(), names=("% of the voxels",), **NOTE),
     Input("padding 63536, its tag written as signed -2000", PADDED, ringed(63536, tag=-2000, vr="SS"), voxels=_air_outside(), **NOTE),
-    Input("padding 4095, and metal of the same value in the body", PADDED, ringed(4095, tag=4095, metal=4095), voxels=_air_outside(metal=3071), names=("80 voxels",), **NOTE),
-    Input("padding 1024, which is 0 HU, and water of the same value in the body", PADDED, ringed(1024, tag=1024, metal=1024), voxels=_air_outside(metal=0), names=("kept it",), do=LOOK, **NOTE),
-    Input("padding of a range of values", PADDED, ringed(63536, also=61000, tag=63536, limit=60000), voxels=_air_outside(), **NOTE),
+    Input("padding 4095, and metal with the same value in the body", PADDED, ringed(4095, tag=4095, metal=4095), voxels=_air_outside(metal=3071), names=("80 voxels",), **NOTE),
+    Input("padding 1024 (0 HU), and water with the same value in the body", PADDED, ringed(1024, tag=1024, metal=1024), voxels=_air_outside(metal=0), names=("kept it",), do=LOOK, **NOTE),
+    Input("padding with a range of values", PADDED, ringed(63536, also=61000, tag=63536, limit=60000), voxels=_air_outside(), **NOTE),
     Input("padding with slope 0.5", PADDED, ringed(63536, tag=63536, slope=0.5), voxels=_half_slope, **NOTE),
-    Input("padding 30000 in signed numbers", PADDED, ringed(30000, tag=30000, kind="<i2"), voxels=_air_outside(), **NOTE),
-    Input("padding beyond the used 12 of 16 bits", PADDED, lambda folder: series(folder, _two_of_sixteen), voxels=_air_outside(), do=LOOK, **NOTE),
+    Input("padding 30000 in signed values", PADDED, ringed(30000, tag=30000, kind="<i2"), voxels=_air_outside(), **NOTE),
+    Input("padding outside the 12 used bits of 16", PADDED, lambda folder: series(folder, _two_of_sixteen), voxels=_air_outside(), do=LOOK, **NOTE),
     Input("padding 63536 in JPEG 2000", PADDED, ringed(63536, tag=63536, pack=True), voxels=_air_outside(), **NOTE),
     Input("padding 4095 without a tag", PADDED, ringed(4095), voxels=_air_outside(), names=("no tag states",), do=LOOK, **NOTE),
     Input("padding 63536 without a tag", PADDED, ringed(63536), voxels=_air_outside(), do=LOOK, **NOTE),
-    Input("padding 0, which is the lowest value", PADDED, ringed(0, tag=0), "opens", voxels=_air_outside(ring=-1024)),
-    Input("padding -2000 in signed numbers, its tag written as unsigned", PADDED, ringed(-2000, tag=63536, kind="<i2"), "opens", voxels=_air_outside(ring=-2000)),
-    Input("the value of muscle marked as padding, and no padding", PADDED, lambda folder: series(folder, _soft_tissue_marked), "opens", voxels=chest),
+    Input("padding 0, the lowest value", PADDED, ringed(0, tag=0), "opens", voxels=_air_outside(ring=-1024)),
+    Input("padding -2000 in signed values, its tag written as unsigned", PADDED, ringed(-2000, tag=63536, kind="<i2"), "opens", voxels=_air_outside(ring=-2000)),
+    Input("the value of muscle declared as padding, without padding in the picture", PADDED, lambda folder: series(folder, _soft_tissue_marked), "opens", voxels=chest),
 ]  # fmt: skip
 
 
@@ -149,8 +149,8 @@ def _by_rescale() -> np.ndarray:
 TABLE = {"expected": "opens", "notes": ("import.modality-lut",), "is_hu": False, "do": EXPORT}
 MODALITY_LUT = [
     Input("a Modality LUT beside a rescale with other values", LUT, with_lut(rescale=True), voxels=_by_rescale, names=("20 of 20", "differ by up to"), **TABLE),
-    Input("a Modality LUT alone: HU + 1024", LUT, with_lut(rescale=False), voxels=_by_table, names=("unit: HU",), **TABLE),
-    Input("a Modality LUT alone, of another unit", LUT, with_lut(rescale=False, unit="US"), voxels=_by_table, names=("the unit US",), **TABLE),
-    Input("three slices with a Modality LUT beside the rescale", LUT, with_lut(rescale=True, at=lambda i: i not in (4, 9, 11)), "import.rescale-mixed", names=("ModalityLUTSequence", "3 of its 20"), do=EXPORT),
+    Input("a Modality LUT without a rescale: HU + 1024", LUT, with_lut(rescale=False), voxels=_by_table, names=("unit: HU",), **TABLE),
+    Input("a Modality LUT without a rescale, in another unit", LUT, with_lut(rescale=False, unit="US"), voxels=_by_table, names=("the unit US",), **TABLE),
+    Input("all slices except three with a Modality LUT beside the rescale", LUT, with_lut(rescale=True, at=lambda i: i not in (4, 9, 11)), "import.rescale-mixed", names=("ModalityLUTSequence", "3 of its 20"), do=EXPORT),
     Input("a Modality LUT with a table that is too short", LUT, with_lut(rescale=True, damage=True), "import.tags", names=("ModalityLUTSequence",), do=EXPORT),
 ]  # fmt: skip

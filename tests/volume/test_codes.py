@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import ast
 import re
+from collections import Counter
 from pathlib import Path
 
 import pytest
-from corpus import PAGE, all_inputs, repeated_advice
+from corpus import PAGE, all_inputs, numbered_remedies, sentences
 
 import carina.cli.opened
 import carina.track
@@ -15,6 +16,8 @@ import carina.volume
 
 CODE = re.compile(r"import(\.[a-z0-9]+(-[a-z0-9]+)*)+")
 ROW = re.compile(r"^\| `(?P<code>[\w.-]+)` \| (?P<kind>[^|]+) \| (?P<means>[^|]+) \| (?P<do>[^|]+) \|$", re.MULTILINE)
+NUMBER = re.compile(r"\bA\d+\b")
+NUMBERS = re.compile(r"(A\d+(, )?)+\.?")
 SOURCES = [*sorted(Path(carina.volume.__file__).parent.glob("*.py")), Path(carina.cli.opened.__file__)]
 SEARCH = sorted(Path(carina.track.__file__).parent.rglob("*.py"))
 
@@ -23,6 +26,15 @@ def rows() -> list[dict[str, str]]:
     """Return the rows of the table of codes on the page."""
     part = PAGE.read_text(encoding="utf-8").split("## Codes")[1]
     return [match.groupdict() for match in ROW.finditer(part)]
+
+
+def advice() -> list[str]:
+    """Return the cells of the last column of all tables of inputs and of the table of codes."""
+    page = PAGE.read_text(encoding="utf-8")
+    inputs = page[: page.index("<!-- tables: end -->")]
+    cells = re.findall(r"^\| [^|]+ \| (?:opens|refused)[^|]* \| ([^|]+) \|$", inputs, re.MULTILINE)
+    assert len(cells) == len(all_inputs())
+    return [*cells, *(row["do"] for row in rows())]
 
 
 def nodes(kind: type) -> list:
@@ -63,13 +75,21 @@ def test_codes_and_their_meanings_are_unique():
 
 
 def test_every_refusal_and_every_badge_has_a_remedy():
-    numbers = set(repeated_advice().values())
+    numbers = set(numbered_remedies().values())
     short = [row for row in rows() if row["kind"] != "note" and len(row["do"]) < 10]
-    assert [row["code"] for row in short if row["do"] not in numbers] == []
+    assert [row["code"] for row in short if not set(NUMBER.findall(row["do"])) & numbers] == []
 
 
-def test_numbered_remedy_is_not_repeated_on_the_page():
-    assert [row["code"] for row in rows() if row["do"].rstrip(".").lower() in repeated_advice()] == []
+def test_numbers_of_remedies_on_the_page_exist_and_each_is_used_at_least_twice():
+    used = Counter(number for cell in advice() for number in NUMBER.findall(cell))
+    assert used.keys() == set(numbered_remedies().values())
+    assert [number for number, count in used.items() if count < 2] == []
+
+
+def test_page_states_each_remedy_in_full_once():
+    stated = Counter(one for cell in advice() for one in sentences(cell) if not NUMBERS.fullmatch(one) and one != "-")
+    stated.update(list(numbered_remedies()))
+    assert [one for one, count in stated.items() if count > 1] == []
 
 
 def test_page_marks_refusals_notes_and_badges_as_the_code_does():

@@ -13,13 +13,13 @@ function guide(): string {
   return [
     "# Keys and mouse",
     "",
-    "Made from the table of keys (`web/src/input/key-table.ts`) by `npx vitest run -u src/input/key-guide.test.ts` in `web/`; the key `?` shows the same. What",
-    "holds in a picture holds while it has the focus: a click or Tab gives it. With Cmd in place of Ctrl on a Mac.",
+    "This page is generated from the table of keys (`web/src/input/key-table.ts`): run `npx vitest run -u src/input/key-guide.test.ts` in `web/`. The key `?` shows",
+    "the same list. The keys of a view work while that view has the focus; a click or Tab gives it the focus. On a Mac, press Cmd instead of Ctrl.",
     "",
     ...keySections().flatMap(({ title, rows: keys }) =>
       part(title, rows(keys.map((row) => [code(row.label), row.words]))),
     ),
-    ...MOUSE.flatMap(({ where, what }) => part(`Mouse: ${where.toLowerCase()}`, rows(what))),
+    ...MOUSE.flatMap(({ where, what }) => part(`Mouse: ${where}`, rows(what))),
   ]
     .join("\n")
     .trimEnd()
