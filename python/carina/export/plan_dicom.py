@@ -234,7 +234,7 @@ def new_object(
         SOP class UID.
     images
         The CT that the object refers to; the object belongs to the CT's study. None makes an independent object in a
-        study of its own.
+        new study.
     identity
         ``"from the CT"`` copies name, number, birth date, sex and the study's dates and numbers; ``"none"`` leaves them
         empty and marks the object as de-identified. Every object that refers to a CT contains the UIDs of the CT's

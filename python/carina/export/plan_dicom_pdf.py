@@ -53,7 +53,7 @@ def write_plan_pdf(
         refused without an identity.
     identity
         ``"from the CT"`` uses the patient and study of the CT and requires ``volume`` and ``ct``. ``"none"`` makes a
-        study of its own, without any data of the CT.
+        new study without any data of the CT.
     volume, ct, series
         The CT that the plan was made on, its DICOM folder, and the key of its series.
     title

@@ -277,8 +277,8 @@ class VideoWriter:
         """Discard the video and its temporary file; a former file at the path stays unchanged."""
         try:
             if self._container is not None:
-                # Closing writes the last bytes, which are not needed and for which the disk may have no space. PyAV
-                # raises errors of its own for a refused write, so OSError alone would not suffice.
+                # Closing writes the last bytes, which are not needed and for which the disk may have no space. For a
+                # refused write PyAV also raises errors that are no OSError.
                 with contextlib.suppress(Exception):
                     self._container.close()
         finally:
