@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import functools
+import warnings
 
 import numpy as np
 import pydicom
@@ -144,6 +145,35 @@ def test_report_contains_no_patient_data_unless_requested(ct, volume, tmp_path):
     assert not any(secret in raw for secret in (b"Secret", b"SECRET-1", b"19010101"))
     data = pydicom.dcmread(write_target_report(tmp_path / "q.dcm", nodule(), volume, ct, identity="from the CT"))
     assert (str(data.PatientName), data.PatientID) == ("Secret^One", "SECRET-1")
+
+
+def test_report_copies_no_data_of_scanner_and_institution_from_the_ct(tmp_path):
+    def described(dataset, index):
+        dataset.Manufacturer = dataset.InstitutionName = dataset.StationName = dataset.PatientComments = "Confidential"
+        dataset.PatientAge, dataset.AcquisitionDateTime = "077Y", "20250102101500"
+
+    folder = series(tmp_path / "ct", described)
+    for identity in ("none", "from the CT"):
+        path = write_target_report(tmp_path / "r.dcm", nodule(), open_volume(folder), folder, identity=identity)
+        assert not any(text in path.read_bytes() for text in (b"Confidential", b"077Y", b"20250102"))
+
+
+def test_ct_with_a_private_sop_class_and_unusual_identity_is_reported(tmp_path):
+    def unusual(dataset, index):
+        dataset.SOPClassUID = "1.2.3.4.99"
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # pydicom warns about the invalid date
+            dataset.PatientSex, dataset.PatientBirthDate = "U", "1901"
+
+    folder = series(tmp_path / "ct", unusual)
+    volume = open_volume(folder)
+    seg = write_target_seg(tmp_path / "s.dcm", nodule(), volume, folder)
+    path = write_target_report(tmp_path / "r.dcm", nodule(), volume, folder, segmentation=seg, identity="from the CT")
+    data = pydicom.dcmread(path)
+    assert (data.PatientSex, data.PatientBirthDate) == ("U", "1901")
+    (study,) = data.CurrentRequestedProcedureEvidenceSequence
+    classes = [one.ReferencedSOPSequence[0].ReferencedSOPClassUID for one in study.ReferencedSeriesSequence]
+    assert classes == ["1.2.3.4.99", pydicom.uid.SegmentationStorage]
 
 
 def test_pdf_is_read_back_byte_for_byte(tmp_path):
