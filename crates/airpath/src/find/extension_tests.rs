@@ -1,4 +1,4 @@
-//! Tests of the extension on drawn tubes.
+//! Tests of the extension of the lumen on drawn tubes.
 //!
 //! The extension follows a faint tube and crosses a short gap, but enters neither the lung nor a groove.
 
@@ -27,8 +27,10 @@ struct Drawn {
     lumen: Vec<u8>,
 }
 
-/// Draw lung with noise, and a wide dark tube along x that is known up to `known_mm` and continues thin and faint up to
-/// `ends_mm`.
+/// Draw lung with noise and a wide dark tube along x, which is in the known lumen up to `known_mm` and continues thin
+/// and faint up to `ends_mm`.
+///
+/// `dimmed` is the factor of the wall's brightness at a position.
 fn drawn(noise_hu: f64, known_mm: f64, ends_mm: f64, dimmed: impl Fn([f64; 3]) -> f64) -> Drawn {
     let place = Affine::from_columns(
         [0.0, 0.65, 0.0],
@@ -89,7 +91,7 @@ fn a_faint_tube_is_followed_to_its_end_and_no_farther() {
         let end = farthest_mm(&chest);
         assert!((45.0..=51.5).contains(&end), "noise {noise}: ends at {end}");
         assert_eq!(found.followed.len(), 1, "noise {noise}");
-        // No added voxel is outside the tube's outer wall: 0.8 + 0.6 mm, and half a voxel.
+        // No added voxel may be outside the tube's outer wall: 0.8 + 0.6 mm, and half a voxel.
         for (at, _) in chest
             .lumen
             .iter()
@@ -148,7 +150,7 @@ fn in_divided_slices_a_way_ends_at_a_long_stretch_of_enclosed_lung_even_if_a_tub
             let p: [f64; 3] = std::array::from_fn(|a| v[a] as f64 * spacing[a]);
             let off = length([0.0, p[1] - 16.0, p[2] - 15.0]);
             if (24.0..24.0 + long_mm).contains(&p[0]) && off < 3.2 {
-                // As wide as an airway with dark air, but as bright as lung.
+                // A channel as wide as an airway with dark air, but filled with values of lung.
                 chest.values[at] = if off < 2.2 { -860 } else { -100 };
             }
         }

@@ -14,38 +14,41 @@ use crate::find::thin_profile::Profile;
 use crate::find::tubeness::{REACH_MM, Section, section};
 use carina_leastcost::{TrackError, Watch};
 
+/// Mark of a node without a previous node: it touches the lumen, or no path leads to it.
 const NONE: u32 = u32::MAX;
-/// Distance from a path, through enclosed voxels, up to which voxels belong to the same tube, mm.
+/// Distance from a path, through enclosed voxels, up to which voxels belong to the tube of the path, mm.
 const COVER_MM: f32 = 3.0;
-/// Largest distance of a lumen's voxels from the path, measured through faces (also round corners), in radii.
+/// Largest distance of a lumen voxel from its path, in radii of the lumen; measured from face to face, round corners.
 const FILL_RADII: f64 = 1.5;
-/// Number of voxels to both sides over which the level half-way up the wall is taken.
+/// Number of voxels of the path on each side over which the level half-way up the wall is averaged by the median.
 const FILL_NODES: usize = 2;
-/// Length to both sides over which the direction of a path is taken, mm.
+/// Length of path on each side of a voxel over which the path's direction is measured, mm.
 const TANGENT_MM: f64 = 2.0;
-/// Length of the first part of a path, which does not count for the distance from known lumens.
+/// Length of the first part of a path that is ignored when its distance from known lumens is measured, mm.
 ///
-/// That part is beside the airway that the path leaves. The next constant is the upper limit of that distance; both mm.
+/// This part is beside the airway from which the path branches.
 const BEYOND_MM: f64 = 5.0;
+/// Upper limit of the measured distance of a path from known lumens, mm.
 const CLEAR_MM: f64 = 6.0;
-/// Radius of the lung around a path in which reached voxels are counted, mm.
+/// Radius round a path in which the share of reached lung voxels is measured, mm.
 const AROUND_MM: f64 = 8.0;
-/// Largest gain of a path by one voxel, in thresholds, so that one bright wall does not compensate for a long part
-/// without wall.
+/// Largest gain of a path by one voxel, in thresholds of the enclosure.
+///
+/// The limit prevents that one bright wall compensates for a long part without wall.
 const MOST_GAIN: f64 = 3.0;
-/// In divided slices, a path ends where it has lost this much of its previous gain, in thresholds times mm.
+/// Loss of gain after which a path in divided slices ends, in thresholds of the enclosure times mm.
 ///
 /// An airway farther on does not belong to this path (docs/decisions/0112).
 const MOST_LOSS_MM: f64 = 12.0;
 
-/// Accepted path, as indices in the list of reached voxels.
+/// Accepted path of an airway; its nodes are indices in the list of reached voxels.
 #[derive(Debug, Clone)]
 pub(crate) struct Path {
     nodes: Vec<u32>,
-    /// Distance to the wall at each voxel, mm.
+    /// Radius of the lumen at each voxel of the path, mm.
     radius_mm: Vec<f64>,
     length_mm: f64,
-    /// Probability that this path and all paths that it leaves are airways.
+    /// Probability that this path and all paths from which it branches are airways.
     probability: f64,
 }
 
@@ -69,7 +72,7 @@ impl Path {
     }
 }
 
-/// Section across a path at one of its voxels, with the direction of the path there.
+/// Section across a path at one of its voxels, and the direction of the path at that voxel.
 struct WaySection {
     /// Direction of the path, a unit vector in mm on the grid's axes.
     along: [f64; 3],
@@ -80,7 +83,7 @@ struct WaySection {
 pub(crate) struct Search<'a> {
     values: VolumeView<'a, i16>,
     smooth: VolumeView<'a, i16>,
-    /// Lumen with the marks of the search.
+    /// Lumen, with the marks that the search has set in it.
     lumen: &'a [u8],
     faces: Faces,
     reached: &'a [Node],
@@ -88,7 +91,7 @@ pub(crate) struct Search<'a> {
     at: HashMap<u32, u32>,
     before: Vec<u32>,
     along_mm: Vec<f32>,
-    /// Probability of the accepted path that contains the voxel; 0 for a voxel in no path.
+    /// For each reached voxel, the probability of the accepted path that contains it; 0 if no path contains it.
     kept: Vec<f64>,
 }
 
@@ -108,7 +111,7 @@ impl<'a> Search<'a> {
         let mut along_mm = vec![f32::INFINITY; reached.len()];
         let mut cost = vec![u64::MAX; reached.len()];
         let mut open = BinaryHeap::new();
-        // Micrometres times weight, as integers, because integers have a total order.
+        // The cost is length in micrometres times weight, as an integer, because integers have a total order.
         let weight = |node: &Node| {
             let rise = f64::from(node.rise.max(1));
             1.0 + (4.0 * f64::from(levels.followed) / rise).min(20.0).powi(2)
@@ -205,10 +208,11 @@ impl<'a> Search<'a> {
         Ok(paths)
     }
 
-    /// Return the first part of a path with the largest gain, if it qualifies as an airway.
+    /// Return the first part of a path, up to the voxel with the largest sum of gains, if that part qualifies as an
+    /// airway.
     ///
-    /// In divided slices the sections are first judged by log-odds, which need much evidence, and then as in any other
-    /// CT.
+    /// In divided slices the sections are first assessed by their log-odds, which require much evidence, and otherwise
+    /// in the way that applies to undivided slices.
     fn worth(&self, way: &[u32], limits: &ExtensionLimits) -> Option<Path> {
         let sections = self.sections(way);
         limits
@@ -225,7 +229,8 @@ impl<'a> Search<'a> {
         divided: Option<Divided>,
     ) -> Option<Path> {
         let threshold = f64::from(self.levels.followed);
-        // Two of 100 voxels of lung pass the threshold, which is thus two standard deviations; one is allowed for.
+        // Two of 100 voxels of lung pass the threshold, so the threshold is two standard deviations of the noise; half
+        // of it is one.
         let blur = Blur::on(self.smooth.grid(), 0.5 * threshold);
         let (start_mm, probability_before) = match self.before[way[0] as usize] {
             NONE => (0.0, 1.0),
@@ -241,7 +246,8 @@ impl<'a> Search<'a> {
             let step = f64::from(along - last_mm);
             last_mm = along;
             let own = f64::from(self.smooth.data()[self.reached[*node as usize].voxel as usize]);
-            // The path has crossed a wall: a dark part behind it is not this airway.
+            // A fall larger than `drop` means that the path has crossed a wall; a dark part behind that wall is another
+            // structure.
             highest = highest.max(own);
             if own < highest - self.levels.drop {
                 break;
@@ -298,8 +304,9 @@ impl<'a> Search<'a> {
         })
     }
 
-    /// Return the probability that a path is an airway if the airway that it leaves is one, from features of the whole
-    /// path.
+    /// Return the probability that a path is an airway, on condition that the airway from which it branches is one.
+    ///
+    /// The probability is computed from features of the whole path ([`WAY_WEIGHTS`]).
     fn way_probability(
         &self,
         way: &[u32],
@@ -334,7 +341,7 @@ impl<'a> Search<'a> {
         probability_of_way(figures, weights)
     }
 
-    /// Return the distance to the previously known lumen, at most [`CLEAR_MM`].
+    /// Return the distance in mm from a voxel to the lumen that was known before the extension, at most [`CLEAR_MM`].
     fn clearance_at(&self, voxel: [usize; 3]) -> f64 {
         let mut least = CLEAR_MM;
         self.each_within(voxel, CLEAR_MM, |at, off_mm| {
@@ -345,7 +352,7 @@ impl<'a> Search<'a> {
         least
     }
 
-    /// Return the share of the lung round a voxel that the search reached.
+    /// Return the share of the lung voxels round a voxel that the search has reached.
     ///
     /// The share is large where the search leaks into the lung.
     fn reached_share(&self, voxel: [usize; 3], limits: &ExtensionLimits) -> f64 {
@@ -391,7 +398,9 @@ impl<'a> Search<'a> {
         Profile::of(self.values, &voxels).is_none_or(|profile| profile.is_round())
     }
 
-    /// Return the length of a path without its zigzag between voxels: measured between positions about one slice apart.
+    /// Return the length of a path in mm without its zigzag between voxels.
+    ///
+    /// The length is measured between positions that are about one slice apart.
     fn straight_mm(&self, way: &[u32]) -> f64 {
         let grid = self.smooth.grid();
         let spacing = grid.spacing_mm();
@@ -434,7 +443,7 @@ impl<'a> Search<'a> {
             .collect()
     }
 
-    /// Mark the voxels in the tube round a path, so that they do not become separate tips.
+    /// Mark the voxels in the tube round a path, so that no further path ends in this tube.
     fn cover(&self, way: &[u32], covered: &mut [bool]) {
         let mut left: HashMap<u32, f32> = way.iter().map(|n| (*n, COVER_MM)).collect();
         let mut open: Vec<u32> = way.to_vec();
@@ -457,7 +466,7 @@ impl<'a> Search<'a> {
 
     /// Return the voxels of the lumen round the accepted paths.
     pub(crate) fn filled(&self, smooth: &[i16], paths: &[Path]) -> Vec<u32> {
-        // Level half-way up the wall at each position of a path, the median over some voxels along the path.
+        // The limit of each position is the level half-way up the wall, as the median over some voxels of the path.
         let mut open = BinaryHeap::new();
         let mut best: HashMap<u32, u32> = HashMap::new();
         for path in paths {

@@ -1,8 +1,4 @@
-//! Volume as from a softer reconstruction kernel: the amplification by a sharp kernel is reversed.
-//!
-//! An edge-enhancing kernel amplifies fine detail: its transfer function is `1 + a (1 - g)`, where `g` falls from 1 to
-//! 0 with frequency. The inverse, `1 / (1 + a (1 - g))`, is a weighted sum of the value itself and of blurs
-//! (docs/decisions/0113).
+//! Approximation of a softer reconstruction kernel: the amplification of fine detail by a sharp kernel is reversed.
 
 use carina_grid::VolumeView;
 use rayon::prelude::*;
@@ -10,23 +6,24 @@ use rayon::prelude::*;
 use crate::find::extension_reach::Faces;
 use crate::find::tubeness::{Enclosure, REACH_MM, smoothed};
 
-/// One Gaussian of a mixture.
+/// One Gaussian blur of the mixture that [`mixed`] adds.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Blur {
-    /// Weight in the sum.
+    /// Weight of this blur in the sum.
     pub weight: f64,
     /// Standard deviation, mm.
     pub sigma_mm: f64,
 }
 
-/// Radius at which Gaussians are truncated, in sigmas.
+/// Radius at which a Gaussian is truncated, in sigmas.
 const REACH_SIGMAS: f64 = 3.0;
-/// Sigma in voxels below which a Gaussian does not reach the next voxel.
+/// Sigma in voxels below which a Gaussian is replaced by no blur, because its weights for the next voxel are
+/// negligible.
 const NARROWEST_VOX: f64 = 0.25;
 
-/// Return `own` times each value plus the blurs of the volume along the axes that are `blurred`.
+/// Return `own` times the volume plus the weighted `blurs` of the volume along the axes that are `blurred`.
 ///
-/// Beyond a face the values at the face are used.
+/// Beyond a face of the volume the values at the face are used.
 #[must_use]
 pub fn mixed(
     values: VolumeView<'_, i16>,
@@ -86,15 +83,15 @@ pub struct CutOff {
     pub floor: i16,
     /// Value of air.
     pub air: i16,
-    /// Largest value in the softened volume that is certainly air.
+    /// Largest value of the softened volume that only air has.
     pub certain: i16,
-    /// Smallest rise of a wall above a clipped lumen.
+    /// Smallest rise from a clipped lumen to its wall.
     pub rise: i16,
-    /// Width of the dark seam that a kernel creates inside a wall, mm.
+    /// Width of the dark seam that a sharp kernel creates inside a wall, mm.
     pub seam_mm: f64,
 }
 
-/// Set clipped voxels of airway lumens to the value of air; return the number of these voxels.
+/// Set the clipped voxels of airway lumens in `soft` to the value of air; return the number of these voxels.
 ///
 /// A sharp kernel makes the lumen along a wall, and all of a small lumen, darker than air. Files have a lowest value;
 /// darker values are lost, and the softened lumen becomes too bright. The dark rims beside vessels and pleura are
@@ -111,10 +108,11 @@ pub fn keep_cut_off_air(sharp: VolumeView<'_, i16>, soft: &mut [i16], cut: &CutO
         })
         .map(|(at, _)| at as u32)
         .collect();
-    // Start at voxels that are certainly air and continue through clipped voxels up to the width of a seam.
+    // The search starts beside voxels that are certainly air and continues through clipped voxels up to the width of a
+    // seam.
     let faces = Faces::new(sharp);
     let is_cut = |at: usize, soft: &[i16]| sharp.data()[at] <= cut.floor && soft[at] > cut.certain;
-    // A lung voxel that is dark because of noise does not count: air has air or clipped voxels on all sides.
+    // A lung voxel that is dark because of noise does not count as air: air has air or clipped voxels on all sides.
     let is_air = |at: usize| {
         let mut is_inside = soft[at] <= cut.certain;
         if is_inside {
@@ -164,13 +162,13 @@ pub fn keep_cut_off_air(sharp: VolumeView<'_, i16>, soft: &mut [i16], cut: &CutO
     kept.len()
 }
 
-/// Buffers of one thread for a slice.
+/// Buffers in which one thread blurs one slice.
 struct Room {
     shape: [usize; 2],
     sum: Vec<f32>,
     across: Vec<f32>,
     row: Vec<f32>,
-    /// A row, extended beyond its ends.
+    /// Row of the slice, extended beyond both ends by its edge values.
     wide: Vec<f32>,
 }
 
@@ -185,7 +183,7 @@ impl Room {
         }
     }
 
-    /// Add `weight` times the blurred slice to the sum.
+    /// Blur `across` along y and x, and add the result times `weight` to `sum`.
     fn blur_slice(&mut self, weight: f32, wx: &[f32], wy: &[f32]) {
         let [nx, ny] = self.shape;
         let reach = wx.len() - 1;
@@ -216,7 +214,7 @@ impl Room {
     }
 }
 
-/// Return half of a Gaussian's weights, the middle first; together with their mirror image they sum to 1.
+/// Return one half of a Gaussian's weights, from the middle outwards; together with their mirror image they sum to 1.
 fn weights(sigma_vox: f64) -> Vec<f32> {
     if sigma_vox < NARROWEST_VOX {
         return vec![1.0];
@@ -236,7 +234,8 @@ mod tests {
 
     use super::*;
 
-    /// Compute the mixture directly from its definition: each blur is a sum over all voxels within its radius.
+    /// Compute the result of [`mixed`] directly from its definition: each blur is a sum over all voxels within its
+    /// radius.
     fn mixed_slowly(
         values: VolumeView<'_, i16>,
         own: f64,
@@ -305,7 +304,7 @@ mod tests {
             let blurs = [Blur { weight: 0.4, sigma_mm }, Blur { weight: 0.25, sigma_mm: 1.5 * sigma_mm }];
             let fast = mixed(view, 0.35, &blurs, blurred);
             for (a, b) in fast.iter().zip(mixed_slowly(view, 0.35, &blurs, blurred)) {
-                // Tolerance: half a unit of rounding, and the difference between f32 and f64.
+                // The tolerance is half a unit of rounding plus the difference between f32 and f64.
                 prop_assert!((f64::from(*a) - b).abs() <= 0.51);
             }
         }
@@ -322,7 +321,7 @@ mod tests {
                 let (x, y) = (i as f64 - 12.0, j as f64 - 16.0);
                 let off = x.hypot(y);
                 match i {
-                    // The volume has tissue from i = 30 on, and a dark rim two voxels wide in front of it.
+                    // The volume has tissue from i = 30 on, and in front of the tissue a dark rim two voxels wide.
                     30.. => 40,
                     28..30 => -1024,
                     _ if off <= 1.2 => -1024,
@@ -354,7 +353,8 @@ mod tests {
         let place =
             Affine::from_columns([0.7, 0.0, 0.0], [0.0, 0.7, 0.0], [0.0, 0.0, 0.7], [0.0; 3]);
         let grid = Grid::new([12, 12, 60], place).unwrap();
-        // Wide air with a dark seam and a wall; and lung with an equally dark seam of tissue alone.
+        // The first part has wide air with a dark seam and a wall; the second has lung with an equally dark seam of
+        // tissue alone.
         let sharp: Vec<i16> = (0..grid.num_voxels())
             .map(|at| match grid.voxel(at)[0] {
                 0..20 => -1005,

@@ -20,9 +20,11 @@ const LIMITS: ThinLimits = ThinLimits {
     min_side_mm: 5.0,
     most_reached: 1.0,
 };
-/// End of the known airway; the next constant is the direction of its continuation, along no axis of the grid.
+/// End of the known airway, mm along the grid's axes.
 const START_MM: [f64; 3] = [12.0, 12.5, 12.0];
+/// Direction in which the airway continues from its known end, along no axis of the grid.
 const ALONG: [f64; 3] = [0.86, 0.33, 0.39];
+/// Radius of the known airway, mm.
 const KNOWN_RADIUS_MM: f64 = 1.9;
 
 struct Drawn {
@@ -31,7 +33,8 @@ struct Drawn {
     lumen: Vec<u8>,
 }
 
-/// Return the coordinates of a point along the continuation from the start, and to two sides of it, mm.
+/// Return the coordinates of a point relative to the end of the known airway: along the continuation, and to two sides,
+/// mm.
 fn along_and_off(p: [f64; 3]) -> [f64; 3] {
     let along = unit(ALONG).unwrap();
     let across = unit(cross(along, [0.0, 0.0, 1.0])).unwrap();
@@ -43,9 +46,10 @@ fn along_and_off(p: [f64; 3]) -> [f64; 3] {
     ]
 }
 
-/// Draw lung with noise of 25 HU and a known airway that ends at the start, blurred like a CT.
+/// Draw lung with noise of 25 HU and a known airway that ends at `START_MM`, blurred like a CT.
 ///
-/// `drawn_hu` gives values of the continuation at a point along and off the path, or `None` for lung.
+/// `drawn_hu` returns the value of the continuation at a point (the coordinates of `along_and_off`), or `None` for
+/// lung.
 fn drawn(drawn_hu: impl Fn([f64; 3]) -> Option<f64>) -> Drawn {
     let place = Affine::from_columns(
         [0.0, 0.6, 0.0],
@@ -136,7 +140,7 @@ fn extended(chest: &mut Drawn) -> Thin {
     extend_thin(view, &mut chest.lumen, &LIMITS, &Unwatched).unwrap()
 }
 
-/// Return how far along the path the added voxels extend, and their largest distance from it, mm.
+/// Return the extent of the added voxels along the continuation, and their largest distance from it, mm.
 fn added_mm(chest: &Drawn) -> (f64, f64) {
     let spacing = chest.grid.spacing_mm();
     chest
@@ -195,7 +199,8 @@ fn a_vessel_that_goes_on_from_the_airway_is_none() {
 
 #[test]
 fn lung_between_two_or_three_vessels_is_no_airway() {
-    // Three vessels that touch each other would enclose a lumen that a CT cannot distinguish from an airway's.
+    // Three vessels that touch each other would enclose a space that a CT cannot distinguish from the lumen of an
+    // airway.
     for (vessels, apart_mm) in [(2, 1.8), (2, 2.2), (3, 2.7)] {
         let mut chest = drawn(|[_, x, y]| {
             let is_vessel = (0..vessels).any(|n| {
