@@ -48,7 +48,7 @@ fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     ]
 }
 
-/// Return the transform of a picture's plane through a point, with its size in pixels.
+/// Return the transform from grid to picture for a plane through the point `middle`, with its size in pixels.
 fn plane(normal: [f64; 3], middle: [f64; 3], mm_per_px: f64, size: usize) -> Affine {
     let beside = if normal[0].abs() < 0.7 {
         [1.0, 0.0, 0.0]
@@ -68,7 +68,7 @@ fn plane(normal: [f64; 3], middle: [f64; 3], mm_per_px: f64, size: usize) -> Aff
     )
 }
 
-/// Return an oblique, anisotropic grid, right-handed or mirrored.
+/// Return an oblique, anisotropic grid, either right-handed or mirrored.
 fn oblique(shape_zyx: [usize; 3], spacing: [f64; 3], mirrored: bool) -> Grid {
     let (c, s) = (0.3f64.cos(), 0.3f64.sin());
     let x = [c, s, 0.0].map(|v| v * if mirrored { -spacing[0] } else { spacing[0] });
@@ -92,7 +92,7 @@ fn lines_of(
         .unwrap()
 }
 
-/// Return the winding number of the lines round a point.
+/// Return the winding number of closed lines round a point.
 fn winding(lines: &[Vec<PicturePoint>], at: PicturePoint) -> i32 {
     let mut turns = 0;
     for pair in lines.iter().flat_map(|line| line.windows(2)) {
@@ -129,7 +129,7 @@ fn on_any_plane_the_outline_of_a_ball_lies_within_half_a_voxel_of_its_wall() {
             let offset = std::array::from_fn(|a| p[a] - middle[a]);
             dot(offset, offset).sqrt()
         };
-        // A wall blurred as by a scanner, with the half-maximum at the radius.
+        // The wall is blurred as by a scanner, with the half-maximum at the radius.
         let values: Vec<i16> = (0..grid.num_voxels())
             .map(|n| {
                 let up = ((from_middle(n) - radius) / 1.6 + 0.5).clamp(0.0, 1.0);
@@ -157,7 +157,7 @@ fn on_any_plane_the_outline_of_a_ball_lies_within_half_a_voxel_of_its_wall() {
                 let p = place.point([pair[0][0], pair[0][1], 0.0]);
                 let offset: [f64; 3] = std::array::from_fn(|a| p[a] - middle[a]);
                 let off = dot(offset, offset).sqrt() - radius;
-                // Half a voxel along the direction to the wall, which is the radius.
+                // Half a voxel along the direction to the wall, which is the direction of the radius.
                 let along = offset.map(|v| v / dot(offset, offset).sqrt());
                 let axes = [0, 1, 2].map(|a| grid.lps_from_ijk().column(a));
                 let half = axes
@@ -204,7 +204,7 @@ fn a_plane_on_the_voxels_and_one_between_them_both_have_whole_outlines() {
                 all.fold(f64::MIN, f64::max),
             )
         };
-        // Half-way between voxels, because nothing is known of the wall.
+        // The expected edges are half-way between voxels, because a mask has no information about the wall.
         for ((low, high), (first, last)) in [(ends(0), (4.5, 14.5)), (ends(1), (3.5, 8.5))] {
             assert!(
                 (low - first).abs() < 1e-6 && (high - last).abs() < 1e-6,
@@ -310,7 +310,7 @@ proptest! {
     ) {
         let mut random = Random(seed);
         let grid = oblique([13, 12, 11], [0.7, 0.8, 1.6], mirrored);
-        // Connected blobs instead of single voxels: a voxel is lumen where the sum of a few random waves is high.
+        // Connected blobs instead of single voxels: a voxel is lumen where the sum of four random waves is high.
         let waves: Vec<([f64; 3], f64)> = (0..4).map(|_| (random.direction(), random.next() * TAU)).collect();
         let lumen: Vec<u8> = (0..values.len())
             .map(|n| {
@@ -330,7 +330,8 @@ proptest! {
         let is_lumen = |v: [isize; 3]| {
             (0..3).all(|a| (0..shape[a]).contains(&v[a])) && lumen[((v[2] * 12 + v[1]) * 11 + v[0]) as usize] != 0
         };
-        // Voxels of each kind nearer than half a voxel: a voxel's box extends half a voxel round its centre.
+        // True if a voxel of this kind is nearer than half a voxel: a voxel's box extends half a voxel round its
+        // centre.
         let near = |p: [f64; 3], kind: bool| {
             (0..125).any(|n| {
                 let v: [isize; 3] = std::array::from_fn(|a| p[a].round() as isize + [n % 5, n / 5 % 5, n / 25][a] - 2);

@@ -17,13 +17,14 @@ const LEVELS: SectionLevels = SectionLevels {
     wall_rise: 1020.0,
     noise: 5.0,
 };
+/// Blur of the drawn tubes, as a standard deviation in mm.
 const SIGMA_MM: f64 = 0.5;
 
 /// Straight tube with an elliptical lumen and a wall, blurred by a Gaussian.
 struct Tube {
     centre: Point,
     axis: Point,
-    /// Half of the lumen's width along the two axes of the plane, mm.
+    /// Half widths of the lumen along the two axes of the plane, mm.
     half_mm: [f64; 2],
     wall_mm: f64,
     /// Value behind the wall.
@@ -51,7 +52,7 @@ impl Tube {
 
     fn sharp(&self, u: f64, v: f64) -> f64 {
         let [a, b] = self.half_mm;
-        // Distance to an ellipse, to first order at its edge: exact for a circle.
+        // The distance to an ellipse is computed to first order at its edge, which is exact for a circle.
         let k0 = (u / a).hypot(v / b);
         let k1 = (u / (a * a)).hypot(v / (b * b));
         let depth = if k1 < 1e-9 {
@@ -68,7 +69,8 @@ impl Tube {
         }
     }
 
-    /// Return the section, blurred along both axes; a straight tube has the same section everywhere.
+    /// Return the image of the tube's section, blurred along both axes; a straight tube has the same section
+    /// everywhere.
     fn picture(&self) -> Vec<f64> {
         let n = (2.0 * PICTURE_MM / PIXEL_MM) as usize;
         let at = |i: usize| (i as f64 + 0.5) * PIXEL_MM - PICTURE_MM;
@@ -125,8 +127,8 @@ fn draw(grid: &Grid, tube: &Tube) -> Vec<i16> {
         .map(|at| {
             let p = grid.to_lps(Ijk(grid.voxel(at).map(|v| v as f64))).0;
             let off: Point = std::array::from_fn(|a| p[a] - tube.centre[a]);
-            // Linear interpolation between pixels, which are much smaller than the blur; beyond the picture, the value
-            // at its border.
+            // The image is interpolated linearly between its pixels, which are much smaller than the blur; beyond the
+            // image, the value at its border is used.
             let place = |mm: f64| ((mm + PICTURE_MM) / PIXEL_MM - 0.5).clamp(0.0, n as f64 - 1.001);
             let (u, v) = (place(dot(off, across)), place(dot(off, up)));
             let (i, j) = (u as usize, v as usize);
@@ -137,7 +139,7 @@ fn draw(grid: &Grid, tube: &Tube) -> Vec<i16> {
         .collect()
 }
 
-/// Cast a section that starts a third of the lumen off the middle, so that the centre must be found.
+/// Cast a section whose rays start a third of the lumen off its middle, so that the centre must be found.
 fn cut(grid: &Grid, values: &[i16], tube: &Tube) -> Cast {
     let (across, _) = plane_axes(tube.axis);
     let least = tube.half_mm[0].min(tube.half_mm[1]);
@@ -151,7 +153,7 @@ fn cut(grid: &Grid, values: &[i16], tube: &Tube) -> Cast {
     cast_plane(view, plane, LEVELS)
 }
 
-/// Return the blur of a profile, which includes the interpolation between voxels.
+/// Return the blur of a profile in mm, which includes the interpolation between voxels.
 ///
 /// Interpolation is a triangle as wide as two voxels, with a variance of a sixth of a voxel's square.
 /// [`Blur::of_casts`] measures both together.
@@ -192,8 +194,8 @@ proptest! {
         let off = (section.equivalent_mm - truth).abs();
         prop_assert!(off <= section.equivalent_error_mm, "{off} of {}", section.equivalent_error_mm);
         prop_assert!(off < 0.3, "{off}");
-        // About half of the blur on each side; the error with the measured blur is much smaller (see the assertion
-        // before).
+        // The tolerance is about half of the blur on each side; the error with the measured blur is much smaller (see
+        // the previous assertion).
         prop_assert!(section.equivalent_error_mm < 0.6, "{}", section.equivalent_error_mm);
         let off = (section.min_mm - 2.0 * flat * radius).abs().max((section.max_mm - 2.0 * radius).abs());
         prop_assert!(off <= section.width_error_mm + 0.1, "{off} of {}", section.width_error_mm);
@@ -260,7 +262,7 @@ fn the_blur_is_found_on_edges_against_thick_tissue() {
         .collect();
     let casts = cast_planes(view, &planes, LEVELS, &Unwatched).unwrap();
     let blur = Blur::of_casts(&grid, &casts).unwrap();
-    // 0.03 is the blur of the interpolation itself.
+    // The interpolation between voxels adds 0.03 mm to the blur.
     assert!((blur.in_plane_mm - SIGMA_MM).abs() < 0.04, "{blur:?}");
     let section = Section::of(&casts[0], Some(&blur), 0.6, LEVELS);
     assert!(section.wall_mm.is_nan(), "no far side");

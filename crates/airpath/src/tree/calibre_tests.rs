@@ -62,8 +62,8 @@ fn a_flat_lumen_is_as_wide_as_the_circle_of_its_area_and_not_as_its_least_width(
         .unwrap();
     let circle = f64::sqrt(long * short);
     for n in 5..35 {
-        // Tolerance of a twentieth: between voxels the edge is accurate to about a tenth of a voxel, and 64 rays meet
-        // it.
+        // The tolerance is a twentieth: between voxels the edge is accurate to about a tenth of a voxel, and 64 rays
+        // meet it.
         assert!(
             (found.section_mm[n] / circle - 1.0).abs() < 0.05,
             "{}",
@@ -112,8 +112,7 @@ fn up_to_its_fork_a_branch_is_as_wide_as_beyond_it() {
     for (b, found) in all.iter().enumerate() {
         let found = found.as_ref().unwrap();
         for r in &found.section_mm[..36] {
-            // Tolerance of half a voxel: accurate for a noise-free section; the distance to the wall would be wrong by
-            // the parent's radius here.
+            // The tolerance is half a voxel; the distance to the wall would be wrong by the parent's radius here.
             assert!((r - radii[b]).abs() < 0.4, "branch {b}: {r}");
         }
     }
