@@ -69,7 +69,7 @@ fn whole_weight() -> BoxedStrategy<f32> {
 }
 
 fn scene(weight: BoxedStrategy<f32>) -> impl Strategy<Value = Scene> {
-    // Includes long and thin boxes: in some, every row has only border voxels.
+    // Long and thin boxes are included; in some, every row has only border voxels.
     (1usize..12, 1usize..9, 1usize..7).prop_flat_map(move |(nx, ny, nz)| {
         let n = nx * ny * nz;
         let range = |n: usize| {
@@ -162,7 +162,7 @@ fn wide_scene() -> impl Strategy<Value = Scene> {
                 region: masked.then(|| {
                     let shape = [nx, ny, nz];
                     let root = [at % nx, at / nx % ny, at / (nx * ny)];
-                    // The box lacks one voxel on each axis, but contains the root.
+                    // The search box lacks one voxel on each axis, but contains the root.
                     std::array::from_fn(|a| usize::from(root[a] > 0)..shape[a])
                 }),
                 root: [at % nx, at / nx % ny, at / (nx * ny)],
@@ -170,7 +170,7 @@ fn wide_scene() -> impl Strategy<Value = Scene> {
         })
 }
 
-/// Check that every node's cost by the heap equals that of the tracker and of its path.
+/// Check that each node's cost by Dijkstra's algorithm with a heap equals its cost in the tracker and along its path.
 fn equals_the_heap<C: StepCost>(
     field: &VoxelField<'_>,
     root: [usize; 3],
@@ -202,7 +202,7 @@ fn equals_the_heap<C: StepCost>(
     Ok(())
 }
 
-/// Check that costs and predecessors do not depend on the instruction set.
+/// Check that costs and predecessors are equal for all instruction sets.
 fn same_for_every_set<C: StepCost>(
     field: &VoxelField<'_>,
     root: [usize; 3],
@@ -256,7 +256,7 @@ fn resumes<C: StepCost>(
     Ok(())
 }
 
-/// Check that an A* path costs as much as the heap's and consists of steps with that cost.
+/// Check that an A* path has the least cost (from the heap) and consists of steps that add up to this cost.
 ///
 /// There must be no path if the heap finds none.
 fn aimed_equals_the_heap<C: StepCost>(
@@ -298,7 +298,7 @@ fn aimed_equals_the_heap<C: StepCost>(
     Ok(())
 }
 
-/// Return the cost of a path without rounding.
+/// Return the cost of a path computed without rounding to quanta.
 fn exact<C: StepCost>(field: &VoxelField<'_>, spacing: [f64; 3], path: &[u32]) -> f64 {
     path.windows(2)
         .map(|step| {
@@ -386,7 +386,7 @@ proptest! {
 }
 
 proptest! {
-    // Fewer cases, because the scenes are large and are examined node by node.
+    // The number of cases is small, because the scenes are large and are examined node by node.
     #![proptest_config(ProptestConfig::with_cases(24))]
 
     #[test]
@@ -430,7 +430,7 @@ fn cube(n: usize, value: f32) -> Scene {
     }
 }
 
-/// Observer that stops the search at every check except the last few.
+/// Observer that stops the search at every check but the last few.
 struct StopTimes(std::sync::atomic::AtomicUsize);
 
 impl Watch for StopTimes {
@@ -503,7 +503,7 @@ fn an_aimed_search_stops_on_request_and_refuses_in_words() {
         let error = least_path::<EnterCost>(field, [64, 0, 0], 0, &Unwatched).unwrap_err();
         assert_eq!(error.code(), "usage.track");
     });
-    // A target behind a wall: all voxels before the wall are settled.
+    // The target is behind a wall, so all voxels before the wall are settled.
     scene.values[64 * 64 * 62..64 * 64 * 63].fill(f32::INFINITY);
     scene.with(|field| {
         let last = field.num_nodes() as u32 - 1;
@@ -525,7 +525,7 @@ fn memory_is_what_the_head_of_the_file_says() {
         mean.solve_all(field, &Unwatched).unwrap();
         enter.solve_all(field, &Unwatched).unwrap();
         assert!(mean.num_bytes().0 as f64 <= 5.2 * voxels);
-        // One bit per voxel, and a rim of one voxel rounded up to bytes.
+        // The memory is one bit per voxel and a rim of one voxel, rounded up to bytes.
         assert!(enter.num_bytes().0 as f64 <= 1.2 * voxels);
         assert!((mean.num_bytes().1 as f64) < voxels);
         assert!((enter.num_bytes().1 as f64) < voxels);
@@ -569,7 +569,8 @@ fn what_cannot_be_tracked_is_refused_in_words() {
 
 #[test]
 fn a_path_that_costs_more_than_can_be_counted_is_refused() {
-    // A corridor of the most expensive voxels, after one that makes the unit small: 128 quanta times 15,000 per voxel.
+    // A corridor of the most expensive voxels follows a voxel that makes the quantum small: 128 quanta times 15,000 per
+    // voxel.
     let n = 2_000;
     let mut values = vec![15_000.0f32; n];
     values[0] = 1.0;
@@ -580,7 +581,7 @@ fn a_path_that_costs_more_than_can_be_counted_is_refused() {
     assert_eq!(error.code(), "track.cost-overflow");
     // Costs that were settled before the error stay correct.
     assert!(tracker.cost(&field, 100).unwrap() > 1.4e6);
-    // For costs by the entered voxel no costs are stored per voxel, so none can overflow.
+    // Costs by the entered voxel are not stored per voxel, so none can overflow.
     let mut enter = FieldTracker::<EnterCost>::new(&field, [0, 0, 0]).unwrap();
     enter.solve_all(&field, &Unwatched).unwrap();
     assert_eq!(

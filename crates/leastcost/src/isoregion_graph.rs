@@ -24,12 +24,12 @@ use crate::lumen::{LumenCost, LumenGraph};
 use crate::paper_cost::PaperCost;
 use crate::{TrackError, Watch};
 
-/// Largest number of links, 4 bytes each.
+/// Largest number of links of a pruned graph, 4 bytes each.
 ///
-/// More occur with regions whose centres are a whole slab of equal radius.
+/// More links occur only with regions whose centres form a whole slab of equal radius.
 pub const MAX_LINKS: u64 = 1 << 26;
 
-/// Compute the `IsoRegion` radii of the voxels of a box, without the voxels beyond the box.
+/// Compute the `IsoRegion` radii of the voxels of a box, without regard to the voxels beyond the box.
 ///
 /// # Errors
 ///
@@ -75,18 +75,19 @@ pub fn is_cut_away(radius: &[u8], shape_ijk: [usize; 3], ijk: [usize; 3]) -> boo
         })
 }
 
-/// Graph without the voxels inside `IsoRegions`.
+/// Graph `base` without the voxels inside `IsoRegions`, with links from the centres to the boundaries of their cubes.
 #[derive(Debug)]
 pub struct IsoRegionGraph<B> {
     base: B,
     grid: Grid,
-    /// Node of the unpruned graph, for each node.
+    /// For each node of this graph, its node in the unpruned graph.
     kept: Vec<u32>,
-    /// Node for each node of the unpruned graph; [`NO_NODE`] for a pruned node.
+    /// For each node of the unpruned graph, its node in this graph; [`NO_NODE`] for a pruned node.
     node_of: Vec<u32>,
     radius: Vec<u8>,
-    /// For each node n, the centres with n on the boundary of their cube are
-    /// `centres[first_centre[n]..first_centre[n + 1]]`.
+    /// Start of the centres of each node in `centres`.
+    ///
+    /// The centres with node n on the boundary of their cube are `centres[first_centre[n]..first_centre[n + 1]]`.
     first_centre: Vec<u32>,
     centres: Vec<u32>,
     num_centres: usize,
@@ -94,7 +95,7 @@ pub struct IsoRegionGraph<B> {
 }
 
 impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
-    /// Prune `base` by the radii of its box's voxels ([`radii`]).
+    /// Prune the graph `base` by the `IsoRegion` radii of the voxels of its box ([`radii`]).
     ///
     /// A label must have the same meaning everywhere, because a straight line between two voxels of one cube becomes an
     /// edge.
@@ -153,9 +154,9 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
         Ok(graph)
     }
 
-    /// Record at each boundary voxel the centres whose cube it bounds.
+    /// Record at each node the centres that have this node on the boundary of their cube.
     ///
-    /// The opposite direction needs no table, because it follows from the cube.
+    /// The opposite direction needs no table, because it follows from the centre's cube.
     fn link(&mut self, watch: &impl Watch) -> Result<(), TrackError> {
         let num_nodes = self.kept.len();
         let mut first = vec![0u32; num_nodes + 1];
@@ -209,15 +210,17 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
         Ok(())
     }
 
-    /// Return true if `node` is a centre with `other` on the boundary of its own cube: the link is then found from
-    /// `node`.
+    /// Return true if `node` is a centre with `other` on the boundary of the cube round `node`.
+    ///
+    /// The link between the two nodes is then found from `node`.
     fn finds(&self, node: u32, other: u32) -> bool {
         let radius = isize::from(self.radius[node as usize]);
         radius > 1 && chessboard(self.voxel(node), self.voxel(other)) == radius
     }
 
-    /// Call `visit` for the remaining voxels on the boundary of a centre's cube, for cubes larger than the 26
-    /// neighbours.
+    /// Call `visit(node, length_mm)` for the remaining voxels on the boundary of a centre's cube.
+    ///
+    /// Cubes of 27 voxels are left out, because edges to neighbours already cover their boundary.
     fn for_each_boundary_node(&self, centre: u32, mut visit: impl FnMut(u32, f64)) {
         let r = isize::from(self.radius[centre as usize]);
         let at = self.voxel(centre).map(|v| v as isize);
@@ -242,7 +245,7 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
         &self.base
     }
 
-    /// Return the node in the unpruned graph.
+    /// Return the node in the unpruned graph for a node of this graph.
     #[must_use]
     pub fn whole(&self, node: u32) -> u32 {
         self.kept[node as usize]
@@ -254,13 +257,13 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
         self.base.voxel_of_node(self.whole(node))
     }
 
-    /// Return the radius of a node's region: 0 at borders.
+    /// Return the radius of the `IsoRegion` at a node: 0 at borders to other labels.
     #[must_use]
     pub fn radius(&self, node: u32) -> u8 {
         self.radius[node as usize]
     }
 
-    /// Return the number of nodes that are the centre of a region.
+    /// Return the number of nodes that are the centre of an `IsoRegion`.
     #[must_use]
     pub const fn num_centres(&self) -> usize {
         self.num_centres
@@ -276,7 +279,7 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
         if node != NO_NODE {
             return Some(node);
         }
-        // The nearest centre whose cube contains the voxel; of equally near ones the first in array order.
+        // The nearest centre whose cube contains the voxel is chosen; of equally near ones the first in array order.
         let mut best: Option<(f64, u32)> = None;
         for r in 1..=255isize {
             if best.is_some_and(|(mm, _)| mm <= r as f64 * self.grid.min_spacing_mm()) {
@@ -305,7 +308,7 @@ fn chessboard(a: [usize; 3], b: [usize; 3]) -> isize {
     (0..3).map(|n| a[n].abs_diff(b[n])).max().unwrap_or(0) as isize
 }
 
-/// Call `visit` for the offsets at chessboard distance `r`, in array order.
+/// Call `visit` for the offsets at chessboard distance `r` from a voxel, in array order.
 fn for_each_on_cube(r: isize, mut visit: impl FnMut([isize; 3])) {
     for dk in -r..=r {
         for dj in -r..=r {
@@ -351,16 +354,19 @@ impl<B: VoxelGraph + Sync> Graph for IsoRegionGraph<B> {
     }
 }
 
-/// Cost of the unpruned graph that also defines weights for the links of the pruned graph.
+/// Cost of the edges of the unpruned graph that also defines weights for the links of the pruned graph.
 pub trait LinkCost<B>: Cost {
     /// Return the weight per mm of a link between two nodes of the unpruned graph.
     fn link_weight(&self, base: &B, u: u32, v: u32) -> f64;
 
-    /// Return weights that, times the graph's shortest and longest edge, bound the cost of every edge and link.
+    /// Return two weights that bound the costs of all edges and links of a pruned graph.
+    ///
+    /// The lower bound of the costs is the first weight times the graph's shortest edge, the upper bound the second
+    /// weight times its longest edge.
     fn link_weight_range(&self, graph: &IsoRegionGraph<B>) -> (f64, f64);
 }
 
-/// The printed formula depends only on two ends and a distance, so it applies to a link as to an edge.
+/// The printed formula depends only on two ends and a distance, so it applies to a link in the same way as to an edge.
 impl LinkCost<BoxGraph> for &PaperCost {
     fn link_weight(&self, _base: &BoxGraph, u: u32, v: u32) -> f64 {
         self.weight(u, v)
@@ -376,7 +382,7 @@ impl LinkCost<BoxGraph> for &PaperCost {
 /// Its two ends alone (the middle and the wall) would say little about the voxels between.
 impl LinkCost<LumenGraph> for LumenCost<'_> {
     fn link_weight(&self, base: &LumenGraph, u: u32, v: u32) -> f64 {
-        // From the smaller node number, so that both directions round in the same way.
+        // The line starts at the smaller node number, so that both directions of a link round in the same way.
         let [from, to] = [u.min(v), u.max(v)].map(|n| base.voxel(n).map(|x| x as isize));
         let steps = (0..3).map(|a| (to[a] - from[a]).abs()).max().unwrap_or(0);
         let mut before = u.min(v);
@@ -387,7 +393,7 @@ impl LinkCost<LumenGraph> for LumenCost<'_> {
                 from[a] + (share * (to[a] - from[a]) as f64).round() as isize
             });
             let Some(node) = base.node_at_voxel(next) else {
-                // Cubes of one label contain only lumen.
+                // A cube of one label contains only lumen, so this case does not occur on a link.
                 return f64::INFINITY;
             };
             let offset = std::array::from_fn(|a| next[a] - at[a]);
@@ -410,7 +416,7 @@ impl LinkCost<LumenGraph> for LumenCost<'_> {
     }
 }
 
-/// Cost of the unpruned graph, applied to the pruned graph.
+/// Cost of the edges and links of a pruned graph, derived from the cost of the unpruned graph.
 #[derive(Debug)]
 pub struct PrunedCost<'a, B, C> {
     graph: &'a IsoRegionGraph<B>,
@@ -419,18 +425,18 @@ pub struct PrunedCost<'a, B, C> {
 }
 
 impl<'a, B: VoxelGraph + Sync, C: LinkCost<B>> PrunedCost<'a, B, C> {
-    /// Create the cost for the remaining nodes.
+    /// Create the cost for a pruned graph; the range of the weights is computed from all links if the cost requires it.
     pub fn new(graph: &'a IsoRegionGraph<B>, cost: C) -> Self {
         let range = cost.link_weight_range(graph);
         Self::with_range(graph, cost, range)
     }
 
-    /// Create the cost with a known range of weights; computing the range may need a look at every link.
+    /// Create the cost for a pruned graph with a known range of weights, which may be slow to compute.
     pub const fn with_range(graph: &'a IsoRegionGraph<B>, cost: C, range: (f64, f64)) -> Self {
         Self { graph, cost, range }
     }
 
-    /// Return the range of the weights.
+    /// Return the smallest and the largest weight.
     pub const fn range(&self) -> (f64, f64) {
         self.range
     }
@@ -438,7 +444,7 @@ impl<'a, B: VoxelGraph + Sync, C: LinkCost<B>> PrunedCost<'a, B, C> {
 
 impl<B: VoxelGraph + Sync, C: LinkCost<B>> Cost for PrunedCost<'_, B, C> {
     fn weight(&self, u: u32, v: u32) -> f64 {
-        // Links end at a centre of radius 2 or more; most edges do not.
+        // A link has a centre of radius 2 or more at one end; most edges do not.
         let may_be_link = self.graph.radius(u).max(self.graph.radius(v)) > 1;
         let is_link = may_be_link && chessboard(self.graph.voxel(u), self.graph.voxel(v)) > 1;
         let [u, v] = [u, v].map(|n| self.graph.whole(n));

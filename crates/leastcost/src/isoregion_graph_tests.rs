@@ -94,7 +94,8 @@ fn linking_figure_12_connects_it() {
                 links.push((other, distance));
             }
         });
-        // Links go from centres to boundaries of cubes of radius 2, and every centre has one that leads to a border.
+        // Every link goes from a centre to the boundary of a cube of radius 2, and every centre has a link to a border
+        // voxel.
         assert!(links.iter().all(|(_, distance)| *distance == 2));
         if graph.radius(node) > 0 {
             assert!(links.iter().any(|(other, _)| graph.radius(*other) == 0));
@@ -114,7 +115,7 @@ fn components(graph: &impl Graph, nodes: impl Iterator<Item = u32>) -> usize {
     found.len()
 }
 
-/// Return the first node of each node's component.
+/// Return for each node the first node of its connected component.
 fn component_of(graph: &impl Graph) -> Vec<u32> {
     let mut label = vec![u32::MAX; graph.num_nodes()];
     for start in 0..graph.num_nodes() as u32 {
@@ -168,7 +169,7 @@ proptest! {
         let grid = grid(shape);
         let graph = pruned(&grid, &labels);
         prop_assert_eq!(components(&graph, 0..graph.num_nodes() as u32), 1);
-        // Every voxel has a node that represents it.
+        // Every voxel must have a node that represents it.
         for n in 0..grid.num_voxels() {
             let voxel = grid.voxel(n).map(|v| v as isize);
             let node = graph.node_for_voxel(voxel).unwrap();
@@ -219,13 +220,13 @@ proptest! {
             .collect();
         pairs.sort_unstable();
         pairs.dedup();
-        // The pruned graph has one component for each component of the unpruned graph.
+        // The pruned graph must have one component for each component of the unpruned graph.
         let mut whole_labels = whole_labels;
         whole_labels.sort_unstable();
         whole_labels.dedup();
         prop_assert_eq!(pairs.len(), whole_labels.len());
 
-        // No path over links is cheaper than the path of voxels that it replaces.
+        // No path over links may be cheaper than the path of voxels that it replaces.
         let cost = PrunedCost::new(&graph, LumenCost(graph.base()));
         let mut pruned_tracker = Tracker::new(&graph, &cost, 0).unwrap();
         pruned_tracker.solve_all(&graph, &cost, &Unwatched).unwrap();
@@ -235,7 +236,7 @@ proptest! {
         for node in 0..graph.num_nodes() as u32 {
             if let Some(found) = pruned_tracker.cost(node) {
                 let least = tracker.cost(graph.whole(node)).unwrap();
-                // Tolerance: 0.5 % for the quantum of each of the two graphs.
+                // The tolerance is 0.5 % for the quantum of each of the two graphs.
                 prop_assert!(found >= 0.99 * least, "{found} {least}");
             }
         }
@@ -303,7 +304,7 @@ fn edge_costs(graph: &impl Graph, cost: &impl Cost) -> (f64, f64) {
 fn a_large_room_keeps_its_walls_and_its_middle() {
     let grid = grid([21, 21, 21]);
     let graph = pruned(&grid, &vec![1u8; grid.num_voxels()]);
-    // The faces, and the one voxel in the middle that is farthest from all of them.
+    // The remaining nodes are the faces, and the one voxel in the middle that is farthest from all of them.
     assert_eq!(graph.num_centres(), 1);
     assert_eq!(graph.num_nodes(), 21usize.pow(3) - 19usize.pow(3) + 1);
     let middle = graph.node_for_voxel([10, 10, 10]).unwrap();

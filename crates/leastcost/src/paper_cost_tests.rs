@@ -1,6 +1,6 @@
 //! Tests of the printed cost and of the cost with expensive walls, on random volumes.
 //!
-//! The table equals the formulas, weights stay in their range, and the tracker finds the costs of the plain search.
+//! The table equals the formulas, weights stay in their range, and the tracker finds the costs of Dijkstra's algorithm.
 
 use carina_grid::{Affine, Grid, VolumeView};
 use proptest::prelude::*;
@@ -91,7 +91,7 @@ proptest! {
             .map(|n| gradient(view, grid.voxel(n)))
             .fold(0.0, f64::max);
         let found = greatest_gradient(view, &Unwatched).unwrap();
-        // The table adds the three squares in another order.
+        // The tolerance is needed because the table adds the three squares in another order.
         prop_assert!((found - greatest).abs() <= 1e-12 * greatest);
         let graph = BoxGraph::new(&grid, case.part).unwrap();
         for reading in [Reading::Printed, Reading::Walls] {
@@ -109,7 +109,7 @@ proptest! {
                 worst = worst.max((table - printed).abs());
                 range &= (LEAST_WEIGHT..=1.0).contains(&table) && table == cost.weight(other, node);
             });
-            // The table is in f32.
+            // The tolerance is needed because the table is in f32.
             prop_assert!(worst < 1e-6, "{worst}");
             prop_assert!(range);
         }
@@ -156,7 +156,7 @@ fn a_step_edge_gives_the_printed_numbers() {
         .map(|n| if grid.voxel(n)[0] < 4 { -1000 } else { 0 })
         .collect();
     let view = VolumeView::new(&values, &grid).unwrap();
-    // Central differences include the step from both sides of it, but not one voxel farther.
+    // Central differences see the step from both sides of it, but not from one voxel farther away.
     for (i, expected) in [(2, 0.0), (3, 1000.0 / 1.4), (4, 1000.0 / 1.4), (5, 0.0)] {
         assert!((gradient(view, [i, 2, 2]) - expected).abs() < 1e-9);
     }

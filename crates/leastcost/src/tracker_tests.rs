@@ -62,7 +62,7 @@ fn random_graph() -> impl Strategy<Value = RandomGraph> {
     })
 }
 
-/// Return the cheapest edge between two neighbours, quanta.
+/// Return the cost in quanta of the cheapest edge between two neighbours.
 fn edge_quanta(graph: &RandomGraph, quantum: Quantum, u: u32, v: u32) -> u64 {
     graph.edges[u as usize]
         .iter()
@@ -97,7 +97,7 @@ proptest! {
             let before = resumed.settled().len();
             let known = resumed.cost_quanta(target).is_some();
             let reached = resumed.solve_to(&graph, &graph, target, &Unwatched).unwrap();
-            // A settled target costs no further work.
+            // No node may be settled for a target that is settled already.
             prop_assert!(!known || resumed.settled().len() == before);
             prop_assert_eq!(reached, fresh.cost_quanta(target).is_some());
             prop_assert_eq!(resumed.path_to(target), fresh.path_to(target));
@@ -146,7 +146,7 @@ impl Watch for StopOnce {
 
 #[test]
 fn a_stopped_tracker_goes_on_where_it_stopped() {
-    // A chain longer than the number of nodes between two checks.
+    // The chain is longer than the number of nodes between two checks.
     let n = 200_000u32;
     let edges = (0..n)
         .map(|u| {
