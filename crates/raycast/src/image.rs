@@ -77,7 +77,7 @@ fn cast(
     }))
 }
 
-/// Cast the same picture with the scalar casters, which define the correct result, for any instruction set.
+/// Cast `rows` with the scalar casters, which define the correct picture; the result is equal for any instruction set.
 ///
 /// # Errors
 ///

@@ -1,4 +1,4 @@
-//! Rule that decides whether rays leap in a picture.
+//! Rule that decides for each picture whether its rays leap over regions of equal labels or read every sample.
 //!
 //! In dense or noisy tissue leaping skips too few samples to compensate for its look-ups.
 //!
@@ -13,10 +13,10 @@ use crate::{
 
 /// Number of trial rays along each side of the picture.
 const TRIED: usize = 8;
-/// Number of pixels below which a picture needs no trial.
+/// Number of pixels below which a picture is cast with leaps without a trial.
 const LEAST_PIXELS: usize = 64 * TRIED * TRIED;
 
-/// Return `method`, or brute force if leaps would take longer.
+/// Return the faster method for a picture: `method`, or brute force if a trial shows that leaps would take longer.
 pub(crate) fn if_it_pays<'a>(
     frame: &Frame<'_>,
     method: Method<'a>,
@@ -37,7 +37,7 @@ pub(crate) fn if_it_pays<'a>(
         #[cfg(not(target_arch = "x86_64"))]
         InstructionSet::Avx2 | InstructionSet::Avx512 => tried(frame, method),
     };
-    // Setting up leaps makes the start of a ray a little more expensive.
+    // The start of a ray is a little slower with leaps, by about three samples.
     let num_rays = (TRIED * TRIED) as u64;
     if stats.num_skipped > lookup_price(frame, method) * stats.num_lookups + 3 * num_rays {
         method
@@ -46,7 +46,7 @@ pub(crate) fn if_it_pays<'a>(
     }
 }
 
-/// Return the time of a look-up in units of a brute-force sample; measured, docs/decisions/0104.
+/// Return the measured time of a look-up, in units of a brute-force sample (docs/decisions/0104).
 fn lookup_price(frame: &Frame<'_>, method: Method<'_>) -> u64 {
     match (method, frame.options.interpolation) {
         (Method::LeapClasses(_), Interpolation::Nearest) => 7,

@@ -25,9 +25,8 @@ struct Case {
 }
 
 impl Case {
-    /// Create a case with random values between two limits, seen from the middle or from a corner.
-    ///
-    /// Half of the values are visible.
+    /// Create a case with random values between two limits, half of them visible, seen from the middle or from a
+    /// corner.
     fn random(shape: [usize; 3], limits: [i16; 2], seed: u64) -> Self {
         let mut state = seed | 1;
         let mut random = |n: i64| {
@@ -73,9 +72,9 @@ impl Case {
         Frame::new(volume, &self.table, camera, options).unwrap()
     }
 
-    /// Check that pictures of all instruction sets, twice from the same bricks, equal the scalar caster's.
+    /// Check that pictures of all instruction sets, cast twice from the same bricks, equal the scalar caster's picture.
     ///
-    /// Return the bricks.
+    /// Return the bricks, which hold at most `room` bricks.
     fn check(&self, room: usize) -> Arc<SampleBricks> {
         let (truth, counts) = cast_rows_scalar(
             &self.frame(),
@@ -112,7 +111,7 @@ proptest! {
     fn differences_beyond_int16_are_read_from_the_volume(
         shape in prop::array::uniform3(2usize..10), seed in any::<u64>(),
     ) {
-        // Half of the volume does not fit in the bricks; the other half is stored.
+        // Half of the volume has differences that do not fit in the bricks; the other half is stored.
         let mut case = Case::random(shape, [-32_768, 32_767], seed);
         let half = case.values.len() / 2;
         for value in &mut case.values[half..] {

@@ -90,7 +90,7 @@ impl Case {
     }
 }
 
-/// Return the slope at a voxel by its definition: fourteen samples of clamped values, in f64.
+/// Return the slope at a voxel in f64 by its definition: fourteen samples of clamped values.
 fn slope_at(frame: &Frame<'_>, voxel: [usize; 3]) -> [f64; 3] {
     let Normals { reach, held, .. } = Normals::of(frame);
     let last = frame.grid.shape_ijk().map(|n| n as isize - 1);
@@ -128,7 +128,7 @@ fn slope_at(frame: &Frame<'_>, voxel: [usize; 3]) -> [f64; 3] {
     })
 }
 
-/// Return the slope as packets read it, in one lane.
+/// Return the slope at a point as packets read it from the bricks, in one lane.
 fn rise_at(frame: &Frame<'_>, bricks: &NormalBricks, p: [f32; 3]) -> [f32; 3] {
     let l = TestSet;
     let p = [l.splat(p[0]), l.splat(p[1]), l.splat(p[2])];
@@ -166,7 +166,7 @@ proptest! {
             }
         }
         for a in 0..3 {
-            // Stored numbers are accurate to half a unit.
+            // The tolerance is half a unit of the stored numbers.
             let off = (f64::from(found[a]) - expected[a]).abs();
             prop_assert!(off < 0.51 * f64::from(bricks.unit()) + 0.02, "{found:?} {expected:?}");
         }
@@ -222,7 +222,7 @@ fn slopes_of_a_blurred_plane_point_across_it_no_less_than_samples_at_the_point_d
             let from_middle: [f64; 3] =
                 std::array::from_fn(|a| (ijk[a] - [12.0, 12.0, 10.0][a]) * spacing[a]);
             let edge = carina_grid::dot(from_middle, across) / 0.6;
-            // A smooth step, about as blurred as by a scanner.
+            // The edge is a smooth step, about as blurred as by a scanner.
             -1000.0 + 1040.0 / (1.0 + (-2.4 * edge).exp())
         });
         let frame = case.frame();
