@@ -1,4 +1,4 @@
-//! Look-ups of a packet and the leaps that follow; the operations of [`crate::leap`], lane by lane.
+//! Look-ups of a packet in the radius map and the leaps that follow: the operations of [`crate::leap`], lane by lane.
 
 use carina_isoregion::MAX_SEGMENT_SAMPLES;
 
@@ -9,7 +9,7 @@ use super::{
 };
 use crate::leap::{FAR, LEAST_PATIENCE, MAX_STEPS, MOST_PATIENCE, Price};
 
-/// Steps per voxel on each axis, with and without the sign of the direction; as in `leap::Pace`.
+/// Ray steps per voxel on each axis, with and without the sign of the direction, for each lane; see `leap::Pace`.
 #[derive(Clone, Copy)]
 pub(super) struct Pace<L: Lanes> {
     signed: [L::F; 3],
@@ -30,7 +30,8 @@ impl<L: Lanes> Pace<L> {
         Self { signed, plain }
     }
 
-    /// Return the steps until each lane leaves its cube; as in `leap::Pace::steps`.
+    /// Return for each lane the number of steps until its ray leaves its cube; the operations equal
+    /// `leap::Pace::steps`.
     #[inline(always)]
     fn steps(&self, l: L, p: [L::F; 3], v: [L::F; 3], reach: L::F) -> L::I {
         let mut on = v;
@@ -44,9 +45,9 @@ impl<L: Lanes> Pace<L> {
 }
 
 impl Scene<'_> {
-    /// Look up the map in some lanes.
+    /// Look up the map in the lanes `asked`; return the lanes that have leaped.
     ///
-    /// Lanes with a radius above 0 leap; the patience of the others grows. Return the lanes that have leaped.
+    /// Lanes with a radius above 0 leap; the patience of the other lanes of `asked` grows.
     #[inline(always)]
     pub(super) fn ask<L: Lanes>(
         &self,
@@ -68,7 +69,7 @@ impl Scene<'_> {
         leaps
     }
 
-    /// Apply leaps of `n` samples and update the rays' patience after look-ups; as in `leap::Asking`.
+    /// Advance lanes by leaps of `n` samples and update the patience of the lanes `asked`; see `leap::Asking`.
     #[inline(always)]
     fn settle<L: Lanes>(&self, l: L, packet: &mut Packet<L>, asked: L::M, leaps: L::M, n: L::I) {
         let Price { worth, pays } = self.price;
@@ -89,7 +90,7 @@ impl Scene<'_> {
         packet.k = l.select_i(leaps, l.add_i(packet.k, n), packet.k);
     }
 
-    /// Return the segments of `n` samples in the rows of the step table that begin at `row`.
+    /// Return the colour and transparency of segments of `n` samples, from the step table's rows that begin at `row`.
     ///
     /// The function contains no closure, because a closure would be compiled without the instruction set.
     #[inline(always)]
@@ -102,7 +103,7 @@ impl Scene<'_> {
         unsafe { l.entries(segments.as_ptr(), at) }
     }
 
-    /// Look up the map of all classes in some lanes, and add a segment in lanes with a label; as in
+    /// Look up the map of all classes in the lanes `asked`, and add a segment in lanes with a label; see
     /// `leap::cast_classes`.
     ///
     /// Return the lanes that have leaped and the lanes whose ray is now opaque.
@@ -139,7 +140,7 @@ impl Scene<'_> {
         let faint = l.less(l.mul(packet.transparency, segment[3]), limit);
         let crossing = l.bits(l.and(leaps, faint));
         if crossing != 0 {
-            // Find the sample where brute force stops; this happens once per ray.
+            // The sample where brute force would stop is searched; this happens once per ray.
             let (labels, transparency) = (l.store_i(label), l.store(packet.transparency));
             let mut cut = l.store_i(n);
             each_lane(crossing, |lane| {

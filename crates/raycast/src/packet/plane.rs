@@ -1,4 +1,4 @@
-//! Pixels of a plane, as many at once as a register has lanes: [`crate::sample_plane`] lane by lane, tile by tile.
+//! Sampling of a plane with as many pixels at once as a register has lanes: [`crate::sample_plane`], tile by tile.
 
 #![cfg_attr(
     not(target_arch = "x86_64"),
@@ -17,20 +17,22 @@ use super::{
 };
 use crate::{Field, InstructionSet, Window};
 
-/// Number of rows of a tile; the next constant is the number of columns (docs/decisions/0103).
+/// Number of rows of a tile (docs/decisions/0103).
+pub(crate) const TILE_ROWS: usize = 64;
+/// Number of columns of a tile (docs/decisions/0103).
 ///
 /// In an oblique plane, each pixel of a row reads one or two other rows of voxels. 256 pixels read more cache lines
 /// than the nearest cache holds; the lines of 16 pixels stay in the cache for the next row.
-pub(crate) const TILE_ROWS: usize = 64;
 const TILE_COLUMNS: usize = 16;
-/// Prefetch distance in rows (docs/decisions/0103).
+/// Number of rows by which the prefetch of a row of pixels precedes its sampling (docs/decisions/0103).
 const ROWS_AHEAD: usize = 8;
 
-/// Data that all tiles of a plane share.
+/// Parameters that all tiles of a plane share.
 #[derive(Clone, Copy)]
 pub(crate) struct PlaneTiles<'a> {
     voxels: Voxels<'a>,
-    /// Coordinates of the last voxel; the next field has those of the end of the box of the voxels.
+    /// Voxel coordinates of the last voxel.
+    /// Voxel coordinates of the upper end of the box of the voxels.
     last: [f32; 3],
     end: [f32; 3],
     along_row: [f32; 3],
@@ -39,14 +41,14 @@ pub(crate) struct PlaneTiles<'a> {
     gathers: bool,
 }
 
-/// Position of the pixels of a tile relative to the volume.
+/// Position of all pixels of a tile relative to the volume.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Tile {
     /// All pixels are in cells of eight voxels.
     Between,
     /// No pixel is in the box of the voxels.
     Outside,
-    /// Any other position.
+    /// Some pixels are between voxels, others are not.
     Any,
 }
 
@@ -73,7 +75,7 @@ fn range_of(starts: &[[f32; 3]]) -> Option<[[f32; 3]; 2]> {
 }
 
 impl<'a> PlaneTiles<'a> {
-    /// Prepare a plane; return `None` if pixels must be sampled one by one.
+    /// Prepare a plane for tiles; return `None` if its pixels must be sampled one by one.
     ///
     /// Pixels are sampled one by one without AVX2, for volumes beyond 32-bit indices, and for one voxel along x.
     pub(crate) fn of(
@@ -104,7 +106,7 @@ impl<'a> PlaneTiles<'a> {
         }
     }
 
-    /// Select reads with or without gather instructions, to compare both.
+    /// Return the plane with or without gather instructions for its reads, so that tests can compare both.
     #[cfg(test)]
     pub(crate) fn with_gathers(self, gathers: bool) -> Self {
         Self { gathers, ..self }
@@ -142,7 +144,7 @@ impl<'a> PlaneTiles<'a> {
         self.tiles::<_, true>(l, starts, grey, inside);
     }
 
-    /// Return the position of the pixels of some columns relative to the volume.
+    /// Return the position, relative to the volume, of the pixels in a range of columns of a tile.
     ///
     /// A coordinate is `t * along + start` with one rounding, which is monotonic in both `t` and `start`: over a tile
     /// it is between the coordinates at the corners.
@@ -171,7 +173,7 @@ impl<'a> PlaneTiles<'a> {
         p
     }
 
-    /// Sample tile by tile; `ASKS` enables prefetches.
+    /// Sample rows of pixels tile by tile; `ASKS` enables prefetches.
     #[inline(always)]
     fn tiles<L: Lanes, const ASKS: bool>(
         &self,
@@ -224,7 +226,7 @@ impl<'a> PlaneTiles<'a> {
         }
     }
 
-    /// Sample pixels that are all in cells of eight voxels; the slice fills a whole register.
+    /// Sample pixels that are all in cells of eight voxels; `grey` has as many items as a register has lanes.
     ///
     /// # Safety
     ///
@@ -240,7 +242,7 @@ impl<'a> PlaneTiles<'a> {
         }
     }
 
-    /// Sample pixels at any position, as many as the slices hold.
+    /// Sample pixels at any position, as many as `grey` and `inside` have items.
     #[inline(always)]
     fn some<L: Lanes>(&self, l: L, p: [L::F; 3], grey: &mut [u8], inside: &mut [u8]) {
         // True in all lanes. The comparisons below clear lanes outside the box, and lanes with a NaN.
@@ -263,7 +265,7 @@ impl<'a> PlaneTiles<'a> {
         }
     }
 
-    /// Return grey levels; as in [`Window::grey`].
+    /// Return the grey levels of values; the operations equal [`Window::grey`].
     #[inline(always)]
     fn level<L: Lanes>(&self, l: L, value: L::F) -> Array<i32> {
         let (lo, scale) = self.window.ramp();

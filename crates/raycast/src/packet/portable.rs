@@ -1,7 +1,7 @@
 //! Instruction set of eight lanes in plain arrays: loops that the compiler translates to the vector instructions of the
 //! target.
 //!
-//! The set is the packet kernel for NEON, and on every machine the kernel that tests compare with the scalar casters.
+//! This set is the packet kernel for NEON. On every machine, tests compare its results with the scalar casters.
 
 use std::{
     array::from_fn,
@@ -10,13 +10,14 @@ use std::{
 
 use super::lanes::{Array, Lanes, MAX_LANES};
 
+/// Number of lanes.
 const N: usize = 8;
 
-/// Instruction set that needs only the instructions of the target.
+/// Instruction set of plain loops, which needs only the instructions of the compiler's target.
 #[derive(Clone, Copy)]
 pub(crate) struct Portable;
 
-/// Define operations lane by lane.
+/// Macro that defines operations as a loop over the lanes.
 macro_rules! lane_by_lane {
     ($(fn $name:ident($($arg:ident: $type:ty),*) -> $out:ty { $body:expr })*) => {$(
         #[inline(always)]
@@ -56,13 +57,13 @@ fn put<T: Copy>(v: [T; N], mask: u32, out: &mut [T]) {
     let out = &mut out[..N];
     let mut turn = 0;
     for n in 0..N {
-        // If the register is full, all of its lanes have been moved by then.
+        // If the register is full, all of its lanes have already been moved, so overwriting them changes nothing.
         out[turn % N] = v[n];
         turn += (mask >> n & 1) as usize;
     }
 }
 
-/// Return the lower and the upper half of a pair of int16.
+/// Return the lower and the upper half of an i32 that contains a pair of int16.
 #[inline(always)]
 const fn halves(pair: i32) -> (i32, i32) {
     (pair << 16 >> 16, pair >> 16)
@@ -72,7 +73,7 @@ impl Lanes for Portable {
     const N: usize = N;
     type F = [f32; N];
     type I = [i32; N];
-    /// All bits of a lane set, or none.
+    /// Mask: all bits of a lane are set, or none.
     type M = [i32; N];
 
     #[inline(always)]

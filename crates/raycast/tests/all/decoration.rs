@@ -1,6 +1,6 @@
-//! Tests of the decoration that is fixed to anatomy.
+//! Tests of the decoration that depends on anatomy.
 //!
-//! The bits are the same from every caster, for any pixels in one register, and no wall moves.
+//! The result is equal, bit for bit, from every caster and for any pixels in one register; no wall moves.
 
 use crate::scene::{Scene, any_scene, options};
 use carina_grid::{Affine, Camera, Grid, VolumeView};
@@ -39,6 +39,7 @@ fn lit(look: Appearance) -> FrameOptions {
     }
 }
 
+/// Number of cells of the decoration's grid along z, y, x.
 const SHAPE: [usize; 3] = [4, 3, 5];
 
 /// Return a strategy for cells with random values in the range of an airway.
@@ -97,7 +98,7 @@ fn decoration_changes_light_and_colour_and_moves_no_wall() {
     let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
     let table = scene.table(false);
     let middle = scene.camera.origin_lps().map(|v| v as f32 - 20.0);
-    // Rings along z everywhere; the position is the middle of a wall's circumference.
+    // Rings run along z everywhere; each cell is at the middle of a wall's circumference.
     let cells: Vec<f32> = (0..5 * 5 * 5)
         .flat_map(|n| {
             let phase = (n / 25) as f32 * 2.0;
@@ -132,8 +133,8 @@ fn decoration_changes_light_and_colour_and_moves_no_wall() {
 
 #[test]
 fn folds_leave_a_wall_that_faces_sideways_in_the_light() {
-    // Two walls, to the left and right of a camera that looks along them. The decoration marks both as the back wall,
-    // as can happen in a trachea with corners.
+    // The scene has two walls, to the left and right of a camera that looks along them. The decoration marks both as
+    // the back wall, as can happen in a trachea with corners.
     let grid = Grid::new([48, 24, 24], Affine::IDENTITY).unwrap();
     let hu: Vec<i16> = (0..grid.num_voxels())
         .map(|at| {

@@ -1,5 +1,4 @@
-//! Tests of pictures through lenses: they are the same from every caster, and each pixel shows what is in its
-//! direction.
+//! Tests of pictures through lenses: they are equal from every caster, and each pixel shows the scene in its direction.
 
 use std::sync::Arc;
 
@@ -97,8 +96,8 @@ proptest! {
         let pose = *scene.camera.lps_from_camera();
         let camera = Camera::with_lens(pose, Arc::new(rays)).unwrap();
         let (picture, _) = cast(&scene, &camera, Method::Brute, false, InstructionSet::Portable);
-        // A pinhole camera of one pixel with a narrow field that looks in the same direction, computed from the formula
-        // and not from the lens.
+        // The expected pixel is that of a pinhole camera of one pixel with a narrow field that looks in the same
+        // direction, computed from the formula and not from the lens.
         let aside = if forward[0].abs() < 0.7 { [1.0, 0.0, 0.0] } else { [0.0, 1.0, 0.0] };
         let right = unit(cross(aside, forward)).unwrap();
         let down = cross(forward, right);

@@ -1,6 +1,6 @@
-//! Tests of first walls on shapes with exactly known walls.
+//! Tests of first walls on shapes whose walls are known exactly.
 //!
-//! The result is the same from every caster, and for single pixels as for all pixels at once.
+//! The result is equal from every caster, and for single pixels as for all pixels at once.
 
 use crate::scene::{Scene, any_scene, options};
 use carina_grid::{Affine, Camera, Grid, VolumeView, dot, length, unit};
@@ -28,7 +28,7 @@ proptest! {
         scene.resize(size.0, size.1);
         let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
         let table = scene.table(false);
-        // The light does not affect the result.
+        // The light must not affect the first walls.
         let frame = Frame::new(volume, &table, scene.camera.clone(), options(shaded, false)).unwrap();
         let radius = transparent_radius(&scene);
         let truth = cast_surface(&frame, Method::Brute, 0..size.1, InstructionSet::Portable).unwrap().0;
@@ -95,7 +95,7 @@ fn phantom(inside_mm: impl Fn([f64; 3]) -> f64) -> (Grid, Vec<i16>) {
             let at = grid
                 .lps_from_ijk()
                 .point(grid.voxel(index).map(|v| v as f64));
-            // Close to the error function of a blur of 0.6 mm, which soft kernels of scanners have.
+            // The edge is close to the error function of a blur of 0.6 mm, which soft kernels of scanners have.
             let tissue = (0.5 - inside_mm(at) / 2.6).clamp(0.0, 1.0);
             (-1000.0 + 1040.0 * tissue * tissue * (3.0 - 2.0 * tissue)) as i16
         })
@@ -103,15 +103,16 @@ fn phantom(inside_mm: impl Fn([f64; 3]) -> f64) -> (Grid, Vec<i16>) {
     (grid, hu)
 }
 
-/// Check depths and normals from a camera in the air against `true_hit`: the distance along a ray to the wall, and its
-/// normal.
+/// Check depths and normals of first walls, seen by a camera in the air, and return the number of walls checked.
+///
+/// `true_hit` returns the distance along a ray to the wall, and the wall's normal.
 fn check_against(
     (grid, hu): &(Grid, Vec<i16>),
     camera: &Camera,
     true_hit: impl Fn([f64; 3], [f64; 3]) -> Option<(f64, [f64; 3])>,
 ) -> usize {
     let volume = VolumeView::new(hu, grid).unwrap();
-    // Opaque at the half-maximum of the edge, -480 HU.
+    // The transfer function becomes opaque at the half-maximum of the edge, -480 HU.
     let points = vec![[-560.0, 0.9, 0.5, 0.4, 0.0], [-400.0, 0.9, 0.5, 0.4, 0.99]];
     let transfer = Transfer::new(points, 1.0, 1).unwrap();
     let table = TransferTable::new(&transfer, 0.25 * grid.min_spacing_mm(), -1024, 100).unwrap();
@@ -135,8 +136,8 @@ fn check_against(
             normal_lps,
         } = hit.expect("a wall");
         let slant = -dot(normal, ray.dir_lps);
-        // Half of the smallest voxel, across the wall; the caster finds the wall where half of the light is left,
-        // slightly behind the edge.
+        // The tolerance is half of the smallest voxel, across the wall; the caster finds the wall where half of the
+        // light is left, slightly behind the edge.
         let error = (f64::from(depth_mm) - depth) * slant;
         assert!(
             (-0.1..0.35).contains(&error),
