@@ -24,9 +24,9 @@ fn capsule(p: Point, a: Point, b: Point, radius: f64) -> f64 {
     radius - distance(ap, ab.map(|v| t * v))
 }
 
-/// Signed distance of a test lumen: a stem of 9 mm radius down to the origin, then two arms.
+/// Return the signed distance of a test lumen: a stem of 9 mm radius down to the origin, then two arms.
 ///
-/// The right one (x below 0) narrows to a radius of 2.
+/// The right arm (x below 0) narrows to a radius of 2 mm.
 pub(crate) fn lumen(p: Point) -> f64 {
     let right = capsule(p, [0.0, 0.0, 0.0], [-30.0, 0.0, -45.0], 6.0).max(capsule(
         p,
@@ -46,6 +46,7 @@ pub(crate) fn lumen(p: Point) -> f64 {
 }
 
 pub(crate) fn field() -> Arc<WallField> {
+    /// Wall field of the test lumen, computed on first use.
     static FIELD: OnceLock<Arc<WallField>> = OnceLock::new();
     FIELD.get_or_init(sampled).clone()
 }
@@ -69,6 +70,7 @@ fn sampled() -> Arc<WallField> {
     Arc::new(WallField::from_distances(&values, shape, &lps).unwrap())
 }
 
+/// Path down the stem of the test lumen, LPS mm.
 const TRACHEA: [Point; 2] = [[0.0, 0.0, 110.0], [0.0, 0.0, 0.0]];
 
 fn scope() -> ScopeDrive {
@@ -82,7 +84,7 @@ fn pushed_straight_the_tip_goes_straight_and_looks_down_with_anterior_up() {
     let tip = state.lps_from_tip;
     assert_eq!(state.limit, Limit::None);
     assert!(distance(tip.column(3), [0.0, 0.0, 50.0]) < 1e-6);
-    // Head end: the patient's right (-x) on the right, anterior (-y) up.
+    // Seen from the head end, the patient's right (-x) is on the right, and anterior (-y) is up.
     assert!(distance(tip.column(0), [-1.0, 0.0, 0.0]) < 1e-6);
     assert!(distance(tip.column(1), [0.0, 1.0, 0.0]) < 1e-6);
     assert!(state.contact.is_none() && state.red_out == 0.0);
@@ -107,9 +109,9 @@ fn a_free_tip_bends_to_its_angle_with_the_radius_of_its_bending_section() {
     let state = scope.drive(60.0, 0.0, 1.0, 0.1).unwrap();
     let look = state.lps_from_tip.column(2);
     let angle = libm::acos(-look[2]);
-    // Tolerance 1e-3: the residual error of the relaxation.
+    // The tolerance of 1e-3 rad is the remaining error of the relaxation.
     assert!((angle - 1.0).abs() < 1e-3, "{angle}");
-    // Up is anterior, and the tip moves in that direction.
+    // Up is anterior, so the tip moves in that direction.
     assert!(look[1] < 0.0 && state.lps_from_tip.column(3)[1] < -2.0);
     // After a roll by a quarter turn clockwise, up is the patient's right.
     let state = scope
@@ -117,7 +119,7 @@ fn a_free_tip_bends_to_its_angle_with_the_radius_of_its_bending_section() {
         .unwrap();
     let look = state.lps_from_tip.column(2);
     assert!(look[0] < -0.8 && look[1].abs() < 0.01, "{look:?}");
-    // And back: the state does not depend on previous positions.
+    // After the reverse movement the state must not depend on previous positions.
     let state = scope.drive(60.0, 0.0, 0.0, 0.1).unwrap();
     let off = distance(state.lps_from_tip.column(2), [0.0, 0.0, -1.0]);
     assert!(off < 1e-3, "{off}");
@@ -146,7 +148,7 @@ fn pushed_at_a_carina_it_stops_there_in_red_and_is_drawn_back_again() {
     assert!(distance(state.lps_from_tip.column(3), [0.0, 0.0, 90.0]) < 0.5);
 }
 
-/// Steer the tip towards a point as a hand would: roll so that the point is up or down, and flex.
+/// Steer the tip towards a point as a hand would: roll until the point is up or down, then flex.
 pub(crate) fn steered(scope: &mut ScopeDrive, to: Point, steps: usize) -> crate::ScopeState {
     let mut state = *scope.state();
     for _ in 0..steps {
@@ -162,7 +164,7 @@ pub(crate) fn steered(scope: &mut ScopeDrive, to: Point, steps: usize) -> crate:
         }
         let off = libm::atan2(libm::hypot(x, y), z);
         let turn = libm::atan2(x, -y);
-        // The smaller of the rolls that turn the point up or down.
+        // Of the two rolls that turn the point up or down, the smaller one is used.
         let (turn, bend) = if turn.abs() > core::f64::consts::FRAC_PI_2 {
             (turn - core::f64::consts::PI.copysign(turn), -off)
         } else {
