@@ -1,4 +1,4 @@
-//! Python bindings of `carina-raycast`.
+//! Python bindings of `carina-raycast`, the casters and planes.
 #![allow(
     clippy::needless_pass_by_value,
     reason = "Python hands its arguments over by value"
@@ -63,13 +63,13 @@ pub(crate) fn transfer(
     Transfer::new(rows, reference_mm, bin_hu).map_err(IntoPy::into_py)
 }
 
-/// Colour and opacity of one ray step for each value of a volume.
+/// Colour and opacity that one ray step adds, for each value of a volume.
 ///
-/// The table holds a transfer function, evaluated for one step length.
+/// The table is a transfer function evaluated for one step length.
 #[pyclass(frozen, module = "carina._core")]
 struct TransferTable {
     inner: carina_raycast::TransferTable,
-    /// Step table for the classes of the last call.
+    /// Step table for the classes of the last call of `segments`, with the values of these classes.
     ///
     /// Building a table takes as long as casting a small picture.
     segments: Mutex<Option<(Vec<i32>, Arc<SegmentTable>)>>,
@@ -86,8 +86,8 @@ impl TransferTable {
         }
         let mut entries: Vec<[f32; 4]> =
             class_values.iter().map(|&v| self.inner.entry(v)).collect();
-        // Fill the table for every possible label, so that each label has an entry. Searching for the highest label
-        // would take longer than casting the picture.
+        // The table has an entry for every possible label, because searching for the highest label would take longer
+        // than casting the picture.
         entries.resize(usize::from(u8::MAX), [0.0; 4]);
         let table = Arc::new(SegmentTable::new(&entries));
         *kept = Some((class_values.to_vec(), Arc::clone(&table)));
@@ -126,7 +126,7 @@ impl TransferTable {
     }
 }
 
-/// Token that cancels the cast of a picture.
+/// Token with which another thread cancels the cast of a picture.
 ///
 /// Use a new token for each picture: a cancelled token stays cancelled.
 #[pyclass(frozen, module = "carina._core")]
@@ -167,7 +167,7 @@ struct Bricks {
     samples: Mutex<Option<Arc<SampleBricks>>>,
 }
 
-/// Return the cached bricks if they fit; else store and return new ones.
+/// Return the cached bricks if they fit; otherwise cache and return new bricks.
 fn kept<T>(kept: &Mutex<Option<Arc<T>>>, fits: impl Fn(&T) -> bool, new: impl Fn() -> T) -> Arc<T> {
     let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
     if let Some(bricks) = kept.as_ref().filter(|bricks| fits(bricks)) {
@@ -204,7 +204,7 @@ impl Bricks {
         Self::default()
     }
 
-    /// Return the number of cached bricks.
+    /// Return the number of cached bricks of normals and samples.
     fn __len__(&self) -> usize {
         let slopes = self.slopes.lock().unwrap_or_else(PoisonError::into_inner);
         let samples = self.samples.lock().unwrap_or_else(PoisonError::into_inner);
@@ -217,11 +217,11 @@ impl Bricks {
     }
 }
 
-/// Return the instruction set of a name.
+/// Return the instruction set with a name, or the default one for `None`.
 ///
-/// Without a name, the environment variable `CARINA_SIMD` (for tests) selects the set; without the variable, the
-/// fastest set of this machine is used.
+/// The default is that of the environment variable `CARINA_SIMD` (for tests), or else the fastest set of this machine.
 pub(crate) fn instruction_set(name: Option<&str>) -> PyResult<InstructionSet> {
+    /// Value of `CARINA_SIMD`, read on first use.
     static CHOSEN: OnceLock<Option<String>> = OnceLock::new();
     let chosen = || {
         std::env::var("CARINA_SIMD")
@@ -246,10 +246,12 @@ pub(crate) fn instruction_set(name: Option<&str>) -> PyResult<InstructionSet> {
     })
 }
 
-/// Statistics of a cast as a Python tuple: rays, samples, look-ups, leaps, skipped samples, shaded samples, reads.
+/// Statistics of a cast as a Python tuple.
+///
+/// The items are the numbers of rays, samples, look-ups, leaps, skipped samples, shaded samples and reads.
 type PyStats = (u64, u64, u64, u64, u64, u64, u64);
 
-/// Leaping map as passed from Python.
+/// Map for leaps as passed from Python.
 ///
 /// The variants are the radius map alone, or labels, radius map and one value of each class for leaps over all classes.
 #[derive(FromPyObject)]
@@ -262,7 +264,7 @@ enum LeapMap<'py> {
     Transparent(PyReadonlyArray3<'py, u8>),
 }
 
-/// Python object with the attributes of [`Appearance`]: light, gloss and texture.
+/// Python object with the attributes of [`Appearance`]: light, gloss, texture and decoration.
 #[derive(FromPyObject)]
 struct PyAppearance {
     guides_mm: Vec<[f32; 3]>,
@@ -311,7 +313,7 @@ impl PyAppearance {
     }
 }
 
-/// Python object with the attributes of [`Decoration`]: positions of wall points along their airways.
+/// Python object with the attributes of [`Decoration`]: anatomical data of wall points.
 #[derive(FromPyObject)]
 struct PyDecoration<'py> {
     cells: PyReadonlyArray4<'py, f32>,
@@ -347,7 +349,7 @@ const fn interpolation(nearest: bool) -> Interpolation {
     }
 }
 
-/// Cast rows of a picture; return (rows, width, 3) uint8 colours and statistics.
+/// Cast rows of an airway view; return (rows, width, 3) uint8 colours and statistics.
 #[pyfunction]
 #[pyo3(signature = (
     hu_zyx, lps_from_ijk, table, lps_from_camera, *, fov_rad, width, height, rows=None, light=None, nearest=false,
@@ -480,7 +482,7 @@ type PySurface<'py> = (
 
 /// Find the first wall on each ray of some rows of a picture, or of one pixel (column, row).
 ///
-/// Return depths in mm (rows, width), positions and normals (rows, width, 3) in LPS; NaN for a ray that meets no wall.
+/// Return depths in mm (rows, width), and positions and normals (rows, width, 3) in LPS; NaN for a ray without a wall.
 #[pyfunction]
 #[pyo3(signature = (
     hu_zyx, lps_from_ijk, table, lps_from_camera, *, fov_rad, width, height, rows=None, pixel=None, nearest=false,
@@ -636,7 +638,7 @@ type ThreeProjections<'py> = (
     Bound<'py, PyArray2<i16>>,
 );
 
-/// Return the maximum intensity projections along i `[k, j]`, j `[k, i]` and k `[j, i]`.
+/// Return the maximum intensity projections of a volume along i `[k, j]`, j `[k, i]` and k `[j, i]`.
 #[pyfunction]
 fn project_maximum<'py>(
     py: Python<'py>,
@@ -657,7 +659,7 @@ fn project_maximum<'py>(
     ))
 }
 
-/// Raise the values round a lumen, in place, in a copy of a volume.
+/// Raise the values round a lumen, in place, so that the airway wall is opaque; the volume should be a copy.
 #[pyfunction]
 fn raise_wall(
     py: Python<'_>,
@@ -685,7 +687,7 @@ fn raise_wall(
     .map_err(IntoPy::into_py)
 }
 
-/// Return a smooth field with values 0 to 1024 of a mask.
+/// Blur a mask to a smooth field with values of 0 to 1024.
 #[pyfunction]
 fn smooth_mask<'py>(
     py: Python<'py>,

@@ -1,4 +1,4 @@
-//! Opened graphics device: its queue, its pipelines, and whether it still works.
+//! Opened graphics device, with its queue, its pipelines and its error state.
 
 use std::{
     collections::HashMap,
@@ -14,9 +14,10 @@ use crate::{
     resources::{Directions, Slot, TableOnDevice},
 };
 
+/// Number of the next device that is opened.
 static NEXT: AtomicU64 = AtomicU64::new(1);
 
-/// Variant of the kernel: the overrides of `airway.wgsl`.
+/// Variant of the kernel, given by the override constants of `airway.wgsl`.
 #[allow(
     clippy::struct_excessive_bools,
     reason = "each is one override of the shader, and all combine"
@@ -29,15 +30,15 @@ pub(crate) struct Variant {
     pub(crate) walls: bool,
 }
 
-/// Graphics device with the kernels of the airway view.
+/// Opened graphics device with the kernels of the airway view.
 ///
-/// Several threads may cast pictures at once.
+/// Several threads may cast pictures at the same time.
 #[derive(Debug)]
 pub struct Gpu {
     pub(crate) facts: AdapterFacts,
     pub(crate) device: wgpu::Device,
     pub(crate) queue: wgpu::Queue,
-    /// Unique number, which distinguishes the resources of different devices.
+    /// Unique number of the device, which distinguishes its resources from those of other devices.
     pub(crate) id: u64,
     pub(crate) layout: wgpu::BindGroupLayout,
     pub(crate) no_map: GpuMap,
@@ -48,7 +49,7 @@ pub struct Gpu {
     pipeline_layout: wgpu::PipelineLayout,
     shader: wgpu::ShaderModule,
     pipelines: Mutex<HashMap<Variant, wgpu::ComputePipeline>>,
-    /// First error that the driver reported.
+    /// First error that the driver reported; `None` without an error.
     trouble: Arc<Mutex<Option<String>>>,
 }
 
@@ -60,7 +61,7 @@ pub(crate) fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
 }
 
 impl Gpu {
-    /// Open the adapter at this index of [`crate::adapters`].
+    /// Open the adapter at an index of [`crate::adapters`].
     ///
     /// # Errors
     ///
@@ -90,7 +91,7 @@ impl Gpu {
         }))
         .map_err(|e| refuse(e.to_string()))?;
         let trouble = Arc::new(Mutex::new(None));
-        // The default handler panics; this one stores the error, and the next picture fails.
+        // The default handler would panic; this handler stores the error, and the next picture fails.
         let heard = Arc::clone(&trouble);
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
             lock(&heard).get_or_insert_with(|| error.to_string());
@@ -143,15 +144,15 @@ impl Gpu {
         Ok(gpu)
     }
 
-    /// Return the adapter.
+    /// Return the description of the device's adapter.
     #[must_use]
     pub const fn adapter(&self) -> &AdapterFacts {
         &self.facts
     }
 
-    /// Mark the device as lost, as after a driver reset: every later picture fails.
+    /// Mark the device as lost, as after a driver reset, so that every later picture fails.
     ///
-    /// For tests of the fallback to the CPU.
+    /// The method is for tests of the fallback to the CPU.
     pub fn lose(&self) {
         self.device.destroy();
         let _ = self.device.poll(wgpu::PollType::Poll);
@@ -169,7 +170,7 @@ impl Gpu {
         }
     }
 
-    /// Run `work` and also return the error that the driver reported for it.
+    /// Run `work` and return its result together with the error that the driver reported for it, if any.
     pub(crate) fn watched<T>(&self, work: impl FnOnce() -> T) -> (T, Option<String>) {
         let memory = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
         let validation = self.device.push_error_scope(wgpu::ErrorFilter::Validation);
@@ -181,7 +182,7 @@ impl Gpu {
         )
     }
 
-    /// Wait for a submission; a device that does not answer in time counts as lost.
+    /// Wait until the device has processed a submission; mark the device as lost if it does not answer in time.
     pub(crate) fn wait(&self, index: wgpu::SubmissionIndex) {
         let done = self.device.poll(wgpu::PollType::Wait {
             submission_index: Some(index),
@@ -192,7 +193,7 @@ impl Gpu {
         }
     }
 
-    /// Return the kernel of a variant, which is compiled on first use.
+    /// Return the compute pipeline of a variant of the kernel, which is compiled on first use.
     pub(crate) fn pipeline(&self, variant: Variant) -> wgpu::ComputePipeline {
         let mut pipelines = lock(&self.pipelines);
         let switches = [

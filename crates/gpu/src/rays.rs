@@ -1,4 +1,4 @@
-//! Data that stay on the device between pictures, because they change rarely: directions of rays and transfer tables.
+//! Cached data on the device that change rarely between pictures: directions of rays and transfer tables.
 
 use std::{ops::Range, sync::Arc};
 
@@ -11,11 +11,13 @@ use crate::{
     resources::{Directions, DirectionsKey, TableOnDevice},
 };
 
-/// Number of cached items of each kind: while a camera moves, the frame budget alternates between a few sizes and
-/// steps.
+/// Number of cached items of each kind.
+///
+/// While a camera moves, the frame budget alternates between a few picture sizes and ray steps.
 const KEPT: usize = 6;
 
-/// Return the cached item of a key, or create it; the least recently used items are removed first.
+/// Return the cached item of a key, or create and cache it; the least recently used item is removed if the cache is
+/// full.
 fn kept<T, K: PartialEq + ?Sized>(
     all: &mut Vec<Arc<T>>,
     key: &K,
@@ -29,10 +31,9 @@ fn kept<T, K: PartialEq + ?Sized>(
     item
 }
 
-/// Return the directions of `rows`: those of a pinhole are computed in f64 and rounded once, those of a lens are
-/// copied.
+/// Return the directions of the rays of `rows` in camera space; 0 for a pixel without a ray.
 ///
-/// The result is 0 for a pixel without a ray.
+/// Directions of a pinhole camera are computed in f64 and rounded once, those of a lens are copied.
 fn directions(camera: &Camera, rows: &Range<usize>) -> Vec<f32> {
     let (width, z) = (camera.width(), camera.focal_px());
     let (half_width, half_height) = (width as f64 / 2.0, camera.height() as f64 / 2.0);
@@ -92,7 +93,7 @@ impl Gpu {
         )
     }
 
-    /// Create a buffer with these bytes that shaders can read.
+    /// Create a buffer on the device that contains `bytes` and that shaders can read.
     fn filled(&self, label: &str, bytes: &[u8]) -> wgpu::Buffer {
         let buffer = self.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some(label),

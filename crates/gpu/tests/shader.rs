@@ -1,6 +1,6 @@
-//! Test that the shader is valid, without an adapter and without `wgpu`.
+//! Test that the shader is valid, which needs neither an adapter nor `wgpu`.
 //!
-//! A device would reject an invalid shader, and the processor would then cast all pictures without any notice.
+//! A device would reject an invalid shader, and the CPU would then cast all pictures without any message.
 
 use naga::{
     front::wgsl::parse_str,

@@ -65,7 +65,7 @@ fn a_model_that_folds_inside_the_picture_is_refused_and_one_that_folds_outside_i
         "the corner lies beyond the fold"
     );
     assert!((optics.limit_rad().to_degrees() - 46.51).abs() < 0.01);
-    // The same model from a calibration, which needs no field of view.
+    // The same model comes from a calibration, which needs no field of view.
     let folded = Lens::Calibrated(Calibration {
         distortion: Distortion::Brown {
             k: [-0.3, 0.0, 0.0, 0.0, 0.0, 0.0],
@@ -176,9 +176,10 @@ proptest! {
         if let Some(d) = optics.direction(pixel) {
             prop_assert!((crate::length(d) - 1.0).abs() < 1e-12);
             let back = optics.pixel(d);
-            // A point at the very edge of the fold may be on either side.
+            // A point at the angle at which the model folds back may be on either side of the fold.
             if let Some(back) = back {
-                // Tolerance 1e-6 px: near a fold a pixel's direction is badly conditioned, elsewhere the error is 1e-10.
+                // The tolerance is 1e-6 px, because near a fold a pixel's direction is badly conditioned; elsewhere the
+                // error is 1e-10.
                 prop_assert!((back[0] - pixel[0]).abs() + (back[1] - pixel[1]).abs() < 1e-6, "{pixel:?} {back:?}");
             } else {
                 let angle = libm::atan2((d[0] * d[0] + d[1] * d[1]).sqrt(), d[2]);

@@ -1,15 +1,15 @@
-//! Readable reference for the fast constructions: the paper's construction, and the definition of the map of cells.
+//! Readable reference for the fast construction of maps: the paper's iteration, and the definition of the map of cells.
 
 use crate::{IsoRegionError, error::check_length};
 
-/// Largest recorded radius.
+/// Largest radius in a map.
 ///
-/// Larger cubes exist; recording them with a smaller radius costs speed, never correctness.
+/// Larger cubes exist; to store them with a smaller radius costs speed, never correctness.
 pub const MAX_RADIUS_VOX: u8 = 255;
 
 /// Compute the radius of every voxel by the paper's iteration (4.2).
 ///
-/// Departure: radii stop at 255, so that one byte holds them; label 0 has radius 0 (it means "not one colour").
+/// Departures: radii stop at 255, so that one byte can store them; label 0 has radius 0 (it means "not one colour").
 ///
 /// # Errors
 ///
@@ -60,9 +60,9 @@ pub fn paper_radius_map(labels: &[u8], shape_zyx: [usize; 3]) -> Result<Vec<u8>,
     Ok(radius)
 }
 
-/// Compute the radius of every cell by its definition: see [`crate::cell_map`].
+/// Compute the radius of every cell by the definition in [`crate::cell_map`].
 ///
-/// Departure from the paper, whose radii are those of voxels. As in the paper's map here, radii stop at 255, and label
+/// Departure from the paper, whose radii are those of voxels. As in [`paper_radius_map`], radii stop at 255, and label
 /// 0 has radius 0.
 ///
 /// # Errors
@@ -101,7 +101,7 @@ pub fn reference_cell_map(labels: &[u8], shape_zyx: [usize; 3]) -> Result<Vec<u8
 mod tests {
     use super::*;
 
-    /// Compute the radii directly from the definition.
+    /// Compute the radii of voxels directly from their definition.
     fn by_definition(labels: &[u8], shape_zyx: [usize; 3]) -> Vec<u8> {
         let [nz, ny, nx] = shape_zyx.map(|n| n as isize);
         let label = |z: isize, y: isize, x: isize| {
