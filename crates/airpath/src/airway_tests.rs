@@ -11,6 +11,7 @@ use carina_leastcost::graph::Graph;
 use carina_leastcost::lumen::{LumenCost, LumenGraph, WallLevels};
 use carina_leastcost::tracker::Tracker;
 
+/// Value levels of the drawn lumen and wall.
 const LEVELS: WallLevels = WallLevels {
     core: -900.0,
     wall: -500.0,
@@ -217,12 +218,14 @@ fn chest_grid(flips: [bool; 3]) -> Grid {
     .unwrap()
 }
 
+/// Value levels of air, lung and tissue in the drawn chest.
 const AIR: AirLevels = AirLevels {
     air: -800,
     tissue: -450,
     lung: Some((-950, -600)),
 };
 
+/// Limits with which the search runs in these tests.
 const LIMITS: FloodLimits = FloodLimits {
     first_level: -1020,
     core_level: -950,

@@ -21,7 +21,7 @@ use carina_leastcost::{TrackError, Watch};
 pub struct Mesh {
     /// Positions of the vertices, LPS mm.
     pub vertices: Vec<Point>,
-    /// Three vertex indices per triangle.
+    /// Triangles, each as the indices of its three vertices.
     pub triangles: Vec<[u32; 3]>,
 }
 
@@ -450,6 +450,7 @@ mod tests {
     use carina_leastcost::Unwatched;
     use carina_leastcost::lumen::WallLevels;
 
+    /// Value levels of the drawn lumen and wall.
     const LEVELS: WallLevels = WallLevels {
         core: -900.0,
         wall: -500.0,

@@ -7,6 +7,7 @@ use crate::mesh::cell_rings;
 use crate::outline::{LumenSurface, PARTS_PER_PX, PicturePoint, TooRagged, encoded};
 use carina_leastcost::lumen::WallLevels;
 
+/// Value levels of the drawn lumen and wall.
 const LEVELS: WallLevels = WallLevels {
     core: -900.0,
     wall: -500.0,

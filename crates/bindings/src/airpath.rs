@@ -456,7 +456,7 @@ impl LumenTracker {
         self.tracker.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Call `read` with the tracker.
+    /// Call `read` with the locked tracker and return its result.
     ///
     /// The GIL is released before the lock is taken, because the thread that has the lock may wait for the GIL to call
     /// `cancel()`.

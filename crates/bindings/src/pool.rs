@@ -18,7 +18,7 @@ struct Smaller {
     clock: PoolClock,
 }
 
-/// Reservations of this process.
+/// Thread reservations of this process.
 static RESERVATIONS: Mutex<Reservations> = Mutex::new(Reservations {
     num_holders: 0,
     pool: None,

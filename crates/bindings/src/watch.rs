@@ -21,7 +21,7 @@ struct WatchState {
     stopped: bool,
 }
 
-/// Shortest time between two checks.
+/// Shortest time between two checks for Ctrl-C and `cancel()`.
 const BETWEEN_LOOKS: Duration = Duration::from_millis(50);
 
 impl PyWatch {

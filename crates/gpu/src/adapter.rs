@@ -96,7 +96,7 @@ impl AdapterFacts {
 ///
 /// The instance is created on first use, which loads the drivers.
 fn instance() -> &'static wgpu::Instance {
-    /// Instance of this process.
+    /// wgpu instance of this process.
     static INSTANCE: OnceLock<wgpu::Instance> = OnceLock::new();
     INSTANCE.get_or_init(|| {
         let mut wanted = wgpu::InstanceDescriptor::new_without_display_handle();
@@ -112,7 +112,7 @@ fn instance() -> &'static wgpu::Instance {
 
 /// Return all adapters, the likely fastest first; the order is the same during the whole process.
 pub(crate) fn found() -> &'static [(AdapterFacts, wgpu::Adapter)] {
-    /// Adapters, searched on first use.
+    /// Adapters of this machine, searched on first use.
     static FOUND: OnceLock<Vec<(AdapterFacts, wgpu::Adapter)>> = OnceLock::new();
     FOUND.get_or_init(|| {
         let adapters = pollster::block_on(instance().enumerate_adapters(wgpu::Backends::PRIMARY));

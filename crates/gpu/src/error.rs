@@ -26,7 +26,7 @@ pub enum GpuError {
     DoesNotFit {
         /// Name of the data: the volume, the radius map or the picture.
         what: &'static str,
-        /// Required and available size.
+        /// Required and available size as text.
         reason: String,
     },
     /// The frame needs a feature that only the CPU's casters have.

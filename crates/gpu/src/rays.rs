@@ -11,7 +11,7 @@ use crate::{
     resources::{Directions, DirectionsKey, TableOnDevice},
 };
 
-/// Number of cached items of each kind.
+/// Number of cached sets of ray directions, and of cached transfer tables.
 ///
 /// While a camera moves, the frame budget alternates between a few picture sizes and ray steps.
 const KEPT: usize = 6;

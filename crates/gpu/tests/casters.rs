@@ -25,6 +25,7 @@ use proptest::{
 };
 use scene::{Scene, any_scene, options};
 
+/// Appearance of the test pictures.
 const LOOK: Appearance = Appearance {
     guides_mm: [[-1.9, -0.5, 0.0], [1.9, -0.5, 0.3]],
     exposure: None,

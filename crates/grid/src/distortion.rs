@@ -31,12 +31,12 @@ pub enum Distortion {
 }
 
 impl Distortion {
-    /// Ideal perspective image.
+    /// Perspective image without distortion.
     pub(crate) const NONE: Self = Self::Brown {
         k: [0.0; 6],
         p: [0.0; 2],
     };
-    /// Ideal equidistant image.
+    /// Equidistant image without distortion.
     pub(crate) const EQUIDISTANT: Self = Self::Fisheye { k: [0.0; 4] };
 
     pub(crate) fn is_finite(&self) -> bool {

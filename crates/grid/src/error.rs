@@ -12,7 +12,7 @@ pub enum GridError {
     /// A transform cannot be inverted, contains NaN, or its last row is not 0 0 0 1.
     #[error("{what} is not a usable transform: {reason}")]
     Transform {
-        /// Name of the matrix.
+        /// Name of the rejected matrix.
         what: &'static str,
         /// Reason why the matrix is rejected.
         reason: String,

@@ -11,7 +11,7 @@ pub const FULL_GAIN: u16 = 1 << 15;
 /// The lens attenuates the light before the display curve; the exponent of sRGB is close enough for a vignette.
 const DISPLAY_GAMMA: f64 = 2.2;
 
-/// Outline of the picture on the monitor.
+/// Shape of the outline of the picture on the monitor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FieldShape {
     /// The picture fills the whole viewport.

@@ -13,7 +13,7 @@ pub enum IsoRegionError {
         /// Number of labels found.
         found: usize,
     },
-    /// A table of colours has no entry.
+    /// A table of colours over HU has no entry.
     #[error("the colour table is empty; it must cover every value of the volume")]
     EmptyTable,
     /// The caller stopped the computation.

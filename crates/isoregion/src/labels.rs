@@ -228,7 +228,9 @@ fn label_runs(hu: &[i16], runs: Vec<(i32, i32, bool)>) -> ClassLabels {
 mod tests {
     use super::*;
 
+    /// Colour with opacity 0.
     const CLEAR: Rgba = [0.2, 0.3, 0.4, 0.0];
+    /// Red with an opacity of one half.
     const RED: Rgba = [1.0, 0.0, 0.0, 0.5];
 
     #[test]

@@ -11,6 +11,7 @@ use crate::lumen::{LumenCost, LumenGraph, WallLevels};
 use crate::lumen_edit::{as_bytes, edited, followed, newly_reached, solved};
 use crate::tracker::Tracker;
 
+/// Number of voxels of the test volume along i, j, k.
 const SHAPE_IJK: [usize; 3] = [14, 12, 16];
 
 fn grid() -> Grid {

@@ -18,13 +18,13 @@ pub struct Branch {
     pub generation: usize,
     /// Name of the branch; `None` beyond the segments.
     pub name: Option<&'static str>,
-    /// Centreline, LPS mm, root to tip.
+    /// Points of the airway's centreline from its start to its end, LPS mm.
     ///
     /// The first point is the parent's last, bit for bit.
     pub points: Vec<[f64; 3]>,
     /// Radius in mm at each point of the circle with the area of the lumen.
     pub radius_mm: Vec<f64>,
-    /// Thickness of the wall, mm.
+    /// Thickness of the airway's wall, mm.
     pub wall_mm: f64,
 }
 

@@ -5,7 +5,7 @@
 
 use crate::shapes::{Piece, add, mix};
 
-/// Tissue of a solid.
+/// Tissue of a solid structure of the phantom.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Tissue {
     /// Soft tissue (vessels, oesophagus, muscle) with one value in HU throughout.
@@ -14,7 +14,7 @@ pub(crate) enum Tissue {
     Bone,
 }
 
-/// Tube of one tissue.
+/// Solid structure of the phantom: a piece of a tube of one tissue.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Solid {
     pub(crate) piece: Piece,

@@ -91,7 +91,7 @@ pub struct Stenosis {
 /// Phantom chest CT with its ground truth.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Chest {
-    /// Grid of the voxels.
+    /// Grid of the chest's voxels.
     pub grid: Grid,
     /// Values of the voxels in HU, x fastest.
     pub hu: Vec<i16>,

@@ -3,9 +3,9 @@
 /// Round nodule of the lung.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Nodule {
-    /// Centre, LPS mm.
+    /// Centre of the nodule, LPS mm.
     pub centre_lps: [f64; 3],
-    /// Radius, mm.
+    /// Radius of the nodule, mm.
     pub radius_mm: f64,
     /// Id of the airway that is nearest to the nodule.
     pub branch_id: usize,

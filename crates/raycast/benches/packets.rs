@@ -157,7 +157,7 @@ fn thread_ms() -> f64 {
 /// Return the time since the first call, ms, on systems other than Linux.
 #[cfg(not(target_os = "linux"))]
 fn thread_ms() -> f64 {
-    /// Time of the first call.
+    /// Time of the first call of `thread_ms`.
     static START: std::sync::OnceLock<std::time::Instant> = std::sync::OnceLock::new();
     START
         .get_or_init(std::time::Instant::now)

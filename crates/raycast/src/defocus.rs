@@ -144,6 +144,7 @@ pub fn defocus(
 mod tests {
     use super::*;
 
+    /// Range of distances that is in focus in these tests.
     const FOCUS: Focus = Focus {
         near_mm: 3.0,
         far_mm: 50.0,

@@ -140,7 +140,7 @@ impl Asking {
 struct Pace {
     /// Steps per voxel on each axis, with the sign of the direction.
     signed: Lanes,
-    /// Absolute value of `signed`.
+    /// Steps per voxel on each axis without the sign; [`FAR`] where the ray does not advance.
     plain: Lanes,
 }
 

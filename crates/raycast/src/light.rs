@@ -73,6 +73,7 @@ impl Light {
 mod tests {
     use super::*;
 
+    /// Light at the camera of the test pictures.
     const LIGHT: Light = Light {
         ambient: 0.1,
         diffuse: 0.9,

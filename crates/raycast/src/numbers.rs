@@ -17,7 +17,7 @@ pub struct FrameNumbers<'a> {
     pub ijk_from_camera: Affine,
     /// Position of the camera's centre, voxels.
     pub origin_ijk: [f64; 3],
-    /// Number of voxels along each axis.
+    /// Number of voxels of the volume along each axis.
     pub shape_ijk: [usize; 3],
     /// Length of a ray step, mm.
     pub step_mm: f64,

@@ -16,7 +16,7 @@ pub struct TriPlane {
     pub window: Window,
     /// Value below which a plane is transparent; `None` for planes that are opaque everywhere.
     pub clear_below: Option<f32>,
-    /// Background colour.
+    /// Colour of pixels whose ray meets no plane.
     pub background: [u8; 3],
     /// Brightness of the sagittal, coronal and axial plane; different values make the edges of the planes visible.
     pub brightness: [f32; 3],

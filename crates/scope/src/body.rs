@@ -111,6 +111,7 @@ pub(crate) fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
 mod tests {
     use super::*;
 
+    /// Dimensions of the scope in these tests.
     const BODY: ScopeBody = ScopeBody {
         tip_radius_mm: 2.45,
         tube_radius_mm: 2.45,

@@ -33,7 +33,7 @@ const LOOK_AHEAD_MM: [f64; 4] = [1.0, 2.0, 3.0, 4.0];
 pub enum Limit {
     /// The scope followed the controls.
     None,
-    /// The scope is withdrawn to the entry.
+    /// The requested insertion is before the entry, to which the scope is withdrawn.
     Entry,
     /// The tip is pressed against a wall, and the insertion is not reached.
     Wall,
@@ -63,7 +63,7 @@ pub struct ContactRecord {
     pub count: u64,
     /// Total time of contact of the tip, s.
     pub time_s: f64,
-    /// Largest [`Contact::depth_mm`].
+    /// Largest [`Contact::depth_mm`] since the scope was placed, mm.
     pub max_depth_mm: f64,
 }
 

@@ -7,6 +7,7 @@ use crate::{Limit, ScopeBody, ScopeDrive, WallField};
 
 type Point = [f64; 3];
 
+/// Dimensions of the scope in these tests.
 pub(crate) const BODY: ScopeBody = ScopeBody {
     tip_radius_mm: 2.45,
     tube_radius_mm: 2.45,

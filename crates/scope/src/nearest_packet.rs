@@ -301,7 +301,9 @@ mod tests {
     ///
     /// The surface is a sphere of latitudes whose corners have the distances `radii` from the origin.
     fn dented(radii: &[f64]) -> (Vec<Point>, Vec<[u32; 3]>) {
+        /// Number of rings of vertices of the mesh.
         const ROWS: usize = 7;
+        /// Number of vertices of each ring of the mesh.
         const ROUND: usize = 9;
         let ends = [[0.0, 0.0, 4.0], [0.0, 0.0, -4.0]];
         of_rings(ends, [ROWS, ROUND], |row, n| {

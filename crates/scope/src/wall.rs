@@ -53,7 +53,7 @@ impl Brick {
 pub struct WallField {
     lattice_from_lps: Affine,
     lps_from_lattice: Affine,
-    /// Number of samples along i, j, k.
+    /// Number of samples of the lattice along i, j, k.
     shape_ijk: [usize; 3],
     num_bricks: [usize; 3],
     brick_at: Vec<u32>,

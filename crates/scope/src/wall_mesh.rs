@@ -171,7 +171,7 @@ const fn index_of(at: [usize; 3], num: [usize; 3]) -> usize {
     (at[2] * num[1] + at[1]) * num[0] + at[0]
 }
 
-/// Return the kind of each brick.
+/// Return for each brick whether it is near the wall, outside the lumen or inside.
 ///
 /// Bricks near a triangle's box are `Near`. Other bricks that are connected with the faces of the lattice are
 /// `Outside`. For the remaining bricks the signed distance from the brick's centre to the wall determines the kind.
@@ -372,7 +372,9 @@ mod tests {
 
     /// Return the mesh of a sphere of 7 mm radius with a tube attached, in triangles of some mm.
     fn bulb() -> (Vec<Point>, Vec<[u32; 3]>) {
+        /// Number of rings of vertices of the mesh.
         const ROWS: usize = 40;
+        /// Number of vertices of each ring of the mesh.
         const ROUND: usize = 24;
         let ends = [[0.0, 0.0, 7.0], [0.3, -0.2, -21.0]];
         of_rings(ends, [ROWS - 1, ROUND], |row, n| {

@@ -8,6 +8,7 @@ use crate::find::extension::{EXTENDED, Extension, ExtensionLimits, extend};
 use crate::find::extension_levels::Divided;
 use carina_leastcost::Unwatched;
 
+/// Limits with which the search runs in these tests.
 const LIMITS: ExtensionLimits = ExtensionLimits {
     air: -1000.0,
     lung: (-950, -600),

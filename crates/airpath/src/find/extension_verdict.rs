@@ -43,7 +43,7 @@ const LEAST_BLUR_ACROSS_MM: f64 = 0.5;
 pub(crate) struct Blur {
     /// Blur (sigma) of scanner, voxel and smoothing together, mm.
     pub(crate) sigma_mm: f64,
-    /// Noise in the volume's numbers.
+    /// Standard deviation of the noise, in the volume's numbers.
     pub(crate) noise: f64,
 }
 
@@ -151,6 +151,7 @@ pub(crate) fn looks_like_airway(section: &Section, own: f64, air: f64, blur: Blu
 mod tests {
     use super::*;
 
+    /// Limits with which the search runs in these tests.
     const LIMITS: ExtensionLimits = ExtensionLimits {
         air: -1000.0,
         lung: (-950, -700),
@@ -163,6 +164,7 @@ mod tests {
         least_probability: 0.7,
         divided: None,
     };
+    /// Thick slices of the test volume, which were divided.
     const DIVIDED: Divided = Divided {
         axis: 2,
         slice_mm: 3.0,

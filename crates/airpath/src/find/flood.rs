@@ -37,7 +37,7 @@ pub struct FloodLimits {
 /// Lumen that a flood has filled, and the leaks that it has closed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Flood {
-    /// Lumen: 1 inside, 0 outside.
+    /// Mask of the lumen: 1 inside, 0 outside.
     pub lumen: Vec<u8>,
     /// Number of voxels in the lumen.
     pub num_voxels: usize,

@@ -11,7 +11,7 @@ use crate::find::tubeness::{Enclosure, REACH_MM, smoothed};
 pub struct Blur {
     /// Weight of this blur in the sum.
     pub weight: f64,
-    /// Standard deviation, mm.
+    /// Standard deviation of the Gaussian, mm.
     pub sigma_mm: f64,
 }
 
@@ -340,6 +340,7 @@ mod tests {
         assert!(found >= 12 * 5);
     }
 
+    /// Parameters of the restoration of clipped air in these tests.
     const CUT: CutOff = CutOff {
         floor: -1024,
         air: -1000,

@@ -27,15 +27,15 @@ pub(crate) struct Spot {
     pub(crate) ringed: f64,
     /// Cells of the spot in the slice, as indices in ascending order.
     cells: Vec<u32>,
-    /// Cell of `voxel`.
+    /// Index of the spot's middle cell, that of `voxel`.
     middle: u32,
 }
 
 /// Number of directions in which the search looks for tissue round a spot.
 const NUM_DIRECTIONS: usize = 24;
-/// Smallest area of a spot, mm2.
+/// Smallest area of a spot of air, mm2.
 const MIN_AREA_MM2: f64 = 12.0;
-/// Largest area of a spot, mm2.
+/// Largest area of a spot of air, mm2.
 const MAX_AREA_MM2: f64 = 900.0;
 
 impl Spot {

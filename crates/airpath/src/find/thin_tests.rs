@@ -8,6 +8,7 @@ use carina_leastcost::{TrackError, Unwatched, Watch};
 use crate::find::extension_levels::{EXTENDED, LUMEN};
 use crate::find::thin::{Thin, ThinLimits, extend_thin};
 
+/// Limits with which the search runs in these tests.
 const LIMITS: ThinLimits = ThinLimits {
     air: -1000.0,
     lung: (-950, -600),

@@ -424,6 +424,7 @@ mod tests {
 
     use super::*;
 
+    /// Properties of a thin airway in the test volume.
     const SECTION: ThinSection = ThinSection {
         air: -1000.0,
         least_wall: -840.0,

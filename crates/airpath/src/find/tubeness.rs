@@ -15,7 +15,7 @@ use rayon::prelude::*;
 /// the rays.
 pub const REACH_MM: f64 = 3.0;
 
-/// Number of rays from a voxel.
+/// Number of rays from a voxel, distributed evenly over all directions.
 const NUM_RAYS: usize = 48;
 /// Number of rays that may find no wall: both ends of the tube, or all three of a bifurcation.
 const NUM_OPEN: usize = 10;

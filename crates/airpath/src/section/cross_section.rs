@@ -54,7 +54,7 @@ const WALL_BY_BLUR: f64 = 0.4;
 pub struct Plane {
     /// Point well inside the lumen, LPS mm.
     pub centre: Point,
-    /// Unit vector along the airway.
+    /// Unit vector along the airway, LPS, perpendicular to the plane.
     pub normal: Point,
     /// Approximate distance to the wall, mm; it determines the length of the rays ([`reach_mm`]).
     pub radius_mm: f64,

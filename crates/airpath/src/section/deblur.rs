@@ -67,9 +67,9 @@ const THINNEST: f64 = 0.6;
 pub struct Blur {
     /// Unit vector perpendicular to the slices, LPS.
     pub slice_normal: Point,
-    /// Blur within a slice, mm.
+    /// Blur within a slice, as a standard deviation in mm.
     pub in_plane_mm: f64,
-    /// Blur across the slices, mm.
+    /// Blur across the slices, as a standard deviation in mm.
     pub across_mm: f64,
     /// Smallest voxel spacing of the grid, mm.
     pub pixel_mm: f64,

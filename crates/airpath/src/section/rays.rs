@@ -16,7 +16,7 @@ pub const LEAST_SHARE: f64 = 0.6;
 pub struct Cast {
     /// Origin of the rays, LPS mm.
     pub centre: Point,
-    /// Unit vector along the airway.
+    /// Unit vector along the airway, LPS, perpendicular to the rays.
     pub normal: Point,
     /// Edges on each ray; the rays run counterclockwise as seen against the normal, from the first axis of
     /// [`plane_axes`].

@@ -11,6 +11,7 @@ use crate::section::rays::{Cast, NUM_RAYS, plane_axes};
 use crate::tree::smooth::Point;
 use carina_leastcost::Unwatched;
 
+/// Value levels of the drawn lumen and wall.
 const LEVELS: SectionLevels = SectionLevels {
     min_contrast: 100.0,
     brightest_wall: 100.0,

@@ -6,6 +6,7 @@ use crate::tree::calibre::of_branches;
 use crate::tree::smooth::Point;
 use carina_leastcost::lumen::{LumenGraph, WallLevels};
 
+/// Value levels of the drawn lumen and wall.
 const LEVELS: WallLevels = WallLevels {
     core: -900.0,
     wall: -500.0,

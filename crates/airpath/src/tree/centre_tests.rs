@@ -10,6 +10,7 @@ use carina_leastcost::Unwatched;
 use carina_leastcost::lumen::{LumenCost, LumenGraph, WallLevels};
 use carina_leastcost::tracker::Tracker;
 
+/// Value levels of the drawn lumen and wall.
 const LEVELS: WallLevels = WallLevels {
     core: -900.0,
     wall: -500.0,

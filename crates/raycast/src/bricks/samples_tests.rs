@@ -9,6 +9,7 @@ use crate::{
 use carina_grid::{Affine, Camera, Grid, VolumeView};
 use proptest::prelude::*;
 
+/// Light at the camera of the test pictures.
 const LIGHT: Light = Light {
     ambient: 0.2,
     diffuse: 0.8,

@@ -13,6 +13,7 @@ use crate::{
 use carina_grid::{Affine, Camera, Grid, VolumeView};
 use proptest::prelude::*;
 
+/// Appearance of the test pictures.
 const LOOK: Appearance = Appearance {
     guides_mm: [[-1.9, -0.5, 0.0], [1.9, -0.5, 0.3]],
     exposure: Some(9.0),

@@ -109,7 +109,7 @@ unsafe fn whole_of([a, b]: [__m128i; 2]) -> __m256i {
 }
 
 impl Lanes for Avx2 {
-    /// Number of lanes.
+    /// Number of lanes of a register, each with one ray.
     const N: usize = 8;
     type F = __m256;
     type I = __m256i;

@@ -63,7 +63,7 @@ unsafe fn whole_of([a, b, c, d]: [__m128i; 4]) -> __m512i {
 }
 
 impl Lanes for Avx512 {
-    /// Number of lanes.
+    /// Number of lanes of a register, each with one ray.
     const N: usize = 16;
     type F = __m512;
     type I = __m512i;

@@ -16,13 +16,13 @@ pub(crate) type Array<T> = [T; MAX_LANES];
 /// integer operation of the scalar kernel; there are no approximations. `min(a, b)` is `if a < b { a } else { b }`,
 /// `max(a, b)` is `if a > b { a } else { b }`.
 pub(crate) trait Lanes: Copy {
-    /// Number of lanes.
+    /// Number of lanes of a register, each with one ray.
     const N: usize;
-    /// One f32 for each lane.
+    /// Register with one f32 for each lane.
     type F: Copy;
-    /// One i32 for each lane.
+    /// Register with one i32 for each lane.
     type I: Copy;
-    /// One boolean for each lane.
+    /// Mask with one boolean for each lane.
     type M: Copy;
 
     fn splat(self, v: f32) -> Self::F;
@@ -137,13 +137,13 @@ pub(crate) trait Lanes: Copy {
     ///
     /// In every lane `index` must be in the table.
     unsafe fn links(self, table: *const AtomicI32, index: Self::I) -> Self::I;
-    /// Load the voxel at `index`.
+    /// Load for each lane the voxel at `index`.
     ///
     /// # Safety
     ///
     /// In every lane `index` must be in the data.
     unsafe fn voxels(self, data: *const i16, index: Self::I) -> Self::I;
-    /// Load the byte at `index`, 0 to 255.
+    /// Load for each lane the byte at `index`, 0 to 255.
     ///
     /// # Safety
     ///

@@ -35,7 +35,7 @@ impl<L: Lanes> Pair<L> {
 }
 
 impl<L: Lanes> Lanes for Pair<L> {
-    /// Number of lanes.
+    /// Number of lanes of a register, each with one ray.
     const N: usize = 2 * L::N;
     type F = [L::F; 2];
     type I = [L::I; 2];

@@ -10,7 +10,7 @@ use std::{
 
 use super::lanes::{Array, Lanes, MAX_LANES};
 
-/// Number of lanes.
+/// Number of lanes of a register, each with one ray.
 const N: usize = 8;
 
 /// Instruction set of plain loops, which needs only the instructions of the compiler's target.

@@ -184,7 +184,7 @@ impl Chest {
         })
     }
 
-    /// Return a random view.
+    /// Return a camera with a random pose and field of view.
     ///
     /// A third of the cameras are in the lumen, a third anywhere in the volume, and a third outside and looking at the
     /// volume. The field of view is 60 to 170 degrees.

@@ -11,6 +11,7 @@ use carina_raycast::{
 };
 use proptest::prelude::*;
 
+/// Appearance of the test pictures.
 const LOOK: Appearance = Appearance {
     guides_mm: [[-1.9, -0.5, 0.0], [1.9, -0.5, 0.3]],
     exposure: None,
@@ -189,6 +190,7 @@ fn folds_leave_a_wall_that_faces_sideways_in_the_light() {
     assert!(darkest > 0.7, "{darkest}");
 }
 
+/// Appearance without the features that depend on anatomy.
 const LOOK_WITHOUT_ANATOMY: Appearance = Appearance {
     rings: 0.0,
     membrane: 0.0,

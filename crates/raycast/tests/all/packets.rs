@@ -188,6 +188,7 @@ proptest! {
     }
 }
 
+/// Methods that are tested, each with shading and interpolation.
 const KINDS: [(Kind, bool, bool); 8] = [
     (Kind::Brute, true, false),
     (Kind::Transparent, true, false),

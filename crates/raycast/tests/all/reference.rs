@@ -11,7 +11,7 @@ pub(crate) type Shares = [f64; 5];
 
 /// Volume with its transfer function and its light, for the reference ray caster.
 pub(crate) struct World<'a> {
-    /// Number of voxels along i, j, k.
+    /// Number of voxels of the volume along i, j, k.
     pub(crate) shape: [usize; 3],
     /// Values of the volume, `[k, j, i]`.
     pub(crate) hu: &'a [i16],

@@ -123,6 +123,7 @@ fn scope(size: usize) -> Camera {
     Camera::with_lens(*pinhole(size).lps_from_camera(), rays.into()).unwrap()
 }
 
+/// Appearance in which every pixel has one ray.
 const ONE_RAY: Appearance = Appearance {
     silhouettes: false,
     ..MATT
