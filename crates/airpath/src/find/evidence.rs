@@ -41,9 +41,9 @@ const PATIENCE: usize = 25_000;
 /// Number of voxels after which a search stops without a result, because tissue separates its start from the lumen.
 const MOST_VOXELS: usize = 300_000;
 /// Edge length of a block of the cache, in voxels.
-const PAGE: usize = 8;
+const BLOCK: usize = 8;
 /// Number of voxels of a block of the cache.
-const PAGE_VOXELS: usize = PAGE * PAGE * PAGE;
+const BLOCK_VOXELS: usize = BLOCK * BLOCK * BLOCK;
 /// Mark of a voxel whose enclosure has not been computed.
 const UNKNOWN: i16 = i16::MIN;
 /// Mark of the voxel at which a search starts: no step leads to it.
@@ -260,12 +260,12 @@ impl Enclosures {
                 if to[0] >= nx || to[1] >= ny || to[2] >= nz {
                     continue;
                 }
-                let (page, cell) = search.place(to);
-                let known = search.pages[page].known_cost(cell, search.round);
+                let (block, cell) = search.block_and_cell(to);
+                let known = search.blocks[block].known_cost(cell, search.round);
                 if known <= here {
                     continue;
                 }
-                let there = self.look_in(search, (page, cell), to, levels, &is_lumen);
+                let there = self.look_in(search, (block, cell), to, levels, &is_lumen);
                 if there == 0.0 {
                     continue;
                 }
@@ -295,20 +295,20 @@ impl Enclosures {
         levels: WayLevels,
         is_goal: &impl Fn([usize; 3]) -> bool,
     ) -> f64 {
-        let (page, cell) = search.place(voxel);
-        self.look_in(search, (page, cell), voxel, levels, is_goal)
+        let (block, cell) = search.block_and_cell(voxel);
+        self.look_in(search, (block, cell), voxel, levels, is_goal)
     }
 
     fn look_in(
         &self,
         search: &mut Search,
-        (page, cell): (usize, usize),
+        (block, cell): (usize, usize),
         voxel: [usize; 3],
         levels: WayLevels,
         is_goal: &impl Fn([usize; 3]) -> bool,
     ) -> f64 {
-        let known = search.pages[page].weight[cell];
-        if search.pages[page].seen[cell] == search.round {
+        let known = search.blocks[block].weight[cell];
+        if search.blocks[block].seen[cell] == search.round {
             return f64::from(known);
         }
         let weight = if is_goal(voxel) {
@@ -317,15 +317,15 @@ impl Enclosures {
             let [nx, ny, _] = self.grid.shape_ijk();
             let at = index(voxel, nx, ny);
             let value = f64::from(self.smooth[at]);
-            let mut rise = search.pages[page].rise[cell];
+            let mut rise = search.blocks[block].rise[cell];
             if rise == UNKNOWN && value <= levels.closed {
                 rise = self.enclosure.at(&self.smooth, at).max(UNKNOWN + 1);
-                search.pages[page].rise[cell] = rise;
+                search.blocks[block].rise[cell] = rise;
             }
             self.weight(levels, value, f64::from(rise))
         };
-        search.pages[page].seen[cell] = search.round;
-        search.pages[page].weight[cell] = weight as f32;
+        search.blocks[block].seen[cell] = search.round;
+        search.blocks[block].weight[cell] = weight as f32;
         weight
     }
 }
@@ -339,27 +339,27 @@ const fn index(voxel: [usize; 3], nx: usize, ny: usize) -> usize {
 /// Only the enclosures are reused by the next search.
 #[derive(Debug)]
 struct Search {
-    num_pages: [usize; 3],
-    /// For each block of the volume, its index in `pages` plus one; 0 if the block is not stored.
-    place_of: Vec<u32>,
+    num_blocks: [usize; 3],
+    /// For each block of the volume, its index in `blocks` plus one; 0 if the block is not stored.
+    block_of: Vec<u32>,
     last: (u32, u32),
-    pages: Vec<Page>,
+    blocks: Vec<Block>,
     round: u32,
 }
 
 #[derive(Debug)]
-struct Page {
-    rise: [i16; PAGE_VOXELS],
+struct Block {
+    rise: [i16; BLOCK_VOXELS],
     /// Number of the last search that computed the weight of the voxel.
-    seen: [u32; PAGE_VOXELS],
+    seen: [u32; BLOCK_VOXELS],
     /// Number of the last search that reached the voxel.
-    met: [u32; PAGE_VOXELS],
-    weight: [f32; PAGE_VOXELS],
-    cost: [f32; PAGE_VOXELS],
-    before: [u8; PAGE_VOXELS],
+    met: [u32; BLOCK_VOXELS],
+    weight: [f32; BLOCK_VOXELS],
+    cost: [f32; BLOCK_VOXELS],
+    before: [u8; BLOCK_VOXELS],
 }
 
-impl Page {
+impl Block {
     fn known_cost(&self, cell: usize, round: u32) -> f64 {
         if self.met[cell] == round {
             f64::from(self.cost[cell])
@@ -371,12 +371,12 @@ impl Page {
 
 impl Search {
     fn new(grid: &Grid) -> Self {
-        let num_pages = grid.shape_ijk().map(|n| n.div_ceil(PAGE));
+        let num_blocks = grid.shape_ijk().map(|n| n.div_ceil(BLOCK));
         Self {
-            place_of: vec![0; num_pages.iter().product()],
-            num_pages,
+            block_of: vec![0; num_blocks.iter().product()],
+            num_blocks,
             last: (u32::MAX, 0),
-            pages: Vec::new(),
+            blocks: Vec::new(),
             round: 0,
         }
     }
@@ -384,52 +384,52 @@ impl Search {
     fn begin(&mut self) {
         self.round += 1;
         // A block takes 9 KiB, so the cache is cleared when searches have covered much of a large volume.
-        if self.pages.len() > 10_000 {
-            self.pages.clear();
-            self.place_of.fill(0);
+        if self.blocks.len() > 10_000 {
+            self.blocks.clear();
+            self.block_of.fill(0);
             self.last = (u32::MAX, 0);
         }
     }
 
-    fn place(&mut self, voxel: [usize; 3]) -> (usize, usize) {
-        let [x, y, z] = voxel.map(|v| v / PAGE);
-        let key = (x + self.num_pages[0] * (y + self.num_pages[1] * z)) as u32;
+    fn block_and_cell(&mut self, voxel: [usize; 3]) -> (usize, usize) {
+        let [x, y, z] = voxel.map(|v| v / BLOCK);
+        let key = (x + self.num_blocks[0] * (y + self.num_blocks[1] * z)) as u32;
         if self.last.0 != key {
-            if self.place_of[key as usize] == 0 {
-                self.pages.push(Page {
-                    rise: [UNKNOWN; PAGE_VOXELS],
-                    seen: [0; PAGE_VOXELS],
-                    met: [0; PAGE_VOXELS],
-                    weight: [0.0; PAGE_VOXELS],
-                    cost: [0.0; PAGE_VOXELS],
-                    before: [NO_STEP; PAGE_VOXELS],
+            if self.block_of[key as usize] == 0 {
+                self.blocks.push(Block {
+                    rise: [UNKNOWN; BLOCK_VOXELS],
+                    seen: [0; BLOCK_VOXELS],
+                    met: [0; BLOCK_VOXELS],
+                    weight: [0.0; BLOCK_VOXELS],
+                    cost: [0.0; BLOCK_VOXELS],
+                    before: [NO_STEP; BLOCK_VOXELS],
                 });
-                self.place_of[key as usize] = self.pages.len() as u32;
+                self.block_of[key as usize] = self.blocks.len() as u32;
             }
-            let place = self.place_of[key as usize] - 1;
+            let place = self.block_of[key as usize] - 1;
             self.last = (key, place);
         }
-        let [i, j, k] = voxel.map(|v| v % PAGE);
-        (self.last.1 as usize, i + PAGE * (j + PAGE * k))
+        let [i, j, k] = voxel.map(|v| v % BLOCK);
+        (self.last.1 as usize, i + BLOCK * (j + BLOCK * k))
     }
 
     fn cost(&mut self, voxel: [usize; 3]) -> f64 {
-        let (page, cell) = self.place(voxel);
-        self.pages[page].known_cost(cell, self.round)
+        let (block, cell) = self.block_and_cell(voxel);
+        self.blocks[block].known_cost(cell, self.round)
     }
 
     fn weight(&mut self, voxel: [usize; 3]) -> f32 {
-        let (page, cell) = self.place(voxel);
-        self.pages[page].weight[cell]
+        let (block, cell) = self.block_and_cell(voxel);
+        self.blocks[block].weight[cell]
     }
 
     fn reach(&mut self, voxel: [usize; 3], cost: f64, step: u8) {
-        let (page, cell) = self.place(voxel);
+        let (block, cell) = self.block_and_cell(voxel);
         let round = self.round;
-        let page = &mut self.pages[page];
-        page.met[cell] = round;
-        page.cost[cell] = cost as f32;
-        page.before[cell] = step;
+        let block = &mut self.blocks[block];
+        block.met[cell] = round;
+        block.cost[cell] = cost as f32;
+        block.before[cell] = step;
     }
 
     /// Return the voxels of the path from a voxel back to the start of the search.
@@ -437,8 +437,8 @@ impl Search {
         let mut found = vec![from];
         let mut voxel = from;
         loop {
-            let (page, cell) = self.place(voxel);
-            let step = self.pages[page].before[cell];
+            let (block, cell) = self.block_and_cell(voxel);
+            let step = self.blocks[block].before[cell];
             if step == NO_STEP {
                 return found;
             }

@@ -50,25 +50,25 @@ pub fn mixed(
     let slice = nx * ny;
     let mut out = vec![0i16; data.len()];
     out.par_chunks_mut(slice).enumerate().for_each_init(
-        || Room::new(nx, ny),
-        |room, (k, out)| {
+        || SliceBuffers::new(nx, ny),
+        |buffers, (k, out)| {
             let at = |k: usize| &data[k * slice..(k + 1) * slice];
-            for (sum, value) in room.sum.iter_mut().zip(at(k)) {
+            for (sum, value) in buffers.sum.iter_mut().zip(at(k)) {
                 *sum = own as f32 * f32::from(*value);
             }
             for (blur, [wx, wy, wz]) in blurs.iter().zip(&kernels) {
-                for (mean, value) in room.across.iter_mut().zip(at(k)) {
+                for (mean, value) in buffers.across.iter_mut().zip(at(k)) {
                     *mean = wz[0] * f32::from(*value);
                 }
                 for (n, weight) in wz.iter().enumerate().skip(1) {
                     let (below, above) = (at(k.saturating_sub(n)), at((k + n).min(nz - 1)));
-                    for ((mean, low), high) in room.across.iter_mut().zip(below).zip(above) {
+                    for ((mean, low), high) in buffers.across.iter_mut().zip(below).zip(above) {
                         *mean += weight * (f32::from(*low) + f32::from(*high));
                     }
                 }
-                room.blur_slice(blur.weight as f32, wx, wy);
+                buffers.blur_slice(blur.weight as f32, wx, wy);
             }
-            for (value, sum) in out.iter_mut().zip(&room.sum) {
+            for (value, sum) in out.iter_mut().zip(&buffers.sum) {
                 *value = sum.round() as i16;
             }
         },
@@ -163,7 +163,7 @@ pub fn keep_cut_off_air(sharp: VolumeView<'_, i16>, soft: &mut [i16], cut: &CutO
 }
 
 /// Buffers in which one thread blurs one slice.
-struct Room {
+struct SliceBuffers {
     shape: [usize; 2],
     sum: Vec<f32>,
     across: Vec<f32>,
@@ -172,7 +172,7 @@ struct Room {
     wide: Vec<f32>,
 }
 
-impl Room {
+impl SliceBuffers {
     fn new(nx: usize, ny: usize) -> Self {
         Self {
             shape: [nx, ny],
