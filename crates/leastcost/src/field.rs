@@ -83,15 +83,15 @@ fn is_whole(weight: f32) -> bool {
 }
 
 impl Row {
-    fn of(weights: &[f32], ask_whole: bool) -> Self {
-        Self::of_positive(weights, ask_whole).unwrap_or_else(|| Self::of_any(weights))
+    fn of(weights: &[f32], check_whole: bool) -> Self {
+        Self::of_positive(weights, check_whole).unwrap_or_else(|| Self::of_any(weights))
     }
 
     /// Summarise a row of finite weights above 0, the most frequent case; return `None` for any other row.
     ///
     /// Sixteen weights are compared at once, so the function is as fast as reading the volume. Whether all weights are
-    /// integers is determined only if `ask_whole` is true, because a single fraction decides the result for the volume.
-    fn of_positive(weights: &[f32], ask_whole: bool) -> Option<Self> {
+    /// integers is determined only if `check_whole` is true, because a single fraction decides the result for the volume.
+    fn of_positive(weights: &[f32], check_whole: bool) -> Option<Self> {
         let first = *weights.first()?;
         let (mut low, mut high, mut wall) = ([first; LANES], [first; LANES], [0u32; LANES]);
         let (chunks, rest) = weights.as_chunks::<LANES>();
@@ -126,7 +126,7 @@ impl Row {
             greatest,
             negative: false,
             any_zero: false,
-            whole: ask_whole && weights.iter().all(|weight| is_whole(*weight)),
+            whole: check_whole && weights.iter().all(|weight| is_whole(*weight)),
             num_open: weights.len(),
         })
     }

@@ -81,7 +81,7 @@ impl Sweep {
 
     /// Record in the tile of a voxel that the voxel's cost has decreased.
     #[inline]
-    pub(crate) fn tell(&mut self, [i, j, k]: [usize; 3], cost: u32) {
+    pub(crate) fn mark_decreased(&mut self, [i, j, k]: [usize; 3], cost: u32) {
         let number =
             (k / TILE[2] * self.tiles_ijk[1] + j / TILE[1]) * self.tiles_ijk[0] + i / TILE[0];
         let tile = &mut self.tiles[number];
@@ -141,7 +141,7 @@ impl Sweep {
         self.beyond |= beyond;
         let before = std::mem::replace(&mut self.tiles[number].num_reached, num_reached as u16);
         self.num_reached += num_reached as usize - before as usize;
-        self.tell_round(buffer, field.shape_ijk(), left, first);
+        self.mark_decreased_around(buffer, field.shape_ijk(), left, first);
     }
 
     fn first_of(&self, number: usize) -> [usize; 3] {
@@ -154,26 +154,26 @@ impl Sweep {
     }
 
     /// Write the decreased costs of the voxels round a tile, and record them in the tiles of these voxels.
-    fn tell_round(
+    fn mark_decreased_around(
         &mut self,
         buffer: &Buffer,
         [nx, ny, _]: [usize; 3],
         left: &mut [i32],
         first: [usize; 3],
     ) {
-        for (row, news) in buffer.news.iter().enumerate() {
-            let mut news = *news;
-            if news == 0 {
+        for (row, decreased) in buffer.decreased.iter().enumerate() {
+            let mut decreased = *decreased;
+            if decreased == 0 {
                 continue;
             }
             let (j, k) = (first[1] + row % ACROSS - 1, first[2] + row / ACROSS - 1);
-            while news != 0 {
-                let bit = news.trailing_zeros() as usize;
-                news &= news - 1;
+            while decreased != 0 {
+                let bit = decreased.trailing_zeros() as usize;
+                decreased &= decreased - 1;
                 let i = first[0] + bit - 1;
                 let cost = buffer.costs[row][OWN - 1 + bit];
                 left[(k * ny + j) * nx + i] = (UNREACHED - cost) as i32;
-                self.tell([i, j, k], cost);
+                self.mark_decreased([i, j, k], cost);
             }
         }
     }

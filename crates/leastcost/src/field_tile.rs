@@ -26,7 +26,7 @@ pub(crate) struct Buffer {
     pub(crate) costs: [[u32; ROW]; ACROSS * ACROSS],
     /// For each row, bits of the voxels whose cost is lower than the stored one: bit 0 is the left neighbour of the
     /// tile, bit 17 the right one.
-    pub(crate) news: [u32; ACROSS * ACROSS],
+    pub(crate) decreased: [u32; ACROSS * ACROSS],
 }
 
 /// Return the index in the buffer of row `j`, `k` of the tile (-1 to 8; -1 wraps).
@@ -50,7 +50,7 @@ impl SweepBuffer {
         Self(Box::new(Buffer {
             weights: [[f32::INFINITY; ROW]; ACROSS * ACROSS],
             costs: [[UNREACHED; ROW]; ACROSS * ACROSS],
-            news: [0; ACROSS * ACROSS],
+            decreased: [0; ACROSS * ACROSS],
         }))
     }
 }
@@ -71,7 +71,7 @@ fn load<L: Lanes>(
     let low = first[0].max(1) - 1;
     let len = (first[0] + LANES + 1).min(nx) - low;
     let at_low = OWN + low - first[0];
-    buffer.news.fill(0);
+    buffer.decreased.fill(0);
     for row in 0..ACROSS * ACROSS {
         let (weights, costs) = (&mut buffer.weights[row], &mut buffer.costs[row]);
         let j = (first[1] + row % ACROSS).wrapping_sub(1);
@@ -200,7 +200,7 @@ impl<C: StepCost> Kernel for Settle<'_, C> {
 #[inline(always)]
 fn sweep<L: Lanes, C: StepCost>(l: L, buffer: &mut Buffer, scale: &[f32; 27], rows: u64) -> u64 {
     let mut dirty = dilated(rows);
-    let mut told = rows;
+    let mut was_changed = rows;
     let mut changed = rows;
     let mut turn = 0;
     while dirty != 0 {
@@ -220,9 +220,10 @@ fn sweep<L: Lanes, C: StepCost>(l: L, buffer: &mut Buffer, scale: &[f32; 27], ro
                     continue;
                 }
                 dirty &= !bit;
-                let news = relax_row::<L, C>(l, buffer, scale, row_of(j, k), told & bit != 0);
-                told &= !bit;
-                if news {
+                let decreased =
+                    relax_row::<L, C>(l, buffer, scale, row_of(j, k), was_changed & bit != 0);
+                was_changed &= !bit;
+                if decreased {
                     changed |= bit;
                     dirty |= dilated(bit) & !bit;
                 }
@@ -266,15 +267,15 @@ fn through<L: Lanes, C: StepCost>(
 
 /// Relax 16 voxels of a row from the rows round it and along the row; return true if a cost has decreased.
 ///
-/// `told` is true if a cost of the row has changed since its last relaxation, so that the relaxation along the row is
-/// needed even if no neighbouring row lowers a cost.
+/// `was_changed` is true if a cost of the row has changed since its last relaxation, so that the relaxation along the
+/// row is needed even if no neighbouring row lowers a cost.
 #[inline(always)]
 fn relax_row<L: Lanes, C: StepCost>(
     l: L,
     buffer: &mut Buffer,
     scale: &[f32; 27],
     row: usize,
-    told: bool,
+    was_changed: bool,
 ) -> bool {
     let weights = &buffer.weights[row];
     let own = &buffer.costs[row];
@@ -301,7 +302,7 @@ fn relax_row<L: Lanes, C: StepCost>(
         best = l.least(best, l.plus(l.costs(own, OWN + 1), behind));
         best = l.least(old, best);
     }
-    if !told && l.less(best, old) == 0 {
+    if !was_changed && l.less(best, old) == 0 {
         return false;
     }
     // Relax along the row: 1, 2, 4 and 8 steps at once, in both directions.
@@ -325,10 +326,10 @@ fn relax_row<L: Lanes, C: StepCost>(
     up = l.least(up, l.plus(l.up::<8>(up), up8));
     down = l.least(down, l.plus(l.down::<8>(down), down8));
     best = l.least(up, down);
-    let news = l.less(best, old);
+    let decreased = l.less(best, old);
     l.store(best, &mut buffer.costs[row], OWN);
-    buffer.news[row] |= u32::from(news) << 1;
-    news != 0
+    buffer.decreased[row] |= u32::from(decreased) << 1;
+    decreased != 0
 }
 
 /// Relax the voxels round a tile from the rows of the tile that changed.
@@ -371,7 +372,7 @@ fn relax_round<L: Lanes, C: StepCost>(l: L, buffer: &mut Buffer, scale: &[f32; 2
                 }
                 if best < old {
                     buffer.costs[row][lane] = best;
-                    buffer.news[row] |= 1 << (lane + 1 - OWN);
+                    buffer.decreased[row] |= 1 << (lane + 1 - OWN);
                 }
             }
             continue;
@@ -389,10 +390,10 @@ fn relax_round<L: Lanes, C: StepCost>(l: L, buffer: &mut Buffer, scale: &[f32; 2
             if C::BY_VOXEL {
                 best = l.plus(best, l.quanta(here, scale[0]));
             }
-            let news = l.less(best, old);
-            if news != 0 {
+            let decreased = l.less(best, old);
+            if decreased != 0 {
                 l.store(l.least(best, old), &mut buffer.costs[row], at);
-                buffer.news[row] |= u32::from(news) << shift;
+                buffer.decreased[row] |= u32::from(decreased) << shift;
             }
         }
     }
@@ -400,7 +401,7 @@ fn relax_round<L: Lanes, C: StepCost>(l: L, buffer: &mut Buffer, scale: &[f32; 2
 
 /// Write the costs of a tile back; return the number of its reached voxels, and whether one costs more than `most`.
 ///
-/// Afterwards `news` contains only the decreased costs of the voxels round the tile.
+/// Afterwards `decreased` contains only the decreased costs of the voxels round the tile.
 #[inline(always)]
 fn write<L: Lanes>(
     l: L,
@@ -410,7 +411,7 @@ fn write<L: Lanes>(
     first: [usize; 3],
     most: u32,
 ) -> (u32, bool) {
-    /// Bits in `news` of the voxels that belong to the tile.
+    /// Bits in `decreased` of the voxels that belong to the tile.
     const OWN_LANES: u32 = 0x1_FFFE;
     let len = LANES.min(nx - first[0]);
     let (mut num_reached, mut beyond) = (0, 0);
@@ -420,10 +421,10 @@ fn write<L: Lanes>(
         let costs = l.costs(&buffer.costs[row], OWN);
         let reached = l.less(costs, l.all(UNREACHED));
         num_reached += reached.count_ones();
-        if buffer.news[row] & OWN_LANES == 0 {
+        if buffer.decreased[row] & OWN_LANES == 0 {
             continue;
         }
-        buffer.news[row] &= !OWN_LANES;
+        buffer.decreased[row] &= !OWN_LANES;
         beyond |= reached & l.less(l.all(most), costs);
         let node = ((first[2] + k) * ny + first[1] + j) * nx + first[0];
         if let Some(left) = left[node..node + len].first_chunk_mut() {

@@ -138,7 +138,7 @@ impl<C: StepCost> FieldTracker<C> {
         if C::BY_VOXEL {
             self.left = fresh::<i32>(field.num_nodes());
             self.left[self.root as usize] = MOST_QUANTA;
-            sweep.tell(self.layout.ijk(self.root), 0);
+            sweep.mark_decreased(self.layout.ijk(self.root), 0);
         } else {
             while self.queue.advance() {
                 while let Some(block) = self.queue.take() {
@@ -147,7 +147,7 @@ impl<C: StepCost> FieldTracker<C> {
                         let ijk = self.layout.ijk(node);
                         if self.layout.is_open(&self.open, ijk) {
                             let cost = MOST_QUANTA - self.left[node as usize];
-                            sweep.tell(ijk, cost as u32);
+                            sweep.mark_decreased(ijk, cost as u32);
                         }
                     }
                     self.queue.give_back(block);

@@ -99,8 +99,8 @@ proptest! {
             // No voxel outside the returned box may have another distance to the wall.
             for node in 0..graph.num_nodes() as u32 {
                 let voxel = graph.voxel(node).map(|v| v as isize);
-                let is_told = step.changed_box.is_some_and(|b| b.index_of(voxel).is_some());
-                if let Some(there) = whole.node_at_voxel(voxel) && !is_told {
+                let is_in_changed_box = step.changed_box.is_some_and(|b| b.index_of(voxel).is_some());
+                if let Some(there) = whole.node_at_voxel(voxel) && !is_in_changed_box {
                     prop_assert_eq!(graph.wall_mm(node).to_bits(), whole.wall_mm(there).to_bits());
                 }
             }
