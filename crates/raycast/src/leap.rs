@@ -96,12 +96,12 @@ impl Start {
 }
 
 /// Schedule of the look-ups of one ray.
-struct Asking {
+struct LookupSchedule {
     at: u32,
     patience: u32,
 }
 
-impl Asking {
+impl LookupSchedule {
     #[inline(always)]
     fn of(start: Start, ray: &Ray) -> Self {
         Self {
@@ -194,10 +194,10 @@ pub(crate) fn cast_transparent<const SHADED: bool, const NEAREST: bool, const HI
     let price = const { Price::of(CastStats::sample_loads(NEAREST), 1) };
     let mut k = ray.first;
     let mut counts = [0u32; 4];
-    let mut asking = Asking::of(start, ray);
+    let mut schedule = LookupSchedule::of(start, ray);
     while k < ray.end {
         let p = ray.at(k);
-        if k >= asking.at {
+        if k >= schedule.at {
             let (index, v) = frame.field.cell_of(p);
             counts[0] += 1;
             // SAFETY: `cast_rows` has checked that the map has as many voxels as the volume, and `cell_of` clamps the
@@ -211,15 +211,15 @@ pub(crate) fn cast_transparent<const SHADED: bool, const NEAREST: bool, const HI
                     .min(ray.end - k);
                 counts[1] += 1;
                 counts[2] += n;
-                asking.leaped(k, n, price);
+                schedule.leaped(k, n, price);
                 k += n;
                 continue;
             }
-            asking.failed(k);
+            schedule.failed(k);
         }
         if frame.add_sample::<SHADED, NEAREST, HITS>(ray, k, p, &mut gathered) {
             counts[3] += 1;
-            asking.lit(k);
+            schedule.lit(k);
             if gathered.transparency < frame.stop {
                 k += 1;
                 break;
@@ -253,10 +253,10 @@ pub(crate) fn cast_classes<const NEAREST: bool, const HITS: bool>(
     // A nearest-voxel sample needs only its own voxel in the cube, not eight corners: half a voxel more on each side.
     let margin = class_margin(frame, NEAREST);
     let mut k = ray.first;
-    let mut asking = Asking::of(start, ray);
+    let mut schedule = LookupSchedule::of(start, ray);
     while k < ray.end {
         let p = ray.at(k);
-        if k >= asking.at {
+        if k >= schedule.at {
             let (index, v) = frame.field.nearest(p);
             stats.num_lookups += 1;
             // The label is read only for a radius above 0; a voxel with label 0 has radius 0.
@@ -280,14 +280,14 @@ pub(crate) fn cast_classes<const NEAREST: bool, const HITS: bool>(
                 gathered.add_segment(map.segments.segment(label, n));
                 stats.num_leaps += 1;
                 stats.num_skipped += n as u64;
-                asking.leaped(k, n as u32, price);
+                schedule.leaped(k, n as u32, price);
                 k += n as u32;
                 if gathered.transparency < frame.stop {
                     break;
                 }
                 continue;
             }
-            asking.failed(k);
+            schedule.failed(k);
         }
         frame.add_sample::<false, NEAREST, HITS>(ray, k, p, &mut gathered);
         stats.num_samples += 1;

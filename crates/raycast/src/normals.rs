@@ -119,12 +119,12 @@ impl NormalBricks {
     /// Create an empty cache of bricks for the volume and the transfer function of a frame.
     #[must_use]
     pub fn of(frame: &Frame<'_>) -> Self {
-        Self::with_room(frame, MOST_BRICKS)
+        Self::with_capacity(frame, MOST_BRICKS)
     }
 
     /// Create an empty cache with a capacity of `most` bricks, for the volume and the transfer function of a frame.
     #[must_use]
-    pub fn with_room(frame: &Frame<'_>, most: usize) -> Self {
+    pub fn with_capacity(frame: &Frame<'_>, most: usize) -> Self {
         let normals = Normals::of(frame);
         Self::new(frame.grid.shape_ijk(), normals.reach, normals.held, most)
     }

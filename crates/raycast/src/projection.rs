@@ -77,7 +77,7 @@ trait Values: Copy {
     ///
     /// Without them the processor's own prefetcher follows the rows. Explicit prefetches can disturb it: on Zen 4 with
     /// AVX2 they halve the speed.
-    const ASKS: bool;
+    const PREFETCHES: bool;
     type V: Copy;
     fn least(self) -> Self::V;
     fn max(self, a: Self::V, b: Self::V) -> Self::V;
@@ -107,7 +107,7 @@ struct One;
 
 impl Values for One {
     const N: usize = 1;
-    const ASKS: bool = false;
+    const PREFETCHES: bool = false;
     type V = i16;
     #[inline(always)]
     fn least(self) -> i16 {
@@ -133,14 +133,14 @@ impl Values for One {
 
 #[cfg(target_arch = "x86_64")]
 macro_rules! registers {
-    ($name:ident, $what:literal, $v:ident, $n:literal, $asks:literal, $set1:ident, $max:ident, $load:ident, $store:ident) => {
+    ($name:ident, $what:literal, $v:ident, $n:literal, $prefetches:literal, $set1:ident, $max:ident, $load:ident, $store:ident) => {
         #[doc = $what]
         #[derive(Clone, Copy)]
         struct $name(());
 
         impl Values for $name {
             const N: usize = $n;
-            const ASKS: bool = $asks;
+            const PREFETCHES: bool = $prefetches;
             type V = std::arch::x86_64::$v;
             #[inline(always)]
             fn least(self) -> Self::V {
@@ -297,7 +297,7 @@ fn project_slices<V: Values, const S: usize>(
         along_k,
     };
     // Two rows are processed at a time, so that the image along j is written once for both.
-    let in_pairs = if V::ASKS { nj - nj % 2 } else { 0 };
+    let in_pairs = if V::PREFETCHES { nj - nj % 2 } else { 0 };
     for j in (0..in_pairs).step_by(2) {
         rows.project::<V, S, 2>(v, j);
     }
@@ -333,7 +333,7 @@ impl Rows<'_> {
                     for s in 0..S {
                         let at = self.data.as_ptr().add((s * nj + j + r) * ni + i);
                         let values = v.load(at);
-                        if V::ASKS {
+                        if V::PREFETCHES {
                             v.fetch(at.wrapping_add(AHEAD));
                         }
                         most[r][s] = v.max(most[r][s], values);
@@ -389,7 +389,7 @@ mod tests {
     // Registers that every machine has, used in the same way as the largest ones.
     #[cfg(target_arch = "x86_64")]
     registers!(
-        Asking,
+        Prefetching,
         "SSE2, asking ahead.",
         __m128i,
         8,
@@ -419,7 +419,7 @@ mod tests {
                 along_j: &mut along_j,
                 along_k: &mut along_k,
             };
-            slab.run(Asking(()));
+            slab.run(Prefetching(()));
             let found = Projections {
                 along_i,
                 along_j,

@@ -19,12 +19,12 @@ impl SampleBricks {
     /// Create an empty cache for a volume of a given shape.
     #[must_use]
     pub fn of(shape_ijk: [usize; 3]) -> Self {
-        Self::with_room(shape_ijk, MOST_BRICKS)
+        Self::with_capacity(shape_ijk, MOST_BRICKS)
     }
 
     /// Create an empty cache with a capacity of `most` bricks, for a volume of a given shape.
     #[must_use]
-    pub fn with_room(shape_ijk: [usize; 3], most: usize) -> Self {
+    pub fn with_capacity(shape_ijk: [usize; 3], most: usize) -> Self {
         Self {
             store: Store::new(shape_ijk, most),
         }

@@ -75,8 +75,8 @@ impl Case {
 
     /// Check that pictures of all instruction sets, cast twice from the same bricks, equal the scalar caster's picture.
     ///
-    /// Return the bricks, which hold at most `room` bricks.
-    fn check(&self, room: usize) -> Arc<SampleBricks> {
+    /// Return the bricks, which hold at most `capacity` bricks.
+    fn check(&self, capacity: usize) -> Arc<SampleBricks> {
         let (truth, counts) = cast_rows_scalar(
             &self.frame(),
             Method::Brute,
@@ -84,12 +84,15 @@ impl Case {
             InstructionSet::Portable,
         )
         .unwrap();
-        let bricks = Arc::new(SampleBricks::with_room(self.frame().shape_ijk(), room));
+        let bricks = Arc::new(SampleBricks::with_capacity(
+            self.frame().shape_ijk(),
+            capacity,
+        ));
         for simd in InstructionSet::available() {
             let frame = self.frame().with_samples(Arc::clone(&bricks)).unwrap();
             for _ in 0..2 {
                 let (shown, stats) = cast_rows(&frame, Method::Brute, 0..16, simd).unwrap();
-                assert!(shown == truth, "{simd:?}, room for {room}");
+                assert!(shown == truth, "{simd:?}, room for {capacity}");
                 assert_eq!(stats, counts);
             }
         }
@@ -102,10 +105,10 @@ proptest! {
 
     #[test]
     fn pictures_from_bricks_are_the_scalar_casters(
-        shape in prop::array::uniform3(1usize..14), seed in any::<u64>(), room in 0usize..40,
+        shape in prop::array::uniform3(1usize..14), seed in any::<u64>(), capacity in 0usize..40,
     ) {
-        let bricks = Case::random(shape, [-1024, 3071], seed).check(room);
-        prop_assert!(bricks.len() <= room);
+        let bricks = Case::random(shape, [-1024, 3071], seed).check(capacity);
+        prop_assert!(bricks.len() <= capacity);
     }
 
     #[test]

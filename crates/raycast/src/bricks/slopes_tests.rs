@@ -184,14 +184,17 @@ fn a_picture_is_the_same_whatever_bricks_there_are_and_however_many_can_be_kept(
     let shown = |frame: &Frame<'_>, simd| cast_rows(frame, Method::Brute, 0..40, simd).unwrap().0;
     let truth = shown(&case.frame(), InstructionSet::Portable);
     for simd in InstructionSet::available() {
-        for room in [0, 1, 2, 1000] {
-            let bricks = Arc::new(NormalBricks::with_room(&case.frame(), room));
+        for capacity in [0, 1, 2, 1000] {
+            let bricks = Arc::new(NormalBricks::with_capacity(&case.frame(), capacity));
             let frame = case.frame().with_normals(Arc::clone(&bricks)).unwrap();
             for _ in 0..2 {
-                assert!(shown(&frame, simd) == truth, "{simd:?}, room for {room}");
+                assert!(
+                    shown(&frame, simd) == truth,
+                    "{simd:?}, room for {capacity}"
+                );
             }
-            assert_eq!(bricks.is_full(), room <= 2);
-            assert!(bricks.len() <= room && bricks.is_empty() == (room == 0));
+            assert_eq!(bricks.is_full(), capacity <= 2);
+            assert!(bricks.len() <= capacity && bricks.is_empty() == (capacity == 0));
         }
     }
 }

@@ -45,35 +45,42 @@ impl<L: Lanes> Pace<L> {
 }
 
 impl Scene<'_> {
-    /// Look up the map in the lanes `asked`; return the lanes that have leaped.
+    /// Look up the map in the lanes `looked_up`; return the lanes that have leaped.
     ///
-    /// Lanes with a radius above 0 leap; the patience of the other lanes of `asked` grows.
+    /// Lanes with a radius above 0 leap; the patience of the other lanes of `looked_up` grows.
     #[inline(always)]
-    pub(super) fn ask<L: Lanes>(
+    pub(super) fn look_up<L: Lanes>(
         &self,
         l: L,
         packet: &mut Packet<L>,
         pace: &Pace<L>,
-        asked: L::M,
+        looked_up: L::M,
     ) -> L::M {
         let p = packet.at(l, packet.k, self.frame.origin3());
         let (index, v) = self.voxels.cell_of(l, p);
         // SAFETY: the map has as many voxels as the volume, and `cell_of` clamps the index to them in all lanes.
         // Benchmark: benchmarks/measurements/rendering.md.
         let r = unsafe { l.bytes(self.radius.as_ptr(), index) };
-        let leaps = l.and(asked, l.less_i(l.splat_i(0), r));
+        let leaps = l.and(looked_up, l.less_i(l.splat_i(0), r));
         let n = pace.steps(l, p, v, l.add(l.to_f(r), l.splat(self.margin)));
         let left = l.sub_i(packet.end, packet.k);
         let n = l.min_i(l.add_i(n, l.splat_i(1)), left);
-        self.settle(l, packet, asked, leaps, n);
+        self.settle(l, packet, looked_up, leaps, n);
         leaps
     }
 
-    /// Advance lanes by leaps of `n` samples and update the patience of the lanes `asked`; see `leap::Asking`.
+    /// Advance lanes by leaps of `n` samples and update the patience of the lanes `looked_up`; see `leap::LookupSchedule`.
     #[inline(always)]
-    fn settle<L: Lanes>(&self, l: L, packet: &mut Packet<L>, asked: L::M, leaps: L::M, n: L::I) {
+    fn settle<L: Lanes>(
+        &self,
+        l: L,
+        packet: &mut Packet<L>,
+        looked_up: L::M,
+        leaps: L::M,
+        n: L::I,
+    ) {
         let Price { worth, pays } = self.price;
-        let mut failed = l.without(asked, leaps);
+        let mut failed = l.without(looked_up, leaps);
         let mut paid = leaps;
         if worth > 1 {
             let short = l.and(leaps, l.less_i(n, l.splat_i(worth as i32)));
@@ -82,7 +89,7 @@ impl Scene<'_> {
         if pays > 1 {
             paid = l.without(leaps, l.less_i(n, l.splat_i(pays as i32)));
         }
-        packet.ask_at = l.select_i(failed, l.add_i(packet.k, packet.patience), packet.ask_at);
+        packet.lookup_at = l.select_i(failed, l.add_i(packet.k, packet.patience), packet.lookup_at);
         let twice = l.add_i(packet.patience, packet.patience);
         let more = l.min_i(twice, l.splat_i(MOST_PATIENCE as i32));
         let patience = l.select_i(failed, more, packet.patience);
@@ -103,17 +110,17 @@ impl Scene<'_> {
         unsafe { l.entries(segments.as_ptr(), at) }
     }
 
-    /// Look up the map of all classes in the lanes `asked`, and add a segment in lanes with a label; see
+    /// Look up the map of all classes in the lanes `looked_up`, and add a segment in lanes with a label; see
     /// `leap::cast_classes`.
     ///
     /// Return the lanes that have leaped and the lanes whose ray is now opaque.
     #[inline(always)]
-    pub(super) fn ask_classes<L: Lanes>(
+    pub(super) fn look_up_classes<L: Lanes>(
         &self,
         l: L,
         packet: &mut Packet<L>,
         pace: &Pace<L>,
-        asked: L::M,
+        looked_up: L::M,
     ) -> (L::M, L::M) {
         let p = packet.at(l, packet.k, self.frame.origin3());
         let (index, v) = self.voxels.nearest(l, p);
@@ -126,7 +133,7 @@ impl Scene<'_> {
             )
         };
         let zero = l.splat_i(0);
-        let leaps = l.and(asked, l.and(l.less_i(zero, r), l.less_i(zero, label)));
+        let leaps = l.and(looked_up, l.and(l.less_i(zero, r), l.less_i(zero, label)));
         let n = pace.steps(l, p, v, l.add(l.to_f(r), l.splat(self.margin)));
         let left = l.sub_i(packet.end, packet.k);
         let n = l.min_i(l.add_i(n, l.splat_i(1)), left);
@@ -160,7 +167,7 @@ impl Scene<'_> {
         }
         let through = l.mul(packet.transparency, segment[3]);
         packet.transparency = l.select(leaps, through, packet.transparency);
-        self.settle(l, packet, asked, leaps, n);
+        self.settle(l, packet, looked_up, leaps, n);
         (leaps, l.and(leaps, l.less(packet.transparency, limit)))
     }
 }

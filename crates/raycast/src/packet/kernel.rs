@@ -152,18 +152,19 @@ impl Scene<'_> {
             }
             let mut walk = active;
             if LEAP != BRUTE {
-                walk &= l.bits(l.less_i(packet.k, packet.ask_at));
-                let ask = active & !walk;
-                if ask.count_ones() >= walk.count_ones() {
-                    let asked = l.mask(ask);
+                walk &= l.bits(l.less_i(packet.k, packet.lookup_at));
+                let due = active & !walk;
+                if due.count_ones() >= walk.count_ones() {
+                    let looked_up = l.mask(due);
                     let leaps = if LEAP == CLASSES {
-                        let (leaps, opaque) = self.ask_classes(l, &mut packet, &pace, asked);
+                        let (leaps, opaque) =
+                            self.look_up_classes(l, &mut packet, &pace, looked_up);
                         active &= !l.bits(opaque);
                         leaps
                     } else {
-                        self.ask(l, &mut packet, &pace, asked)
+                        self.look_up(l, &mut packet, &pace, looked_up)
                     };
-                    band.stats.num_lookups += u64::from(ask.count_ones());
+                    band.stats.num_lookups += u64::from(due.count_ones());
                     band.stats.num_leaps += u64::from(l.bits(leaps).count_ones());
                     active &= l.bits(l.less_i(packet.k, packet.end));
                     continue;
@@ -185,8 +186,8 @@ impl Scene<'_> {
                 if LEAP == TRANSPARENT {
                     // The map is not looked up directly after a sample with opacity.
                     let next = l.add_i(packet.k, l.splat_i(1));
-                    let later = l.max_i(packet.ask_at, next);
-                    packet.ask_at = l.select_i(lit, later, packet.ask_at);
+                    let later = l.max_i(packet.lookup_at, next);
+                    packet.lookup_at = l.select_i(lit, later, packet.lookup_at);
                 }
                 active &= !walk | l.bits(goes_on);
             }

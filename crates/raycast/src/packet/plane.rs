@@ -173,9 +173,9 @@ impl<'a> PlaneTiles<'a> {
         p
     }
 
-    /// Sample rows of pixels tile by tile; `ASKS` enables prefetches.
+    /// Sample rows of pixels tile by tile; `PREFETCHES` enables prefetches.
     #[inline(always)]
-    fn tiles<L: Lanes, const ASKS: bool>(
+    fn tiles<L: Lanes, const PREFETCHES: bool>(
         &self,
         l: L,
         starts: &[[f32; 3]],
@@ -199,13 +199,13 @@ impl<'a> PlaneTiles<'a> {
                     let mut column = first;
                     while column < end {
                         let t = l.add(l.splat(column as f32), centres);
-                        if ASKS {
+                        if PREFETCHES {
                             // Prefetch later rows of this tile, and at the tile's end those of the next tile.
                             let soon = row + ROWS_AHEAD;
                             let beside = if soon < starts.len() { 0 } else { TILE_COLUMNS };
                             let t = l.add(t, l.splat(beside as f32));
                             let start = &starts[soon % starts.len()];
-                            self.voxels.ask_for(l, self.places(l, t, start));
+                            self.voxels.prefetch_cells(l, self.places(l, t, start));
                         }
                         let p = self.places(l, t, &starts[row]);
                         let at = row * width + column;

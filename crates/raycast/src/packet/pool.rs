@@ -29,7 +29,7 @@ pub(super) struct Packet<L: Lanes> {
     /// Index of the ray's pixel in the band.
     pub pixel: L::I,
     /// Number of the sample at which the map is next looked up.
-    pub ask_at: L::I,
+    pub lookup_at: L::I,
     /// Number of samples between a look-up that saves nothing and the next one (see [`crate::leap`]).
     pub patience: L::I,
     /// Bit mask of the lanes that contain a ray.
@@ -48,7 +48,7 @@ impl<L: Lanes> Packet<L> {
             k: none,
             end: none,
             pixel: none,
-            ask_at: none,
+            lookup_at: none,
             patience: none,
             occupied: 0,
         }
@@ -91,7 +91,7 @@ pub(super) struct Pool {
     k: [i32; CAPACITY],
     end: [i32; CAPACITY],
     pixel: [i32; CAPACITY],
-    ask_at: [i32; CAPACITY],
+    lookup_at: [i32; CAPACITY],
     patience: [i32; CAPACITY],
 }
 
@@ -111,7 +111,7 @@ impl Pool {
             k: [0; CAPACITY],
             end: [0; CAPACITY],
             pixel: [0; CAPACITY],
-            ask_at: [0; CAPACITY],
+            lookup_at: [0; CAPACITY],
             patience: [0; CAPACITY],
         }
     }
@@ -140,7 +140,7 @@ impl Pool {
         write(&mut self.end, at, rays.end);
         write(&mut self.pixel, at, *pixel);
         write(
-            &mut self.ask_at,
+            &mut self.lookup_at,
             at,
             rays.first.map(|first| first + start.wait as i32),
         );
@@ -170,7 +170,7 @@ impl Pool {
         l.put_i(packet.k, lanes, &mut self.k[at..]);
         l.put_i(packet.end, lanes, &mut self.end[at..]);
         l.put_i(packet.pixel, lanes, &mut self.pixel[at..]);
-        l.put_i(packet.ask_at, lanes, &mut self.ask_at[at..]);
+        l.put_i(packet.lookup_at, lanes, &mut self.lookup_at[at..]);
         l.put_i(packet.patience, lanes, &mut self.patience[at..]);
         self.len += lanes.count_ones() as usize;
         packet.occupied &= !lanes;
@@ -197,7 +197,7 @@ impl Pool {
         packet.k = l.fill_i(packet.k, lanes, &self.k[at..]);
         packet.end = l.fill_i(packet.end, lanes, &self.end[at..]);
         packet.pixel = l.fill_i(packet.pixel, lanes, &self.pixel[at..]);
-        packet.ask_at = l.fill_i(packet.ask_at, lanes, &self.ask_at[at..]);
+        packet.lookup_at = l.fill_i(packet.lookup_at, lanes, &self.lookup_at[at..]);
         packet.patience = l.fill_i(packet.patience, lanes, &self.patience[at..]);
         packet.occupied |= lanes;
     }

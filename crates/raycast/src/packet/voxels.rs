@@ -141,13 +141,13 @@ impl<'a> Voxels<'a> {
     ///
     /// The prefetches for neighbouring pixels cover the other rows.
     #[inline(always)]
-    pub(super) fn ask_for<L: Lanes>(&self, l: L, p: [L::F; 3]) {
+    pub(super) fn prefetch_cells<L: Lanes>(&self, l: L, p: [L::F; 3]) {
         let base = l.store_i(self.cells(l, p).base);
         let across = (self.stride[1] + self.stride[2]) as isize;
         for n in 0..L::N {
             let first = self.data.as_ptr().wrapping_offset(base[n] as isize);
-            ask_for_line(first);
-            ask_for_line(first.wrapping_offset(across));
+            prefetch_line(first);
+            prefetch_line(first.wrapping_offset(across));
         }
     }
 
@@ -329,7 +329,7 @@ impl<'a> Voxels<'a> {
 
 /// Prefetch the cache line at an address; any address is allowed.
 #[inline(always)]
-fn ask_for_line(at: *const i16) {
+fn prefetch_line(at: *const i16) {
     #[cfg(target_arch = "x86_64")]
     {
         use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
