@@ -260,13 +260,13 @@ impl AirwayTree {
                 self.shoot(id, to, length_mm, radius, None)
             };
             let pair = [child(0.0), child(core::f64::consts::PI)];
-            let room = pair
+            let clearance = pair
                 .iter()
-                .map(|b| self.room(b))
+                .map(|b| self.clearance(b))
                 .fold(f64::INFINITY, f64::min);
-            if room > 0.0 && best.as_ref().is_none_or(|(most, ..)| room > *most) {
+            if clearance > 0.0 && best.as_ref().is_none_or(|(most, ..)| clearance > *most) {
                 let normal = direction(cross(pair[0].tip_direction(), pair[1].tip_direction()));
-                best = Some((room, pair, normal));
+                best = Some((clearance, pair, normal));
             }
         }
         best.map(|(_, pair, normal)| (pair, normal))
@@ -275,14 +275,14 @@ impl AirwayTree {
     /// Return the clearance of a new branch from the pleura and from all unrelated branches, in mm.
     ///
     /// Below 0 the branch does not fit.
-    fn room(&self, branch: &Branch) -> f64 {
-        let mut room = f64::INFINITY;
+    fn clearance(&self, branch: &Branch) -> f64 {
+        let mut clearance = f64::INFINITY;
         // The start is on the parent, which may still be in the hilum.
         let from = branch.points.len() / 3;
         for (&p, &r) in branch.points.iter().zip(&branch.radius_mm).skip(from) {
-            room = room.min(-lung_distance(p) - r - branch.wall_mm - PLEURA_MM);
-            if room <= 0.0 {
-                return room;
+            clearance = clearance.min(-lung_distance(p) - r - branch.wall_mm - PLEURA_MM);
+            if clearance <= 0.0 {
+                return clearance;
             }
         }
         let (centre, reach) = branch.ball();
@@ -297,11 +297,11 @@ impl AirwayTree {
             for (&p, &r) in branch.points.iter().zip(&branch.radius_mm).skip(1) {
                 for (&q, &s) in other.points.iter().zip(&other.radius_mm) {
                     let gap = length(sub(p, q)) - r - s - branch.wall_mm - other.wall_mm;
-                    room = room.min(gap - GAP_MM);
+                    clearance = clearance.min(gap - GAP_MM);
                 }
             }
         }
-        room
+        clearance
     }
 
     /// Return true if a fillet joins two branches, that is, if they are parent and child or children of one parent.

@@ -332,12 +332,12 @@ fn place_nodule(tree: &AirwayTree, random: &mut Random) -> Nodule {
         };
         let branch = &tree.branches[branch_id];
         let clear = distance_mm - radius_mm - branch.radius_mm[0] - branch.wall_mm;
-        let room = clear.min(-lung_distance(centre_lps) - radius_mm - 2.0);
-        if room > 0.0 {
+        let clearance = clear.min(-lung_distance(centre_lps) - radius_mm - 2.0);
+        if clearance > 0.0 {
             return found;
         }
-        if best.is_none_or(|(most, _)| room > most) {
-            best = Some((room, found));
+        if best.is_none_or(|(most, _)| clearance > most) {
+            best = Some((clearance, found));
         }
     }
     // After 400 failed tries, which did not occur over many seeds, the best position is used.
