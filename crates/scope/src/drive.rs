@@ -104,7 +104,7 @@ pub struct ScopeDrive {
     axis: Axis,
     controls: Controls,
     /// Requested roll in radians including whole turns; `controls` contains less than one turn.
-    asked_roll_rad: f64,
+    requested_roll_rad: f64,
     touches: bool,
     state: ScopeState,
 }
@@ -132,7 +132,7 @@ impl ScopeDrive {
             .iter()
             .position(|&p| field.distance_mm(p) >= widest + 0.3)
         else {
-            let room = line
+            let clearance_mm = line
                 .iter()
                 .map(|&p| field.distance_mm(p))
                 .fold(f64::NEG_INFINITY, f64::max);
@@ -140,7 +140,7 @@ impl ScopeDrive {
                 reason: format!(
                     "it is {:.1} mm wide and the start of the path has room for {:.1} mm",
                     2.0 * widest,
-                    2.0 * (room - 0.3).max(0.0)
+                    2.0 * (clearance_mm - 0.3).max(0.0)
                 ),
             });
         };
@@ -189,7 +189,7 @@ impl ScopeDrive {
             first_up,
             axis,
             controls,
-            asked_roll_rad: 0.0,
+            requested_roll_rad: 0.0,
             touches: false,
         };
         drive.look(0.0, Limit::None, 0.0);
@@ -308,7 +308,7 @@ impl ScopeDrive {
             blocked |= !self.step(wanted);
         }
         self.controls.roll_rad = whole(roll_rad);
-        self.asked_roll_rad = roll_rad;
+        self.requested_roll_rad = roll_rad;
         if blocked {
             limit = Limit::Wall;
         }
@@ -391,8 +391,9 @@ impl ScopeDrive {
                 "the path passes {off:.0} mm from where the scope enters; it must start as the scope's own does"
             ));
         }
-        let room_mm = (line.len() - 1 - first) as f64 * PATH_STEP_MM;
-        let wanted_mm = (insertion_mm - self.entry_mm).clamp(0.0, self.body.length_mm.min(room_mm));
+        let remaining_mm = (line.len() - 1 - first) as f64 * PATH_STEP_MM;
+        let wanted_mm =
+            (insertion_mm - self.entry_mm).clamp(0.0, self.body.length_mm.min(remaining_mm));
         let at = |mm: f64| -> Point {
             let place = first as f64 + mm.max(0.0) / PATH_STEP_MM;
             let n = (place as usize).min(line.len() - 2);
@@ -421,7 +422,7 @@ impl ScopeDrive {
             if found {
                 self.axis = axis;
                 self.controls = controls;
-                self.asked_roll_rad = 0.0;
+                self.requested_roll_rad = 0.0;
                 break;
             }
             if depth_mm == 0.0 {
@@ -500,7 +501,7 @@ impl ScopeDrive {
         self.state = ScopeState {
             lps_from_tip: Affine::from_columns(tip.right, tip.down, tip.forward, tip.at),
             insertion_mm: self.entry_mm + self.controls.depth_mm,
-            roll_rad: self.asked_roll_rad,
+            roll_rad: self.requested_roll_rad,
             flexion_rad: self.controls.flexion_rad,
             contact,
             red_out: self.red_out(&tip),
@@ -541,12 +542,12 @@ impl ScopeDrive {
                 }
                 p = next;
             }
-            let room = self.field.distance_mm(p);
-            if room < 0.3 {
+            let clearance_mm = self.field.distance_mm(p);
+            if clearance_mm < 0.3 {
                 // There is no airway ahead, but the wall itself.
                 break;
             }
-            least = least.min(room);
+            least = least.min(clearance_mm);
             forward = unit(sub(p, at)).unwrap_or(forward);
             at = p;
             walked = ahead;

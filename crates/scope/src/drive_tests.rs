@@ -304,12 +304,12 @@ fn a_path_longer_than_any_airway_is_refused_however_it_is_cut() {
             .collect()
     };
     for num in [1, 2, 1000] {
-        let told = ScopeDrive::new(field(), BODY, &far(num), None)
+        let message = ScopeDrive::new(field(), BODY, &far(num), None)
             .unwrap_err()
             .to_string();
-        assert!(told.contains("6000 mm long"), "{told}");
-        let told = scope().place(&far(num), 50.0).unwrap_err().to_string();
-        assert!(told.contains("6000 mm long"), "{told}");
+        assert!(message.contains("6000 mm long"), "{message}");
+        let message = scope().place(&far(num), 50.0).unwrap_err().to_string();
+        assert!(message.contains("6000 mm long"), "{message}");
     }
     assert!(
         ScopeDrive::new(

@@ -154,8 +154,8 @@ impl Feelers {
             && field.distance_mm(tip.place([0.0, 0.0, -0.5 * r])) > 1.2 * r + 1.0;
         let skipped = if is_clear { self.num_front } else { 0 };
         for group in &self.groups[skipped..] {
-            let room = self.take(&mut least, group.first, field, tip, entry);
-            if room <= group.reach_mm + GUARD_MM {
+            let clearance_mm = self.take(&mut least, group.first, field, tip, entry);
+            if clearance_mm <= group.reach_mm + GUARD_MM {
                 for n in group.first + 1..group.end {
                     self.take(&mut least, n, field, tip, entry);
                 }
