@@ -77,7 +77,7 @@ pub fn reference_cell_map(labels: &[u8], shape_zyx: [usize; 3]) -> Result<Vec<u8
             for x in 0..nx {
                 let label = labels[(z * ny + y) * nx + x];
                 // No cube includes the first voxels of an axis, nor extends beyond the last.
-                let room = z
+                let largest = z
                     .min(y)
                     .min(x)
                     .min(nz - 1 - z)
@@ -88,7 +88,7 @@ pub fn reference_cell_map(labels: &[u8], shape_zyx: [usize; 3]) -> Result<Vec<u8
                     let mut rows = zs.flat_map(|z| ys.clone().map(move |y| (z * ny + y) * nx));
                     rows.all(|row| xs.clone().all(|x| labels[row + x] == label))
                 };
-                let most = room.min(MAX_RADIUS_VOX.into());
+                let most = largest.min(MAX_RADIUS_VOX.into());
                 let d = (1..=most).take_while(|&d| label != 0 && alike(d)).count();
                 radius.push(d as u8);
             }
