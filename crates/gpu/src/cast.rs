@@ -223,10 +223,10 @@ impl Gpu {
         encoder.copy_buffer_to_buffer(&slot.counts, 0, &slot.staging, out_bytes, count_bytes);
         let index = self.queue.submit([encoder.finish()]);
         // The read-back is queued behind the kernel; another thread may submit its picture while this one waits.
-        let (tell, told) = std::sync::mpsc::channel();
+        let (sender, receiver) = std::sync::mpsc::channel();
         slot.staging
             .map_async(wgpu::MapMode::Read, 0..end, move |done| {
-                let _ = tell.send(done);
+                let _ = sender.send(done);
             });
         self.wait(index);
         self.check_alive()?;
@@ -235,7 +235,8 @@ impl Gpu {
             reason,
         };
         // The first thread that detects the completion runs all callbacks; this may be the thread of another picture.
-        told.recv_timeout(self.facts.kind.patience())
+        receiver
+            .recv_timeout(self.facts.kind.patience())
             .map_err(|_| lost("the picture did not come back".to_owned()))?
             .map_err(|e| lost(e.to_string()))?;
         let num_missing = {

@@ -92,13 +92,13 @@ impl Gpu {
         .map_err(|e| refuse(e.to_string()))?;
         let trouble = Arc::new(Mutex::new(None));
         // The default handler would panic; this handler stores the error, and the next picture fails.
-        let heard = Arc::clone(&trouble);
+        let stored = Arc::clone(&trouble);
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
-            lock(&heard).get_or_insert_with(|| error.to_string());
+            lock(&stored).get_or_insert_with(|| error.to_string());
         }));
-        let heard = Arc::clone(&trouble);
+        let stored = Arc::clone(&trouble);
         device.set_device_lost_callback(move |reason, message| {
-            lock(&heard).get_or_insert_with(|| format!("lost ({reason:?}): {message}"));
+            lock(&stored).get_or_insert_with(|| format!("lost ({reason:?}): {message}"));
         });
         let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some("airway"),
