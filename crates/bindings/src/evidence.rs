@@ -51,9 +51,9 @@ impl Enclosures {
         py: Python<'py>,
         voxels_ijk: PyReadonlyArray2<'py, u16>,
     ) -> PyResult<Bound<'py, PyArray1<i16>>> {
-        let asked = voxels("voxels_ijk", &voxels_ijk, self.core.grid().shape_ijk())?;
+        let given = voxels("voxels_ijk", &voxels_ijk, self.core.grid().shape_ijk())?;
         let found: Vec<i16> = py.detach(|| {
-            asked
+            given
                 .par_iter()
                 .map(|v| self.core.at(v.map(usize::from)))
                 .collect()
@@ -69,9 +69,9 @@ impl Enclosures {
         py: Python<'py>,
         points_lps: PyReadonlyArray2<'py, f64>,
     ) -> PyResult<Bound<'py, PyArray1<f32>>> {
-        let asked = points("points_lps", &points_lps)?;
+        let given = points("points_lps", &points_lps)?;
         let found: Vec<f32> = py.detach(|| {
-            asked
+            given
                 .into_iter()
                 .map(|p| self.core.value_at(self.core.grid().to_ijk(Lps(p)).0))
                 .collect()

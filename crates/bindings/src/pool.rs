@@ -27,10 +27,10 @@ static RESERVATIONS: Mutex<Reservations> = Mutex::new(Reservations {
 /// Clock of the pool with all threads of the machine, whose threads never end.
 static ALL: LazyLock<PoolClock> = LazyLock::new(|| {
     let clock = PoolClock::new(rayon::current_num_threads());
-    let asked = clock.clone();
+    let clock_of_thread = clock.clone();
     // `spawn_broadcast` does not wait, so a thread that is busy with a map registers its clock when the map is
     // finished.
-    rayon::spawn_broadcast(move |_| asked.add_this_thread());
+    rayon::spawn_broadcast(move |_| clock_of_thread.add_this_thread());
     clock
 });
 
@@ -71,8 +71,8 @@ impl Reservation {
                 .ok()
                 .map(|pool| {
                     let clock = PoolClock::new(threads);
-                    let asked = clock.clone();
-                    pool.spawn_broadcast(move |_| asked.add_this_thread());
+                    let clock_of_thread = clock.clone();
+                    pool.spawn_broadcast(move |_| clock_of_thread.add_this_thread());
                     Arc::new(Smaller { pool, clock })
                 });
         }

@@ -212,10 +212,10 @@ fn reached<'py>(
     tracker: &LumenTracker,
     nodes_of: PyReadonlyArray1<'py, u32>,
 ) -> PyResult<Bound<'py, PyArray1<bool>>> {
-    let asked = nodes(tracker, &nodes_of)?;
+    let given = nodes(tracker, &nodes_of)?;
     let found: Vec<bool> = py.detach(|| {
         let solved = tracker.lock();
-        asked
+        given
             .iter()
             .map(|n| solved.cost_quanta(*n).is_some())
             .collect()
