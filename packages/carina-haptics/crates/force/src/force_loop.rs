@@ -51,7 +51,7 @@ struct Tick {
 
 /// Input that has arrived since the previous tick.
 #[derive(Default)]
-struct Heard {
+struct TickInput {
     sample: Option<(HandSample, Instant)>,
     /// Sender and content of the latest UDP message with a sample.
     request: Option<(SocketAddr, SamplePacket)>,
@@ -229,9 +229,9 @@ impl Shared {
     /// Run one tick; return the number of ticks that were due by the end of this one, including this one.
     fn tick(&self, tick: &mut Tick, due_ns: u64, began_ns: u64) -> u64 {
         let began = Instant::now();
-        let heard = self.listen(began);
-        if heard.sample.is_some() {
-            tick.newest = heard.sample;
+        let input = self.listen(began);
+        if input.sample.is_some() {
+            tick.newest = input.sample;
         }
         if let Some(wander) = &mut tick.simulated {
             let sample = wander.step(&tick.last, began.duration_since(self.started).as_secs_f64());
@@ -254,10 +254,10 @@ impl Shared {
             num_due,
             late_us: began_ns.saturating_sub(due_ns) as f64 * 1e-3,
             work_us: done_ns.saturating_sub(began_ns) as f64 * 1e-3,
-            latency_us: heard.sample.map(|(_, at)| at.elapsed().as_secs_f64() * 1e6),
+            latency_us: input.sample.map(|(_, at)| at.elapsed().as_secs_f64() * 1e6),
         };
         tick.counts.add(&times, &tick.last, &last);
-        self.answer(heard.request, &tick.last);
+        self.answer(input.request, &tick.last);
         num_due
     }
 
@@ -274,8 +274,8 @@ impl Shared {
         }
     }
 
-    fn listen(&self, now: Instant) -> Heard {
-        let mut heard = Heard::default();
+    fn listen(&self, now: Instant) -> TickInput {
+        let mut input = TickInput::default();
         if let Some(socket) = &self.socket {
             // The buffer has one byte more than a sample, so that a longer packet is detected.
             let mut bytes = [0; SAMPLE_BYTES + 1];
@@ -284,22 +284,22 @@ impl Shared {
                     break;
                 };
                 match SamplePacket::from_bytes(&bytes[..num]) {
-                    Some(packet) => heard.request = Some((from, packet)),
+                    Some(packet) => input.request = Some((from, packet)),
                     None => {
                         self.num_refused.fetch_add(1, Ordering::Relaxed);
                     }
                 }
             }
-            heard.sample = heard
+            input.sample = input
                 .request
                 .map(|(_, packet)| (self.device.to_lps(&packet.hand), now));
         }
         if let Ok(mut put) = self.put.try_lock()
             && let Some(sample) = put.take()
         {
-            heard.sample = Some(sample);
+            input.sample = Some(sample);
         }
-        heard
+        input
     }
 
     fn update_figures(&self, counts: &LoopCounts) {

@@ -61,7 +61,7 @@ fn a_bridge_on_loopback_is_answered_in_its_own_axes_and_forgotten_when_silent() 
         .set_read_timeout(Some(Duration::from_secs(20)))
         .unwrap();
     let mut number = 0;
-    let mut ask = |at: [f64; 3]| {
+    let mut felt_at = |at: [f64; 3]| {
         number += 1;
         bridge.send(&sample(number, at).to_bytes()).unwrap();
         let mut bytes = [0; 200];
@@ -73,10 +73,10 @@ fn a_bridge_on_loopback_is_answered_in_its_own_axes_and_forgotten_when_silent() 
         );
         answer.felt
     };
-    assert_eq!(ask([0.0, 0.0, 0.0]).force_n, [0.0; 3]);
-    let mut felt = ask([0.0, 16.0, 0.0]);
+    assert_eq!(felt_at([0.0, 0.0, 0.0]).force_n, [0.0; 3]);
+    let mut felt = felt_at([0.0, 16.0, 0.0]);
     for _ in 0..60 {
-        felt = ask([0.0, 16.0, 0.0]);
+        felt = felt_at([0.0, 16.0, 0.0]);
     }
     // 8 mm to the patient's left is 1.45 mm into the wall; the force is along the device's -y.
     assert!(felt.touches && felt.force_n[1] < -0.3, "{felt:?}");
