@@ -90,7 +90,8 @@ impl Row {
     /// Summarise a row of finite weights above 0, the most frequent case; return `None` for any other row.
     ///
     /// Sixteen weights are compared at once, so the function is as fast as reading the volume. Whether all weights are
-    /// integers is determined only if `check_whole` is true, because a single fraction decides the result for the volume.
+    /// integers is determined only if `check_whole` is true, because a single fraction decides the result for the
+    /// volume.
     fn of_positive(weights: &[f32], check_whole: bool) -> Option<Self> {
         let first = *weights.first()?;
         let (mut low, mut high, mut wall) = ([first; LANES], [first; LANES], [0u32; LANES]);

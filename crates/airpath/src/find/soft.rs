@@ -81,7 +81,7 @@ pub fn mixed(
 pub struct CutOff {
     /// Lowest value of the sharp volume.
     pub floor: i16,
-    /// Value of air.
+    /// Value of air in the softened volume.
     pub air: i16,
     /// Largest value of the softened volume that only air has.
     pub certain: i16,

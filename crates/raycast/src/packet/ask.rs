@@ -69,7 +69,8 @@ impl Scene<'_> {
         leaps
     }
 
-    /// Advance lanes by leaps of `n` samples and update the patience of the lanes `looked_up`; see `leap::LookupSchedule`.
+    /// Advance lanes by leaps of `n` samples and update the patience of the lanes `looked_up`; see
+    /// `leap::LookupSchedule`.
     #[inline(always)]
     fn settle<L: Lanes>(
         &self,

@@ -70,7 +70,8 @@ impl<L: Lanes> Packet<L> {
         p
     }
 
-    /// Mark some lanes as free after their pixels were written; return the sum of the last sample numbers of their rays.
+    /// Mark some lanes as free after their pixels were written; return the sum of the last sample numbers of their
+    /// rays.
     #[inline(always)]
     pub(super) fn finish(&mut self, l: L, lanes: u32) -> u64 {
         let k = l.store_i(self.k);
