@@ -65,7 +65,7 @@ fn lumen_of(values: &[i16]) -> Vec<u8> {
 }
 
 #[test]
-fn the_wall_distance_is_the_radius_in_the_middle_of_a_tube() {
+fn the_wall_distance_in_the_middle_of_a_tube_equals_its_radius() {
     let grid = oblique([40, 40, 44]);
     let middle = grid.to_lps(Ijk([22.0, 20.0, 20.0])).0;
     let far = |sign: f64| [0, 1, 2].map(|i| middle[i] + sign * [8.0, 5.0, 60.0][i]);
@@ -90,7 +90,7 @@ fn the_wall_distance_is_the_radius_in_the_middle_of_a_tube() {
 }
 
 #[test]
-fn a_diagonal_step_does_not_cross_a_wall() {
+fn a_diagonal_step_across_a_wall_has_no_edge() {
     let grid = oblique([3, 6, 6]);
     let mut values = vec![0i16; grid.num_voxels()];
     let (a, b, c) = ([2, 2, 1], [3, 3, 1], [2, 3, 1]);
@@ -115,7 +115,7 @@ fn a_diagonal_step_does_not_cross_a_wall() {
 }
 
 #[test]
-fn a_path_keeps_to_the_middle_and_its_cost_is_finite() {
+fn a_path_stays_in_the_middle_of_the_lumen_and_its_cost_is_finite() {
     let grid = oblique([50, 40, 44]);
     let middle = grid.to_lps(Ijk([22.0, 20.0, 25.0])).0;
     let far = |sign: f64| [0, 1, 2].map(|i| middle[i] + sign * [6.0, -4.0, 30.0][i]);
@@ -237,7 +237,7 @@ const LIMITS: FloodLimits = FloodLimits {
 };
 
 #[test]
-fn the_trachea_is_found_however_the_grid_is_stored() {
+fn the_trachea_is_found_for_every_axis_order_and_flip_of_the_grid() {
     for flips in [
         [false; 3],
         [true, false, false],
@@ -266,7 +266,7 @@ fn the_trachea_is_found_however_the_grid_is_stored() {
 }
 
 #[test]
-fn a_tube_that_splits_without_lungs_beside_it_is_no_trachea() {
+fn a_tube_that_divides_without_lungs_beside_it_is_rejected_as_trachea() {
     // The same tubes without lungs around them look like bowel in an abdomen.
     let grid = chest_grid([false; 3]);
     let tubes = airway(&grid);
@@ -283,7 +283,7 @@ fn a_tube_that_splits_without_lungs_beside_it_is_no_trachea() {
 }
 
 #[test]
-fn a_trachea_that_goes_on_nowhere_is_refused_and_one_with_a_single_bronchus_is_doubted() {
+fn a_trachea_without_bronchi_is_rejected_and_one_with_a_single_bronchus_has_a_doubt() {
     let grid = chest_grid([false; 3]);
     let found = |num_tubes: usize| {
         let values = chest(&grid, &airway(&grid)[..num_tubes]);
@@ -299,7 +299,7 @@ fn a_trachea_that_goes_on_nowhere_is_refused_and_one_with_a_single_bronchus_is_d
 }
 
 #[test]
-fn a_trachea_with_a_narrow_bronchus_or_a_collapsed_lung_is_the_same_trachea_with_a_doubt() {
+fn a_narrow_bronchus_or_a_collapsed_lung_adds_a_doubt_to_an_equal_trachea() {
     let grid = chest_grid([false, true, false]);
     let whole = airway(&grid);
     let find = |values: &[i16]| {
@@ -326,7 +326,7 @@ fn a_trachea_with_a_narrow_bronchus_or_a_collapsed_lung_is_the_same_trachea_with
 }
 
 #[test]
-fn a_main_bronchus_is_no_trachea_where_the_volume_begins_below_the_carina() {
+fn a_main_bronchus_is_rejected_as_trachea_if_the_volume_begins_below_the_carina() {
     let grid = chest_grid([false; 3]);
     let centre = airway(&grid)[0].1;
     let at = |x: f64, y: f64, z: f64| [centre[0] + x, centre[1] + y, centre[2] + z];
@@ -351,7 +351,7 @@ fn a_main_bronchus_is_no_trachea_where_the_volume_begins_below_the_carina() {
 }
 
 #[test]
-fn the_flood_fills_the_airway_and_not_the_lung_through_a_hole_in_the_wall() {
+fn the_flood_does_not_enter_the_lung_through_a_hole_in_the_wall() {
     let grid = chest_grid([false; 3]);
     let tubes = airway(&grid);
     let mut values = chest(&grid, &tubes);
@@ -470,7 +470,7 @@ fn the_tree_has_the_drawn_branches_and_children_begin_where_their_parent_ends() 
 }
 
 #[test]
-fn the_nearest_lumen_voxel_is_the_nearest_of_all() {
+fn the_nearest_lumen_voxel_equals_that_of_an_exhaustive_search() {
     let grid = oblique([20, 24, 70]);
     let mut state = 7u64;
     let mut noise = || {

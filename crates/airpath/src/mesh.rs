@@ -495,7 +495,7 @@ mod tests {
     }
 
     #[test]
-    fn a_ball_is_closed_and_has_its_volume_on_either_hand() {
+    fn the_mesh_of_a_ball_is_closed_and_has_its_volume_in_right_and_left_handed_grids() {
         let (radius, spacing) = (6.0, [0.7, 0.8, 1.1]);
         for mirrored in [false, true] {
             let grid = grid([24, 28, 30], spacing, mirrored);
@@ -525,7 +525,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lumen_that_touches_the_volumes_faces_is_closed_half_a_voxel_out() {
+    fn a_lumen_at_the_volumes_faces_is_closed_half_a_voxel_outside() {
         let grid = grid([3, 3, 3], [1.0; 3], false);
         let values = vec![-1000i16; 27];
         let view = VolumeView::new(&values, &grid).unwrap();
@@ -541,7 +541,7 @@ mod tests {
     }
 
     #[test]
-    fn an_empty_lumen_is_refused() {
+    fn an_empty_lumen_is_rejected() {
         let grid = grid([2, 2, 2], [1.0; 3], false);
         let values = vec![0i16; 8];
         let view = VolumeView::new(&values, &grid).unwrap();
@@ -550,7 +550,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn any_set_of_voxels_has_a_closed_surface(
+        fn the_surface_of_any_set_of_voxels_is_closed(
             lumen in prop::collection::vec(0u8..2, 4 * 4 * 4),
             values in prop::collection::vec(-1000i16..200, 4 * 4 * 4),
             with_levels: bool,

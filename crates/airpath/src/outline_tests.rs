@@ -110,7 +110,7 @@ fn winding(lines: &[Vec<PicturePoint>], at: PicturePoint) -> i32 {
 }
 
 #[test]
-fn no_cell_has_two_rings_about_a_middle() {
+fn no_cell_has_two_rings_with_a_vertex_at_the_centre() {
     for (case, rings) in cell_rings().iter().enumerate() {
         let without = rings.iter().filter(|ring| !ring.has_apex).count();
         assert!(without <= 1, "{case:08b}");
@@ -118,7 +118,7 @@ fn no_cell_has_two_rings_about_a_middle() {
 }
 
 #[test]
-fn on_any_plane_the_outline_of_a_ball_lies_within_half_a_voxel_of_its_wall() {
+fn the_outline_of_a_ball_is_within_half_a_voxel_of_its_wall_on_any_plane() {
     let (radius, spacing, size) = (7.0, [0.6, 0.7, 1.5], 300);
     let mut random = Random(7);
     for mirrored in [false, true] {
@@ -183,7 +183,7 @@ fn on_any_plane_the_outline_of_a_ball_lies_within_half_a_voxel_of_its_wall() {
 }
 
 #[test]
-fn a_plane_on_the_voxels_and_one_between_them_both_have_whole_outlines() {
+fn planes_through_voxel_centres_and_between_them_have_closed_outlines() {
     let grid = Grid::new([9, 20, 20], Affine::IDENTITY).unwrap();
     let values = vec![0i16; grid.num_voxels()];
     let lumen: Vec<u8> = (0..values.len())
@@ -216,7 +216,7 @@ fn a_plane_on_the_voxels_and_one_between_them_both_have_whole_outlines() {
 }
 
 #[test]
-fn a_lumen_of_noise_has_no_outline_and_takes_no_time_to_say_so() {
+fn a_lumen_of_noise_is_rejected_as_too_ragged() {
     let grid = Grid::new([3, 600, 600], Affine::IDENTITY).unwrap();
     let values = vec![0i16; grid.num_voxels()];
     let lumen: Vec<u8> = (0..values.len())
@@ -263,7 +263,7 @@ fn off_lines(at: PicturePoint, lines: &[Vec<PicturePoint>]) -> f64 {
 }
 
 #[test]
-fn encoded_lines_are_the_lines_to_a_quarter_of_a_pixel_and_end_at_the_pictures_edge() {
+fn encoded_lines_deviate_by_at_most_a_quarter_pixel_and_end_at_the_pictures_edge() {
     let size = (40, 30);
     let ring: Vec<PicturePoint> = (0..=400)
         .map(|n| {
@@ -303,7 +303,7 @@ fn encoded_lines_are_the_lines_to_a_quarter_of_a_pixel_and_end_at_the_pictures_e
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(60))]
     #[test]
-    fn on_any_plane_the_outline_of_any_mask_parts_lumen_from_the_rest_to_half_a_voxel(
+    fn the_outline_of_any_mask_separates_the_lumen_to_half_a_voxel_on_any_plane(
         seed: u64,
         values in prop::collection::vec(-1000i16..200, 13 * 12 * 11),
         with_levels: bool,

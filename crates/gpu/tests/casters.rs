@@ -133,7 +133,7 @@ fn inside() -> Scene {
 }
 
 #[test]
-fn pictures_of_random_scenes_are_the_cpus_within_a_grey_level() {
+fn pictures_of_random_scenes_equal_the_cpus_within_one_grey_level() {
     for gpu in gpus() {
         let mut runner = TestRunner::deterministic();
         let (mut num_off, mut worst, mut num_pixels, mut num_lit) = (0, 0, 0, 0);
@@ -177,7 +177,7 @@ fn pictures_of_random_scenes_are_the_cpus_within_a_grey_level() {
 }
 
 #[test]
-fn strips_assembled_are_the_whole_picture_bit_for_bit() {
+fn assembled_strips_equal_the_whole_picture_bit_for_bit() {
     for gpu in gpus() {
         let mut scene = inside();
         scene.resize(61, 47);
@@ -197,7 +197,7 @@ fn strips_assembled_are_the_whole_picture_bit_for_bit() {
 }
 
 #[test]
-fn a_lens_with_a_round_image_gives_the_cpus_picture() {
+fn a_picture_through_a_round_lens_equals_the_cpus_picture() {
     for gpu in gpus() {
         let mut scene = inside();
         let mut pictures = Vec::new();
@@ -226,7 +226,7 @@ fn a_lens_with_a_round_image_gives_the_cpus_picture() {
 }
 
 #[test]
-fn first_walls_are_the_cpus() {
+fn first_walls_equal_those_of_the_cpu() {
     for gpu in gpus() {
         let mut runner = TestRunner::deterministic();
         let (mut num_far, mut num_walls) = (0, 0);
@@ -261,7 +261,7 @@ fn first_walls_are_the_cpus() {
 }
 
 #[test]
-fn rays_stop_at_the_frames_limit() {
+fn rays_stop_at_the_stop_limit_of_the_frame() {
     for gpu in gpus() {
         let scene = inside();
         frame_of(&scene, |frame| {
@@ -292,7 +292,7 @@ fn lit_frame_of<T>(scene: &Scene, look: impl FnOnce(&Frame<'_>) -> T) -> T {
 }
 
 #[test]
-fn walls_lit_after_casting_are_the_cpus() {
+fn walls_shaded_after_casting_equal_those_of_the_cpu() {
     let simd = InstructionSet::best();
     for gpu in gpus() {
         let mut runner = TestRunner::deterministic();
@@ -343,7 +343,7 @@ fn walls_lit_after_casting_are_the_cpus() {
 }
 
 #[test]
-fn strips_of_lit_walls_have_one_exposure() {
+fn strips_with_shaded_walls_have_the_exposure_of_the_whole_picture() {
     for gpu in gpus() {
         let mut scene = inside();
         scene.resize(61, 47);
@@ -370,7 +370,7 @@ fn strips_of_lit_walls_have_one_exposure() {
 }
 
 #[test]
-fn a_picture_that_would_lack_its_light_is_refused() {
+fn casting_colours_of_a_frame_with_an_appearance_is_rejected() {
     let simd = InstructionSet::best();
     for gpu in gpus() {
         let scene = inside();
@@ -397,7 +397,7 @@ fn a_picture_that_would_lack_its_light_is_refused() {
 }
 
 #[test]
-fn a_picture_of_several_bands_is_the_cpus() {
+fn a_picture_of_several_bands_equals_the_cpus_picture() {
     for gpu in gpus() {
         let mut scene = inside();
         // A picture of more than two million pixels needs two dispatches.
@@ -411,7 +411,7 @@ fn a_picture_of_several_bands_is_the_cpus() {
 }
 
 #[test]
-fn pictures_cast_by_several_threads_at_once_are_the_same() {
+fn pictures_cast_by_several_threads_at_once_equal_single_casts() {
     for gpu in gpus() {
         let mut scene = inside();
         scene.resize(96, 80);
@@ -434,7 +434,7 @@ fn pictures_cast_by_several_threads_at_once_are_the_same() {
 }
 
 #[test]
-fn what_does_not_fit_or_does_not_belong_together_is_refused() {
+fn volumes_that_do_not_fit_and_maps_of_other_volumes_are_rejected() {
     for gpu in gpus() {
         let scene = inside();
         let shape = scene.grid.shape_zyx();

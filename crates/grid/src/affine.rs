@@ -166,7 +166,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn inverse_undoes_the_map(
+        fn the_inverse_map_returns_every_point(
             angles in prop::array::uniform3(-3.0f64..3.0),
             spacing in prop::array::uniform3(0.05f64..9.0),
             origin in prop::array::uniform3(-500.0f64..500.0),
@@ -182,7 +182,7 @@ mod tests {
         }
 
         #[test]
-        fn composition_is_application_in_turn(
+        fn a_composed_map_equals_the_successive_application_of_its_parts(
             first in prop::array::uniform3(-3.0f64..3.0),
             second in prop::array::uniform3(-3.0f64..3.0),
             p in prop::array::uniform3(-100.0f64..100.0),
@@ -197,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn a_flat_or_broken_matrix_is_refused() {
+    fn a_singular_or_non_finite_matrix_is_rejected() {
         let mut m = [
             [1.0, 0.0, 0.0, 0.0],
             [0.0, 1.0, 0.0, 0.0],

@@ -263,7 +263,7 @@ mod tests {
     }
 
     #[test]
-    fn a_ray_beside_a_pixels_middle_lies_where_the_lens_says() {
+    fn a_ray_beside_a_pixels_centre_has_the_direction_of_the_lens_model() {
         let plain = Camera::new(Affine::IDENTITY, 1.7, 60, 40).unwrap();
         let optics = Optics::new(&Lens::Equidistant, Some(2.0), 60, 40).unwrap();
         let round = ImageField {
@@ -313,7 +313,7 @@ mod tests {
     }
 
     #[test]
-    fn wide_and_narrow_fields_of_view_are_accepted_and_absurd_ones_refused() {
+    fn fields_of_view_up_to_170_degrees_are_accepted_and_zero_or_larger_ones_rejected() {
         for deg in [60.0, 90.0, 120.0, 170.0f64] {
             assert!(Camera::new(Affine::IDENTITY, deg.to_radians(), 64, 64).is_ok());
         }
@@ -323,7 +323,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mirrored_pose_is_refused() {
+    fn a_mirrored_pose_is_rejected() {
         let mirrored =
             Affine::from_columns([-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0; 3]);
         assert!(Camera::new(mirrored, 1.0, 64, 64).is_err());

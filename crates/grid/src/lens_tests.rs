@@ -48,7 +48,7 @@ fn the_field_of_view_spans_the_shorter_side_with_every_lens() {
 }
 
 #[test]
-fn a_model_that_folds_inside_the_picture_is_refused_and_one_that_folds_outside_is_cut() {
+fn a_lens_that_folds_back_inside_the_picture_is_rejected_and_outside_is_limited() {
     // r (1 - 0.3 r^2) folds back at r^2 = 1 / 0.9, which is 46.51 degrees.
     let lens = brown(-0.3, 0.0, 0.0, 0.0);
     let words = Optics::new(&lens, Some(120f64.to_radians()), 64, 64)
@@ -80,7 +80,7 @@ fn a_model_that_folds_inside_the_picture_is_refused_and_one_that_folds_outside_i
 }
 
 #[test]
-fn a_calibration_scales_with_the_picture_and_refuses_other_proportions() {
+fn a_calibration_scales_with_the_picture_and_rejects_other_proportions() {
     let lens = Lens::Calibrated(Calibration {
         distortion: Distortion::Brown {
             k: [-0.2, 0.05, 0.0, 0.0, 0.0, 0.0],
@@ -163,7 +163,7 @@ fn any_lens() -> impl Strategy<Value = Lens> {
 
 proptest! {
     #[test]
-    fn pixels_and_directions_are_each_others_inverse(
+    fn pixel_and_direction_conversions_are_inverse(
         lens in any_lens(),
         fov_deg in 1.0f64..170.0,
         (width, height) in (16usize..900, 16usize..900),

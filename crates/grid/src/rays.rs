@@ -322,7 +322,7 @@ mod tests {
     }
 
     #[test]
-    fn mirrored_quarters_are_what_the_lens_says() {
+    fn mirrored_quarters_equal_the_directions_of_the_lens() {
         for (width, height) in [(31, 20), (20, 31), (9, 9), (1, 1), (2, 5)] {
             let optics = Optics::new(&Lens::Equidistant, Some(2.5), width, height).unwrap();
             assert!(optics.is_symmetric());
@@ -352,7 +352,7 @@ mod tests {
     }
 
     #[test]
-    fn strips_are_shaded_as_the_whole_picture() {
+    fn strips_are_darkened_equally_to_the_whole_picture() {
         let rays = rays(FieldShape::Octagon, 1.5, 0.7);
         let picture: Vec<u8> = (0..60 * 40 * 3).map(|n| (n * 7 % 256) as u8).collect();
         let mut whole = picture.clone();
@@ -366,7 +366,7 @@ mod tests {
     }
 
     #[test]
-    fn a_field_out_of_range_is_refused_with_the_value() {
+    fn an_image_field_out_of_range_is_rejected_with_the_value() {
         for (edge_px, vignette) in [(-1.0, 0.0), (0.0, 1.5), (f64::NAN, 0.0), (0.0, f64::NAN)] {
             let field = ImageField {
                 shape: FieldShape::Round,

@@ -227,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn a_voxel_reaches_half_a_voxel_beyond_its_centre() {
+    fn a_voxel_extends_half_a_voxel_round_its_centre() {
         let g = grid();
         assert_eq!(g.voxel_at(Ijk([-0.5, 4.49, 3.0])), Some([0, 4, 3]));
         assert_eq!(g.voxel_at(Ijk([-0.51, 0.0, 0.0])), None);
@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn empty_axes_and_wrong_lengths_are_refused() {
+    fn empty_axes_and_wrong_array_lengths_are_rejected() {
         assert_eq!(
             Grid::new([4, 0, 6], Affine::IDENTITY).unwrap_err().code(),
             "geometry.shape"

@@ -259,14 +259,14 @@ mod tests {
     }
 
     #[test]
-    fn opaque_runs_get_label_0_when_only_transparent_classes_are_asked_for() {
+    fn opaque_runs_get_label_0_with_transparent_only() {
         let out = class_labels(&[10, 12, 14], 10, &[CLEAR, CLEAR, RED, RED, CLEAR], true).unwrap();
         assert_eq!(out.labels[1], 0);
         assert!(out.labels[0] != 0 && out.labels[2] != 0 && out.labels[0] != out.labels[2]);
     }
 
     #[test]
-    fn the_255_most_frequent_bins_get_labels_and_the_rest_are_never_leaped() {
+    fn the_255_most_frequent_bins_get_labels_and_the_others_label_0() {
         // There are 300 bins; bin n has n + 1 voxels, so bins 0 to 44 are the rarest.
         let hu: Vec<i16> = (0..300i16)
             .flat_map(|n| std::iter::repeat_n(n * 16 + 5, n as usize + 1))
@@ -281,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn the_range_of_values_is_that_of_every_one_of_them() {
+    fn the_value_range_equals_that_of_a_plain_search() {
         assert_eq!(value_range(&[]), None);
         assert_eq!(value_range(&[7]), Some((7, 7)));
         for n in [63, 64, 65, 200_000] {
@@ -295,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn an_empty_table_is_refused() {
+    fn an_empty_colour_table_is_rejected() {
         assert_eq!(
             class_labels(&[1], 0, &[], false),
             Err(IsoRegionError::EmptyTable)

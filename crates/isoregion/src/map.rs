@@ -298,7 +298,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_fast_map_equals_the_papers(
+        fn the_fast_map_equals_the_map_of_the_papers_iteration(
             // The rows are shorter than any register, longer than every register, and not a whole number of registers.
             shape in (1usize..40, 1usize..20, prop_oneof![1usize..24, 30usize..36, 60usize..70, 90usize..140]),
             seed in any::<u64>(),
@@ -351,7 +351,7 @@ mod tests {
     }
 
     #[test]
-    fn long_empty_rows_count_to_255_and_no_further() {
+    fn distances_in_long_uniform_rows_stop_at_255() {
         // In a long thin box the faces are always near, so the paper's iteration is fast.
         let shape = [7, 9, 700];
         for at in [0, 64, 300, 699] {
@@ -367,7 +367,7 @@ mod tests {
     }
 
     #[test]
-    fn a_build_that_is_stopped_says_so() {
+    fn a_cancelled_construction_returns_an_error() {
         let labels = vec![1; 64 * 64 * 64];
         let mut out = vec![0; labels.len()];
         for num_slabs in [1, 4] {
@@ -382,13 +382,13 @@ mod tests {
     }
 
     #[test]
-    fn an_array_that_does_not_fit_the_shape_is_refused() {
+    fn an_array_with_the_wrong_length_is_rejected() {
         let map = MapBuilder::default().radius_map(&[1; 8], [2; 3], &mut [0; 7]);
         assert_eq!(map.unwrap_err().code(), "geometry.length");
     }
 
     #[test]
-    fn radii_stop_at_255_and_never_wrap() {
+    fn radii_stop_at_255_without_wrapping() {
         // A thin stack would never reach a radius of 255, so the cube is 515 voxels wide: its centre would have radius
         // 257.
         let n = 515;

@@ -130,7 +130,7 @@ mod tests {
 
     proptest::proptest! {
         #[test]
-        fn the_papers_iteration_finds_what_the_definition_says(
+        fn the_papers_iteration_equals_the_definition_of_the_radius(
             shape in proptest::array::uniform3(1usize..9),
             odd in proptest::collection::vec((0usize..512, 0u8..3), 0..6),
         ) {
@@ -144,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn a_uniform_cube_has_the_distance_to_its_faces() {
+    fn radii_in_a_uniform_cube_equal_the_distance_to_its_faces() {
         let radius = paper_radius_map(&[3; 125], [5, 5, 5]).unwrap();
         assert_eq!(radius[62], 2);
         assert_eq!(radius[0], 0);
@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn labels_that_do_not_fill_the_shape_are_refused() {
+    fn a_wrong_number_of_labels_is_rejected() {
         assert_eq!(
             paper_radius_map(&[1; 7], [2, 2, 2]).unwrap_err().code(),
             "geometry.length"

@@ -80,7 +80,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_segment_is_its_samples_composited_one_by_one() {
+    fn a_segment_equals_its_samples_composited_one_by_one() {
         let classes = [
             [0.1, 0.02, 0.03, 0.2],
             [0.0, 0.0, 0.0, 0.0],
@@ -105,14 +105,14 @@ mod tests {
     }
 
     #[test]
-    fn one_sample_of_a_region_of_radius_0_counts() {
+    fn a_segment_of_one_sample_adds_this_sample() {
         let table = SegmentTable::new(&[[0.1, 0.2, 0.3, 0.4]]);
         let bits = |entry: [f32; 4]| entry.map(f32::to_bits);
         assert_eq!(bits(table.segment(1, 1)), bits([0.1, 0.2, 0.3, 0.6]));
     }
 
     #[test]
-    fn a_segment_is_cut_where_the_ray_becomes_opaque() {
+    fn samples_until_returns_the_sample_at_which_the_ray_becomes_opaque() {
         let table = SegmentTable::new(&[[0.0, 0.0, 0.0, 0.5]]);
         // 0.5^9 = 1/512 is not below the limit; the tenth sample is.
         assert_eq!(table.samples_until(1, 60, 1.0, 1.0 / 512.0), 10);

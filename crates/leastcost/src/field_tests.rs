@@ -315,17 +315,17 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(400))]
 
     #[test]
-    fn a_cost_by_both_ends_is_the_heaps(scene in scene(weight())) {
+    fn costs_by_both_ends_equal_those_of_the_heap(scene in scene(weight())) {
         scene.with(|field| equals_the_heap::<MeanCost>(field, scene.root))?;
     }
 
     #[test]
-    fn a_cost_by_the_voxel_entered_is_the_heaps(scene in scene(weight())) {
+    fn costs_by_the_entered_voxel_equal_those_of_the_heap(scene in scene(weight())) {
         scene.with(|field| equals_the_heap::<EnterCost>(field, scene.root))?;
     }
 
     #[test]
-    fn whole_costs_with_free_voxels_are_the_heaps_and_exact(scene in scene(whole_weight())) {
+    fn integer_costs_with_free_voxels_equal_those_of_the_heap_exactly(scene in scene(whole_weight())) {
         scene.with(|field| {
             equals_the_heap::<EnterCost>(field, scene.root)?;
             prop_assert_eq!(Quanta::<EnterCost>::choose(field).unwrap().unit, 1.0);
@@ -334,7 +334,7 @@ proptest! {
     }
 
     #[test]
-    fn resumed_targets_equal_a_fresh_solve(
+    fn resumed_searches_equal_fresh_searches(
         scene in scene(weight()),
         targets in prop::collection::vec(any::<prop::sample::Index>(), 1..8),
     ) {
@@ -345,7 +345,7 @@ proptest! {
     }
 
     #[test]
-    fn an_aimed_path_costs_what_the_heaps_does(
+    fn an_a_star_path_costs_as_much_as_that_of_the_heap(
         scene in prop_oneof![scene(weight()), scene((1.0f32..1.3).boxed())],
         targets in prop::collection::vec(any::<prop::sample::Index>(), 1..6),
     ) {
@@ -356,7 +356,7 @@ proptest! {
     }
 
     #[test]
-    fn an_aimed_path_of_whole_costs_with_free_voxels_is_exact(
+    fn an_a_star_path_with_integer_costs_and_free_voxels_is_exact(
         scene in prop_oneof![scene(whole_weight()), scene((1u8..4).prop_map(f32::from).boxed())],
         targets in prop::collection::vec(any::<prop::sample::Index>(), 1..6),
     ) {
@@ -364,7 +364,7 @@ proptest! {
     }
 
     #[test]
-    fn a_cost_is_right_within_half_a_percent(scene in scene(weight())) {
+    fn costs_are_accurate_within_half_a_percent(scene in scene(weight())) {
         scene.with(|field| {
             let mut mean = FieldTracker::<MeanCost>::new(field, scene.root).unwrap();
             let mut enter = FieldTracker::<EnterCost>::new(field, scene.root).unwrap();
@@ -390,7 +390,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
     #[test]
-    fn several_tiles_give_the_costs_of_the_heap(scene in wide_scene(), first in any::<prop::sample::Index>()) {
+    fn costs_over_several_tiles_equal_those_of_the_heap(scene in wide_scene(), first in any::<prop::sample::Index>()) {
         scene.with(|field| {
             equals_the_heap::<MeanCost>(field, scene.root)?;
             equals_the_heap::<EnterCost>(field, scene.root)?;
@@ -400,7 +400,7 @@ proptest! {
     }
 
     #[test]
-    fn every_instruction_set_gives_the_same_tree(scene in wide_scene()) {
+    fn the_tree_is_equal_for_every_instruction_set(scene in wide_scene()) {
         scene.with(|field| {
             same_for_every_set::<MeanCost>(field, scene.root)?;
             same_for_every_set::<EnterCost>(field, scene.root)
@@ -409,7 +409,7 @@ proptest! {
 }
 
 #[test]
-fn rows_that_are_all_open_are_whatever_their_length() {
+fn rows_of_any_length_without_walls_are_recognised() {
     for nx in 1..40 {
         let values = vec![1.0f32; nx * 2];
         let grid = grid([nx, 2, 1], [1.0; 3]);
@@ -465,13 +465,13 @@ fn goes_on_where_it_stopped<C: StepCost>() {
 }
 
 #[test]
-fn a_stopped_tracker_goes_on_where_it_stopped() {
+fn a_stopped_tracker_resumes_with_equal_results() {
     goes_on_where_it_stopped::<MeanCost>();
     goes_on_where_it_stopped::<EnterCost>();
 }
 
 #[test]
-fn a_target_near_the_root_settles_little() {
+fn a_target_near_the_root_settles_few_voxels() {
     let scene = cube(64, 1.0);
     scene.with(|field| {
         let near = field.node_at_voxel([3, 2, 1]).unwrap();
@@ -482,7 +482,7 @@ fn a_target_near_the_root_settles_little() {
 }
 
 #[test]
-fn an_aimed_path_settles_little_but_itself() {
+fn an_a_star_search_in_a_uniform_field_settles_few_voxels() {
     let scene = cube(64, 1.0);
     scene.with(|field| {
         let far = field.node_at_voxel([63, 40, 21]).unwrap();
@@ -495,7 +495,7 @@ fn an_aimed_path_settles_little_but_itself() {
 }
 
 #[test]
-fn an_aimed_search_stops_on_request_and_refuses_in_words() {
+fn an_a_star_search_can_be_stopped_and_rejects_invalid_arguments() {
     let mut scene = cube(64, 1.0);
     scene.with(|field| {
         let error = least_path::<EnterCost>(field, scene.root, u32::MAX, &Unwatched).unwrap_err();
@@ -516,7 +516,7 @@ fn an_aimed_search_stops_on_request_and_refuses_in_words() {
 }
 
 #[test]
-fn memory_is_what_the_head_of_the_file_says() {
+fn memory_per_voxel_is_within_the_documented_limits() {
     let scene = cube(96, 1.5);
     let voxels = scene.values.len() as f64;
     scene.with(|field| {
@@ -533,7 +533,7 @@ fn memory_is_what_the_head_of_the_file_says() {
 }
 
 #[test]
-fn what_cannot_be_tracked_is_refused_in_words() {
+fn invalid_fields_and_roots_are_rejected_with_a_message() {
     let code = |scene: &Scene| {
         scene.with(|field| {
             let error = FieldTracker::<MeanCost>::new(field, scene.root).unwrap_err();
@@ -568,7 +568,7 @@ fn what_cannot_be_tracked_is_refused_in_words() {
 }
 
 #[test]
-fn a_path_that_costs_more_than_can_be_counted_is_refused() {
+fn a_path_cost_beyond_the_representable_range_returns_an_error() {
     // A corridor of the most expensive voxels follows a voxel that makes the quantum small: 128 quanta times 15,000 per
     // voxel.
     let n = 2_000;

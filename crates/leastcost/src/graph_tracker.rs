@@ -321,7 +321,7 @@ mod tests {
     }
 
     #[test]
-    fn all_four_pairs_find_the_way_through_a_tube() {
+    fn all_combinations_of_graph_and_cost_find_the_path_through_a_tube() {
         let (grid, values, lumen) = tube();
         let view = VolumeView::new(&values, &grid).unwrap();
         let whole = VoxelBox {
@@ -368,7 +368,7 @@ mod tests {
     }
 
     #[test]
-    fn a_root_outside_and_a_missing_lumen_are_refused() {
+    fn a_root_outside_the_lumen_and_a_missing_lumen_are_rejected() {
         let (grid, values, lumen) = tube();
         let view = VolumeView::new(&values, &grid).unwrap();
         let half = VoxelBox {

@@ -81,7 +81,7 @@ fn pruning_gives_figure_12b() {
 }
 
 #[test]
-fn linking_figure_12_connects_it() {
+fn links_connect_the_pruned_graph_of_figure_12() {
     let graph = figure_12();
     assert_eq!(graph.num_centres(), 6);
     assert_eq!(components(&graph, 0..graph.num_nodes() as u32), 1);
@@ -165,7 +165,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(100))]
 
     #[test]
-    fn the_pruned_graph_is_connected_where_the_whole_one_is((shape, labels) in labels()) {
+    fn the_pruned_graph_has_the_components_of_the_whole_graph((shape, labels) in labels()) {
         let grid = grid(shape);
         let graph = pruned(&grid, &labels);
         prop_assert_eq!(components(&graph, 0..graph.num_nodes() as u32), 1);
@@ -180,7 +180,7 @@ proptest! {
     }
 
     #[test]
-    fn edges_go_both_ways_once_and_links_stay_in_one_label((shape, labels) in labels()) {
+    fn edges_are_symmetric_and_unique_and_links_stay_in_one_label((shape, labels) in labels()) {
         let grid = grid(shape);
         let graph = pruned(&grid, &labels);
         let mut edges = Vec::new();
@@ -206,7 +206,7 @@ proptest! {
     }
 
     #[test]
-    fn the_lumen_pruned_hangs_together_as_the_lumen_does((shape, labels) in labels()) {
+    fn the_pruned_lumen_graph_has_the_components_of_the_lumen((shape, labels) in labels()) {
         let grid = grid(shape);
         let lumen: Vec<u8> = labels.iter().map(|l| u8::from(*l == 1)).collect();
         prop_assume!(lumen.contains(&1));
@@ -247,7 +247,7 @@ proptest! {
     }
 
     #[test]
-    fn resumed_targets_on_the_pruned_graph_cost_what_a_plain_search_finds(
+    fn resumed_costs_on_the_pruned_graph_equal_dijkstra(
         (shape, labels) in labels(),
         noise in any::<u64>(),
         targets in prop::collection::vec(any::<u32>(), 1..6),
@@ -301,7 +301,7 @@ fn edge_costs(graph: &impl Graph, cost: &impl Cost) -> (f64, f64) {
 }
 
 #[test]
-fn a_large_room_keeps_its_walls_and_its_middle() {
+fn pruning_a_large_cube_leaves_its_faces_and_its_centre() {
     let grid = grid([21, 21, 21]);
     let graph = pruned(&grid, &vec![1u8; grid.num_voxels()]);
     // The remaining nodes are the faces, and the one voxel in the middle that is farthest from all of them.

@@ -55,7 +55,7 @@ fn same(a: &Tracker, b: &Tracker, num_nodes: usize) -> Result<(), TestCaseError>
 
 proptest! {
     #[test]
-    fn edits_one_after_the_other_equal_the_whole_from_scratch(
+    fn a_lumen_edited_step_by_step_equals_one_built_from_scratch(
         noise in prop::collection::vec(-1000i16..200, 14 * 12 * 16),
         strokes in strokes(),
         with_levels in any::<bool>(),
@@ -116,7 +116,7 @@ proptest! {
     }
 
     #[test]
-    fn the_cheapest_way_costs_what_a_search_of_all_finds(
+    fn the_least_cost_path_in_a_box_costs_as_much_as_in_an_exhaustive_search(
         weights in prop::collection::vec(prop_oneof![Just(0.0f32), 0.5f32..9.0], 5 * 4 * 5),
         goal in 0..100usize,
         start in 0..100usize,

@@ -117,7 +117,7 @@ proptest! {
     }
 
     #[test]
-    fn resumed_targets_cost_what_a_plain_search_finds(
+    fn resumed_costs_equal_dijkstra(
         case in case(),
         targets in prop::collection::vec(any::<u32>(), 1..6),
         walls in any::<bool>(),
@@ -185,7 +185,7 @@ fn a_step_edge_gives_the_printed_numbers() {
 }
 
 #[test]
-fn where_walls_are_dear_a_step_costs_all_there_is_and_even_values_next_to_nothing() {
+fn in_the_walls_cost_a_step_edge_is_expensive_and_uniform_values_are_cheap() {
     let grid = grid([5, 5, 8]);
     let values: Vec<i16> = (0..grid.num_voxels())
         .map(|n| if grid.voxel(n)[0] < 4 { -1000 } else { 0 })
@@ -205,7 +205,7 @@ fn where_walls_are_dear_a_step_costs_all_there_is_and_even_values_next_to_nothin
 }
 
 #[test]
-fn metal_does_not_make_walls_cheap_where_they_are_dear() {
+fn metal_does_not_make_walls_cheap_in_the_walls_cost() {
     let grid = grid([20, 20, 20]);
     let mut values: Vec<i16> = (0..grid.num_voxels())
         .map(|n| if grid.voxel(n)[0] < 10 { -1000 } else { 0 })
@@ -221,7 +221,7 @@ fn metal_does_not_make_walls_cheap_where_they_are_dear() {
 }
 
 #[test]
-fn a_volume_of_one_value_has_a_cost_all_the_same() {
+fn a_volume_with_one_value_has_the_weight_of_a_zero_gradient() {
     let grid = grid([3, 3, 4]);
     let values = vec![17; grid.num_voxels()];
     let view = VolumeView::new(&values, &grid).unwrap();
@@ -231,7 +231,7 @@ fn a_volume_of_one_value_has_a_cost_all_the_same() {
 }
 
 #[test]
-fn a_box_that_is_not_in_the_volume_is_refused() {
+fn a_box_outside_the_volume_is_rejected() {
     let grid = grid([3, 3, 4]);
     for (first_ijk, shape_ijk) in [
         ([0, 0, 0], [5, 3, 3]),

@@ -125,7 +125,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn places_count_the_members_in_array_order(bits in prop::collection::vec(any::<bool>(), 7 * 5 * 6)) {
+        fn members_are_numbered_in_array_order(bits in prop::collection::vec(any::<bool>(), 7 * 5 * 6)) {
             let voxel_box = VoxelBox { first_ijk: [3, 1, 2], shape_ijk: [7, 5, 6] };
             let voxel = |at: usize| voxel_box.voxel(at).map(|v| v as isize);
             let members: Vec<[isize; 3]> = (0..bits.len()).filter(|at| bits[*at]).map(voxel).collect();

@@ -147,7 +147,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_nearest_voxel_outside_is_as_near_as_a_search_of_all_finds(
+        fn the_distance_to_the_nearest_site_equals_an_exhaustive_search(
             outside in prop::collection::vec(prop::bool::weighted(0.1), 5 * 6 * 7),
             spacing in prop::array::uniform3(0.3f64..3.0),
         ) {

@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn shells_are_told_apart_by_radius() {
+    fn values_of_shells_follow_from_the_radius() {
         let g = grid();
         let hu = shells(&g, [0.0, 0.0, 0.0], &[4.0, 8.0], &[1, 2, 3]);
         for (n, &v) in hu.iter().enumerate() {

@@ -394,7 +394,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_quick_root_is_good_to_one_in_two_thousand() {
+    fn the_fast_root_is_accurate_to_1_in_2000() {
         for n in 0..2000 {
             let s = libm::exp(-12.0 + 0.012 * f64::from(n));
             let (about, exact) = (root_about(s), root(s));
@@ -403,7 +403,7 @@ mod tests {
     }
 
     #[test]
-    fn surfaces_are_exact_where_tissue_changes_and_on_the_same_side_beyond() {
+    fn surface_distances_are_exact_near_tissue_changes_and_have_the_right_sign_elsewhere() {
         let (mut near, mut far) = (0, 0);
         for n in 0..40_000 {
             let p = [

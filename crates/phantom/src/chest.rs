@@ -369,7 +369,7 @@ mod tests {
     }
 
     #[test]
-    fn one_thread_and_four_make_the_same_chest() {
+    fn a_chest_does_not_depend_on_the_number_of_threads() {
         let on = |threads: usize| {
             rayon::ThreadPoolBuilder::new()
                 .num_threads(threads)
@@ -381,7 +381,7 @@ mod tests {
     }
 
     #[test]
-    fn a_chest_is_in_the_same_place_on_an_oblique_grid() {
+    fn the_lumen_has_equal_positions_on_an_oblique_grid() {
         let straight = Chest::generate(&options(), &mut |_| true).unwrap();
         // The grid is rotated by 20 degrees about z and its i axis is mirrored: another grid in the same patient.
         let (s, c) = (libm::sin(0.35), libm::cos(0.35));
@@ -439,7 +439,7 @@ mod tests {
     }
 
     #[test]
-    fn the_caller_can_stop_the_work() {
+    fn a_false_result_of_proceed_cancels_the_generation() {
         let mut calls = 0;
         let stopped = Chest::generate(&options(), &mut |_| {
             calls += 1;

@@ -121,7 +121,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn of_a_resected_lobe_a_stump_is_left_and_the_tree_is_whole() {
+    fn a_resected_lobe_leaves_a_stump_and_a_consistent_tree() {
         for lobe in Lobe::ALL {
             let before = AirwayTree::grow(3, 6, 110.0);
             let lost = before.named(lobe.name()).unwrap();

@@ -71,7 +71,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn noise_has_the_wanted_deviation_and_is_correlated_in_plane() {
+    fn noise_has_the_requested_deviation_and_is_correlated_in_plane() {
         let (width, height) = (200, 150);
         let mut slice = vec![0.0f32; width * height];
         add_noise(&mut slice, width, 7, 99, 20.0);

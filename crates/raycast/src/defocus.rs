@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn what_lies_in_the_range_is_sharp_and_what_is_nearer_is_not() {
+    fn edges_in_the_focus_range_are_sharp_and_nearer_edges_are_blurred() {
         for depth_mm in [3.0, 6.0, 20.0, 50.0] {
             assert!(width_of_edge(&edge(depth_mm)) <= 2, "{depth_mm} mm");
         }
@@ -177,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn an_even_picture_stays_even_and_a_sharp_edge_before_a_blurred_wall_stays() {
+    fn a_uniform_picture_and_a_sharp_edge_before_a_blurred_wall_are_unchanged() {
         let even = vec![77; 60 * 60 * 3];
         let depths: Vec<f32> = (0..3600).map(|n| 0.3 + (n % 60) as f32).collect();
         assert_eq!(defocus(&even, &depths, 60, FOCUS, None).unwrap(), even);
@@ -199,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn a_range_that_is_none_and_depths_of_another_size_are_refused() {
+    fn an_invalid_focus_range_and_depths_of_another_size_are_rejected() {
         let run = |near_mm, far_mm, num_depths| {
             let focus = Focus { near_mm, far_mm };
             defocus(&[0; 27], &vec![1.0; num_depths], 3, focus, None)

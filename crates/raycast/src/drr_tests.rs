@@ -186,7 +186,7 @@ fn ellipsoids_of_water_and_bone_give_their_chords() {
 }
 
 #[test]
-fn tissue_gives_what_fine_sampling_along_the_ray_gives() {
+fn radiographs_of_tissue_equal_fine_sampling_along_the_ray() {
     let grid = oblique([40, 41, 42]);
     let data: Vec<i16> = (0..grid.num_voxels())
         .map(|n| {
@@ -280,7 +280,7 @@ fn every_instruction_set_gives_the_same_bits() {
 }
 
 #[test]
-fn a_volume_of_one_slice_and_an_attenuation_that_is_no_number() {
+fn one_slice_gives_its_length_and_a_nan_attenuation_is_rejected() {
     let grid = Grid::new([1, 5, 6], Affine::IDENTITY).unwrap();
     let data = vec![0i16; 30];
     let volume = VolumeView::new(&data, &grid).unwrap();

@@ -175,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn a_slab_gathers_along_its_normal_and_counts_only_what_is_in_the_volume() {
+    fn a_slab_combines_values_along_its_normal_and_ignores_samples_outside() {
         let (grid, data) = (grid(), data());
         let volume = VolumeView::new(&data, &grid).unwrap();
         let window = Window::new(255.0, 127.5).unwrap();
@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn absurd_slabs_are_refused() {
+    fn slabs_out_of_range_are_rejected() {
         let (grid, data) = (grid(), data());
         let volume = VolumeView::new(&data, &grid).unwrap();
         let window = Window::new(255.0, 127.5).unwrap();

@@ -72,7 +72,7 @@ mod tests {
     }
 
     #[test]
-    fn a_branch_one_voxel_thick_keeps_a_quarter() {
+    fn a_branch_one_voxel_thick_has_a_quarter_of_the_full_value() {
         let mut mask = [0u8; 5 * 5 * 5];
         for z in 0..5 {
             mask[z * 25 + 12] = 1;

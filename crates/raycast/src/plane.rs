@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn every_instruction_set_gives_the_pixels_that_are_taken_one_by_one() {
+    fn planes_of_every_instruction_set_equal_single_pixels() {
         let mut state = 5u64;
         let mut random = |most: f64| {
             state = state

@@ -402,7 +402,7 @@ mod tests {
 
     #[cfg(target_arch = "x86_64")]
     #[test]
-    fn asking_ahead_changes_no_value() {
+    fn prefetches_do_not_change_projections() {
         for shape in [[4, 2, 32], [9, 3, 71], [6, 5, 64]] {
             let grid = Grid::new(shape, Affine::IDENTITY).unwrap();
             let [nk, nj, ni] = shape;

@@ -237,7 +237,7 @@ mod tests {
     }
 
     #[test]
-    fn opacity_does_not_depend_on_the_step_that_a_wall_is_cut_into() {
+    fn the_opacity_of_a_wall_does_not_depend_on_the_ray_step() {
         let through = |step_mm: f64| {
             let table = TransferTable::new(&ramp(), step_mm, -1024, 3071).unwrap();
             (1.0 - f64::from(table.at(40.0)[3])).powf(2.0 / step_mm)
@@ -257,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn broken_transfer_functions_are_refused() {
+    fn invalid_transfer_functions_are_rejected() {
         for points in [
             vec![],
             vec![[0.0, 2.0, 0.0, 0.0, 0.0]],

@@ -190,7 +190,7 @@ mod tests {
     use crate::smoothed_mask;
 
     #[test]
-    fn a_slice_is_smoothed_as_the_whole_mask_is() {
+    fn a_smoothed_slice_equals_that_of_the_smoothed_mask() {
         let [nz, ny, nx] = [5usize, 6, 7];
         let mask: Vec<u8> = (0..nz * ny * nx)
             .map(|n| u8::from(n * 2_654_435_761 % 97 < 40))
@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn a_box_or_a_table_that_does_not_fit_is_refused() {
+    fn a_box_or_a_table_of_the_wrong_size_is_rejected() {
         let table = [0i16; 1025];
         let heights = WallHeights {
             lumen: &table,

@@ -123,7 +123,7 @@ mod tests {
     };
 
     #[test]
-    fn a_scope_of_impossible_sizes_is_refused() {
+    fn scope_dimensions_out_of_range_are_rejected() {
         assert!(BODY.checked().is_ok());
         assert!(
             ScopeBody {

@@ -334,7 +334,7 @@ mod tests {
         }
 
         #[test]
-        fn a_point_of_the_curve_is_found_again(at in 0.0f64..1.0) {
+        fn the_nearest_position_of_a_point_on_the_curve_is_its_own_position(at in 0.0f64..1.0) {
             let curve = FlightCurve::new(&staircase(), None, 0.5).unwrap();
             let there = at * curve.length_mm();
             let found = curve.nearest(curve.pose_at(there).column(3));
@@ -345,7 +345,7 @@ mod tests {
     }
 
     #[test]
-    fn the_gaze_does_not_wobble_on_a_staircase_of_voxels() {
+    fn the_gaze_on_a_staircase_of_voxels_turns_slowly() {
         let curve = FlightCurve::new(&staircase(), None, 0.5).unwrap();
         // The slanted line itself turns by less than 0.5 degrees per mm; its voxel steps differ from it by up to 50
         // degrees.
@@ -385,7 +385,7 @@ mod tests {
     }
 
     #[test]
-    fn broken_paths_are_refused_and_a_very_short_one_flies() {
+    fn invalid_paths_are_rejected_and_a_very_short_path_is_accepted() {
         let p = [1.0, 2.0, 3.0];
         assert!(FlightCurve::new(&[], None, 0.5).is_err());
         assert!(FlightCurve::new(&[p, p, p], None, 0.5).is_err());
@@ -398,7 +398,7 @@ mod tests {
     }
 
     #[test]
-    fn tangent_frames_stand_across_the_curve_and_do_not_spin() {
+    fn tangent_frames_are_perpendicular_to_the_curve_and_do_not_twist() {
         // The path is a quarter circle of radius 40 mm in the coronal plane, with straight ends.
         let points: Vec<[f64; 3]> = (0..=200)
             .map(|i| {

@@ -79,7 +79,7 @@ fn scope() -> ScopeDrive {
 }
 
 #[test]
-fn pushed_straight_the_tip_goes_straight_and_looks_down_with_anterior_up() {
+fn a_scope_without_flexion_advances_straight_with_anterior_up() {
     let mut scope = scope();
     let state = scope.drive(60.0, 0.0, 0.0, 0.1).unwrap();
     let tip = state.lps_from_tip;
@@ -127,7 +127,7 @@ fn a_free_tip_bends_to_its_angle_with_the_radius_of_its_bending_section() {
 }
 
 #[test]
-fn the_two_flexions_have_their_own_stops() {
+fn upward_and_downward_flexion_stop_at_different_limits() {
     let mut scope = scope();
     scope.drive(60.0, 0.0, 0.0, 0.1).unwrap();
     let up = scope.drive(60.0, 0.0, 9.0, 0.1).unwrap();
@@ -137,7 +137,7 @@ fn the_two_flexions_have_their_own_stops() {
 }
 
 #[test]
-fn pushed_at_a_carina_it_stops_there_in_red_and_is_drawn_back_again() {
+fn a_scope_pushed_at_a_carina_stops_with_red_out_and_can_be_withdrawn() {
     let mut scope = scope();
     let state = scope.drive(140.0, 0.0, 0.0, 0.1).unwrap();
     assert!(state.insertion_mm > 90.0, "{}", state.insertion_mm);
@@ -187,7 +187,7 @@ pub(crate) fn steered(scope: &mut ScopeDrive, to: Point, steps: usize) -> crate:
 }
 
 #[test]
-fn steered_into_a_narrow_airway_it_stops_and_says_what_would_pass() {
+fn a_scope_in_a_narrow_airway_stops_and_reports_the_passable_diameter() {
     let mut scope = scope();
     steered(&mut scope, [0.0, 0.0, 12.0], 400);
     let state = steered(&mut scope, [-28.0, 0.0, -42.0], 400);
@@ -203,7 +203,7 @@ fn steered_into_a_narrow_airway_it_stops_and_says_what_would_pass() {
 }
 
 #[test]
-fn steered_into_the_other_arm_it_gets_to_its_end() {
+fn a_scope_steered_into_the_wide_arm_reaches_its_end() {
     let mut scope = scope();
     steered(&mut scope, [0.0, 0.0, 12.0], 400);
     steered(&mut scope, [34.0, 0.0, -34.0], 400);
@@ -216,7 +216,7 @@ fn steered_into_the_other_arm_it_gets_to_its_end() {
 }
 
 #[test]
-fn broken_samples_are_refused_and_change_nothing() {
+fn invalid_samples_are_rejected_without_effect() {
     let mut scope = scope();
     let before = scope.drive(30.0, 0.1, 0.2, 0.1).unwrap();
     for bad in [f64::NAN, f64::INFINITY] {
@@ -239,7 +239,7 @@ fn broken_samples_are_refused_and_change_nothing() {
 }
 
 #[test]
-fn the_same_samples_give_the_same_states_bit_for_bit() {
+fn equal_samples_give_equal_states_bit_for_bit() {
     let run = || {
         let mut scope = scope();
         let mut random = 9u64;
@@ -266,7 +266,7 @@ fn the_same_samples_give_the_same_states_bit_for_bit() {
 }
 
 #[test]
-fn a_roll_of_any_size_is_less_than_a_turn_and_does_not_hang() {
+fn rolls_of_any_size_finish_and_whole_turns_have_no_effect() {
     let mut scope = scope();
     let start = scope.drive(50.0, 0.0, 0.6, 0.1).unwrap();
     // Removing whole turns by a rounded division leaves 2.1e9 rad of this roll, which is 1e11 steps.
@@ -297,7 +297,7 @@ fn a_roll_of_any_size_is_less_than_a_turn_and_does_not_hang() {
 }
 
 #[test]
-fn a_path_longer_than_any_airway_is_refused_however_it_is_cut() {
+fn a_path_longer_than_any_airway_is_rejected_for_any_point_spacing() {
     let far = |num: usize| -> Vec<Point> {
         (0..=num)
             .map(|n| [0.0, 0.0, 110.0 - 6_000.0 * n as f64 / num as f64])

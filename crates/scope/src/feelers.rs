@@ -233,7 +233,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_balls_fill_the_tip_to_its_surface_and_nowhere_stick_out(
+        fn the_balls_cover_the_tips_surface_and_do_not_protrude(
             radius in 0.7f64..3.9,
             along in 0.0f64..1.0,
             turn in 0.0f64..6.3,
@@ -254,7 +254,7 @@ mod tests {
         }
 
         #[test]
-        fn a_tip_that_is_rolled_is_as_deep_in_a_wall_as_before(
+        fn the_clearance_of_a_tip_does_not_depend_on_its_roll(
             radius in 0.7f64..3.9,
             lean in 0.0f64..3.2,
             roll in 0.0f64..6.3,
@@ -283,7 +283,7 @@ mod tests {
         }
 
         #[test]
-        fn leaders_find_what_all_balls_find_wherever_a_tip_touches(
+        fn the_clearance_by_leaders_equals_that_of_all_balls_near_contact(
             radius in 0.7f64..3.9,
             at in prop::array::uniform3(0.0f64..1.0),
             look in prop::array::uniform3(-1.0f64..1.0),

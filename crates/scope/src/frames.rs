@@ -66,7 +66,7 @@ mod tests {
     }
 
     #[test]
-    fn on_a_helix_the_frame_turns_against_the_normal_by_the_torsion() {
+    fn frames_on_a_helix_rotate_against_the_normal_by_the_torsion() {
         // The frame turns by -torsion * length relative to the Frenet frame; torsion = b / (a^2 + b^2).
         let (a, b, length) = (10.0, 4.0, 60.0);
         let torsion = b / (a * a + b * b);
@@ -92,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn in_a_plane_the_frame_keeps_the_normal_of_the_plane() {
+    fn frames_of_a_plane_curve_contain_the_normal_of_the_plane() {
         let (points, tangents) = helix(20.0, 0.0, 90.0, 50);
         let frames = rotation_minimising_frames(&points, &tangents, [0.0, 0.0, 1.0]).unwrap();
         for frame in frames {
@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn an_up_direction_along_the_tangent_is_refused() {
+    fn an_up_direction_along_the_tangent_gives_none() {
         let (points, tangents) = helix(20.0, 0.0, 90.0, 5);
         assert!(rotation_minimising_frames(&points, &tangents, tangents[0]).is_none());
     }

@@ -281,7 +281,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn the_distance_of_a_cube_has_its_sign_beside_faces_edges_and_corners() {
+    fn the_distance_to_a_cube_has_the_right_sign_beside_faces_edges_and_corners() {
         let (vertices, triangles) = cube();
         let boxes = Boxes::new(&vertices, &triangles);
         let truth = |p: Point| {

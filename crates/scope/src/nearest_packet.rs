@@ -365,7 +365,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_side_of_the_wall_is_right_at_every_corner_and_fold(
+        fn distances_have_the_right_sign_at_every_corner_and_fold(
             radii in prop::collection::vec(2.0..6.0f64, 40..63),
             place in prop::array::uniform3(-6.0..6.0f64),
         ) {
@@ -377,7 +377,7 @@ mod tests {
         }
 
         #[test]
-        fn a_packet_measures_what_single_points_do(
+        fn distances_of_a_packet_equal_those_of_single_points(
             radii in prop::collection::vec(2.0..6.0f64, 40..63),
             place in prop::array::uniform3(-6.0..6.0f64),
             spread in 0.0..1.0f32,
@@ -389,7 +389,7 @@ mod tests {
         }
 
         #[test]
-        fn beside_faces_edges_and_corners_of_a_cube_packets_have_the_right_side(
+        fn packets_beside_faces_edges_and_corners_of_a_cube_have_the_right_sign(
             place in prop::array::uniform3(-8i32..8),
             seed in 0u32..1_000_000,
         ) {
@@ -399,7 +399,7 @@ mod tests {
     }
 
     #[test]
-    fn triangles_without_area_or_length_hide_nothing() {
+    fn triangles_without_area_or_length_do_not_change_distances() {
         let (mut vertices, mut triangles) = cube();
         vertices.push([0.0, 0.0, 5.0]);
         triangles.extend([[8, 8, 8], [0, 0, 1], [8, 1, 8]]);

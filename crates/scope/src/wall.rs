@@ -328,7 +328,7 @@ mod tests {
     }
 
     #[test]
-    fn the_distance_in_a_tube_is_its_radius_less_that_from_its_axis() {
+    fn the_distance_in_a_tube_is_its_radius_minus_the_distance_from_its_axis() {
         let field = tube(4.0);
         for (x, y) in [(1.5, 0.3), (-2.0, 1.9), (3.2, -2.0), (3.5, 3.0)] {
             let truth = 4.0 - libm::hypot(x, y);
@@ -342,7 +342,7 @@ mod tests {
     }
 
     #[test]
-    fn outside_the_lattice_and_at_no_number_it_is_outside_the_lumen() {
+    fn points_outside_the_lattice_and_nan_are_outside_the_lumen() {
         let field = tube(4.0);
         assert_eq!(field.distance_mm([0.0, 0.0, 900.0]), -OUTSIDE_MM);
         assert_eq!(field.distance_mm([f64::NAN, 0.0, 0.0]), -OUTSIDE_MM);
@@ -350,7 +350,7 @@ mod tests {
     }
 
     #[test]
-    fn distances_that_are_no_numbers_or_too_few_are_refused() {
+    fn nan_distances_and_a_wrong_number_of_distances_are_rejected() {
         assert!(WallField::from_distances(&[1.0; 7], [2, 2, 2], &Affine::IDENTITY).is_err());
         assert!(WallField::from_distances(&[f32::NAN; 8], [2, 2, 2], &Affine::IDENTITY).is_err());
         assert!(WallField::from_distances(&[-9.0; 8], [2, 2, 2], &Affine::IDENTITY).is_err());
@@ -363,13 +363,13 @@ mod tests {
     }
 
     #[test]
-    fn the_bytes_of_a_field_give_the_same_field() {
+    fn a_field_decoded_from_its_bytes_equals_the_field() {
         let field = tube(4.0);
         assert_eq!(WallField::from_bytes(&bytes_of(&field)), Ok(field));
     }
 
     #[test]
-    fn damaged_bytes_of_a_field_are_refused() {
+    fn damaged_bytes_of_a_field_are_rejected() {
         let good = bytes_of(&tube(4.0));
         for short in [0, 8, HEAD_BYTES, HEAD_BYTES + 3, good.len() - 1] {
             assert!(WallField::from_bytes(&good[..short]).is_err(), "{short}");

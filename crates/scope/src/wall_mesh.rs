@@ -345,7 +345,7 @@ mod tests {
     use crate::nearest::tests::{cube, of_rings};
 
     #[test]
-    fn the_field_of_a_mesh_is_its_distance_within_what_interpolation_leaves() {
+    fn the_field_of_a_mesh_equals_its_distance_within_the_interpolation_error() {
         let (vertices, triangles) = cube();
         let field = WallField::from_mesh(&vertices, &triangles, 0.5, &|_| true).unwrap();
         for (p, truth) in [
@@ -361,7 +361,7 @@ mod tests {
     }
 
     #[test]
-    fn a_broken_mesh_is_refused_and_work_can_be_stopped() {
+    fn an_invalid_mesh_is_rejected_and_the_computation_can_be_stopped() {
         let (vertices, triangles) = cube();
         assert!(WallField::from_mesh(&vertices, &[], 0.5, &|_| true).is_err());
         assert!(WallField::from_mesh(&vertices, &[[0, 1, 99]], 0.5, &|_| true).is_err());
@@ -386,7 +386,7 @@ mod tests {
     }
 
     #[test]
-    fn every_sample_of_a_field_is_what_the_readable_search_gives_also_on_the_faces_of_bricks() {
+    fn every_sample_of_a_field_equals_the_reference_search_also_on_faces_of_bricks() {
         let (vertices, triangles) = bulb();
         let spacing = 0.37;
         let field = WallField::from_mesh(&vertices, &triangles, spacing, &|_| true).unwrap();

@@ -531,7 +531,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(24))]
         #[test]
-        fn the_way_with_most_wall_costs_what_the_slow_search_finds(
+        fn the_path_with_most_wall_costs_as_much_as_in_an_exhaustive_search(
             seed in 0u64..1000,
             spacing in proptest::array::uniform3(0.5f64..3.0),
         ) {

@@ -116,7 +116,7 @@ fn a_faint_tube_is_followed_to_its_end_and_no_farther() {
 }
 
 #[test]
-fn a_short_stretch_without_wall_is_crossed_and_a_long_one_ends_the_way() {
+fn a_short_gap_in_the_wall_is_crossed_and_a_long_gap_ends_the_path() {
     let gap = |long: f64| {
         let mut chest = drawn(10.0, 20.0, 50.0, move |p| {
             if (30.0..30.0 + long).contains(&p[0]) {
@@ -134,7 +134,7 @@ fn a_short_stretch_without_wall_is_crossed_and_a_long_one_ends_the_way() {
 }
 
 #[test]
-fn in_divided_slices_a_way_ends_at_a_long_stretch_of_enclosed_lung_even_if_a_tube_lies_beyond_it() {
+fn in_divided_slices_a_path_ends_at_long_enclosed_lung_even_if_a_tube_follows() {
     let limits = ExtensionLimits {
         divided: Some(Divided {
             axis: 2,
@@ -177,7 +177,7 @@ fn lung_round_a_tube_that_ends_adds_nothing() {
 }
 
 #[test]
-fn a_straight_tube_is_likely_and_no_way_is_kept_below_the_least_probability() {
+fn a_straight_tube_is_probable_and_paths_below_the_least_probability_are_rejected() {
     let follow = |least_probability: f64| {
         let mut chest = drawn(30.0, 20.0, 50.0, |_| 1.0);
         let view = VolumeView::new(&chest.values, &chest.grid).unwrap();
@@ -195,7 +195,7 @@ fn a_straight_tube_is_likely_and_no_way_is_kept_below_the_least_probability() {
 }
 
 #[test]
-fn a_groove_between_two_vessels_beside_the_airway_is_no_airway() {
+fn a_groove_between_two_vessels_is_not_followed() {
     // Two adjacent bright bars with lung between them, from the end of the known tube on.
     let mut chest = drawn(15.0, 20.0, 20.0, |_| 1.0);
     let spacing = chest.grid.spacing_mm();
@@ -214,7 +214,7 @@ fn a_groove_between_two_vessels_beside_the_airway_is_no_airway() {
 }
 
 #[test]
-fn a_search_that_reaches_too_much_of_the_lung_is_given_up_and_adds_nothing() {
+fn a_search_that_reaches_too_much_of_the_lung_is_cancelled_and_adds_nothing() {
     // Several copies of a chest side by side, because the lung of one copy is too small for the share.
     let one = drawn(15.0, 20.0, 50.0, |_| 1.0);
     let grid = Grid::new([40 * 14, 46, 100], *one.grid.lps_from_ijk()).unwrap();
@@ -234,7 +234,7 @@ fn a_search_that_reaches_too_much_of_the_lung_is_given_up_and_adds_nothing() {
 }
 
 #[test]
-fn a_raised_bar_follows_less() {
+fn a_higher_enclosure_threshold_follows_less() {
     let follow = |raised: f64| {
         let mut chest = drawn(30.0, 20.0, 50.0, |_| 1.0);
         let view = VolumeView::new(&chest.values, &chest.grid).unwrap();
@@ -263,7 +263,7 @@ fn the_result_does_not_depend_on_the_number_of_threads() {
 }
 
 #[test]
-fn stopping_leaves_an_error_and_a_lumen_without_marks_is_asked_for() {
+fn a_stopped_search_returns_an_error_and_a_lumen_with_marks_is_rejected() {
     struct Never;
     impl carina_leastcost::Watch for Never {
         fn go_on(&self, _share: f64) -> Result<(), carina_leastcost::TrackError> {

@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn a_thin_blurred_tube_is_likelier_an_airway_than_a_wide_gap_as_bright() {
+    fn a_thin_blurred_tube_is_a_more_probable_airway_than_an_equally_bright_wide_gap() {
         let tube = log_odds(
             &section(1.0, 0.95, 250.0),
             -760.0,
@@ -201,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn the_blur_of_a_tube_is_that_of_its_slices_if_blur_alone_made_it_bright() {
+    fn the_blur_ratio_of_a_tube_blurred_by_its_slices_is_one() {
         for along in [0.0, 0.4, 1.0] {
             let across: f64 = (3.0 / 12f64.sqrt()).hypot(LEAST_BLUR_ACROSS_MM);
             let up = (BLUR_IN_SLICE_MM * along).hypot(across * f64::sqrt(1.0 - along * along));
@@ -220,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn a_straight_way_away_from_other_lumens_is_likelier_than_one_that_winds_beside_them() {
+    fn a_straight_path_far_from_lumens_is_more_probable_than_a_winding_one_beside_them() {
         for weights in [WAY_WEIGHTS, WAY_WEIGHTS_DIVIDED] {
             let of = |evidence: f64, clear_mm: f64, reached: f64, straight: f64| {
                 probability_of_way([1.0, evidence.ln(), clear_mm, reached, straight], &weights)
@@ -237,7 +237,7 @@ mod tests {
     }
 
     #[test]
-    fn every_product_of_two_figures_has_one_weight() {
+    fn every_product_of_two_features_has_one_weight() {
         let num = WEIGHTS.len();
         assert!(
             WEIGHTS

@@ -280,7 +280,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(24))]
         #[test]
-        fn the_separable_sums_are_the_plain_ones(
+        fn the_separable_blurs_equal_the_sums_of_their_definition(
             seed in 0u64..1000,
             spacing in proptest::array::uniform3(0.5f64..3.0),
             sigma_mm in 0.3f64..1.6,
@@ -311,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lumen_that_was_cut_off_is_air_and_a_rim_beside_tissue_is_not() {
+    fn a_clipped_lumen_becomes_air_and_a_clipped_rim_beside_tissue_does_not() {
         let place =
             Affine::from_columns([0.7, 0.0, 0.0], [0.0, 0.7, 0.0], [0.0, 0.0, 0.7], [0.0; 3]);
         let grid = Grid::new([24, 32, 40], place).unwrap();
@@ -350,7 +350,7 @@ mod tests {
     };
 
     #[test]
-    fn what_was_cut_off_along_the_wall_of_a_wide_airway_is_air_as_far_as_the_seam() {
+    fn clipped_voxels_along_the_wall_of_a_wide_airway_become_air_up_to_the_seam_width() {
         let place =
             Affine::from_columns([0.7, 0.0, 0.0], [0.0, 0.7, 0.0], [0.0, 0.0, 0.7], [0.0; 3]);
         let grid = Grid::new([12, 12, 60], place).unwrap();
@@ -378,7 +378,7 @@ mod tests {
     }
 
     #[test]
-    fn where_shares_sum_to_one_an_even_volume_stays_as_it_is() {
+    fn weights_that_sum_to_one_do_not_change_a_uniform_volume() {
         let grid = Grid::new(
             [4, 5, 6],
             Affine::from_columns([1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0; 3]),

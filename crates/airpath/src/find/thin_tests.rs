@@ -178,7 +178,7 @@ fn a_thin_tube_in_noise_is_followed_to_its_end_and_no_farther() {
 }
 
 #[test]
-fn a_gap_in_its_wall_is_crossed_and_a_long_one_ends_the_way() {
+fn a_short_gap_in_a_thin_wall_is_crossed_and_a_long_gap_ends_the_path() {
     let farthest = |long: f64| {
         let mut chest = thin_tube(18.0, |t| (7.0..7.0 + long).contains(&t));
         extended(&mut chest);
@@ -190,7 +190,7 @@ fn a_gap_in_its_wall_is_crossed_and_a_long_one_ends_the_way() {
 }
 
 #[test]
-fn a_vessel_that_goes_on_from_the_airway_is_none() {
+fn a_vessel_that_continues_the_airway_is_not_followed() {
     for radius_mm in [0.7, 1.0, 1.6] {
         let mut chest = drawn(|[_, x, y]| (x.hypot(y) < radius_mm).then_some(40.0));
         let found = extended(&mut chest);
@@ -199,7 +199,7 @@ fn a_vessel_that_goes_on_from_the_airway_is_none() {
 }
 
 #[test]
-fn lung_between_two_or_three_vessels_is_no_airway() {
+fn lung_between_two_or_three_vessels_is_not_followed() {
     // Three vessels that touch each other would enclose a space that a CT cannot distinguish from the lumen of an
     // airway.
     for (vessels, apart_mm) in [(2, 1.8), (2, 2.2), (3, 2.7)] {
@@ -229,7 +229,7 @@ fn lung_beyond_an_airway_that_ends_adds_nothing() {
 }
 
 #[test]
-fn a_search_that_reaches_too_much_of_the_lung_is_given_up_and_adds_nothing() {
+fn a_search_that_reaches_too_much_of_the_lung_is_cancelled_and_adds_nothing() {
     // Several copies of a chest side by side, because the lung of one copy is too small for the share.
     let one = thin_tube(16.0, |_| false);
     let num = 18;
@@ -265,7 +265,7 @@ fn the_result_does_not_depend_on_the_number_of_threads() {
 }
 
 #[test]
-fn a_search_that_is_stopped_is_an_error() {
+fn a_stopped_search_returns_an_error() {
     struct Never;
     impl Watch for Never {
         fn go_on(&self, _share: f64) -> Result<(), TrackError> {
@@ -279,7 +279,7 @@ fn a_search_that_is_stopped_is_an_error() {
 }
 
 #[test]
-fn a_place_off_the_way_is_told_from_one_along_it() {
+fn coordinates_separate_the_distance_along_the_path_from_that_off_it() {
     let along = unit(ALONG).unwrap();
     let [t, x, y] = along_and_off(std::array::from_fn(|a| START_MM[a] + 3.0 * along[a]));
     assert!((t - 3.0).abs() < 1e-9 && length([x, y, 0.0]) < 1e-9);

@@ -469,7 +469,7 @@ mod tests {
         #![proptest_config(ProptestConfig::with_cases(12))]
 
         #[test]
-        fn many_voxels_at_once_say_what_each_says_alone(
+        fn dips_of_many_voxels_equal_the_dip_of_each_voxel(
             seed: u64,
             noise in 0..300i64,
             spacing in prop::array::uniform3(0.45..1.1),

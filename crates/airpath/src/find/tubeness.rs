@@ -349,7 +349,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_fast_kernels_are_the_slow_ones(
+        fn the_fast_kernels_equal_their_definitions(
             seed in 0u64..1000,
             spacing in proptest::array::uniform3(0.5f64..3.0),
         ) {
@@ -419,7 +419,7 @@ mod tests {
     }
 
     #[test]
-    fn a_section_knows_the_tubes_radius_and_its_open_side() {
+    fn a_section_has_the_tubes_radius_and_the_share_of_its_open_side() {
         let grid = grid([41, 45, 49], [0.5, 0.55, 0.6]);
         let along = [0.6, 0.64, 0.48];
         let mut values = tube(&grid, along, 1.5, 0.9);

@@ -182,7 +182,7 @@ fn measure(grid: &Grid, tube: &Tube) -> Section {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
     #[test]
-    fn a_tube_is_measured_within_its_error_whatever_its_direction(
+    fn a_tube_in_any_direction_is_measured_within_its_stated_error(
         axis in prop::array::uniform3(-1.0f64..1.0).prop_filter("long", |a| unit(*a).is_some() && dot(*a, *a) > 0.1),
         radius in 2.0f64..5.0,
         flat in 0.7f64..1.0,
@@ -230,7 +230,7 @@ proptest! {
 }
 
 #[test]
-fn without_the_correction_a_thin_wall_looks_thick_and_its_lumen_narrow() {
+fn without_the_blur_correction_a_thin_wall_is_too_thick_and_its_lumen_too_narrow() {
     let tube = Tube::new([0.2, 0.3, 1.0], [3.0, 3.0], 0.8);
     let grid = grid([0.6; 3], 10.0);
     let values = draw(&grid, &tube);
@@ -248,7 +248,7 @@ fn without_the_correction_a_thin_wall_looks_thick_and_its_lumen_narrow() {
 }
 
 #[test]
-fn the_blur_is_found_on_edges_against_thick_tissue() {
+fn the_blur_is_measured_from_edges_against_thick_tissue() {
     let mut tube = Tube::new([0.1, 0.2, 1.0], [6.0, 6.0], 1.5);
     tube.outside = 40.0;
     let grid = grid([0.6; 3], 14.0);
@@ -275,7 +275,7 @@ fn the_blur_is_found_on_edges_against_thick_tissue() {
 }
 
 #[test]
-fn where_a_vessel_lies_against_the_wall_its_rays_have_no_say() {
+fn rays_towards_a_vessel_at_the_wall_do_not_change_the_wall_thickness() {
     let mut tube = Tube::new([0.0, 0.1, 1.0], [3.0, 3.0], 1.2);
     tube.vessel_mm = 4.2;
     let section = measure(&grid([0.6; 3], 11.0), &tube);
@@ -285,7 +285,7 @@ fn where_a_vessel_lies_against_the_wall_its_rays_have_no_say() {
 }
 
 #[test]
-fn rays_that_leave_the_volume_are_said_and_nothing_is_invented() {
+fn rays_that_leave_the_volume_are_reported_and_give_no_edges() {
     let tube = Tube::new([0.0, 0.0, 1.0], [4.0, 4.0], 1.2);
     // The volume ends 1 mm beside the axis.
     let whole = grid([0.6; 3], 4.0);
@@ -317,7 +317,7 @@ fn a_plane_in_solid_tissue_or_in_open_air_has_no_section() {
 }
 
 #[test]
-fn one_thread_and_three_find_the_same() {
+fn sections_do_not_depend_on_the_number_of_threads() {
     let tube = Tube::new([0.4, 0.3, 1.0], [3.0, 2.5], 1.0);
     let grid = grid([0.7, 0.7, 1.0], 10.0);
     let values = draw(&grid, &tube);
@@ -348,7 +348,7 @@ fn one_thread_and_three_find_the_same() {
 }
 
 #[test]
-fn thickness_and_half_maximum_undo_each_other_and_the_frame_is_right_handed() {
+fn true_and_half_maximum_thickness_are_inverse_and_the_axes_are_right_handed() {
     for wall in [0.5, 0.8, 1.3, 2.0, 4.0] {
         let found = true_thickness_mm(half_maximum_mm(wall, 0.6), 0.6);
         assert!((found - wall).abs() < 5e-3, "{wall} {found}");

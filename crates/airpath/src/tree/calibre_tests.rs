@@ -48,7 +48,7 @@ fn line(from: Point, to: Point) -> Vec<Point> {
 }
 
 #[test]
-fn a_flat_lumen_is_as_wide_as_the_circle_of_its_area_and_not_as_its_least_width() {
+fn the_radius_of_a_flat_lumen_is_that_of_the_circle_with_its_area() {
     let grid = grid();
     let (long, short) = (6.0, 3.0);
     let graph = graph(&grid, |[x, y, _]| {
@@ -101,7 +101,7 @@ fn off(p: Point, line: &[Point]) -> (f64, f64) {
 }
 
 #[test]
-fn up_to_its_fork_a_branch_is_as_wide_as_beyond_it() {
+fn the_width_of_a_branch_near_its_bifurcation_is_that_of_its_own_part() {
     let grid = grid();
     let (lines, parents, radii) = fork();
     let graph = graph(&grid, |p| {
@@ -130,7 +130,7 @@ fn up_to_its_fork_a_branch_is_as_wide_as_beyond_it() {
 }
 
 #[test]
-fn a_narrow_mouth_is_told_although_it_lies_at_the_fork() {
+fn a_narrow_ostium_at_a_bifurcation_is_measured() {
     let grid = grid();
     let (lines, parents, radii) = fork();
     let graph = graph(&grid, |p| {

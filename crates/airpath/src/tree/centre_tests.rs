@@ -104,7 +104,7 @@ fn found(with_levels: bool, step: impl Fn(&LumenGraph, &Tracker, &Grid, &[Branch
 }
 
 #[test]
-fn centrelines_lie_on_the_axes_and_the_fork_where_they_meet() {
+fn centrelines_are_on_the_tubes_axes_and_the_bifurcation_is_at_their_intersection() {
     for with_levels in [true, false] {
         let branches = found(with_levels, |_, _, _, _| {});
         let tubes = tubes();
@@ -153,7 +153,7 @@ fn centrelines_lie_on_the_axes_and_the_fork_where_they_meet() {
 }
 
 #[test]
-fn a_target_half_way_down_a_branch_has_the_same_fork_or_none() {
+fn a_path_to_the_middle_of_a_branch_begins_at_the_trunks_end() {
     let _ = found(true, |graph, tracker, grid, automatic| {
         let limits = BranchLimits::for_grid(grid);
         let middle = automatic[1].nodes[automatic[1].nodes.len() / 2];

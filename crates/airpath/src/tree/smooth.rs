@@ -309,7 +309,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_corner_is_spread_where_the_lumen_allows_it_and_no_new_one_arises() {
+    fn a_sharp_corner_is_spread_within_the_lumen_and_no_new_corner_arises() {
         let line: Vec<Point> = (0..20)
             .map(|n| {
                 let n = f64::from(n);
@@ -371,7 +371,7 @@ mod tests {
     }
 
     #[test]
-    fn a_straight_line_is_left_alone_and_a_staircase_turns_straight() {
+    fn a_straight_line_is_unchanged_and_a_staircase_becomes_straight() {
         let line: Vec<Point> = (0..40)
             .map(|n| [0.3 * f64::from(n), 5.0 - 0.1 * f64::from(n), f64::from(n)])
             .collect();
@@ -394,7 +394,7 @@ mod tests {
     }
 
     #[test]
-    fn no_point_leaves_the_inside_and_the_ends_stay() {
+    fn smoothed_points_stay_inside_and_the_ends_do_not_move() {
         // A right-angled corridor one unit wide; smoothing without the lumen would cut its corner.
         let mut chain: Vec<Point> = (0..20).map(|n| [f64::from(n), 0.0, 0.0]).collect();
         chain.extend((1..20).map(|n| [19.0, f64::from(n), 0.0]));
@@ -418,7 +418,7 @@ mod tests {
     }
 
     #[test]
-    fn steps_between_thick_slices_are_taken_without_corners() {
+    fn a_line_across_thick_slices_is_smoothed_without_corners() {
         // A slanting lumen one voxel of 0.66 mm wide, in slices of 3 mm: in each slice it is a corridor along x.
         let starts = [0.0, 2.64, 4.62, 8.58, 10.56, 13.2, 17.16];
         let slice = |z: f64| (z / 3.0).round().clamp(0.0, 5.0) as usize;

@@ -137,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn every_instruction_set_does_what_the_operations_say() {
+    fn operations_of_every_instruction_set_equal_their_definitions() {
         check(Portable::<1>);
         check(Portable::<16>);
         #[cfg(target_arch = "x86_64")]

@@ -104,7 +104,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 
     #[test]
-    fn pictures_from_bricks_are_the_scalar_casters(
+    fn pictures_from_bricks_equal_those_of_the_scalar_caster(
         shape in prop::array::uniform3(1usize..14), seed in any::<u64>(), capacity in 0usize..40,
     ) {
         let bricks = Case::random(shape, [-1024, 3071], seed).check(capacity);
@@ -126,7 +126,7 @@ proptest! {
 }
 
 #[test]
-fn a_volume_of_extremes_keeps_no_brick_and_one_of_a_ct_fills_those_that_are_seen() {
+fn extreme_values_store_no_brick_and_ct_values_fill_the_visible_bricks() {
     let extreme = Case::random([9, 9, 9], [-32_768, 32_767], 5).check(1000);
     assert!(extreme.is_empty() && !extreme.is_full());
     let seen = Case::random([9, 9, 9], [-1024, 3071], 5).check(1000);
@@ -136,7 +136,7 @@ fn a_volume_of_extremes_keeps_no_brick_and_one_of_a_ct_fills_those_that_are_seen
 }
 
 #[test]
-fn bricks_of_another_shape_are_refused() {
+fn bricks_of_another_shape_are_rejected() {
     let (case, other) = (
         Case::random([8, 8, 8], [0, 100], 1),
         Case::random([8, 8, 9], [0, 100], 1),

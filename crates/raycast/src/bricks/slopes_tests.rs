@@ -141,7 +141,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 
     #[test]
-    fn slopes_at_voxels_are_their_definition_and_between_them_interpolated(
+    fn slopes_equal_their_definition_at_voxels_and_are_interpolated_between_them(
         shape in prop::array::uniform3(1usize..14), spacing in prop::array::uniform3(0.25f64..2.5),
         at in prop::array::uniform3(0.0f32..1.0), seed in any::<u64>(),
     ) {
@@ -175,7 +175,7 @@ proptest! {
 }
 
 #[test]
-fn a_picture_is_the_same_whatever_bricks_there_are_and_however_many_can_be_kept() {
+fn a_picture_does_not_depend_on_the_stored_bricks_or_the_capacity() {
     let case = Case::new([30, 26, 22], [0.7, 0.8, 1.1], |[x, y, z]| {
         let off = [(x - 14.5) * 0.7, (y - 12.5) * 0.8, (z - 10.5) * 1.1];
         let tissue = (carina_grid::length(off) - 6.0 + (x * y).sin()).clamp(0.0, 1.0);
@@ -200,7 +200,7 @@ fn a_picture_is_the_same_whatever_bricks_there_are_and_however_many_can_be_kept(
 }
 
 #[test]
-fn bricks_of_another_transfer_function_are_refused() {
+fn bricks_of_another_transfer_function_are_rejected() {
     let case = Case::random([12, 12, 12], [1.0; 3], 7);
     let steep = vec![[-150.0, 0.9, 0.5, 0.5, 0.0], [200.0, 0.9, 0.5, 0.5, 0.9]];
     let other = Case {
@@ -215,7 +215,7 @@ fn bricks_of_another_transfer_function_are_refused() {
 }
 
 #[test]
-fn slopes_of_a_blurred_plane_point_across_it_no_less_than_samples_at_the_point_do() {
+fn slopes_of_a_blurred_plane_are_as_accurate_as_direct_samples() {
     let (mut worst, mut sum, mut sum_of_samples) = (0.0f64, 0.0, 0.0);
     for n in 0..40 {
         let turn = f64::from(n);

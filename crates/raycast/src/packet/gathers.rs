@@ -137,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn gathers_read_what_single_loads_read() {
+    fn gathers_and_single_loads_read_equal_voxels() {
         let mut state = 11u64;
         let mut random = |n: usize| {
             state = state

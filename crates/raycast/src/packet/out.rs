@@ -96,7 +96,7 @@ mod tests {
     use super::{Gathered, Out, Rgb8, Walls};
 
     #[test]
-    fn pixels_without_a_ray_show_the_background_whatever_was_there() {
+    fn pixels_without_a_ray_are_overwritten_by_the_background() {
         let mut rgb = [7; 12];
         let background = [0.0, 0.5, 1.0];
         Rgb8 {

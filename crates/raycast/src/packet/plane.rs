@@ -317,7 +317,7 @@ mod tests {
     }
 
     #[test]
-    fn tiles_in_the_middle_are_between_voxels_and_tiles_far_away_outside() {
+    fn tiles_in_the_middle_are_classified_between_voxels_and_distant_tiles_outside() {
         let grid = Grid::new([40, 50, 60], Affine::IDENTITY).unwrap();
         let data = vec![0i16; grid.num_voxels()];
         let field = Field::new(VolumeView::new(&data, &grid).unwrap());

@@ -45,7 +45,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(200))]
 
     #[test]
-    fn lit_pictures_are_the_same_bits_from_every_caster_and_in_strips(
+    fn shaded_pictures_are_equal_for_every_caster_and_in_strips(
         mut scene in any_scene(), size in (1usize..36, 1usize..20), cut in 0.0f64..1.0,
         texture in 0.0f32..2.0, vessels in prop_oneof![Just(0.0f32), 0.0f32..2.0], silhouettes: bool,
         wet in prop_oneof![Just([0.0f32; 3]), prop::array::uniform3(0.0f32..1.0)],
@@ -73,7 +73,7 @@ proptest! {
 }
 
 #[test]
-fn a_volume_that_packets_cannot_read_is_lit_too() {
+fn walls_of_a_volume_without_packets_are_shaded() {
     // A volume with one voxel along x has no pairs of voxels, which packets need.
     let mut scene = Scene::fixed([0.0; 3], [0.0, 0.0, 1.0]);
     let shape = [9, 8, 1];
@@ -229,7 +229,7 @@ fn the_texture_of_a_wall_stays_on_it_when_the_scope_moves_and_turns() {
 }
 
 #[test]
-fn values_out_of_range_are_refused() {
+fn appearance_values_out_of_range_are_rejected() {
     let bad = [
         Appearance {
             guides_mm: [[f32::NAN; 3]; 2],

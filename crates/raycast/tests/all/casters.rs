@@ -85,7 +85,7 @@ proptest! {
     }
 
     #[test]
-    fn strips_assembled_equal_the_whole_bit_for_bit(scene in any_scene(), cut in 0.0f64..1.0) {
+    fn assembled_strips_equal_the_whole_bit_for_bit(scene in any_scene(), cut in 0.0f64..1.0) {
         let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
         let table = scene.table(false);
         let frame = Frame::new(volume, &table, scene.camera.clone(), options(true, false)).unwrap();
@@ -109,7 +109,7 @@ proptest! {
     }
 
     #[test]
-    fn at_jumps_within_one_hu_brute_force_is_as_near_f64_as_rounding_can_be(scene in any_scene()) {
+    fn brute_force_at_jumps_within_one_hu_differs_from_f64_by_rounding_only(scene in any_scene()) {
         let (found, _) = cast(&scene, false, false, Method::Brute);
         let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
         let table = scene.table(false);
@@ -236,7 +236,7 @@ fn a_ray_that_misses_the_volume_shows_the_background() {
 }
 
 #[test]
-fn shading_with_nearest_voxels_or_leaps_over_opaque_classes_is_refused() {
+fn shading_with_nearest_voxels_or_leaps_over_opaque_classes_is_rejected() {
     let scene = Scene::fixed([0.0; 3], [0.0, 0.0, 1.0]);
     let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
     let table = scene.table(false);

@@ -64,7 +64,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(150))]
 
     #[test]
-    fn decorated_pictures_are_the_same_bits_from_every_caster_and_in_strips(
+    fn decorated_pictures_are_equal_for_every_caster_and_in_strips(
         mut scene in any_scene(), cells in any_cells(), size in (1usize..36, 1usize..20), cut in 0.0f64..1.0,
         origin in proptest::array::uniform3(-12.0f32..4.0), cell_mm in 0.5f32..9.0,
         parts in proptest::array::uniform4(prop_oneof![Just(0.0f32), 0.0f32..1.0]), texture in prop_oneof![Just(0.0f32), 0.0f32..2.0],
@@ -133,7 +133,7 @@ fn decoration_changes_light_and_colour_and_moves_no_wall() {
 }
 
 #[test]
-fn folds_leave_a_wall_that_faces_sideways_in_the_light() {
+fn folds_do_not_darken_a_wall_that_faces_sideways() {
     // The scene has two walls, to the left and right of a camera that looks along them. The decoration marks both as
     // the back wall, as can happen in a trachea with corners.
     let grid = Grid::new([48, 24, 24], Affine::IDENTITY).unwrap();
@@ -200,7 +200,7 @@ const LOOK_WITHOUT_ANATOMY: Appearance = Appearance {
 };
 
 #[test]
-fn what_is_no_decoration_is_refused() {
+fn invalid_decorations_are_rejected() {
     let cells = vec![0.0; 2 * 3 * 4 * DECORATION_CHANNELS];
     let made = |shape, origin, cell_mm| Decoration::new(&cells, shape, origin, cell_mm);
     assert!(made([2, 3, 4], [0.0; 3], 2.5).is_ok());

@@ -47,7 +47,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(200))]
 
     #[test]
-    fn every_caster_takes_the_same_rays_from_a_lens(
+    fn pictures_through_a_lens_are_equal_for_every_caster(
         scene in any_scene(),
         (lens, fov) in any_lens(),
         (width, height) in (1usize..40, 1usize..24),
@@ -80,7 +80,7 @@ proptest! {
     }
 
     #[test]
-    fn a_pixel_shows_what_lies_in_its_direction(
+    fn a_pixel_of_a_lens_equals_that_of_a_pinhole_in_its_direction(
         scene in any_scene(),
         (lens, fov) in any_lens(),
         at in prop::array::uniform2(0.0f64..1.0),

@@ -247,7 +247,7 @@ fn leaping_reads_no_more_than_brute_force_in_any_view() {
 }
 
 #[test]
-fn leaps_are_spared_where_they_do_not_pay_in_every_strip_alike() {
+fn leaps_that_do_not_pay_are_disabled_equally_in_every_strip() {
     for (hu, leaps) in [(tube(20), true), (flat(200, -60), false)] {
         let grid = Grid::new([N; 3], Affine::IDENTITY).unwrap();
         let volume = VolumeView::new(&hu, &grid).unwrap();
@@ -277,7 +277,7 @@ fn leaps_are_spared_where_they_do_not_pay_in_every_strip_alike() {
 }
 
 #[test]
-fn reads_are_those_of_samples_gradients_and_look_ups() {
+fn the_number_of_reads_is_the_sum_over_samples_gradients_and_look_ups() {
     let view = &views()[0];
     let (brute, leap) = stats(view, Reading::Shaded, false);
     assert_eq!(

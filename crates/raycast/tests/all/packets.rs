@@ -201,7 +201,7 @@ const KINDS: [(Kind, bool, bool); 8] = [
 ];
 
 #[test]
-fn rays_that_stand_still_on_an_axis_are_those_of_the_scalar_casters() {
+fn rays_without_advance_on_an_axis_equal_the_scalar_casters() {
     // Grid and camera are not rotated, and the size is odd: the middle column and row have steps of exactly 0.
     let shape = [9, 11, 13];
     let grid = Grid::new(shape, Affine::IDENTITY).unwrap();

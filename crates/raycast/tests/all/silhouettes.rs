@@ -130,7 +130,7 @@ const ONE_RAY: Appearance = Appearance {
 };
 
 #[test]
-fn two_rays_bring_an_edge_nearer_to_the_picture_of_many_and_touch_nothing_else() {
+fn two_rays_per_silhouette_pixel_reduce_the_error_and_change_no_other_pixel() {
     let spur = spur();
     for (name, camera, fine) in [
         ("pinhole", pinhole(SIZE), pinhole(8 * SIZE)),
@@ -165,7 +165,7 @@ fn two_rays_bring_an_edge_nearer_to_the_picture_of_many_and_touch_nothing_else()
 }
 
 #[test]
-fn silhouettes_are_the_same_in_strips_by_leaps_and_by_every_caster() {
+fn silhouettes_are_equal_in_strips_with_leaps_and_for_every_caster() {
     let spur = spur();
     for camera in [pinhole(SIZE), scope(SIZE)] {
         let look = Appearance {
@@ -200,7 +200,7 @@ fn silhouettes_are_the_same_in_strips_by_leaps_and_by_every_caster() {
 }
 
 #[test]
-fn depth_is_that_of_the_middle_and_a_smooth_wall_has_no_silhouette() {
+fn depths_are_those_of_pixel_centres_and_a_smooth_wall_has_no_silhouette() {
     let spur = spur();
     let depths = |look| {
         let frame = spur.frame(pinhole(SIZE), look);

@@ -22,7 +22,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(200))]
 
     #[test]
-    fn first_walls_are_the_same_bits_from_every_caster_and_in_strips(
+    fn first_walls_are_equal_for_every_caster_and_in_strips(
         mut scene in any_scene(), size in (1usize..30, 1usize..20), cut in 0.0f64..1.0, shaded in any::<bool>(),
     ) {
         scene.resize(size.0, size.1);
@@ -48,7 +48,7 @@ proptest! {
     }
 
     #[test]
-    fn first_walls_within_leaped_segments_are_those_of_single_samples(scene in any_scene()) {
+    fn first_walls_within_leaped_segments_equal_those_of_single_samples(scene in any_scene()) {
         let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
         let table = scene.table(false);
         let frame = Frame::new(volume, &table, scene.camera.clone(), options(false, false)).unwrap();
@@ -173,7 +173,7 @@ fn camera(at: [f64; 3], forward: [f64; 3]) -> Camera {
 }
 
 #[test]
-fn the_wall_of_a_sphere_is_where_it_is_and_faces_its_middle() {
+fn the_first_wall_of_a_sphere_has_its_true_depth_and_normal() {
     let (middle, radius) = ([1.0, -2.0, 0.5], 13.0);
     let from = |p: [f64; 3]| std::array::from_fn::<f64, 3, _>(|a| p[a] - middle[a]);
     let volume = phantom(|p| radius - length(from(p)));
@@ -191,7 +191,7 @@ fn the_wall_of_a_sphere_is_where_it_is_and_faces_its_middle() {
 }
 
 #[test]
-fn the_wall_of_a_tube_is_where_it_is_and_faces_its_axis() {
+fn the_first_wall_of_a_tube_has_its_true_depth_and_normal() {
     let (axis, radius) = (unit([0.2, 0.5, 1.0]).unwrap(), 6.0);
     let off = |p: [f64; 3]| std::array::from_fn::<f64, 3, _>(|a| p[a] - dot(p, axis) * axis[a]);
     let volume = phantom(|p| radius - length(off(p)));

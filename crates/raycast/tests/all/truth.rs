@@ -180,18 +180,18 @@ fn check(tally: Tally) {
 }
 
 #[test]
-fn hundreds_of_poses_show_what_a_ray_caster_in_f64_shows() {
+fn pictures_of_hundreds_of_poses_equal_a_ray_caster_in_f64() {
     check(against_f64(300, 1, (32, 24), 1.0 / 512.0));
 }
 
 #[test]
-fn another_stop_limit_is_kept_by_every_caster() {
+fn every_caster_stops_rays_at_another_stop_limit() {
     check(against_f64(100, 9_000, (32, 24), 1.0 / 64.0));
 }
 
 #[test]
 #[ignore = "a soak: minutes"]
-fn twenty_thousand_poses_show_what_a_ray_caster_in_f64_shows() {
+fn pictures_of_twenty_thousand_poses_equal_a_ray_caster_in_f64() {
     check(against_f64(20_000, 1_000_000, (48, 40), 1.0 / 512.0));
 }
 
@@ -350,7 +350,7 @@ fn upright(seed: u64, spacing: [f64; 3]) -> Chest {
 }
 
 #[test]
-fn cameras_on_voxel_faces_and_along_axes_show_what_a_ray_caster_in_f64_shows() {
+fn pictures_on_voxel_faces_and_along_axes_equal_a_ray_caster_in_f64() {
     let mut tally = Tally::default();
     for (seed, spacing) in [(71, [1.0; 3]), (72, [0.5, 1.0, 2.0]), (73, [0.7, 0.9, 1.3])] {
         let chest = upright(seed, spacing);

@@ -36,7 +36,7 @@ fn until(what: &str, mut is_so: impl FnMut() -> bool) {
 }
 
 #[test]
-fn a_bridge_on_loopback_is_answered_in_its_own_axes_and_forgotten_when_silent() {
+fn a_bridge_gets_forces_in_its_axes_until_it_is_silent() {
     // The device's x is the patient's -y, and 1 mm of the hand is half a mm in the lumen.
     let lps_from_device = Affine::from_columns(
         [0.0, -0.5, 0.0],
@@ -93,7 +93,7 @@ fn a_bridge_on_loopback_is_answered_in_its_own_axes_and_forgotten_when_silent() 
 }
 
 #[test]
-fn a_simulated_hand_is_held_within_the_limits() {
+fn forces_on_a_simulated_hand_stay_within_the_limits() {
     let force = ForceLoop::start(
         model(),
         LoopOptions {
@@ -114,7 +114,7 @@ fn a_simulated_hand_is_held_within_the_limits() {
 }
 
 #[test]
-fn samples_in_process_are_felt_and_broken_ones_refused() {
+fn samples_in_process_give_forces_and_invalid_samples_are_rejected() {
     let force = ForceLoop::start(model(), LoopOptions::default()).unwrap();
     let hand = sample(0, [0.0, 0.0, 60.0]).hand;
     // A sample expires after 30 ms, so one sample may be lost before a loaded machine runs a tick.
@@ -150,7 +150,7 @@ fn every_tick_is_counted_once() {
 }
 
 #[test]
-fn a_space_that_is_sheared_or_enlarges_is_refused() {
+fn a_sheared_or_enlarging_device_space_is_rejected() {
     for scale in [[1.0, 1.0, 0.9], [3.0, 3.0, 3.0], [f64::NAN; 3]] {
         let space = Affine::from_columns(
             [scale[0], 0.0, 0.0],
@@ -167,7 +167,7 @@ fn a_space_that_is_sheared_or_enlarges_is_refused() {
 }
 
 #[test]
-fn a_mirrored_space_is_refused_in_words() {
+fn a_mirrored_device_space_is_rejected_with_a_message() {
     // The matrices are a mirror image (the patient's right for the hand's left), and an exchange of two axes.
     for [x, y] in [
         [[-0.5, 0.0, 0.0], [0.0, 0.5, 0.0]],

@@ -31,7 +31,7 @@ fn settled(model: &mut ForceModel, sample: &HandSample) -> HandForce {
 }
 
 #[test]
-fn there_is_no_force_outside_contact_however_fast_the_hand() {
+fn the_force_without_contact_is_0_at_any_speed() {
     let mut model = model(ForceLaw::default());
     for n in 0..500 {
         let turn = f64::from(n) * 0.1;
@@ -55,7 +55,7 @@ fn there_is_no_force_outside_contact_however_fast_the_hand() {
 }
 
 #[test]
-fn in_the_wall_the_force_is_the_depth_times_the_stiffness_and_points_back() {
+fn the_force_in_the_wall_is_depth_times_stiffness_towards_the_lumen() {
     let law = ForceLaw {
         friction: 0.0,
         ..ForceLaw::default()
@@ -76,7 +76,7 @@ fn in_the_wall_the_force_is_the_depth_times_the_stiffness_and_points_back() {
 }
 
 #[test]
-fn the_force_is_limited_and_changes_slowly_whatever_the_hand_does() {
+fn force_and_change_of_force_are_limited_for_any_movement() {
     let mut model = model(ForceLaw {
         guidance_n_per_mm: 0.2,
         ..ForceLaw::default()
@@ -107,7 +107,7 @@ fn the_force_is_limited_and_changes_slowly_whatever_the_hand_does() {
 }
 
 #[test]
-fn a_silent_hand_feels_nothing_after_30_ms() {
+fn the_force_is_0_after_30_ms_without_a_sample() {
     let mut model = model(ForceLaw::default());
     model.step(Some(&hand([0.0, 0.0, 60.0])), 1.0);
     let felt = settled(&mut model, &hand([14.0, 0.0, 60.0]));
@@ -121,7 +121,7 @@ fn a_silent_hand_feels_nothing_after_30_ms() {
 }
 
 #[test]
-fn friction_holds_the_tip_until_it_slides() {
+fn the_proxy_sticks_inside_the_friction_cone_and_slides_outside() {
     let mut model = model(ForceLaw {
         friction: 0.3,
         ..ForceLaw::default()
@@ -139,7 +139,7 @@ fn friction_holds_the_tip_until_it_slides() {
 }
 
 #[test]
-fn guidance_draws_to_the_path_and_never_hard() {
+fn guidance_pulls_towards_the_path_with_limited_force() {
     let mut model = model(ForceLaw {
         guidance_n_per_mm: 0.1,
         ..ForceLaw::default()
@@ -152,7 +152,7 @@ fn guidance_draws_to_the_path_and_never_hard() {
 }
 
 #[test]
-fn a_law_that_would_not_be_stable_is_refused() {
+fn parameters_of_an_unstable_law_are_rejected() {
     let refused = |law: ForceLaw| law.checked().is_err();
     assert!(refused(ForceLaw {
         stiffness_n_per_mm: 5.0,
@@ -205,7 +205,7 @@ fn swings(stiffness: f64, mass_kg: f64, spring: f64, speed_mm_s: f64) -> Vec<f64
 }
 
 #[test]
-fn up_to_the_stated_stiffness_no_swing_grows() {
+fn oscillations_do_not_grow_up_to_the_largest_stiffness() {
     for stiffness in [0.1, 0.3, MAX_STIFFNESS_N_PER_MM] {
         for mass_kg in [0.05, 0.1, 0.3] {
             for spring in [0.02, 0.2, 0.5] {

@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn packets_come_back_as_they_were() {
+    fn decoded_packets_equal_the_encoded_ones() {
         assert_eq!(
             SamplePacket::from_bytes(&sample().to_bytes()),
             Some(sample())
@@ -181,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn broken_packets_are_no_samples() {
+    fn invalid_packets_are_not_decoded_as_samples() {
         let good = sample().to_bytes();
         for at in 0..6 {
             let mut bad = good;
@@ -196,7 +196,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_bytes_bring_the_reader_down(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
+        fn decoding_any_bytes_does_not_panic(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
             let _ = SamplePacket::from_bytes(&bytes);
             let _ = ForcePacket::from_bytes(&bytes);
         }
