@@ -2,7 +2,7 @@ use carina_raycast::RaycastError;
 
 /// Errors of casts on the GPU.
 ///
-/// None of them is caused by the viewer, and the CPU can render every picture instead.
+/// No error is caused by the viewer, and the CPU can render every picture instead.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum GpuError {
     /// The requested adapter does not exist.

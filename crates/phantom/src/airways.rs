@@ -253,7 +253,8 @@ impl AirwayTree {
                 // The angles are Horsfield's, 28 to 39 degrees (docs/algorithms.md, sizes of airways).
                 let tilt = random.range(0.44, 0.70);
                 let radius = parent.tip_radius() * random.range(0.78, 0.90);
-                // Weibel's lengths of generations 4 to 8 are 2.8 to 3.3 diameters; these are longer, to fill the lung.
+                // Weibel's lengths of generations 4 to 8 are 2.8 to 3.3 diameters; the lengths here are longer, to fill
+                // the lung.
                 let length_mm =
                     2.0 * radius * random.range(3.6, 5.2) * if attempt < 16 { 1.0 } else { 0.75 };
                 let to = tilted(dir, across, up, turn + side, tilt);

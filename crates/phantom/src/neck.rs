@@ -199,7 +199,7 @@ impl Neck {
 
     /// Return the signed distance to hypopharynx and oropharynx, mm.
     ///
-    /// They extend from the spine's front to the epiglottis, and higher up to the tongue.
+    /// Both extend from the spine's front to the epiglottis, and higher up to the tongue.
     fn throat(&self, p: [f64; 3], h: f64, x: f64) -> f64 {
         let g = self.cords;
         let [half_width, half_depth] = self.throat;
@@ -267,7 +267,7 @@ impl Neck {
 
     /// Return the structures that continue from the chest into the neck.
     ///
-    /// They are the vessels, the oesophagus, the hyoid and the arches of the vertebrae.
+    /// The structures are the vessels, the oesophagus, the hyoid and the arches of the vertebrae.
     pub(crate) fn solids(&self, chest_spine_y: impl Fn(f64) -> f64) -> Vec<Solid> {
         let mut out = Vec::new();
         let [cx, cy, cz] = self.cricoid_lps;

@@ -50,7 +50,7 @@ pub(crate) struct DepthRows<'a> {
     pub width: usize,
     pub first_row: usize,
     pub depths: &'a [f32],
-    /// Depths of the row before the others; empty at the picture's edge.
+    /// Depths of the row before `rows`; empty at the picture's edge.
     pub before: &'a [f32],
     pub after: &'a [f32],
 }

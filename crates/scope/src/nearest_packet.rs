@@ -161,7 +161,7 @@ impl<'a> Packets<'a> {
             at[2].plus(E::all(shift[2])),
         ];
         // A box is visited only if it may contain a nearer triangle for some lane. Eight near points together visit
-        // little more boxes than one of them alone.
+        // hardly more boxes than one of these points alone.
         let mut bound = nearest.bound();
         let mut stack = [(E::all(0.0), 0u32); 64];
         let mut depth = 1;

@@ -216,7 +216,7 @@ impl Buckets {
     }
 }
 
-/// Least-cost path to each node, as the previous node on it and its length.
+/// Least-cost paths to all nodes, each stored as its previous node and its length.
 #[derive(Debug)]
 pub(crate) struct Ways {
     /// Previous node on the path; `None` for a node beside the lumen.

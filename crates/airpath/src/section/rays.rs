@@ -48,8 +48,8 @@ pub(crate) fn angle(n: usize) -> f64 {
 
 /// Return the distance of the lumen's edge on each ray, without edges of other structures.
 ///
-/// The result is NaN for a ray without an edge. It is also NaN if the edge is far from those of the neighbouring rays:
-/// such an edge belongs to another structure, for example the far wall of a branch that leaves here.
+/// The result is NaN for a ray without an edge, and for an edge that is far from those of the neighbouring rays. Such
+/// an edge belongs to another structure, for example the far wall of a branch that leaves here.
 pub(crate) fn without_outliers(rays: &[Edges; NUM_RAYS]) -> [f64; NUM_RAYS] {
     without_far(&std::array::from_fn(|n| {
         rays[n].inner_mm.unwrap_or(f64::NAN)

@@ -66,8 +66,8 @@ fn bump<L: Lanes>(
 
 /// Return the visibility of droplets and bubbles, from the size of a noise cell in pixels.
 ///
-/// The visibility is 1 if a noise cell covers ten pixels or more. It is 0 below about three pixels, because a droplet
-/// would then be only a white dot.
+/// The visibility is 1 if a noise cell covers ten pixels or more. Below about three pixels the visibility is 0, because
+/// a droplet would then be only a white dot.
 #[inline(always)]
 fn fades<L: Lanes>(l: L, footprint_mm: L::F, per_mm: f32) -> L::F {
     let cells = l.mul(footprint_mm, l.splat(per_mm));

@@ -312,7 +312,7 @@ fn light_row<L: Lanes>(
     }
 }
 
-/// Return a pixel without colour for a lane without a wall; it is far away, so it gets no light.
+/// Return a pixel without colour for a lane without a wall; its wall is set far away, so it gets no light.
 fn unlit(pixel: &Gathered) -> Gathered {
     Gathered {
         rgb: [0.0; 3],

@@ -198,7 +198,7 @@ impl Lanes for Portable {
         offsets.map(
             #[inline(always)]
             |offset| {
-                // SAFETY: the caller guarantees that all four voxels are in the data. Benchmark: as for the loads in
+                // SAFETY: the caller guarantees that all four voxels are in the data. Benchmark: that of the loads in
                 // `sampling`.
                 unsafe { self.pairs(data, base, [offset, offset + 2]) }
             },

@@ -173,7 +173,7 @@ fn f64_ray(
             let mut hu = first;
             while hu <= last {
                 let other = table.entry(hu as i32).map(f64::from);
-                // A change of opacity also changes the visibility of everything behind, by at most the same amount.
+                // A change of opacity also changes the visibility of all later samples, by at most the same amount.
                 let colour = (0..3)
                     .map(|c| (other[c] - entry[c]).abs())
                     .fold(0.0, f64::max);

@@ -106,8 +106,8 @@ proptest! {
         let (pixel, _) = cast(&scene, &single, Method::Brute, false, InstructionSet::Portable);
         let found = &picture[(row * 23 + column) * 3..][..3];
         for (a, b) in found.iter().zip(&pixel) {
-            // Directions are stored in f32, so samples move by some 1e-5 voxels. This changes a pixel by one level, and
-            // by more at a jump of the transfer function within one HU.
+            // Directions are stored in f32, so samples move by some 1e-5 voxels. Such a displacement changes a pixel by
+            // one level, and by more at a jump of the transfer function within one HU.
             prop_assert!(a.abs_diff(*b) <= 12, "{found:?} for {pixel:?}");
         }
     }

@@ -1,4 +1,6 @@
-//! `carina_haptics._force`: the force loop behind the Python package. It checks arrays, releases the GIL, maps errors.
+//! Compiled module `carina_haptics._force`: the force loop for the Python package.
+//!
+//! The functions check arrays, release the GIL and map errors.
 #![allow(
     clippy::needless_pass_by_value,
     reason = "PyO3 hands arrays over by value"
