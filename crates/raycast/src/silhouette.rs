@@ -50,8 +50,9 @@ pub(crate) struct DepthRows<'a> {
     pub width: usize,
     pub first_row: usize,
     pub depths: &'a [f32],
-    /// Depths of the row before `rows`; empty at the picture's edge.
+    /// Depths of the row before the rows of `depths`; empty at the picture's edge.
     pub before: &'a [f32],
+    /// Depths of the row after the rows of `depths`; empty at the picture's edge.
     pub after: &'a [f32],
 }
 
