@@ -1,4 +1,4 @@
-//! Instruction sets of x86_64: SSE2, which every such machine has, AVX2 and AVX-512.
+//! Instruction sets of `x86_64`: SSE2, which every such machine has, AVX2 and AVX-512.
 
 use std::arch::x86_64::{
     __m128i, __m256i, __m512i, _mm_adds_epu8, _mm_and_si128, _mm_cmpeq_epi8, _mm_cmpeq_epi16,
