@@ -198,7 +198,7 @@ impl Enclosures {
             .collect();
         let mut open = BinaryHeap::new();
         search.reach(start, 0.0, NO_STEP);
-        let first = self.look(search, start, levels, &is_lumen);
+        let first = self.weight_of(search, start, levels, &is_lumen);
         if first <= 0.0 {
             return Ok(None);
         }
@@ -265,7 +265,7 @@ impl Enclosures {
                 if known <= here {
                     continue;
                 }
-                let there = self.look_in(search, (block, cell), to, levels, &is_lumen);
+                let there = self.weight_in_block(search, (block, cell), to, levels, &is_lumen);
                 if there == 0.0 {
                     continue;
                 }
@@ -288,7 +288,7 @@ impl Enclosures {
     }
 
     /// Return the weight of a voxel, computed once per search; a negative number for a voxel of the lumen.
-    fn look(
+    fn weight_of(
         &self,
         search: &mut Search,
         voxel: [usize; 3],
@@ -296,10 +296,10 @@ impl Enclosures {
         is_goal: &impl Fn([usize; 3]) -> bool,
     ) -> f64 {
         let (block, cell) = search.block_and_cell(voxel);
-        self.look_in(search, (block, cell), voxel, levels, is_goal)
+        self.weight_in_block(search, (block, cell), voxel, levels, is_goal)
     }
 
-    fn look_in(
+    fn weight_in_block(
         &self,
         search: &mut Search,
         (block, cell): (usize, usize),

@@ -92,7 +92,7 @@ pub(crate) struct Search<'a> {
     before: Vec<u32>,
     along_mm: Vec<f32>,
     /// For each reached voxel, the probability of the accepted path that contains it; 0 if no path contains it.
-    kept: Vec<f64>,
+    accepted: Vec<f64>,
 }
 
 impl<'a> Search<'a> {
@@ -158,7 +158,7 @@ impl<'a> Search<'a> {
             at,
             before,
             along_mm,
-            kept: vec![0.0; reached.len()],
+            accepted: vec![0.0; reached.len()],
         }
     }
 
@@ -192,15 +192,15 @@ impl<'a> Search<'a> {
             let mut way = vec![tip];
             while let Some(last) = way.last().copied()
                 && self.before[last as usize] != NONE
-                && self.kept[self.before[last as usize] as usize] == 0.0
+                && self.accepted[self.before[last as usize] as usize] == 0.0
             {
                 way.push(self.before[last as usize]);
             }
             way.reverse();
             self.cover(&way, &mut covered);
-            if let Some(path) = self.worth(&way, limits) {
+            if let Some(path) = self.accepted_part(&way, limits) {
                 for node in &path.nodes {
-                    self.kept[*node as usize] = path.probability;
+                    self.accepted[*node as usize] = path.probability;
                 }
                 paths.push(path);
             }
@@ -213,15 +213,15 @@ impl<'a> Search<'a> {
     ///
     /// In divided slices the sections are first assessed by their log-odds, which require much evidence, and otherwise
     /// in the way that applies to undivided slices.
-    fn worth(&self, way: &[u32], limits: &ExtensionLimits) -> Option<Path> {
+    fn accepted_part(&self, way: &[u32], limits: &ExtensionLimits) -> Option<Path> {
         let sections = self.sections(way);
         limits
             .divided
-            .and_then(|divided| self.part_that_pays(way, &sections, limits, Some(divided)))
-            .or_else(|| self.part_that_pays(way, &sections, limits, None))
+            .and_then(|divided| self.part_with_largest_gain(way, &sections, limits, Some(divided)))
+            .or_else(|| self.part_with_largest_gain(way, &sections, limits, None))
     }
 
-    fn part_that_pays(
+    fn part_with_largest_gain(
         &self,
         way: &[u32],
         sections: &[WaySection],
@@ -234,7 +234,10 @@ impl<'a> Search<'a> {
         let blur = Blur::on(self.smooth.grid(), 0.5 * threshold);
         let (start_mm, probability_before) = match self.before[way[0] as usize] {
             NONE => (0.0, 1.0),
-            before => (self.along_mm[before as usize], self.kept[before as usize]),
+            before => (
+                self.along_mm[before as usize],
+                self.accepted[before as usize],
+            ),
         };
         let (mut gain, mut best, mut last_mm) = (0.0, (0.0, 0, 0.0), start_mm);
         let (mut sum, mut sum_at_best) = (0.0, 0.0);
@@ -483,13 +486,13 @@ impl<'a> Search<'a> {
                 open.push(Reverse((0u32, *node, half as i32, reach_um)));
             }
         }
-        let mut kept: Vec<u32> = Vec::new();
+        let mut added: Vec<u32> = Vec::new();
         while let Some(Reverse((off_um, n, half, reach_um))) = open.pop() {
             if best.get(&n) != Some(&off_um) {
                 continue;
             }
             let voxel = self.reached[n as usize].voxel;
-            kept.push(voxel);
+            added.push(voxel);
             self.faces.each(voxel as usize, |next, step_mm| {
                 let Some(&m) = self.at.get(&(next as u32)) else {
                     return;
@@ -504,9 +507,9 @@ impl<'a> Search<'a> {
                 }
             });
         }
-        kept.sort_unstable();
-        kept.dedup();
-        kept
+        added.sort_unstable();
+        added.dedup();
+        added
     }
 }
 

@@ -154,7 +154,7 @@ impl Profile {
         let alike = looks[..num].iter().filter(|l| **l).count();
         let is_kept =
             sum >= KEPT_MEAN * asked.dip * num as f64 && alike as f64 >= KEPT_SHARE * num as f64;
-        if is_kept && self.is_open(num) && self.is_a_thread(num, &asked.section) {
+        if is_kept && self.is_open(num) && self.is_thin_and_steady(num, &asked.section) {
             num
         } else {
             0
@@ -165,7 +165,7 @@ impl Profile {
     /// path.
     ///
     /// A space between vessels does not satisfy this.
-    fn is_a_thread(&self, num: usize, section: &ThinSection) -> bool {
+    fn is_thin_and_steady(&self, num: usize, section: &ThinSection) -> bool {
         let places = &self.places[..num];
         let mean =
             |value: &dyn Fn(&Place) -> f64| places.iter().map(value).sum::<f64>() / num as f64;
