@@ -81,7 +81,7 @@ pub struct IsoRegionGraph<B> {
     base: B,
     grid: Grid,
     /// For each node of this graph, its node in the unpruned graph.
-    kept: Vec<u32>,
+    whole_of: Vec<u32>,
     /// For each node of the unpruned graph, its node in this graph; [`NO_NODE`] for a pruned node.
     node_of: Vec<u32>,
     radius: Vec<u8>,
@@ -122,17 +122,17 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
             let voxel = base.voxel_of_node(node);
             std::array::from_fn(|a| voxel[a] - voxel_box.first_ijk[a])
         };
-        let kept: Vec<u32> = (0..base.num_nodes() as u32)
+        let whole_of: Vec<u32> = (0..base.num_nodes() as u32)
             .into_par_iter()
             .filter(|&node| !is_cut_away(radius, voxel_box.shape_ijk, local(node)))
             .collect();
         watch.go_on(0.3)?;
         let mut node_of = vec![NO_NODE; base.num_nodes()];
-        for (node, &whole) in kept.iter().enumerate() {
+        for (node, &whole) in whole_of.iter().enumerate() {
             node_of[whole as usize] = node as u32;
         }
         let [nx, ny, _] = voxel_box.shape_ijk;
-        let radius: Vec<u8> = kept
+        let radius: Vec<u8> = whole_of
             .par_iter()
             .map(|&whole| {
                 let [i, j, k]: [usize; 3] = local(whole);
@@ -143,7 +143,7 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
             base,
             grid: grid.clone(),
             num_centres: radius.iter().filter(|r| **r > 0).count(),
-            kept,
+            whole_of,
             node_of,
             radius,
             first_centre: Vec::new(),
@@ -158,7 +158,7 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
     ///
     /// The opposite direction needs no table, because it follows from the centre's cube.
     fn link(&mut self, watch: &impl Watch) -> Result<(), TrackError> {
-        let num_nodes = self.kept.len();
+        let num_nodes = self.whole_of.len();
         let mut first = vec![0u32; num_nodes + 1];
         let (mut num_links, mut longest_mm) = (0u64, 0.0f64);
         let centres: Vec<u32> = (0..num_nodes as u32)
@@ -167,7 +167,7 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
         for (number, &centre) in centres.iter().enumerate() {
             self.for_each_boundary_node(centre, |node, length_mm| {
                 longest_mm = longest_mm.max(length_mm);
-                if !self.finds(node, centre) {
+                if !self.has_link_to(node, centre) {
                     first[node as usize + 1] += 1;
                     num_links += 1;
                 }
@@ -194,7 +194,7 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
         let mut list = vec![0u32; num_links as usize];
         for (number, &centre) in centres.iter().enumerate() {
             self.for_each_boundary_node(centre, |node, _| {
-                if !self.finds(node, centre) {
+                if !self.has_link_to(node, centre) {
                     let at = &mut next[node as usize];
                     list[*at as usize] = centre;
                     *at += 1;
@@ -213,7 +213,7 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
     /// Return true if `node` is a centre with `other` on the boundary of the cube round `node`.
     ///
     /// The link between the two nodes is then found from `node`.
-    fn finds(&self, node: u32, other: u32) -> bool {
+    fn has_link_to(&self, node: u32, other: u32) -> bool {
         let radius = isize::from(self.radius[node as usize]);
         radius > 1 && chessboard(self.voxel(node), self.voxel(other)) == radius
     }
@@ -224,7 +224,7 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
     fn for_each_boundary_node(&self, centre: u32, mut visit: impl FnMut(u32, f64)) {
         let r = isize::from(self.radius[centre as usize]);
         let at = self.voxel(centre).map(|v| v as isize);
-        let look = |offset: [isize; 3]| {
+        let visit_node = |offset: [isize; 3]| {
             let to = std::array::from_fn(|a| at[a] + offset[a]);
             if let Some(whole) = self.base.node_of_voxel(to) {
                 let node = self.node_of[whole as usize];
@@ -233,7 +233,7 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
                 }
             }
         };
-        for_each_on_cube(r, look);
+        for_each_on_cube(r, visit_node);
     }
 
     fn length_mm(&self, offset: [isize; 3]) -> f64 {
@@ -248,7 +248,7 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
     /// Return the node in the unpruned graph for a node of this graph.
     #[must_use]
     pub fn whole(&self, node: u32) -> u32 {
-        self.kept[node as usize]
+        self.whole_of[node as usize]
     }
 
     /// Return the voxel of a node.
@@ -326,7 +326,7 @@ fn for_each_on_cube(r: isize, mut visit: impl FnMut([isize; 3])) {
 
 impl<B: VoxelGraph + Sync> Graph for IsoRegionGraph<B> {
     fn num_nodes(&self) -> usize {
-        self.kept.len()
+        self.whole_of.len()
     }
 
     fn for_each_edge(&self, node: u32, mut visit: impl FnMut(u32, f64)) {
@@ -406,7 +406,7 @@ impl LinkCost<LumenGraph> for LumenCost<'_> {
     fn link_weight_range(&self, graph: &IsoRegionGraph<LumenGraph>) -> (f64, f64) {
         let (least, greatest) = self.weight_range();
         let mut dearest = graph.base.edge_length_range_mm().1 * greatest;
-        for centre in (0..graph.kept.len() as u32).filter(|n| graph.radius(*n) > 1) {
+        for centre in (0..graph.whole_of.len() as u32).filter(|n| graph.radius(*n) > 1) {
             graph.for_each_boundary_node(centre, |node, mm| {
                 let weight = self.link_weight(&graph.base, graph.whole(centre), graph.whole(node));
                 dearest = dearest.max(mm * weight);
