@@ -65,16 +65,16 @@ impl<'a, B: Fill> Reader<'a, B> {
         let table = self.bricks.store().table().as_ptr();
         // SAFETY: cells are in the volume, so the numbers of their bricks are in the table. Benchmark:
         // benchmarks/measurements/rendering.md.
-        let mut kept = unsafe { l.links(table, number) };
-        let absent = l.bits(l.without(wanted, l.less_i(l.splat_i(0), kept)));
+        let mut entry = unsafe { l.links(table, number) };
+        let absent = l.bits(l.without(wanted, l.less_i(l.splat_i(0), entry)));
         if absent != 0 {
             if !self.fill(&l.store_i(number), absent) {
                 return None;
             }
             // SAFETY: cells are in the volume, so the numbers of their bricks are in the table.
-            kept = unsafe { l.links(table, number) };
+            entry = unsafe { l.links(table, number) };
         }
-        Some(l.max_i(kept, l.splat_i(1)))
+        Some(l.max_i(entry, l.splat_i(1)))
     }
 
     /// Fill the bricks of some lanes; return false if one of these bricks cannot be stored.
@@ -100,8 +100,8 @@ impl<'a, B: Fill> Reader<'a, B> {
         t: &[L::F; 3],
         wanted: L::M,
     ) -> Option<[L::F; 4]> {
-        let kept = self.find(l, ijk, wanted)?;
-        let mut at = l.mul_i(l.sub_i(kept, l.splat_i(1)), l.splat_i(PER_BRICK as i32));
+        let entry = self.find(l, ijk, wanted)?;
+        let mut at = l.mul_i(l.sub_i(entry, l.splat_i(1)), l.splat_i(PER_BRICK as i32));
         for a in 0..3 {
             let steps = l.mul_i(l.modulo_4(ijk[a]), l.splat_i(STRIDE[a] as i32));
             at = l.add_i(at, steps);

@@ -20,16 +20,16 @@ use crate::InstructionSet;
 /// Return true if gather instructions read voxels faster than single loads on this machine.
 ///
 /// The first call for an instruction set takes some fifty microseconds.
-pub(super) fn gathers_pay(simd: InstructionSet) -> bool {
+pub(super) fn gathers_are_faster(simd: InstructionSet) -> bool {
     /// Result for AVX2 and for AVX-512, measured on first use.
-    static PAY: [OnceLock<bool>; 2] = [OnceLock::new(), OnceLock::new()];
+    static ARE_FASTER: [OnceLock<bool>; 2] = [OnceLock::new(), OnceLock::new()];
     match simd {
-        InstructionSet::Avx2 if simd.is_available() => *PAY[0].get_or_init(|| {
+        InstructionSet::Avx2 if simd.is_available() => *ARE_FASTER[0].get_or_init(|| {
             // SAFETY: `simd.is_available()` has confirmed that the machine has the instruction set. Benchmark:
             // `carina bench isoregion`, the oblique slice.
             faster(|data, gathers| unsafe { read_avx2(data, gathers) })
         }),
-        InstructionSet::Avx512 if simd.is_available() => *PAY[1].get_or_init(|| {
+        InstructionSet::Avx512 if simd.is_available() => *ARE_FASTER[1].get_or_init(|| {
             // SAFETY: `simd.is_available()` has confirmed that the machine has the instruction set.
             faster(|data, gathers| unsafe { read_avx512(data, gathers) })
         }),

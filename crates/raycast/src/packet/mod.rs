@@ -42,7 +42,7 @@ use crate::{
     leap::{CELL_REACH, Price, Start, class_margin},
 };
 #[cfg(target_arch = "x86_64")]
-use gathers::gathers_pay;
+use gathers::gathers_are_faster;
 use lanes::Lanes;
 use out::{Out, Rgb8, Walls};
 #[cfg(target_arch = "x86_64")]
@@ -172,7 +172,7 @@ impl<'a> Packets<'a> {
     #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
     fn cast_avx512<O: Out>(&self, source: Source, out: O) -> CastStats {
         // SAFETY: this function runs only on a machine with the instructions of its target features.
-        let l = Pair(unsafe { avx512::Avx512::new(gathers_pay(self.simd)) });
+        let l = Pair(unsafe { avx512::Avx512::new(gathers_are_faster(self.simd)) });
         self.cast((l, l), source, out)
     }
 

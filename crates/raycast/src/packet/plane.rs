@@ -10,7 +10,7 @@
 )]
 
 #[cfg(target_arch = "x86_64")]
-use super::{avx2, avx512, gathers::gathers_pay, pair::Pair};
+use super::{avx2, avx512, gathers::gathers_are_faster, pair::Pair};
 use super::{
     lanes::{Array, Lanes, MAX_LANES},
     voxels::Voxels,
@@ -96,7 +96,7 @@ impl<'a> PlaneTiles<'a> {
                 along_row,
                 window,
                 simd,
-                gathers: gathers_pay(simd),
+                gathers: gathers_are_faster(simd),
             })
         }
         #[cfg(not(target_arch = "x86_64"))]
@@ -212,11 +212,11 @@ impl<'a> PlaneTiles<'a> {
                         if whole {
                             let pixels = at..at + L::N;
                             // SAFETY: `place` has returned `Tile::Between` for this tile.
-                            unsafe { self.all(l, p, &mut grey[pixels.clone()]) };
+                            unsafe { self.sample_between(l, p, &mut grey[pixels.clone()]) };
                             inside[pixels].fill(1);
                         } else {
                             let pixels = at..at + L::N.min(end - column);
-                            self.some(l, p, &mut grey[pixels.clone()], &mut inside[pixels]);
+                            self.sample_any(l, p, &mut grey[pixels.clone()], &mut inside[pixels]);
                         }
                         column += L::N;
                     }
@@ -232,7 +232,7 @@ impl<'a> PlaneTiles<'a> {
     ///
     /// The pixels must be in a tile for which [`Self::place`] returns [`Tile::Between`].
     #[inline(always)]
-    unsafe fn all<L: Lanes>(&self, l: L, p: [L::F; 3], grey: &mut [u8]) {
+    unsafe fn sample_between<L: Lanes>(&self, l: L, p: [L::F; 3], grey: &mut [u8]) {
         // SAFETY: the caller guarantees that the pixels are in cells of eight voxels. Benchmark:
         // `carina bench isoregion`, the oblique slice; without clamps and tests a slice takes a tenth less.
         let cells = unsafe { self.voxels.cells_between(l, p) };
@@ -244,7 +244,7 @@ impl<'a> PlaneTiles<'a> {
 
     /// Sample pixels at any position, as many as `grey` and `inside` have items.
     #[inline(always)]
-    fn some<L: Lanes>(&self, l: L, p: [L::F; 3], grey: &mut [u8], inside: &mut [u8]) {
+    fn sample_any<L: Lanes>(&self, l: L, p: [L::F; 3], grey: &mut [u8], inside: &mut [u8]) {
         // True in all lanes. The comparisons below clear lanes outside the box, and lanes with a NaN.
         let mut within = l.less(l.splat(-1.0), l.splat(0.0));
         for a in 0..3 {
