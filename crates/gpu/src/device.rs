@@ -50,7 +50,7 @@ pub struct Gpu {
     shader: wgpu::ShaderModule,
     pipelines: Mutex<HashMap<Variant, wgpu::ComputePipeline>>,
     /// First error that the driver reported; `None` without an error.
-    trouble: Arc<Mutex<Option<String>>>,
+    driver_error: Arc<Mutex<Option<String>>>,
 }
 
 /// Lock a mutex even after a panic in another thread.
@@ -90,13 +90,13 @@ impl Gpu {
             ..Default::default()
         }))
         .map_err(|e| refuse(e.to_string()))?;
-        let trouble = Arc::new(Mutex::new(None));
+        let driver_error = Arc::new(Mutex::new(None));
         // The default handler would panic; this handler stores the error, and the next picture fails.
-        let stored = Arc::clone(&trouble);
+        let stored = Arc::clone(&driver_error);
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
             lock(&stored).get_or_insert_with(|| error.to_string());
         }));
-        let stored = Arc::clone(&trouble);
+        let stored = Arc::clone(&driver_error);
         device.set_device_lost_callback(move |reason, message| {
             lock(&stored).get_or_insert_with(|| format!("lost ({reason:?}): {message}"));
         });
@@ -138,7 +138,7 @@ impl Gpu {
             pipeline_layout,
             shader,
             pipelines: Mutex::default(),
-            trouble,
+            driver_error,
         };
         gpu.check_alive()?;
         Ok(gpu)
@@ -156,12 +156,12 @@ impl Gpu {
     pub fn lose(&self) {
         self.device.destroy();
         let _ = self.device.poll(wgpu::PollType::Poll);
-        lock(&self.trouble).get_or_insert_with(|| "given up".to_owned());
+        lock(&self.driver_error).get_or_insert_with(|| "given up".to_owned());
     }
 
     /// Return an error if the driver has reported any problem, because no later result can be trusted.
     pub(crate) fn check_alive(&self) -> Result<(), GpuError> {
-        match &*lock(&self.trouble) {
+        match &*lock(&self.driver_error) {
             None => Ok(()),
             Some(reason) => Err(GpuError::Device {
                 name: self.facts.name.clone(),
@@ -189,7 +189,7 @@ impl Gpu {
             timeout: Some(self.facts.kind.patience()),
         });
         if let Err(e) = done {
-            lock(&self.trouble).get_or_insert_with(|| format!("no answer: {e}"));
+            lock(&self.driver_error).get_or_insert_with(|| format!("no answer: {e}"));
         }
     }
 

@@ -14,11 +14,11 @@ use crate::{
 /// Number of cached sets of ray directions, and of cached transfer tables.
 ///
 /// While a camera moves, the frame budget alternates between a few picture sizes and ray steps.
-const KEPT: usize = 6;
+const MOST_CACHED: usize = 6;
 
 /// Return the cached item of a key, or create and cache it; the least recently used item is removed if the cache is
 /// full.
-fn kept<T, K: PartialEq + ?Sized>(
+fn cached<T, K: PartialEq + ?Sized>(
     all: &mut Vec<Arc<T>>,
     key: &K,
     key_of: impl Fn(&T) -> &K,
@@ -27,7 +27,7 @@ fn kept<T, K: PartialEq + ?Sized>(
     let place = all.iter().position(|item| key_of(item) == key);
     let item = place.map_or_else(|| Arc::new(make()), |n| all.remove(n));
     all.insert(0, Arc::clone(&item));
-    all.truncate(KEPT);
+    all.truncate(MOST_CACHED);
     item
 }
 
@@ -65,7 +65,7 @@ impl Gpu {
             rows: rows.clone(),
         };
         let mut all = lock(&self.directions);
-        kept(
+        cached(
             &mut all,
             &key,
             |item| &item.key,
@@ -82,7 +82,7 @@ impl Gpu {
     pub(crate) fn table_of(&self, numbers: &FrameNumbers<'_>) -> Arc<TableOnDevice> {
         let mut all = lock(&self.tables);
         let wanted = numbers.entries;
-        kept(
+        cached(
             &mut all,
             wanted,
             |item| &item.entries,
