@@ -78,8 +78,8 @@ struct TransferTable {
 impl TransferTable {
     /// Return the step table for classes that are given by one value of each class.
     fn segments(&self, class_values: &[i32]) -> Arc<SegmentTable> {
-        let mut kept = self.segments.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((values, table)) = kept.as_ref()
+        let mut cached = self.segments.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((values, table)) = cached.as_ref()
             && values == class_values
         {
             return Arc::clone(table);
@@ -90,7 +90,7 @@ impl TransferTable {
         // than casting the picture.
         entries.resize(usize::from(u8::MAX), [0.0; 4]);
         let table = Arc::new(SegmentTable::new(&entries));
-        *kept = Some((class_values.to_vec(), Arc::clone(&table)));
+        *cached = Some((class_values.to_vec(), Arc::clone(&table)));
         table
     }
 }
@@ -168,12 +168,16 @@ struct Bricks {
 }
 
 /// Return the cached bricks if they fit; otherwise cache and return new bricks.
-fn kept<T>(kept: &Mutex<Option<Arc<T>>>, fits: impl Fn(&T) -> bool, new: impl Fn() -> T) -> Arc<T> {
-    let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
-    if let Some(bricks) = kept.as_ref().filter(|bricks| fits(bricks)) {
+fn cached<T>(
+    cached: &Mutex<Option<Arc<T>>>,
+    fits: impl Fn(&T) -> bool,
+    new: impl Fn() -> T,
+) -> Arc<T> {
+    let mut cached = cached.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some(bricks) = cached.as_ref().filter(|bricks| fits(bricks)) {
         return Arc::clone(bricks);
     }
-    Arc::clone(kept.insert(Arc::new(new())))
+    Arc::clone(cached.insert(Arc::new(new())))
 }
 
 impl Bricks {
@@ -181,16 +185,16 @@ impl Bricks {
     ///
     /// The cache starts empty again if the bricks do not fit the frame (another shape, or another transfer function for
     /// wall normals) or if the cache is full.
-    fn given_to<'a>(&self, frame: Frame<'a>) -> Result<Frame<'a>, RaycastError> {
+    fn attached_to<'a>(&self, frame: Frame<'a>) -> Result<Frame<'a>, RaycastError> {
         if frame.lights_walls() {
             let fits = |bricks: &NormalBricks| bricks.fit(&frame) && !bricks.is_full();
-            let bricks = kept(&self.slopes, fits, || NormalBricks::of(&frame));
+            let bricks = cached(&self.slopes, fits, || NormalBricks::of(&frame));
             return frame.with_normals(bricks);
         }
         if frame.lights_samples() {
             let shape = frame.shape_ijk();
             let fits = |bricks: &SampleBricks| bricks.fit(shape) && !bricks.is_full();
-            let bricks = kept(&self.samples, fits, || SampleBricks::of(shape));
+            let bricks = cached(&self.samples, fits, || SampleBricks::of(shape));
             return frame.with_samples(bricks);
         }
         Ok(frame)
@@ -412,7 +416,7 @@ fn cast<'py>(
         frame = frame.leaping_always();
     }
     if let Some(bricks) = bricks {
-        frame = bricks.get().given_to(frame).map_err(IntoPy::into_py)?;
+        frame = bricks.get().attached_to(frame).map_err(IntoPy::into_py)?;
     }
     let simd = instruction_set(simd)?;
     let (start, end) = rows.unwrap_or((0, height));
