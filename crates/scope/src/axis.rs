@@ -60,7 +60,7 @@ fn mix(a: Point, b: Point, t: f64) -> Point {
 }
 
 /// Return `v`, which is perpendicular to `from`, rotated by the smallest rotation that takes `from` to `to`.
-fn carried(v: Point, from: Point, to: Point) -> Point {
+fn transported(v: Point, from: Point, to: Point) -> Point {
     let share = dot(to, v) / (1.0 + dot(from, to)).max(1e-6);
     let turned: Point = std::array::from_fn(|a| v[a] - share * (from[a] + to[a]));
     let slant = dot(turned, to);
@@ -106,7 +106,7 @@ impl Axis {
         up = unit(along(up, -dot(up, before), before)).unwrap_or(up);
         for node in (1..=last).rev() {
             let forward = self.forward(node);
-            up = carried(up, before, forward);
+            up = transported(up, before, forward);
             ups[node - 1] = up;
             before = forward;
         }
@@ -259,7 +259,7 @@ impl Axis {
         (base..num).flat_map(move |n| [(n, n), (n, n + 1)])
     }
 
-    fn hold_off(
+    fn push_off_wall(
         &mut self,
         field: &WallField,
         feelers: &Feelers,
@@ -362,7 +362,7 @@ impl Axis {
             if is_free {
                 let rest = self.rest(body, &ups, controls.flexion_rad);
                 self.unbend(&rest, num);
-                self.hold_off(field, feelers, body, entry, ups[0], num);
+                self.push_off_wall(field, feelers, body, entry, ups[0], num);
                 self.stretch(body, num);
             }
             if sweep + 1 < LEAST_SWEEPS {
@@ -374,7 +374,7 @@ impl Axis {
                 let all = self.depths_mm(field, feelers, body, entry, ups[0], free);
                 if all.1 > SHAFT_TOLERANCE_MM {
                     // The shaft penetrates the wall far back, where only sweeps over all nodes have an effect.
-                    self.hold_off(field, feelers, body, entry, ups[0], free);
+                    self.push_off_wall(field, feelers, body, entry, ups[0], free);
                     self.stretch(body, free);
                     continue;
                 }
