@@ -135,7 +135,7 @@ impl ForceLoop {
         let of_thread = shared.clone();
         let thread = std::thread::Builder::new()
             .name("carina-force".to_owned())
-            .spawn(move || keep_time(&of_thread, tick))
+            .spawn(move || run_ticks(&of_thread, tick))
             .map_err(|e| ForceError {
                 reason: format!("its thread could not be started ({e})"),
             })?;
@@ -204,7 +204,7 @@ fn open_port(port: u16) -> Result<UdpSocket, ForceError> {
 }
 
 /// Run ticks at their due times until the loop is stopped (the body of the loop's thread).
-fn keep_time(shared: &Shared, mut tick: Tick) {
+fn run_ticks(shared: &Shared, mut tick: Tick) {
     tick.counts.set_real_time(tick_clock::request_priority());
     let start_ns = tick_clock::now_ns() + TICK_NS;
     let (mut number, mut num_done) = (0_u64, 0_u64);
@@ -229,7 +229,7 @@ impl Shared {
     /// Run one tick; return the number of ticks that were due by the end of this one, including this one.
     fn tick(&self, tick: &mut Tick, due_ns: u64, began_ns: u64) -> u64 {
         let began = Instant::now();
-        let input = self.listen(began);
+        let input = self.read_input(began);
         if input.sample.is_some() {
             tick.newest = input.sample;
         }
@@ -257,11 +257,11 @@ impl Shared {
             latency_us: input.sample.map(|(_, at)| at.elapsed().as_secs_f64() * 1e6),
         };
         tick.counts.add(&times, &tick.last, &last);
-        self.answer(input.request, &tick.last);
+        self.send_force(input.request, &tick.last);
         num_due
     }
 
-    fn answer(&self, request: Option<(SocketAddr, SamplePacket)>, felt: &HandForce) {
+    fn send_force(&self, request: Option<(SocketAddr, SamplePacket)>, felt: &HandForce) {
         if let Some((socket, (to, packet))) = self.socket.as_ref().zip(request) {
             let answer = ForcePacket {
                 number: packet.number,
@@ -274,7 +274,7 @@ impl Shared {
         }
     }
 
-    fn listen(&self, now: Instant) -> TickInput {
+    fn read_input(&self, now: Instant) -> TickInput {
         let mut input = TickInput::default();
         if let Some(socket) = &self.socket {
             // The buffer has one byte more than a sample, so that a longer packet is detected.
