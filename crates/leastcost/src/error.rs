@@ -4,7 +4,7 @@ pub enum TrackError {
     /// The caller stopped the search.
     #[error("stopped on request")]
     Cancelled,
-    /// The volume does not contain what the search needs, for example a trachea; the text explains it.
+    /// The volume does not contain a structure that the search needs, such as a trachea; the text names it.
     #[error("{0}")]
     NoResult(String),
     /// An argument is out of range.

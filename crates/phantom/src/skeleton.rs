@@ -15,7 +15,7 @@ pub(crate) struct Named {
 }
 
 impl Named {
-    /// Return true for a segment, false for a common stem of two segments (RB1, LB1+2, LB10).
+    /// Return true for a branch of one segment, such as RB1 or LB10, false for a common stem of two segments.
     ///
     /// LB1+2 is one segment of the left lung.
     pub(crate) fn is_segment(&self) -> bool {

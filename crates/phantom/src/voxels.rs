@@ -57,8 +57,7 @@ pub(crate) struct Scene<'a> {
     nodule: Option<Nodule>,
     tube: Option<&'a AirwayTube>,
     airways: Vec<AirwayPiece>,
-    /// For each branch, the darkness that the blur leaves in the middle of its lumen, relative to the depth in a flat
-    /// surface.
+    /// For each branch, the darkness in the middle of its blurred lumen, relative to a flat surface as far away.
     depth: Vec<f64>,
 }
 

@@ -335,7 +335,7 @@ impl ScopeDrive {
             }
         }
         if advance < 0.0 {
-            // Withdrawal needs no relaxation, because the scope then has only positions that it had before.
+            // The scope is withdrawn along itself without relaxation, so it has only positions that it had before.
             let mut axis = self.axis.clone();
             axis.shift(&self.entry, wanted.depth_mm, advance);
             let ups = axis.ups(self.first_up, wanted.roll_rad);

@@ -36,7 +36,7 @@ pub(crate) enum Brick {
 }
 
 impl Brick {
-    /// Create a brick from its samples, which are dropped if all of them are at a limit.
+    /// Create a brick from its samples, which are stored only if the brick is near the wall.
     pub(crate) fn of(samples: Vec<f32>) -> Self {
         if samples.iter().all(|&d| f64::from(d) <= -OUTSIDE_MM) {
             Self::Outside

@@ -43,7 +43,7 @@ const STEADY_MM: f64 = 0.06;
 
 /// Number of positions at the start of a path whose brightness is compared with the median of the path.
 const NUM_FIRST: usize = 4;
-/// Largest difference between these first positions and the median of the path, as a fraction of the wall's rise.
+/// Largest excess of the first `NUM_FIRST` positions over the median of the path, as a fraction of the wall's rise.
 const OPENNESS: f64 = 0.65;
 
 /// Smallest rise of the second darkest side of a whole path, as a fraction of the rise of the median side.
