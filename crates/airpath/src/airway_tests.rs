@@ -1,4 +1,5 @@
-//! Tests of the lumen's graph, wall distance, flood, trachea and tree on drawn airways, on anisotropic oblique grids.
+//! Tests of the lumen's graph, wall distances, flood, trachea and branches on drawn airways, on anisotropic oblique
+//! grids.
 
 use carina_grid::{Affine, Grid, Ijk, Lps, VolumeView, dot, length};
 
@@ -10,6 +11,7 @@ use carina_leastcost::graph::Graph;
 use carina_leastcost::lumen::{LumenCost, LumenGraph, WallLevels};
 use carina_leastcost::tracker::Tracker;
 
+/// Value levels of the drawn lumen and wall.
 const LEVELS: WallLevels = WallLevels {
     core: -900.0,
     wall: -500.0,
@@ -40,8 +42,9 @@ fn off_segment(p: [f64; 3], a: [f64; 3], b: [f64; 3]) -> f64 {
 
 type Tube = ([f64; 3], [f64; 3], f64);
 
-/// Draw air inside the tubes, a wall of `wall_mm` at 0 HU, and lung of -850 HU around; edges are blurred over one
-/// voxel.
+/// Draw air inside the tubes, a wall of `wall_mm` at 0 HU, and lung of -850 HU around the wall.
+///
+/// All edges are blurred over one voxel.
 fn draw(grid: &Grid, tubes: &[Tube], wall_mm: f64) -> Vec<i16> {
     (0..grid.num_voxels())
         .map(|at| {
@@ -62,7 +65,7 @@ fn lumen_of(values: &[i16]) -> Vec<u8> {
 }
 
 #[test]
-fn the_wall_distance_is_the_radius_in_the_middle_of_a_tube() {
+fn the_wall_distance_in_the_middle_of_a_tube_equals_its_radius() {
     let grid = oblique([40, 40, 44]);
     let middle = grid.to_lps(Ijk([22.0, 20.0, 20.0])).0;
     let far = |sign: f64| [0, 1, 2].map(|i| middle[i] + sign * [8.0, 5.0, 60.0][i]);
@@ -73,7 +76,7 @@ fn the_wall_distance_is_the_radius_in_the_middle_of_a_tube() {
     let mut worst: f64 = 0.0;
     for node in 0..graph.num_nodes() as u32 {
         let voxel = graph.voxel(node);
-        // Leave out voxels near the volume's faces, because the wall is cut off there.
+        // Voxels near the volume's faces are left out, because the wall is cut off there.
         if !(6..34).contains(&voxel[2]) {
             continue;
         }
@@ -81,12 +84,13 @@ fn the_wall_distance_is_the_radius_in_the_middle_of_a_tube() {
         let truth = 5.0 - off_segment(p, tubes[0].0, tubes[0].1);
         worst = worst.max((graph.wall_mm(node) - truth).abs());
     }
-    // 0.4 mm: crossings are found on grid edges only, 0.8 to 1.5 mm apart; whole voxels would have an error of 0.75 mm.
+    // The tolerance is 0.4 mm: crossings are found on grid edges only, 0.8 to 1.5 mm apart; whole voxels would have an
+    // error of 0.75 mm.
     assert!(worst < 0.4, "{worst}");
 }
 
 #[test]
-fn a_diagonal_step_does_not_cross_a_wall() {
+fn a_diagonal_step_across_a_wall_has_no_edge() {
     let grid = oblique([3, 6, 6]);
     let mut values = vec![0i16; grid.num_voxels()];
     let (a, b, c) = ([2, 2, 1], [3, 3, 1], [2, 3, 1]);
@@ -111,7 +115,7 @@ fn a_diagonal_step_does_not_cross_a_wall() {
 }
 
 #[test]
-fn a_path_keeps_to_the_middle_and_its_cost_is_finite() {
+fn a_path_stays_in_the_middle_of_the_lumen_and_its_cost_is_finite() {
     let grid = oblique([50, 40, 44]);
     let middle = grid.to_lps(Ijk([22.0, 20.0, 25.0])).0;
     let far = |sign: f64| [0, 1, 2].map(|i| middle[i] + sign * [6.0, -4.0, 30.0][i]);
@@ -138,12 +142,12 @@ fn a_path_keeps_to_the_middle_and_its_cost_is_finite() {
     assert!(tracker.solve_to(&graph, &cost, target, &Unwatched).unwrap());
     for node in tracker.path_to(target).unwrap() {
         let p = grid.to_lps(Ijk(graph.voxel(node).map(|v| v as f64))).0;
-        // Tolerance: the in-plane diagonal of one voxel.
+        // The tolerance is the in-plane diagonal of one voxel.
         assert!(off_segment(p, far(-1.0), far(1.0)) < 1.21);
     }
 }
 
-/// Return a trachea that divides into two bronchi, each of which divides again, on a given grid.
+/// Return the tubes of a trachea that divides into two bronchi, each of which divides again, at positions on a grid.
 fn airway(grid: &Grid) -> Vec<Tube> {
     let centre = grid
         .to_lps(Ijk(grid.shape_ijk().map(|n| (n as f64 - 1.0) / 2.0)))
@@ -178,7 +182,7 @@ fn chest(grid: &Grid, tubes: &[Tube]) -> Vec<i16> {
                     < 1.0
             };
             let body = (q[0] / 58.0).powi(2) + (q[1] / 36.0).powi(2) < 1.0;
-            // Pseudo-random noise without a generator: about 25 HU up and down.
+            // Pseudo-random noise of up to 25 HU, computed from the voxel's index.
             let noise = ((at.wrapping_mul(2_654_435_761) >> 7) % 51) as f64 - 25.0;
             let around = if depth < 1.6 {
                 0.0
@@ -214,12 +218,14 @@ fn chest_grid(flips: [bool; 3]) -> Grid {
     .unwrap()
 }
 
+/// Value levels of air, lung and tissue in the drawn chest.
 const AIR: AirLevels = AirLevels {
     air: -800,
     tissue: -450,
     lung: Some((-950, -600)),
 };
 
+/// Limits with which the search runs in these tests.
 const LIMITS: FloodLimits = FloodLimits {
     first_level: -1020,
     core_level: -950,
@@ -231,7 +237,7 @@ const LIMITS: FloodLimits = FloodLimits {
 };
 
 #[test]
-fn the_trachea_is_found_however_the_grid_is_stored() {
+fn the_trachea_is_found_for_every_axis_order_and_flip_of_the_grid() {
     for flips in [
         [false; 3],
         [true, false, false],
@@ -251,7 +257,7 @@ fn the_trachea_is_found_however_the_grid_is_stored() {
         // The slices are tilted, so the highest spot is a part of the rounded top.
         let off = off_segment(top, tubes[0].0, tubes[0].1);
         assert!(off < 5.0, "{off}");
-        // The division is found in slices of 1.5 mm, up to a diameter below the intersection of the axes.
+        // The division is found in slices of 1.5 mm, up to one diameter below the intersection of the tubes' axes.
         let off = length([0, 1, 2].map(|i| found.carina_lps[i] - tubes[0].1[i]));
         assert!(off < 16.0, "{off}");
         let middle = found.diameters_mm[found.diameters_mm.len() / 2];
@@ -260,7 +266,7 @@ fn the_trachea_is_found_however_the_grid_is_stored() {
 }
 
 #[test]
-fn a_tube_that_splits_without_lungs_beside_it_is_no_trachea() {
+fn a_tube_that_divides_without_lungs_beside_it_is_rejected_as_trachea() {
     // The same tubes without lungs around them look like bowel in an abdomen.
     let grid = chest_grid([false; 3]);
     let tubes = airway(&grid);
@@ -277,7 +283,7 @@ fn a_tube_that_splits_without_lungs_beside_it_is_no_trachea() {
 }
 
 #[test]
-fn a_trachea_that_goes_on_nowhere_is_refused_and_one_with_a_single_bronchus_is_doubted() {
+fn a_trachea_without_bronchi_is_rejected_and_one_with_a_single_bronchus_has_a_doubt() {
     let grid = chest_grid([false; 3]);
     let found = |num_tubes: usize| {
         let values = chest(&grid, &airway(&grid)[..num_tubes]);
@@ -293,7 +299,7 @@ fn a_trachea_that_goes_on_nowhere_is_refused_and_one_with_a_single_bronchus_is_d
 }
 
 #[test]
-fn a_trachea_with_a_narrow_bronchus_or_a_collapsed_lung_is_the_same_trachea_with_a_doubt() {
+fn a_narrow_bronchus_or_a_collapsed_lung_adds_a_doubt_to_an_equal_trachea() {
     let grid = chest_grid([false, true, false]);
     let whole = airway(&grid);
     let find = |values: &[i16]| {
@@ -320,11 +326,11 @@ fn a_trachea_with_a_narrow_bronchus_or_a_collapsed_lung_is_the_same_trachea_with
 }
 
 #[test]
-fn a_main_bronchus_is_no_trachea_where_the_volume_begins_below_the_carina() {
+fn a_main_bronchus_is_rejected_as_trachea_if_the_volume_begins_below_the_carina() {
     let grid = chest_grid([false; 3]);
     let centre = airway(&grid)[0].1;
     let at = |x: f64, y: f64, z: f64| [centre[0] + x, centre[1] + y, centre[2] + z];
-    // Each tube is long and divides between the lungs; only the other tube beside it shows that it is no trachea.
+    // Each tube is long and divides between the lungs; only the other tube beside it shows that it is a main bronchus.
     let side = |s: f64| {
         let fork = at(18.0 * s, 0.0, -5.0);
         [
@@ -345,11 +351,11 @@ fn a_main_bronchus_is_no_trachea_where_the_volume_begins_below_the_carina() {
 }
 
 #[test]
-fn the_flood_fills_the_airway_and_not_the_lung_through_a_hole_in_the_wall() {
+fn the_flood_does_not_enter_the_lung_through_a_hole_in_the_wall() {
     let grid = chest_grid([false; 3]);
     let tubes = airway(&grid);
     let mut values = chest(&grid, &tubes);
-    // A breach: a channel of lung density from the right main bronchus to the lung.
+    // The breach in the wall is a channel of lung density from the right main bronchus to the lung.
     let from = [0, 1, 2].map(|i| 0.5 * (tubes[1].0[i] + tubes[1].1[i]));
     let to = [from[0] - 16.0, from[1] - 6.0, from[2] - 2.0];
     let depth = |p: [f64; 3]| {
@@ -425,7 +431,7 @@ fn the_tree_has_the_drawn_branches_and_children_begin_where_their_parent_ends() 
         let radius = branch.radius_mm[branch.points.len() / 2];
         let off = off_segment(middle, tube.0, tube.1);
         assert!(off < 1.5, "{off}");
-        // Tolerance: 0.8 mm, half a voxel along the axis.
+        // The tolerance of 0.8 mm is half a voxel along the axis.
         let free = radius + off;
         assert!((free - tube.2).abs() < 0.8, "{radius} {off} {}", tube.2);
     }
@@ -436,7 +442,7 @@ fn the_tree_has_the_drawn_branches_and_children_begin_where_their_parent_ends() 
         let tip = branch.nodes[branch.nodes.len() - 1];
         assert_eq!(of_node[tip as usize] as usize, b);
     }
-    // The tree of two targets on the right, with the airway's bifurcations: trachea, right bronchus, two tips.
+    // The tree to two tips on the right has the airway's bifurcations: trachea, right bronchus, and the two tips.
     let tips: Vec<u32> = branches
         .iter()
         .filter(|b| b.generation == 2 && b.points[0][0] < tubes[0].1[0])
@@ -447,7 +453,8 @@ fn the_tree_has_the_drawn_branches_and_children_begin_where_their_parent_ends() 
     let generations: Vec<u32> = part.iter().map(|b| b.generation).collect();
     assert_eq!(generations.iter().max(), Some(&2), "{generations:?}");
     assert_eq!(part.len(), 4, "{generations:?}");
-    // The nodes of an edited tree's branches are found along their centrelines; repeated nodes must not form a cycle.
+    // The nodes of an edited tree's branches are found along their centrelines, so nodes may repeat; repeated nodes
+    // must not form a cycle.
     let mut wavering = branches.clone();
     for branch in &mut wavering {
         let middle = branch.nodes.len() / 2;
@@ -463,7 +470,7 @@ fn the_tree_has_the_drawn_branches_and_children_begin_where_their_parent_ends() 
 }
 
 #[test]
-fn the_nearest_lumen_voxel_is_the_nearest_of_all() {
+fn the_nearest_lumen_voxel_equals_that_of_an_exhaustive_search() {
     let grid = oblique([20, 24, 70]);
     let mut state = 7u64;
     let mut noise = || {
@@ -480,7 +487,7 @@ fn the_nearest_lumen_voxel_is_the_nearest_of_all() {
     let graph = LumenGraph::build(view, &lumen, None).unwrap();
     let shape = grid.shape_ijk();
     for at in 0..400 {
-        // Positions inside, outside, and on the corners of voxels, where several voxels are equally near.
+        // Positions inside the volume, outside, and on the corners of voxels, where several voxels are equally near.
         let mut ijk: [f64; 3] = std::array::from_fn(|a| (1.6 * noise() - 0.3) * shape[a] as f64);
         if at % 2 == 0 {
             ijk = ijk.map(|v| v.floor() + 0.5);

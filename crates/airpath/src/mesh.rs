@@ -21,7 +21,7 @@ use carina_leastcost::{TrackError, Watch};
 pub struct Mesh {
     /// Positions of the vertices, LPS mm.
     pub vertices: Vec<Point>,
-    /// Three vertex indices per triangle.
+    /// Triangles, each as the indices of its three vertices.
     pub triangles: Vec<[u32; 3]>,
 }
 
@@ -29,7 +29,7 @@ pub struct Mesh {
 /// an area of 0.
 pub(crate) const MARGIN: f64 = 0.02;
 
-/// Grid edges of a cube: lower corner and axis.
+/// Grid edges of a cube, each as its lower corner and its axis.
 ///
 /// Corner c is at (c & 1, c >> 1 & 1, c >> 2).
 pub(crate) const EDGES: [(usize, usize); 12] = [
@@ -47,7 +47,7 @@ pub(crate) const EDGES: [(usize, usize); 12] = [
     (3, 2),
 ];
 
-/// Corners of the faces in order, counterclockwise from outside.
+/// Corners of the six faces of a cube, counterclockwise as seen from outside.
 const FACES: [[usize; 4]; 6] = [
     [0, 4, 6, 2],
     [1, 3, 7, 5],
@@ -57,7 +57,7 @@ const FACES: [[usize; 4]; 6] = [
     [4, 5, 7, 6],
 ];
 
-/// Closed rings of edges that the surface crosses in a cube, for one set of inside corners.
+/// Closed rings of grid edges that the surface crosses in a cube, for one set of corners inside the lumen.
 type Rings = Vec<Vec<usize>>;
 
 fn edge_between(a: usize, b: usize) -> usize {
@@ -105,7 +105,8 @@ fn rings_of(inside: u8) -> Rings {
     rings
 }
 
-/// Return true if two crossings are on one face; the neighbouring cube might draw the same chord between them.
+/// Return true if two crossed grid edges belong to one face; the neighbouring cube might draw the same chord between
+/// them.
 fn share_face(a: usize, b: usize) -> bool {
     let on = |edge: usize, face: &[usize; 4]| {
         let (corner, axis) = EDGES[edge];
@@ -114,7 +115,8 @@ fn share_face(a: usize, b: usize) -> bool {
     FACES.iter().any(|face| on(a, face) && on(b, face))
 }
 
-/// Rotate the ring so that a fan from its first edge has no chord in a face; return `None` if that is impossible.
+/// Rotate a ring so that the triangle fan from its first edge has no chord in a face; return `None` if that is
+/// impossible.
 fn fan(ring: &[usize]) -> Option<Vec<usize>> {
     let n = ring.len();
     (0..n)
@@ -122,16 +124,17 @@ fn fan(ring: &[usize]) -> Option<Vec<usize>> {
         .find(|turned| (2..n - 1).all(|m| !share_face(turned[0], turned[m])))
 }
 
-/// Ring of crossed edges as a fan of triangles.
+/// Ring of crossed grid edges, to be filled by a fan of triangles.
 ///
-/// The apex is its first edge, or, if `has_apex` is false, the centre of the ring.
+/// The apex of the fan is the first edge of the ring, or the centre of the ring if `has_apex` is false.
 pub(crate) struct CellRing {
     pub(crate) edges: Vec<usize>,
     pub(crate) has_apex: bool,
 }
 
-/// Return the rings of a cell for each set of its corners that are inside.
+/// Return the rings of a cube for each of the 256 sets of corners inside the lumen.
 pub(crate) fn cell_rings() -> &'static [Vec<CellRing>] {
+    /// Rings of each set of corners, computed on first use.
     static CASES: OnceLock<Vec<Vec<CellRing>>> = OnceLock::new();
     CASES.get_or_init(|| {
         (0..=255u8)
@@ -154,7 +157,7 @@ pub(crate) fn cell_rings() -> &'static [Vec<CellRing>] {
     })
 }
 
-/// Return the surface of the voxels where `lumen` is not 0.
+/// Return the surface of the lumen voxels (`lumen` is not 0) as a closed mesh.
 ///
 /// `levels` is `None` for a lumen that was not found in these values (an imported mask); the surface is then half-way
 /// between voxels. At the volume's faces, beyond which no values exist, the mesh is closed half a voxel further out.
@@ -229,10 +232,10 @@ pub fn lumen_mesh(
     Ok(mesh)
 }
 
-/// Return the voxels whose centres are inside the surface of [`lumen_mesh`]: 1 inside, 0 outside.
+/// Return the mask of the voxels whose centres are inside the surface of [`lumen_mesh`]: 1 inside, 0 outside.
 ///
-/// The flood stops below the wall's half-maximum, so the lumen lacks its outermost voxels. Masks for users contain
-/// them.
+/// The flood stops below the wall's half-maximum, so the lumen of the search lacks its outermost voxels. Masks that are
+/// exported or shown contain them.
 pub fn lumen_mask(
     values: VolumeView<'_, i16>,
     lumen: &[u8],
@@ -270,10 +273,10 @@ fn mean(points: impl ExactSizeIterator<Item = Point>) -> Point {
     sum.map(|v| v / count)
 }
 
-/// Lumen extended to the half-maximum.
+/// Lumen that is extended by up to one voxel to the half-maximum of its wall.
 ///
-/// The extended lumen includes the neighbouring voxels whose centre is in front of the half-maximum, because the flood
-/// stops at a lower value.
+/// The extension adds the neighbouring voxels whose centre is in front of the half-maximum, because the flood stops at
+/// a lower value.
 pub(crate) struct Reach<'a> {
     values: VolumeView<'a, i16>,
     lumen: &'a [u8],
@@ -304,15 +307,15 @@ impl<'a> Reach<'a> {
             && self.lumen[((at[2] * self.shape[1] + at[1]) * self.shape[0] + at[0]) as usize] != 0
     }
 
-    /// Return the distance from a lumen voxel, along a step, to the beginning of the wall, in steps (0 to 2).
+    /// Return the distance from a lumen voxel along a step to the half-maximum of the wall, in steps (0 to 2).
     pub(crate) fn crossing(&self, from: [isize; 3], step: [isize; 3]) -> f64 {
         let Some(levels) = self.levels else {
             return 0.5;
         };
         let place = |n: isize| std::array::from_fn(|a| from[a] + n * step[a]);
         let [here, next, beyond] = [0, 1, 2].map(|n| f64::from(self.values.at_clamped(place(n))));
-        // Levels of air and wall come from all neighbours, because three voxels along a line that grazes the wall do
-        // not reach its maximum.
+        // The levels of air and wall come from all neighbours of a voxel, because three voxels along a line that grazes
+        // the wall do not reach its maximum.
         let (air, _) = self.range_round(from);
         let (_, wall) = self.range_round(place(1));
         let Some(level) = levels.edge_level(air, wall) else {
@@ -325,12 +328,12 @@ impl<'a> Reach<'a> {
         } else if level <= beyond {
             1.0 + (level - next) / (beyond - next)
         } else {
-            // No wall is visible: the lumen was ended here for another reason (a closed breach).
+            // No wall is visible: the lumen ends here for another reason, such as a closed breach.
             0.5
         }
     }
 
-    /// Return the smallest and the largest value within one voxel.
+    /// Return the smallest and the largest value among a voxel and its neighbours.
     fn range_round(&self, at: [isize; 3]) -> (f64, f64) {
         let (mut low, mut high) = (i16::MAX, i16::MIN);
         for cell in 0..27isize {
@@ -370,7 +373,7 @@ impl<'a> Reach<'a> {
             })
     }
 
-    /// Return the first and the last voxel that may be inside, on each axis.
+    /// Return the first and the last voxel on each axis that may be inside the surface; `None` for an empty lumen.
     fn extent(&self) -> Option<([isize; 3], [isize; 3])> {
         let (mut low, mut high) = (self.shape, [-1isize; 3]);
         for (row, cells) in self.lumen.chunks(self.shape[0] as usize).enumerate() {
@@ -390,9 +393,9 @@ impl<'a> Reach<'a> {
         })
     }
 
-    /// Return the point where the surface crosses the grid edge from a voxel along an axis.
+    /// Return the point where the surface crosses the grid edge from voxel `lower` along an axis.
     ///
-    /// Exactly one of its ends must be inside.
+    /// Exactly one end of the edge must be inside.
     fn crossing_lps(&self, lower: [isize; 3], axis: usize) -> Point {
         let mut upper = lower;
         upper[axis] += 1;
@@ -408,8 +411,8 @@ impl<'a> Reach<'a> {
         } else if self.in_lumen(from) {
             self.crossing(from, step)
         } else {
-            // The voxel is inside only by extension: use the crossing as seen from the lumen voxel behind it, if that
-            // voxel is on this line.
+            // This voxel is inside only by the extension. The crossing is then the one as seen from the lumen voxel on
+            // the other side of it, if there is one on this line.
             let behind = std::array::from_fn(|a| from[a] - step[a]);
             if self.in_lumen(behind) {
                 self.crossing(behind, step) - 1.0
@@ -447,6 +450,7 @@ mod tests {
     use carina_leastcost::Unwatched;
     use carina_leastcost::lumen::WallLevels;
 
+    /// Value levels of the drawn lumen and wall.
     const LEVELS: WallLevels = WallLevels {
         core: -900.0,
         wall: -500.0,
@@ -464,7 +468,7 @@ mod tests {
         Grid::new(shape_zyx, Affine::from_matrix("test", &rows).unwrap()).unwrap()
     }
 
-    /// Return true if the mesh has every edge once in each direction.
+    /// Return true if the mesh contains every edge once in each direction.
     fn is_closed(mesh: &Mesh) -> bool {
         let mut edges: HashMap<(u32, u32), usize> = HashMap::new();
         for t in &mesh.triangles {
@@ -491,7 +495,7 @@ mod tests {
     }
 
     #[test]
-    fn a_ball_is_closed_and_has_its_volume_on_either_hand() {
+    fn the_mesh_of_a_ball_is_closed_and_has_its_volume_in_right_and_left_handed_grids() {
         let (radius, spacing) = (6.0, [0.7, 0.8, 1.1]);
         for mirrored in [false, true] {
             let grid = grid([24, 28, 30], spacing, mirrored);
@@ -502,7 +506,7 @@ mod tests {
                     .map(|a| ((at[a] as f64 - [14.6, 13.7, 11.4][a]) * spacing[a]).powi(2))
                     .sum::<f64>()
                     .sqrt();
-                // A wall blurred as by a scanner, with the half-maximum at the radius.
+                // The wall is blurred as by a scanner, with the half-maximum at the radius.
                 let up = ((from_middle - radius) / 1.6 + 0.5).clamp(0.0, 1.0);
                 *value = (-1000.0 + 1040.0 * up) as i16;
             }
@@ -511,7 +515,7 @@ mod tests {
             let mesh = lumen_mesh(view, &lumen, Some(LEVELS), &Unwatched).unwrap();
             assert!(is_closed(&mesh));
             // The wall level of -500 HU is slightly inside the half-maximum, and the chords of a ball are slightly
-            // shorter still.
+            // shorter than its arcs.
             let truth = 4.0 / 3.0 * PI * f64::powi(radius - 1.6 * (0.5 - 500.0 / 1040.0), 3);
             let share = volume_mm3(&mesh) / truth;
             assert!((share - 1.0).abs() < 0.02, "volume is {share} of the truth");
@@ -521,7 +525,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lumen_that_touches_the_volumes_faces_is_closed_half_a_voxel_out() {
+    fn a_lumen_at_the_volumes_faces_is_closed_half_a_voxel_outside() {
         let grid = grid([3, 3, 3], [1.0; 3], false);
         let values = vec![-1000i16; 27];
         let view = VolumeView::new(&values, &grid).unwrap();
@@ -537,7 +541,7 @@ mod tests {
     }
 
     #[test]
-    fn an_empty_lumen_is_refused() {
+    fn an_empty_lumen_is_rejected() {
         let grid = grid([2, 2, 2], [1.0; 3], false);
         let values = vec![0i16; 8];
         let view = VolumeView::new(&values, &grid).unwrap();
@@ -546,7 +550,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn any_set_of_voxels_has_a_closed_surface(
+        fn the_surface_of_any_set_of_voxels_is_closed(
             lumen in prop::collection::vec(0u8..2, 4 * 4 * 4),
             values in prop::collection::vec(-1000i16..200, 4 * 4 * 4),
             with_levels: bool,

@@ -17,31 +17,31 @@ use rayon::prelude::*;
 use crate::mesh::{CellRing, EDGES, MARGIN, Reach, cell_rings};
 use carina_leastcost::lumen::WallLevels;
 
-/// Number of cells along each side of a brick.
-///
-/// With 8, three quarters of the tested triangles are not in the plane; with 2 there are too many bricks.
+/// Number of cells along each side of a brick; larger bricks have more triangles off the plane, smaller ones are too
+/// many.
 const BRICK: usize = 4;
+/// Number of cell corners along each side of a brick.
 const SIDE: usize = BRICK + 1;
 /// Distance in pixels below which neighbouring points of a line are merged.
 ///
-/// The line moves by at most half of that distance.
+/// The line moves by at most half of `APART_PX`.
 const APART_PX: f64 = 0.25;
-/// Limit of the number of pieces.
+/// Largest number of pieces of an outline.
 ///
-/// A plane through any airways has fewer; more indicate that noise was taken for lumen.
+/// A plane through any airways has fewer pieces; more indicate that noise was taken for lumen.
 const MAX_PIECES: usize = 200_000;
-/// Number of steps per pixel of the coordinates in an encoded outline.
+/// Number of coordinate steps per pixel in an encoded outline.
 pub const PARTS_PER_PX: f64 = 16.0;
 
 /// Point of the picture: column and row, in corner coordinates.
 pub type PicturePoint = [f64; 2];
 
-/// Surface of a lumen that planes can cut.
+/// Surface of one lumen mask that planes can cut, computed in bricks where a plane crosses it.
 ///
-/// The surface belongs to one mask; another mask needs another surface.
+/// Another mask needs another surface.
 #[derive(Debug)]
 pub struct LumenSurface {
-    /// Number of voxels along i, j, k.
+    /// Number of voxels of the mask along i, j, k.
     shape: [usize; 3],
     /// Low corners, in voxels, of the bricks that contain lumen; the cells of a brick begin at its corner.
     corners: Vec<[i32; 3]>,
@@ -50,14 +50,17 @@ pub struct LumenSurface {
 
 #[derive(Debug, Default)]
 struct Brick {
-    /// Positions in voxel coordinates.
+    /// Positions of the brick's vertices in voxel coordinates.
     vertices: Vec<[f32; 3]>,
-    /// Unique number of each vertex position on the grid; a neighbouring brick uses the same number.
+    /// Number of each vertex, which identifies its position on the grid; a neighbouring brick has the same number for
+    /// it.
     keys: Vec<u64>,
     triangles: Vec<[u16; 3]>,
 }
 
-/// Part of the outline in one triangle: from one crossed edge to another; edges are identified by their ends.
+/// Part of the outline in one triangle, from one crossed edge to another.
+///
+/// An edge is identified by the numbers of its two vertices.
 struct Piece {
     from: u128,
     to: u128,
@@ -65,18 +68,18 @@ struct Piece {
     end: PicturePoint,
 }
 
-/// Error: the outline has more pieces than a picture can show.
+/// Error for an outline with more pieces than `MAX_PIECES`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct TooRagged;
 
 impl LumenSurface {
-    /// Find the bricks that contain lumen.
+    /// Create the surface of a mask and find the bricks that contain lumen.
     ///
-    /// `lumen` is `[z, y, x]`, not 0 inside; `shape` is (i, j, k).
+    /// `lumen` is an array `[z, y, x]`, not 0 inside; `shape` is its number of voxels along (i, j, k).
     #[must_use]
     pub fn new(lumen: &[u8], shape: [usize; 3]) -> Self {
         let [nx, ny, _] = shape;
-        // Cells begin one voxel before the volume: brick b begins at voxel `BRICK * b - 1`.
+        // The cells begin one voxel before the volume: brick b begins at voxel `BRICK * b - 1`.
         let counts = shape.map(|n| n / BRICK + 1);
         let slices: Vec<Vec<bool>> = lumen
             .par_chunks(nx * ny)
@@ -117,12 +120,10 @@ impl LumenSurface {
         }
     }
 
-    /// Cut the surface with a picture's plane; return lines in picture coordinates.
+    /// Cut the surface with the plane of a picture; return the lines of the outline in picture coordinates.
     ///
-    /// The last point of a closed line equals its first.
-    ///
-    /// `pixel_from_ijk` gives column, row and the distance from the plane. `values` and `lumen` must be those of the
-    /// surface.
+    /// The last point of a closed line equals its first. `pixel_from_ijk` gives column, row and the distance from the
+    /// plane. `values` and `lumen` must be those of the surface.
     ///
     /// # Errors
     ///
@@ -205,8 +206,8 @@ impl Brick {
                         std::array::from_fn(|a| sum[a] + brick.vertices[usize::from(*v)][a])
                     });
                     let lower = std::array::from_fn(|a| low[a] + at[a] as isize);
-                    // Two rings of one cell never both need a centre, because such a ring has more than half of the
-                    // cell's edges.
+                    // Two rings of one cell never both need a vertex at their centre, because such a ring has more than
+                    // half of the cell's edges.
                     brick.keys.push(key_of(lower, 3, shape));
                     brick.vertices.push(middle.map(|v| v / count));
                     ring.push(ring[0]);
@@ -234,8 +235,8 @@ impl Brick {
         depths.clear();
         depths.extend(self.vertices.iter().map(|v| along(&rows[2], v)));
         for triangle in &self.triangles {
-            // A vertex in the plane counts as behind it in all triangles, so that lines have no gaps and no duplicate
-            // parts.
+            // A vertex in the plane counts as behind the plane in all triangles, so that lines have no gaps and no
+            // duplicate parts.
             let behind = triangle.map(|v| depths[usize::from(v)] >= 0.0);
             if behind[0] == behind[1] && behind[1] == behind[2] {
                 continue;
@@ -245,7 +246,7 @@ impl Brick {
                     .find(|&n| behind[n] == leaves && behind[(n + 1) % 3] != leaves)
                     .unwrap_or(0);
                 let (a, b) = (usize::from(triangle[n]), usize::from(triangle[(n + 1) % 3]));
-                // Both triangles of the edge interpolate from the same end, so that the result is equal to the last
+                // Both triangles of an edge interpolate from the same end, so that their results are equal to the last
                 // bit.
                 let (a, b) = if self.keys[a] < self.keys[b] {
                     (a, b)
@@ -287,7 +288,7 @@ fn key_of(lower: [isize; 3], what: u64, shape: [usize; 3]) -> u64 {
     4 * place + what
 }
 
-/// Return the point where the surface crosses a grid edge with one end in the lumen.
+/// Return the point where the surface crosses the grid edge from voxel `lower`, one end of which is in the lumen.
 fn crossing(reach: &Reach<'_>, lower: [isize; 3], axis: usize, from_lower: bool) -> [f32; 3] {
     let mut upper = lower;
     upper[axis] += 1;
@@ -305,7 +306,7 @@ fn crossing(reach: &Reach<'_>, lower: [isize; 3], axis: usize, from_lower: bool)
     std::array::from_fn(|a| (from[a] as f64 + share * step[a] as f64) as f32)
 }
 
-/// Join pieces to lines: the end of one piece is the beginning of the next.
+/// Join the pieces of an outline to lines: the end of one piece is the beginning of the next.
 fn joined(pieces: &[Piece]) -> Vec<Vec<PicturePoint>> {
     let at = Places::of(pieces);
     let next: Vec<Option<usize>> = pieces.iter().map(|p| at.get(pieces, p.to)).collect();
@@ -315,7 +316,7 @@ fn joined(pieces: &[Piece]) -> Vec<Vec<PicturePoint>> {
     }
     let mut done = vec![false; pieces.len()];
     let mut lines = Vec::new();
-    // Lines that leave the picture come first; the rest are rings.
+    // Lines that leave the picture are built first; the pieces that remain form rings.
     let begins = (0..pieces.len()).filter(|n| !follows[*n]);
     for first in begins.chain(0..pieces.len()) {
         if done[first] {
@@ -333,10 +334,11 @@ fn joined(pieces: &[Piece]) -> Vec<Vec<PicturePoint>> {
     lines
 }
 
-/// Hash table from each edge to its piece, with twice as many slots as pieces and linear probing from a key's own slot.
+/// Hash table from the first edge of a piece to the piece, with twice as many slots as pieces and linear probing.
 struct Places(Vec<u32>);
 
 impl Places {
+    /// Entry of an empty slot.
     const FREE: u32 = u32::MAX;
 
     fn of(pieces: &[Piece]) -> Self {
@@ -365,7 +367,8 @@ impl Places {
         None
     }
 
-    /// Keys are numbers of positions, so a multiplication distributes them well enough.
+    /// Return the hash of an edge; its vertex numbers come from positions, so a multiplication distributes them well
+    /// enough.
     fn hash(key: u128) -> usize {
         let (high, low) = ((key >> 64) as u64, key as u64);
         let mixed = (high.rotate_left(29) ^ low).wrapping_mul(0x9e37_79b9_7f4a_7c15);
@@ -373,7 +376,7 @@ impl Places {
     }
 }
 
-/// Encode lines as bytes.
+/// Encode the lines of an outline as bytes.
 ///
 /// Each line is the number of its points and then column and row of each point, all u16 little-endian, columns and rows
 /// in sixteenths of a pixel. Lines are clipped to the picture, and points that are too near to be distinguished are
@@ -387,7 +390,7 @@ pub fn encoded(lines: &[Vec<PicturePoint>], (width, height): (usize, usize)) -> 
             for part in thinned(&run).chunks(usize::from(u16::MAX) - 1) {
                 bytes.extend((part.len() as u16).to_le_bytes());
                 for v in part.iter().flatten() {
-                    // The cast saturates.
+                    // The cast saturates, so values beyond u16 become its largest value.
                     bytes.extend(((v * PARTS_PER_PX).round() as u16).to_le_bytes());
                 }
             }
@@ -396,7 +399,7 @@ pub fn encoded(lines: &[Vec<PicturePoint>], (width, height): (usize, usize)) -> 
     bytes
 }
 
-/// Return the parts of a line that are in a picture.
+/// Return the parts of a line inside a picture of the given size.
 fn clipped(line: &[PicturePoint], size: [f64; 2]) -> Vec<Vec<PicturePoint>> {
     let holds = |p: &PicturePoint| (0..2).all(|a| (0.0..=size[a]).contains(&p[a]));
     if line.iter().all(holds) {
@@ -433,7 +436,7 @@ fn clipped(line: &[PicturePoint], size: [f64; 2]) -> Vec<Vec<PicturePoint>> {
     runs
 }
 
-/// Remove the points of a line that are too near to the previous one.
+/// Remove the points of a line that are nearer than `APART_PX` to the previous remaining point.
 ///
 /// The ends stay, and a small ring keeps at least two points.
 fn thinned(line: &[PicturePoint]) -> Vec<PicturePoint> {
@@ -452,7 +455,8 @@ fn thinned(line: &[PicturePoint]) -> Vec<PicturePoint> {
     if kept.len() < 2 {
         kept.push(*end);
     } else if let Some(last) = kept.last_mut() {
-        // The last remaining point is the end itself, or too near to the end to be distinguished.
+        // The last remaining point is the end itself, or a point that cannot be distinguished from the end; the end
+        // replaces it.
         *last = *end;
     }
     kept

@@ -7,6 +7,7 @@ use crate::mesh::cell_rings;
 use crate::outline::{LumenSurface, PARTS_PER_PX, PicturePoint, TooRagged, encoded};
 use carina_leastcost::lumen::WallLevels;
 
+/// Value levels of the drawn lumen and wall.
 const LEVELS: WallLevels = WallLevels {
     core: -900.0,
     wall: -500.0,
@@ -48,7 +49,7 @@ fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     ]
 }
 
-/// Return the transform of a picture's plane through a point, with its size in pixels.
+/// Return the transform from grid to picture for a plane through the point `middle`, with its size in pixels.
 fn plane(normal: [f64; 3], middle: [f64; 3], mm_per_px: f64, size: usize) -> Affine {
     let beside = if normal[0].abs() < 0.7 {
         [1.0, 0.0, 0.0]
@@ -68,7 +69,7 @@ fn plane(normal: [f64; 3], middle: [f64; 3], mm_per_px: f64, size: usize) -> Aff
     )
 }
 
-/// Return an oblique, anisotropic grid, right-handed or mirrored.
+/// Return an oblique, anisotropic grid, either right-handed or mirrored.
 fn oblique(shape_zyx: [usize; 3], spacing: [f64; 3], mirrored: bool) -> Grid {
     let (c, s) = (0.3f64.cos(), 0.3f64.sin());
     let x = [c, s, 0.0].map(|v| v * if mirrored { -spacing[0] } else { spacing[0] });
@@ -92,7 +93,7 @@ fn lines_of(
         .unwrap()
 }
 
-/// Return the winding number of the lines round a point.
+/// Return the winding number of closed lines round a point.
 fn winding(lines: &[Vec<PicturePoint>], at: PicturePoint) -> i32 {
     let mut turns = 0;
     for pair in lines.iter().flat_map(|line| line.windows(2)) {
@@ -109,7 +110,7 @@ fn winding(lines: &[Vec<PicturePoint>], at: PicturePoint) -> i32 {
 }
 
 #[test]
-fn no_cell_has_two_rings_about_a_middle() {
+fn no_cell_has_two_rings_with_a_vertex_at_the_centre() {
     for (case, rings) in cell_rings().iter().enumerate() {
         let without = rings.iter().filter(|ring| !ring.has_apex).count();
         assert!(without <= 1, "{case:08b}");
@@ -117,7 +118,7 @@ fn no_cell_has_two_rings_about_a_middle() {
 }
 
 #[test]
-fn on_any_plane_the_outline_of_a_ball_lies_within_half_a_voxel_of_its_wall() {
+fn the_outline_of_a_ball_is_within_half_a_voxel_of_its_wall_on_any_plane() {
     let (radius, spacing, size) = (7.0, [0.6, 0.7, 1.5], 300);
     let mut random = Random(7);
     for mirrored in [false, true] {
@@ -129,7 +130,7 @@ fn on_any_plane_the_outline_of_a_ball_lies_within_half_a_voxel_of_its_wall() {
             let offset = std::array::from_fn(|a| p[a] - middle[a]);
             dot(offset, offset).sqrt()
         };
-        // A wall blurred as by a scanner, with the half-maximum at the radius.
+        // The wall is blurred as by a scanner, with the half-maximum at the radius.
         let values: Vec<i16> = (0..grid.num_voxels())
             .map(|n| {
                 let up = ((from_middle(n) - radius) / 1.6 + 0.5).clamp(0.0, 1.0);
@@ -157,7 +158,7 @@ fn on_any_plane_the_outline_of_a_ball_lies_within_half_a_voxel_of_its_wall() {
                 let p = place.point([pair[0][0], pair[0][1], 0.0]);
                 let offset: [f64; 3] = std::array::from_fn(|a| p[a] - middle[a]);
                 let off = dot(offset, offset).sqrt() - radius;
-                // Half a voxel along the direction to the wall, which is the radius.
+                // Half a voxel along the direction to the wall, which is the direction of the radius.
                 let along = offset.map(|v| v / dot(offset, offset).sqrt());
                 let axes = [0, 1, 2].map(|a| grid.lps_from_ijk().column(a));
                 let half = axes
@@ -182,7 +183,7 @@ fn on_any_plane_the_outline_of_a_ball_lies_within_half_a_voxel_of_its_wall() {
 }
 
 #[test]
-fn a_plane_on_the_voxels_and_one_between_them_both_have_whole_outlines() {
+fn planes_through_voxel_centres_and_between_them_have_closed_outlines() {
     let grid = Grid::new([9, 20, 20], Affine::IDENTITY).unwrap();
     let values = vec![0i16; grid.num_voxels()];
     let lumen: Vec<u8> = (0..values.len())
@@ -204,7 +205,7 @@ fn a_plane_on_the_voxels_and_one_between_them_both_have_whole_outlines() {
                 all.fold(f64::MIN, f64::max),
             )
         };
-        // Half-way between voxels, because nothing is known of the wall.
+        // The expected edges are half-way between voxels, because a mask has no information about the wall.
         for ((low, high), (first, last)) in [(ends(0), (4.5, 14.5)), (ends(1), (3.5, 8.5))] {
             assert!(
                 (low - first).abs() < 1e-6 && (high - last).abs() < 1e-6,
@@ -215,7 +216,7 @@ fn a_plane_on_the_voxels_and_one_between_them_both_have_whole_outlines() {
 }
 
 #[test]
-fn a_lumen_of_noise_has_no_outline_and_takes_no_time_to_say_so() {
+fn a_lumen_of_noise_is_rejected_as_too_ragged() {
     let grid = Grid::new([3, 600, 600], Affine::IDENTITY).unwrap();
     let values = vec![0i16; grid.num_voxels()];
     let lumen: Vec<u8> = (0..values.len())
@@ -262,7 +263,7 @@ fn off_lines(at: PicturePoint, lines: &[Vec<PicturePoint>]) -> f64 {
 }
 
 #[test]
-fn encoded_lines_are_the_lines_to_a_quarter_of_a_pixel_and_end_at_the_pictures_edge() {
+fn encoded_lines_deviate_by_at_most_a_quarter_pixel_and_end_at_the_pictures_edge() {
     let size = (40, 30);
     let ring: Vec<PicturePoint> = (0..=400)
         .map(|n| {
@@ -302,7 +303,7 @@ fn encoded_lines_are_the_lines_to_a_quarter_of_a_pixel_and_end_at_the_pictures_e
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(60))]
     #[test]
-    fn on_any_plane_the_outline_of_any_mask_parts_lumen_from_the_rest_to_half_a_voxel(
+    fn the_outline_of_any_mask_separates_the_lumen_to_half_a_voxel_on_any_plane(
         seed: u64,
         values in prop::collection::vec(-1000i16..200, 13 * 12 * 11),
         with_levels: bool,
@@ -310,7 +311,7 @@ proptest! {
     ) {
         let mut random = Random(seed);
         let grid = oblique([13, 12, 11], [0.7, 0.8, 1.6], mirrored);
-        // Connected blobs instead of single voxels: a voxel is lumen where the sum of a few random waves is high.
+        // Connected blobs instead of single voxels: a voxel is lumen where the sum of four random waves is high.
         let waves: Vec<([f64; 3], f64)> = (0..4).map(|_| (random.direction(), random.next() * TAU)).collect();
         let lumen: Vec<u8> = (0..values.len())
             .map(|n| {
@@ -330,7 +331,8 @@ proptest! {
         let is_lumen = |v: [isize; 3]| {
             (0..3).all(|a| (0..shape[a]).contains(&v[a])) && lumen[((v[2] * 12 + v[1]) * 11 + v[0]) as usize] != 0
         };
-        // Voxels of each kind nearer than half a voxel: a voxel's box extends half a voxel round its centre.
+        // True if a voxel of this kind is nearer than half a voxel: a voxel's box extends half a voxel round its
+        // centre.
         let near = |p: [f64; 3], kind: bool| {
             (0..125).any(|n| {
                 let v: [isize; 3] = std::array::from_fn(|a| p[a].round() as isize + [n % 5, n / 5 % 5, n / 25][a] - 2);

@@ -1,4 +1,4 @@
-//! Python bindings of `carina-airpath`.
+//! Python bindings of `carina-airpath` and of the tracker of the lumen.
 #![allow(
     clippy::needless_pass_by_value,
     reason = "pyo3 hands arguments over by value"
@@ -61,7 +61,7 @@ const fn doubt_name(doubt: Doubt) -> &'static str {
     }
 }
 
-/// Find the trachea; return a dict of `voxels_ijk`, `diameters_mm`, `length_mm`, `carina_lps`, `doubts`.
+/// Find the trachea of a volume; return a dict of `voxels_ijk`, `diameters_mm`, `length_mm`, `carina_lps`, `doubts`.
 #[pyfunction]
 #[pyo3(signature = (values_zyx, lps_from_ijk, *, air, tissue, lung, cancel=None))]
 fn find_trachea_voxels<'py>(
@@ -91,7 +91,7 @@ fn find_trachea_voxels<'py>(
     Ok(dict)
 }
 
-/// Flood the airway from seed voxels; return the lumen (1 or 0) and a dict that describes the limits that were applied.
+/// Flood the airways from seed voxels; return the lumen (1 or 0) and a dict about closed leaks and rejected basins.
 #[pyfunction]
 #[pyo3(signature = (values_zyx, lps_from_ijk, seeds_ijk, *, first_level, core_level, last_level, leak_mm3, small_leak_mm3, closed_radius_mm, min_contrast, cancel=None, progress=None))]
 fn flood_lumen<'py>(
@@ -153,7 +153,7 @@ fn flood_lumen<'py>(
 
 type PointsAndNodes<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<u32>>);
 
-/// Graph of the lumen's voxels and the tree of least-cost paths from one root.
+/// Graph of the lumen's voxels, with the tree of least-cost paths from one root.
 #[pyclass(frozen, module = "carina._core")]
 pub(crate) struct LumenTracker {
     pub(crate) grid: Grid,
@@ -225,7 +225,7 @@ impl LumenTracker {
         self.read(py, |t| t.settled().len())
     }
 
-    /// Cost of one integer quantum (weight times mm).
+    /// Cost of one integer quantum, in weight times mm.
     #[getter]
     fn quantum(&self, py: Python<'_>) -> f64 {
         self.read(py, |t| t.quantum().cost)
@@ -236,7 +236,7 @@ impl LumenTracker {
         self.read(py, Tracker::root)
     }
 
-    /// Return the lumen node nearest to a point and its distance in mm; None if no node is within `reach_mm`.
+    /// Return the lumen node nearest to a point (LPS mm) and its distance in mm; None if no node is within `reach_mm`.
     fn nearest(&self, py: Python<'_>, point_lps: [f64; 3], reach_mm: f64) -> Option<(u32, f64)> {
         let ijk = self.grid.to_ijk(Lps(point_lps)).0;
         py.detach(|| self.graph.nearest_node(&self.grid, ijk, reach_mm))
@@ -291,7 +291,7 @@ impl LumenTracker {
         }))
     }
 
-    /// Smooth (n, 3) LPS points; every result is in a lumen voxel if every input point is.
+    /// Smooth a line of (n, 3) LPS points; every result is in a lumen voxel if every given point is.
     #[pyo3(signature = (points_lps, *, step_mm, keep_end))]
     fn smooth<'py>(
         &self,
@@ -306,7 +306,7 @@ impl LumenTracker {
         points_array(py, &curve)
     }
 
-    /// Return the distance to the wall at (n, 3) LPS points in mm; 0 outside the lumen.
+    /// Return the distances (n,) from LPS points (n, 3) to the nearest wall, in mm; 0 outside the lumen.
     fn radius_mm<'py>(
         &self,
         py: Python<'py>,
@@ -316,11 +316,10 @@ impl LumenTracker {
         radius.into_pyarray(py)
     }
 
-    /// Return, for each wanted branch, the radii of circles with the same area as the lumen's cross-sections.
+    /// Return, for each wanted branch, the radii in mm of circles with the area of the lumen's cross-sections.
     ///
-    /// The result is None for other branches.
-    ///
-    /// All branches are passed: (n, 3) LPS points of each branch, and the index of its parent in the list.
+    /// The result is None for other branches. `lines_lps` has the (n, 3) LPS points of all branches, and `parents` the
+    /// index of each branch's parent in this list.
     fn section_radii<'py>(
         &self,
         py: Python<'py>,
@@ -358,7 +357,7 @@ impl LumenTracker {
             .collect())
     }
 
-    /// Return, for (n, 3) LPS points, whether the voxel that contains each point is lumen.
+    /// Return for each of (n, 3) LPS points whether the voxel that contains it is lumen.
     fn inside<'py>(
         &self,
         py: Python<'py>,
@@ -368,7 +367,7 @@ impl LumenTracker {
         inside.into_pyarray(py)
     }
 
-    /// Return the automatic tree of all settled nodes: a list of dicts, parents first.
+    /// Return the branches of the automatic tree of all settled nodes: a list of dicts, parents first.
     #[pyo3(signature = (*, cancel=None, progress=None))]
     fn branches<'py>(
         &self,
@@ -386,9 +385,9 @@ impl LumenTracker {
         self.branch_list(py, &branches)
     }
 
-    /// Return the part of the automatic tree that leads to the given settled nodes.
+    /// Return the branches of the automatic tree that lead to the given settled nodes.
     ///
-    /// `branch_nodes` lists the nodes of all its branches.
+    /// `branch_nodes` has the nodes of all branches of the automatic tree.
     fn branches_to<'py>(
         &self,
         py: Python<'py>,
@@ -414,9 +413,8 @@ impl LumenTracker {
         self.branch_list(py, &branches)
     }
 
-    /// Return, for each lumen node, the index of the branch whose tube contains the node.
-    ///
-    /// The result is -1 if the node is connected to no branch.
+    /// Return for each lumen node the index of the branch whose tube contains it; -1 if the node is connected to no
+    /// branch.
     fn branch_of_nodes<'py>(
         &self,
         py: Python<'py>,
@@ -442,7 +440,7 @@ impl LumenTracker {
 }
 
 impl LumenTracker {
-    /// Build the tracker of another, solved graph with the same grid and wall levels.
+    /// Return the tracker of another, solved graph with the same grid and wall levels.
     pub(crate) fn with(&self, graph: Arc<LumenGraph>, solved: Tracker) -> Self {
         Self {
             grid: self.grid.clone(),
@@ -458,10 +456,10 @@ impl LumenTracker {
         self.tracker.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Read the tracker.
+    /// Call `read` with the locked tracker and return its result.
     ///
-    /// The GIL is released before the lock is taken, because the thread that holds the lock may wait for the GIL to
-    /// call `cancel()`.
+    /// The GIL is released before the lock is taken, because the thread that has the lock may wait for the GIL to call
+    /// `cancel()`.
     pub(crate) fn read<T: Send>(
         &self,
         py: Python<'_>,

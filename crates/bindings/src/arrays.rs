@@ -1,4 +1,4 @@
-//! Conversion of `NumPy` arrays: check layout and shape, and borrow the values without a copy.
+//! Conversion of `NumPy` arrays, which checks layout and shape and borrows the values without a copy.
 #![allow(dead_code, reason = "used as the parts' bindings land")]
 
 use carina_grid::{Affine, Grid, GridError};
@@ -9,7 +9,7 @@ use pyo3::prelude::*;
 
 use crate::errors::IntoPy;
 
-/// Convert a 4x4 matrix to an affine map.
+/// Convert a 4x4 matrix to an affine map; `what` is the name of the matrix in error messages.
 pub(crate) fn affine(what: &'static str, matrix: &PyReadonlyArray2<'_, f64>) -> PyResult<Affine> {
     let shape = matrix.shape();
     if shape != [4, 4] {
@@ -37,7 +37,7 @@ pub(crate) fn grid<T: Element>(
     .map_err(IntoPy::into_py)
 }
 
-/// Borrow the array's values without a copy; an array that is not C-contiguous is an error.
+/// Borrow the values of an array without a copy; an array that is not C-contiguous causes an error.
 pub(crate) fn values<'a, T: Element>(
     name: &str,
     array: &'a PyReadonlyArray3<'_, T>,
@@ -52,7 +52,7 @@ pub(crate) fn values<'a, T: Element>(
         .map_err(|e| pyo3::exceptions::PyValueError::new_err(format!("{name}: {e}")))
 }
 
-/// Create a `[z, y, x]` array from its values.
+/// Create a `[z, y, x]` array from the values of a volume, without a copy.
 pub(crate) fn volume_array<T: numpy::Element>(
     py: Python<'_>,
     data: Vec<T>,

@@ -1,4 +1,4 @@
-//! Python bindings of the cross-sections of airways: cast the rays once, then measure with one or several blurs.
+//! Python bindings of the cross-sections of airways: rays are cast once, then measured with one or several blurs.
 #![allow(
     clippy::needless_pass_by_value,
     reason = "pyo3 hands arguments over by value"
@@ -20,7 +20,7 @@ use crate::arrays;
 use crate::errors::IntoPy;
 use crate::watch::PyWatch;
 
-/// Rays cast in many planes, and the edges found on them.
+/// Rays that were cast in many planes across airways, with the edges found on them.
 #[pyclass(frozen, module = "carina._core")]
 struct SectionCasts {
     grid: Grid,
@@ -28,7 +28,7 @@ struct SectionCasts {
     casts: Vec<Cast>,
 }
 
-/// Cast 64 rays in each of the planes across airways.
+/// Cast 64 rays in each of several planes across airways.
 #[pyfunction]
 #[pyo3(signature = (values_zyx, lps_from_ijk, centres_lps, normals_lps, radius_mm, *, min_contrast, brightest_wall, wall_rise, noise, cancel=None, progress=None))]
 fn cast_sections(
@@ -111,15 +111,15 @@ impl SectionCasts {
         self.casts.len()
     }
 
-    /// Return the scan's blur within and across slices in mm; None if too few rays met thick tissue.
+    /// Return the blur of the scan within and across slices in mm; None if too few rays met thick tissue.
     fn blur(&self, py: Python<'_>) -> Option<(f64, f64)> {
         py.detach(|| Blur::of_casts(&self.grid, &self.casts))
             .map(|b| (b.in_plane_mm, b.across_mm))
     }
 
-    /// Measure all planes; return a dict of arrays.
+    /// Measure the cross-sections of all planes; return a dict of arrays with one item per plane.
     ///
-    /// Without a blur, edges are at half maximum.
+    /// `blur` is that within and across the slices in mm; without it the edges are at half maximum.
     fn measure<'py>(
         &self,
         py: Python<'py>,
@@ -173,7 +173,8 @@ impl SectionCasts {
     }
 }
 
-/// Return the two unit vectors that span the plane across a direction: the directions of the rays at 0 and 90 degrees.
+/// Return the two unit vectors (LPS) that span the plane across a direction: the directions of the rays at 0 and 90
+/// degrees.
 #[pyfunction]
 fn section_axes(normal_lps: [f64; 3]) -> PyResult<([f64; 3], [f64; 3])> {
     Ok(plane_axes(plane([0.0; 3], normal_lps, 0.0)?.normal))

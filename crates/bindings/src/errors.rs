@@ -3,13 +3,13 @@
 
 use pyo3::prelude::*;
 
-/// Mapping of one crate's error enum to Python exceptions.
+/// Conversion of the error enum of a crate to Python exceptions.
 pub(crate) trait IntoPy {
     /// Convert the error to a Python exception.
     fn into_py(self) -> PyErr;
 }
 
-/// Create an exception of class `carina.errors.<class>` with `code`.
+/// Create an exception of class `carina.errors.<class>` with a stable error code.
 pub(crate) fn carina_error(class: &str, code: &str, message: &str) -> PyErr {
     Python::attach(|py| {
         let build = || -> PyResult<PyErr> {

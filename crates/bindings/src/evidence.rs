@@ -1,4 +1,4 @@
-//! Python binding of the evidence of airways in a volume (`carina-airpath`'s `Core`).
+//! Python binding of the evidence that the CT shows for an airway along a path.
 #![allow(
     clippy::needless_pass_by_value,
     reason = "pyo3 hands arguments over by value"
@@ -18,7 +18,8 @@ use crate::errors::IntoPy;
 use crate::points::{points, voxels};
 use crate::watch::PyWatch;
 
-/// Volume without its finest noise, and measures of how much brighter voxels enclose each voxel.
+/// Smoothed volume with the enclosure of its voxels: the rise of the values on all but a fifth of the rays from a
+/// voxel.
 #[pyclass(frozen, module = "carina._core")]
 pub(crate) struct Enclosures {
     core: Core,
@@ -44,15 +45,15 @@ impl Enclosures {
         format!("Enclosures(shape_ijk={:?})", self.core.grid().shape_ijk())
     }
 
-    /// Return (n,) the rise of the values on all but a fifth of the rays from each voxel.
+    /// Return the enclosure (n,) of each of (n, 3) voxels.
     fn at<'py>(
         &self,
         py: Python<'py>,
         voxels_ijk: PyReadonlyArray2<'py, u16>,
     ) -> PyResult<Bound<'py, PyArray1<i16>>> {
-        let asked = voxels("voxels_ijk", &voxels_ijk, self.core.grid().shape_ijk())?;
+        let given = voxels("voxels_ijk", &voxels_ijk, self.core.grid().shape_ijk())?;
         let found: Vec<i16> = py.detach(|| {
-            asked
+            given
                 .par_iter()
                 .map(|v| self.core.at(v.map(usize::from)))
                 .collect()
@@ -60,7 +61,7 @@ impl Enclosures {
         Ok(found.into_pyarray(py))
     }
 
-    /// Return (n,) trilinear values without the finest noise at (n, 3) points.
+    /// Return the trilinear values (n,) of the smoothed volume at (n, 3) LPS points.
     ///
     /// Outside the volume the nearest edge value is used.
     fn values_at<'py>(
@@ -68,9 +69,9 @@ impl Enclosures {
         py: Python<'py>,
         points_lps: PyReadonlyArray2<'py, f64>,
     ) -> PyResult<Bound<'py, PyArray1<f32>>> {
-        let asked = points("points_lps", &points_lps)?;
+        let given = points("points_lps", &points_lps)?;
         let found: Vec<f32> = py.detach(|| {
-            asked
+            given
                 .into_iter()
                 .map(|p| self.core.value_at(self.core.grid().to_ijk(Lps(p)).0))
                 .collect()
@@ -78,9 +79,9 @@ impl Enclosures {
         Ok(found.into_pyarray(py))
     }
 
-    /// Find, for each of (n, 3) voxels, the path with the most wall round it to any voxel `away_mm` away.
+    /// Find for each of (n, 3) voxels the least-cost path to any voxel at a distance of `away_mm`.
     ///
-    /// Each path is (m, 3) voxels, or None.
+    /// Each path is an array of (m, 3) voxels, or None if there is no path.
     #[pyo3(signature = (starts_ijk, *, away_mm, enclosed, dark, bright, closed))]
     fn runs<'py>(
         &self,
@@ -112,8 +113,10 @@ impl Enclosures {
             .collect())
     }
 
-    /// Find the path with the most wall round it from a lumen that a path reaches to a voxel outside: (n, 3) voxels, or
-    /// None.
+    /// Find the least-cost path, with the most wall round it, from the reached lumen of a tracker to a voxel outside.
+    ///
+    /// Return (n, 3) voxels, or None if there is no path. A search that meets no lumen heads for the voxel
+    /// `toward_ijk`.
     #[pyo3(signature = (tracker, start_ijk, toward_ijk, *, enclosed, dark, bright, closed, cancel=None))]
     fn way<'py>(
         &self,

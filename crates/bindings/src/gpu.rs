@@ -1,4 +1,4 @@
-//! Python bindings of `carina-gpu`.
+//! Python bindings of `carina-gpu`, the graphics devices.
 #![allow(
     clippy::needless_pass_by_value,
     reason = "Python hands its arguments over by value"
@@ -30,7 +30,7 @@ impl IntoPy for GpuError {
     }
 }
 
-/// Run work on the device; return a panic in a driver's wrapper as an error, so that the CPU can take over.
+/// Run work on a device; return a panic in a driver's wrapper as an error, so that the CPU can render the picture.
 fn guarded<T>(work: impl FnOnce() -> Result<T, GpuError>) -> Result<T, GpuError> {
     catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
         let said = |panic: &dyn Any| {
@@ -46,7 +46,7 @@ fn guarded<T>(work: impl FnOnce() -> Result<T, GpuError>) -> Result<T, GpuError>
     })
 }
 
-/// Return name, interface, driver and kind of each adapter, the likely fastest first.
+/// Return name, interface, driver and kind of each graphics adapter, the likely fastest first.
 ///
 /// The result is None in a build without GPU support.
 #[pyfunction]
@@ -66,7 +66,7 @@ fn gpu_adapters(py: Python<'_>) -> Option<Vec<(String, String, String, &'static 
     )
 }
 
-/// Opened graphics device.
+/// Opened graphics device that casts airway views.
 #[pyclass(frozen, module = "carina._core")]
 struct Gpu {
     inner: Arc<carina_gpu::Gpu>,
@@ -106,7 +106,7 @@ impl Gpu {
         bare.with_map(py, radius_zyx)
     }
 
-    /// Make the device lost, for tests of the fallback to the CPU.
+    /// Mark the device as lost, for tests of the fallback to the CPU.
     fn lose(&self) {
         self.inner.lose();
     }
@@ -123,7 +123,7 @@ pub(crate) struct GpuScene {
     gpu: Arc<carina_gpu::Gpu>,
     volume: Arc<GpuVolume>,
     map: Option<Arc<GpuMap>>,
-    /// Array that was copied to the device.
+    /// Array of the values that were copied to the device.
     ///
     /// The reference prevents another array from getting the same address in memory.
     values: Py<PyArray3<i16>>,
@@ -131,7 +131,7 @@ pub(crate) struct GpuScene {
 
 #[pymethods]
 impl GpuScene {
-    /// Return the same volume with another radius map, or without one; the volume is not copied again.
+    /// Return the same volume on the device with another radius map, or without one; the volume is not copied again.
     #[pyo3(signature = (radius_zyx=None))]
     fn with_map<'py>(
         &self,
@@ -162,9 +162,10 @@ impl GpuScene {
 }
 
 impl GpuScene {
-    /// Cast rows of a picture of `hu_zyx`, which must be the same array that was copied to the device.
+    /// Cast rows of a picture on the device; return RGB and statistics.
     ///
-    /// Walls that are shaded after the cast are shaded on the CPU, with `method` and `simd`.
+    /// `hu_zyx` must be the array that was copied to the device. Walls that are shaded after the cast are shaded on the
+    /// CPU, with `method` and `simd`.
     pub(crate) fn cast(
         &self,
         py: Python<'_>,

@@ -1,4 +1,4 @@
-//! Python bindings of the growth beyond the flood (`carina-airpath::extension`).
+//! Python bindings of the extension of the lumen beyond the flood (`carina-airpath::find`).
 #![allow(
     clippy::needless_pass_by_value,
     reason = "pyo3 hands arguments over by value"
@@ -22,7 +22,7 @@ use crate::arrays;
 use crate::errors::IntoPy;
 use crate::watch::PyWatch;
 
-/// Follow the airways beyond the end of the flood.
+/// Extend a lumen into airways beyond the end of the flood; return a dict about the accepted paths.
 ///
 /// `lumen_zyx` (1 inside) is changed in place: added voxels get the value 2.
 #[pyfunction]
@@ -78,7 +78,7 @@ fn extend_lumen<'py>(
     Ok(report)
 }
 
-/// Follow the thinnest airways from a lumen.
+/// Extend a lumen into the thinnest airways; return a dict about the accepted paths.
 ///
 /// `lumen_zyx` (1 inside) is changed in place: added voxels get the value 2.
 #[pyfunction]
@@ -177,7 +177,7 @@ fn followed_list<'py>(
     Ok(list)
 }
 
-/// Return a weighted sum of a volume and its Gaussian blurs (weight, sigma in mm) along the chosen axes.
+/// Return `own` times a volume plus its Gaussian blurs (weight, sigma in mm) along the chosen axes.
 #[pyfunction]
 #[pyo3(signature = (values_zyx, lps_from_ijk, *, own, blurs, axes_ijk))]
 fn mix_with_blurs<'py>(
@@ -202,7 +202,7 @@ fn mix_with_blurs<'py>(
         .into_pyarray(py))
 }
 
-/// Restore clipped lumen in a softened volume, in place; return the number of changed voxels.
+/// Restore the clipped lumen in a softened volume, in place; return the number of changed voxels.
 ///
 /// A voxel is set to the value of air if it belongs to an airway's lumen that the sharp volume has clipped at its
 /// lowest value.
@@ -250,7 +250,7 @@ fn keep_cut_off_air_of<'py>(
     Ok(py.detach(|| keep_cut_off_air(view, soft, &cut)))
 }
 
-/// Return the pieces of air that do not touch the lumen.
+/// Return the connected pieces of air that share no face with the lumen, the largest first.
 ///
 /// Each piece is the sorted list of its voxels' indices in the flattened volume.
 #[pyfunction]

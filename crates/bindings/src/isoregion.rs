@@ -1,4 +1,4 @@
-//! Python bindings of `carina-isoregion`.
+//! Python bindings of `carina-isoregion`: label volumes, maps and digests.
 #![allow(
     clippy::needless_pass_by_value,
     reason = "Python hands its arguments over by value"
@@ -30,7 +30,7 @@ impl IntoPy for IsoRegionError {
     }
 }
 
-/// Class as a Python tuple: first HU, last HU, number of voxels, fully transparent.
+/// Class of a label as a Python tuple: first HU, last HU, number of voxels, whether it is fully transparent.
 type PyClass = (i32, i32, u64, bool);
 
 fn shape_of<T: numpy::Element>(array: &PyReadonlyArray3<'_, T>) -> [usize; 3] {
@@ -38,7 +38,7 @@ fn shape_of<T: numpy::Element>(array: &PyReadonlyArray3<'_, T>) -> [usize; 3] {
     [shape[0], shape[1], shape[2]]
 }
 
-/// Return the class labels of every int16 value that can occur.
+/// Return the labels of voxels by the classes of a transfer function over all int16 values.
 fn classes_of(
     hu: &[i16],
     transfer: &Transfer,
@@ -61,7 +61,7 @@ fn label_arrays(
     Ok((volume_array(py, out.labels, shape_zyx)?, classes))
 }
 
-/// Return the labels of the classes of a transfer function, and the classes.
+/// Label the voxels of a volume by the classes of a transfer function; return the labels and the classes.
 #[pyfunction]
 #[pyo3(signature = (hu_zyx, points, *, reference_mm=1.0, bin_hu=1))]
 fn label_classes<'py>(
@@ -77,7 +77,7 @@ fn label_classes<'py>(
     label_arrays(py, out, shape_of(&hu_zyx))
 }
 
-/// Return the labels of the paper's 16-HU bins, and the bins.
+/// Label the voxels of a volume by the paper's 16-HU bins; return the labels and the bins.
 #[pyfunction]
 fn label_values<'py>(
     py: Python<'py>,
@@ -88,7 +88,7 @@ fn label_values<'py>(
     label_arrays(py, out, shape_of(&hu_zyx))
 }
 
-/// Return the transparent runs (first, last) of a transfer function over all int16 values.
+/// Return the transparent runs of a transfer function over all int16 values, as (first, last) values.
 ///
 /// A map of the transparent classes depends only on the volume and on these runs.
 #[pyfunction]
@@ -103,7 +103,7 @@ fn transparent_runs(
     carina_isoregion::transparent_runs(lo, &transfer.range(lo, hi)).map_err(IntoPy::into_py)
 }
 
-/// Write a radius map directly into a `NumPy` array.
+/// Create a `NumPy` array and let `build` write a radius map into it.
 ///
 /// `NumPy` places large arrays in large memory pages; with small pages, page faults take a third of the time.
 fn map_array<'py>(
@@ -158,7 +158,7 @@ fn build_radius_map<'py>(
     })
 }
 
-/// Compute the cell map of runs of values; 0 for a voxel whose value is in no run.
+/// Compute the cell map of runs of values; a cell whose values are not in one run has radius 0.
 #[pyfunction]
 #[pyo3(signature = (hu_zyx, runs, *, cancel=None, simd=None, num_slabs=None))]
 fn build_cell_map<'py>(
@@ -176,27 +176,27 @@ fn build_cell_map<'py>(
     })
 }
 
-/// Return the smallest and the largest value of a volume.
+/// Return the smallest and the largest value of a volume; (0, 0) for an array without voxels.
 #[pyfunction]
 fn value_range(py: Python<'_>, hu_zyx: PyReadonlyArray3<'_, i16>) -> PyResult<(i16, i16)> {
     let hu = values("hu_zyx", &hu_zyx)?;
-    // Only an array without voxels has no range, and a volume is never empty.
+    // Only an array without voxels has no range, and a volume always has voxels.
     Ok(py.detach(|| range_of(hu)).unwrap_or((0, 0)))
 }
 
-/// Voxels of a volume or a mask, whose digest names or verifies a cached map.
+/// Array of a volume or a mask whose digest is computed; the digest identifies a cached map.
 #[derive(FromPyObject)]
 enum Voxels<'py> {
     Values(PyReadonlyArray3<'py, i16>),
     Labels(PyReadonlyArray3<'py, u8>),
 }
 
-/// Number of bytes hashed as one piece.
+/// Number of bytes that are hashed as one piece.
 ///
 /// The digest is the hash of the pieces' digests, so that threads can share the work.
 const PIECE_BYTES: usize = 4 << 20;
 
-/// Return the BLAKE3 digest, in hexadecimal, of the bytes of an array; the shape is not included.
+/// Return the BLAKE3 digest of the bytes of an array, in hexadecimal; the shape is not included.
 #[pyfunction]
 fn content_digest(py: Python<'_>, voxels: Voxels<'_>) -> PyResult<String> {
     let bytes = match &voxels {

@@ -1,7 +1,7 @@
-//! Compiled module `carina._core` behind the Python package.
+//! Compiled module `carina._core` of the Python package.
 //!
 //! The functions check arrays, release the GIL and map errors. Contracts (shapes, units, errors) are documented in the
-//! Python facade, types in `_core.pyi`, algorithms in the crates.
+//! public Python functions, types in `_core.pyi`, algorithms in the crates.
 
 use pyo3::prelude::*;
 

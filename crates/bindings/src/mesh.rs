@@ -1,4 +1,4 @@
-//! Python bindings of the surface of the lumen as a mesh and as a mask.
+//! Python bindings of the surface of the lumen, as a mesh and as a mask.
 #![allow(
     clippy::needless_pass_by_value,
     reason = "pyo3 hands arguments over by value"
@@ -17,11 +17,11 @@ use crate::arrays;
 use crate::errors::IntoPy;
 use crate::watch::PyWatch;
 
-/// Levels `(core, wall, rise)` that define the beginning of the wall; see [`WallLevels`].
+/// Value levels `(core, wall, rise)` that define the beginning of the wall; see [`WallLevels`].
 type Levels = (f32, f32, f32);
 type VerticesAndTriangles<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<u32>>);
 
-/// Return the closed mesh of the lumen: vertices (n, 3) LPS mm, triangles (m, 3), counterclockwise from outside.
+/// Return the closed mesh of the lumen: vertices (n, 3) LPS mm, and triangles (m, 3), counterclockwise from outside.
 #[pyfunction]
 #[pyo3(signature = (values_zyx, lps_from_ijk, lumen_zyx, *, levels, cancel=None, progress=None))]
 fn lumen_mesh<'py>(
@@ -45,7 +45,7 @@ fn lumen_mesh<'py>(
     Ok((vertices.into_pyarray(py), triangles.into_pyarray(py)))
 }
 
-/// Return the voxels whose centres are inside the mesh of the lumen: [z, y, x], 1 inside.
+/// Return the mask of the voxels whose centres are inside the mesh of the lumen: [z, y, x], 1 inside.
 #[pyfunction]
 #[pyo3(signature = (values_zyx, lps_from_ijk, lumen_zyx, *, levels))]
 fn lumen_mask<'py>(
@@ -64,7 +64,7 @@ fn lumen_mask<'py>(
     Ok(mask.into_pyarray(py))
 }
 
-/// Check and convert the arguments of both functions: the volume, its lumen, and the levels for the walls.
+/// Check and convert the arguments of `lumen_mesh` and `lumen_mask`: the volume, its lumen, and the wall levels.
 fn inputs<'a>(
     values_zyx: &'a PyReadonlyArray3<'_, i16>,
     grid: &'a Grid,

@@ -18,7 +18,7 @@ use pyo3::{exceptions::PyValueError, prelude::*};
 
 use crate::{arrays::volume_array, errors::IntoPy};
 
-/// Lens model for a picture of a given size.
+/// Lens model combined with the size of a picture.
 #[pyclass(frozen, module = "carina._core")]
 struct Optics {
     inner: carina_grid::Optics,
@@ -26,7 +26,7 @@ struct Optics {
 
 fn distortion(model: &str, coefficients: &[f64]) -> PyResult<Distortion> {
     match (model, coefficients) {
-        // The coefficients have OpenCV's order.
+        // The coefficients are in OpenCV's order.
         ("brown", &[k1, k2, p1, p2, k3, k4, k5, k6]) => Ok(Distortion::Brown {
             k: [k1, k2, k3, k4, k5, k6],
             p: [p1, p2],
@@ -97,7 +97,7 @@ impl Optics {
         Ok(Self { inner })
     }
 
-    /// Return unit directions (n, 3) in camera space for points (n, 2) of the picture.
+    /// Return the unit directions (n, 3) in camera space of points (n, 2) of the picture.
     ///
     /// The result is NaN where the lens has no direction.
     fn directions(
@@ -113,9 +113,9 @@ impl Optics {
         triples(py, &found)
     }
 
-    /// Return points (n, 2) of the picture for directions (n, 3) in camera space.
+    /// Return the points (n, 2) of the picture for directions (n, 3) in camera space.
     ///
-    /// The result is NaN for directions that the lens does not see.
+    /// The result is NaN for directions of which the lens has no image.
     fn pixels(
         &self,
         py: Python<'_>,
@@ -126,7 +126,7 @@ impl Optics {
         triples(py, &found)
     }
 
-    /// Compute the rays of all pixels inside an outline.
+    /// Compute the rays of all pixels inside the outline `shape` of the picture.
     #[pyo3(signature = (*, shape, edge_px, vignette))]
     fn rays(&self, py: Python<'_>, shape: &str, edge_px: f64, vignette: f64) -> PyResult<LensRays> {
         let shape = match shape {
@@ -184,7 +184,7 @@ impl Optics {
     }
 }
 
-/// Rays of all pixels of a picture behind a lens, and the relative brightness of each pixel.
+/// Rays of all pixels of a picture behind a lens, with the relative brightness of each pixel.
 #[pyclass(frozen, module = "carina._core")]
 pub(crate) struct LensRays {
     pub(crate) inner: Arc<carina_grid::LensRays>,
@@ -201,7 +201,8 @@ impl LensRays {
     }
 }
 
-/// Build the camera of a picture: with a lens if one is given (the picture must have the lens's size), else a pinhole.
+/// Create the camera of a picture: a pinhole camera, or one with the given lens, whose size must be that of the
+/// picture.
 pub(crate) fn camera(
     pose: Affine,
     fov_rad: f64,
@@ -224,7 +225,7 @@ pub(crate) fn camera(
     Camera::with_lens(pose, Arc::clone(rays)).map_err(IntoPy::into_py)
 }
 
-/// Blur a whole picture (h, w, 3) by its depth map (h, w) in mm (NaN: no wall), then darken it as its lens does.
+/// Blur a picture (h, w, 3) by its depth map (h, w) in mm (NaN: no wall), then darken it by the gains of its lens.
 #[pyfunction]
 #[pyo3(signature = (rgb, depth_mm, *, near_mm, far_mm, lens=None))]
 fn defocus<'py>(

@@ -18,7 +18,7 @@ use pyo3::types::PyBytes;
 use crate::arrays;
 use crate::errors::IntoPy;
 
-/// Surface of one lumen that planes can cut.
+/// Surface of the lumen of one volume, which planes can cut.
 ///
 /// The arrays must not change while the object exists.
 #[pyclass(frozen, module = "carina._core")]
@@ -62,9 +62,9 @@ impl LumenSurface {
         })
     }
 
-    /// Cut the surface with a plane.
+    /// Cut the surface with the plane of a picture.
     ///
-    /// Return lines of the picture, each (n, 2) column and row; None if there are too many to show.
+    /// Return the lines of the outline, each (n, 2) column and row; None if the outline has too many pieces.
     #[pyo3(signature = (lps_from_pixel, *, width, height))]
     fn cut<'py>(
         &self,
@@ -84,7 +84,9 @@ impl LumenSurface {
         }))
     }
 
-    /// Cut the surface with a plane; return the lines, clipped to the picture, as the bytes of the wire format.
+    /// Cut the surface with the plane of a picture; return the lines as the bytes of the wire format.
+    ///
+    /// The lines are clipped to the picture. The result is None if the outline has too many pieces.
     #[pyo3(signature = (lps_from_pixel, *, width, height))]
     fn encoded<'py>(
         &self,

@@ -1,4 +1,4 @@
-//! Python bindings of the tracker over any pair of a cost and a graph (paper 6.1, 6.2).
+//! Python bindings of the tracker for any combination of a cost and a graph (paper 6.1, 6.2).
 #![allow(
     clippy::needless_pass_by_value,
     reason = "pyo3 hands arguments over by value"
@@ -25,7 +25,7 @@ use crate::watch::PyWatch;
 
 type PointsAndNodes<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<u32>>);
 
-/// Graph with a cost, and the tree of least-cost paths from one root.
+/// Graph with an edge cost, and the tree of least-cost paths from one root.
 #[pyclass(frozen, module = "carina._core")]
 struct GraphTracker {
     grid: Grid,
@@ -119,7 +119,7 @@ impl GraphTracker {
         })
     }
 
-    /// Time in s to build the graph and the cost.
+    /// Time that the construction of the graph and the cost took, s.
     #[getter]
     const fn build_s(&self) -> f64 {
         self.build_s
@@ -140,7 +140,7 @@ impl GraphTracker {
         self.read(py, |inner| inner.tracker().settled().len())
     }
 
-    /// Cost of one integer quantum (weight times mm).
+    /// Cost of one integer quantum, in weight times mm.
     #[getter]
     fn quantum(&self, py: Python<'_>) -> f64 {
         self.read(py, |inner| inner.tracker().quantum().cost)
@@ -151,12 +151,12 @@ impl GraphTracker {
         self.read(py, |inner| inner.tracker().root())
     }
 
-    /// Count the undirected edges one by one.
+    /// Count the undirected edges of the graph one by one.
     fn num_edges(&self, py: Python<'_>) -> u64 {
         self.read(py, Inner::num_edges)
     }
 
-    /// Find the node for a point.
+    /// Find the node that represents a point (LPS mm).
     ///
     /// Return the node, the centre (LPS) of the voxel chosen for the point, and the distance in mm from that centre to
     /// the node; None if there is no node.
@@ -227,10 +227,10 @@ impl GraphTracker {
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Read the tracker.
+    /// Call `read` with the locked tracker and return its result.
     ///
-    /// The GIL is released before the lock is taken, because the thread that holds the lock may wait for the GIL to
-    /// call `cancel()`.
+    /// The GIL is released before the lock is taken, because the thread that has the lock may wait for the GIL to call
+    /// `cancel()`.
     fn read<T: Send>(&self, py: Python<'_>, read: impl FnOnce(&Inner) -> T + Send) -> T {
         py.detach(|| read(&self.lock()))
     }

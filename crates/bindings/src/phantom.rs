@@ -1,4 +1,4 @@
-//! Python bindings of `carina-phantom`.
+//! Python bindings of `carina-phantom`, the phantom chest.
 
 use carina_phantom::{Branch, Chest, ChestOptions, Lobe, PhantomError, TubeKind};
 use numpy::{IntoPyArray, PyArray1, PyArrayMethods};
@@ -17,7 +17,7 @@ impl IntoPy for PhantomError {
     }
 }
 
-/// Move the values of a volume into a `NumPy` array without a copy.
+/// Move the values of a volume into a `NumPy` array `[z, y, x]` without a copy.
 fn volume<'py, T: numpy::Element>(
     py: Python<'py>,
     values: Vec<T>,

@@ -7,7 +7,7 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::thread_clock::PoolClock;
 
-/// Number of reservations, and the smaller pool while there are any.
+/// Number of current reservations, and the smaller thread pool while there are any.
 struct Reservations {
     num_holders: usize,
     pool: Option<Arc<Smaller>>,
@@ -18,19 +18,19 @@ struct Smaller {
     clock: PoolClock,
 }
 
+/// Thread reservations of this process.
 static RESERVATIONS: Mutex<Reservations> = Mutex::new(Reservations {
     num_holders: 0,
     pool: None,
 });
 
-/// Clock of the pool with all threads of the machine.
-///
-/// The pool's threads never end.
+/// Clock of the pool with all threads of the machine, whose threads never end.
 static ALL: LazyLock<PoolClock> = LazyLock::new(|| {
     let clock = PoolClock::new(rayon::current_num_threads());
-    let asked = clock.clone();
-    // `spawn_broadcast` does not wait: a thread that is busy with a map registers when the map is finished.
-    rayon::spawn_broadcast(move |_| asked.add_this_thread());
+    let clock_of_thread = clock.clone();
+    // `spawn_broadcast` does not wait, so a thread that is busy with a map registers its clock when the map is
+    // finished.
+    rayon::spawn_broadcast(move |_| clock_of_thread.add_this_thread());
     clock
 });
 
@@ -63,7 +63,7 @@ impl Reservation {
         current.num_holders += 1;
         if current.pool.is_none() {
             let threads = rayon::current_num_threads().saturating_sub(1).max(1);
-            // If the system refuses threads for a second pool, pictures use all threads: not an error.
+            // If the system refuses threads for a second pool, pictures use all threads; this is not an error.
             current.pool = ThreadPoolBuilder::new()
                 .num_threads(threads)
                 .thread_name(|n| format!("carina-picture-{n}"))
@@ -71,8 +71,8 @@ impl Reservation {
                 .ok()
                 .map(|pool| {
                     let clock = PoolClock::new(threads);
-                    let asked = clock.clone();
-                    pool.spawn_broadcast(move |_| asked.add_this_thread());
+                    let clock_of_thread = clock.clone();
+                    pool.spawn_broadcast(move |_| clock_of_thread.add_this_thread());
                     Arc::new(Smaller { pool, clock })
                 });
         }
@@ -90,7 +90,7 @@ impl Drop for Reservation {
     }
 }
 
-/// Render a picture on the threads that are not reserved, while the GIL is released.
+/// Run `work` on the threads that are not reserved for other work, while the GIL is released.
 pub(crate) fn detached<T: Send>(py: Python<'_>, work: impl FnOnce() -> T + Send) -> T {
     py.detach(|| {
         let pool = reservations().pool.clone();
@@ -101,9 +101,9 @@ pub(crate) fn detached<T: Send>(py: Python<'_>, work: impl FnOnce() -> T + Send)
     })
 }
 
-/// Return the mean processor time in s of the threads that render pictures.
+/// Return the mean processor time of the threads that render pictures, s.
 ///
-/// Return `None` on systems that do not report the time, and until each thread has registered its clock.
+/// The result is `None` on systems that do not report the time, and until each thread has registered its clock.
 #[pyfunction]
 fn picture_clock_s() -> Option<f64> {
     let smaller = reservations().pool.clone();

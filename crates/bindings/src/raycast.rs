@@ -1,4 +1,4 @@
-//! Python bindings of `carina-raycast`.
+//! Python bindings of `carina-raycast`, the casters and planes.
 #![allow(
     clippy::needless_pass_by_value,
     reason = "Python hands its arguments over by value"
@@ -63,13 +63,13 @@ pub(crate) fn transfer(
     Transfer::new(rows, reference_mm, bin_hu).map_err(IntoPy::into_py)
 }
 
-/// Colour and opacity of one ray step for each value of a volume.
+/// Colour and opacity that one ray step adds, for each value of a volume.
 ///
-/// The table holds a transfer function, evaluated for one step length.
+/// The table is a transfer function evaluated for one step length.
 #[pyclass(frozen, module = "carina._core")]
 struct TransferTable {
     inner: carina_raycast::TransferTable,
-    /// Step table for the classes of the last call.
+    /// Step table for the classes of the last call of `segments`, with the values of these classes.
     ///
     /// Building a table takes as long as casting a small picture.
     segments: Mutex<Option<(Vec<i32>, Arc<SegmentTable>)>>,
@@ -78,19 +78,19 @@ struct TransferTable {
 impl TransferTable {
     /// Return the step table for classes that are given by one value of each class.
     fn segments(&self, class_values: &[i32]) -> Arc<SegmentTable> {
-        let mut kept = self.segments.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((values, table)) = kept.as_ref()
+        let mut cached = self.segments.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((values, table)) = cached.as_ref()
             && values == class_values
         {
             return Arc::clone(table);
         }
         let mut entries: Vec<[f32; 4]> =
             class_values.iter().map(|&v| self.inner.entry(v)).collect();
-        // Fill the table for every possible label, so that each label has an entry. Searching for the highest label
-        // would take longer than casting the picture.
+        // The table has an entry for every possible label, because searching for the highest label would take longer
+        // than casting the picture.
         entries.resize(usize::from(u8::MAX), [0.0; 4]);
         let table = Arc::new(SegmentTable::new(&entries));
-        *kept = Some((class_values.to_vec(), Arc::clone(&table)));
+        *cached = Some((class_values.to_vec(), Arc::clone(&table)));
         table
     }
 }
@@ -126,7 +126,7 @@ impl TransferTable {
     }
 }
 
-/// Token that cancels the cast of a picture.
+/// Token with which another thread cancels the cast of a picture.
 ///
 /// Use a new token for each picture: a cancelled token stays cancelled.
 #[pyclass(frozen, module = "carina._core")]
@@ -167,13 +167,17 @@ struct Bricks {
     samples: Mutex<Option<Arc<SampleBricks>>>,
 }
 
-/// Return the cached bricks if they fit; else store and return new ones.
-fn kept<T>(kept: &Mutex<Option<Arc<T>>>, fits: impl Fn(&T) -> bool, new: impl Fn() -> T) -> Arc<T> {
-    let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
-    if let Some(bricks) = kept.as_ref().filter(|bricks| fits(bricks)) {
+/// Return the cached bricks if they fit; otherwise cache and return new bricks.
+fn cached<T>(
+    cached: &Mutex<Option<Arc<T>>>,
+    fits: impl Fn(&T) -> bool,
+    new: impl Fn() -> T,
+) -> Arc<T> {
+    let mut cached = cached.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some(bricks) = cached.as_ref().filter(|bricks| fits(bricks)) {
         return Arc::clone(bricks);
     }
-    Arc::clone(kept.insert(Arc::new(new())))
+    Arc::clone(cached.insert(Arc::new(new())))
 }
 
 impl Bricks {
@@ -181,16 +185,16 @@ impl Bricks {
     ///
     /// The cache starts empty again if the bricks do not fit the frame (another shape, or another transfer function for
     /// wall normals) or if the cache is full.
-    fn given_to<'a>(&self, frame: Frame<'a>) -> Result<Frame<'a>, RaycastError> {
+    fn attached_to<'a>(&self, frame: Frame<'a>) -> Result<Frame<'a>, RaycastError> {
         if frame.lights_walls() {
             let fits = |bricks: &NormalBricks| bricks.fit(&frame) && !bricks.is_full();
-            let bricks = kept(&self.slopes, fits, || NormalBricks::of(&frame));
+            let bricks = cached(&self.slopes, fits, || NormalBricks::of(&frame));
             return frame.with_normals(bricks);
         }
         if frame.lights_samples() {
             let shape = frame.shape_ijk();
             let fits = |bricks: &SampleBricks| bricks.fit(shape) && !bricks.is_full();
-            let bricks = kept(&self.samples, fits, || SampleBricks::of(shape));
+            let bricks = cached(&self.samples, fits, || SampleBricks::of(shape));
             return frame.with_samples(bricks);
         }
         Ok(frame)
@@ -204,7 +208,7 @@ impl Bricks {
         Self::default()
     }
 
-    /// Return the number of cached bricks.
+    /// Return the number of cached bricks of normals and samples.
     fn __len__(&self) -> usize {
         let slopes = self.slopes.lock().unwrap_or_else(PoisonError::into_inner);
         let samples = self.samples.lock().unwrap_or_else(PoisonError::into_inner);
@@ -217,11 +221,11 @@ impl Bricks {
     }
 }
 
-/// Return the instruction set of a name.
+/// Return the instruction set with a name, or the default one for `None`.
 ///
-/// Without a name, the environment variable `CARINA_SIMD` (for tests) selects the set; without the variable, the
-/// fastest set of this machine is used.
+/// The default is that of the environment variable `CARINA_SIMD` (for tests), or else the fastest set of this machine.
 pub(crate) fn instruction_set(name: Option<&str>) -> PyResult<InstructionSet> {
+    /// Value of `CARINA_SIMD`, read on first use.
     static CHOSEN: OnceLock<Option<String>> = OnceLock::new();
     let chosen = || {
         std::env::var("CARINA_SIMD")
@@ -246,10 +250,12 @@ pub(crate) fn instruction_set(name: Option<&str>) -> PyResult<InstructionSet> {
     })
 }
 
-/// Statistics of a cast as a Python tuple: rays, samples, look-ups, leaps, skipped samples, shaded samples, reads.
+/// Statistics of a cast as a Python tuple.
+///
+/// The items are the numbers of rays, samples, look-ups, leaps, skipped samples, shaded samples and reads.
 type PyStats = (u64, u64, u64, u64, u64, u64, u64);
 
-/// Leaping map as passed from Python.
+/// Map for leaps as passed from Python.
 ///
 /// The variants are the radius map alone, or labels, radius map and one value of each class for leaps over all classes.
 #[derive(FromPyObject)]
@@ -262,7 +268,7 @@ enum LeapMap<'py> {
     Transparent(PyReadonlyArray3<'py, u8>),
 }
 
-/// Python object with the attributes of [`Appearance`]: light, gloss and texture.
+/// Python object with the attributes of [`Appearance`]: light, gloss, texture and decoration.
 #[derive(FromPyObject)]
 struct PyAppearance {
     guides_mm: Vec<[f32; 3]>,
@@ -311,7 +317,7 @@ impl PyAppearance {
     }
 }
 
-/// Python object with the attributes of [`Decoration`]: positions of wall points along their airways.
+/// Python object with the attributes of [`Decoration`]: anatomical data of wall points.
 #[derive(FromPyObject)]
 struct PyDecoration<'py> {
     cells: PyReadonlyArray4<'py, f32>,
@@ -347,7 +353,7 @@ const fn interpolation(nearest: bool) -> Interpolation {
     }
 }
 
-/// Cast rows of a picture; return (rows, width, 3) uint8 colours and statistics.
+/// Cast rows of an airway view; return (rows, width, 3) uint8 colours and statistics.
 #[pyfunction]
 #[pyo3(signature = (
     hu_zyx, lps_from_ijk, table, lps_from_camera, *, fov_rad, width, height, rows=None, light=None, nearest=false,
@@ -410,7 +416,7 @@ fn cast<'py>(
         frame = frame.leaping_always();
     }
     if let Some(bricks) = bricks {
-        frame = bricks.get().given_to(frame).map_err(IntoPy::into_py)?;
+        frame = bricks.get().attached_to(frame).map_err(IntoPy::into_py)?;
     }
     let simd = instruction_set(simd)?;
     let (start, end) = rows.unwrap_or((0, height));
@@ -480,7 +486,7 @@ type PySurface<'py> = (
 
 /// Find the first wall on each ray of some rows of a picture, or of one pixel (column, row).
 ///
-/// Return depths in mm (rows, width), positions and normals (rows, width, 3) in LPS; NaN for a ray that meets no wall.
+/// Return depths in mm (rows, width), and positions and normals (rows, width, 3) in LPS; NaN for a ray without a wall.
 #[pyfunction]
 #[pyo3(signature = (
     hu_zyx, lps_from_ijk, table, lps_from_camera, *, fov_rad, width, height, rows=None, pixel=None, nearest=false,
@@ -636,7 +642,7 @@ type ThreeProjections<'py> = (
     Bound<'py, PyArray2<i16>>,
 );
 
-/// Return the maximum intensity projections along i `[k, j]`, j `[k, i]` and k `[j, i]`.
+/// Return the maximum intensity projections of a volume along i `[k, j]`, j `[k, i]` and k `[j, i]`.
 #[pyfunction]
 fn project_maximum<'py>(
     py: Python<'py>,
@@ -657,7 +663,7 @@ fn project_maximum<'py>(
     ))
 }
 
-/// Raise the values round a lumen, in place, in a copy of a volume.
+/// Raise the values round a lumen, in place, so that the airway wall is opaque; the volume should be a copy.
 #[pyfunction]
 fn raise_wall(
     py: Python<'_>,
@@ -685,7 +691,7 @@ fn raise_wall(
     .map_err(IntoPy::into_py)
 }
 
-/// Return a smooth field with values 0 to 1024 of a mask.
+/// Blur a mask to a smooth field with values of 0 to 1024.
 #[pyfunction]
 fn smooth_mask<'py>(
     py: Python<'py>,

@@ -1,4 +1,4 @@
-//! Python bindings of `carina-scope`.
+//! Python bindings of the flight curve of `carina-scope`.
 
 use carina_scope::{FlightCurve, ScopeError};
 use numpy::{
@@ -19,7 +19,7 @@ impl IntoPy for ScopeError {
     }
 }
 
-/// Smooth curve with camera frames along a polyline.
+/// Smooth curve with camera frames, computed from a polyline.
 #[pyclass(name = "FlightCurve", frozen, module = "carina._core")]
 struct PyFlightCurve(FlightCurve);
 

@@ -1,4 +1,4 @@
-//! Python bindings of the scope's mechanics: distance to the wall, and the drive.
+//! Python bindings of the simulated scope: the wall field of a lumen, and the drive of the scope.
 #![allow(
     clippy::needless_pass_by_value,
     reason = "PyO3 hands arrays over by value"
@@ -34,7 +34,7 @@ pub(crate) fn points(array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<[f64; 3]
         .collect())
 }
 
-/// Signed distance to the wall of a lumen.
+/// Signed distance field of a lumen's wall, in mm, positive in the lumen.
 #[pyclass(name = "WallField", frozen, module = "carina._core")]
 struct PyWallField(Arc<WallField>);
 
@@ -164,7 +164,7 @@ fn state_dict<'py>(py: Python<'py>, state: &ScopeState) -> PyResult<Bound<'py, P
     Ok(out)
 }
 
-/// Simulated scope in a lumen.
+/// Simulation of a scope in a lumen.
 #[pyclass(name = "ScopeDrive", frozen, module = "carina._core")]
 struct PyScopeDrive(Mutex<ScopeDrive>);
 

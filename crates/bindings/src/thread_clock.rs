@@ -1,15 +1,13 @@
 //! Processor time of the threads of a pool, read from other threads.
 //!
-//! This time is the cost of a picture without the load of other programs. On systems that do not report the time, there
-//! is no value.
+//! The processor time is the cost of a picture without the load of other programs. On systems that do not report it,
+//! there is no value.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Clocks of the threads of a pool.
 ///
-/// A clone refers to the same pool.
-///
-/// The pool's threads must live for as long as their clocks are read.
+/// A clone refers to the same pool. The pool's threads must live for as long as their clocks are read.
 #[derive(Clone)]
 pub(crate) struct PoolClock {
     num_threads: usize,
@@ -17,8 +15,9 @@ pub(crate) struct PoolClock {
 }
 
 impl PoolClock {
-    /// Create the clock of a pool with the given number of threads; each thread must call
-    /// [`PoolClock::add_this_thread`].
+    /// Create the clock of a pool with the given number of threads.
+    ///
+    /// Each thread must call [`PoolClock::add_this_thread`].
     pub(crate) fn new(num_threads: usize) -> Self {
         Self {
             num_threads,
@@ -31,7 +30,7 @@ impl PoolClock {
         clocks.extend(system::of_this_thread());
     }
 
-    /// Return the mean time of all threads in s; `None` unless all clocks can be read.
+    /// Return the mean processor time of all threads in s; `None` unless all clocks can be read.
     pub(crate) fn read_s(&self) -> Option<f64> {
         let clocks = self.clocks.lock().unwrap_or_else(PoisonError::into_inner);
         if clocks.len() != self.num_threads {
@@ -68,7 +67,7 @@ mod system {
 
 #[cfg(not(target_os = "linux"))]
 mod system {
-    /// Empty type: this system reports no thread clocks.
+    /// Empty type for systems that report no thread clocks.
     #[derive(Clone, Copy)]
     pub(super) enum Clock {}
 

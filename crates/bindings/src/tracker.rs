@@ -1,4 +1,4 @@
-//! Python bindings of the tracker over a volume of weights, and timing of path queries in a settled tree.
+//! Python bindings of the tracker for a volume of weights, and timing of path queries in a settled tree.
 #![allow(
     clippy::needless_pass_by_value,
     reason = "pyo3 hands arguments over by value"
@@ -24,7 +24,7 @@ use crate::arrays;
 use crate::errors::IntoPy;
 use crate::watch::PyWatch;
 
-/// Tracker with either of the two costs.
+/// Tracker of a volume of weights with either of the two costs.
 enum AnyTracker {
     Mean(Tracker<MeanCost>),
     Enter(Tracker<EnterCost>),
@@ -39,10 +39,10 @@ macro_rules! either {
     };
 }
 
-/// Times of path queries in ns, and the numbers of voxels of the paths.
+/// Times in ns of path queries, and the numbers of voxels of their paths.
 type TimesAndLengths<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<i64>>);
 
-/// Voxels of a path, its cost, and the number of settled voxels.
+/// Result of a search for one path: its voxels, its cost, and the number of settled voxels.
 type AimedTuple<'py> = (Bound<'py, PyArray2<i64>>, f64, usize);
 
 type Region = [(usize, usize); 3];
@@ -104,13 +104,13 @@ impl FieldTracker {
         py.detach(|| either!(&*self.lock(), t => t.quanta().num_open))
     }
 
-    /// Cost of one integer quantum.
+    /// Cost of one integer quantum, in the unit of the path costs.
     #[getter]
     fn quantum(&self, py: Python<'_>) -> f64 {
         py.detach(|| either!(&*self.lock(), t => t.quanta().unit))
     }
 
-    /// Memory in bytes of the voxels and of the queue.
+    /// Memory in bytes that the tracker uses: for the voxels, and for the queue.
     #[getter]
     fn num_bytes(&self, py: Python<'_>) -> (usize, usize) {
         py.detach(|| either!(&*self.lock(), t => t.num_bytes()))
@@ -174,8 +174,8 @@ impl FieldTracker {
         Ok(path.map(|voxels| voxels.into_pyarray(py)))
     }
 
-    /// Return the time in ns of one path query for each target, measured in this module, and the number of voxels of
-    /// each path.
+    /// Measure the time in ns of one path query for each target; return the times and the numbers of voxels of the
+    /// paths.
     fn time_paths<'py>(
         &self,
         py: Python<'py>,
@@ -236,7 +236,7 @@ impl FieldTracker {
     }
 }
 
-/// Return the values of a mask whose shape must equal that of the field's grid.
+/// Return the values of a mask, whose shape must equal that of the field; `None` without a mask.
 fn mask_values<'a>(
     mask_zyx: Option<&'a PyReadonlyArray3<'_, u8>>,
     field_zyx: &PyReadonlyArray3<'_, f32>,
@@ -255,7 +255,7 @@ fn mask_values<'a>(
     arrays::values("mask_zyx", mask).map(Some)
 }
 
-/// Return true for the cost that depends only on the voxel entered.
+/// Return true if a cost depends only on the voxel that a step enters; an unknown name causes an error.
 fn is_by_voxel(cost: &str) -> PyResult<bool> {
     match cost {
         "mean" => Ok(false),
@@ -352,7 +352,9 @@ fn clocked(nodes: &[u32], path_to: impl Fn(u32) -> Option<Vec<u32>>) -> (Vec<f64
         .unzip()
 }
 
-/// Return the time in ns of one path query for each node of a lumen's tracker, and the number of voxels of each path.
+/// Measure the time in ns of one path query for each node of a lumen's tracker.
+///
+/// Return the times and the numbers of voxels of the paths.
 #[pyfunction]
 fn time_lumen_paths(
     py: Python<'_>,

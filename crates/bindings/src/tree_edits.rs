@@ -1,4 +1,4 @@
-//! Python bindings for the edits of an airway tree: update the lumen's graph after an edit, and query it.
+//! Python bindings for the edits of an airway tree: updates of the lumen's graph, and queries of the graph.
 #![allow(
     clippy::needless_pass_by_value,
     reason = "pyo3 hands arguments over by value"
@@ -25,7 +25,7 @@ use crate::points::{points, refused, voxels};
 use crate::watch::PyWatch;
 
 type Voxels<'py> = Bound<'py, PyArray2<u16>>;
-/// First voxel and shape of a box, both in the order i, j, k.
+/// Box of voxels: its first voxel and its shape, both in the order i, j, k.
 type Corners = ([usize; 3], [usize; 3]);
 
 fn nodes(tracker: &LumenTracker, array: &PyReadonlyArray1<'_, u32>) -> PyResult<Vec<u32>> {
@@ -44,7 +44,9 @@ fn small(graph: &LumenGraph, node: u32) -> [u16; 3] {
     graph.voxel(node).map(|v| v as u16)
 }
 
-/// Build the tracker of a lumen after voxels were added and removed; also return the box (first, shape) of the changes.
+/// Create the tracker of a lumen after voxels were added and removed.
+///
+/// Return the tracker and the box (first voxel, shape) of the changes, or None without changes.
 #[pyfunction]
 #[pyo3(signature = (tracker, values_zyx, added_ijk, removed_ijk, *, cancel=None))]
 fn edit_lumen(
@@ -75,7 +77,7 @@ fn edit_lumen(
     Ok((tracker.with(Arc::new(edited.graph), solved), corners))
 }
 
-/// Build the tracker of a whole lumen from scratch, with the wall levels of another tracker and the root at a voxel.
+/// Create the tracker of a whole lumen from scratch, with the wall levels of another tracker and the root at a voxel.
 #[pyfunction]
 #[pyo3(signature = (tracker, values_zyx, lumen_zyx, root_ijk, *, cancel=None))]
 fn fresh_lumen(
@@ -115,7 +117,7 @@ fn root_node(graph: &LumenGraph, root_ijk: [isize; 3]) -> Result<u32, TrackError
         .ok_or_else(|| TrackError::NoResult("the root is not in the airway lumen".to_owned()))
 }
 
-/// Build the tracker of the same lumen with another root.
+/// Create the tracker of the same lumen with another root.
 #[pyfunction]
 #[pyo3(signature = (tracker, root_ijk, *, cancel=None))]
 fn reroot_lumen(
@@ -134,7 +136,7 @@ fn reroot_lumen(
     Ok(tracker.with(Arc::clone(&tracker.graph), solved))
 }
 
-/// Return a (nz, ny, nx) array that is 1 inside the lumen.
+/// Return the mask of a tracker's lumen, (nz, ny, nx), 1 inside.
 #[pyfunction]
 fn lumen_array<'py>(py: Python<'py>, tracker: &LumenTracker) -> PyResult<Bound<'py, PyArray3<u8>>> {
     let bytes = py.detach(|| lumen_edit::as_bytes(&tracker.graph, &tracker.grid));
@@ -143,7 +145,7 @@ fn lumen_array<'py>(py: Python<'py>, tracker: &LumenTracker) -> PyResult<Bound<'
 
 /// Return the states of the voxels of a box, (nz, ny, nx).
 ///
-/// The states are 0 no lumen, 1 lumen that no path reaches, 2 lumen that a path reaches.
+/// The states are 0 (no lumen), 1 (lumen that no path reaches) and 2 (lumen that a path reaches).
 #[pyfunction]
 fn lumen_states<'py>(
     py: Python<'py>,
@@ -168,7 +170,7 @@ fn lumen_states<'py>(
     states.into_pyarray(py).reshape([nz, ny, nx])
 }
 
-/// Return the node (n,) whose voxel contains each point (n, 3) LPS; -1 outside the lumen.
+/// Return for each of (n, 3) LPS points the node (n,) whose voxel contains the point; -1 outside the lumen.
 #[pyfunction]
 fn nodes_at<'py>(
     py: Python<'py>,
@@ -189,7 +191,7 @@ fn nodes_at<'py>(
     Ok(found.into_pyarray(py))
 }
 
-/// Return the voxels (n, 3) of nodes.
+/// Return the voxels (n, 3) of nodes (n,).
 #[pyfunction]
 fn voxels_of<'py>(
     py: Python<'py>,
@@ -203,17 +205,17 @@ fn voxels_of<'py>(
     Ok(voxel_array(py, &found))
 }
 
-/// Return (n,) whether a path reaches each node.
+/// Return for each of (n,) nodes whether a path reaches it.
 #[pyfunction]
 fn reached<'py>(
     py: Python<'py>,
     tracker: &LumenTracker,
     nodes_of: PyReadonlyArray1<'py, u32>,
 ) -> PyResult<Bound<'py, PyArray1<bool>>> {
-    let asked = nodes(tracker, &nodes_of)?;
+    let given = nodes(tracker, &nodes_of)?;
     let found: Vec<bool> = py.detach(|| {
         let solved = tracker.lock();
-        asked
+        given
             .iter()
             .map(|n| solved.cost_quanta(*n).is_some())
             .collect()
@@ -221,7 +223,7 @@ fn reached<'py>(
     Ok(found.into_pyarray(py))
 }
 
-/// Return (n,) whether the straight line between each pair of (n, 3) LPS points stays in lumen voxels.
+/// Return for each pair of (n, 3) LPS points whether the straight line between them stays in lumen voxels.
 #[pyfunction]
 fn sees<'py>(
     py: Python<'py>,
@@ -243,7 +245,7 @@ fn sees<'py>(
     Ok(found.into_pyarray(py))
 }
 
-/// Return (n, 3) points; each point outside the lumen is moved to the nearest position inside.
+/// Return (n, 3) LPS points with each point outside the lumen moved to the nearest position inside.
 #[pyfunction]
 fn pulled_inside<'py>(
     py: Python<'py>,
@@ -264,7 +266,7 @@ fn pulled_inside<'py>(
     Ok(points_array(py, &found))
 }
 
-/// Return the voxels (n, 3) that a path reaches in one tracker but not in the other.
+/// Return the voxels (n, 3) that paths reach in `tracker` but not in `other`.
 #[pyfunction]
 fn newly_reached<'py>(
     py: Python<'py>,
@@ -272,7 +274,7 @@ fn newly_reached<'py>(
     other: &LumenTracker,
 ) -> Voxels<'py> {
     let found = py.detach(|| {
-        // The two trackers are copied one after the other: holding both locks at once could deadlock.
+        // The two trackers are read one after the other, because holding both locks at once could deadlock.
         let is_reached = |t: &LumenTracker| -> Vec<bool> {
             let solved = t.lock();
             (0..t.graph.num_nodes() as u32)
@@ -285,9 +287,9 @@ fn newly_reached<'py>(
     voxel_array(py, &found)
 }
 
-/// Return the voxels (n, 3) in the tubes of the branches that were cut off, but not of the remaining branches.
+/// Return the voxels (n, 3) that belong to the tubes of the branches to cut and not to those that remain.
 ///
-/// Branches are given by the nodes of their centrelines.
+/// `cut` and `kept` are the nodes on the centrelines of these branches.
 #[pyfunction]
 fn cut_voxels<'py>(
     py: Python<'py>,
@@ -305,8 +307,10 @@ fn cut_voxels<'py>(
     Ok(voxel_array(py, &found))
 }
 
-/// Return the nodes (n,) at tips of branches among candidate voxels that a tree does not contain yet, longest path
+/// Return the nodes (n,) at the tips of branches in the candidate voxels that a tree does not contain, longest path
 /// first.
+///
+/// `tree_nodes` are the nodes on the centrelines of the tree.
 #[pyfunction]
 #[pyo3(signature = (tracker, tree_nodes, candidates_ijk, *, cancel=None))]
 fn more_tips<'py>(
@@ -338,7 +342,7 @@ fn more_tips<'py>(
     Ok(tips.into_pyarray(py))
 }
 
-/// Return the voxels (n, 3) of a box on the least-cost path from the nearest goal to a start; None if no path exists.
+/// Return the voxels (n, 3) of the least-cost path in a box from the nearest goal to a start; None if no path exists.
 #[pyfunction]
 #[pyo3(signature = (weights_zyx, goals_zyx, spacing_mm, start_ijk, *, cancel=None))]
 fn cheapest_way<'py>(

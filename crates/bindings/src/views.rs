@@ -1,4 +1,4 @@
-//! Python bindings of the radiograph and of pictures whose rows are lines through the volume.
+//! Python bindings of radiographs and of pictures whose rows are lines through the volume.
 #![allow(
     clippy::needless_pass_by_value,
     reason = "Python hands its arguments over by value"
@@ -21,7 +21,8 @@ use crate::{
     raycast::{instruction_set, rows_of},
 };
 
-/// Return the water-equivalent length in mm of each ray of some rows, (rows, width) float32.
+/// Return the water-equivalent length in mm of the ray of each pixel in some rows of a radiograph, (rows, width)
+/// float32.
 #[pyfunction]
 #[pyo3(signature = (
     hu_zyx, lps_from_ijk, lps_from_pixel, *, width, height, rows=None, source_lps=None, air=-1000.0, bone=100.0, bone_gain=1.0,
@@ -64,11 +65,10 @@ fn radiograph<'py>(
 
 type GreyAndInside<'py> = (Bound<'py, PyArray2<u8>>, Bound<'py, PyArray2<u8>>);
 
-/// Sample a picture whose rows are lines.
+/// Sample a picture whose rows are lines through the volume.
 ///
-/// Return grey levels and a mask of the pixels inside the volume, both (rows, width) uint8.
-///
-/// A row of `lines` contains the start, the step and the direction through the picture.
+/// Return grey levels and a mask of the pixels inside the volume, both (rows, width) uint8. A row of `lines` contains
+/// the start, the step and the direction through the picture (LPS).
 #[pyfunction(name = "sample_lines")]
 #[pyo3(signature = (hu_zyx, lps_from_ijk, lines, *, width, window_hu, slab=None))]
 fn lines_of<'py>(

@@ -1,4 +1,4 @@
-//! Periodic checks during long calls: for Ctrl-C and the caller's `cancel()`, with a report of the progress.
+//! Periodic checks for Ctrl-C and the caller's `cancel()` during long calls, with reports of the progress.
 
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -7,7 +7,7 @@ use pyo3::prelude::*;
 
 use crate::errors::IntoPy;
 
-/// Check for Ctrl-C and the caller's `cancel()`, and a call of `progress(share)`, at most every 50 ms.
+/// Check for Ctrl-C and the caller's `cancel()`, with a call of `progress(share)`, at most every 50 ms.
 pub(crate) struct PyWatch {
     cancel: Option<Py<PyAny>>,
     progress: Option<Py<PyAny>>,
@@ -16,11 +16,12 @@ pub(crate) struct PyWatch {
 
 struct WatchState {
     looked: Instant,
-    /// Exception raised by a callback or by Ctrl-C; re-raised unchanged.
+    /// Exception that a callback or Ctrl-C has raised, to be raised again unchanged; `None` without an exception.
     raised: Option<PyErr>,
     stopped: bool,
 }
 
+/// Shortest time between two checks for Ctrl-C and `cancel()`.
 const BETWEEN_LOOKS: Duration = Duration::from_millis(50);
 
 impl PyWatch {
@@ -48,12 +49,12 @@ impl PyWatch {
         })
     }
 
-    /// Return false if the call should end.
+    /// Check for a cancellation and report the completed share; return false if the call should end.
     ///
     /// Any thread may call this method without the GIL.
     pub(crate) fn goes_on(&self, share: f64) -> bool {
         {
-            // Another thread is running the check.
+            // Another thread is running the check at this moment.
             let Ok(mut state) = self.state.try_lock() else {
                 return true;
             };
@@ -65,7 +66,8 @@ impl PyWatch {
             }
             state.looked = Instant::now();
         }
-        // The lock is released before the callbacks run: a callback may wait for another thread that calls this method.
+        // The lock is released before the callbacks run, because a callback may wait for another thread that calls this
+        // method.
         let found = self.look(share);
         let goes_on = matches!(found, Ok(true));
         if !goes_on {
@@ -76,7 +78,7 @@ impl PyWatch {
         goes_on
     }
 
-    /// Return the error to raise in Python: the exception of a callback if there is one, else `otherwise`.
+    /// Return the error to raise in Python: the exception of a callback if there is one, otherwise `otherwise`.
     pub(crate) fn error(&self, otherwise: impl IntoPy) -> PyErr {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         state.raised.take().unwrap_or_else(|| otherwise.into_py())

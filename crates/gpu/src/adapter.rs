@@ -1,13 +1,13 @@
-//! Graphics adapters of this machine.
+//! Graphics adapters of this machine, found through the drivers.
 
 use std::{sync::OnceLock, time::Duration};
 
-/// Kind of an adapter.
+/// Kind of a graphics adapter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum AdapterKind {
-    /// Card with its own memory.
+    /// Graphics card with its own memory.
     Discrete,
-    /// Part of the processor.
+    /// Graphics unit that is part of the processor.
     Integrated,
     /// Adapter provided by a virtual machine.
     Virtual,
@@ -20,7 +20,7 @@ pub enum AdapterKind {
 }
 
 impl AdapterKind {
-    /// Return the kind as text.
+    /// Return the name of the kind as text.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -32,10 +32,10 @@ impl AdapterKind {
         }
     }
 
-    /// Return the time after which a device without an answer counts as lost; any useful device casts a picture faster.
+    /// Return the time after which a device without an answer counts as lost.
     ///
-    /// A software device runs on the processor's cores, which other programs may occupy for minutes, so its limit is
-    /// longer.
+    /// Any useful device casts a picture faster. A software device runs on the processor's cores, which other programs
+    /// may occupy for minutes, so its limit is longer.
     pub(crate) const fn patience(self) -> Duration {
         match self {
             Self::Software => Duration::from_secs(600),
@@ -46,14 +46,14 @@ impl AdapterKind {
     }
 }
 
-/// Description of an adapter for users.
+/// Description of a graphics adapter for users.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AdapterFacts {
-    /// Name as reported by the driver.
+    /// Name of the adapter as reported by the driver.
     pub name: String,
     /// Graphics interface: Vulkan, Metal or Dx12.
     pub api: String,
-    /// Driver and its version, as far as the driver reports them.
+    /// Name and version of the driver, as far as the driver reports them.
     pub driver: String,
     /// Kind of the adapter.
     pub kind: AdapterKind,
@@ -80,7 +80,7 @@ impl AdapterFacts {
         }
     }
 
-    /// Return the rank; adapters with a lower rank are tried first.
+    /// Return the rank of the adapter; adapters with a lower rank are tried first.
     const fn rank(&self) -> u8 {
         match self.kind {
             AdapterKind::Discrete => 0,
@@ -92,15 +92,17 @@ impl AdapterFacts {
     }
 }
 
-/// Return the instance behind all devices.
+/// Return the wgpu instance that all devices of this process share.
 ///
-/// There is one per process, created on first use, which loads the drivers.
+/// The instance is created on first use, which loads the drivers.
 fn instance() -> &'static wgpu::Instance {
+    /// wgpu instance of this process.
     static INSTANCE: OnceLock<wgpu::Instance> = OnceLock::new();
     INSTANCE.get_or_init(|| {
         let mut wanted = wgpu::InstanceDescriptor::new_without_display_handle();
         wanted.backends = wgpu::Backends::PRIMARY;
-        // The only shader is tested; the drivers' validation layers cost time and print messages.
+        // The validation layers of the drivers are off, because the only shader is tested, and they cost time and print
+        // messages.
         wanted.flags = wgpu::InstanceFlags::empty();
         // A volume that would displace the desktop from graphics memory is rejected.
         wanted.memory_budget_thresholds.for_resource_creation = Some(90);
@@ -110,6 +112,7 @@ fn instance() -> &'static wgpu::Instance {
 
 /// Return all adapters, the likely fastest first; the order is the same during the whole process.
 pub(crate) fn found() -> &'static [(AdapterFacts, wgpu::Adapter)] {
+    /// Adapters of this machine, searched on first use.
     static FOUND: OnceLock<Vec<(AdapterFacts, wgpu::Adapter)>> = OnceLock::new();
     FOUND.get_or_init(|| {
         let adapters = pollster::block_on(instance().enumerate_adapters(wgpu::Backends::PRIMARY));

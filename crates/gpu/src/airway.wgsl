@@ -5,22 +5,25 @@
 override SHADED: bool = true;
 override NEAREST: bool = false;
 override LEAP: bool = true;
-// Write the results of each ray instead of a picture, for shading on the CPU and for depths.
+// Whether the kernel writes the results of each ray instead of colours, for shading on the CPU and for depths.
 override WALLS: bool = false;
 
-// Schedule of the look-ups in the map; leap.rs gives the reasons. The constants are the number of samples after the first
-// look-up that found nothing, the largest such number, the number of samples before the first look-up of rays that start in
-// no region, and the shortest leap that resets the patience.
+// Number of samples that a ray takes after its first look-up that saved nothing (schedule of look-ups: see leap.rs).
 const LEAST_PATIENCE: u32 = 2u;
+// Largest number of samples between two look-ups of a ray.
 const MOST_PATIENCE: u32 = 128u;
+// Number of samples before the first look-up, for rays that start in no region.
 const BLIND_SAMPLES: u32 = 8u;
+// Shortest leap, in samples, that resets the patience of a ray.
 override PAYING_LEAP: u32 = 1u;
-// Steps per voxel along an axis on which a ray does not advance, and the largest number of steps of a leap.
+// Number of steps per voxel along an axis on which a ray does not advance.
 const FAR: f32 = 1e30;
+// Largest number of steps of a leap.
 const MAX_STEPS: f32 = 1e9;
+// Position of the first wall of a ray that meets no wall.
 const NO_HIT: f32 = -1.0;
 
-// Same layout as `Uniforms` in uniforms.rs.
+// Parameters of a picture, with the memory layout of `Uniforms` in uniforms.rs.
 struct Frame {
     // Rows of the 3x3 matrix from unit directions in camera space to voxels per ray step.
     step_i: vec4<f32>,
@@ -70,7 +73,7 @@ var<workgroup> num_skipped: atomic<u32>;
 var<workgroup> num_lit: atomic<u32>;
 
 struct Ray {
-    // Voxels per step.
+    // Step of the ray, in voxels.
     delta: vec3<f32>,
     first: u32,
     end: u32,
@@ -193,7 +196,7 @@ fn facing(delta: vec3<f32>, g: vec3<f32>) -> f32 {
     return min(abs(along) / (length + 1e-6), 1.0);
 }
 
-// Return the fractions of the sample's own colour and of white at a distance.
+// Return the fractions of a sample's own colour and of white in its shaded colour, at a distance from the camera.
 fn shares(cosine: f32, distance_mm: f32) -> vec2<f32> {
     var highlight = cosine;
     for (var n = 0u; n < frame.shininess_log2; n++) {

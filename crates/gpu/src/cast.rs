@@ -14,24 +14,25 @@ use crate::{
     uniforms::Uniforms,
 };
 
-/// Number of pixels on a side of a workgroup.
+/// Number of pixels along each side of a workgroup.
 const GROUP: usize = 8;
-/// Largest number of pixels of a band: it limits the buffers of a picture to 16 MB, of walls to 80 MB.
+/// Largest number of pixels of a band; it limits the buffers to 16 MB for a picture and to 80 MB for walls.
 const BAND_PIXELS: usize = 1 << 21;
-/// Largest number of samples of a band.
+/// Largest number of samples of all rays of a band.
 ///
 /// Desktop systems reset a device that does not answer for about two seconds; the slowest useful device takes some 10^9
 /// samples a second.
 const BAND_SAMPLES: f64 = 5e8;
-/// Largest number of steps of a ray: f32 counts steps exactly to 2^24, and the ends of a ray are computed in f32 here.
+/// Largest number of steps of a ray; f32 counts steps exactly to 2^24, and the ends of a ray are computed in f32 here.
 const MOST_STEPS: f64 = 4_194_304.0;
+/// Number of 32-bit words per pixel in the output of walls.
 const WORDS_OF_A_WALL: usize = 5;
-/// Smallest number of read-back pixels per CPU thread: a picture of 1920 x 1080 has 41 MB of walls.
+/// Smallest number of pixels that one CPU thread converts after the read-back.
 const SHARE: usize = 1 << 13;
-/// Number of counters of a workgroup.
+/// Number of counters that a workgroup writes.
 const COUNTS: usize = 5;
 
-/// Frame to be cast, and its voxels on the device.
+/// Frame to be cast, with its volume and its radius map on the device.
 #[derive(Clone, Copy)]
 struct Job<'a> {
     frame: &'a Frame<'a>,
@@ -62,13 +63,13 @@ impl Gpu {
         let stats = self.bands(frame, volume, map, rows, false, |words| {
             let pixels = words.as_chunks::<4>().0.par_iter().with_min_len(SHARE);
             rgb.par_extend(pixels.clone().map(|&[r, g, b, _]| [r, g, b]));
-            // The buffer was cleared, so pixels that the kernel did not write have no alpha.
+            // The buffer was cleared, so a pixel that the kernel did not write has an alpha of 0.
             pixels.filter(|pixel| pixel[3] != 255).count()
         })?;
         Ok((rgb.into_flattened(), stats))
     }
 
-    /// Cast the rays of `rows` without any light, including first walls, `[row, column]`.
+    /// Cast the rays of `rows` without any light and return their results, including first walls, `[row, column]`.
     ///
     /// [`carina_raycast::light_gathered`] shades the result if the frame has an appearance.
     ///
@@ -104,7 +105,7 @@ impl Gpu {
         Ok((walls, stats))
     }
 
-    /// Cast the walls that [`carina_raycast::light_gathered`] needs for `rows`.
+    /// Cast the rays that [`carina_raycast::light_gathered`] needs to shade `rows`.
     ///
     /// The statistics are of `rows` alone, so that the statistics of strips can be added.
     ///
@@ -133,9 +134,10 @@ impl Gpu {
         Ok(([before, walls, after].concat(), stats))
     }
 
-    /// Cast the rows band by band.
+    /// Cast rows of a frame band by band.
     ///
-    /// `take` receives the output of the kernel and returns the number of pixels that the kernel did not write.
+    /// `take` receives the output of the kernel for each band and returns the number of pixels that the kernel did not
+    /// write.
     fn bands(
         &self,
         frame: &Frame<'_>,
@@ -221,10 +223,10 @@ impl Gpu {
         encoder.copy_buffer_to_buffer(&slot.counts, 0, &slot.staging, out_bytes, count_bytes);
         let index = self.queue.submit([encoder.finish()]);
         // The read-back is queued behind the kernel; another thread may submit its picture while this one waits.
-        let (tell, told) = std::sync::mpsc::channel();
+        let (sender, receiver) = std::sync::mpsc::channel();
         slot.staging
             .map_async(wgpu::MapMode::Read, 0..end, move |done| {
-                let _ = tell.send(done);
+                let _ = sender.send(done);
             });
         self.wait(index);
         self.check_alive()?;
@@ -232,8 +234,9 @@ impl Gpu {
             name: self.facts.name.clone(),
             reason,
         };
-        // The first thread that learns of the completion runs all callbacks; it may be the thread of another picture.
-        told.recv_timeout(self.facts.kind.patience())
+        // The first thread that detects the completion runs all callbacks; this may be the thread of another picture.
+        receiver
+            .recv_timeout(self.facts.kind.patience())
             .map_err(|_| lost("the picture did not come back".to_owned()))?
             .map_err(|e| lost(e.to_string()))?;
         let num_missing = {
@@ -245,8 +248,7 @@ impl Gpu {
         };
         slot.staging.unmap();
         self.check_alive()?;
-        // The slot is returned only after success: the slot of a failed picture may still be mapped or in use, and is
-        // dropped.
+        // The slot is returned only after success, because the slot of a failed picture may still be mapped or in use.
         lock(&self.slots).push(slot);
         Ok(num_missing)
     }
@@ -271,7 +273,7 @@ impl Gpu {
     }
 }
 
-/// Add the counters of all workgroups.
+/// Add the counters of all workgroups to the statistics.
 fn add_counts(stats: &mut CastStats, counts: &[u8], shaded: bool) {
     for group in counts.as_chunks::<{ 4 * COUNTS }>().0 {
         let [samples, lookups, leaps, skipped, lit] =

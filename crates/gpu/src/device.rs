@@ -1,4 +1,4 @@
-//! Opened graphics device: its queue, its pipelines, and whether it still works.
+//! Opened graphics device, with its queue, its pipelines and its error state.
 
 use std::{
     collections::HashMap,
@@ -14,9 +14,10 @@ use crate::{
     resources::{Directions, Slot, TableOnDevice},
 };
 
+/// Number of the next device that is opened.
 static NEXT: AtomicU64 = AtomicU64::new(1);
 
-/// Variant of the kernel: the overrides of `airway.wgsl`.
+/// Variant of the kernel, given by the override constants of `airway.wgsl`.
 #[allow(
     clippy::struct_excessive_bools,
     reason = "each is one override of the shader, and all combine"
@@ -29,15 +30,15 @@ pub(crate) struct Variant {
     pub(crate) walls: bool,
 }
 
-/// Graphics device with the kernels of the airway view.
+/// Opened graphics device with the kernels of the airway view.
 ///
-/// Several threads may cast pictures at once.
+/// Several threads may cast pictures at the same time.
 #[derive(Debug)]
 pub struct Gpu {
     pub(crate) facts: AdapterFacts,
     pub(crate) device: wgpu::Device,
     pub(crate) queue: wgpu::Queue,
-    /// Unique number, which distinguishes the resources of different devices.
+    /// Unique number of the device, which distinguishes its resources from those of other devices.
     pub(crate) id: u64,
     pub(crate) layout: wgpu::BindGroupLayout,
     pub(crate) no_map: GpuMap,
@@ -48,8 +49,8 @@ pub struct Gpu {
     pipeline_layout: wgpu::PipelineLayout,
     shader: wgpu::ShaderModule,
     pipelines: Mutex<HashMap<Variant, wgpu::ComputePipeline>>,
-    /// First error that the driver reported.
-    trouble: Arc<Mutex<Option<String>>>,
+    /// First error that the driver reported; `None` without an error.
+    driver_error: Arc<Mutex<Option<String>>>,
 }
 
 /// Lock a mutex even after a panic in another thread.
@@ -60,7 +61,7 @@ pub(crate) fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
 }
 
 impl Gpu {
-    /// Open the adapter at this index of [`crate::adapters`].
+    /// Open the adapter at an index of [`crate::adapters`].
     ///
     /// # Errors
     ///
@@ -89,15 +90,15 @@ impl Gpu {
             ..Default::default()
         }))
         .map_err(|e| refuse(e.to_string()))?;
-        let trouble = Arc::new(Mutex::new(None));
-        // The default handler panics; this one stores the error, and the next picture fails.
-        let heard = Arc::clone(&trouble);
+        let driver_error = Arc::new(Mutex::new(None));
+        // The default handler would panic; this handler stores the error, and the next picture fails.
+        let stored = Arc::clone(&driver_error);
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
-            lock(&heard).get_or_insert_with(|| error.to_string());
+            lock(&stored).get_or_insert_with(|| error.to_string());
         }));
-        let heard = Arc::clone(&trouble);
+        let stored = Arc::clone(&driver_error);
         device.set_device_lost_callback(move |reason, message| {
-            lock(&heard).get_or_insert_with(|| format!("lost ({reason:?}): {message}"));
+            lock(&stored).get_or_insert_with(|| format!("lost ({reason:?}): {message}"));
         });
         let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some("airway"),
@@ -137,30 +138,30 @@ impl Gpu {
             pipeline_layout,
             shader,
             pipelines: Mutex::default(),
-            trouble,
+            driver_error,
         };
         gpu.check_alive()?;
         Ok(gpu)
     }
 
-    /// Return the adapter.
+    /// Return the description of the device's adapter.
     #[must_use]
     pub const fn adapter(&self) -> &AdapterFacts {
         &self.facts
     }
 
-    /// Mark the device as lost, as after a driver reset: every later picture fails.
+    /// Mark the device as lost, as after a driver reset, so that every later picture fails.
     ///
-    /// For tests of the fallback to the CPU.
+    /// The method is for tests of the fallback to the CPU.
     pub fn lose(&self) {
         self.device.destroy();
         let _ = self.device.poll(wgpu::PollType::Poll);
-        lock(&self.trouble).get_or_insert_with(|| "given up".to_owned());
+        lock(&self.driver_error).get_or_insert_with(|| "given up".to_owned());
     }
 
     /// Return an error if the driver has reported any problem, because no later result can be trusted.
     pub(crate) fn check_alive(&self) -> Result<(), GpuError> {
-        match &*lock(&self.trouble) {
+        match &*lock(&self.driver_error) {
             None => Ok(()),
             Some(reason) => Err(GpuError::Device {
                 name: self.facts.name.clone(),
@@ -169,7 +170,7 @@ impl Gpu {
         }
     }
 
-    /// Run `work` and also return the error that the driver reported for it.
+    /// Run `work` and return its result together with the error that the driver reported for it, if any.
     pub(crate) fn watched<T>(&self, work: impl FnOnce() -> T) -> (T, Option<String>) {
         let memory = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
         let validation = self.device.push_error_scope(wgpu::ErrorFilter::Validation);
@@ -181,18 +182,18 @@ impl Gpu {
         )
     }
 
-    /// Wait for a submission; a device that does not answer in time counts as lost.
+    /// Wait until the device has processed a submission; mark the device as lost if it does not answer in time.
     pub(crate) fn wait(&self, index: wgpu::SubmissionIndex) {
         let done = self.device.poll(wgpu::PollType::Wait {
             submission_index: Some(index),
             timeout: Some(self.facts.kind.patience()),
         });
         if let Err(e) = done {
-            lock(&self.trouble).get_or_insert_with(|| format!("no answer: {e}"));
+            lock(&self.driver_error).get_or_insert_with(|| format!("no answer: {e}"));
         }
     }
 
-    /// Return the kernel of a variant, which is compiled on first use.
+    /// Return the compute pipeline of a variant of the kernel, which is compiled on first use.
     pub(crate) fn pipeline(&self, variant: Variant) -> wgpu::ComputePipeline {
         let mut pipelines = lock(&self.pipelines);
         let switches = [

@@ -2,15 +2,15 @@ use carina_raycast::RaycastError;
 
 /// Errors of casts on the GPU.
 ///
-/// None of them is caused by the viewer, and the CPU can render every picture instead.
+/// No error is caused by the viewer, and the CPU can render every picture instead.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum GpuError {
-    /// There is no such adapter.
+    /// The requested adapter does not exist.
     #[error("there is no graphics adapter {index}; this machine has {count}")]
     NoAdapter {
-        /// Requested index.
+        /// Requested index of an adapter.
         index: usize,
-        /// Number of adapters.
+        /// Number of adapters of this machine.
         count: usize,
     },
     /// The driver did not start, or the device is lost.
@@ -24,34 +24,34 @@ pub enum GpuError {
     /// The data do not fit on the device.
     #[error("{what} does not fit in the memory of the graphics device: {reason}")]
     DoesNotFit {
-        /// The volume, the radius map or the picture.
+        /// Name of the data: the volume, the radius map or the picture.
         what: &'static str,
-        /// Required and available size.
+        /// Required and available size as text.
         reason: String,
     },
     /// The frame needs a feature that only the CPU's casters have.
     #[error("the graphics device cannot render this view: {reason}")]
     Unsupported {
-        /// Explanation: the feature that the device lacks, or the limit that the frame exceeds.
+        /// Feature that the device lacks, or limit that the frame exceeds, as text.
         reason: String,
     },
-    /// Some pixels were not written.
+    /// The device did not write some pixels.
     ///
     /// The picture is rejected, because a wrong picture is worse than none.
     #[error("the graphics device {name} left {num_missing} pixels of an image empty")]
     Incomplete {
         /// Name of the adapter.
         name: String,
-        /// Number of pixels without a colour.
+        /// Number of pixels that were not written.
         num_missing: usize,
     },
-    /// The view is not valid.
+    /// The settings of the view are not valid.
     #[error(transparent)]
     Raycast(#[from] RaycastError),
 }
 
 impl GpuError {
-    /// Return the stable error code, shared with Python.
+    /// Return the stable code of the error, which Python also uses.
     ///
     /// `render.gpu-limit` refers to this volume or view only; after `render.gpu` the device must not be used again.
     #[must_use]

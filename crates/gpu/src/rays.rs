@@ -1,4 +1,4 @@
-//! Data that stay on the device between pictures, because they change rarely: directions of rays and transfer tables.
+//! Cached data on the device that change rarely between pictures: directions of rays and transfer tables.
 
 use std::{ops::Range, sync::Arc};
 
@@ -11,12 +11,14 @@ use crate::{
     resources::{Directions, DirectionsKey, TableOnDevice},
 };
 
-/// Number of cached items of each kind: while a camera moves, the frame budget alternates between a few sizes and
-/// steps.
-const KEPT: usize = 6;
+/// Number of cached sets of ray directions, and of cached transfer tables.
+///
+/// While a camera moves, the frame budget alternates between a few picture sizes and ray steps.
+const MOST_CACHED: usize = 6;
 
-/// Return the cached item of a key, or create it; the least recently used items are removed first.
-fn kept<T, K: PartialEq + ?Sized>(
+/// Return the cached item of a key, or create and cache it; the least recently used item is removed if the cache is
+/// full.
+fn cached<T, K: PartialEq + ?Sized>(
     all: &mut Vec<Arc<T>>,
     key: &K,
     key_of: impl Fn(&T) -> &K,
@@ -25,14 +27,13 @@ fn kept<T, K: PartialEq + ?Sized>(
     let place = all.iter().position(|item| key_of(item) == key);
     let item = place.map_or_else(|| Arc::new(make()), |n| all.remove(n));
     all.insert(0, Arc::clone(&item));
-    all.truncate(KEPT);
+    all.truncate(MOST_CACHED);
     item
 }
 
-/// Return the directions of `rows`: those of a pinhole are computed in f64 and rounded once, those of a lens are
-/// copied.
+/// Return the directions of the rays of `rows` in camera space; 0 for a pixel without a ray.
 ///
-/// The result is 0 for a pixel without a ray.
+/// Directions of a pinhole camera are computed in f64 and rounded once, those of a lens are copied.
 fn directions(camera: &Camera, rows: &Range<usize>) -> Vec<f32> {
     let (width, z) = (camera.width(), camera.focal_px());
     let (half_width, half_height) = (width as f64 / 2.0, camera.height() as f64 / 2.0);
@@ -64,7 +65,7 @@ impl Gpu {
             rows: rows.clone(),
         };
         let mut all = lock(&self.directions);
-        kept(
+        cached(
             &mut all,
             &key,
             |item| &item.key,
@@ -81,7 +82,7 @@ impl Gpu {
     pub(crate) fn table_of(&self, numbers: &FrameNumbers<'_>) -> Arc<TableOnDevice> {
         let mut all = lock(&self.tables);
         let wanted = numbers.entries;
-        kept(
+        cached(
             &mut all,
             wanted,
             |item| &item.entries,
@@ -92,7 +93,7 @@ impl Gpu {
         )
     }
 
-    /// Create a buffer with these bytes that shaders can read.
+    /// Create a buffer on the device that contains `bytes` and that shaders can read.
     fn filled(&self, label: &str, bytes: &[u8]) -> wgpu::Buffer {
         let buffer = self.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some(label),

@@ -20,7 +20,7 @@ pub struct GpuMap {
     pub(crate) owner: u64,
 }
 
-/// Buffers of one band, which are reused.
+/// Buffers of one band of rows, which are reused for later bands.
 #[derive(Debug)]
 pub(crate) struct Slot {
     pub(crate) out_bytes: u64,
@@ -28,7 +28,7 @@ pub(crate) struct Slot {
     pub(crate) uniforms: wgpu::Buffer,
     pub(crate) out: wgpu::Buffer,
     pub(crate) counts: wgpu::Buffer,
-    /// Pixels and counters for the read-back by the CPU.
+    /// Buffer through which the CPU reads pixels and counters.
     pub(crate) staging: wgpu::Buffer,
 }
 
@@ -39,10 +39,10 @@ pub(crate) struct Directions {
     pub(crate) key: DirectionsKey,
 }
 
-/// Key of cached directions: everything on which they depend; the pose is not part of it.
+/// Key of cached directions: all parameters on which they depend. The pose is not one of them.
 #[derive(Debug, Clone)]
 pub(crate) struct DirectionsKey {
-    /// Rays of the lens; the reference prevents other rays from getting the same address.
+    /// Rays of the lens, `None` for a pinhole; the reference prevents other rays from getting the same address.
     pub(crate) lens: Option<Arc<LensRays>>,
     pub(crate) focal_px_bits: u64,
     pub(crate) width: usize,

@@ -1,9 +1,9 @@
-//! Buffers of the pictures in progress.
+//! Reusable buffers on the device for pictures in progress.
 
 use crate::{Gpu, device::lock, resources::Slot, uniforms::Uniforms};
 
 impl Gpu {
-    /// Return buffers of at least these sizes, reused if possible.
+    /// Return buffers of at least the given sizes; free buffers are reused.
     pub(crate) fn slot(&self, out_bytes: u64, count_bytes: u64) -> Slot {
         {
             let mut free = lock(&self.slots);
@@ -11,7 +11,7 @@ impl Gpu {
             if let Some(n) = free.iter().position(fits) {
                 return free.swap_remove(n);
             }
-            // A free slot is too small, so a larger one replaces it.
+            // The free slot is too small, so a larger one replaces it.
             free.pop();
         }
         let buffer = |label: &str, size: u64, usage: wgpu::BufferUsages| {

@@ -1,9 +1,9 @@
-//! Parameters that all rays of a picture share, in the shader's layout.
+//! Parameters that all rays of a picture share, in the memory layout of the shader.
 
 use bytemuck::{Pod, Zeroable};
 use carina_raycast::FrameNumbers;
 
-/// Struct `Frame` of `airway.wgsl`, field by field.
+/// Parameters of a picture, equal field by field to the struct `Frame` of `airway.wgsl`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
 pub(crate) struct Uniforms {
@@ -30,7 +30,7 @@ pub(crate) struct Uniforms {
 }
 
 impl Uniforms {
-    /// Return the parameters for `num_rows` rows of a picture.
+    /// Return the parameters for `num_rows` rows of a frame.
     pub(crate) fn new(numbers: &FrameNumbers<'_>, num_rows: usize) -> Self {
         // Products are computed in f64 and rounded once; the shader then needs three products per direction.
         let step = |row: usize| -> [f32; 4] {
@@ -58,7 +58,7 @@ impl Uniforms {
             metric_square: [xx, yy, zz, 0.0],
             metric_mixed: [xy, xz, yz, 0.0],
             background: [r, g, b, 1.0],
-            // For an infinite reach, 1/inf = 0: no light is lost. WGSL has no reliable infinities.
+            // For an infinite reach, 1/inf is 0: no light is lost. WGSL has no reliable infinities.
             light: light.map_or([0.0; 4], |light| {
                 [
                     light.ambient,

@@ -1,12 +1,12 @@
-//! Volumes and radius maps on the device, uploaded once.
+//! Upload of volumes and radius maps to the device.
 
 use crate::{Gpu, GpuError, GpuMap, GpuVolume};
 
-/// Number of bytes passed to the driver at a time; the driver keeps a copy of each part until it is on the device.
+/// Number of bytes that are passed to the driver at a time; the driver stores a copy of each part until its upload.
 const UPLOAD_BYTES: usize = 32 << 20;
 
 impl Gpu {
-    /// Upload a volume, `[z, y, x]`.
+    /// Upload the values of a volume, `[z, y, x]`.
     ///
     /// # Errors
     ///
@@ -25,7 +25,7 @@ impl Gpu {
         })
     }
 
-    /// Upload the map of the transparent classes' cells, `[z, y, x]`.
+    /// Upload the radius map of the transparent classes' cells, `[z, y, x]`.
     ///
     /// # Errors
     ///
@@ -39,7 +39,7 @@ impl Gpu {
         })
     }
 
-    /// Upload data to a 3D texture.
+    /// Upload voxel data to a 3D texture.
     ///
     /// A texture needs one fetch per voxel, has locality along all three axes, and is independent of the largest buffer
     /// that a shader may bind (128 MB on some devices).
@@ -101,7 +101,7 @@ impl Gpu {
                     },
                     extent(nx, ny, part.len() / slice),
                 );
-                // Wait until the driver has released this copy before the next one is made.
+                // Before the next part is copied, the driver must have released this copy.
                 let index = self.queue.submit([]);
                 self.wait(index);
             }

@@ -1,6 +1,6 @@
 //! Contract tests of the GPU caster.
 //!
-//! Its picture equals that of the CPU within one grey level on 99.9 % of pixels, for any view. A failure gives an
+//! Its picture equals that of the CPU within one grey level on 99.9 % of the pixels, for any view. A failure gives an
 //! error, never a wrong picture.
 #![cfg(feature = "wgpu")]
 
@@ -25,6 +25,7 @@ use proptest::{
 };
 use scene::{Scene, any_scene, options};
 
+/// Appearance of the test pictures.
 const LOOK: Appearance = Appearance {
     guides_mm: [[-1.9, -0.5, 0.0], [1.9, -0.5, 0.3]],
     exposure: None,
@@ -46,10 +47,11 @@ const LOOK: Appearance = Appearance {
     spurs: 0.0,
 };
 
-/// Return every adapter of this machine.
+/// Return an opened device for every adapter of this machine.
 ///
-/// `make test-gpu` sets `CARINA_GPU_REQUIRED`, with which it is a failure to have no adapter.
+/// `make test-gpu` sets `CARINA_GPU_REQUIRED`; a machine without an adapter then fails the tests.
 fn gpus() -> &'static [Gpu] {
+    /// Devices, opened on first use.
     static GPUS: OnceLock<Vec<Gpu>> = OnceLock::new();
     GPUS.get_or_init(|| {
         let all: Vec<Gpu> = (0..adapters().len())
@@ -110,7 +112,7 @@ fn cast(gpu: &Gpu, scene: &Scene, shaded: bool, nearest: bool, leaps: bool) -> P
     }
 }
 
-/// Return the largest difference of each pixel's channels.
+/// Return for each pixel the largest difference between the CPU's and the GPU's channels.
 fn differences(pair: &Pair) -> Vec<u8> {
     assert_eq!(pair.cpu.0.len(), pair.gpu.0.len());
     let pixels = pair.cpu.0.chunks(3).zip(pair.gpu.0.chunks(3));
@@ -131,13 +133,13 @@ fn inside() -> Scene {
 }
 
 #[test]
-fn pictures_of_random_scenes_are_the_cpus_within_a_grey_level() {
+fn pictures_of_random_scenes_equal_the_cpus_within_one_grey_level() {
     for gpu in gpus() {
         let mut runner = TestRunner::deterministic();
         let (mut num_off, mut worst, mut num_pixels, mut num_lit) = (0, 0, 0, 0);
         for n in 0..300 {
             let scene = any_scene().new_tree(&mut runner).unwrap().current();
-            // All kernels alternate: shaded, nearest, plain; with and without leaps.
+            // All kernels are tested in turn: shaded, nearest, plain; with and without leaps.
             let pair = cast(gpu, &scene, n % 3 == 0, n % 3 == 1, n % 2 == 0);
             let found = differences(&pair);
             num_off += found.iter().filter(|&&d| d > 1).count();
@@ -175,7 +177,7 @@ fn pictures_of_random_scenes_are_the_cpus_within_a_grey_level() {
 }
 
 #[test]
-fn strips_assembled_are_the_whole_picture_bit_for_bit() {
+fn assembled_strips_equal_the_whole_picture_bit_for_bit() {
     for gpu in gpus() {
         let mut scene = inside();
         scene.resize(61, 47);
@@ -195,7 +197,7 @@ fn strips_assembled_are_the_whole_picture_bit_for_bit() {
 }
 
 #[test]
-fn a_lens_with_a_round_image_gives_the_cpus_picture() {
+fn a_picture_through_a_round_lens_equals_the_cpus_picture() {
     for gpu in gpus() {
         let mut scene = inside();
         let mut pictures = Vec::new();
@@ -218,13 +220,13 @@ fn a_lens_with_a_round_image_gives_the_cpus_picture() {
             assert!(pair.gpu.0.iter().any(|&v| v > 100));
             pictures.push(pair.gpu.0);
         }
-        // Directions are cached on the device: a new lens must not get those of the previous one.
+        // Directions are cached on the device; a new lens must not use those of the previous one.
         assert!(pictures[0] != pictures[1]);
     }
 }
 
 #[test]
-fn first_walls_are_the_cpus() {
+fn first_walls_equal_those_of_the_cpu() {
     for gpu in gpus() {
         let mut runner = TestRunner::deterministic();
         let (mut num_far, mut num_walls) = (0, 0);
@@ -247,7 +249,7 @@ fn first_walls_are_the_cpus() {
                         wall.hit * step_mm
                     };
                     num_walls += usize::from(hit.is_some());
-                    // A hundredth of a step: a neighbouring entry of the table moves the crossing by less.
+                    // The limit is a hundredth of a step; a neighbouring entry of the table moves the crossing by less.
                     num_far += usize::from((depth - found).abs() > 0.01 * step_mm);
                     assert!((0.0..=1.0).contains(&wall.transparency));
                 }
@@ -259,7 +261,7 @@ fn first_walls_are_the_cpus() {
 }
 
 #[test]
-fn rays_stop_at_the_frames_limit() {
+fn rays_stop_at_the_stop_limit_of_the_frame() {
     for gpu in gpus() {
         let scene = inside();
         frame_of(&scene, |frame| {
@@ -278,7 +280,7 @@ fn rays_stop_at_the_frames_limit() {
     }
 }
 
-/// Call `look` with a frame whose walls are shaded after casting.
+/// Call `look` with a frame whose first walls are shaded after casting.
 fn lit_frame_of<T>(scene: &Scene, look: impl FnOnce(&Frame<'_>) -> T) -> T {
     let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
     let table = scene.table(false);
@@ -290,7 +292,7 @@ fn lit_frame_of<T>(scene: &Scene, look: impl FnOnce(&Frame<'_>) -> T) -> T {
 }
 
 #[test]
-fn walls_lit_after_casting_are_the_cpus() {
+fn walls_shaded_after_casting_equal_those_of_the_cpu() {
     let simd = InstructionSet::best();
     for gpu in gpus() {
         let mut runner = TestRunner::deterministic();
@@ -341,7 +343,7 @@ fn walls_lit_after_casting_are_the_cpus() {
 }
 
 #[test]
-fn strips_of_lit_walls_have_one_exposure() {
+fn strips_with_shaded_walls_have_the_exposure_of_the_whole_picture() {
     for gpu in gpus() {
         let mut scene = inside();
         scene.resize(61, 47);
@@ -368,7 +370,7 @@ fn strips_of_lit_walls_have_one_exposure() {
 }
 
 #[test]
-fn a_picture_that_would_lack_its_light_is_refused() {
+fn casting_colours_of_a_frame_with_an_appearance_is_rejected() {
     let simd = InstructionSet::best();
     for gpu in gpus() {
         let scene = inside();
@@ -395,10 +397,10 @@ fn a_picture_that_would_lack_its_light_is_refused() {
 }
 
 #[test]
-fn a_picture_of_several_bands_is_the_cpus() {
+fn a_picture_of_several_bands_equals_the_cpus_picture() {
     for gpu in gpus() {
         let mut scene = inside();
-        // More than two million pixels need two dispatches.
+        // A picture of more than two million pixels needs two dispatches.
         scene.resize(2048, 1100);
         let pair = cast(gpu, &scene, true, false, true);
         let found = differences(&pair);
@@ -409,7 +411,7 @@ fn a_picture_of_several_bands_is_the_cpus() {
 }
 
 #[test]
-fn pictures_cast_by_several_threads_at_once_are_the_same() {
+fn pictures_cast_by_several_threads_at_once_equal_single_casts() {
     for gpu in gpus() {
         let mut scene = inside();
         scene.resize(96, 80);
@@ -432,7 +434,7 @@ fn pictures_cast_by_several_threads_at_once_are_the_same() {
 }
 
 #[test]
-fn what_does_not_fit_or_does_not_belong_together_is_refused() {
+fn volumes_that_do_not_fit_and_maps_of_other_volumes_are_rejected() {
     for gpu in gpus() {
         let scene = inside();
         let shape = scene.grid.shape_zyx();

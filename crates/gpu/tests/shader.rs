@@ -1,6 +1,6 @@
-//! Test that the shader is valid, without an adapter and without `wgpu`.
+//! Test that the shader is valid, which needs neither an adapter nor `wgpu`.
 //!
-//! A device would reject an invalid shader, and the processor would then cast all pictures without any notice.
+//! A device would reject an invalid shader, and the CPU would then cast all pictures without any message.
 
 use naga::{
     front::wgsl::parse_str,
@@ -8,7 +8,7 @@ use naga::{
 };
 
 #[test]
-fn the_shader_is_one_that_a_device_takes() {
+fn the_shader_is_valid() {
     let source = include_str!("../src/airway.wgsl");
     let module =
         parse_str(source).unwrap_or_else(|error| panic!("{}", error.emit_to_string(source)));

@@ -9,7 +9,7 @@ pub struct Affine {
 }
 
 impl Affine {
-    /// Identity map.
+    /// Map that leaves every point unchanged.
     pub const IDENTITY: Self = Self {
         rows: [
             [1.0, 0.0, 0.0, 0.0],
@@ -18,7 +18,7 @@ impl Affine {
         ],
     };
 
-    /// Create a map from three rows of a 4x4 matrix; the fourth is 0 0 0 1.
+    /// Create a map from the upper three rows of a 4x4 matrix, whose last row is 0 0 0 1.
     #[must_use]
     pub const fn from_rows(rows: [[f64; 4]; 3]) -> Self {
         Self { rows }
@@ -57,19 +57,19 @@ impl Affine {
         Ok(affine)
     }
 
-    /// Return the upper three rows.
+    /// Return the upper three rows of the map's 4x4 matrix.
     #[must_use]
     pub const fn rows(&self) -> &[[f64; 4]; 3] {
         &self.rows
     }
 
-    /// Return the image of axis 0, 1 or 2 (a direction with length), or of the origin (3).
+    /// Return the image of axis 0, 1 or 2 (a vector with length), or of the origin (3).
     #[must_use]
     pub fn column(&self, index: usize) -> [f64; 3] {
         std::array::from_fn(|r| self.rows[r][index])
     }
 
-    /// Map a point.
+    /// Return the image of a point under the map.
     #[must_use]
     pub fn point(&self, p: [f64; 3]) -> [f64; 3] {
         std::array::from_fn(|r| {
@@ -78,7 +78,7 @@ impl Affine {
         })
     }
 
-    /// Map a direction or an offset, without the translation.
+    /// Return the image of a direction or an offset under the map, without the translation.
     #[must_use]
     pub fn vector(&self, v: [f64; 3]) -> [f64; 3] {
         std::array::from_fn(|r| {
@@ -98,19 +98,20 @@ impl Affine {
         )
     }
 
-    /// Return the determinant of the linear part.
+    /// Return the determinant of the map's linear part.
     #[must_use]
     pub fn determinant(&self) -> f64 {
         crate::dot(self.column(0), crate::cross(self.column(1), self.column(2)))
     }
 
-    /// Return the inverse; `None` for a singular map.
+    /// Return the inverse map; `None` if the map is singular.
     #[must_use]
     pub fn inverse(&self) -> Option<Self> {
         let (x, y, z) = (self.column(0), self.column(1), self.column(2));
         let volume = crate::length(x) * crate::length(y) * crate::length(z);
         let det = self.determinant();
-        // Relative to the volume of the box of the axes, so that a grid of 0.01 mm voxels does not count as singular.
+        // The limit is relative to the volume of the box of the axes, so that a grid of 0.01 mm voxels does not count
+        // as singular.
         if !det.is_finite() || det.abs() <= 1e-9 * volume || volume == 0.0 {
             return None;
         }
@@ -124,7 +125,7 @@ impl Affine {
         ))
     }
 
-    /// Return true if the axes have length 1 and are perpendicular and right-handed, within `tolerance`.
+    /// Return true if the map's axes have length 1 and are perpendicular and right-handed, within `tolerance`.
     #[must_use]
     pub fn is_rigid(&self, tolerance: f64) -> bool {
         let axes = [self.column(0), self.column(1), self.column(2)];
@@ -165,7 +166,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn inverse_undoes_the_map(
+        fn the_inverse_map_returns_every_point(
             angles in prop::array::uniform3(-3.0f64..3.0),
             spacing in prop::array::uniform3(0.05f64..9.0),
             origin in prop::array::uniform3(-500.0f64..500.0),
@@ -174,13 +175,14 @@ mod tests {
             let a = oblique(angles, spacing, origin);
             let back = a.inverse().unwrap().point(a.point(p));
             for axis in 0..3 {
-                // Tolerance 1e-9: some 2000 mm through two maps in f64, divided by the smallest spacing.
+                // The tolerance of 1e-9 allows for some 2000 mm through two maps in f64, divided by the smallest
+                // spacing.
                 prop_assert!((back[axis] - p[axis]).abs() < 1e-9);
             }
         }
 
         #[test]
-        fn composition_is_application_in_turn(
+        fn a_composed_map_equals_the_successive_application_of_its_parts(
             first in prop::array::uniform3(-3.0f64..3.0),
             second in prop::array::uniform3(-3.0f64..3.0),
             p in prop::array::uniform3(-100.0f64..100.0),
@@ -195,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn a_flat_or_broken_matrix_is_refused() {
+    fn a_singular_or_non_finite_matrix_is_rejected() {
         let mut m = [
             [1.0, 0.0, 0.0, 0.0],
             [0.0, 1.0, 0.0, 0.0],

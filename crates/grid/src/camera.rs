@@ -55,7 +55,7 @@ impl Camera {
         }
         Ok(Self {
             lps_from_camera,
-            // libm, not std: the same bits on every platform.
+            // The tangent is from libm, not std, so that all platforms give the same bits.
             focal_px: width.min(height) as f64 / 2.0 / libm::tan(fov_rad / 2.0),
             width,
             height,
@@ -93,11 +93,10 @@ impl Camera {
         }
     }
 
-    /// Return the direction of a pixel's ray in camera space, displaced from its centre by fractions of a pixel.
+    /// Return the direction in camera space of a ray that is displaced from a pixel's centre by fractions of a pixel.
     ///
-    /// The result is all 0 for a pixel without a ray.
-    ///
-    /// Within a pixel, the direction is interpolated between the neighbours on either side.
+    /// Within a pixel, the direction is interpolated between the neighbours on either side. The result is all 0 for a
+    /// pixel without a ray.
     #[must_use]
     pub fn direction_beside(&self, column: usize, row: usize, [dx, dy]: [f64; 2]) -> [f64; 3] {
         let Some(rays) = self.lens_rays() else {
@@ -149,7 +148,7 @@ impl Camera {
         self.lens_rays.as_deref()
     }
 
-    /// Return the shared rays.
+    /// Return the shared rays of the camera's lens; `None` for a pinhole camera.
     ///
     /// While the caller keeps this reference, no other rays can have the same address.
     #[must_use]
@@ -157,7 +156,7 @@ impl Camera {
         self.lens_rays.as_ref()
     }
 
-    /// Return the pose.
+    /// Return the pose of the camera.
     #[must_use]
     pub const fn lps_from_camera(&self) -> &Affine {
         &self.lps_from_camera
@@ -169,7 +168,7 @@ impl Camera {
         self.lps_from_camera.column(3)
     }
 
-    /// Return the focal length in pixels; with a lens, in the middle of the picture.
+    /// Return the focal length in pixels; for a camera with a lens, that in the middle of the picture.
     #[must_use]
     pub const fn focal_px(&self) -> f64 {
         self.focal_px
@@ -187,7 +186,7 @@ impl Camera {
         self.height
     }
 
-    /// Return the ray through the centre of pixel (column, row); its direction is 0 if the lens has no ray there.
+    /// Return the ray through the centre of pixel (column, row); its direction is 0 if the pixel has no ray.
     #[must_use]
     pub fn ray(&self, column: usize, row: usize) -> PixelRay {
         if let Some(rays) = self.lens_rays() {
@@ -208,7 +207,8 @@ impl Camera {
         }
     }
 
-    /// Return the camera's centre and the step of a ray in voxel coordinates: `p(t) = origin + t_mm * direction`.
+    /// Return the camera's centre and the step of a pixel's ray in voxel coordinates: `p(t) = origin + t_mm *
+    /// direction`.
     #[must_use]
     pub fn ray_ijk(&self, grid: &Grid, column: usize, row: usize) -> ([f64; 3], [f64; 3]) {
         let ray = self.ray(column, row);
@@ -227,7 +227,8 @@ fn check_pose(lps_from_camera: &Affine) -> Result<(), GridError> {
             reason: format!("its position is not finite: {position:?}"),
         });
     }
-    // 1e-6 also accepts a pose that was multiplied many times during a long flight and converted to and from JSON.
+    // The tolerance of 1e-6 also accepts a pose that was multiplied many times during a long flight and converted to
+    // and from JSON.
     if lps_from_camera.is_rigid(1e-6) {
         return Ok(());
     }
@@ -256,13 +257,13 @@ mod tests {
                 plain.ray(column, row).dir_lps,
                 lens.ray(column, row).dir_lps,
             );
-            // Directions are stored in f32.
+            // The tolerance is needed because directions are stored in f32.
             assert!((0..3).all(|n| (a[n] - b[n]).abs() < 6e-8));
         }
     }
 
     #[test]
-    fn a_ray_beside_a_pixels_middle_lies_where_the_lens_says() {
+    fn a_ray_beside_a_pixels_centre_has_the_direction_of_the_lens_model() {
         let plain = Camera::new(Affine::IDENTITY, 1.7, 60, 40).unwrap();
         let optics = Optics::new(&Lens::Equidistant, Some(2.0), 60, 40).unwrap();
         let round = ImageField {
@@ -285,7 +286,8 @@ mod tests {
             let truth = optics
                 .direction([column as f64 + 0.75, row as f64 + 0.8])
                 .unwrap();
-            // A pixel is 0.05 rad wide here, and a pixel at the rim has a neighbour on one side only.
+            // The tolerance is large because a pixel is 0.05 rad wide here, and a pixel at the rim has a neighbour on
+            // one side only.
             assert!(off(lens.direction_beside(column, row, [0.25, 0.3]), truth) < 1e-3);
         }
         assert_eq!(lens.direction_beside(2, 2, [0.2, 0.2]), [0.0; 3]);
@@ -311,7 +313,7 @@ mod tests {
     }
 
     #[test]
-    fn wide_and_narrow_fields_of_view_are_accepted_and_absurd_ones_refused() {
+    fn fields_of_view_up_to_170_degrees_are_accepted_and_zero_or_larger_ones_rejected() {
         for deg in [60.0, 90.0, 120.0, 170.0f64] {
             assert!(Camera::new(Affine::IDENTITY, deg.to_radians(), 64, 64).is_ok());
         }
@@ -321,7 +323,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mirrored_pose_is_refused() {
+    fn a_mirrored_pose_is_rejected() {
         let mirrored =
             Affine::from_columns([-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0; 3]);
         assert!(Camera::new(mirrored, 1.0, 64, 64).is_err());

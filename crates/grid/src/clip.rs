@@ -1,9 +1,7 @@
 /// Return the part of the line `origin + t * direction` inside the box `lo..=hi`, as `(t_in, t_out)`.
 ///
-/// The result is `None` if the line misses the box.
-///
-/// The origin may be inside or outside; `t` may be negative. If a component of the direction is 0, only the origin
-/// decides, so no 0/0 occurs on a face.
+/// The result is `None` if the line misses the box. The origin may be inside or outside; `t` may be negative. On an
+/// axis along which the direction is 0, only the origin decides, so no 0/0 occurs on a face.
 #[must_use]
 pub fn clip_line_to_box(
     origin: [f64; 3],
@@ -58,7 +56,7 @@ mod tests {
             let (lo, hi) = ([-0.5, -0.5, -0.5], [7.5, 4.5, 9.5]);
             let inside = |t: f64| (0..3).all(|a| {
                 let p = origin[a] + t * direction[a];
-                // Tolerance 1e-9: rounding of coordinates below 100.
+                // The tolerance of 1e-9 allows for the rounding of coordinates below 100.
                 p >= lo[a] - 1e-9 && p <= hi[a] + 1e-9
             });
             match clip_line_to_box(origin, direction, lo, hi) {

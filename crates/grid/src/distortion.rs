@@ -1,10 +1,12 @@
-//! Distortion of lenses: the radial functions of both models, their inverse, and the angles at which they fold back.
+//! Distortion models of lenses: their radial functions, the inverse functions, and the angles at which they fold back.
+//!
+//! A model *folds back* at the angle from the axis beyond which the distance from the middle decreases.
 
 use core::f64::consts::PI;
 
-/// Largest angle from the axis for which a perspective model has a point on the picture (89.99 degrees).
+/// Largest angle from the axis for which a perspective model has a point on the picture: 89.99 degrees, in radians.
 const MAX_PERSPECTIVE_ANGLE_RAD: f64 = 89.99 * PI / 180.0;
-/// Step of the search for the angle at which a model folds back: 0.01 degrees.
+/// Step of the search for the angle at which a model folds back: 0.01 degrees, in radians.
 const FOLD_STEP_RAD: f64 = 0.01 * PI / 180.0;
 /// Deviation of the image of a lens from the ideal image.
 ///
@@ -16,23 +18,25 @@ pub enum Distortion {
     /// `x' = x R(r) + 2 p1 x y + p2 (r^2 + 2 x^2)`, y alike, with
     /// `R = (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6)`.
     Brown {
-        /// Coefficients k1 to k6.
+        /// Coefficients k1 to k6 of the radial part.
         k: [f64; 6],
-        /// Coefficients p1 and p2.
+        /// Coefficients p1 and p2 of the tangential part.
         p: [f64; 2],
     },
     /// Distortion by the angle from the axis (`cv2.fisheye`): `r' = a (1 + k1 a^2 + k2 a^4 + k3 a^6 + k4 a^8)`.
     Fisheye {
-        /// Coefficients k1 to k4.
+        /// Coefficients k1 to k4 of the polynomial.
         k: [f64; 4],
     },
 }
 
 impl Distortion {
+    /// Perspective image without distortion.
     pub(crate) const NONE: Self = Self::Brown {
         k: [0.0; 6],
         p: [0.0; 2],
     };
+    /// Equidistant image without distortion.
     pub(crate) const EQUIDISTANT: Self = Self::Fisheye { k: [0.0; 4] };
 
     pub(crate) fn is_finite(&self) -> bool {
@@ -42,7 +46,8 @@ impl Distortion {
         }
     }
 
-    /// Return the argument of the radial function: the tangent of the angle, or the angle.
+    /// Return the argument of the radial function for an angle: the tangent of the angle (Brown), or the angle
+    /// (fisheye).
     pub(crate) fn argument(&self, angle_rad: f64) -> f64 {
         match self {
             Self::Brown { .. } => libm::tan(angle_rad),
@@ -57,7 +62,9 @@ impl Distortion {
         }
     }
 
-    /// Return the distance from the middle and its derivative; NaN at a pole of the model.
+    /// Return the value of the radial function and its derivative at `u`; NaN at a pole of the model.
+    ///
+    /// The value is the distance from the middle of the picture in focal lengths.
     pub(crate) fn radial(&self, u: f64) -> (f64, f64) {
         let s = u * u;
         match self {
@@ -67,7 +74,7 @@ impl Distortion {
                 if below <= 0.0 {
                     return (f64::NAN, f64::NAN);
                 }
-                // Derivatives d/ds of the numerator and the denominator.
+                // The derivatives d/ds of the numerator and the denominator.
                 let above_s = k[0] + s * (2.0 * k[1] + s * 3.0 * k[2]);
                 let below_s = k[3] + s * (2.0 * k[4] + s * 3.0 * k[5]);
                 let ratio = above / below;
@@ -83,7 +90,7 @@ impl Distortion {
         }
     }
 
-    /// Return the largest argument up to which the radial function grows, and its angle.
+    /// Return the largest argument up to which the radial function grows, and the angle that belongs to it.
     pub(crate) fn fold(&self) -> (f64, f64) {
         let grows = |angle: f64| {
             let (r, slope) = self.radial(self.argument(angle));
@@ -107,7 +114,9 @@ impl Distortion {
         (self.argument(angle), angle)
     }
 
-    /// Return the argument whose radial function is `r`, by Newton's method inside a bracket that only shrinks.
+    /// Return the argument, up to `limit`, at which the radial function is `r`; `None` if there is none.
+    ///
+    /// The method is Newton's inside a bracket that only shrinks.
     pub(crate) fn inverse(&self, r: f64, limit: f64) -> Option<f64> {
         if *self == Self::NONE || *self == Self::EQUIDISTANT {
             return (r <= limit).then_some(r);

@@ -6,43 +6,43 @@ pub enum GridError {
         "a volume must have at least one voxel along each axis and at most 2^31 in all; found shape (z, y, x) = {shape_zyx:?}"
     )]
     Shape {
-        /// Rejected shape.
+        /// Rejected shape (z, y, x).
         shape_zyx: [usize; 3],
     },
-    /// The matrix cannot be inverted, contains NaN, or its last row is not 0 0 0 1.
+    /// A transform cannot be inverted, contains NaN, or its last row is not 0 0 0 1.
     #[error("{what} is not a usable transform: {reason}")]
     Transform {
-        /// Name of the matrix.
+        /// Name of the rejected matrix.
         what: &'static str,
-        /// Reason of the error.
+        /// Reason why the matrix is rejected.
         reason: String,
     },
-    /// The number of values does not match the shape.
+    /// The number of a volume's values does not match its shape.
     #[error(
         "the volume's data contains {found} voxels, but its shape {shape_zyx:?} requires {expected}"
     )]
     Length {
-        /// Requested shape.
+        /// Shape (z, y, x) of the volume.
         shape_zyx: [usize; 3],
         /// Number of voxels of the shape.
         expected: usize,
-        /// Number of values found.
+        /// Number of values of the volume.
         found: usize,
     },
-    /// The field of view or the viewport is out of range.
+    /// A setting of a camera or lens is out of range.
     #[error("{what}: expected {expected}, found {found}")]
     Camera {
-        /// Name of the setting.
+        /// Name of the rejected setting.
         what: &'static str,
-        /// Allowed values.
+        /// Values that the setting may have.
         expected: String,
-        /// Rejected value.
+        /// Value that the setting has.
         found: String,
     },
 }
 
 impl GridError {
-    /// Return the stable error code, shared with Python and the wire.
+    /// Return the stable code of the error, which Python and the wire protocol also use.
     #[must_use]
     pub const fn code(&self) -> &'static str {
         match self {

@@ -7,12 +7,13 @@ use core::f64::consts::PI;
 
 use crate::{Distortion, GridError};
 
-/// Smallest field of view, 1 degree: a tele lens for a view of a landmark from outside.
+/// Smallest field of view of a camera, 1 degree: a tele lens for a view of a landmark from outside.
 pub const MIN_FOV_RAD: f64 = core::f64::consts::PI / 180.0;
 /// Largest field of view of a pinhole camera, 170 degrees: at 180 the image plane is infinite.
 pub const MAX_FOV_RAD: f64 = 170.0 * core::f64::consts::PI / 180.0;
 
-/// Largest relative difference between the scales of both sides of a viewport and of a calibration.
+/// Largest relative difference between the scales of width and height, if a calibration is used for another picture
+/// size.
 ///
 /// The tolerance allows for rounding to whole pixels.
 const ASPECT_TOLERANCE: f64 = 0.01;
@@ -20,9 +21,9 @@ const ASPECT_TOLERANCE: f64 = 0.01;
 /// Result of a camera calibration, for example by `OpenCV` with a chessboard.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Calibration {
-    /// Fitted model.
+    /// Distortion model that was fitted.
     pub distortion: Distortion,
-    /// Focal lengths fx, fy, pixels.
+    /// Focal lengths fx and fy, pixels.
     pub focal_px: [f64; 2],
     /// Principal point in corner coordinates: `OpenCV`'s plus 1/2, because its pixel (0, 0) is the *centre* of the
     /// first pixel.
@@ -31,16 +32,18 @@ pub struct Calibration {
     pub size_px: [usize; 2],
 }
 
-/// Lens model, independent of the size of the picture.
+/// Lens model without regard to the size of the picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Lens {
-    /// Pinhole: straight lines stay straight.
+    /// Pinhole lens: straight lines stay straight.
     Pinhole,
-    /// Equidistant: the distance from the middle is proportional to the angle from the axis, to 170 degrees and beyond.
+    /// Equidistant lens: the distance from the middle of the picture is proportional to the angle from the axis.
+    ///
+    /// The field of view may exceed 170 degrees.
     Equidistant,
-    /// Distortion model whose focal length follows from the field of view.
+    /// Lens with distortion, whose focal length follows from the field of view.
     Distorted(Distortion),
-    /// Calibration, which has its own field of view.
+    /// Calibrated lens, which has its own field of view.
     Calibrated(Calibration),
 }
 
@@ -51,8 +54,9 @@ pub struct Optics {
     focal_px: [f64; 2],
     centre_px: [f64; 2],
     size_px: [usize; 2],
-    /// Largest argument of the radial function, and its angle.
+    /// Largest argument of the radial function.
     limit: f64,
+    /// Angle from the axis that belongs to `limit`, radians.
     limit_rad: f64,
     fov_rad: f64,
 }
@@ -68,7 +72,7 @@ fn refuse<T>(what: &'static str, expected: String, found: String) -> Result<T, G
 impl Optics {
     /// Combine a lens with the size of a picture.
     ///
-    /// `fov_rad` is the full angle across the shorter side; it must be `None` for a calibration, which has its own.
+    /// `fov_rad` is the full angle across the shorter side; it must be `None` for a calibrated lens, which has its own.
     ///
     /// # Errors
     ///
@@ -124,7 +128,7 @@ impl Optics {
         Ok(optics)
     }
 
-    /// Create a placeholder for a list of single rays, which has only the number of rays.
+    /// Create a placeholder without a lens for a list of single rays, which has only the number of rays.
     pub(crate) const fn of_list(num_rays: usize) -> Self {
         Self {
             distortion: Distortion::NONE,
@@ -137,7 +141,7 @@ impl Optics {
         }
     }
 
-    /// Set the focal length so that the field of view covers the shorter side.
+    /// Set the focal length so that a field of view covers the shorter side of the picture.
     fn fit_field(&mut self, fov_rad: f64) -> Result<(), GridError> {
         let found = format!("{:.2} degrees", fov_rad.to_degrees());
         if !(MIN_FOV_RAD - 1e-12..=MAX_FOV_RAD + 1e-12).contains(&fov_rad) {
@@ -173,7 +177,7 @@ impl Optics {
             );
         }
         let scale = [0, 1].map(|a| to[a] as f64 / from[a] as f64);
-        // In small pictures, rounding to whole pixels changes the ratio by more.
+        // In small pictures, rounding to whole pixels changes the ratio of the scales by more.
         let rounding = 1.0 / to[0].min(to[1]) as f64;
         if (scale[0] / scale[1] - 1.0).abs() > ASPECT_TOLERANCE + rounding {
             let fit = to[0] as f64 * from[1] as f64 / from[0] as f64;
@@ -212,16 +216,17 @@ impl Optics {
             [[w / 2.0, 0.0], [w / 2.0, h]]
         };
         if let [Some(a), Some(b)] = ends.map(|end| self.direction(end)) {
-            // Half angles on either side of the axis, which need not be in the middle.
+            // The field of view is the sum of the half angles on either side of the axis, which need not be in the
+            // middle.
             let angle = |d: [f64; 3]| libm::atan2((d[0] * d[0] + d[1] * d[1]).sqrt(), d[2]);
             self.fov_rad = angle(a) + angle(b);
         }
         Ok(())
     }
 
-    /// Check that the model has a direction everywhere in the image circle.
+    /// Check that the model has a direction for every point of the image circle.
     ///
-    /// Outside the circle, the image ends at the fold.
+    /// Outside the circle, the image ends at the angle at which the model folds back.
     fn check_circle(&self) -> Result<(), GridError> {
         let [w, h] = self.size_px.map(|side| side as f64);
         let radius = w.min(h) / 2.0 * (1.0 - 1e-9);
@@ -249,7 +254,7 @@ impl Optics {
         )
     }
 
-    /// Return the distorted position of a point of the plane at distance 1, and the derivatives.
+    /// Return the distorted position of a point of the plane at distance 1, and the matrix of the derivatives.
     ///
     /// The function is only for [`Distortion::Brown`].
     fn bend(&self, x: f64, y: f64) -> ([f64; 2], [[f64; 2]; 2]) {
@@ -286,7 +291,7 @@ impl Optics {
 
     /// Return the unit direction, in camera space, of a point of the picture (corner coordinates).
     ///
-    /// The result is `None` beyond the fold of a model, and behind an angular model.
+    /// The result is `None` beyond the angle at which the model folds back, and behind an angular model.
     #[must_use]
     pub fn direction(&self, pixel: [f64; 2]) -> Option<[f64; 3]> {
         let [x, y] = [0, 1].map(|a| (pixel[a] - self.centre_px[a]) / self.focal_px[a]);
@@ -311,16 +316,20 @@ impl Optics {
         }
     }
 
-    /// Invert the distortion by Newton's method in two dimensions, for models with a tangential part.
+    /// Return the undistorted position of a point, by Newton's method in two dimensions; `None` if it does not
+    /// converge.
+    ///
+    /// The method is needed for models with a tangential part.
     fn straighten(&self, bent: [f64; 2], r: f64) -> Option<[f64; 2]> {
-        // The tangential part is small: start at the solution of the radial part alone, or at the end of its range.
+        // The tangential part is small, so the iteration starts at the solution of the radial part alone, or at the end
+        // of the radial function's range.
         let u = self.distortion.inverse(r, self.limit).unwrap_or(self.limit);
         let scale = if r > 0.0 { u / r } else { 1.0 };
         let [mut x, mut y] = bent.map(|v| v * scale);
         for _ in 0..100 {
             let (at, j) = self.bend(x, y);
             let det = j[0][0] * j[1][1] - j[0][1] * j[1][0];
-            // The mapping is turned inside out: the point is beyond the fold.
+            // The mapping is turned inside out, so the point is beyond the angle at which the model folds back.
             if !(det > 0.0 && det.is_finite()) {
                 return None;
             }
@@ -339,9 +348,7 @@ impl Optics {
 
     /// Return the point of the picture, in corner coordinates, of a direction (camera space, any length above 0).
     ///
-    /// The result is `None` if the lens does not see the direction.
-    ///
-    /// The point may be outside the picture.
+    /// The point may be outside the picture. The result is `None` if the lens has no image of the direction.
     #[must_use]
     pub fn pixel(&self, direction: [f64; 3]) -> Option<[f64; 2]> {
         let [x, y, z] = direction;
@@ -373,7 +380,7 @@ impl Optics {
         Some([0, 1].map(|a| self.centre_px[a] + self.focal_px[a] * at[a]))
     }
 
-    /// Return the brightness of the image of a uniform field in a direction, relative to the middle.
+    /// Return the brightness of the image of a uniform field in a direction, relative to the middle of the picture.
     ///
     /// The brightness combines the apparent size of the pupil seen from the side and the area in the picture of a solid
     /// angle. For a pinhole it is the cos^4 law.
@@ -396,7 +403,7 @@ impl Optics {
         (z * sine / (r * per_rad)).clamp(0.0, 1.0)
     }
 
-    /// Return true if the quarters of the picture are mirror images.
+    /// Return true if the four quarters of the picture are mirror images of each other.
     #[must_use]
     pub fn is_symmetric(&self) -> bool {
         let [w, h] = self.size_px.map(|side| side as f64);
@@ -407,37 +414,37 @@ impl Optics {
         straight && self.centre_px == [w / 2.0, h / 2.0] && self.focal_px[0] == self.focal_px[1]
     }
 
-    /// Return the full angle across the shorter side.
+    /// Return the full field of view across the shorter side of the picture, radians.
     #[must_use]
     pub const fn fov_rad(&self) -> f64 {
         self.fov_rad
     }
 
-    /// Return the largest angle from the axis of a direction in the picture.
+    /// Return the largest angle from the axis of a direction in the picture, radians.
     #[must_use]
     pub const fn limit_rad(&self) -> f64 {
         self.limit_rad
     }
 
-    /// Return the focal lengths across and down, pixels.
+    /// Return the focal lengths along the width and the height, pixels.
     #[must_use]
     pub const fn focal_px(&self) -> [f64; 2] {
         self.focal_px
     }
 
-    /// Return the position of the axis, in corner coordinates.
+    /// Return the position of the lens's axis in the picture, in corner coordinates, pixels.
     #[must_use]
     pub const fn centre_px(&self) -> [f64; 2] {
         self.centre_px
     }
 
-    /// Return the distortion.
+    /// Return the distortion model of the lens.
     #[must_use]
     pub const fn distortion(&self) -> Distortion {
         self.distortion
     }
 
-    /// Return width and height.
+    /// Return the width and the height of the picture, pixels.
     #[must_use]
     pub const fn size_px(&self) -> [usize; 2] {
         self.size_px

@@ -48,7 +48,7 @@ fn the_field_of_view_spans_the_shorter_side_with_every_lens() {
 }
 
 #[test]
-fn a_model_that_folds_inside_the_picture_is_refused_and_one_that_folds_outside_is_cut() {
+fn a_lens_that_folds_back_inside_the_picture_is_rejected_and_outside_is_limited() {
     // r (1 - 0.3 r^2) folds back at r^2 = 1 / 0.9, which is 46.51 degrees.
     let lens = brown(-0.3, 0.0, 0.0, 0.0);
     let words = Optics::new(&lens, Some(120f64.to_radians()), 64, 64)
@@ -65,7 +65,7 @@ fn a_model_that_folds_inside_the_picture_is_refused_and_one_that_folds_outside_i
         "the corner lies beyond the fold"
     );
     assert!((optics.limit_rad().to_degrees() - 46.51).abs() < 0.01);
-    // The same model from a calibration, which needs no field of view.
+    // The same model comes from a calibration, which needs no field of view.
     let folded = Lens::Calibrated(Calibration {
         distortion: Distortion::Brown {
             k: [-0.3, 0.0, 0.0, 0.0, 0.0, 0.0],
@@ -80,7 +80,7 @@ fn a_model_that_folds_inside_the_picture_is_refused_and_one_that_folds_outside_i
 }
 
 #[test]
-fn a_calibration_scales_with_the_picture_and_refuses_other_proportions() {
+fn a_calibration_scales_with_the_picture_and_rejects_other_proportions() {
     let lens = Lens::Calibrated(Calibration {
         distortion: Distortion::Brown {
             k: [-0.2, 0.05, 0.0, 0.0, 0.0, 0.0],
@@ -163,7 +163,7 @@ fn any_lens() -> impl Strategy<Value = Lens> {
 
 proptest! {
     #[test]
-    fn pixels_and_directions_are_each_others_inverse(
+    fn pixel_and_direction_conversions_are_inverse(
         lens in any_lens(),
         fov_deg in 1.0f64..170.0,
         (width, height) in (16usize..900, 16usize..900),
@@ -176,9 +176,10 @@ proptest! {
         if let Some(d) = optics.direction(pixel) {
             prop_assert!((crate::length(d) - 1.0).abs() < 1e-12);
             let back = optics.pixel(d);
-            // A point at the very edge of the fold may be on either side.
+            // A point at the angle at which the model folds back may be on either side of the fold.
             if let Some(back) = back {
-                // Tolerance 1e-6 px: near a fold a pixel's direction is badly conditioned, elsewhere the error is 1e-10.
+                // The tolerance is 1e-6 px, because near a fold a pixel's direction is badly conditioned; elsewhere the
+                // error is 1e-10.
                 prop_assert!((back[0] - pixel[0]).abs() + (back[1] - pixel[1]).abs() < 1e-6, "{pixel:?} {back:?}");
             } else {
                 let angle = libm::atan2((d[0] * d[0] + d[1] * d[1]).sqrt(), d[2]);

@@ -1,31 +1,31 @@
-//! Rays of a picture behind a lens: built once for a lens, a size and an image field, and shared by its pictures.
+//! Rays of all pixels of a picture behind a lens, computed once for a lens, a picture size and an image field.
 
 use rayon::prelude::*;
 
 use crate::{GridError, Optics};
 
-/// Gain of full brightness; gains are fractions of this number.
+/// Gain of a pixel with full brightness; other gains are fractions of this number.
 pub const FULL_GAIN: u16 = 1 << 15;
-/// Exponent between light and display values: the lens attenuates the light before the display curve.
+/// Exponent between linear light and display values, with which gains are applied to a displayed picture.
 ///
-/// The exponent of sRGB is close enough for a vignette.
+/// The lens attenuates the light before the display curve; the exponent of sRGB is close enough for a vignette.
 const DISPLAY_GAMMA: f64 = 2.2;
 
-/// Outline of the picture on the monitor.
+/// Shape of the outline of the picture on the monitor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FieldShape {
-    /// Whole viewport.
+    /// The picture fills the whole viewport.
     Full,
-    /// Circle over the shorter side.
+    /// The outline is a circle over the shorter side of the viewport.
     Round,
-    /// Regular octagon over the shorter side.
+    /// The outline is a regular octagon over the shorter side of the viewport.
     Octagon,
 }
 
 /// Part of the viewport that shows a picture, and its darkening towards the edge.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ImageField {
-    /// Outline; pixels outside have no ray and are black.
+    /// Outline of the picture; pixels outside have no ray and are black.
     pub shape: FieldShape,
     /// Width of the soft edge inside the outline, pixels.
     pub edge_px: f64,
@@ -34,14 +34,16 @@ pub struct ImageField {
 }
 
 impl ImageField {
-    /// Whole viewport with uniform brightness.
+    /// Image field of the whole viewport with uniform brightness.
     pub const FULL: Self = Self {
         shape: FieldShape::Full,
         edge_px: 0.0,
         vignette: 0.0,
     };
 
-    /// Return the distance in pixels of a point at (x, y) from the middle to the outline, positive inside.
+    /// Return the distance in pixels from a point to the outline, positive inside.
+    ///
+    /// The point is at (x, y) from the middle; `half` is half of the shorter side.
     fn depth_px(&self, x: f64, y: f64, half: f64) -> f64 {
         match self.shape {
             FieldShape::Full => f64::INFINITY,
@@ -56,13 +58,13 @@ impl ImageField {
     }
 }
 
-/// Relative brightness in a direction, by the cosine of its angle from the axis.
+/// Relative brightness of the picture, as a function of the cosine of the angle from the axis.
 struct Light {
-    /// Values at `LIGHT_STEPS + 1` cosines from 0 to 1; empty for uniform brightness.
+    /// Brightness at `LIGHT_STEPS + 1` cosines from 0 to 1; empty for uniform brightness.
     table: Vec<f64>,
 }
 
-/// Number of steps of the table: between neighbours, a gain changes by less than a grey level.
+/// Number of steps of the brightness table, so that neighbouring gains differ by less than a grey level.
 const LIGHT_STEPS: usize = 1024;
 
 impl Light {
@@ -95,18 +97,18 @@ impl Light {
     }
 }
 
-/// Ray direction and gain for each pixel.
+/// Direction of the ray and gain of each pixel of a picture behind a lens.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LensRays {
     optics: Optics,
     /// x, y and z of unit directions in camera space; all 0 for a pixel without a ray.
     dirs: [Vec<f32>; 3],
-    /// Brightness of each pixel; `None` if all have full brightness.
+    /// Gain of each pixel; `None` if all pixels have full brightness.
     gains: Option<Vec<u16>>,
 }
 
 impl LensRays {
-    /// Compute the ray of every pixel, on all cores; pixels are independent.
+    /// Compute the ray of every pixel on all cores.
     ///
     /// # Errors
     ///
@@ -149,7 +151,7 @@ impl LensRays {
         };
         let mut pixels = vec![([0.0f32; 3], 0u16); width * height];
         if optics.is_symmetric() {
-            // Only a quarter is computed; the rest is mirrored.
+            // Only a quarter of the picture is computed; the other quarters are its mirror images.
             let (columns, rows) = (width.div_ceil(2), height.div_ceil(2));
             pixels
                 .par_chunks_mut(width)
@@ -183,7 +185,7 @@ impl LensRays {
                     }
                 });
         }
-        // A tangential part may fold inside the circle although the circle itself has directions.
+        // The model's tangential part may fold back inside the circle although the circle itself has directions.
         let inside = |n: usize| {
             let (x, y) = (
                 (n % width) as f64 + 0.5 - half[0],
@@ -202,7 +204,8 @@ impl LensRays {
         })
     }
 
-    /// Create rays in the given directions of camera space as a picture of one row, so that the same code casts them.
+    /// Create the rays of a list of directions in camera space, as a picture of one row, so that the same code casts
+    /// them.
     pub(crate) fn listed(directions: &[[f32; 3]]) -> Self {
         Self {
             optics: Optics::of_list(directions.len()),
@@ -211,7 +214,7 @@ impl LensRays {
         }
     }
 
-    /// Return the lens of the picture.
+    /// Return the lens with the size of the picture.
     #[must_use]
     pub const fn optics(&self) -> &Optics {
         &self.optics
@@ -244,7 +247,7 @@ impl LensRays {
         [0, 1, 2].map(|a| &self.dirs[a][columns.clone()])
     }
 
-    /// Darken rows of a picture (RGB, from `first_row` on) by their gains.
+    /// Darken rows of a picture (RGB, from `first_row` on) by the gains of their pixels.
     ///
     /// Pixels are independent, so strips agree with the whole picture.
     pub fn shade_rows(&self, first_row: usize, rgb: &mut [u8]) {
@@ -319,7 +322,7 @@ mod tests {
     }
 
     #[test]
-    fn mirrored_quarters_are_what_the_lens_says() {
+    fn mirrored_quarters_equal_the_directions_of_the_lens() {
         for (width, height) in [(31, 20), (20, 31), (9, 9), (1, 1), (2, 5)] {
             let optics = Optics::new(&Lens::Equidistant, Some(2.5), width, height).unwrap();
             assert!(optics.is_symmetric());
@@ -349,7 +352,7 @@ mod tests {
     }
 
     #[test]
-    fn strips_are_shaded_as_the_whole_picture() {
+    fn strips_are_darkened_equally_to_the_whole_picture() {
         let rays = rays(FieldShape::Octagon, 1.5, 0.7);
         let picture: Vec<u8> = (0..60 * 40 * 3).map(|n| (n * 7 % 256) as u8).collect();
         let mut whole = picture.clone();
@@ -363,7 +366,7 @@ mod tests {
     }
 
     #[test]
-    fn a_field_out_of_range_is_refused_with_the_value() {
+    fn an_image_field_out_of_range_is_rejected_with_the_value() {
         for (edge_px, vignette) in [(-1.0, 0.0), (0.0, 1.5), (f64::NAN, 0.0), (0.0, f64::NAN)] {
             let field = ImageField {
                 shape: FieldShape::Round,

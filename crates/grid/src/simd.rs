@@ -1,13 +1,13 @@
-//! Instruction sets for which the kernels are compiled.
+//! Instruction sets for which the kernels of all crates are compiled.
 //!
-//! All give the same bits.
+//! A kernel gives the same bits with every instruction set.
 
-/// Instruction set of the kernels.
+/// Instruction set for which a kernel is compiled.
 ///
 /// Fused multiply-add is one rounding by definition, in hardware or in software, so the choice changes only the speed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum InstructionSet {
-    /// Instructions that the build's target always has.
+    /// Instructions that every machine of the build's target has.
     Portable,
     /// AVX2 and FMA (`x86_64` since about 2013).
     Avx2,
@@ -18,7 +18,7 @@ pub enum InstructionSet {
 }
 
 impl InstructionSet {
-    /// Return the sets that this machine has, slowest first.
+    /// Return the instruction sets that this machine has, slowest first.
     #[must_use]
     pub fn available() -> Vec<Self> {
         [Self::Portable, Self::Avx2, Self::Avx512, Self::Neon]
@@ -27,7 +27,7 @@ impl InstructionSet {
             .collect()
     }
 
-    /// Return true if this machine has the set.
+    /// Return true if this machine has the instruction set.
     #[must_use]
     pub fn is_available(self) -> bool {
         #[cfg(target_arch = "x86_64")]
@@ -60,15 +60,15 @@ impl InstructionSet {
         }
     }
 
-    /// Return the fastest set of this machine.
+    /// Return the fastest instruction set of this machine.
     #[must_use]
     pub fn best() -> Self {
         Self::available().pop().unwrap_or(Self::Portable)
     }
 
-    /// Return the set with a name (`portable`, `avx2`, `avx512`, `neon`).
+    /// Return the instruction set with a name (`portable`, `avx2`, `avx512`, `neon`).
     ///
-    /// The result is `None` if the name is unknown or this machine lacks the set.
+    /// The result is `None` if the name is unknown or this machine lacks the instruction set.
     #[must_use]
     pub fn named(name: &str) -> Option<Self> {
         Self::available()
@@ -76,7 +76,7 @@ impl InstructionSet {
             .find(|simd| simd.name() == name)
     }
 
-    /// Return the name of the set.
+    /// Return the name of the instruction set.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {

@@ -1,12 +1,12 @@
 //! Products and lengths of vectors of three numbers.
 
-/// Return the dot product.
+/// Return the dot product of two vectors.
 #[must_use]
 pub fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// Return the cross product.
+/// Return the cross product of two vectors.
 #[must_use]
 pub fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     [
@@ -16,13 +16,13 @@ pub fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     ]
 }
 
-/// Return the Euclidean length.
+/// Return the Euclidean length of a vector.
 #[must_use]
 pub fn length(a: [f64; 3]) -> f64 {
     dot(a, a).sqrt()
 }
 
-/// Return the vector scaled to length 1; `None` if it is shorter than 1e-12.
+/// Return a vector scaled to length 1; `None` if the vector is shorter than 1e-12.
 #[must_use]
 pub fn unit(a: [f64; 3]) -> Option<[f64; 3]> {
     let len = length(a);

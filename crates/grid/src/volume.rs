@@ -1,6 +1,6 @@
 use crate::{Affine, GridError};
 
-/// Point in patient space: LPS, millimetres.
+/// Point in patient space, LPS mm.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Lps(pub [f64; 3]);
 
@@ -8,7 +8,7 @@ pub struct Lps(pub [f64; 3]);
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ijk(pub [f64; 3]);
 
-/// Convert array order to `(i, j, k)`.
+/// Convert a triple from array order `(z, y, x)` to `(i, j, k)`.
 ///
 /// Only this function and [`zyx_from_ijk`] swap the order.
 #[must_use]
@@ -16,7 +16,7 @@ pub const fn ijk_from_zyx<T: Copy>(zyx: [T; 3]) -> [T; 3] {
     [zyx[2], zyx[1], zyx[0]]
 }
 
-/// Convert `(i, j, k)` to array order.
+/// Convert a triple from `(i, j, k)` to array order `(z, y, x)`.
 #[must_use]
 pub const fn zyx_from_ijk<T: Copy>(ijk: [T; 3]) -> [T; 3] {
     [ijk[2], ijk[1], ijk[0]]
@@ -54,61 +54,61 @@ impl Grid {
         })
     }
 
-    /// Return the number of voxels along i, j, k.
+    /// Return the number of voxels of the grid along i, j, k.
     #[must_use]
     pub const fn shape_ijk(&self) -> [usize; 3] {
         self.shape_ijk
     }
 
-    /// Return the shape of the array.
+    /// Return the shape `(z, y, x)` of an array on this grid.
     #[must_use]
     pub const fn shape_zyx(&self) -> [usize; 3] {
         zyx_from_ijk(self.shape_ijk)
     }
 
-    /// Return the number of voxels.
+    /// Return the number of voxels of the grid.
     #[must_use]
     pub const fn num_voxels(&self) -> usize {
         self.shape_ijk[0] * self.shape_ijk[1] * self.shape_ijk[2]
     }
 
-    /// Return the distance between neighbouring voxel centres along i, j, k.
+    /// Return the distance between neighbouring voxel centres along i, j, k, mm.
     #[must_use]
     pub const fn spacing_mm(&self) -> [f64; 3] {
         self.spacing_mm
     }
 
-    /// Return the smallest of the three spacings.
+    /// Return the smallest of the three spacings, mm.
     #[must_use]
     pub fn min_spacing_mm(&self) -> f64 {
         self.spacing_mm.into_iter().fold(f64::INFINITY, f64::min)
     }
 
-    /// Return the transform to patient space.
+    /// Return the transform from voxel coordinates to patient space.
     #[must_use]
     pub const fn lps_from_ijk(&self) -> &Affine {
         &self.lps_from_ijk
     }
 
-    /// Return the transform to voxel coordinates.
+    /// Return the transform from patient space to voxel coordinates.
     #[must_use]
     pub const fn ijk_from_lps(&self) -> &Affine {
         &self.ijk_from_lps
     }
 
-    /// Convert a voxel coordinate to patient space.
+    /// Convert a point from voxel coordinates to patient space.
     #[must_use]
     pub fn to_lps(&self, p: Ijk) -> Lps {
         Lps(self.lps_from_ijk.point(p.0))
     }
 
-    /// Convert a patient point to voxel coordinates.
+    /// Convert a point from patient space to voxel coordinates.
     #[must_use]
     pub fn to_ijk(&self, p: Lps) -> Ijk {
         Ijk(self.ijk_from_lps.point(p.0))
     }
 
-    /// Return the voxel whose cell contains `p`; `None` outside the grid.
+    /// Return the voxel that contains a point; `None` outside the grid.
     #[must_use]
     pub fn voxel_at(&self, p: Ijk) -> Option<[usize; 3]> {
         let mut voxel = [0; 3];
@@ -136,7 +136,7 @@ impl Grid {
     }
 }
 
-/// Borrowed voxel values on a grid.
+/// Borrowed voxel values of a volume with their grid.
 #[derive(Debug, Clone, Copy)]
 pub struct VolumeView<'a, T> {
     data: &'a [T],
@@ -144,7 +144,7 @@ pub struct VolumeView<'a, T> {
 }
 
 impl<'a, T: Copy> VolumeView<'a, T> {
-    /// Create a view of values in `[z, y, x]` order, x fastest.
+    /// Create a view of the voxel values of a volume, which are in `[z, y, x]` order, x fastest.
     ///
     /// # Errors
     ///
@@ -160,13 +160,13 @@ impl<'a, T: Copy> VolumeView<'a, T> {
         Ok(Self { data, grid })
     }
 
-    /// Return all values, x fastest.
+    /// Return all voxel values, x fastest.
     #[must_use]
     pub const fn data(&self) -> &'a [T] {
         self.data
     }
 
-    /// Return the grid of the values.
+    /// Return the grid of the voxel values.
     #[must_use]
     pub const fn grid(&self) -> &'a Grid {
         self.grid
@@ -193,7 +193,7 @@ mod tests {
     use super::*;
 
     fn grid() -> Grid {
-        // Anisotropic and oblique, so that swapped axes cannot pass.
+        // The grid is anisotropic and oblique, so that swapped axes cannot pass.
         let lps_from_ijk = Affine::from_columns(
             [0.0, 0.7, 0.0],
             [-0.8, 0.0, 0.0],
@@ -227,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn a_voxel_reaches_half_a_voxel_beyond_its_centre() {
+    fn a_voxel_extends_half_a_voxel_round_its_centre() {
         let g = grid();
         assert_eq!(g.voxel_at(Ijk([-0.5, 4.49, 3.0])), Some([0, 4, 3]));
         assert_eq!(g.voxel_at(Ijk([-0.51, 0.0, 0.0])), None);
@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn empty_axes_and_wrong_lengths_are_refused() {
+    fn empty_axes_and_wrong_array_lengths_are_rejected() {
         assert_eq!(
             Grid::new([4, 0, 6], Affine::IDENTITY).unwrap_err().code(),
             "geometry.shape"

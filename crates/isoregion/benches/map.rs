@@ -10,10 +10,12 @@ use std::time::Instant;
 use carina_grid::InstructionSet;
 use carina_isoregion::{MapBuilder, value_bin};
 
+/// Number of voxels of the volume along z, y, x.
 const SHAPE: [usize; 3] = [400, 512, 512];
+/// Number of times that each variant is measured.
 const REPEATS: usize = 7;
 
-/// Return a volume of air, a body, two lungs with vessels, and noise.
+/// Return the values of a volume with air, a body, two lungs with vessels, and noise.
 fn chest() -> Vec<i16> {
     let [nz, ny, nx] = SHAPE;
     let mut state = 1u64;
@@ -42,7 +44,7 @@ fn chest() -> Vec<i16> {
     out
 }
 
-/// Return the processor time of this thread if the system reports it.
+/// Return the processor time that this thread has used, ms; `None` if the system does not report it.
 fn cpu_ms() -> Option<f64> {
     let text = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
     Some(text.split(' ').next()?.parse::<f64>().ok()? / 1e6)
@@ -82,8 +84,8 @@ fn main() {
                     } else {
                         builder.radius_map(&labels, SHAPE, &mut out).expect("a map");
                     }
-                    // One slab is built by this thread alone, and its processor time excludes other load on the
-                    // machine.
+                    // One slab is built by this thread alone, and the thread's processor time excludes other load on
+                    // the machine.
                     let ms = match (num_slabs, began.1.zip(cpu_ms())) {
                         (1, Some((before, after))) => after - before,
                         _ => began.0.elapsed().as_secs_f64() * 1e3,

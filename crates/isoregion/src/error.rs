@@ -1,19 +1,19 @@
-/// Errors of the input of a map.
+/// Errors of the input of an `IsoRegion` map.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum IsoRegionError {
-    /// The number of labels does not match the shape.
+    /// The number of labels does not match the shape of the volume.
     #[error(
         "the label volume contains {found} voxels, but its shape (z, y, x) = {shape_zyx:?} requires {expected}"
     )]
     Length {
-        /// Requested shape.
+        /// Shape (z, y, x) of the volume.
         shape_zyx: [usize; 3],
         /// Number of voxels of the shape.
         expected: usize,
-        /// Number of voxels found.
+        /// Number of labels found.
         found: usize,
     },
-    /// A table of colours covers no value.
+    /// A table of colours over HU has no entry.
     #[error("the colour table is empty; it must cover every value of the volume")]
     EmptyTable,
     /// The caller stopped the computation.
@@ -22,7 +22,7 @@ pub enum IsoRegionError {
 }
 
 impl IsoRegionError {
-    /// Return the stable error code, shared with Python and the wire.
+    /// Return the stable code of the error, which Python and the wire protocol also use.
     #[must_use]
     pub const fn code(&self) -> &'static str {
         match self {
@@ -33,7 +33,7 @@ impl IsoRegionError {
     }
 }
 
-/// Check that the number of labels matches the shape.
+/// Check that the number of labels (`found`) matches the shape of the volume.
 pub(crate) fn check_length(found: usize, shape_zyx: [usize; 3]) -> Result<(), IsoRegionError> {
     let expected = shape_zyx.iter().product();
     if found == expected {

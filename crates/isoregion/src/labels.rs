@@ -1,45 +1,45 @@
-//! Label volumes, whose labels an `IsoRegion` map compares.
+//! Label volumes, whose equal labels form the regions of an `IsoRegion` map.
 
 use crate::{IsoRegionError, threads::num_threads};
 
-/// Width of a bin of the paper's value labelling: 256 bins cover the 4096 HU of a 12-bit CT.
+/// Width of a bin of the paper's value labelling, HU; 256 bins cover the 4096 HU of a 12-bit CT.
 pub const VALUE_BIN_HU: i32 = 16;
 
 /// Colour (not premultiplied) and opacity per reference length, 0 to 1.
 pub type Rgba = [f64; 4];
 
-/// Labelled class: a maximal run of HU with one colour, or one bin.
+/// Class of a label: a maximal run of HU with one colour, or one bin.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Class {
-    /// First HU of the run.
+    /// First HU of the class.
     pub lo_hu: i32,
-    /// Last HU of the run.
+    /// Last HU of the class.
     pub hi_hu: i32,
-    /// Number of voxels of the volume in the class.
+    /// Number of voxels of the volume that belong to the class.
     pub num_voxels: u64,
-    /// Whether the whole run is fully transparent.
+    /// Whether all HU of the class have opacity 0.
     pub transparent: bool,
 }
 
-/// Label volume with the classes of its labels.
+/// Label volume, and the class of each label.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ClassLabels {
-    /// Labels `[z, y, x]`, one per voxel; label 0 is never leaped.
+    /// Label of each voxel, `[z, y, x]`; label 0 is never leaped.
     pub labels: Vec<u8>,
-    /// Classes: `classes[label - 1]`, most frequent first.
+    /// Class of each label, `classes[label - 1]`, most frequent class first.
     pub classes: Vec<Class>,
 }
 
-/// Return the bin of a value in the paper's value labelling.
+/// Return the bin of a value in HU in the paper's value labelling.
 #[must_use]
 pub const fn value_bin(hu: i32) -> i32 {
     hu.div_euclid(VALUE_BIN_HU)
 }
 
-/// Label voxels as in the paper, by equal quantised values: the 255 most frequent bins get labels 1 to 255, the others
-/// 0.
+/// Label voxels by bins of values, as in the paper.
 ///
-/// `transparent(lo, hi)` returns whether a bin has no opacity anywhere; the function only records the result.
+/// The 255 most frequent bins get labels 1 to 255, the others 0. `transparent(lo, hi)` returns whether a bin has no
+/// opacity anywhere; this result is only stored in the class.
 pub fn value_labels(hu: &[i16], transparent: impl Fn(i32, i32) -> bool) -> ClassLabels {
     let first = value_bin(i32::from(i16::MIN));
     let runs = (first..=value_bin(i32::from(i16::MAX))).map(|bin| {
@@ -54,12 +54,10 @@ pub fn value_labels(hu: &[i16], transparent: impl Fn(i32, i32) -> bool) -> Class
 
 /// Label voxels by classes: maximal runs of HU whose table entries have one colour.
 ///
-/// All entries of opacity 0 count as one colour.
-///
-/// `table[n]` is the entry of `lo_hu + n`. Values below and above the table count as its first and last entry. A class
-/// is one *contiguous* run, because interpolation between two transparent runs passes through the values between them.
-/// With `transparent_only`, opaque runs get label 0, so that the radius map is that of the shaded caster, which may
-/// leap over nothing else.
+/// `table[n]` is the entry of `lo_hu + n`. Values below and above the table count as its first and last entry. All
+/// entries of opacity 0 count as one colour. A class is one *contiguous* run, because interpolation between two
+/// transparent runs passes through the values between them. With `transparent_only`, opaque runs get label 0, so that
+/// the radius map is that of the shaded caster, which may leap over transparent runs only.
 ///
 /// # Errors
 ///
@@ -75,9 +73,9 @@ pub fn class_labels(
     Ok(label_runs(hu, kept.collect()))
 }
 
-/// Return the transparent runs of a table, first and last value of each, in order.
+/// Return the transparent runs of a table in order, as the first and last value of each.
 ///
-/// A transparent map depends only on these.
+/// A map of the transparent classes depends only on these runs and the volume.
 ///
 /// # Errors
 ///
@@ -89,13 +87,15 @@ pub fn transparent_runs(lo_hu: i32, table: &[Rgba]) -> Result<Vec<(i16, i16)>, I
     Ok(clear.map(|(lo, hi, _)| (value(lo), value(hi))).collect())
 }
 
-/// Label the voxels by given transparent runs.
+/// Label voxels by given transparent runs; voxels in no run get label 0.
 pub(crate) fn run_labels(hu: &[i16], runs: &[(i16, i16)]) -> ClassLabels {
     let runs = runs.iter().map(|&(lo, hi)| (lo.into(), hi.into(), true));
     label_runs(hu, runs.collect())
 }
 
-/// Return the maximal runs `(lo, hi, transparent)`; the first and last are extended over all int16 values.
+/// Return the maximal runs of one colour as `(lo, hi, transparent)`.
+///
+/// The first and the last run are extended over all int16 values.
 fn runs_of_one_colour(lo_hu: i32, table: &[Rgba]) -> Result<Vec<(i32, i32, bool)>, IsoRegionError> {
     // The comparison comes before premultiplication and is by bits, so every later table made from this one is constant
     // over the run too.
@@ -119,15 +119,16 @@ fn runs_of_one_colour(lo_hu: i32, table: &[Rgba]) -> Result<Vec<(i32, i32, bool)
     Ok(runs)
 }
 
+/// Number of int16 values.
 const NUM_VALUES: usize = 1 << 16;
 
 const fn position(hu: i16) -> usize {
     (hu as i32 - i16::MIN as i32) as usize
 }
 
-/// Apply `work` to a part of the values in each of several threads.
+/// Apply `work` to parts of the values, each in its own thread, and return the results in order.
 ///
-/// The threads are separate from the pool, as for maps.
+/// The threads are separate from the pool that casts pictures.
 fn in_threads<T: Send>(hu: &[i16], work: impl Fn(&[i16]) -> T + Sync) -> Vec<T> {
     let part = hu.len().div_ceil(num_threads()).max(1 << 16);
     std::thread::scope(|scope| {
@@ -135,17 +136,17 @@ fn in_threads<T: Send>(hu: &[i16], work: impl Fn(&[i16]) -> T + Sync) -> Vec<T> 
             .chunks(part)
             .map(|chunk| scope.spawn(|| work(chunk)))
             .collect();
-        // A panic in a part becomes a panic of the whole.
+        // A panic in one thread becomes a panic of this function.
         let results = threads.into_iter().map(|t| t.join().expect("counting"));
         results.collect()
     })
 }
 
-/// Return the smallest and the largest value; `None` for no voxels.
+/// Return the smallest and the largest of the values; `None` if there are no values.
 #[must_use]
 pub fn value_range(hu: &[i16]) -> Option<(i16, i16)> {
     let parts = in_threads(hu, |chunk| {
-        // Blocks are short enough for the compiler to keep them in registers.
+        // Blocks are short enough for the compiler to hold them in registers.
         let (mut lo, mut hi) = ([i16::MAX; 64], [i16::MIN; 64]);
         let (blocks, rest) = chunk.as_chunks::<64>();
         for block in blocks {
@@ -162,8 +163,8 @@ pub fn value_range(hu: &[i16]) -> Option<(i16, i16)> {
 }
 
 fn histogram(hu: &[i16]) -> Vec<u64> {
-    // Equal values occur in rows. Neighbours are counted in separate tables, so that no addition waits for the previous
-    // one.
+    // Equal values occur in succession. Neighbours are counted in separate tables, so that no addition waits for the
+    // previous one.
     const LANES: usize = 4;
     let parts = in_threads(hu, |chunk| {
         let mut counts = vec![[0u32; LANES]; NUM_VALUES];
@@ -187,7 +188,7 @@ fn histogram(hu: &[i16]) -> Vec<u64> {
     sum
 }
 
-/// Label disjoint runs by frequency; values in no run get label 0.
+/// Label disjoint runs, the most frequent run first; values in no run get label 0.
 fn label_runs(hu: &[i16], runs: Vec<(i32, i32, bool)>) -> ClassLabels {
     let counts = histogram(hu);
     let clamp = |v: i32| position(v.clamp(i16::MIN.into(), i16::MAX.into()) as i16);
@@ -227,7 +228,9 @@ fn label_runs(hu: &[i16], runs: Vec<(i32, i32, bool)>) -> ClassLabels {
 mod tests {
     use super::*;
 
+    /// Colour with opacity 0.
     const CLEAR: Rgba = [0.2, 0.3, 0.4, 0.0];
+    /// Red with an opacity of one half.
     const RED: Rgba = [1.0, 0.0, 0.0, 0.5];
 
     #[test]
@@ -256,15 +259,15 @@ mod tests {
     }
 
     #[test]
-    fn opaque_runs_get_label_0_when_only_transparent_classes_are_asked_for() {
+    fn opaque_runs_get_label_0_with_transparent_only() {
         let out = class_labels(&[10, 12, 14], 10, &[CLEAR, CLEAR, RED, RED, CLEAR], true).unwrap();
         assert_eq!(out.labels[1], 0);
         assert!(out.labels[0] != 0 && out.labels[2] != 0 && out.labels[0] != out.labels[2]);
     }
 
     #[test]
-    fn the_255_most_frequent_bins_get_labels_and_the_rest_are_never_leaped() {
-        // 300 bins; bin n has n + 1 voxels, so bins 0 to 44 are the rarest.
+    fn the_255_most_frequent_bins_get_labels_and_the_others_label_0() {
+        // There are 300 bins; bin n has n + 1 voxels, so bins 0 to 44 are the rarest.
         let hu: Vec<i16> = (0..300i16)
             .flat_map(|n| std::iter::repeat_n(n * 16 + 5, n as usize + 1))
             .collect();
@@ -278,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn the_range_of_values_is_that_of_every_one_of_them() {
+    fn the_value_range_equals_that_of_a_plain_search() {
         assert_eq!(value_range(&[]), None);
         assert_eq!(value_range(&[7]), Some((7, 7)));
         for n in [63, 64, 65, 200_000] {
@@ -292,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn an_empty_table_is_refused() {
+    fn an_empty_colour_table_is_rejected() {
         assert_eq!(
             class_labels(&[1], 0, &[], false),
             Err(IsoRegionError::EmptyTable)

@@ -1,4 +1,4 @@
-//! Fast construction of the radius map.
+//! Fast construction of the radius maps of voxels and of cells.
 
 use carina_grid::InstructionSet;
 
@@ -12,23 +12,23 @@ use crate::{
     uniform::{Source, Unit},
 };
 
-/// Smallest number of slices of a slab that is split again: splitting a thinner slab costs more than a second thread
-/// gains.
+/// Smallest number of slices of a slab that is divided; the division of a thinner slab takes longer than a second
+/// thread saves.
 const MIN_SLAB_SLICES: usize = 8;
 
-/// Largest number of runs that the kernel processes, each separately; with more runs the volume is labelled first.
+/// Largest number of runs for which a cell map is built without labels; with more runs the volume is labelled first.
 const MAX_RUNS: usize = 4;
 
-/// Settings of the construction of a map; the map does not depend on them.
+/// Settings for the construction of a map; they change the speed but not the map.
 #[derive(Clone, Copy)]
 pub struct MapBuilder<'a> {
     /// Instruction set of the kernels.
     pub simd: InstructionSet,
-    /// Number of slabs of slices, rounded up to a power of two; one thread for each slab.
+    /// Number of slabs of slices, rounded up to a power of two; each slab has its own thread.
     pub num_slabs: usize,
-    /// Function that any thread calls once per slice.
+    /// Function that any thread calls once per slice; `None` if the construction cannot be cancelled.
     ///
-    /// If it returns true, the construction ends with [`IsoRegionError::Cancelled`].
+    /// If the function returns true, the construction ends with [`IsoRegionError::Cancelled`].
     pub cancelled: Option<&'a (dyn Fn() -> bool + Sync)>,
 }
 
@@ -53,7 +53,7 @@ pub fn radius_map(labels: &[u8], shape_zyx: [usize; 3]) -> Result<Vec<u8>, IsoRe
     Ok(out)
 }
 
-/// Compute the radius of every *cell*, stored at its lower corner.
+/// Compute the radius of every *cell* (the eight voxels round a position between voxels), stored at its lower corner.
 ///
 /// The radius is the largest `d` such that the `(2d)^3` voxels round the cell are in the volume, none of them at its
 /// lower faces, and have one label. A sample between voxels uses the eight corners of its cell: if the radius is not 0,
@@ -89,7 +89,7 @@ impl MapBuilder<'_> {
         self.build(Source::Labels(labels, Unit::Voxel), shape_zyx, out)
     }
 
-    /// Write the radius of every *cell* to `out`: see [`cell_map`].
+    /// Write the radius of every *cell* to `out`; see [`cell_map`] for the definition.
     ///
     /// # Errors
     ///
@@ -103,10 +103,10 @@ impl MapBuilder<'_> {
         self.build(Source::Labels(labels, Unit::Cell), shape_zyx, out)
     }
 
-    /// Write to `out` the cell map of the classes of `runs` (first and last value of each, disjoint), from the values
-    /// themselves.
+    /// Write to `out` the cell map of classes that are given as runs of values.
     ///
-    /// With few runs no label volume is created. Values in no run have radius 0.
+    /// `runs` has the first and last value of each run; runs are disjoint. With few runs no label volume is created.
+    /// Values in no run have radius 0.
     ///
     /// # Errors
     ///
@@ -150,8 +150,9 @@ impl MapBuilder<'_> {
         self.cancelled.is_some_and(|cancelled| cancelled())
     }
 
-    /// Compute exact distances within slices `first_z ..`: of one slab, or of two halves whose borders are then
-    /// exchanged.
+    /// Compute exact distances within slices `first_z ..` of a volume.
+    ///
+    /// The slices are one slab, or two halves that are computed by two threads and whose borders are then exchanged.
     fn slab(
         &self,
         source: Source<'_>,
@@ -170,7 +171,7 @@ impl MapBuilder<'_> {
         let half = num_slices / 2;
         let (low, high) = out.split_at_mut(half * plane);
         let num_slabs = num_slabs.div_ceil(2);
-        // The threads are separate from the pool, which casts pictures: a picture must not wait for a map.
+        // The threads are separate from the pool, which casts pictures, because a picture must not wait for a map.
         join(
             || self.slab(source, shape_zyx, first_z, num_slabs, low),
             || self.slab(source, shape_zyx, first_z + half, num_slabs, high),
@@ -178,7 +179,7 @@ impl MapBuilder<'_> {
         if self.stopped() {
             return;
         }
-        // Copies of both borders before either half changes: a half's own distances at its border are exact, and a
+        // Both borders are copied before either half changes: a half's own distances at its border are exact, and a
         // shortest path never returns to a half that it has left.
         let (below, above) = (low[(half - 1) * plane..].to_vec(), high[..plane].to_vec());
         join(
@@ -213,7 +214,7 @@ impl MapBuilder<'_> {
     }
 }
 
-/// Run both functions at once.
+/// Run two functions at the same time, one of them on a new thread.
 fn join(one: impl FnOnce() + Send, other: impl FnOnce()) {
     std::thread::scope(|scope| {
         scope.spawn(one);
@@ -227,7 +228,7 @@ mod tests {
     use crate::{paper_radius_map, reference_cell_map};
     use proptest::prelude::*;
 
-    /// Return blocks of labels with scattered odd voxels: large regions, thin ones, label 0, and faces.
+    /// Return blocks of labels with scattered voxels of other labels: large regions, thin ones, label 0, and faces.
     fn random_labels(
         [nz, ny, nx]: [usize; 3],
         num_labels: usize,
@@ -264,7 +265,7 @@ mod tests {
         labels
     }
 
-    /// Return builders for every instruction set of the machine, with one and with several slabs.
+    /// Return builders for every instruction set of this machine, with one slab and with several slabs.
     fn builders() -> Vec<MapBuilder<'static>> {
         InstructionSet::available()
             .into_iter()
@@ -283,7 +284,7 @@ mod tests {
         build: impl Fn(MapBuilder<'_>, &mut [u8]) -> Result<(), IsoRegionError>,
     ) {
         for builder in builders() {
-            // The previous contents of `out` do not matter.
+            // The previous contents of `out` must not matter.
             let mut out = vec![77; expected.len()];
             build(builder, &mut out).unwrap();
             assert!(
@@ -297,8 +298,8 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_fast_map_equals_the_papers(
-            // Rows shorter than any register, longer than every register, and not a whole number of registers.
+        fn the_fast_map_equals_the_map_of_the_papers_iteration(
+            // The rows are shorter than any register, longer than every register, and not a whole number of registers.
             shape in (1usize..40, 1usize..20, prop_oneof![1usize..24, 30usize..36, 60usize..70, 90usize..140]),
             seed in any::<u64>(),
             num_labels in prop_oneof![1usize..5, 5usize..256],
@@ -335,7 +336,7 @@ mod tests {
             let shape = [shape.0, shape.1, shape.2];
             let ends = |n: usize| [i16::MIN, -700, -650, -20, 0, 9, 10, 400, 1000, 1001, 1002, 1003, 2000, 2500, 3000, i16::MAX][n];
             let runs: Vec<(i16, i16)> = (0..num_runs).map(|n| (ends(2 * n), ends(2 * n + 1))).collect();
-            // Values at the ends of runs, within them and between them.
+            // The values are at the ends of runs, within them and between them.
             let hu: Vec<i16> = random_labels(shape, 200, num_odd, 9, seed)
                 .into_iter()
                 .map(|v| ends(usize::from(v) % 16).saturating_add((i16::from(v) / 16 - 5).signum()))
@@ -350,7 +351,7 @@ mod tests {
     }
 
     #[test]
-    fn long_empty_rows_count_to_255_and_no_further() {
+    fn distances_in_long_uniform_rows_stop_at_255() {
         // In a long thin box the faces are always near, so the paper's iteration is fast.
         let shape = [7, 9, 700];
         for at in [0, 64, 300, 699] {
@@ -366,7 +367,7 @@ mod tests {
     }
 
     #[test]
-    fn a_build_that_is_stopped_says_so() {
+    fn a_cancelled_construction_returns_an_error() {
         let labels = vec![1; 64 * 64 * 64];
         let mut out = vec![0; labels.len()];
         for num_slabs in [1, 4] {
@@ -381,14 +382,15 @@ mod tests {
     }
 
     #[test]
-    fn an_array_that_does_not_fit_the_shape_is_refused() {
+    fn an_array_with_the_wrong_length_is_rejected() {
         let map = MapBuilder::default().radius_map(&[1; 8], [2; 3], &mut [0; 7]);
         assert_eq!(map.unwrap_err().code(), "geometry.length");
     }
 
     #[test]
-    fn radii_stop_at_255_and_never_wrap() {
-        // A thin stack would never reach that radius, so the cube is 515 voxels wide: its centre would have radius 257.
+    fn radii_stop_at_255_without_wrapping() {
+        // A thin stack would never reach a radius of 255, so the cube is 515 voxels wide: its centre would have radius
+        // 257.
         let n = 515;
         let labels = vec![1; n * n * n];
         for num_slabs in [1, 2] {

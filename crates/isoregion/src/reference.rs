@@ -1,15 +1,15 @@
-//! Readable reference for the fast constructions: the paper's construction, and the definition of the map of cells.
+//! Readable reference for the fast construction of maps: the paper's iteration, and the definition of the map of cells.
 
 use crate::{IsoRegionError, error::check_length};
 
-/// Largest recorded radius.
+/// Largest radius that a map can contain, in voxels.
 ///
-/// Larger cubes exist; recording them with a smaller radius costs speed, never correctness.
+/// Larger cubes exist; to store them with a smaller radius costs speed, never correctness.
 pub const MAX_RADIUS_VOX: u8 = 255;
 
 /// Compute the radius of every voxel by the paper's iteration (4.2).
 ///
-/// Departure: radii stop at 255, so that one byte holds them; label 0 has radius 0 (it means "not one colour").
+/// Departures: radii stop at 255, so that one byte can store them; label 0 has radius 0 (it means "not one colour").
 ///
 /// # Errors
 ///
@@ -60,9 +60,9 @@ pub fn paper_radius_map(labels: &[u8], shape_zyx: [usize; 3]) -> Result<Vec<u8>,
     Ok(radius)
 }
 
-/// Compute the radius of every cell by its definition: see [`crate::cell_map`].
+/// Compute the radius of every cell by the definition in [`crate::cell_map`].
 ///
-/// Departure from the paper, whose radii are those of voxels. As in the paper's map here, radii stop at 255, and label
+/// Departure from the paper, whose radii are those of voxels. As in [`paper_radius_map`], radii stop at 255, and label
 /// 0 has radius 0.
 ///
 /// # Errors
@@ -77,7 +77,7 @@ pub fn reference_cell_map(labels: &[u8], shape_zyx: [usize; 3]) -> Result<Vec<u8
             for x in 0..nx {
                 let label = labels[(z * ny + y) * nx + x];
                 // No cube includes the first voxels of an axis, nor extends beyond the last.
-                let room = z
+                let largest = z
                     .min(y)
                     .min(x)
                     .min(nz - 1 - z)
@@ -88,7 +88,7 @@ pub fn reference_cell_map(labels: &[u8], shape_zyx: [usize; 3]) -> Result<Vec<u8
                     let mut rows = zs.flat_map(|z| ys.clone().map(move |y| (z * ny + y) * nx));
                     rows.all(|row| xs.clone().all(|x| labels[row + x] == label))
                 };
-                let most = room.min(MAX_RADIUS_VOX.into());
+                let most = largest.min(MAX_RADIUS_VOX.into());
                 let d = (1..=most).take_while(|&d| label != 0 && alike(d)).count();
                 radius.push(d as u8);
             }
@@ -101,7 +101,7 @@ pub fn reference_cell_map(labels: &[u8], shape_zyx: [usize; 3]) -> Result<Vec<u8
 mod tests {
     use super::*;
 
-    /// Compute the radii directly from the definition.
+    /// Compute the radii of voxels directly from their definition.
     fn by_definition(labels: &[u8], shape_zyx: [usize; 3]) -> Vec<u8> {
         let [nz, ny, nx] = shape_zyx.map(|n| n as isize);
         let label = |z: isize, y: isize, x: isize| {
@@ -130,7 +130,7 @@ mod tests {
 
     proptest::proptest! {
         #[test]
-        fn the_papers_iteration_finds_what_the_definition_says(
+        fn the_papers_iteration_equals_the_definition_of_the_radius(
             shape in proptest::array::uniform3(1usize..9),
             odd in proptest::collection::vec((0usize..512, 0u8..3), 0..6),
         ) {
@@ -144,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn a_uniform_cube_has_the_distance_to_its_faces() {
+    fn radii_in_a_uniform_cube_equal_the_distance_to_its_faces() {
         let radius = paper_radius_map(&[3; 125], [5, 5, 5]).unwrap();
         assert_eq!(radius[62], 2);
         assert_eq!(radius[0], 0);
@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn labels_that_do_not_fill_the_shape_are_refused() {
+    fn a_wrong_number_of_labels_is_rejected() {
         assert_eq!(
             paper_radius_map(&[1; 7], [2, 2, 2]).unwrap_err().code(),
             "geometry.length"

@@ -1,22 +1,22 @@
-//! The paper's `IsoRegion` step table: colour and transparency of a segment of equal samples (4.3).
+//! Step table of `IsoRegions` (paper 4.3): colour and transparency of a segment of equal samples.
 
-/// Largest number of samples of a segment; longer ones need several leaps.
+/// Largest number of samples of a segment; a longer segment needs several leaps.
 ///
 /// With this limit the table of 255 classes fits the second cache.
 pub const MAX_SEGMENT_SAMPLES: usize = 64;
 
-/// Table of `(C (1 - beta^n), beta^n)` by class and number of samples.
+/// Table of `(C (1 - beta^n), beta^n)` by class and number of samples n.
 ///
-/// Paper 4.3. Departure: the index is the number of samples, not the radius `d`, so that a region of radius 0 still
-/// adds its one sample, and so that rays that cross a region at an angle or with another step length add their actual
-/// number of samples.
+/// Departure from paper 4.3: the index is the number of samples, not the radius `d`. A region of radius 0 thus still
+/// adds its one sample, and rays that cross a region at an angle or with another step length add their actual number of
+/// samples.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SegmentTable {
     entries: Vec<[f32; 4]>,
 }
 
 impl SegmentTable {
-    /// Table of no classes.
+    /// Table without classes.
     pub const EMPTY: Self = Self {
         entries: Vec::new(),
     };
@@ -30,7 +30,7 @@ impl SegmentTable {
             let beta = 1.0 - alpha;
             let mut through = 1.0;
             for n in 0..=MAX_SEGMENT_SAMPLES {
-                // C is the premultiplied colour divided by alpha; a clear class adds nothing.
+                // C is the premultiplied colour divided by alpha; a class without opacity adds nothing.
                 let share = if alpha > 0.0 {
                     (1.0 - through) / alpha
                 } else {
@@ -43,21 +43,23 @@ impl SegmentTable {
         Self { entries }
     }
 
-    /// Return all entries: [`MAX_SEGMENT_SAMPLES`]` + 1` for each class, by number of samples.
+    /// Return all entries of the table: [`MAX_SEGMENT_SAMPLES`]` + 1` for each class, by number of samples.
     #[inline]
     #[must_use]
     pub fn entries(&self) -> &[[f32; 4]] {
         &self.entries
     }
 
-    /// Return `[r, g, b, transparency]` of `num_samples` samples of the class with `label` (1 or more).
+    /// Return `[r, g, b, transparency]` of a segment of `num_samples` samples of the class with `label` (1 or more).
     #[inline]
     #[must_use]
     pub fn segment(&self, label: u8, num_samples: usize) -> [f32; 4] {
         self.entries[(usize::from(label) - 1) * (MAX_SEGMENT_SAMPLES + 1) + num_samples]
     }
 
-    /// Return the smallest number of samples, at most `num_samples`, after which `transparency` falls below `limit`.
+    /// Return the smallest number of samples of a class after which a ray's transparency falls below `limit`.
+    ///
+    /// The result is at most `num_samples`; `transparency` is that of the ray before the segment.
     #[must_use]
     pub fn samples_until(
         &self,
@@ -78,7 +80,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_segment_is_its_samples_composited_one_by_one() {
+    fn a_segment_equals_its_samples_composited_one_by_one() {
         let classes = [
             [0.1, 0.02, 0.03, 0.2],
             [0.0, 0.0, 0.0, 0.0],
@@ -90,7 +92,7 @@ mod tests {
             for count in 0..=MAX_SEGMENT_SAMPLES {
                 let segment = table.segment(n as u8 + 1, count);
                 for c in 0..3 {
-                    // Tolerance 1e-6: the entries of the table are f32.
+                    // The tolerance of 1e-6 allows for the f32 entries of the table.
                     assert!((f64::from(segment[c]) - colour[c]).abs() < 1e-6);
                 }
                 assert!((f64::from(segment[3]) - through).abs() < 1e-6);
@@ -103,14 +105,14 @@ mod tests {
     }
 
     #[test]
-    fn one_sample_of_a_region_of_radius_0_counts() {
+    fn a_segment_of_one_sample_adds_this_sample() {
         let table = SegmentTable::new(&[[0.1, 0.2, 0.3, 0.4]]);
         let bits = |entry: [f32; 4]| entry.map(f32::to_bits);
         assert_eq!(bits(table.segment(1, 1)), bits([0.1, 0.2, 0.3, 0.6]));
     }
 
     #[test]
-    fn a_segment_is_cut_where_the_ray_becomes_opaque() {
+    fn samples_until_returns_the_sample_at_which_the_ray_becomes_opaque() {
         let table = SegmentTable::new(&[[0.0, 0.0, 0.0, 0.5]]);
         // 0.5^9 = 1/512 is not below the limit; the tenth sample is.
         assert_eq!(table.samples_until(1, 60, 1.0, 1.0 / 512.0), 10);

@@ -1,4 +1,4 @@
-//! Chessboard distances within a slab of slices, and across the border of two slabs.
+//! Kernels for chessboard distances within a slab of slices, and across the border of two slabs.
 //!
 //! The distance of a voxel to the nearest 0 is the length of a path of steps to any of the 26 neighbours. The steps of
 //! such a path can be reordered: first those along x, then those of a forward sweep (`FORWARD` below), then those of a
@@ -11,7 +11,7 @@ use crate::{
     uniform::{Source, Uniform},
 };
 
-/// Kernel that computes the distances in slices `first_z ..` of a volume, as many as `out` holds.
+/// Kernel that computes the chessboard distances in slices `first_z ..` of a volume, as many slices as `out` has.
 ///
 /// The kernel assumes that there is no 0 beyond these slices. `stopped` is called before each slice; the distances of a
 /// stopped sweep are not valid.
@@ -97,7 +97,7 @@ impl Kernel for Sweep<'_> {
     }
 }
 
-/// Kernel that propagates distances from `edge`, the slice beside a finished slab, into the slab.
+/// Kernel that propagates chessboard distances from `edge`, the slice beside a finished slab, into the slab.
 ///
 /// The kernel propagates forward from the slab's first slice on, or backward from its last. The distances within both
 /// slabs are exact, so only steps to other slices are missing.
@@ -136,7 +136,7 @@ impl Kernel for Push<'_> {
             for y in 1..ny - 1 {
                 changed |= relax(b, &mut slice[y * nx..][..nx], beside(last, y, nx));
             }
-            // Slices further on depend only on this one, so the propagation can end here.
+            // Slices further on depend only on this slice, which has not changed, so the propagation ends here.
             if !changed {
                 return;
             }
@@ -154,7 +154,7 @@ fn beside(slice: &[u8], y: usize, nx: usize) -> [&[u8]; 3] {
     ]
 }
 
-/// Addition of one row to an array of rows.
+/// Extension of an array of rows by one more row.
 trait With<'a> {
     fn with(self, row: &'a [u8]) -> [&'a [u8]; 4];
 }
@@ -166,9 +166,10 @@ impl<'a> With<'a> for [&'a [u8]; 3] {
     }
 }
 
-// No closures from here on: a closure is a separate function without the instructions of its kernel.
+// The functions from here on contain no closures, because a closure is a separate function without the instructions of
+// its kernel.
 
-/// Compute the distance along the row to the nearest bit that is not set, 0 at such a bit.
+/// Compute for each voxel of a row the distance along the row to the nearest bit that is not set, 0 at such a bit.
 ///
 /// The last voxel's bit must not be set.
 #[inline(always)]
@@ -187,9 +188,11 @@ fn distances_along_row<B: Bytes>(b: B, bits: &[u64], row: &mut [u8]) {
     }
 }
 
-/// Compute the distances for voxels `x ..= x + N - 1` with `before` set bits directly before them.
+/// Compute the distances of `distances_along_row` for voxels `x ..= x + N - 1`; return the number of set bits at their
+/// end.
 ///
-/// Return the number of set bits directly before their end.
+/// `before` is the number of consecutive set bits directly before `x`; the result is the number directly before `x +
+/// N`.
 #[inline(always)]
 fn distances_in_block<B: Bytes>(b: B, bits: &[u64], row: &mut [u8], x: usize, before: u8) -> u8 {
     let whole = if B::N == 64 { !0 } else { (1 << B::N) - 1 };
@@ -214,7 +217,7 @@ fn distances_in_block<B: Bytes>(b: B, bits: &[u64], row: &mut [u8], x: usize, be
     }
 }
 
-/// Return 64 bits from position `at` on; bits beyond the end are 0.
+/// Return 64 bits from position `at` of a bit array on; bits beyond its end are 0.
 #[inline(always)]
 fn bits_from(bits: &[u64], at: usize) -> u64 {
     let (word, shift) = (at / 64, at % 64);
@@ -250,7 +253,7 @@ fn ones_before(bits: &[u64], at: usize) -> u8 {
     (0..at).rev().take(255).take_while(set).count() as u8
 }
 
-/// Return the least values of the rows, for voxels `x ..= x + N - 1`.
+/// Return the least values over several rows, for voxels `x ..= x + N - 1`.
 ///
 /// # Safety
 ///
@@ -271,7 +274,7 @@ unsafe fn least<B: Bytes, const R: usize>(b: B, rows: [&[u8]; R], x: usize) -> B
 
 /// Set `row = min(row, 1 + min over the rows' voxels at x - 1, x and x + 1)`; return true if a value changed.
 ///
-/// The first and the last voxel of the row are 0, so the voxels beside them do not matter.
+/// The first and the last voxel of the row are 0, so the values beyond the row's ends do not matter.
 #[inline(always)]
 fn relax<B: Bytes, const R: usize>(b: B, row: &mut [u8], rows: [&[u8]; R]) -> bool {
     let nx = row.len();
@@ -307,7 +310,7 @@ fn relax<B: Bytes, const R: usize>(b: B, row: &mut [u8], rows: [&[u8]; R]) -> bo
                 };
                 let beside = b.min(b.previous(before, here), b.next(here, after));
                 let new = b.min(old, b.add(b.min(here, beside), one));
-                // Many registers do not change; skipping their stores saves memory traffic.
+                // Many registers do not change, so their stores are skipped to save memory traffic.
                 if !b.same(new, old) {
                     changed = true;
                     b.store(start.add(x), new);

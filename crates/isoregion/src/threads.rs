@@ -1,6 +1,8 @@
-//! Number of threads that process a volume.
+//! Number of threads that build a map or label a volume.
 
-/// Return the default number of threads of a map: as many as the pool has, but separate from the pool (see `join`).
+/// Return the default number of threads that build a map: as many as the pool has.
+///
+/// The threads are separate from the pool (see `join` in [`crate::map`]).
 pub(crate) fn num_threads() -> usize {
     rayon::current_num_threads()
 }

@@ -1,49 +1,51 @@
-//! Uniform voxels and cells, one bit each, slice after slice.
+//! Bit sets of the uniform voxels and cells of a volume, one bit each, computed slice after slice.
 //!
-//! A uniform voxel is at the centre of 3x3x3 equal ones; a uniform cell has eight equal corners.
+//! A uniform voxel is at the centre of 3x3x3 equal voxels; a uniform cell has eight equal corners.
 
 use crate::bytes::Bytes;
 
 /// Unit to which a bit, and later a radius, belongs.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Unit {
-    /// A voxel with the 26 voxels round it.
+    /// Voxel, with the 26 voxels round it.
     Voxel,
-    /// The cell between a voxel and the seven after it.
+    /// Cell between a voxel and the seven voxels after it.
     Cell,
 }
 
-/// Criterion for equal voxels.
+/// Data of a volume with the criterion by which two voxels count as equal.
 #[derive(Clone, Copy)]
 pub(crate) enum Source<'a> {
-    /// Equal labels other than 0.
+    /// Voxels are equal if they have the same label other than 0.
     Labels(&'a [u8], Unit),
-    /// Values in one run, given by its first value and the distance to its last value; only for cells.
+    /// Voxels are equal if their values are in the same run; only for cells.
     ///
-    /// Runs are disjoint; values in no run are unequal to all.
+    /// A run is given by its first value and the distance to its last value. Runs are disjoint; a value in no run is
+    /// unequal to all values.
     Runs(&'a [i16], &'a [(i16, u16)]),
 }
 
-/// Last three slices of bits for one criterion.
+/// Bits of the last three slices for one criterion of equality.
 struct Ring {
-    /// Bits of voxels whose 3x3 neighbourhood in the slice is equal; for a cell the 2x2 voxels.
+    /// One bit per voxel, set if its 3x3 neighbourhood in the slice is equal; for cells the 2x2 voxels.
     flat: [Vec<u64>; 3],
-    /// Bits of voxels that equal the voxel in the next slice; empty if `flat` implies the equality.
+    /// One bit per voxel, set if the voxel equals the voxel in the next slice; empty if `flat` implies this.
     alike: [Vec<u64>; 3],
 }
 
-/// Sliding window over the slices; rows are whole words of 64 bits.
+/// Sliding window over the slices of a volume, which computes their uniform voxels or cells.
+///
+/// The rows of bits are whole words of 64 bits.
 pub(crate) struct Uniform<'a> {
     source: Source<'a>,
     shape_zyx: [usize; 3],
     words: usize,
     rings: Vec<Ring>,
-    /// Bits of the current slice: three voxels (for a cell two) along x are equal.
-    ///
-    /// In the next field, a bit is set if the voxel equals the voxel in the next row.
+    /// Bits of the current slice, set if three voxels (for a cell two) along x are equal.
     across: Vec<u64>,
+    /// Bits of the current slice, set if the voxel equals the voxel in the next row.
     down: Vec<u64>,
-    /// Row of zeros, to compare with label 0.
+    /// Row of zeros, with which labels are compared.
     zeros: Vec<u8>,
 }
 
@@ -75,7 +77,7 @@ impl<'a> Uniform<'a> {
         self.words
     }
 
-    /// Read slice `z`.
+    /// Read slice `z` of the volume into the window.
     ///
     /// Slices must be read in order.
     #[inline(always)]
@@ -137,7 +139,9 @@ impl<'a> Uniform<'a> {
         }
     }
 
-    /// Compute row `y` of slice `z` from slices `z - 1 ..= z + 1`, which were read last; return false if no bit is set.
+    /// Compute row `y` of slice `z` from slices `z - 1 ..= z + 1`; return false if no bit is set.
+    ///
+    /// These slices must be the last ones that were read.
     #[inline(always)]
     pub(crate) fn row(&self, z: usize, y: usize, out: &mut [u64]) -> bool {
         let at = y * self.words..(y + 1) * self.words;
@@ -168,10 +172,9 @@ impl<'a> Uniform<'a> {
     }
 }
 
-/// Set `flat[y] = across[y - 1 ..= y + 1]` (for cells `across[y ..= y + 1]`), and with `down` only for rows equal to
-/// the next.
+/// Set `flat[y]` to the conjunction of `across[y - 1 ..= y + 1]` (for cells `across[y ..= y + 1]`).
 ///
-/// The first and the last row have no bits.
+/// With `down`, a bit is set only if the rows are also equal to the next row. The first and the last row have no bits.
 #[inline(always)]
 fn flatten(unit: Unit, flat: &mut [u64], across: &[u64], down: Option<&[u64]>, words: usize) {
     let before = if unit == Unit::Voxel { words } else { 0 };
@@ -192,7 +195,7 @@ fn without_first(row: &mut [u64]) {
     row[0] &= !1;
 }
 
-/// Convert the bits "in the run" to "in the run together with the next voxel".
+/// Convert the bits "in the run" of a row to "in the run together with the next voxel".
 #[inline(always)]
 fn after_in_set(row: &mut [u64]) {
     for n in 0..row.len() {
@@ -205,7 +208,7 @@ fn after_in_set(row: &mut [u64]) {
     }
 }
 
-/// Convert the bits "equals the next voxel" to "equals both neighbours".
+/// Convert the bits "equals the next voxel" of a row to "equals both neighbours".
 #[inline(always)]
 fn both_sides(row: &mut [u64]) {
     let mut carry = 0;
@@ -220,7 +223,7 @@ fn both_sides(row: &mut [u64]) {
 ///
 /// The comparison is no closure, because a closure is a separate function without the instructions of its kernel.
 trait Compare {
-    /// Compare 64 voxels from `at`, one bit each.
+    /// Compare 64 voxels from `at` on and return one bit each.
     ///
     /// # Safety
     ///
@@ -259,7 +262,7 @@ impl Compare for Within<'_> {
     }
 }
 
-/// Set bit n where `a[n] == c[n]`, for n below `count`; the other bits are 0.
+/// Set bit n of `out` where `a[n] == c[n]`, for n below `count`; the other bits become 0.
 #[inline(always)]
 fn equal<B: Bytes>(b: B, a: &[u8], c: &[u8], count: usize, out: &mut [u64]) {
     assert!(a.len() >= count && c.len() >= count);
@@ -267,16 +270,16 @@ fn equal<B: Bytes>(b: B, a: &[u8], c: &[u8], count: usize, out: &mut [u64]) {
     unsafe { fill_words(b, &Equal(a, c), count, out) };
 }
 
-/// Set bit n where `values[n]` is in the run; the bits beyond the row are 0.
+/// Set bit n of `out` where `values[n]` is in the run; the bits beyond the row become 0.
 #[inline(always)]
 fn within<B: Bytes>(b: B, values: &[i16], run: (i16, u16), out: &mut [u64]) {
     // SAFETY: `values.len()` is the number of voxels in the row.
     unsafe { fill_words(b, &Within(values, run), values.len(), out) };
 }
 
-/// Fill words from 64 voxels each, the last word from the last 64 of the row.
+/// Compute words of 64 comparisons each, the last word from the last 64 voxels of the row.
 ///
-/// Rows shorter than 64 are processed voxel by voxel.
+/// Rows shorter than 64 voxels are processed voxel by voxel.
 ///
 /// # Safety
 ///

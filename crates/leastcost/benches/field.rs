@@ -1,4 +1,5 @@
-//! Benchmark: ns per voxel of a whole tree in a noisy field with a cheap tree of tubes in it, both costs, one thread.
+//! Benchmark of whole least-cost trees: ns per voxel in a noisy field with a cheap tree of tubes, both costs, one
+//! thread.
 //!
 //! `cargo bench -p carina-airpath --bench field [FILE.f32 NX NY NZ I J K]`: a raw field and the root's voxel.
 
@@ -9,8 +10,9 @@ use carina_leastcost::Unwatched;
 use carina_leastcost::field::{EnterCost, MeanCost, StepCost, VoxelField};
 use carina_leastcost::field_tracker::FieldTracker;
 
-/// Return the processor time of this thread in s if the system reports it (Linux), because the machine may have other
-/// load.
+/// Return the processor time that this thread has used, in s, because other processes may load the machine.
+///
+/// If the system reports no processor time (only Linux does), the result is the time since `since`.
 fn cpu_s(since: Instant) -> f64 {
     std::fs::read_to_string("/proc/thread-self/schedstat")
         .ok()

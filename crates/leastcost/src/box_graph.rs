@@ -1,6 +1,6 @@
-//! Graph of paper 6: every voxel of a box is a node with edges to its 26 neighbours.
+//! Graph of all voxels of a box: every voxel is a node with edges to its 26 neighbours (paper 6).
 //!
-//! The graph stores no edges.
+//! The edges are computed when they are needed and not stored.
 
 use carina_grid::{Grid, length};
 
@@ -8,19 +8,19 @@ use crate::TrackError;
 use crate::distance::VoxelBox;
 use crate::graph::{Graph, NO_NODE};
 
-/// Graph whose nodes are voxels of a box.
+/// Graph whose nodes are voxels of a box of the volume.
 pub trait VoxelGraph: Graph {
     /// Return the box that contains all nodes.
     fn voxel_box(&self) -> VoxelBox;
 
-    /// Return the node of a voxel of the volume.
+    /// Return the node of a voxel of the volume; `None` if the voxel is no node.
     fn node_of_voxel(&self, ijk: [isize; 3]) -> Option<u32>;
 
-    /// Return the voxel of a node.
+    /// Return the voxel of the volume that a node stands for.
     fn voxel_of_node(&self, node: u32) -> [usize; 3];
 }
 
-/// Return the offsets of the 26 neighbours in array order: number `25 - s` is the opposite of number `s`.
+/// Return the offsets of the 26 neighbours of a voxel in array order: offset `25 - s` is the opposite of offset `s`.
 pub(crate) fn neighbour_offsets() -> [[isize; 3]; 26] {
     std::array::from_fn(|s| {
         let cell = if s < 13 { s } else { s + 1 } as isize;
@@ -28,13 +28,13 @@ pub(crate) fn neighbour_offsets() -> [[isize; 3]; 26] {
     })
 }
 
-/// Graph of all voxels of a box of the volume; node numbers are indices in the box.
+/// Graph of all voxels of a box of the volume; the number of a node is the index of its voxel in the box.
 #[derive(Debug, Clone)]
 pub struct BoxGraph {
     voxel_box: VoxelBox,
     offsets: [[isize; 3]; 26],
     lengths_mm: [f64; 26],
-    /// Difference between the index of a neighbour and that of the node, in the box.
+    /// Difference between the index of each of the 26 neighbours and the index of the node, in the box.
     strides: [isize; 26],
 }
 

@@ -5,40 +5,41 @@
 //! themselves. Blocks keep the entries of one bucket together in memory, and the pool needs little more memory than the
 //! open entries.
 
-/// Marker for no block.
+/// Block number that stands for no block.
 const END: u32 = u32::MAX;
 
-/// Open nodes, sorted by cost.
+/// Priority queue of nodes, sorted by cost into buckets.
 #[derive(Debug)]
 pub(crate) struct Buckets {
-    /// Newest block of each bucket, and the number of its used entries.
+    /// Newest block of each bucket, and the number of used entries in that block.
     tails: Vec<(u32, u32)>,
-    /// One bit per non-empty bucket, so that 64 empty buckets are skipped at a time.
+    /// One bit per bucket, set if the bucket is not empty, so that 64 empty buckets are skipped at a time.
     filled: Vec<u64>,
     pool: Vec<u32>,
-    /// Previous block in the same bucket for each block, or the next free block.
+    /// For each used block, the previous block of the same bucket; for each free block, the next free block.
     before: Vec<u32>,
     free: u32,
     block_log2: u32,
     span_log2: u32,
     num_blocks_open: usize,
-    /// Number of the front bucket, counted from cost 0 (not modulo the circle).
+    /// Number of the front bucket (the one with the lowest costs), counted from cost 0 and not modulo the circle.
     front: u64,
 }
 
-/// Block of entries taken from the front bucket; the caller returns the block after use.
+/// Block of entries that was taken from the front bucket; the caller returns the block to the pool after use.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Block {
     number: u32,
     first: usize,
-    /// Number of entries in the block.
+    /// Number of entries in this block.
     pub(crate) len: usize,
 }
 
 impl Buckets {
     /// Create a queue whose open costs differ by at most `reach`; one bucket holds 2^`span_log2` costs.
     pub(crate) fn new(reach: u64, span_log2: u32) -> Self {
-        // Two buckets more than the reach: the front bucket, and the one in which a sum may begin.
+        // The queue has two buckets more than the reach: the front bucket, and the one in which the largest cost may
+        // begin.
         let num_buckets = ((reach >> span_log2) as usize + 2)
             .next_power_of_two()
             .max(64);
@@ -48,7 +49,7 @@ impl Buckets {
             pool: Vec::new(),
             before: Vec::new(),
             free: END,
-            // With few buckets each is long, with many each is short.
+            // With few buckets each bucket has many entries and large blocks are used, with many buckets small blocks.
             block_log2: if num_buckets > 1024 { 6 } else { 9 },
             span_log2,
             num_blocks_open: 0,
@@ -56,17 +57,17 @@ impl Buckets {
         }
     }
 
-    /// Return the least cost of the front bucket.
+    /// Return the lowest cost that belongs to the front bucket.
     pub(crate) const fn front_cost(&self) -> u64 {
         self.front << self.span_log2
     }
 
-    /// Return the number of the bucket for a cost.
+    /// Return the number of the bucket to which a cost belongs.
     pub(crate) const fn bucket_of(&self, cost: u64) -> u64 {
         cost >> self.span_log2
     }
 
-    /// Return the allocated memory in bytes.
+    /// Return the memory that the queue has allocated, in bytes.
     pub(crate) fn num_bytes(&self) -> usize {
         8 * (self.tails.capacity() + self.filled.capacity())
             + 4 * (self.pool.capacity() + self.before.capacity())
@@ -93,7 +94,7 @@ impl Buckets {
             block = self.before.len() as u32;
             let size = 1 << self.block_log2;
             if self.pool.len() + size > self.pool.capacity() {
-                // Grow by a quarter: the pool is then only slightly larger than the largest number of open entries.
+                // The pool grows by a quarter, so it is only slightly larger than the largest number of open entries.
                 self.pool
                     .reserve_exact((self.pool.len() / 4).max(16 * size));
             }
@@ -106,7 +107,7 @@ impl Buckets {
         block
     }
 
-    /// Move the front to the first non-empty bucket; return false if all are empty.
+    /// Move the front to the first bucket that is not empty; return false if all buckets are empty.
     pub(crate) fn advance(&mut self) -> bool {
         if self.num_blocks_open == 0 {
             return false;
@@ -125,9 +126,9 @@ impl Buckets {
         }
     }
 
-    /// Take a block out of the front bucket.
+    /// Remove and return a block of the front bucket; `None` if the front bucket is empty.
     ///
-    /// Entries that are pushed to that bucket meanwhile are returned by a later call.
+    /// Entries that are pushed to the front bucket in the meantime are returned by a later call.
     pub(crate) fn take(&mut self) -> Option<Block> {
         let bucket = self.front as usize & (self.tails.len() - 1);
         let (number, len) = self.tails[bucket];
@@ -146,7 +147,7 @@ impl Buckets {
         })
     }
 
-    /// Take the newest entry out of the front bucket.
+    /// Remove and return the newest entry of the front bucket; `None` if the front bucket is empty.
     #[inline]
     pub(crate) fn pop(&mut self) -> Option<u32> {
         let bucket = self.front as usize & (self.tails.len() - 1);

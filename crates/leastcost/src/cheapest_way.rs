@@ -8,18 +8,17 @@ use carina_grid::length;
 use crate::graph::NO_NODE;
 use crate::{TrackError, Watch};
 
-/// Path through a box of voxels.
+/// Least-cost path through a box of voxels.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Way {
-    /// Voxels of the box, from a goal to the start; successive voxels share a face, an edge or a corner.
+    /// Voxels of the path, from a goal to the start; successive voxels share a face, an edge or a corner.
     pub voxels: Vec<[usize; 3]>,
-    /// Sum over the steps of length in mm times weight.
+    /// Cost of the path: sum over its steps of length in mm times weight.
     pub cost: f64,
 }
 
-/// Find the least-cost path from `start` to the nearest voxel for which `is_goal` is true.
-///
-/// Return `None` if there is none.
+/// Find the least-cost path from `start` to the nearest voxel for which `is_goal` is not 0; return `None` without a
+/// path.
 ///
 /// A step costs its length in mm times the mean weight of its two voxels; no path passes a voxel of weight 0. All
 /// arrays run x fastest. Of equally cheap paths the first in array order is returned.
@@ -96,7 +95,7 @@ pub fn cheapest_way(
     Ok(None)
 }
 
-/// Finite cost with a total order.
+/// Finite path cost with a total order.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Ordered(f64);
 

@@ -1,11 +1,11 @@
-//! Dijkstra's algorithm with a binary heap: slow and readable; tests compare the tracker with it.
+//! Dijkstra's algorithm with a binary heap: a slow, readable reference with which tests compare the tracker.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
 use crate::graph::{Cost, Graph, Quantum};
 
-/// Return the least cost in quanta from `root` to every node; `None` for a node that no path reaches.
+/// Return the least cost in quanta from `root` to every node of a graph; `None` for a node that no path reaches.
 #[must_use]
 pub fn least_costs(
     graph: &impl Graph,
@@ -20,7 +20,9 @@ pub fn least_costs(
     })
 }
 
-/// Return the least costs for edges in quanta: `for_each_edge(node, visit)` calls `visit(neighbour, quanta)`.
+/// Return the least cost in quanta from `root` to every node; `None` for a node that no path reaches.
+///
+/// `for_each_edge(node, visit)` must call `visit(neighbour, quanta)` for every edge of a node.
 #[must_use]
 pub fn least_costs_by(
     num_nodes: usize,

@@ -1,22 +1,23 @@
-//! Distance to the wall in mm: exact Euclidean on an anisotropic grid, then refined to sub-voxel accuracy.
+//! Exact Euclidean distance transform on an anisotropic grid, which finds the nearest outside voxel of each voxel.
 //!
 //! Felzenszwalb and Huttenlocher, "Distance transforms of sampled functions" (2012): one lower envelope of parabolas
-//! per line and axis. Each axis has its own spacing. The transform also returns the nearest outside voxel, because the
-//! wall is *between* voxels: the wall is the nearest crossing of the threshold close to that voxel.
+//! per line and axis. Each axis has its own spacing. The transform returns the nearest outside voxel itself, because
+//! the wall is *between* voxels: callers search for the crossing of the threshold near that voxel to refine the
+//! distance.
 
 use rayon::prelude::*;
 
-/// Box of voxels inside the volume, x fastest.
+/// Box of voxels inside the volume; indices in the box run x fastest.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct VoxelBox {
-    /// First voxel of the box in the volume.
+    /// First voxel (i, j, k) of the box in the volume.
     pub first_ijk: [usize; 3],
-    /// Number of voxels along i, j, k.
+    /// Number of voxels of the box along i, j, k.
     pub shape_ijk: [usize; 3],
 }
 
 impl VoxelBox {
-    /// Return the number of voxels.
+    /// Return the number of voxels of the box.
     #[must_use]
     pub const fn num_voxels(&self) -> usize {
         self.shape_ijk[0] * self.shape_ijk[1] * self.shape_ijk[2]
@@ -62,12 +63,12 @@ pub fn nearest_outside(
     outside: impl Fn(usize) -> bool + Sync,
 ) -> Vec<u32> {
     let [nx, ny, nz] = shape_ijk;
-    // A squared distance in f32 loses the sub-voxel part of long distances. f64 is used only within a line; f32 between
-    // the axes is exact enough, because the winner is compared again by its own coordinates.
+    // A squared distance in f32 loses the sub-voxel part of long distances, so f64 is used within a line. Between the
+    // axes f32 is exact enough, because the nearest voxels are compared again by their own coordinates.
     let mut nearest = vec![NOWHERE; nx * ny * nz];
     let mut squared = vec![f32::INFINITY; nx * ny * nz];
 
-    // Along x and then y, plane by plane.
+    // The lines along x and then along y, slice by slice.
     nearest
         .par_chunks_mut(nx * ny)
         .zip(squared.par_chunks_mut(nx * ny))
@@ -88,7 +89,7 @@ pub fn nearest_outside(
             }
         });
 
-    // Along z: gather columns row by row, so that threads write disjoint slices.
+    // The lines along z: columns are gathered row by row, so that threads write disjoint slices.
     let columns: Vec<Vec<u32>> = (0..ny)
         .into_par_iter()
         .map(|j| {
@@ -119,9 +120,9 @@ pub fn nearest_outside(
     nearest
 }
 
-/// Buffers for the lower envelope of one line.
+/// Buffers for the lower envelope of the parabolas of one line.
 struct Envelope {
-    /// Positions whose parabola is part of the envelope, and the start of the interval in which each is lowest.
+    /// Positions whose parabola is part of the envelope, each with the start of the interval in which it is the lowest.
     roots: Vec<(usize, f64)>,
     source: Vec<(u32, f32)>,
 }
@@ -155,7 +156,7 @@ impl Envelope {
             let mut begins = f64::NEG_INFINITY;
             while let Some(&(p, p_begins)) = self.roots.last() {
                 let x_p = p as f64 * spacing_mm;
-                // Intersection of the two parabolas.
+                // The intersection of the two parabolas.
                 begins = ((height(q) + x_q * x_q) - (height(p) + x_p * x_p)) / (2.0 * (x_q - x_p));
                 if begins > p_begins {
                     break;
@@ -189,7 +190,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_nearest_outside_voxel_is_as_near_as_a_search_of_all_finds(
+        fn the_distance_to_the_nearest_outside_voxel_equals_an_exhaustive_search(
             bits in prop::collection::vec(prop::bool::weighted(0.1), 5 * 6 * 7),
             spacing in prop::array::uniform3(0.3f64..3.0),
         ) {
@@ -204,7 +205,7 @@ mod tests {
                 let best = (0..bits.len()).filter(|&b| bits[b]).map(|b| distance(at, b)).reduce(f64::min);
                 match best {
                     None => prop_assert_eq!(found[at], NOWHERE),
-                    // Tolerance 1e-4 mm: squared distances are passed between the axes as f32.
+                    // The tolerance of 1e-4 mm allows for squared distances that are passed between the axes as f32.
                     Some(best) => prop_assert!((distance(at, found[at] as usize) - best).abs() < 1e-4),
                 }
             }

@@ -4,41 +4,41 @@ pub enum TrackError {
     /// The caller stopped the search.
     #[error("stopped on request")]
     Cancelled,
-    /// The volume does not contain the anatomy that is required.
+    /// The volume does not contain a structure that the search needs, such as a trachea; the text names it.
     #[error("{0}")]
     NoResult(String),
     /// An argument is out of range.
     #[error("{what}: expected {expected}, found {found}")]
     Argument {
-        /// Name of the argument.
+        /// Name of the rejected argument.
         what: &'static str,
-        /// Allowed values.
+        /// Values that the argument may have.
         expected: String,
-        /// Rejected value.
+        /// Value that the argument has.
         found: String,
     },
-    /// The range of the edge costs is too wide for the integer queue.
+    /// The ratio between the most expensive and the cheapest edge is too large for the integer queue.
     #[error(
         "the range of the path costs is too wide: the most expensive edge costs {ratio:.3e} times as much as the \
          cheapest; narrow the range of the costs"
     )]
     CostRange {
-        /// Ratio of the largest to the smallest edge cost.
+        /// Ratio of the largest edge cost to the smallest.
         ratio: f64,
     },
-    /// A path costs more than the tracker can represent.
+    /// The cost of a path is larger than the tracker can represent.
     #[error(
         "a path costs more than {most:.3e}, the highest cost that the path search can represent to within 0.5 %; \
          search a smaller region, or narrow the range of the weights"
     )]
     CostOverflow {
-        /// Largest cost that can be represented.
+        /// Largest path cost that can be represented.
         most: f64,
     },
 }
 
 impl TrackError {
-    /// Return the stable error code, shared with Python and the wire.
+    /// Return the stable code of the error, which Python and the wire protocol also use.
     #[must_use]
     pub const fn code(&self) -> &'static str {
         match self {
@@ -53,7 +53,7 @@ impl TrackError {
 
 /// Observer of a long computation: receives the progress and can stop the computation.
 pub trait Watch: Sync {
-    /// Report the completed share (0 to 1) of the present stage, between chunks of work.
+    /// Report the completed share (0 to 1) of the present stage of the computation.
     ///
     /// # Errors
     ///

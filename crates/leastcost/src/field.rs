@@ -1,6 +1,8 @@
-//! Volume of weights as an implicit graph: 26 neighbours per voxel, edge costs computed from the weights.
+//! Volume of weights as an implicit graph: each voxel has 26 neighbours, and edge costs are computed from the weights.
 //!
-//! [`crate::field_tracker`] finds least-cost trees in it; [`least_costs`] is the readable reference.
+//! A *cell* is one of the 27 voxels round and including a voxel, numbered in array order; it also stands for the step
+//! from the voxel to this neighbour. [`crate::field_tracker`] finds least-cost trees in such a volume; [`least_costs`]
+//! is the readable reference.
 #![allow(
     clippy::inline_always,
     reason = "small functions of the inner loop: called for each of 26 neighbours of each voxel"
@@ -13,26 +15,26 @@ use carina_grid::{Grid, length};
 use crate::TrackError;
 use crate::dijkstra::least_costs_by;
 
-/// Cell of the voxel itself: 13 of the 27.
+/// Number of the cell of the voxel itself among the 27 cells.
 pub(crate) const HERE: usize = 13;
 
-/// Quanta of the cheapest step that is not free.
+/// Number of quanta of the cheapest step with a cost above 0.
 ///
-/// Rounding by half a quantum is 0.4 % of it, so a sum of such steps is accurate within 0.4 % as well. The rest up to
-/// 0.5 % is far more than the rounding of f32 needs.
+/// Rounding by half a quantum is 0.4 % of this step, so a sum of such steps is accurate within 0.4 % as well. The
+/// remaining 0.1 % up to the promised 0.5 % is far more than the rounding of f32 needs.
 const CHEAPEST_STEP_QUANTA: f32 = 128.0;
-/// Largest number of quanta of a step: f32 represents this range exactly, with one bit to spare.
+/// Largest number of quanta of a step; f32 represents all integers up to this number exactly, with one bit to spare.
 pub(crate) const MAX_STEP_QUANTA: f32 = 4_194_304.0;
 
-/// Return the offset (di, dj, dk) of a cell, 0 to 26 in array order.
+/// Return the offset (di, dj, dk) from a voxel to one of its cells, 0 to 26 in array order.
 pub(crate) const fn offset(cell: usize) -> [isize; 3] {
     let c = cell as isize;
     [c % 3 - 1, c / 3 % 3 - 1, c / 9 - 1]
 }
 
-/// Weight for each voxel of a grid, with the set of open voxels.
+/// Weight of each voxel of a grid, with the set of voxels that paths may use.
 ///
-/// A voxel is open if it is in the region and its weight is finite; all others are walls.
+/// A voxel is open if it is in the region and in the mask and its weight is finite; all others are walls.
 #[derive(Debug, Clone)]
 pub struct VoxelField<'a> {
     values: &'a [f32],
@@ -43,11 +45,11 @@ pub struct VoxelField<'a> {
     /// Number of voxels of the search box along each axis.
     shape_ijk: [usize; 3],
     lengths_mm: [f32; 27],
-    /// Vectors of a step along i, j and k.
+    /// Vectors in mm of a step along i, j and k.
     axes_mm: [[f64; 3]; 3],
 }
 
-/// Smallest and largest weight above 0 in a field, and the properties on which its steps depend.
+/// Smallest and largest weight above 0 in a field, and the properties of the weights on which the quantum depends.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Weights {
     least: f32,
@@ -57,12 +59,12 @@ struct Weights {
     num_open: usize,
 }
 
-/// Number of weights that are examined at once.
+/// Number of weights that are compared at once.
 const LANES: usize = 16;
-/// Number of weights of a piece, which stays in the nearest cache during the second pass for rare cases.
+/// Number of weights that are summarised before rare cases among them get a second pass, in the nearest cache.
 const PIECE: usize = 4096;
 
-/// Summary of a row of weights.
+/// Summary of the weights of a row.
 #[derive(Debug, Clone, Copy)]
 struct Row {
     least: f32,
@@ -76,20 +78,21 @@ struct Row {
 /// Return true if a finite weight is an integer.
 #[inline(always)]
 fn is_whole(weight: f32) -> bool {
-    // Above 2^23 every f32 is an integer; there the sum rounds, but the check of the range rejects such weights.
+    // Every f32 from 2^23 on is an integer. For such a weight the sum may round, but the check of the range rejects it.
     (weight + ROUNDING) - ROUNDING - weight == 0.0
 }
 
 impl Row {
-    fn of(weights: &[f32], ask_whole: bool) -> Self {
-        Self::of_positive(weights, ask_whole).unwrap_or_else(|| Self::of_any(weights))
+    fn of(weights: &[f32], check_whole: bool) -> Self {
+        Self::of_positive(weights, check_whole).unwrap_or_else(|| Self::of_any(weights))
     }
 
     /// Summarise a row of finite weights above 0, the most frequent case; return `None` for any other row.
     ///
-    /// Sixteen weights are compared at once, so that the function is as fast as reading the volume. Whether all weights
-    /// are integers is determined only if `ask_whole` is set, because a single fraction decides for the volume.
-    fn of_positive(weights: &[f32], ask_whole: bool) -> Option<Self> {
+    /// Sixteen weights are compared at once, so the function is as fast as reading the volume. Whether all weights are
+    /// integers is determined only if `check_whole` is true, because a single fraction decides the result for the
+    /// volume.
+    fn of_positive(weights: &[f32], check_whole: bool) -> Option<Self> {
         let first = *weights.first()?;
         let (mut low, mut high, mut wall) = ([first; LANES], [first; LANES], [0u32; LANES]);
         let (chunks, rest) = weights.as_chunks::<LANES>();
@@ -124,12 +127,12 @@ impl Row {
             greatest,
             negative: false,
             any_zero: false,
-            whole: ask_whole && weights.iter().all(|weight| is_whole(*weight)),
+            whole: check_whole && weights.iter().all(|weight| is_whole(*weight)),
             num_open: weights.len(),
         })
     }
 
-    /// Summarise any row, including walls and zeros.
+    /// Summarise any row of weights, including walls and weights of 0.
     fn of_any(weights: &[f32]) -> Self {
         let (mut low, mut high) = ([f32::INFINITY; LANES], [0.0f32; LANES]);
         let (mut below, mut zero) = ([0u32; LANES], [0u32; LANES]);
@@ -151,7 +154,7 @@ impl Row {
         let (chunks, rest) = weights.as_chunks::<LANES>();
         chunks.iter().for_each(&mut see);
         if !rest.is_empty() {
-            // Padding with walls has no effect on the result.
+            // The padding has the weight of a wall, which does not change the summary.
             let mut last = [f32::INFINITY; LANES];
             last[..rest.len()].copy_from_slice(rest);
             see(&last);
@@ -168,10 +171,10 @@ impl Row {
 }
 
 impl<'a> VoxelField<'a> {
-    /// Create the field of `values` (x fastest) on a grid.
+    /// Create the field of the weights `values` (x fastest) of a grid.
     ///
     /// `region` is a box of voxels (i, j, k); `None` selects the whole volume. `mask` covers the whole volume and is
-    /// not 0 where voxels may be open.
+    /// not 0 where voxels may be open; `None` opens all voxels of the region.
     ///
     /// # Errors
     ///
@@ -228,19 +231,19 @@ impl<'a> VoxelField<'a> {
         })
     }
 
-    /// Return the number of voxels of the box on each axis.
+    /// Return the number of voxels of the search box along i, j, k.
     #[must_use]
     pub const fn shape_ijk(&self) -> [usize; 3] {
         self.shape_ijk
     }
 
-    /// Return the number of voxels of the box; nodes are `0..num_nodes`, x fastest.
+    /// Return the number of voxels of the search box; nodes are `0..num_nodes`, x fastest.
     #[must_use]
     pub fn num_nodes(&self) -> usize {
         self.shape_ijk.iter().product()
     }
 
-    /// Return the node of a voxel of the volume; `None` outside the box.
+    /// Return the node of a voxel of the volume; `None` outside the search box.
     #[must_use]
     pub fn node_at_voxel(&self, ijk: [usize; 3]) -> Option<u32> {
         let at: [usize; 3] = std::array::from_fn(|a| ijk[a].wrapping_sub(self.first_ijk[a]));
@@ -249,7 +252,7 @@ impl<'a> VoxelField<'a> {
             .then(|| ((at[2] * self.shape_ijk[1] + at[1]) * self.shape_ijk[0] + at[0]) as u32)
     }
 
-    /// Return the voxel of a node.
+    /// Return the voxel of the volume that a node stands for.
     #[must_use]
     pub fn voxel(&self, node: u32) -> [usize; 3] {
         let n = node as usize;
@@ -258,14 +261,14 @@ impl<'a> VoxelField<'a> {
         std::array::from_fn(|a| at[a] + self.first_ijk[a])
     }
 
-    /// Return true if a path may pass the node.
+    /// Return true if a path may use the voxel of a node.
     #[must_use]
     pub fn is_open(&self, node: u32) -> bool {
         let at = self.place(node);
         self.values[at].is_finite() && self.mask.is_none_or(|mask| mask[at] != 0)
     }
 
-    /// Return the weight of a node.
+    /// Return the weight of a node's voxel.
     #[must_use]
     pub fn value(&self, node: u32) -> f32 {
         self.values[self.place(node)]
@@ -288,7 +291,7 @@ impl<'a> VoxelField<'a> {
         }))
     }
 
-    /// Return the volume's weights.
+    /// Return the weights of the whole volume.
     pub(crate) const fn values(&self) -> &[f32] {
         self.values
     }
@@ -303,18 +306,18 @@ impl<'a> VoxelField<'a> {
         )
     }
 
-    /// Return the volume's mask.
+    /// Return the mask of the whole volume; `None` if all voxels of the region may be open.
     pub(crate) const fn mask(&self) -> Option<&[u8]> {
         self.mask
     }
 
-    /// Return true if the mask includes an index of the volume's arrays.
+    /// Return true if the mask includes the voxel at an index of the volume's arrays, or if there is no mask.
     #[inline(always)]
     pub(crate) fn is_in_mask(&self, at: usize) -> bool {
         self.mask.is_none_or(|mask| mask[at] != 0)
     }
 
-    /// Return the rows of the box in the order of their nodes: weights, and the mask if there is one.
+    /// Return the rows of the search box in the order of their nodes: the weights, and the mask if there is one.
     pub(crate) fn rows(&self) -> impl Iterator<Item = (&'a [f32], Option<&'a [u8]>)> + '_ {
         let [i, first_j, first_k] = self.first_ijk;
         let [nx, ny, nz] = self.shape_ijk;
@@ -355,7 +358,7 @@ impl<'a> VoxelField<'a> {
             all.num_open += seen.num_open;
         };
         if self.mask.is_none() && self.shape_ijk[..2] == self.volume_ijk[..2] {
-            // Whole slices are contiguous, so they are processed in longer pieces than rows.
+            // Whole slices are contiguous in memory, so they are processed in longer pieces than rows.
             let first = self.layout().0;
             let weights = &self.values[first..first + self.num_nodes()];
             weights.chunks(PIECE).for_each(|piece| see(piece, None));
@@ -372,7 +375,7 @@ impl<'a> VoxelField<'a> {
         Ok(all)
     }
 
-    /// Call `visit(neighbour, quanta)` for every edge out of a node.
+    /// Call `visit(neighbour, quanta)` for every step from a node to an open neighbour.
     pub fn for_each_step<C: StepCost>(
         &self,
         quanta: &Quanta<C>,
@@ -391,27 +394,27 @@ impl<'a> VoxelField<'a> {
     }
 }
 
-/// Cost of a step, computed from the weights of its two ends.
+/// Cost of a step between neighbouring voxels, computed from their weights and the length of the step.
 pub trait StepCost: Copy + Sync + Send + 'static {
-    /// Whether the cost of a step depends only on the voxel that it enters.
+    /// Whether the cost of a step depends only on the voxel that the step enters.
     ///
-    /// Then the first path to reach a voxel has the least cost.
+    /// The first path that reaches a voxel then has the least cost.
     const BY_VOXEL: bool;
 
-    /// Return the weight that is multiplied with [`StepCost::factor`].
+    /// Return the part of a step's cost that depends on the weights of its two voxels.
     fn weight(from: f32, into: f32) -> f32;
 
-    /// Return the factor of a step with the given length in mm.
+    /// Return the factor by which the weight of a step with a length in mm is multiplied.
     fn factor(length_mm: f32) -> f64;
 }
 
-/// Cost of a step that equals the weight of the voxel entered, for any length of the step: the problem of `dijkstra3d`.
+/// Cost of a step that equals the weight of the voxel that it enters, for any length of the step.
 ///
-/// The root itself costs nothing. Weights must be 0 or more.
+/// `dijkstra3d` uses this cost. The root itself costs nothing. Weights must be 0 or more.
 #[derive(Debug, Clone, Copy)]
 pub struct EnterCost;
 
-/// Cost of a step that equals its length in mm times the mean of the weights at its two ends.
+/// Cost of a step that equals its length in mm times the mean weight of its two voxels.
 ///
 /// Weights must be above 0.
 #[derive(Debug, Clone, Copy)]
@@ -443,34 +446,33 @@ impl StepCost for MeanCost {
     }
 }
 
-/// Integer unit of the costs of one search, and conversion of every step to it.
+/// Integer unit (quantum) of the costs of one search, which converts the cost of every step to quanta.
 #[derive(Debug, Clone, Copy)]
 pub struct Quanta<C> {
-    /// Cost of one quantum.
+    /// Cost of one quantum, in the unit of the field's costs.
     pub unit: f64,
-    /// Quanta per weight for each of the 27 cells; lane 3 of each row of 4 is unused.
+    /// Number of quanta per weight for each of the 27 cells, in rows of three; lane 3 of each row of 4 is unused.
     pub(crate) scale: [[f32; 4]; 9],
     pub(crate) cheapest: f32,
     pub(crate) dearest: f32,
-    /// Smallest weight above 0.
+    /// Smallest weight above 0 of the field.
     pub(crate) least: f32,
-    /// Number of open voxels.
+    /// Number of open voxels of the field.
     pub num_open: usize,
     cost: std::marker::PhantomData<C>,
 }
 
-/// Constant whose addition rounds an f32 below 2^22 to an integer, ties to even, and leaves that integer in the low
-/// bits.
+/// Number that, added to an f32 below 2^22, rounds it to an integer (ties to even), which is then in the low bits.
 const ROUNDING: f32 = 8_388_608.0;
 
-/// Return the nearest integer of an f32 from 0 to 2^22.
+/// Return the integer nearest to an f32 from 0 to 2^22.
 #[inline(always)]
 pub(crate) fn rounded(x: f32) -> i32 {
     (x + ROUNDING).to_bits() as i32 - ROUNDING.to_bits() as i32
 }
 
 impl<C: StepCost> Quanta<C> {
-    /// Choose the unit for a field: 1 if the costs are integers already, else so that the cheapest step is 128 quanta.
+    /// Choose the quantum for a field: 1 if all costs are integers, otherwise 1/128 of the cheapest step.
     ///
     /// # Errors
     ///
@@ -495,7 +497,7 @@ impl<C: StepCost> Quanta<C> {
         let (shortest, longest) = factors.fold((f64::INFINITY, 0.0f64), |(low, high), f| {
             (low.min(f), high.max(f))
         });
-        // If all weights are 0, any unit is correct.
+        // If all weights are 0, any quantum is correct.
         let least = if weights.least.is_finite() {
             weights.least
         } else {
@@ -524,7 +526,7 @@ impl<C: StepCost> Quanta<C> {
                 (C::factor(field.lengths_mm[cell]) / unit) as f32
             })
         });
-        // The same computation in f32, so that no step between open voxels is clipped.
+        // The limit is computed in f32 like the steps, so that no step between open voxels is clipped.
         let longest = scale.as_flattened().iter().copied().fold(0.0, f32::max);
         let most = most.max(f64::from(rounded(
             C::weight(weights.greatest, weights.greatest) * longest,
@@ -544,7 +546,7 @@ impl<C: StepCost> Quanta<C> {
         })
     }
 
-    /// Return the quanta of a step between two weights; `cell` is its direction.
+    /// Return the cost in quanta of a step in the direction of `cell`, from the weights of its two voxels.
     #[inline(always)]
     #[must_use]
     pub(crate) fn of_step(&self, from: f32, into: f32, cell: usize) -> u32 {
@@ -554,13 +556,13 @@ impl<C: StepCost> Quanta<C> {
     #[inline(always)]
     pub(crate) fn of_lane(&self, from: f32, into: f32, scale: f32) -> i32 {
         let x = C::weight(from, into) * scale;
-        // With this order of the comparison, a NaN weight becomes the most expensive one.
+        // The order of the comparison gives a NaN weight the largest cost.
         let x = if x < self.dearest { x } else { self.dearest };
         rounded(if x > self.cheapest { x } else { self.cheapest })
     }
 }
 
-/// Return the least cost in quanta from `root` to every node of the box.
+/// Return the least cost in quanta from `root` to every node of the field; `None` for a node that no path reaches.
 ///
 /// The function is the reference for the trackers: Dijkstra's algorithm with a heap.
 #[must_use]

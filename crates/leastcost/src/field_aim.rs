@@ -14,32 +14,32 @@ use crate::{TrackError, Watch};
 /// Number of nodes settled between two checks of the watch.
 const NODES_PER_LOOK: usize = 1 << 14;
 
-/// Number of low bits of a voxel's state that contain the cell of the step that led to the voxel, plus 1.
+/// Number of low bits of a voxel's state that store the cell of the step that led to the voxel, plus 1.
 const CELL_BITS: u32 = 5;
-/// Bit of a voxel's state that marks a settled voxel, above the bits of the cell.
+/// Bit of a voxel's state that is set if the voxel is settled; it follows the bits of the cell.
 const SETTLED: u64 = 1 << CELL_BITS;
-/// Position in a voxel's state of the least cost so far, above the other bits.
+/// Position of the first bit of a voxel's least cost so far, in the voxel's state.
 ///
 /// The state is 0 for a voxel that no path has reached, so zeroed memory needs no initialisation.
 const COST_SHIFT: u32 = CELL_BITS + 1;
 
-/// Least-cost path, and the effort of the search.
+/// Least-cost path to one target, and the number of nodes that the search examined.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AimedPath {
-    /// Nodes from the root to the target.
+    /// Nodes of the path, from the root to the target.
     pub nodes: Vec<u32>,
-    /// Cost in quanta of the field.
+    /// Cost of the path in quanta of the field.
     pub cost_quanta: u64,
-    /// Cost, accurate within 0.5 %; exact if the unit is 1.
+    /// Cost of the path, accurate within 0.5 %; exact if the quantum is 1.
     pub cost: f64,
     /// Number of nodes whose edges were examined.
     pub num_settled: usize,
 }
 
-/// Find the least-cost path from a voxel of the volume to a node; return `None` if there is none.
+/// Find the least-cost path from voxel `root_ijk` of the volume to a node; return `None` if there is no path.
 ///
-/// The search allocates eight bytes for each voxel of the region; the system provides only the memory pages that paths
-/// reach.
+/// The search allocates eight bytes for each voxel of the region; the operating system provides only the memory pages
+/// that paths reach.
 ///
 /// # Errors
 ///
@@ -67,13 +67,13 @@ pub fn least_path<C: StepCost>(
     let from_root = aim.bound(layout.ijk(root));
     let mut reached = vec![0u64; field.num_nodes()];
     reached[root as usize] = HERE as u64 + 1;
-    // A step may be the most expensive one and lead away from the target by the same amount. One quantum per bucket,
-    // because steps straight towards the target do not change the sum.
+    // The reach is two steps: a step may be the most expensive one and increase the bound by the same amount. A bucket
+    // holds one cost only, because steps straight towards the target do not change the sum of cost and bound.
     let mut queue = Buckets::new(2 * quanta.dearest as u64, 0);
     queue.push(0, root);
     let mut num_settled = 0;
     while queue.advance() {
-        // The newest entry comes first: of many paths with equal cost, one is followed to its end.
+        // The newest entry comes first, so of many paths with equal cost one is followed to its end.
         while let Some(node) = queue.pop() {
             let state = reached[node as usize];
             if state & SETTLED != 0 {
@@ -138,13 +138,13 @@ fn path_to(layout: &Layout, reached: &[u64], target: u32) -> Vec<u32> {
     }
 }
 
-/// Lower bound of the remaining cost of any path.
+/// Lower bound of the cost from any voxel to the target.
 struct Aim<'a> {
     field: &'a VoxelField<'a>,
     target: [usize; 3],
-    /// For costs by the entered voxel: quanta of the cheapest step.
+    /// For costs by the entered voxel: cost of the cheapest step, quanta.
     ///
-    /// For costs by both ends: smallest quanta per mm of any step.
+    /// For costs by both ends: smallest cost of any step per mm, quanta.
     quanta_per: f64,
     by_voxel: bool,
 }
@@ -158,7 +158,7 @@ impl<'a> Aim<'a> {
                 let quanta = quanta.of_step(quanta.least, quanta.least, cell);
                 f64::from(quanta) / field.length_mm(offset(cell).map(|step| step as f64))
             });
-            // Slightly smaller, so that the rounding of a length of 2^31 quanta never makes a bound too large.
+            // The bound is reduced slightly, so that the rounding of a length of 2^31 quanta never makes it too large.
             steps.fold(f64::INFINITY, f64::min) * (1.0 - 1e-6)
         };
         Self {
@@ -169,7 +169,7 @@ impl<'a> Aim<'a> {
         }
     }
 
-    /// Return the lower bound of the remaining cost.
+    /// Return a lower bound of the cost from a voxel to the target, in quanta.
     ///
     /// For costs by the entered voxel, the number of steps is the largest offset along an axis; for costs by both ends,
     /// the straight line counts. Rounded down, the bound stays consistent, because steps cost whole quanta.

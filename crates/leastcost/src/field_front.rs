@@ -1,4 +1,4 @@
-//! Settling of a block of the queue of [`crate::field_tracker`]: examines the neighbours of each entry.
+//! Step of [`crate::field_tracker`] that settles a block of the queue: the neighbours of each entry are examined.
 #![allow(
     clippy::inline_always,
     reason = "small functions of the inner loop: called for each of 26 neighbours of each voxel"
@@ -9,15 +9,16 @@ use crate::field::{HERE, StepCost};
 use crate::field_layout::prefetch;
 use crate::field_state::{FieldTracker, MOST_QUANTA, Touch};
 
-/// Number of queue entries between the prefetch for an entry and its settling.
+/// Number of queue entries by which the prefetch of an entry's memory precedes its settling.
 const AHEAD: usize = 6;
 
-/// Mark on the step to a node that was first reached from the front bucket.
+/// Flag of the stored step to a node that was first reached from the front bucket.
 const TOUCHED: u8 = 1 << 7;
 
 impl<C: StepCost> FieldTracker<C> {
-    /// Settle a block of nodes of one cost, for costs by the entered voxel: the first step to a node has the least
-    /// cost.
+    /// Settle a block of nodes of one cost, for costs by the entered voxel; return the number of settled nodes.
+    ///
+    /// The first step to a node has the least cost.
     pub(crate) fn touch(&mut self, values: &[f32], block: Block, cost: u64) -> usize {
         let Self {
             quanta,
@@ -29,8 +30,8 @@ impl<C: StepCost> FieldTracker<C> {
             closing,
             ..
         } = self;
-        // With free steps a node may be settled in the bucket from which it was first reached, and could then reach its
-        // own predecessor. Therefore it is closed at once, and keeps the first step found.
+        // With steps of cost 0 a node may be settled in the bucket from which it was first reached, and could then
+        // reach its own predecessor. Such a node is therefore closed at once and keeps the first step found.
         let free = quanta.cheapest == 0.0;
         touched.clear();
         for at in 0..block.len {
@@ -63,15 +64,15 @@ impl<C: StepCost> FieldTracker<C> {
             if free {
                 *step = touch.cell + 1;
             } else if *step & TOUCHED != 0 {
-                // The node was reached before from the front bucket at the same cost: the step with the first cell is
-                // kept, so that the order does not matter.
+                // The node was reached before from the front bucket at the same cost. The step with the lower cell
+                // number is stored, so that the result does not depend on the order.
                 *step = (*step).min((touch.cell + 1) | TOUCHED);
                 continue;
             } else {
                 *step = (touch.cell + 1) | TOUCHED;
                 closing.push(touch.node);
             }
-            // The factor is the same for every cell.
+            // For this cost the factor is the same for every cell.
             let into = values[touch.value_at as usize];
             let step = quanta.of_lane(0.0, into, quanta.scale[0][0]);
             queue.push(cost + step as u64, touch.node);
@@ -79,7 +80,7 @@ impl<C: StepCost> FieldTracker<C> {
         block.len
     }
 
-    /// Close the nodes that were reached from the front bucket, when that bucket is empty.
+    /// Close the nodes that were first reached from the front bucket; to be called when that bucket is empty.
     pub(crate) fn close_touched(&mut self) {
         for node in self.closing.drain(..) {
             self.step_here[node as usize] &= !TOUCHED;
@@ -102,7 +103,7 @@ impl<C: StepCost> FieldTracker<C> {
         let mut num_settled = 0;
         for at in 0..block.len {
             // A node is in the queue once for each bucket that its cost has passed, five times and more if steps differ
-            // much in length. All entries but the first, cheapest one are stale, and for a stale entry only one bit is
+            // much in length. All entries but the first, cheapest one are stale; for a stale entry only one bit is
             // read.
             let far = queue.entry(block, (at + 2 * AHEAD).min(block.len - 1));
             prefetch(open, layout.bit_left_of(layout.ijk(far)) / 8);
@@ -140,7 +141,7 @@ impl<C: StepCost> FieldTracker<C> {
                 let v = value_at
                     .wrapping_add_signed(layout.value_step[middle])
                     .wrapping_sub(1);
-                // Three values are read as four; at the ends of the arrays one by one.
+                // Three values are read as four; near the ends of the arrays they are read one by one.
                 let old = left
                     .get(n..n.wrapping_add(4))
                     .and_then(|x| x.first_chunk::<4>());
@@ -155,8 +156,8 @@ impl<C: StepCost> FieldTracker<C> {
                             here - quanta.of_lane(from, into[lane], quanta.scale[row][lane]);
                     }
                     for lane in 0..3 {
-                        // Test of the sign: both numbers are from 0 to 2^31 - 1. A candidate with equal cost may have
-                        // the first cell.
+                        // The test is by the sign, because both numbers are from 0 to 2^31 - 1. A candidate with equal
+                        // cost passes as well, because its cell number may be lower.
                         any |= !(candidates[lane] - old[lane]);
                     }
                     if any >= 0 {
@@ -174,8 +175,8 @@ impl<C: StepCost> FieldTracker<C> {
                     let (old, candidate) = (left[neighbour], candidates[lane]);
                     let cell = (3 * row + lane) as u8 + 1;
                     if candidate <= old {
-                        // Of steps with the same cost the first cell is kept, so that the order of the search does not
-                        // matter.
+                        // Of steps with the same cost the one with the lowest cell number is stored, so that the order
+                        // of the search does not matter.
                         if candidate == old && cell < step_here[neighbour] {
                             step_here[neighbour] = cell;
                         }

@@ -1,4 +1,4 @@
-//! Sixteen voxels in a row along i, with operations on their costs (in quanta) and weights.
+//! Vector operations on the costs (in quanta) and weights of sixteen voxels in a row along i.
 //!
 //! The sweeps of [`crate::field_sweep`] use them.
 #![allow(
@@ -9,56 +9,56 @@
 #[cfg(target_arch = "x86_64")]
 pub(crate) use x86::Avx512;
 
-/// Number of voxels in a register.
+/// Number of voxels that one vector register holds.
 pub(crate) const LANES: usize = 16;
-/// Length of a row of a tile: its lanes, one neighbour at both ends, and padding for reads of whole registers there.
+/// Length of a row of a tile's buffer: 16 lanes, one neighbour at each end, and padding for reads of whole registers.
 pub(crate) const ROW: usize = 24;
-/// Index of a row's first own lane.
+/// Index in a row of the buffer of the first voxel that belongs to the tile.
 pub(crate) const OWN: usize = 4;
 
-/// Cost of a voxel that no path has reached.
+/// Cost in quanta of a voxel that no path has reached.
 ///
-/// A step into or out of a wall costs more, and a sum of both still fits in 32 bits.
+/// A step into or out of a wall costs more, and the sum of such a step and `UNREACHED` still fits in 32 bits.
 pub(crate) const UNREACHED: u32 = i32::MAX as u32;
 
-/// Instruction set.
+/// Instruction set with the operations that the sweeps need on 16 lanes.
 ///
-/// A value of the implementing type proves that the machine has the set.
+/// A value of the implementing type proves that the machine has the instruction set.
 pub(crate) trait Lanes: Copy {
-    /// Costs in quanta, at most 2^31 each.
+    /// Register of costs in quanta, at most 2^31 each.
     type Costs: Copy;
-    /// Weights; the weight of a wall is infinite.
+    /// Register of weights; the weight of a wall is infinite.
     type Weights: Copy;
 
     fn costs(self, row: &[u32; ROW], at: usize) -> Self::Costs;
     fn weights(self, row: &[f32; ROW], at: usize) -> Self::Weights;
     fn store(self, costs: Self::Costs, row: &mut [u32; ROW], at: usize);
-    /// Load costs from the differences [`UNREACHED`] minus cost.
+    /// Load costs that are stored as the differences [`UNREACHED`] minus cost.
     fn costs_of_left(self, left: &[i32; LANES]) -> Self::Costs;
-    /// Store the differences [`UNREACHED`] minus cost.
+    /// Store costs as the differences [`UNREACHED`] minus cost.
     fn store_left(self, costs: Self::Costs, left: &mut [i32; LANES]);
-    /// Copy weights; replace NaN by infinity.
+    /// Copy weights to a row of the buffer from index `at` on; NaN becomes infinity.
     fn copy_weights(self, from: &[f32; LANES], row: &mut [f32; ROW], at: usize);
-    /// Store numbers below 256 as bytes.
+    /// Store numbers below 256 as one byte each.
     fn store_bytes(self, numbers: Self::Costs, bytes: &mut [u8; LANES]);
-    /// Return `a` where the bit is set, else `b`.
+    /// Return in each lane the cost of `a` if the lane's bit is set, otherwise that of `b`.
     fn select(self, bits: u16, a: Self::Costs, b: Self::Costs) -> Self::Costs;
     fn sum(self, a: Self::Weights, b: Self::Weights) -> Self::Weights;
-    /// Return weights times a scale in quanta, rounded to nearest, ties to even; 2^31 for infinite weights.
+    /// Return weights times `scale`, rounded to integer quanta (ties to even); 2^31 for infinite weights.
     fn quanta(self, weights: Self::Weights, scale: f32) -> Self::Costs;
     fn plus(self, a: Self::Costs, b: Self::Costs) -> Self::Costs;
     fn least(self, a: Self::Costs, b: Self::Costs) -> Self::Costs;
-    /// Return the same cost in all lanes.
+    /// Return a register with the same cost in all lanes.
     fn all(self, cost: u32) -> Self::Costs;
-    /// Return the lanes in which `a` is less than `b`, as bits.
+    /// Return one bit per lane, set if `a` is less than `b`.
     fn less(self, a: Self::Costs, b: Self::Costs) -> u16;
-    /// Return the lanes in which both are equal, as bits.
+    /// Return one bit per lane, set if `a` and `b` are equal.
     fn equal(self, a: Self::Costs, b: Self::Costs) -> u16;
-    /// Shift lanes up: each lane gets the value `N` lanes before it; the first lanes become unreached.
+    /// Move costs to higher lanes: each lane gets the cost `N` lanes before it; the first `N` lanes become unreached.
     ///
     /// `N` is 1, 2, 4 or 8.
     fn up<const N: usize>(self, a: Self::Costs) -> Self::Costs;
-    /// Shift lanes down: each lane gets the value `N` lanes behind it; the last lanes become unreached.
+    /// Move costs to lower lanes: each lane gets the cost `N` lanes after it; the last `N` lanes become unreached.
     ///
     /// `N` is 1, 2, 4 or 8.
     fn down<const N: usize>(self, a: Self::Costs) -> Self::Costs;
@@ -170,7 +170,7 @@ impl Lanes for Portable {
     }
 }
 
-/// Return a weight, or infinity for NaN.
+/// Return a weight unchanged, or infinity (a wall) for NaN.
 #[inline(always)]
 pub(crate) fn open_weight(weight: f32) -> f32 {
     if weight < f32::INFINITY {
@@ -180,7 +180,7 @@ pub(crate) fn open_weight(weight: f32) -> f32 {
     }
 }
 
-/// Return a weight times a scale in quanta; 2^31 if the weight is infinite.
+/// Return a weight times `scale`, rounded to integer quanta; 2^31 if the weight is infinite.
 #[inline(always)]
 pub(crate) fn quanta(weight: f32, scale: f32) -> u32 {
     let quanta = weight * scale;
@@ -203,12 +203,12 @@ mod x86 {
 
     use super::{LANES, Lanes, ROW, UNREACHED};
 
-    /// Instruction set AVX-512 F. A value proves that the machine has it.
+    /// Instruction set AVX-512 F; a value proves that the machine has it.
     #[derive(Debug, Clone, Copy)]
     pub(crate) struct Avx512(());
 
     impl Avx512 {
-        /// Create a value, which proves that the machine has the instructions.
+        /// Create the proof that the machine has the instruction set.
         ///
         /// # Safety
         ///
@@ -219,7 +219,7 @@ mod x86 {
         }
     }
 
-    /// Define operations of one or a few instructions each.
+    /// Macro that defines methods of [`Lanes`] which consist of one or a few instructions each.
     macro_rules! operations {
         ($(fn $name:ident$(<const $n:ident: usize>)?($($arg:ident: $type:ty),*) $(-> $out:ty)? { $body:expr })*) => {$(
             #[inline(always)]
@@ -248,8 +248,8 @@ mod x86 {
                 assert!(at + LANES <= ROW);
                 _mm512_storeu_si512(row.as_mut_ptr().add(at).cast(), costs);
             }}
-            // Values that do not fit in an i32, infinity and NaN become 2^31; the others are rounded to the nearest,
-            // ties to even.
+            // Values that do not fit in an i32, infinity and NaN become 2^31; the others are rounded to the nearest
+            // integer, ties to even.
             fn quanta(weights: __m512, scale: f32) -> __m512i {
                 _mm512_cvtps_epi32(_mm512_mul_ps(weights, _mm512_set1_ps(scale)))
             }
@@ -263,7 +263,7 @@ mod x86 {
                     _mm512_sub_epi32(_mm512_set1_epi32(UNREACHED as i32), costs),
                 )
             }
-            // If one of the two operands is NaN, the instruction returns the second one.
+            // If one of the two operands is NaN, the instruction returns its second operand, which is infinity.
             fn copy_weights(from: &[f32; LANES], row: &mut [f32; ROW], at: usize) {{
                 assert!(at + LANES <= ROW);
                 let weights = _mm512_min_ps(_mm512_loadu_ps(from.as_ptr()), _mm512_set1_ps(f32::INFINITY));

@@ -6,29 +6,30 @@
 
 use crate::field::{VoxelField, offset};
 
-/// Offsets of the neighbours in the arrays.
+/// Positions of voxels in the arrays of the tracker and of the volume, and offsets to the neighbours of a voxel.
 #[derive(Debug, Clone)]
 pub(crate) struct Layout {
     pub(crate) shape: [usize; 3],
     by_row: Divisor,
     by_slice: Divisor,
-    /// Index of the box's first voxel in the volume's arrays; the next fields are the strides of rows and slices.
+    /// Index in the volume's arrays of the first voxel of the search box.
     first: usize,
+    /// Distance between successive rows of the volume's arrays.
     volume_row: usize,
+    /// Distance between successive slices of the volume's arrays.
     volume_slice: usize,
     pub(crate) num_values: usize,
-    /// Offset of the node number for each cell.
+    /// Difference between the node number of each of the 27 cells and that of the voxel.
     pub(crate) node_step: [isize; 27],
-    /// Offset in the values for each cell.
+    /// Difference between the index of each of the 27 cells and that of the voxel, in the volume's arrays.
     pub(crate) value_step: [isize; 27],
-    /// Number of bits of a row of the box including its rim.
-    ///
-    /// The next field is the number of rows of a slice including its rim.
+    /// Number of bits of a row of the search box including its rim.
     bits_of_row: usize,
+    /// Number of rows of a slice of the search box including its rim.
     rows_of_slice: usize,
 }
 
-/// Division of 32-bit numbers by a fixed number, as a multiplication (Lemire, Kaser, Kurz 2019).
+/// Divisor of 32-bit numbers, applied as a multiplication by its reciprocal (Lemire, Kaser, Kurz 2019).
 #[derive(Debug, Clone, Copy)]
 struct Divisor(u64);
 
@@ -85,21 +86,21 @@ impl Layout {
         self.first + i + j * self.volume_row + k * self.volume_slice
     }
 
-    /// Return the index of the bit of a voxel's left neighbour.
+    /// Return the index of the bit of a voxel's left neighbour in the bit array.
     #[inline(always)]
     pub(crate) const fn bit_left_of(&self, [i, j, k]: [usize; 3]) -> usize {
         ((k + 1) * self.rows_of_slice + j + 1) * self.bits_of_row + i
     }
 
     pub(crate) const fn num_bit_bytes(&self) -> usize {
-        // Padding, because the last row is read 16 bits at a time.
+        // Two bytes of padding, because the last row is read 16 bits at a time.
         self.bits_of_row / 8 * self.rows_of_slice * (self.shape[2] + 2) + 2
     }
 }
 impl Layout {
-    /// Return which of the 27 cells round a voxel are open, one bit per cell.
+    /// Return one bit for each of the 27 cells round a voxel, set if the cell is open.
     ///
-    /// `byte` contains the bit of the first neighbour.
+    /// `byte` and `shift` are the position of the first cell's bit ([`Layout::first_bit_around`]).
     #[inline(always)]
     pub(crate) fn around(&self, open: &[u8], byte: usize, shift: usize) -> u32 {
         let (row_bytes, slice_bytes) = self.row_and_slice_bytes();
@@ -118,7 +119,7 @@ impl Layout {
         (row_bytes, row_bytes * self.rows_of_slice)
     }
 
-    /// Return byte and bit of the first of the 27 cells round a voxel.
+    /// Return the byte and the bit of the first of the 27 cells round a voxel.
     #[inline(always)]
     pub(crate) const fn first_bit_around(&self, ijk: [usize; 3]) -> (usize, usize) {
         let (row_bytes, slice_bytes) = self.row_and_slice_bytes();
@@ -126,14 +127,14 @@ impl Layout {
         (bit / 8 - slice_bytes - row_bytes, bit % 8)
     }
 
-    /// Return the voxel's own bit.
+    /// Return whether the bit of a voxel is set, so that a path may still change the voxel.
     #[inline(always)]
     pub(crate) const fn is_open(&self, open: &[u8], ijk: [usize; 3]) -> bool {
         let bit = self.bit_left_of(ijk) + 1;
         open[bit / 8] >> (bit % 8) & 1 != 0
     }
 
-    /// Close a cell, given the first bit round its centre.
+    /// Clear the bit of a cell, given the position of the first of the 27 bits round the voxel.
     #[inline(always)]
     pub(crate) const fn close(&self, open: &mut [u8], byte: usize, shift: usize, cell: usize) {
         let (row_bytes, slice_bytes) = self.row_and_slice_bytes();
@@ -142,7 +143,7 @@ impl Layout {
             !(1 << (bit % 8));
     }
 
-    /// Prefetch the bits round a voxel.
+    /// Prefetch the bits of the 27 cells round a voxel.
     ///
     /// Rows of bits are short, so three rows of a slice are in one or two cache lines.
     #[inline(always)]
@@ -154,18 +155,18 @@ impl Layout {
         }
     }
 }
-/// Return the bit of each open voxel; `all` if every voxel is open.
+/// Return the bit array of the open voxels; `all` means that every voxel of the box is open.
 pub(crate) fn open_bits(field: &VoxelField<'_>, layout: &Layout, all: bool) -> Vec<u8> {
     let mut bits = vec![0u8; layout.num_bit_bytes()];
     let [nx, ny, _] = layout.shape;
     for (number, (row, mask)) in field.rows().enumerate() {
         let first = layout.bit_left_of([0, number % ny, number / ny]) / 8;
         let bytes = &mut bits[first..first + layout.bits_of_row / 8];
-        // Bit 0 is the rim; the row begins at bit 1.
+        // Bit 0 is the rim; the voxels of the row begin at bit 1.
         if all || (mask.is_none() && is_all_open(row)) {
             bytes[..=nx / 8].fill(u8::MAX);
             bytes[0] &= !1;
-            // Bits 0 to nx of the row are set here, and the bits behind them in the last byte.
+            // Only bits 0 to nx of the row belong to it; the remaining bits of the last byte are cleared.
             bytes[nx / 8] &= ((2u16 << (nx % 8)) - 1) as u8;
             continue;
         }
@@ -198,11 +199,12 @@ fn is_all_open(row: &[f32]) -> bool {
     open.iter().all(|lane| *lane != 0) && rest.iter().all(|weight| *weight < f32::INFINITY)
 }
 
-/// Allocate zeroed memory whose pages the system provides at the first write, as large pages if it supports them.
+/// Allocate zeroed memory whose pages the operating system provides at the first write, as large pages if possible.
 pub(crate) fn fresh<T: Copy + Default>(len: usize) -> Vec<T> {
     let zeros = vec![T::default(); len];
     #[cfg(target_os = "linux")]
     if size_of_val(zeros.as_slice()) >= 1 << 22 {
+        /// Size of a memory page in bytes.
         const PAGE: usize = 1 << 12;
         let first = zeros.as_ptr() as usize;
         let inside = first.next_multiple_of(PAGE);
@@ -215,10 +217,10 @@ pub(crate) fn fresh<T: Copy + Default>(len: usize) -> Vec<T> {
     zeros
 }
 
-/// Prefetch an element.
+/// Prefetch an element of a slice into the cache; the index may be outside the slice.
 ///
-/// The wave front is spread over the volume, and without prefetches most of the time is spent waiting for memory
-/// (`cargo bench --bench field`).
+/// The front of the search is spread over the volume, and without prefetches most of the time is spent waiting for
+/// memory (`cargo bench --bench field`).
 #[inline(always)]
 pub(crate) fn prefetch<T>(slice: &[T], at: usize) {
     #[cfg(target_arch = "x86_64")]

@@ -1,4 +1,4 @@
-//! State of a tracker in a whole volume: [`FieldTracker`], which grows by a queue and by tiles.
+//! State of the tracker of a whole volume, [`FieldTracker`], which settles voxels by a queue or by tiles.
 
 use carina_grid::InstructionSet;
 
@@ -7,10 +7,10 @@ use crate::field::{Quanta, StepCost};
 use crate::field_layout::Layout;
 use crate::field_sweep::Sweep;
 
-/// Largest cost in quanta that a voxel's entry can represent: 31 bits.
+/// Largest cost in quanta that the entry of a voxel in `left` can represent: 31 bits.
 pub(crate) const MOST_QUANTA: i32 = i32::MAX;
 
-/// Voxel that was first reached from its neighbour.
+/// Step by which a voxel was first reached: the voxel's node, the index of its weight, and the cell of the step.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Touch {
     pub(crate) node: u32,
@@ -31,19 +31,20 @@ pub struct FieldTracker<C: StepCost> {
     /// The value is 1 if a path may still change the voxel: the first path for costs by the entered voxel, a cheaper
     /// one for costs by both ends.
     pub(crate) open: Vec<u8>,
-    /// For costs by both ends: `MOST_QUANTA` minus the least cost so far.
+    /// For costs by both ends: `MOST_QUANTA` minus the least cost so far of each voxel.
     ///
     /// The value is 0 for a voxel that no path has reached, so zeroed memory needs no initialisation.
     pub(crate) left: Vec<i32>,
     pub(crate) queue: Buckets,
-    /// Buffer of `touch`.
+    /// Buffer that [`FieldTracker::touch`] uses.
     pub(crate) touched: Vec<Touch>,
     /// Nodes first reached from the front bucket; they are closed when that bucket is empty.
     pub(crate) closing: Vec<u32>,
     pub(crate) num_settled: usize,
-    /// Whether no node is open any more.
+    /// Whether every node that a path can reach is settled.
     pub(crate) done: bool,
-    /// State of the sweeps, after a request for all voxels: open voxels are then in its tiles, not in the queue.
+    /// State of the sweeps after a call of `solve_all`; open voxels are then in the tiles of the sweep, not in the
+    /// queue.
     pub(crate) sweep: Option<Sweep>,
     pub(crate) simd: InstructionSet,
 }

@@ -1,17 +1,17 @@
-//! Least costs of all voxels at once.
+//! Computation of the least costs of all voxels at once, by sweeps over tiles of the volume.
 //!
-//! The volume is divided into tiles that fit the nearest cache, and each is swept until no cost decreases.
+//! The volume is divided into tiles that fit the nearest cache, and each tile is swept until no cost in it decreases.
 //!
-//! A queue of voxels accesses the 26 neighbours of voxels all over the front, which is larger than a cache, once for
-//! each voxel, and so waits for memory. Here the queue contains tiles, the one with the lowest changed cost first. A
-//! tile is copied into a small buffer with the voxels round it ([`crate::field_tile`]); its rows are relaxed sixteen
-//! voxels at a time, up and down, until no cost decreases; changed costs are written back and marked in the
-//! neighbouring tiles. A tile is swept about twice, which costs less than one memory access for each of its voxels.
+//! A queue of voxels accesses the 26 neighbours of voxels all over the front of the search, which is larger than a
+//! cache, once for each voxel, and so waits for memory. Here the queue contains tiles, the one with the lowest changed
+//! cost first. A tile is copied into a small buffer with the voxels round it ([`crate::field_tile`]); its rows are
+//! relaxed sixteen voxels at a time, up and down, until no cost decreases; changed costs are written back and marked in
+//! the neighbouring tiles. A tile is swept about twice, which costs less than one memory access for each of its voxels.
 //!
-//! For any order, the final costs are those of Dijkstra's algorithm: no step lowers any of them, and only the least
-//! costs have this property (Bellman 1958). No step is free here, so each voxel's predecessor costs less than the
-//! voxel. Sweeps in alternating directions: Zhao, Math. Comp. 74 (2005) 603; a queue of tiles: Jeong and Whitaker, SIAM
-//! Journal on Scientific Computing 30 (2008) 2512, and Chacon and Vladimirsky, the same 34 (2012) A1433.
+//! For any order of the tiles, the final costs are those of Dijkstra's algorithm: no step lowers any of them, and only
+//! the least costs have this property (Bellman 1958). No step is free here, so each voxel's predecessor costs less than
+//! the voxel. Sweeps in alternating directions: Zhao, Math. Comp. 74 (2005) 603; a queue of tiles: Jeong and Whitaker,
+//! SIAM Journal on Scientific Computing 30 (2008) 2512, and Chacon and Vladimirsky, the same 34 (2012) A1433.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -23,20 +23,20 @@ use crate::field::{Quanta, StepCost, VoxelField};
 use crate::field_lanes::{LANES, OWN, UNREACHED};
 use crate::field_tile::{ACROSS, Buffer, Settle, Steps, SweepBuffer, TILE, prefetch_tile, run};
 
-/// State of a tile.
+/// Changes of one tile since its last sweep.
 #[derive(Debug, Clone, Copy)]
 struct Tile {
-    /// Rows of the tile in which a cost has decreased since its last sweep; bit 8 k + j.
+    /// One bit (8 k + j) for each row of the tile, set if a cost in the row has decreased since the last sweep.
     rows: u64,
-    /// Least of these decreased costs.
+    /// Lowest of the costs that have decreased since the last sweep, quanta.
     least: u32,
-    /// Number of voxels of the tile that were reached at its last sweep.
+    /// Number of voxels of the tile that had been reached after its last sweep.
     num_reached: u16,
-    /// Whether the tile was swept after steps were last written.
+    /// Whether the tile was swept after its steps were last written.
     stale: bool,
 }
 
-/// Tiles that are still to be swept.
+/// State of the sweeps over a volume: its tiles, and the queue of tiles that are still to be swept.
 #[derive(Debug)]
 pub(crate) struct Sweep {
     tiles_ijk: [usize; 3],
@@ -45,9 +45,9 @@ pub(crate) struct Sweep {
     simd: InstructionSet,
     scale: [f32; 27],
     pub(crate) num_reached: usize,
-    /// Largest cost whose neighbours' costs can still be represented.
+    /// Largest cost in quanta to which the cost of a further step can be added without overflow.
     most: u32,
-    /// Whether a cost above `most` was written.
+    /// Whether a cost above `most` was written to a voxel.
     beyond: bool,
 }
 
@@ -79,9 +79,9 @@ impl Sweep {
         }
     }
 
-    /// Mark in its tile that the cost of a voxel has decreased.
+    /// Record in the tile of a voxel that the voxel's cost has decreased.
     #[inline]
-    pub(crate) fn tell(&mut self, [i, j, k]: [usize; 3], cost: u32) {
+    pub(crate) fn mark_decreased(&mut self, [i, j, k]: [usize; 3], cost: u32) {
         let number =
             (k / TILE[2] * self.tiles_ijk[1] + j / TILE[1]) * self.tiles_ijk[0] + i / TILE[0];
         let tile = &mut self.tiles[number];
@@ -92,9 +92,9 @@ impl Sweep {
         }
     }
 
-    /// Return the least decreased cost that no sweep has processed; all costs up to it are final.
+    /// Return the lowest decreased cost that no sweep has processed; `None` if there is none.
     ///
-    /// `None` if there is none.
+    /// All costs up to this cost are final.
     pub(crate) fn front_cost(&mut self) -> Option<u32> {
         while let Some(Reverse((least, number))) = self.queue.peek().copied() {
             if self.tiles[number as usize].least == least {
@@ -105,7 +105,7 @@ impl Sweep {
         None
     }
 
-    /// Sweep the tile with the lowest decreased cost; `left` contains `UNREACHED` minus each voxel's cost.
+    /// Sweep the tile with the lowest decreased cost; `left` contains [`UNREACHED`] minus the cost of each voxel.
     pub(crate) fn settle_next<C: StepCost>(
         &mut self,
         field: &VoxelField<'_>,
@@ -119,7 +119,7 @@ impl Sweep {
         let rows = std::mem::take(&mut self.tiles[number].rows);
         self.tiles[number].least = u32::MAX;
         self.tiles[number].stale = true;
-        // Prefetch the tile that is next in the queue. If another tile becomes the next one, little is lost.
+        // The tile that is next in the queue is prefetched. If another tile becomes the next one, little time is lost.
         if let Some(Reverse((_, next))) = self.queue.peek() {
             prefetch_tile(field, left, self.first_of(*next as usize));
         }
@@ -141,7 +141,7 @@ impl Sweep {
         self.beyond |= beyond;
         let before = std::mem::replace(&mut self.tiles[number].num_reached, num_reached as u16);
         self.num_reached += num_reached as usize - before as usize;
-        self.tell_round(buffer, field.shape_ijk(), left, first);
+        self.mark_decreased_around(buffer, field.shape_ijk(), left, first);
     }
 
     fn first_of(&self, number: usize) -> [usize; 3] {
@@ -153,45 +153,45 @@ impl Sweep {
         ]
     }
 
-    /// Write the decreased costs round a tile, and mark them in their tiles.
-    fn tell_round(
+    /// Write the decreased costs of the voxels round a tile, and record them in the tiles of these voxels.
+    fn mark_decreased_around(
         &mut self,
         buffer: &Buffer,
         [nx, ny, _]: [usize; 3],
         left: &mut [i32],
         first: [usize; 3],
     ) {
-        for (row, news) in buffer.news.iter().enumerate() {
-            let mut news = *news;
-            if news == 0 {
+        for (row, decreased) in buffer.decreased.iter().enumerate() {
+            let mut decreased = *decreased;
+            if decreased == 0 {
                 continue;
             }
             let (j, k) = (first[1] + row % ACROSS - 1, first[2] + row / ACROSS - 1);
-            while news != 0 {
-                let bit = news.trailing_zeros() as usize;
-                news &= news - 1;
+            while decreased != 0 {
+                let bit = decreased.trailing_zeros() as usize;
+                decreased &= decreased - 1;
                 let i = first[0] + bit - 1;
                 let cost = buffer.costs[row][OWN - 1 + bit];
                 left[(k * ny + j) * nx + i] = (UNREACHED - cost) as i32;
-                self.tell([i, j, k], cost);
+                self.mark_decreased([i, j, k], cost);
             }
         }
     }
 
-    /// Return the largest cost whose neighbours' costs can be represented.
+    /// Return the largest cost in quanta to which the cost of a further step can be added without overflow.
     pub(crate) const fn most(&self) -> u32 {
         self.most
     }
 
-    /// Return the cost up to which all costs are final.
+    /// Return the cost in quanta up to which all costs are final.
     pub(crate) fn known_to(&self) -> u32 {
-        // The first entry is the least one or stale; a stale entry is lower than the least one.
+        // The first entry of the queue is the lowest one or stale; a stale entry is lower than the lowest one.
         self.queue
             .peek()
             .map_or(self.most, |Reverse((least, _))| *least)
     }
 
-    /// Count the voxels that were reached before the first sweep.
+    /// Count the voxels of each tile that were reached before the first sweep.
     pub(crate) fn count(&mut self, left: &[i32], [nx, ny, _]: [usize; 3]) {
         for (number, row) in left.chunks(nx).enumerate() {
             let (j, k) = (number % ny, number / ny);
@@ -204,7 +204,7 @@ impl Sweep {
         }
     }
 
-    /// Return true if a path may cost more than can be represented: the final cost of a voxel is above `most`.
+    /// Return true if a path may cost more than can be represented, because the final cost of a voxel is above `most`.
     pub(crate) fn is_beyond(&self, left: &[i32]) -> bool {
         self.beyond
             && left
@@ -212,9 +212,9 @@ impl Sweep {
                 .any(|left| *left > 0 && UNREACHED - *left as u32 > self.most)
     }
 
-    /// Write the step that led to each voxel, for the tiles swept since the last call.
+    /// Write to `step_here` the step that led to each voxel, for the tiles that were swept since the last call.
     ///
-    /// The step is the first cell for which the neighbour's cost and the step add up to the voxel's cost.
+    /// The step is the first cell for which the neighbour's cost and the cost of the step add up to the voxel's cost.
     pub(crate) fn write_steps<C: StepCost>(
         &mut self,
         field: &VoxelField<'_>,
@@ -252,18 +252,19 @@ impl Sweep {
                 for j in 0..TILE[1].min(ny - first[1]) {
                     let at = ((first[2] + k) * ny + first[1] + j) * nx + first[0];
                     let steps = &mut step_here[at..at + len];
-                    // A cell is 0 for the root, for walls and for voxels that are not final; their previous steps stay.
+                    // The cell is 0 for the root, for walls and for voxels whose cost is not final; their previous
+                    // steps stay.
                     for (step, cell) in steps.iter_mut().zip(&cells[8 * k + j]) {
                         *step = if *cell == 0 { *step } else { *cell };
                     }
                 }
             }
-            // A tile that is not final yet is processed again by the next call.
+            // A tile with costs that are not final is processed again by the next call.
             self.tiles[number].stale = known_to < self.most;
         }
     }
 
-    /// Return the allocated memory in bytes.
+    /// Return the memory that the sweep has allocated, in bytes.
     pub(crate) fn num_bytes(&self) -> usize {
         size_of::<Tile>() * self.tiles.capacity() + 8 * self.queue.capacity()
     }

@@ -69,7 +69,7 @@ fn whole_weight() -> BoxedStrategy<f32> {
 }
 
 fn scene(weight: BoxedStrategy<f32>) -> impl Strategy<Value = Scene> {
-    // Includes long and thin boxes: in some, every row has only border voxels.
+    // Long and thin boxes are included; in some, every row has only border voxels.
     (1usize..12, 1usize..9, 1usize..7).prop_flat_map(move |(nx, ny, nz)| {
         let n = nx * ny * nz;
         let range = |n: usize| {
@@ -162,7 +162,7 @@ fn wide_scene() -> impl Strategy<Value = Scene> {
                 region: masked.then(|| {
                     let shape = [nx, ny, nz];
                     let root = [at % nx, at / nx % ny, at / (nx * ny)];
-                    // The box lacks one voxel on each axis, but contains the root.
+                    // The search box lacks one voxel on each axis, but contains the root.
                     std::array::from_fn(|a| usize::from(root[a] > 0)..shape[a])
                 }),
                 root: [at % nx, at / nx % ny, at / (nx * ny)],
@@ -170,7 +170,7 @@ fn wide_scene() -> impl Strategy<Value = Scene> {
         })
 }
 
-/// Check that every node's cost by the heap equals that of the tracker and of its path.
+/// Check that each node's cost by Dijkstra's algorithm with a heap equals its cost in the tracker and along its path.
 fn equals_the_heap<C: StepCost>(
     field: &VoxelField<'_>,
     root: [usize; 3],
@@ -202,7 +202,7 @@ fn equals_the_heap<C: StepCost>(
     Ok(())
 }
 
-/// Check that costs and predecessors do not depend on the instruction set.
+/// Check that costs and predecessors are equal for all instruction sets.
 fn same_for_every_set<C: StepCost>(
     field: &VoxelField<'_>,
     root: [usize; 3],
@@ -256,7 +256,7 @@ fn resumes<C: StepCost>(
     Ok(())
 }
 
-/// Check that an A* path costs as much as the heap's and consists of steps with that cost.
+/// Check that an A* path has the least cost (from the heap) and consists of steps that add up to this cost.
 ///
 /// There must be no path if the heap finds none.
 fn aimed_equals_the_heap<C: StepCost>(
@@ -298,7 +298,7 @@ fn aimed_equals_the_heap<C: StepCost>(
     Ok(())
 }
 
-/// Return the cost of a path without rounding.
+/// Return the cost of a path computed without rounding to quanta.
 fn exact<C: StepCost>(field: &VoxelField<'_>, spacing: [f64; 3], path: &[u32]) -> f64 {
     path.windows(2)
         .map(|step| {
@@ -315,17 +315,17 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(400))]
 
     #[test]
-    fn a_cost_by_both_ends_is_the_heaps(scene in scene(weight())) {
+    fn costs_by_both_ends_equal_those_of_the_heap(scene in scene(weight())) {
         scene.with(|field| equals_the_heap::<MeanCost>(field, scene.root))?;
     }
 
     #[test]
-    fn a_cost_by_the_voxel_entered_is_the_heaps(scene in scene(weight())) {
+    fn costs_by_the_entered_voxel_equal_those_of_the_heap(scene in scene(weight())) {
         scene.with(|field| equals_the_heap::<EnterCost>(field, scene.root))?;
     }
 
     #[test]
-    fn whole_costs_with_free_voxels_are_the_heaps_and_exact(scene in scene(whole_weight())) {
+    fn integer_costs_with_free_voxels_equal_those_of_the_heap_exactly(scene in scene(whole_weight())) {
         scene.with(|field| {
             equals_the_heap::<EnterCost>(field, scene.root)?;
             prop_assert_eq!(Quanta::<EnterCost>::choose(field).unwrap().unit, 1.0);
@@ -334,7 +334,7 @@ proptest! {
     }
 
     #[test]
-    fn resumed_targets_equal_a_fresh_solve(
+    fn resumed_searches_equal_fresh_searches(
         scene in scene(weight()),
         targets in prop::collection::vec(any::<prop::sample::Index>(), 1..8),
     ) {
@@ -345,7 +345,7 @@ proptest! {
     }
 
     #[test]
-    fn an_aimed_path_costs_what_the_heaps_does(
+    fn an_a_star_path_costs_as_much_as_that_of_the_heap(
         scene in prop_oneof![scene(weight()), scene((1.0f32..1.3).boxed())],
         targets in prop::collection::vec(any::<prop::sample::Index>(), 1..6),
     ) {
@@ -356,7 +356,7 @@ proptest! {
     }
 
     #[test]
-    fn an_aimed_path_of_whole_costs_with_free_voxels_is_exact(
+    fn an_a_star_path_with_integer_costs_and_free_voxels_is_exact(
         scene in prop_oneof![scene(whole_weight()), scene((1u8..4).prop_map(f32::from).boxed())],
         targets in prop::collection::vec(any::<prop::sample::Index>(), 1..6),
     ) {
@@ -364,7 +364,7 @@ proptest! {
     }
 
     #[test]
-    fn a_cost_is_right_within_half_a_percent(scene in scene(weight())) {
+    fn costs_are_accurate_within_half_a_percent(scene in scene(weight())) {
         scene.with(|field| {
             let mut mean = FieldTracker::<MeanCost>::new(field, scene.root).unwrap();
             let mut enter = FieldTracker::<EnterCost>::new(field, scene.root).unwrap();
@@ -386,11 +386,11 @@ proptest! {
 }
 
 proptest! {
-    // Fewer cases, because the scenes are large and are examined node by node.
+    // The number of cases is small, because the scenes are large and are examined node by node.
     #![proptest_config(ProptestConfig::with_cases(24))]
 
     #[test]
-    fn several_tiles_give_the_costs_of_the_heap(scene in wide_scene(), first in any::<prop::sample::Index>()) {
+    fn costs_over_several_tiles_equal_those_of_the_heap(scene in wide_scene(), first in any::<prop::sample::Index>()) {
         scene.with(|field| {
             equals_the_heap::<MeanCost>(field, scene.root)?;
             equals_the_heap::<EnterCost>(field, scene.root)?;
@@ -400,7 +400,7 @@ proptest! {
     }
 
     #[test]
-    fn every_instruction_set_gives_the_same_tree(scene in wide_scene()) {
+    fn the_tree_is_equal_for_every_instruction_set(scene in wide_scene()) {
         scene.with(|field| {
             same_for_every_set::<MeanCost>(field, scene.root)?;
             same_for_every_set::<EnterCost>(field, scene.root)
@@ -409,7 +409,7 @@ proptest! {
 }
 
 #[test]
-fn rows_that_are_all_open_are_whatever_their_length() {
+fn rows_of_any_length_without_walls_are_recognised() {
     for nx in 1..40 {
         let values = vec![1.0f32; nx * 2];
         let grid = grid([nx, 2, 1], [1.0; 3]);
@@ -430,7 +430,7 @@ fn cube(n: usize, value: f32) -> Scene {
     }
 }
 
-/// Observer that stops the search at every check except the last few.
+/// Observer that stops the search at every check but the last few.
 struct StopTimes(std::sync::atomic::AtomicUsize);
 
 impl Watch for StopTimes {
@@ -465,13 +465,13 @@ fn goes_on_where_it_stopped<C: StepCost>() {
 }
 
 #[test]
-fn a_stopped_tracker_goes_on_where_it_stopped() {
+fn a_stopped_tracker_resumes_with_equal_results() {
     goes_on_where_it_stopped::<MeanCost>();
     goes_on_where_it_stopped::<EnterCost>();
 }
 
 #[test]
-fn a_target_near_the_root_settles_little() {
+fn a_target_near_the_root_settles_few_voxels() {
     let scene = cube(64, 1.0);
     scene.with(|field| {
         let near = field.node_at_voxel([3, 2, 1]).unwrap();
@@ -482,7 +482,7 @@ fn a_target_near_the_root_settles_little() {
 }
 
 #[test]
-fn an_aimed_path_settles_little_but_itself() {
+fn an_a_star_search_in_a_uniform_field_settles_few_voxels() {
     let scene = cube(64, 1.0);
     scene.with(|field| {
         let far = field.node_at_voxel([63, 40, 21]).unwrap();
@@ -495,7 +495,7 @@ fn an_aimed_path_settles_little_but_itself() {
 }
 
 #[test]
-fn an_aimed_search_stops_on_request_and_refuses_in_words() {
+fn an_a_star_search_can_be_stopped_and_rejects_invalid_arguments() {
     let mut scene = cube(64, 1.0);
     scene.with(|field| {
         let error = least_path::<EnterCost>(field, scene.root, u32::MAX, &Unwatched).unwrap_err();
@@ -503,7 +503,7 @@ fn an_aimed_search_stops_on_request_and_refuses_in_words() {
         let error = least_path::<EnterCost>(field, [64, 0, 0], 0, &Unwatched).unwrap_err();
         assert_eq!(error.code(), "usage.track");
     });
-    // A target behind a wall: all voxels before the wall are settled.
+    // The target is behind a wall, so all voxels before the wall are settled.
     scene.values[64 * 64 * 62..64 * 64 * 63].fill(f32::INFINITY);
     scene.with(|field| {
         let last = field.num_nodes() as u32 - 1;
@@ -516,7 +516,7 @@ fn an_aimed_search_stops_on_request_and_refuses_in_words() {
 }
 
 #[test]
-fn memory_is_what_the_head_of_the_file_says() {
+fn memory_per_voxel_is_within_the_documented_limits() {
     let scene = cube(96, 1.5);
     let voxels = scene.values.len() as f64;
     scene.with(|field| {
@@ -525,7 +525,7 @@ fn memory_is_what_the_head_of_the_file_says() {
         mean.solve_all(field, &Unwatched).unwrap();
         enter.solve_all(field, &Unwatched).unwrap();
         assert!(mean.num_bytes().0 as f64 <= 5.2 * voxels);
-        // One bit per voxel, and a rim of one voxel rounded up to bytes.
+        // The memory is one bit per voxel and a rim of one voxel, rounded up to bytes.
         assert!(enter.num_bytes().0 as f64 <= 1.2 * voxels);
         assert!((mean.num_bytes().1 as f64) < voxels);
         assert!((enter.num_bytes().1 as f64) < voxels);
@@ -533,7 +533,7 @@ fn memory_is_what_the_head_of_the_file_says() {
 }
 
 #[test]
-fn what_cannot_be_tracked_is_refused_in_words() {
+fn invalid_fields_and_roots_are_rejected_with_a_message() {
     let code = |scene: &Scene| {
         scene.with(|field| {
             let error = FieldTracker::<MeanCost>::new(field, scene.root).unwrap_err();
@@ -568,8 +568,9 @@ fn what_cannot_be_tracked_is_refused_in_words() {
 }
 
 #[test]
-fn a_path_that_costs_more_than_can_be_counted_is_refused() {
-    // A corridor of the most expensive voxels, after one that makes the unit small: 128 quanta times 15,000 per voxel.
+fn a_path_cost_beyond_the_representable_range_returns_an_error() {
+    // A corridor of the most expensive voxels follows a voxel that makes the quantum small: 128 quanta times 15,000 per
+    // voxel.
     let n = 2_000;
     let mut values = vec![15_000.0f32; n];
     values[0] = 1.0;
@@ -580,7 +581,7 @@ fn a_path_that_costs_more_than_can_be_counted_is_refused() {
     assert_eq!(error.code(), "track.cost-overflow");
     // Costs that were settled before the error stay correct.
     assert!(tracker.cost(&field, 100).unwrap() > 1.4e6);
-    // For costs by the entered voxel no costs are stored per voxel, so none can overflow.
+    // Costs by the entered voxel are not stored per voxel, so none can overflow.
     let mut enter = FieldTracker::<EnterCost>::new(&field, [0, 0, 0]).unwrap();
     enter.solve_all(&field, &Unwatched).unwrap();
     assert_eq!(

@@ -1,4 +1,4 @@
-//! One tile of the sweeps of [`crate::field_sweep`]: copied with the voxels round it, relaxed by rows, written back.
+//! Sweep of one tile ([`crate::field_sweep`]): copy it with the voxels round it, relax its rows, write it back.
 #![allow(
     clippy::inline_always,
     reason = "small functions of the inner loop, compiled once for each instruction set"
@@ -14,33 +14,35 @@ use crate::field_lanes::Avx512;
 use crate::field_lanes::{LANES, Lanes, OWN, Portable, ROW, UNREACHED, open_weight, quanta};
 use crate::field_layout::prefetch;
 
-/// Number of voxels of a tile on each axis.
+/// Number of voxels of a tile along i, j, k.
 pub(crate) const TILE: [usize; 3] = [LANES, 8, 8];
-/// Number of rows of a tile's buffer on j and k: the tile's own rows and one row on each side.
+/// Number of rows of a tile's buffer along j and along k: the 8 rows of the tile and one row on each side.
 pub(crate) const ACROSS: usize = 10;
 
-/// Tile with the voxels round it.
+/// Copy of a tile and of the voxels round it.
 #[repr(align(64))]
 pub(crate) struct Buffer {
     pub(crate) weights: [[f32; ROW]; ACROSS * ACROSS],
     pub(crate) costs: [[u32; ROW]; ACROSS * ACROSS],
-    /// Lanes of each row whose cost is lower than the stored one: bit 0 is the left neighbour, bit 17 the right one.
-    pub(crate) news: [u32; ACROSS * ACROSS],
+    /// For each row, bits of the voxels whose cost is lower than the stored one: bit 0 is the left neighbour of the
+    /// tile, bit 17 the right one.
+    pub(crate) decreased: [u32; ACROSS * ACROSS],
 }
 
-/// Return the index in the buffer of row `j`, `k` of the tile, -1 to 8 each.
+/// Return the index in the buffer of row `j`, `k` of the tile (-1 to 8; -1 wraps).
 const fn row_of(j: usize, k: usize) -> usize {
     (k + 1) * ACROSS + j + 1
 }
 
-/// Return the rows and their neighbouring rows.
+/// Return a bit set of rows extended by the neighbouring rows.
 const fn dilated(rows: u64) -> u64 {
+    /// Bits of the rows with j = 0.
     const FIRST: u64 = 0x0101_0101_0101_0101;
     let along_j = rows | (rows & !(FIRST << 7)) << 1 | (rows & !FIRST) >> 1;
     along_j | along_j << 8 | along_j >> 8
 }
 
-/// Buffer in which a tile is computed.
+/// Buffer in which the tiles of a sweep are computed, one after another.
 pub(crate) struct SweepBuffer(pub(crate) Box<Buffer>);
 
 impl SweepBuffer {
@@ -48,12 +50,12 @@ impl SweepBuffer {
         Self(Box::new(Buffer {
             weights: [[f32::INFINITY; ROW]; ACROSS * ACROSS],
             costs: [[UNREACHED; ROW]; ACROSS * ACROSS],
-            news: [0; ACROSS * ACROSS],
+            decreased: [0; ACROSS * ACROSS],
         }))
     }
 }
 
-/// Copy a tile and the voxels round it; voxels outside the box are walls.
+/// Copy a tile and the voxels round it to the buffer; voxels outside the search box become walls.
 #[inline(always)]
 fn load<L: Lanes>(
     l: L,
@@ -69,7 +71,7 @@ fn load<L: Lanes>(
     let low = first[0].max(1) - 1;
     let len = (first[0] + LANES + 1).min(nx) - low;
     let at_low = OWN + low - first[0];
-    buffer.news.fill(0);
+    buffer.decreased.fill(0);
     for row in 0..ACROSS * ACROSS {
         let (weights, costs) = (&mut buffer.weights[row], &mut buffer.costs[row]);
         let j = (first[1] + row % ACROSS).wrapping_sub(1);
@@ -83,7 +85,7 @@ fn load<L: Lanes>(
         let node = (k * ny + j) * nx + low;
         let (from_values, from_left) = (&values[value_at..value_at + len], &left[node..node + len]);
         if len == LANES + 2 {
-            // Two registers, the second of which begins two lanes farther.
+            // The row is copied as two registers, the second of which begins two lanes farther.
             for at in [0, 2] {
                 let part = from_values[at..].first_chunk().expect("a register");
                 l.copy_weights(part, weights, OWN - 1 + at);
@@ -108,7 +110,9 @@ fn load<L: Lanes>(
     }
 }
 
-/// Prefetch the memory that [`load`] will copy; the voxels round the tile are partly in the same cache lines.
+/// Prefetch the memory that [`load`] will copy for a tile.
+///
+/// The voxels round the tile are partly in the same cache lines, so they need no prefetch.
 pub(crate) fn prefetch_tile(field: &VoxelField<'_>, left: &[i32], first: [usize; 3]) {
     let [nx, ny, nz] = field.shape_ijk();
     let (first_value, volume_row, volume_slice) = field.layout();
@@ -122,10 +126,10 @@ pub(crate) fn prefetch_tile(field: &VoxelField<'_>, left: &[i32], first: [usize;
     }
 }
 
-/// Code that is compiled once for each instruction set.
+/// Computation on tiles that is compiled once for each instruction set.
 pub(crate) trait Kernel {
     type Out;
-    /// Run the code.
+    /// Run the computation with the instruction set `l`.
     ///
     /// The method must be inlined, or it is compiled without the instruction set.
     fn run<L: Lanes>(self, l: L) -> Self::Out;
@@ -157,7 +161,7 @@ pub(crate) fn run<K: Kernel>(simd: InstructionSet, kernel: K) -> K::Out {
     kernel.run(Portable)
 }
 
-/// Kernel that copies a tile, sweeps it until no cost decreases, relaxes the voxels round it and writes the tile back.
+/// Computation that copies a tile, sweeps it until no cost decreases, relaxes the voxels round it and writes it back.
 pub(crate) struct Settle<'a, C> {
     pub(crate) buffer: &'a mut Buffer,
     pub(crate) field: &'a VoxelField<'a>,
@@ -192,15 +196,15 @@ impl<C: StepCost> Kernel for Settle<'_, C> {
     }
 }
 
-/// Relax the rows round the changed ones until no cost decreases; return all changed rows.
+/// Relax the rows round the changed `rows` of a tile until no cost decreases; return the bit set of all changed rows.
 #[inline(always)]
 fn sweep<L: Lanes, C: StepCost>(l: L, buffer: &mut Buffer, scale: &[f32; 27], rows: u64) -> u64 {
     let mut dirty = dilated(rows);
-    let mut told = rows;
+    let mut was_changed = rows;
     let mut changed = rows;
     let mut turn = 0;
     while dirty != 0 {
-        // The direction alternates along k and j.
+        // The direction of the sweep alternates along k and along j.
         let flip_k = if turn & 1 == 0 { 0 } else { 7 };
         let flip_j = if (turn + 1) & 2 == 0 { 0 } else { 7 };
         turn += 1;
@@ -216,9 +220,10 @@ fn sweep<L: Lanes, C: StepCost>(l: L, buffer: &mut Buffer, scale: &[f32; 27], ro
                     continue;
                 }
                 dirty &= !bit;
-                let news = relax_row::<L, C>(l, buffer, scale, row_of(j, k), told & bit != 0);
-                told &= !bit;
-                if news {
+                let decreased =
+                    relax_row::<L, C>(l, buffer, scale, row_of(j, k), was_changed & bit != 0);
+                was_changed &= !bit;
+                if decreased {
                     changed |= bit;
                     dirty |= dilated(bit) & !bit;
                 }
@@ -228,13 +233,13 @@ fn sweep<L: Lanes, C: StepCost>(l: L, buffer: &mut Buffer, scale: &[f32; 27], ro
     changed
 }
 
-/// Return the row in block 0..9 of the rows round a row.
+/// Return the index in the buffer of neighbour `block` (0 to 8) in the 3 x 3 neighbourhood of a row.
 #[inline(always)]
 const fn beside(row: usize, block: usize) -> usize {
     row + block / 3 * ACROSS + block % 3 - ACROSS - 1
 }
 
-/// Return the least costs of the voxels of a register through their three neighbours each in another row.
+/// Return the least costs of 16 voxels through their three neighbours each in a neighbouring row (`block`).
 #[inline(always)]
 fn through<L: Lanes, C: StepCost>(
     l: L,
@@ -260,14 +265,17 @@ fn through<L: Lanes, C: StepCost>(
     best
 }
 
-/// Relax a row from all rows round it and along itself; return true if a cost has decreased.
+/// Relax 16 voxels of a row from the rows round it and along the row; return true if a cost has decreased.
+///
+/// `was_changed` is true if a cost of the row has changed since its last relaxation, so that the relaxation along the
+/// row is needed even if no neighbouring row lowers a cost.
 #[inline(always)]
 fn relax_row<L: Lanes, C: StepCost>(
     l: L,
     buffer: &mut Buffer,
     scale: &[f32; 27],
     row: usize,
-    told: bool,
+    was_changed: bool,
 ) -> bool {
     let weights = &buffer.weights[row];
     let own = &buffer.costs[row];
@@ -294,10 +302,10 @@ fn relax_row<L: Lanes, C: StepCost>(
         best = l.least(best, l.plus(l.costs(own, OWN + 1), behind));
         best = l.least(old, best);
     }
-    if !told && l.less(best, old) == 0 {
+    if !was_changed && l.less(best, old) == 0 {
         return false;
     }
-    // Along the row: 1, 2, 4 and 8 steps at once, in both directions.
+    // Relax along the row: 1, 2, 4 and 8 steps at once, in both directions.
     let most = l.all(UNREACHED);
     let up1 = l.least(before, most);
     let up2 = l.least(l.plus(up1, l.up::<1>(up1)), most);
@@ -318,18 +326,18 @@ fn relax_row<L: Lanes, C: StepCost>(
     up = l.least(up, l.plus(l.up::<8>(up), up8));
     down = l.least(down, l.plus(l.down::<8>(down), down8));
     best = l.least(up, down);
-    let news = l.less(best, old);
+    let decreased = l.less(best, old);
     l.store(best, &mut buffer.costs[row], OWN);
-    buffer.news[row] |= u32::from(news) << 1;
-    news != 0
+    buffer.decreased[row] |= u32::from(decreased) << 1;
+    decreased != 0
 }
 
-/// Relax the voxels round a tile from the rows that changed.
+/// Relax the voxels round a tile from the rows of the tile that changed.
 #[inline(always)]
 fn relax_round<L: Lanes, C: StepCost>(l: L, buffer: &mut Buffer, scale: &[f32; 27], changed: u64) {
     for row in 0..ACROSS * ACROSS {
         let (j, k) = (row % ACROSS, row / ACROSS);
-        // Numbers (0 to 8) of the rows of the 3 x 3 neighbourhood that changed and belong to the tile.
+        // Numbers (0 to 8) of those rows of the 3 x 3 neighbourhood that changed and belong to the tile.
         let mut near = [0usize; 9];
         let mut num_near = 0;
         for block in 0..9 {
@@ -345,7 +353,7 @@ fn relax_round<L: Lanes, C: StepCost>(l: L, buffer: &mut Buffer, scale: &[f32; 2
             continue;
         }
         if (1..9).contains(&j) && (1..9).contains(&k) {
-            // Relax the one voxel before and the one voxel after the tile's own part of the row.
+            // Relax the voxel before and the voxel after the part of the row that belongs to the tile.
             for (lane, cell) in [(OWN - 1, 2), (OWN + LANES, 0)] {
                 let at = lane + cell - 1;
                 let here = buffer.weights[row][lane];
@@ -364,7 +372,7 @@ fn relax_round<L: Lanes, C: StepCost>(l: L, buffer: &mut Buffer, scale: &[f32; 2
                 }
                 if best < old {
                     buffer.costs[row][lane] = best;
-                    buffer.news[row] |= 1 << (lane + 1 - OWN);
+                    buffer.decreased[row] |= 1 << (lane + 1 - OWN);
                 }
             }
             continue;
@@ -382,16 +390,18 @@ fn relax_round<L: Lanes, C: StepCost>(l: L, buffer: &mut Buffer, scale: &[f32; 2
             if C::BY_VOXEL {
                 best = l.plus(best, l.quanta(here, scale[0]));
             }
-            let news = l.less(best, old);
-            if news != 0 {
+            let decreased = l.less(best, old);
+            if decreased != 0 {
                 l.store(l.least(best, old), &mut buffer.costs[row], at);
-                buffer.news[row] |= u32::from(news) << shift;
+                buffer.decreased[row] |= u32::from(decreased) << shift;
             }
         }
     }
 }
 
-/// Write the tile's own costs back, and keep in `news` only the decreased costs of the voxels round it.
+/// Write the costs of a tile back; return the number of its reached voxels, and whether one costs more than `most`.
+///
+/// Afterwards `decreased` contains only the decreased costs of the voxels round the tile.
 #[inline(always)]
 fn write<L: Lanes>(
     l: L,
@@ -401,6 +411,7 @@ fn write<L: Lanes>(
     first: [usize; 3],
     most: u32,
 ) -> (u32, bool) {
+    /// Bits in `decreased` of the voxels that belong to the tile.
     const OWN_LANES: u32 = 0x1_FFFE;
     let len = LANES.min(nx - first[0]);
     let (mut num_reached, mut beyond) = (0, 0);
@@ -410,10 +421,10 @@ fn write<L: Lanes>(
         let costs = l.costs(&buffer.costs[row], OWN);
         let reached = l.less(costs, l.all(UNREACHED));
         num_reached += reached.count_ones();
-        if buffer.news[row] & OWN_LANES == 0 {
+        if buffer.decreased[row] & OWN_LANES == 0 {
             continue;
         }
-        buffer.news[row] &= !OWN_LANES;
+        buffer.decreased[row] &= !OWN_LANES;
         beyond |= reached & l.less(l.all(most), costs);
         let node = ((first[2] + k) * ny + first[1] + j) * nx + first[0];
         if let Some(left) = left[node..node + len].first_chunk_mut() {
@@ -427,9 +438,9 @@ fn write<L: Lanes>(
     (num_reached, beyond != 0)
 }
 
-/// Kernel that finds, for each voxel with a cost up to `known_to`, the first cell that led to it, plus 1.
+/// Computation that finds the first cell that led to each voxel with a cost up to `known_to`, plus 1.
 ///
-/// The cell is 0 for the others.
+/// The result is 0 for the other voxels.
 pub(crate) struct Steps<'a, C> {
     pub(crate) buffer: &'a mut Buffer,
     pub(crate) field: &'a VoxelField<'a>,

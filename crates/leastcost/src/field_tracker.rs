@@ -1,12 +1,12 @@
 //! Resumable tree of least-cost paths over a whole volume, without a graph in memory (paper 6, Algorithm 1).
 //!
-//! The tracker stores one byte per voxel, the step from its predecessor, and one bit, whether a path may still change
-//! the voxel. For costs by the entered voxel that is all, because the first step to a voxel has the least cost. For
-//! costs by both ends the tracker also stores the 4 bytes of the least cost so far. Single targets are reached with the
-//! queue in [`crate::buckets`], voxel by voxel ([`crate::field_front`]): a target near the root costs only the voxels
-//! between, and no memory is written where no path has come. All voxels at once are swept in tiles
+//! The tracker stores one byte per voxel (the step from its predecessor) and one bit (whether a path may still change
+//! the voxel). For costs by the entered voxel no more is needed, because the first step to a voxel has the least cost.
+//! For costs by both ends the tracker also stores the 4 bytes of the least cost so far. Single targets are reached with
+//! the queue in [`crate::buckets`], voxel by voxel ([`crate::field_front`]): for a target near the root only the voxels
+//! between are settled, and no memory is written where no path has come. All voxels at once are swept in tiles
 //! ([`crate::field_sweep`]), which needs 4 bytes per voxel with either cost during the sweep. Of several steps with the
-//! same cost the first cell is kept, so that both methods give the same tree.
+//! same cost the one with the first cell is stored, so that both methods give the same tree.
 
 use carina_grid::InstructionSet;
 
@@ -23,9 +23,7 @@ use crate::{TrackError, Watch};
 const NODES_PER_LOOK: usize = 1 << 16;
 
 impl<C: StepCost> FieldTracker<C> {
-    /// Create a tracker with one root and no settled node.
-    ///
-    /// `root_ijk` is a voxel of the volume.
+    /// Create a tracker with one root, a voxel of the volume, and no settled node.
     ///
     /// # Errors
     ///
@@ -115,7 +113,8 @@ impl<C: StepCost> FieldTracker<C> {
             return self.go_on(field, None, watch);
         }
         match self.sweep_on(field, None, watch) {
-            // For costs by the entered voxel the queue has no limit of the cost, and is still valid.
+            // For costs by the entered voxel the queue has no limit of the cost and is still valid, so the search
+            // continues with it.
             Err(TrackError::CostOverflow { .. }) if C::BY_VOXEL => {
                 self.sweep = None;
                 self.left = Vec::new();
@@ -125,21 +124,21 @@ impl<C: StepCost> FieldTracker<C> {
         }
     }
 
-    /// Return true if sweeping tiles gives the same tree and is faster.
+    /// Return true if sweeping tiles gives the same tree as the queue and is faster.
     fn may_sweep(&self) -> bool {
         // For costs by the entered voxel the sweep starts again at the root, and free steps would not determine which
         // of two voxels is the predecessor of the other.
         !C::BY_VOXEL || (self.quanta.cheapest > 0.0 && 2 * self.num_settled < self.quanta.num_open)
     }
 
-    /// Move the open nodes to tiles.
+    /// Start the sweep of all voxels: move the open nodes from the queue to the tiles.
     fn begin_sweep(&mut self, field: &VoxelField<'_>) {
         let most = (MOST_QUANTA as u32).saturating_sub(2 * self.quanta.dearest as u32);
         let mut sweep = Sweep::new(field.shape_ijk(), &self.quanta, most, self.simd);
         if C::BY_VOXEL {
             self.left = fresh::<i32>(field.num_nodes());
             self.left[self.root as usize] = MOST_QUANTA;
-            sweep.tell(self.layout.ijk(self.root), 0);
+            sweep.mark_decreased(self.layout.ijk(self.root), 0);
         } else {
             while self.queue.advance() {
                 while let Some(block) = self.queue.take() {
@@ -148,7 +147,7 @@ impl<C: StepCost> FieldTracker<C> {
                         let ijk = self.layout.ijk(node);
                         if self.layout.is_open(&self.open, ijk) {
                             let cost = MOST_QUANTA - self.left[node as usize];
-                            sweep.tell(ijk, cost as u32);
+                            sweep.mark_decreased(ijk, cost as u32);
                         }
                     }
                     self.queue.give_back(block);
@@ -167,7 +166,7 @@ impl<C: StepCost> FieldTracker<C> {
         self.closing = Vec::new();
     }
 
-    /// Sweep tiles until the cost of a target, or of all nodes, is known.
+    /// Sweep tiles until the cost of `target` is final, or the costs of all nodes if `target` is `None`.
     fn sweep_on(
         &mut self,
         field: &VoxelField<'_>,
@@ -188,7 +187,7 @@ impl<C: StepCost> FieldTracker<C> {
         if C::BY_VOXEL && matches!(outcome, Err(TrackError::CostOverflow { .. })) {
             return outcome;
         }
-        // Steps are written for all known costs, also after an error.
+        // Steps are written for all final costs, also after an error.
         sweep.write_steps::<C>(field, &mut buffer, &self.left, &mut self.step_here);
         if C::BY_VOXEL && self.done {
             self.left = Vec::new();
@@ -254,7 +253,7 @@ impl<C: StepCost> FieldTracker<C> {
         Ok(())
     }
 
-    /// Return true if the least cost of a node is known.
+    /// Return true if the least cost of a node is final.
     fn is_known(&self, node: u32) -> bool {
         if self.step_here[node as usize] == 0 {
             return false;
@@ -289,7 +288,7 @@ impl<C: StepCost> FieldTracker<C> {
                     most: MOST_QUANTA as f64 * self.quanta.unit,
                 });
             }
-            // For costs by both ends all costs in the front bucket are final, so a target in it is known.
+            // For costs by both ends all costs in the front bucket are final, so a target in that bucket is known.
             if !C::BY_VOXEL && target.is_some_and(|t| self.is_known(t)) {
                 break;
             }
@@ -310,25 +309,25 @@ impl<C: StepCost> FieldTracker<C> {
         Ok(())
     }
 
-    /// Return the fixed root.
+    /// Return the node of the root.
     #[must_use]
     pub const fn root(&self) -> u32 {
         self.root
     }
 
-    /// Return the integer unit of this search.
+    /// Return the integer unit of the costs of this search.
     #[must_use]
     pub const fn quanta(&self) -> &Quanta<C> {
         &self.quanta
     }
 
-    /// Return the number of nodes whose edges were examined.
+    /// Return the number of nodes whose steps were examined.
     #[must_use]
     pub const fn num_settled(&self) -> usize {
         self.num_settled
     }
 
-    /// Return the allocated memory in bytes: of the voxels, and of the queue.
+    /// Return the memory that the tracker has allocated, in bytes: for the voxels, and for the queue.
     #[must_use]
     pub fn num_bytes(&self) -> (usize, usize) {
         let kept = self.step_here.capacity() + self.open.capacity() + 4 * self.left.capacity();
@@ -355,13 +354,13 @@ impl<C: StepCost> FieldTracker<C> {
         Some((node as isize - self.layout.node_step[cell]) as u32)
     }
 
-    /// Return the nodes from the root to `target`; `None` if its least cost is not known.
+    /// Return the nodes of the path from the root to `target`; `None` if the target's least cost is not known.
     #[must_use]
     pub fn path_to(&self, target: u32) -> Option<Vec<u32>> {
         if target as usize >= self.step_here.len() || !self.is_known(target) {
             return None;
         }
-        // All nodes before a known node are known.
+        // All nodes before a known node on its path are known as well.
         let mut path = vec![target];
         let mut node = target;
         loop {
@@ -375,7 +374,7 @@ impl<C: StepCost> FieldTracker<C> {
         }
     }
 
-    /// Return the least cost of a node in quanta, summed along its path; `None` if it is not known.
+    /// Return the least cost of a node in quanta, summed along its path; `None` if the least cost is not known.
     #[must_use]
     pub fn cost_quanta(&self, field: &VoxelField<'_>, target: u32) -> Option<u64> {
         let path = self.path_to(target)?;
@@ -390,7 +389,9 @@ impl<C: StepCost> FieldTracker<C> {
         )
     }
 
-    /// Return the least cost of a node, accurate within 0.5 %, exact if the unit is 1; `None` if it is not known.
+    /// Return the least cost of a node, accurate within 0.5 %; `None` if the least cost is not known.
+    ///
+    /// The cost is exact if the quantum is 1.
     #[must_use]
     pub fn cost(&self, field: &VoxelField<'_>, target: u32) -> Option<f64> {
         self.cost_quanta(field, target)
@@ -398,7 +399,11 @@ impl<C: StepCost> FieldTracker<C> {
     }
 }
 
-/// Return the node of a root, which must be open.
+/// Return the node of the root voxel.
+///
+/// # Errors
+///
+/// Returns an error if the voxel is not open.
 pub(crate) fn open_root(field: &VoxelField<'_>, root_ijk: [usize; 3]) -> Result<u32, TrackError> {
     let root = field
         .node_at_voxel(root_ijk)

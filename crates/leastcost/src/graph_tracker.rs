@@ -1,4 +1,4 @@
-//! Tracker over any pair of a cost (`lumen`, `paper`, `walls`) and a graph (`voxel`, `isoregion`).
+//! Tracker for any combination of a cost (`lumen`, `paper`, `walls`) and a graph (`voxel`, `isoregion`).
 
 use carina_grid::{Grid, Ijk, VolumeView, length};
 use carina_isoregion::value_labels;
@@ -12,32 +12,32 @@ use crate::paper_cost::{PaperCost, Reading};
 use crate::tracker::Tracker;
 use crate::{TrackError, Watch};
 
-/// Criterion for equal labels of the voxels of an `IsoRegion`.
+/// Kind of the labels whose regions of equal values prune the graph.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Labels {
-    /// Equal bins of 16 values (the paper's equal values).
+    /// Bins of 16 values (the paper's equal values).
     Bins,
-    /// The whole lumen is one class; voxels outside it have no label, and none of them is pruned.
+    /// The lumen is one class; voxels outside it have no label and are not pruned.
     Lumen,
 }
 
-/// Voxels that paths may use, and their cost.
+/// Voxels that paths may use, with the cost of the edges between them.
 #[derive(Debug, Clone, Copy)]
 pub enum Terrain {
-    /// Cost `paper` or `walls` on all voxels of a box.
+    /// All voxels of a box, with the cost `paper` or `walls`.
     Paper(VoxelBox, Reading),
-    /// Cost `lumen` on the lumen's voxels.
+    /// The lumen's voxels, with the cost `lumen`.
     Lumen(Option<WallLevels>),
 }
 
-/// Position of a point in the graph.
+/// Node that represents a point of the volume, and its distance from the point's voxel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Place {
     /// Node that represents the point.
     pub node: u32,
     /// Voxel of the unpruned graph that contains the point, or the lumen voxel nearest to it.
     pub voxel: [usize; 3],
-    /// Distance from that voxel to the node's voxel, mm; above 0 if the voxel was pruned.
+    /// Distance from `voxel` to the voxel of `node`, mm; above 0 if `voxel` was pruned.
     pub to_node_mm: f64,
 }
 
@@ -49,7 +49,8 @@ enum Walk {
     LumenPruned(IsoRegionGraph<LumenGraph>, (f64, f64)),
 }
 
-/// Apply the same expression to every kind of walk, with its graph and a reference to its cost.
+/// Macro that evaluates one expression for each combination of graph and cost, with the graph and a reference to the
+/// cost.
 macro_rules! with_walk {
     ($walk:expr, |$graph:ident, $cost:ident| $body:expr) => {
         match $walk {
@@ -70,7 +71,7 @@ macro_rules! with_walk {
     };
 }
 
-/// Tree of least-cost paths from one root for one of the combinations of graph and cost.
+/// Tree of least-cost paths from one root, for any combination of graph and cost.
 ///
 /// The search stops at a target and can be resumed.
 #[derive(Debug)]
@@ -81,11 +82,11 @@ pub struct GraphTracker {
 }
 
 impl GraphTracker {
-    /// Build graph and cost, with no settled node.
+    /// Build the graph and the cost of a volume, with no settled node.
     ///
     /// `pruned` selects the `IsoRegion` graph (paper 6.1). `lumen`, on the volume's grid, is required for the cost
-    /// `lumen` and for labels of the lumen. The root is the voxel nearest to `root_ijk`, for the lumen within
-    /// `reach_mm`.
+    /// `lumen` and for labels of the lumen. The root is the voxel nearest to `root_ijk`; in a lumen it is the lumen
+    /// voxel nearest to that point within `reach_mm`.
     ///
     /// # Errors
     ///
@@ -158,7 +159,7 @@ impl GraphTracker {
         })
     }
 
-    /// Return the node for a point (voxel coordinates).
+    /// Return the node that represents a point (voxel coordinates).
     ///
     /// The result is `None` outside the box, or farther than `reach_mm` from the lumen.
     #[must_use]
@@ -177,7 +178,7 @@ impl GraphTracker {
             .solve_to(graph, cost, target, watch))
     }
 
-    /// Return the tree computed so far.
+    /// Return the tree of least-cost paths computed so far.
     #[must_use]
     pub const fn tracker(&self) -> &Tracker {
         &self.tracker
@@ -200,13 +201,13 @@ impl GraphTracker {
         with_walk!(&self.walk, |graph, _cost| graph.num_nodes())
     }
 
-    /// Count the undirected edges of the graph, including links, one by one.
+    /// Count the undirected edges of the graph, including the links of pruned regions, one by one.
     #[must_use]
     pub fn num_edges(&self) -> u64 {
         with_walk!(&self.walk, |graph, _cost| count_edges(graph))
     }
 
-    /// Return the number of centres of `IsoRegion`s; 0 on a voxel graph.
+    /// Return the number of centres of `IsoRegion`s; 0 for a graph without pruning.
     #[must_use]
     pub const fn num_centres(&self) -> usize {
         match &self.walk {
@@ -217,7 +218,7 @@ impl GraphTracker {
     }
 }
 
-/// Return the radii of the box's voxels for the labels; with `lumen_only` voxels outside the lumen have radius 0.
+/// Return the `IsoRegion` radii of a box's voxels for the labels; with `lumen_only`, 0 for voxels outside the lumen.
 fn box_radii(
     values: VolumeView<'_, i16>,
     lumen: &[u8],
@@ -320,7 +321,7 @@ mod tests {
     }
 
     #[test]
-    fn all_four_pairs_find_the_way_through_a_tube() {
+    fn all_combinations_of_graph_and_cost_find_the_path_through_a_tube() {
         let (grid, values, lumen) = tube();
         let view = VolumeView::new(&values, &grid).unwrap();
         let whole = VoxelBox {
@@ -351,7 +352,7 @@ mod tests {
                 } else {
                     assert!(tracker.num_centres() > 0);
                     assert!(tracker.num_nodes() < full.num_nodes());
-                    // 16-HU bins and the class of the lumen have the same region here.
+                    // The bins of 16 HU and the class of the lumen have the same regions here.
                     assert!(tracker.num_edges() < full.num_edges());
                 }
                 if matches!(terrain, Terrain::Lumen(_)) {
@@ -367,7 +368,7 @@ mod tests {
     }
 
     #[test]
-    fn a_root_outside_and_a_missing_lumen_are_refused() {
+    fn a_root_outside_the_lumen_and_a_missing_lumen_are_rejected() {
         let (grid, values, lumen) = tube();
         let view = VolumeView::new(&values, &grid).unwrap();
         let half = VoxelBox {

@@ -24,12 +24,12 @@ use crate::lumen::{LumenCost, LumenGraph};
 use crate::paper_cost::PaperCost;
 use crate::{TrackError, Watch};
 
-/// Largest number of links, 4 bytes each.
+/// Largest number of links of a pruned graph, 4 bytes each.
 ///
-/// More occur with regions whose centres are a whole slab of equal radius.
+/// More links occur only with regions whose centres form a whole slab of equal radius.
 pub const MAX_LINKS: u64 = 1 << 26;
 
-/// Compute the `IsoRegion` radii of the voxels of a box, without the voxels beyond the box.
+/// Compute the `IsoRegion` radii of the voxels of a box, without regard to the voxels beyond the box.
 ///
 /// # Errors
 ///
@@ -75,18 +75,19 @@ pub fn is_cut_away(radius: &[u8], shape_ijk: [usize; 3], ijk: [usize; 3]) -> boo
         })
 }
 
-/// Graph without the voxels inside `IsoRegions`.
+/// Graph `base` without the voxels inside `IsoRegions`, with links from the centres to the boundaries of their cubes.
 #[derive(Debug)]
 pub struct IsoRegionGraph<B> {
     base: B,
     grid: Grid,
-    /// Node of the unpruned graph, for each node.
-    kept: Vec<u32>,
-    /// Node for each node of the unpruned graph; [`NO_NODE`] for a pruned node.
+    /// For each node of this graph, its node in the unpruned graph.
+    whole_of: Vec<u32>,
+    /// For each node of the unpruned graph, its node in this graph; [`NO_NODE`] for a pruned node.
     node_of: Vec<u32>,
     radius: Vec<u8>,
-    /// For each node n, the centres with n on the boundary of their cube are
-    /// `centres[first_centre[n]..first_centre[n + 1]]`.
+    /// Start of the centres of each node in `centres`.
+    ///
+    /// The centres with node n on the boundary of their cube are `centres[first_centre[n]..first_centre[n + 1]]`.
     first_centre: Vec<u32>,
     centres: Vec<u32>,
     num_centres: usize,
@@ -94,7 +95,7 @@ pub struct IsoRegionGraph<B> {
 }
 
 impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
-    /// Prune `base` by the radii of its box's voxels ([`radii`]).
+    /// Prune the graph `base` by the `IsoRegion` radii of the voxels of its box ([`radii`]).
     ///
     /// A label must have the same meaning everywhere, because a straight line between two voxels of one cube becomes an
     /// edge.
@@ -121,17 +122,17 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
             let voxel = base.voxel_of_node(node);
             std::array::from_fn(|a| voxel[a] - voxel_box.first_ijk[a])
         };
-        let kept: Vec<u32> = (0..base.num_nodes() as u32)
+        let whole_of: Vec<u32> = (0..base.num_nodes() as u32)
             .into_par_iter()
             .filter(|&node| !is_cut_away(radius, voxel_box.shape_ijk, local(node)))
             .collect();
         watch.go_on(0.3)?;
         let mut node_of = vec![NO_NODE; base.num_nodes()];
-        for (node, &whole) in kept.iter().enumerate() {
+        for (node, &whole) in whole_of.iter().enumerate() {
             node_of[whole as usize] = node as u32;
         }
         let [nx, ny, _] = voxel_box.shape_ijk;
-        let radius: Vec<u8> = kept
+        let radius: Vec<u8> = whole_of
             .par_iter()
             .map(|&whole| {
                 let [i, j, k]: [usize; 3] = local(whole);
@@ -142,7 +143,7 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
             base,
             grid: grid.clone(),
             num_centres: radius.iter().filter(|r| **r > 0).count(),
-            kept,
+            whole_of,
             node_of,
             radius,
             first_centre: Vec::new(),
@@ -153,11 +154,11 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
         Ok(graph)
     }
 
-    /// Record at each boundary voxel the centres whose cube it bounds.
+    /// Record at each node the centres that have this node on the boundary of their cube.
     ///
-    /// The opposite direction needs no table, because it follows from the cube.
+    /// The opposite direction needs no table, because it follows from the centre's cube.
     fn link(&mut self, watch: &impl Watch) -> Result<(), TrackError> {
-        let num_nodes = self.kept.len();
+        let num_nodes = self.whole_of.len();
         let mut first = vec![0u32; num_nodes + 1];
         let (mut num_links, mut longest_mm) = (0u64, 0.0f64);
         let centres: Vec<u32> = (0..num_nodes as u32)
@@ -166,7 +167,7 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
         for (number, &centre) in centres.iter().enumerate() {
             self.for_each_boundary_node(centre, |node, length_mm| {
                 longest_mm = longest_mm.max(length_mm);
-                if !self.finds(node, centre) {
+                if !self.has_link_to(node, centre) {
                     first[node as usize + 1] += 1;
                     num_links += 1;
                 }
@@ -193,7 +194,7 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
         let mut list = vec![0u32; num_links as usize];
         for (number, &centre) in centres.iter().enumerate() {
             self.for_each_boundary_node(centre, |node, _| {
-                if !self.finds(node, centre) {
+                if !self.has_link_to(node, centre) {
                     let at = &mut next[node as usize];
                     list[*at as usize] = centre;
                     *at += 1;
@@ -209,19 +210,21 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
         Ok(())
     }
 
-    /// Return true if `node` is a centre with `other` on the boundary of its own cube: the link is then found from
-    /// `node`.
-    fn finds(&self, node: u32, other: u32) -> bool {
+    /// Return true if `node` is a centre with `other` on the boundary of the cube round `node`.
+    ///
+    /// The link between the two nodes is then found from `node`.
+    fn has_link_to(&self, node: u32, other: u32) -> bool {
         let radius = isize::from(self.radius[node as usize]);
         radius > 1 && chessboard(self.voxel(node), self.voxel(other)) == radius
     }
 
-    /// Call `visit` for the remaining voxels on the boundary of a centre's cube, for cubes larger than the 26
-    /// neighbours.
+    /// Call `visit(node, length_mm)` for the remaining voxels on the boundary of a centre's cube.
+    ///
+    /// Cubes of 27 voxels are left out, because edges to neighbours already cover their boundary.
     fn for_each_boundary_node(&self, centre: u32, mut visit: impl FnMut(u32, f64)) {
         let r = isize::from(self.radius[centre as usize]);
         let at = self.voxel(centre).map(|v| v as isize);
-        let look = |offset: [isize; 3]| {
+        let visit_node = |offset: [isize; 3]| {
             let to = std::array::from_fn(|a| at[a] + offset[a]);
             if let Some(whole) = self.base.node_of_voxel(to) {
                 let node = self.node_of[whole as usize];
@@ -230,7 +233,7 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
                 }
             }
         };
-        for_each_on_cube(r, look);
+        for_each_on_cube(r, visit_node);
     }
 
     fn length_mm(&self, offset: [isize; 3]) -> f64 {
@@ -242,10 +245,10 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
         &self.base
     }
 
-    /// Return the node in the unpruned graph.
+    /// Return the node in the unpruned graph for a node of this graph.
     #[must_use]
     pub fn whole(&self, node: u32) -> u32 {
-        self.kept[node as usize]
+        self.whole_of[node as usize]
     }
 
     /// Return the voxel of a node.
@@ -254,13 +257,13 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
         self.base.voxel_of_node(self.whole(node))
     }
 
-    /// Return the radius of a node's region: 0 at borders.
+    /// Return the radius of the `IsoRegion` at a node: 0 at borders to other labels.
     #[must_use]
     pub fn radius(&self, node: u32) -> u8 {
         self.radius[node as usize]
     }
 
-    /// Return the number of nodes that are the centre of a region.
+    /// Return the number of nodes that are the centre of an `IsoRegion`.
     #[must_use]
     pub const fn num_centres(&self) -> usize {
         self.num_centres
@@ -276,7 +279,7 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
         if node != NO_NODE {
             return Some(node);
         }
-        // The nearest centre whose cube contains the voxel; of equally near ones the first in array order.
+        // The nearest centre whose cube contains the voxel is chosen; of equally near ones the first in array order.
         let mut best: Option<(f64, u32)> = None;
         for r in 1..=255isize {
             if best.is_some_and(|(mm, _)| mm <= r as f64 * self.grid.min_spacing_mm()) {
@@ -305,7 +308,7 @@ fn chessboard(a: [usize; 3], b: [usize; 3]) -> isize {
     (0..3).map(|n| a[n].abs_diff(b[n])).max().unwrap_or(0) as isize
 }
 
-/// Call `visit` for the offsets at chessboard distance `r`, in array order.
+/// Call `visit` for the offsets at chessboard distance `r` from a voxel, in array order.
 fn for_each_on_cube(r: isize, mut visit: impl FnMut([isize; 3])) {
     for dk in -r..=r {
         for dj in -r..=r {
@@ -323,7 +326,7 @@ fn for_each_on_cube(r: isize, mut visit: impl FnMut([isize; 3])) {
 
 impl<B: VoxelGraph + Sync> Graph for IsoRegionGraph<B> {
     fn num_nodes(&self) -> usize {
-        self.kept.len()
+        self.whole_of.len()
     }
 
     fn for_each_edge(&self, node: u32, mut visit: impl FnMut(u32, f64)) {
@@ -351,16 +354,19 @@ impl<B: VoxelGraph + Sync> Graph for IsoRegionGraph<B> {
     }
 }
 
-/// Cost of the unpruned graph that also defines weights for the links of the pruned graph.
+/// Cost of the edges of the unpruned graph that also defines weights for the links of the pruned graph.
 pub trait LinkCost<B>: Cost {
     /// Return the weight per mm of a link between two nodes of the unpruned graph.
     fn link_weight(&self, base: &B, u: u32, v: u32) -> f64;
 
-    /// Return weights that, times the graph's shortest and longest edge, bound the cost of every edge and link.
+    /// Return two weights that bound the costs of all edges and links of a pruned graph.
+    ///
+    /// The lower bound of the costs is the first weight times the graph's shortest edge, the upper bound the second
+    /// weight times its longest edge.
     fn link_weight_range(&self, graph: &IsoRegionGraph<B>) -> (f64, f64);
 }
 
-/// The printed formula depends only on two ends and a distance, so it applies to a link as to an edge.
+/// The printed formula depends only on two ends and a distance, so it applies to a link in the same way as to an edge.
 impl LinkCost<BoxGraph> for &PaperCost {
     fn link_weight(&self, _base: &BoxGraph, u: u32, v: u32) -> f64 {
         self.weight(u, v)
@@ -376,7 +382,7 @@ impl LinkCost<BoxGraph> for &PaperCost {
 /// Its two ends alone (the middle and the wall) would say little about the voxels between.
 impl LinkCost<LumenGraph> for LumenCost<'_> {
     fn link_weight(&self, base: &LumenGraph, u: u32, v: u32) -> f64 {
-        // From the smaller node number, so that both directions round in the same way.
+        // The line starts at the smaller node number, so that both directions of a link round in the same way.
         let [from, to] = [u.min(v), u.max(v)].map(|n| base.voxel(n).map(|x| x as isize));
         let steps = (0..3).map(|a| (to[a] - from[a]).abs()).max().unwrap_or(0);
         let mut before = u.min(v);
@@ -387,7 +393,7 @@ impl LinkCost<LumenGraph> for LumenCost<'_> {
                 from[a] + (share * (to[a] - from[a]) as f64).round() as isize
             });
             let Some(node) = base.node_at_voxel(next) else {
-                // Cubes of one label contain only lumen.
+                // A cube of one label contains only lumen, so this case does not occur on a link.
                 return f64::INFINITY;
             };
             let offset = std::array::from_fn(|a| next[a] - at[a]);
@@ -400,7 +406,7 @@ impl LinkCost<LumenGraph> for LumenCost<'_> {
     fn link_weight_range(&self, graph: &IsoRegionGraph<LumenGraph>) -> (f64, f64) {
         let (least, greatest) = self.weight_range();
         let mut dearest = graph.base.edge_length_range_mm().1 * greatest;
-        for centre in (0..graph.kept.len() as u32).filter(|n| graph.radius(*n) > 1) {
+        for centre in (0..graph.whole_of.len() as u32).filter(|n| graph.radius(*n) > 1) {
             graph.for_each_boundary_node(centre, |node, mm| {
                 let weight = self.link_weight(&graph.base, graph.whole(centre), graph.whole(node));
                 dearest = dearest.max(mm * weight);
@@ -410,7 +416,7 @@ impl LinkCost<LumenGraph> for LumenCost<'_> {
     }
 }
 
-/// Cost of the unpruned graph, applied to the pruned graph.
+/// Cost of the edges and links of a pruned graph, derived from the cost of the unpruned graph.
 #[derive(Debug)]
 pub struct PrunedCost<'a, B, C> {
     graph: &'a IsoRegionGraph<B>,
@@ -419,18 +425,18 @@ pub struct PrunedCost<'a, B, C> {
 }
 
 impl<'a, B: VoxelGraph + Sync, C: LinkCost<B>> PrunedCost<'a, B, C> {
-    /// Create the cost for the remaining nodes.
+    /// Create the cost for a pruned graph; the range of the weights is computed from all links if the cost requires it.
     pub fn new(graph: &'a IsoRegionGraph<B>, cost: C) -> Self {
         let range = cost.link_weight_range(graph);
         Self::with_range(graph, cost, range)
     }
 
-    /// Create the cost with a known range of weights; computing the range may need a look at every link.
+    /// Create the cost for a pruned graph with a known range of weights, which may be slow to compute.
     pub const fn with_range(graph: &'a IsoRegionGraph<B>, cost: C, range: (f64, f64)) -> Self {
         Self { graph, cost, range }
     }
 
-    /// Return the range of the weights.
+    /// Return the smallest and the largest weight.
     pub const fn range(&self) -> (f64, f64) {
         self.range
     }
@@ -438,7 +444,7 @@ impl<'a, B: VoxelGraph + Sync, C: LinkCost<B>> PrunedCost<'a, B, C> {
 
 impl<B: VoxelGraph + Sync, C: LinkCost<B>> Cost for PrunedCost<'_, B, C> {
     fn weight(&self, u: u32, v: u32) -> f64 {
-        // Links end at a centre of radius 2 or more; most edges do not.
+        // A link has a centre of radius 2 or more at one end; most edges do not.
         let may_be_link = self.graph.radius(u).max(self.graph.radius(v)) > 1;
         let is_link = may_be_link && chessboard(self.graph.voxel(u), self.graph.voxel(v)) > 1;
         let [u, v] = [u, v].map(|n| self.graph.whole(n));

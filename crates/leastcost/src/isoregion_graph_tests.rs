@@ -81,7 +81,7 @@ fn pruning_gives_figure_12b() {
 }
 
 #[test]
-fn linking_figure_12_connects_it() {
+fn links_connect_the_pruned_graph_of_figure_12() {
     let graph = figure_12();
     assert_eq!(graph.num_centres(), 6);
     assert_eq!(components(&graph, 0..graph.num_nodes() as u32), 1);
@@ -94,7 +94,8 @@ fn linking_figure_12_connects_it() {
                 links.push((other, distance));
             }
         });
-        // Links go from centres to boundaries of cubes of radius 2, and every centre has one that leads to a border.
+        // Every link goes from a centre to the boundary of a cube of radius 2, and every centre has a link to a border
+        // voxel.
         assert!(links.iter().all(|(_, distance)| *distance == 2));
         if graph.radius(node) > 0 {
             assert!(links.iter().any(|(other, _)| graph.radius(*other) == 0));
@@ -114,7 +115,7 @@ fn components(graph: &impl Graph, nodes: impl Iterator<Item = u32>) -> usize {
     found.len()
 }
 
-/// Return the first node of each node's component.
+/// Return for each node the first node of its connected component.
 fn component_of(graph: &impl Graph) -> Vec<u32> {
     let mut label = vec![u32::MAX; graph.num_nodes()];
     for start in 0..graph.num_nodes() as u32 {
@@ -164,11 +165,11 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(100))]
 
     #[test]
-    fn the_pruned_graph_is_connected_where_the_whole_one_is((shape, labels) in labels()) {
+    fn the_pruned_graph_has_the_components_of_the_whole_graph((shape, labels) in labels()) {
         let grid = grid(shape);
         let graph = pruned(&grid, &labels);
         prop_assert_eq!(components(&graph, 0..graph.num_nodes() as u32), 1);
-        // Every voxel has a node that represents it.
+        // Every voxel must have a node that represents it.
         for n in 0..grid.num_voxels() {
             let voxel = grid.voxel(n).map(|v| v as isize);
             let node = graph.node_for_voxel(voxel).unwrap();
@@ -179,7 +180,7 @@ proptest! {
     }
 
     #[test]
-    fn edges_go_both_ways_once_and_links_stay_in_one_label((shape, labels) in labels()) {
+    fn edges_are_symmetric_and_unique_and_links_stay_in_one_label((shape, labels) in labels()) {
         let grid = grid(shape);
         let graph = pruned(&grid, &labels);
         let mut edges = Vec::new();
@@ -205,7 +206,7 @@ proptest! {
     }
 
     #[test]
-    fn the_lumen_pruned_hangs_together_as_the_lumen_does((shape, labels) in labels()) {
+    fn the_pruned_lumen_graph_has_the_components_of_the_lumen((shape, labels) in labels()) {
         let grid = grid(shape);
         let lumen: Vec<u8> = labels.iter().map(|l| u8::from(*l == 1)).collect();
         prop_assume!(lumen.contains(&1));
@@ -219,13 +220,13 @@ proptest! {
             .collect();
         pairs.sort_unstable();
         pairs.dedup();
-        // The pruned graph has one component for each component of the unpruned graph.
+        // The pruned graph must have one component for each component of the unpruned graph.
         let mut whole_labels = whole_labels;
         whole_labels.sort_unstable();
         whole_labels.dedup();
         prop_assert_eq!(pairs.len(), whole_labels.len());
 
-        // No path over links is cheaper than the path of voxels that it replaces.
+        // No path over links may be cheaper than the path of voxels that it replaces.
         let cost = PrunedCost::new(&graph, LumenCost(graph.base()));
         let mut pruned_tracker = Tracker::new(&graph, &cost, 0).unwrap();
         pruned_tracker.solve_all(&graph, &cost, &Unwatched).unwrap();
@@ -235,7 +236,7 @@ proptest! {
         for node in 0..graph.num_nodes() as u32 {
             if let Some(found) = pruned_tracker.cost(node) {
                 let least = tracker.cost(graph.whole(node)).unwrap();
-                // Tolerance: 0.5 % for the quantum of each of the two graphs.
+                // The tolerance is 0.5 % for the quantum of each of the two graphs.
                 prop_assert!(found >= 0.99 * least, "{found} {least}");
             }
         }
@@ -246,7 +247,7 @@ proptest! {
     }
 
     #[test]
-    fn resumed_targets_on_the_pruned_graph_cost_what_a_plain_search_finds(
+    fn resumed_costs_on_the_pruned_graph_equal_dijkstra(
         (shape, labels) in labels(),
         noise in any::<u64>(),
         targets in prop::collection::vec(any::<u32>(), 1..6),
@@ -300,10 +301,10 @@ fn edge_costs(graph: &impl Graph, cost: &impl Cost) -> (f64, f64) {
 }
 
 #[test]
-fn a_large_room_keeps_its_walls_and_its_middle() {
+fn pruning_a_large_cube_leaves_its_faces_and_its_centre() {
     let grid = grid([21, 21, 21]);
     let graph = pruned(&grid, &vec![1u8; grid.num_voxels()]);
-    // The faces, and the one voxel in the middle that is farthest from all of them.
+    // The remaining nodes are the faces, and the one voxel in the middle that is farthest from all of them.
     assert_eq!(graph.num_centres(), 1);
     assert_eq!(graph.num_nodes(), 21usize.pow(3) - 19usize.pow(3) + 1);
     let middle = graph.node_for_voxel([10, 10, 10]).unwrap();

@@ -4,9 +4,9 @@
 //! `lumen` turns an airway's lumen into a graph with a cost that favours its middle, `lumen_edit` updates that graph
 //! after an edit, and `tracker` grows the tree of least-cost paths from one root. `box_graph`, `paper_cost` and
 //! `isoregion_graph` are the graph and the cost as printed in the paper, for the same tracker; `graph_tracker` combines
-//! every cost with every graph. `field_tracker` does the same as `tracker` in a whole volume of weights, without a
-//! graph in memory; `field_aim` finds one path there, `field_sweep` the costs of every voxel. `cheapest_way` is for a
-//! small box of weights, without a tree.
+//! every cost with every graph. `field_tracker` grows the same kind of tree in a whole volume of weights, without a
+//! graph in memory; `field_aim` finds one path in such a volume, `field_sweep` the least costs of all its voxels.
+//! `cheapest_way` finds one path in a small box of weights.
 //!
 //! This crate contains no anatomy; `carina-airpath` is based on it.
 

@@ -14,14 +14,14 @@ use crate::graph::{Cost, Graph};
 use crate::voxel_set::VoxelSet;
 use crate::wall_sites::{NO_SITE, nearest_outside_lumen};
 
-/// Levels that define the beginning of the wall, in the volume's own numbers (HU on a calibrated CT).
+/// Value levels that define where the wall of the lumen begins, in the volume's own numbers (HU on a calibrated CT).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WallLevels {
     /// Largest value that is certainly air (air of the trachea and its noise).
     pub core: f32,
-    /// Value half-way between air and soft tissue.
+    /// Value half-way between the air of the lumen and soft tissue.
     pub wall: f32,
-    /// Largest rise along a diagonal step above the brighter of its two ends: noise between lumen voxels.
+    /// Largest rise above the brighter end of a diagonal step that is noise; a larger rise on the step is a wall.
     pub rise: f32,
 }
 
@@ -35,16 +35,16 @@ impl WallLevels {
         (tissue > 0.0).then(|| air + tissue * edge_of_shown((peak - air) / tissue))
     }
 
-    /// Return the end of the lumen along three voxels (lumen, not lumen, the next), in voxels from the first.
+    /// Return the position of the lumen's end along three successive voxels, in voxels from the first.
     ///
-    /// The end is half-way up from the lumen to the wall's tissue. A wall thinner than the blur has a maximum below
-    /// that of its tissue, and at its true edge a value slightly below half of the tissue's; half of its maximum would
-    /// be well inside the lumen (docs/decisions/0117). The lumen's last voxel may be before the end, because the flood
-    /// stops at a lower value.
+    /// The first voxel is lumen, the second is not. The end is half-way up from the lumen to the wall's tissue. A wall
+    /// thinner than the blur has a maximum below that of its tissue, and at its true edge a value slightly below half
+    /// of the tissue's; half of its maximum would be well inside the lumen (docs/decisions/0117). The lumen's last
+    /// voxel may be before the end, because the flood stops at a lower value.
     fn crossing(self, [low, next, beyond]: [i16; 3]) -> f64 {
         let [low, next, beyond] = [low, next, beyond].map(f64::from);
         let Some(level) = self.edge_level(low, next.max(beyond)) else {
-            // The voxel has no air: a person painted this part of the lumen.
+            // The voxel has no air: the user has painted this part of the lumen.
             return 0.5;
         };
         if low < level && level <= next {
@@ -52,13 +52,13 @@ impl WallLevels {
         } else if next < level && level <= beyond {
             1.0 + (level - next) / (beyond - next)
         } else {
-            // No wall is visible: the lumen was ended here for another reason (a closed breach).
+            // No wall is visible: the lumen ends here for another reason, such as a closed breach.
             0.5
         }
     }
 }
 
-/// Return the value at the lumen's true edge from the maximum value of the wall.
+/// Return the value at the true edge of a blurred wall, from the wall's maximum value.
 ///
 /// Both are fractions of the rise from the lumen to the wall's tissue.
 ///
@@ -66,6 +66,7 @@ impl WallLevels {
 /// Phi(w / sigma) - 1/2 at its edge; Phi is the normal distribution. Both depend only on w / sigma, so one follows from
 /// the other; here it is tabulated at tenths.
 fn edge_of_shown(share: f64) -> f64 {
+    /// Values at the edge for maxima of 0, 0.1, ... 1.
     const EDGE: [f64; 11] = [
         0.0, 0.0992, 0.1938, 0.2795, 0.3529, 0.4113, 0.4538, 0.4809, 0.4948, 0.4995, 0.5,
     ];
@@ -74,15 +75,15 @@ fn edge_of_shown(share: f64) -> f64 {
     EDGE[before] + (at - before as f64) * (EDGE[before + 1] - EDGE[before])
 }
 
-/// Lumen voxels, their links to the 26 neighbours, and their distances to the wall.
+/// Graph of the lumen voxels, with edges to the 26 neighbours and the distance of each voxel to the wall.
 #[derive(Debug)]
 pub struct LumenGraph {
     pub(crate) lumen: VoxelSet,
-    /// Voxels in array order.
+    /// Voxels of the nodes in array order.
     pub(crate) voxels: Vec<[u16; 3]>,
     pub(crate) edges: Vec<u32>,
     pub(crate) wall_mm: Vec<f32>,
-    /// Nearest voxel outside for each node, from which the wall was found.
+    /// For each node, the nearest voxel outside the lumen, near which the wall was searched.
     pub(crate) sites: Vec<[u16; 3]>,
     steps: [Step; 26],
     lps_from_ijk: Affine,
@@ -94,7 +95,7 @@ struct Step {
     length_mm: f64,
 }
 
-/// Return the 26 steps in array order: step `25 - s` is the opposite of step `s`.
+/// Return the 26 steps to the neighbours of a voxel in array order: step `25 - s` is the opposite of step `s`.
 fn steps(grid: &Grid) -> [Step; 26] {
     std::array::from_fn(|s| {
         let cell = if s < 13 { s } else { s + 1 } as isize;
@@ -107,14 +108,14 @@ fn steps(grid: &Grid) -> [Step; 26] {
 }
 
 impl LumenGraph {
-    /// Build the graph of the voxels where `lumen` is not 0.
+    /// Build the graph of the voxels of a volume where `lumen` is not 0.
     ///
     /// `levels` is `None` for a lumen that was not found in these values (an imported mask): then all 26 neighbours are
     /// linked and the wall is half-way between voxels.
     ///
     /// # Errors
     ///
-    /// Returns an error if an argument is not valid.
+    /// Returns an error if the lumen is empty or its array or the volume has an invalid size.
     pub fn build(
         values: VolumeView<'_, i16>,
         lumen: &[u8],
@@ -156,7 +157,7 @@ impl LumenGraph {
         Ok(graph)
     }
 
-    /// Create the graph of voxels in array order, before edges and distances to the wall are known.
+    /// Create the graph of voxels in array order, without edges and distances to the wall.
     pub(crate) fn unlinked(grid: &Grid, voxels: Vec<[u16; 3]>) -> Self {
         let shape = grid.shape_ijk();
         let lumen = VoxelSet::new(
@@ -175,14 +176,15 @@ impl LumenGraph {
         }
     }
 
-    /// Return the edge mask of a node: bit s for step s.
+    /// Return the edges of a node as a bit mask: bit s is set if step s leads to a neighbour.
     pub(crate) fn links(
         &self,
         values: VolumeView<'_, i16>,
         levels: Option<WallLevels>,
         node: u32,
     ) -> u32 {
-        // Both ends of an edge give the same result: the samples at 1/4, 1/2, 3/4 are the same three points.
+        // Both ends of an edge give the same result, because the positions at 1/4, 1/2 and 3/4 are the same three
+        // points.
         let from = self.voxels[node as usize].map(|v| v as isize);
         let mut mask = 0u32;
         for (s, step) in self.steps.iter().enumerate() {
@@ -195,7 +197,7 @@ impl LumenGraph {
         mask
     }
 
-    /// Return the distance of a node to the wall near its nearest voxel outside, mm.
+    /// Return the distance in mm from a node to the wall near the node's nearest voxel outside the lumen.
     pub(crate) fn wall_from_site(
         &self,
         values: VolumeView<'_, i16>,
@@ -205,7 +207,7 @@ impl LumenGraph {
         let spacing = values.grid().spacing_mm();
         let (voxel, site) = (self.voxels[node as usize], self.sites[node as usize]);
         if site == NO_SITE {
-            // The lumen fills the volume, beyond which nothing is known.
+            // The lumen fills the volume, so its wall is unknown; the distance is half of the volume's diagonal.
             let shape = values.grid().shape_ijk();
             return (0.5 * length(std::array::from_fn(|a| shape[a] as f64 * spacing[a]))) as f32;
         }
@@ -213,8 +215,9 @@ impl LumenGraph {
         self.nearest_crossing_mm(values, levels, spacing, from, wall) as f32
     }
 
-    /// Return the smallest distance from a lumen voxel to a threshold crossing on a grid edge near the outside voxel
-    /// `wall`.
+    /// Return the smallest distance in mm from a lumen voxel to a threshold crossing near an outside voxel.
+    ///
+    /// The crossings are searched on the grid edges near the outside voxel `wall`.
     fn nearest_crossing_mm(
         &self,
         values: VolumeView<'_, i16>,
@@ -256,14 +259,14 @@ impl LumenGraph {
         if best.is_finite() {
             return best;
         }
-        // The nearest outside voxel always has a lumen voxel beside it; this line is a fallback for lumens of unusual
+        // The nearest outside voxel always has a lumen voxel beside it, so this is a fallback for lumens of unusual
         // shape.
         length(std::array::from_fn(|a| {
             (wall[a] - from[a]) as f64 * spacing[a]
         }))
     }
 
-    /// Return the length of an offset between voxels, mm.
+    /// Return the length in mm of an offset between voxels.
     #[must_use]
     pub fn step_mm(&self, offset_ijk: [isize; 3]) -> f64 {
         length(self.lps_from_ijk.vector(offset_ijk.map(|v| v as f64)))
@@ -275,13 +278,13 @@ impl LumenGraph {
         self.lumen.voxel_box()
     }
 
-    /// Return the node of a voxel of the volume.
+    /// Return the node of a voxel of the volume; `None` if the voxel is not lumen.
     #[must_use]
     pub fn node_at_voxel(&self, ijk: [isize; 3]) -> Option<u32> {
         self.lumen.place(ijk)
     }
 
-    /// Return the voxel of a node.
+    /// Return the voxel of the volume that a node stands for.
     #[must_use]
     pub fn voxel(&self, node: u32) -> [usize; 3] {
         self.voxels[node as usize].map(usize::from)
@@ -293,8 +296,9 @@ impl LumenGraph {
         f64::from(self.wall_mm[node as usize])
     }
 
-    /// Return true if the straight line between two points (voxel coordinates) stays in lumen voxels (sampled every
-    /// half voxel).
+    /// Return true if the straight line between two points (voxel coordinates) stays in the lumen.
+    ///
+    /// The line is tested every half voxel.
     #[must_use]
     pub fn sees(&self, from_ijk: [f64; 3], to_ijk: [f64; 3]) -> bool {
         let longest = (0..3)
@@ -315,12 +319,11 @@ impl LumenGraph {
         self.lumen.holds(ijk.map(|v| (v + 0.5).floor() as isize))
     }
 
-    /// Return the point itself if it is inside the lumen.
+    /// Return a point (voxel coordinates) inside the lumen: the given point, or the nearest one that this method finds.
     ///
-    /// Otherwise return the nearest position on the line to the centre of the nearest lumen voxel.
-    ///
-    /// A straight line between two points inside the lumen can pass the corner of a voxel outside; this function
-    /// corrects such points.
+    /// A given point outside the lumen is replaced by the nearest position inside on the line to the centre of the
+    /// nearest lumen voxel. (A straight line between two points inside the lumen can pass the corner of a voxel
+    /// outside; this function corrects points on such lines.)
     #[must_use]
     pub fn pulled_inside(&self, grid: &Grid, ijk: [f64; 3]) -> [f64; 3] {
         let reach_mm = length(grid.spacing_mm());
@@ -340,9 +343,10 @@ impl LumenGraph {
             .unwrap_or(centre)
     }
 
-    /// Return the lumen voxel nearest to a point within `reach_mm`, and its distance.
+    /// Find the lumen voxel nearest to a point (voxel coordinates); return its node and the distance in mm.
     ///
-    /// Of equally near voxels, the first in array order is returned.
+    /// The result is `None` if no lumen voxel is within `reach_mm`. Of equally near voxels, the first in array order is
+    /// returned.
     #[must_use]
     pub fn nearest_node(&self, grid: &Grid, ijk: [f64; 3], reach_mm: f64) -> Option<(u32, f64)> {
         let spacing = grid.spacing_mm();
@@ -361,7 +365,7 @@ impl LumenGraph {
         let mut best: Option<(u32, f64)> = None;
         for k in low[2]..=high[2] {
             for j in low[1]..=high[1] {
-                // Distance from the point to the line of the row: a row farther away than the best voxel so far
+                // The distance from the point to the line of the row: a row farther away than the best voxel so far
                 // contains no nearer voxel.
                 let off = [0.0, j as f64 - ijk[1], k as f64 - ijk[2]];
                 let off = grid.lps_from_ijk().vector(off);
@@ -387,7 +391,7 @@ impl LumenGraph {
     }
 }
 
-/// Return the smallest box round the voxels with one voxel of margin, clipped to the volume.
+/// Return the smallest box round voxels with one voxel of margin, clipped to the volume.
 fn box_around(voxels: &[[u16; 3]], shape: [usize; 3]) -> VoxelBox {
     let (mut low, mut high) = ([usize::MAX; 3], [0usize; 3]);
     for voxel in voxels {
@@ -419,7 +423,7 @@ fn line_is_inside(
     })
 }
 
-/// Return the trilinear value at a point; outside the volume the nearest edge value is used.
+/// Return the trilinear value of a volume at a point (voxel coordinates); outside, the nearest edge value is used.
 #[must_use]
 pub fn interpolated(values: VolumeView<'_, i16>, ijk: [f64; 3]) -> f32 {
     let base = ijk.map(|v| v.floor() as isize);
@@ -452,7 +456,8 @@ impl Graph for LumenGraph {
     fn for_each_edge(&self, node: u32, mut visit: impl FnMut(u32, f64)) {
         let from = self.voxels[node as usize].map(|v| v as isize);
         let mask = self.edges[node as usize];
-        // Nine rows of three voxels: in a row, one count of members gives the indices of all three.
+        // The neighbours are in nine rows of three voxels; one count of lumen voxels gives the node numbers of a whole
+        // row.
         for row in 0..9usize {
             // The middle row does not contain the voxel itself, so it has two steps.
             let first_step = if row < 5 { 3 * row } else { 3 * row - 1 };
@@ -490,15 +495,16 @@ impl Graph for LumenGraph {
     }
 }
 
-/// Cost `lumen`: weight per mm = (10 mm / distance to the wall)^3, with the distance clamped to 0.4 to 10 mm.
+/// Cost `lumen`: weight per mm = (10 mm / distance to the wall)^3, with the distance limited to 0.4 to 10 mm.
 ///
 /// A power of the distance has no scale, so a path stays in the middle of a trachea and of a small bronchus alike. The
-/// exponent is 3, because with 2 a path to one main bronchus leaves the middle of the trachea 3 cm above the carina. 10
-/// mm is larger than any trachea's radius; 0.4 mm is about half a voxel.
+/// exponent is 3, because with 2 a path to one main bronchus leaves the middle of the trachea 3 cm above the carina.
 #[derive(Debug, Clone, Copy)]
 pub struct LumenCost<'a>(pub &'a LumenGraph);
 
+/// Upper limit of the distance to the wall, larger than any trachea's radius, mm.
 const WIDEST_MM: f64 = 10.0;
+/// Lower limit of the distance to the wall, about half a voxel, mm.
 const NARROWEST_MM: f64 = 0.4;
 
 impl LumenCost<'_> {

@@ -1,13 +1,13 @@
-//! Update of the graph and of the least-cost tree after a person has edited the lumen.
+//! Update of the lumen's graph and of its tree of least-cost paths after the user has edited the lumen.
 //!
 //! Only the parts that depend on the edit are computed again.
 //!
 //! The results are exact by construction. An edge depends on its two voxels; a distance to the wall depends on the
-//! nearest voxel outside and on the voxels within two of that one. If these voxels are unchanged, the old number is
-//! also the new one. For the tree of least costs: a node whose old path includes no change keeps that path as a
-//! candidate; all other nodes are computed again from their neighbours, and decreased costs are propagated (Ramalingam
-//! and Reps 1996). Among equally cheap paths the one through the first voxel in array order is taken, so that the tree
-//! does not depend on the sequence of edits.
+//! nearest outside voxel and on the voxels within two steps of the outside voxel. If these voxels are unchanged, the
+//! old edge or distance is also the new one. For the tree of least costs: a node whose old path includes no change
+//! keeps that path as a candidate; all other nodes are computed again from their neighbours, and decreased costs are
+//! propagated (Ramalingam and Reps 1996). Among equally cheap paths the one through the first voxel in array order is
+//! taken, so that the tree does not depend on the sequence of edits.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -22,16 +22,17 @@ use crate::tracker::{Tracker, UNREACHED};
 use crate::voxel_set::VoxelSet;
 use crate::{TrackError, Watch};
 
-/// Graph after an edit, and its relation to the previous graph.
+/// Graph of an edited lumen, and its relation to the graph before the edit.
 #[derive(Debug)]
 pub struct Edited {
-    /// New graph; equal to one built from the new lumen.
+    /// Graph after the edit; it equals one that is built from the edited lumen.
     pub graph: LumenGraph,
-    /// New node of each old node; `NO_NODE` if its voxel was removed.
+    /// For each node before the edit, its node after the edit; `NO_NODE` if its voxel was removed.
     pub new_of_old: Vec<u32>,
-    /// New nodes that did not exist before, or whose edges or distance to the wall changed.
+    /// Nodes after the edit that are new, or whose edges or distance to the wall changed.
     pub dirty: Vec<u32>,
-    /// Box round the nodes whose distance to the wall changed and round the voxels that were added or removed.
+    /// Box round the nodes whose distance to the wall changed and round the added and removed voxels; `None` without
+    /// changes.
     pub changed_box: Option<VoxelBox>,
 }
 
@@ -135,7 +136,7 @@ fn signed(voxel: [u16; 3]) -> [isize; 3] {
     voxel.map(|v| v as isize)
 }
 
-/// Return the remaining and the new voxels in array order, and the new index of each old voxel.
+/// Return the voxels of the edited lumen in array order, and for each old voxel its new index or `NO_NODE`.
 fn merged(graph: &LumenGraph, added: &[[u16; 3]], gone: &[bool]) -> (Vec<[u16; 3]>, Vec<u32>) {
     let key = |v: [u16; 3]| [v[2], v[1], v[0]];
     let mut voxels = Vec::with_capacity(gone.len() + added.len());
@@ -155,13 +156,13 @@ fn merged(graph: &LumenGraph, added: &[[u16; 3]], gone: &[bool]) -> (Vec<[u16; 3
     (voxels, new_of_old)
 }
 
-/// Return the voxels within `reach` steps of the given ones.
+/// Return the set of voxels within `reach` steps of the given voxels.
 fn dilated(voxels: &[[isize; 3]], reach: isize) -> VoxelSet {
     let around = box_of(voxels.iter().copied()).unwrap_or(VoxelBox {
         first_ijk: [0; 3],
         shape_ijk: [0; 3],
     });
-    // Coordinates below 0 are outside the volume and are not needed.
+    // Voxels with coordinates below 0 are outside the volume and are not needed.
     let first_ijk = around.first_ijk.map(|f| f.saturating_sub(reach as usize));
     let shape_ijk = std::array::from_fn(|a| {
         (around.first_ijk[a] + around.shape_ijk[a] + reach as usize) - first_ijk[a]
@@ -200,8 +201,9 @@ fn box_of(voxels: impl Iterator<Item = [isize; 3]>) -> Option<VoxelBox> {
     })
 }
 
-/// Cost `lumen` with a precomputed part for each node: the same numbers as [`LumenCost`], without a power for every
-/// edge.
+/// Cost `lumen` with a precomputed factor for each node.
+///
+/// The weights equal those of [`LumenCost`], but an edge needs no power function.
 struct NodeCost(Vec<f64>, (f64, f64));
 
 impl NodeCost {
@@ -225,7 +227,7 @@ impl Cost for NodeCost {
     }
 }
 
-/// Compute from scratch the least costs from a root to all nodes, with the first of equally cheap paths.
+/// Compute the least costs from a root to all nodes from scratch, with the first of equally cheap paths.
 ///
 /// # Errors
 ///
@@ -234,19 +236,19 @@ pub fn solved(graph: &LumenGraph, root: u32, watch: &impl Watch) -> Result<Track
     Tracker::solved_in_order(graph, &NodeCost::new(graph), root, watch)
 }
 
-/// Return a tracker with the same least costs and the first of equally cheap paths.
+/// Return a tracker with the least costs of `tracker` and the first of equally cheap paths.
 fn with_first_of_equals(graph: &LumenGraph, tracker: &Tracker) -> Tracker {
     let cost = NodeCost::new(graph);
     let nodes: Vec<u32> = (0..graph.num_nodes() as u32).collect();
     let (root, quantum, costs) = (tracker.root(), tracker.quantum(), tracker.costs());
     let before = first_predecessors(graph, &cost, quantum, root, &costs, &nodes);
     let mut order = tracker.settled().to_vec();
-    // The list is nearly sorted already, which makes this sort fast.
+    // The list is nearly sorted already, so this sort is fast.
     order.sort_by_key(|n| (costs[*n as usize], *n));
     Tracker::from_costs(root, quantum, costs, before, order, true)
 }
 
-/// Compute the least costs after an edit from those before it.
+/// Compute the least costs after an edit from those before the edit.
 ///
 /// `tracker` must be that of `old_graph`. The result equals [`solved`] on the edited graph.
 ///
@@ -267,13 +269,13 @@ pub fn followed(
         ));
     }
     let num_nodes = graph.num_nodes();
-    // A tracker that was stopped early cannot be updated.
+    // A tracker that was stopped early cannot be updated, and a large edit is faster from scratch.
     if !tracker.is_done() || 2 * edited.dirty.len() > num_nodes {
         return solved(graph, root, watch);
     }
     let (lost, is_dirty_root) = lost_nodes(tracker, edited, root);
-    // This test gives the same result for any least-cost tree, so it comes before the conversion to the first of equal
-    // paths.
+    // This test has the same result for any least-cost tree, so it comes before the conversion to the first of equally
+    // cheap paths.
     if 2 * lost.iter().filter(|lost| **lost).count() > num_nodes {
         return solved(graph, root, watch);
     }
@@ -362,7 +364,9 @@ pub fn followed(
     ))
 }
 
-/// Return the nodes whose path includes a change and which lose their cost, and whether an edge of the root changed.
+/// Return for each node whether its old path includes a change, and whether an edge of the root changed.
+///
+/// Such a node loses its cost.
 fn lost_nodes(tracker: &Tracker, edited: &Edited, root: u32) -> (Vec<bool>, bool) {
     let mut lost = vec![false; edited.graph.num_nodes()];
     for &node in &edited.dirty {
@@ -371,7 +375,7 @@ fn lost_nodes(tracker: &Tracker, edited: &Edited, root: u32) -> (Vec<bool>, bool
     // The root keeps its cost of 0; nodes that were reached from it over a changed edge do not keep theirs.
     let is_dirty_root = lost[root as usize];
     lost[root as usize] = false;
-    // A node comes after its predecessor.
+    // In this order a node comes after its predecessor.
     for &old in tracker.settled() {
         let node = edited.new_of_old[old as usize];
         if node == NO_NODE || node == root {
@@ -387,7 +391,7 @@ fn lost_nodes(tracker: &Tracker, edited: &Edited, root: u32) -> (Vec<bool>, bool
     (lost, is_dirty_root)
 }
 
-/// Return all nodes with a cost in the order of cost and then of nodes; nodes with unchanged cost keep their order.
+/// Return all nodes with a cost, ordered by cost and then by node number; nodes with unchanged cost keep their order.
 fn merged_order(tracker: &Tracker, edited: &Edited, costs: &[u64], changed: &[bool]) -> Vec<u32> {
     let key = |n: u32| (costs[n as usize], n);
     let mut moved: Vec<u32> = (0..costs.len() as u32)
@@ -411,7 +415,7 @@ fn merged_order(tracker: &Tracker, edited: &Edited, costs: &[u64], changed: &[bo
     order
 }
 
-/// Return, for each of `nodes`, the first neighbour in array order through which its least cost is reached.
+/// Return for each of `nodes` its first neighbour in array order that gives the node its least cost.
 fn first_predecessors(
     graph: &LumenGraph,
     cost: &NodeCost,
@@ -441,9 +445,9 @@ fn first_predecessors(
         .collect()
 }
 
-/// Return the voxels that a path reaches in one graph but not in the other.
+/// Return the voxels that paths reach in the graph `new` but not in the graph `old`.
 ///
-/// Each graph is given with a flag for each reached node.
+/// Each graph is given with a flag for each node, true if the node is reached.
 #[must_use]
 pub fn newly_reached(new: (&LumenGraph, &[bool]), old: (&LumenGraph, &[bool])) -> Vec<[u16; 3]> {
     let was = |voxel| {
@@ -457,10 +461,10 @@ pub fn newly_reached(new: (&LumenGraph, &[bool]), old: (&LumenGraph, &[bool])) -
         .collect()
 }
 
-/// Return the voxels of a lumen as one byte each, x fastest.
+/// Return the mask of a lumen: one byte per voxel of the grid, 1 inside, x fastest.
 #[must_use]
 pub fn as_bytes(graph: &LumenGraph, grid: &Grid) -> Vec<u8> {
-    // The system provides zeroed memory: pages without lumen are never written and take no memory.
+    // The operating system provides zeroed memory: pages without lumen are never written and take no memory.
     let mut bytes = vec![0u8; grid.num_voxels()];
     for voxel in &graph.voxels {
         bytes[grid.index(voxel.map(usize::from))] = 1;

@@ -1,4 +1,4 @@
-//! Tests that a lumen edited step by step gives, bit for bit, the graph and the tree of least costs of the same lumen
+//! Tests that a lumen edited step by step has, bit for bit, the graph and the least-cost tree of the same lumen built
 //! from scratch.
 
 use carina_grid::{Affine, Grid, VolumeView};
@@ -11,6 +11,7 @@ use crate::lumen::{LumenCost, LumenGraph, WallLevels};
 use crate::lumen_edit::{as_bytes, edited, followed, newly_reached, solved};
 use crate::tracker::Tracker;
 
+/// Number of voxels of the test volume along i, j, k.
 const SHAPE_IJK: [usize; 3] = [14, 12, 16];
 
 fn grid() -> Grid {
@@ -54,7 +55,7 @@ fn same(a: &Tracker, b: &Tracker, num_nodes: usize) -> Result<(), TestCaseError>
 
 proptest! {
     #[test]
-    fn edits_one_after_the_other_equal_the_whole_from_scratch(
+    fn a_lumen_edited_step_by_step_equals_one_built_from_scratch(
         noise in prop::collection::vec(-1000i16..200, 14 * 12 * 16),
         strokes in strokes(),
         with_levels in any::<bool>(),
@@ -62,7 +63,7 @@ proptest! {
         let grid = grid();
         let view = VolumeView::new(&noise, &grid).unwrap();
         let levels = with_levels.then_some(WallLevels { core: -900.0, wall: -400.0, rise: 100.0 });
-        // A tube down the middle, so that parts far from an edit stay unchanged.
+        // The lumen is a tube down the middle, so that parts far from an edit stay unchanged.
         let tube = |at: usize| {
             let v = grid.voxel(at);
             u8::from((5..9).contains(&v[0]) && (4..8).contains(&v[1]))
@@ -71,7 +72,7 @@ proptest! {
         let root = [6, 6, 15];
         let mut graph = LumenGraph::build(view, &lumen, levels).unwrap();
         let root_node = graph.node_at_voxel(root).unwrap();
-        // As after the automatic search: the queue decides between equal costs.
+        // The first tree is as after the automatic search, where the queue decides between equal costs.
         let cost = LumenCost(&graph);
         let mut tracker = Tracker::new(&graph, &cost, root_node).unwrap();
         tracker.solve_all(&graph, &cost, &Unwatched).unwrap();
@@ -95,11 +96,11 @@ proptest! {
             prop_assert_eq!(&as_bytes(&step.graph, &grid), &lumen);
             let fresh = solved(&whole, whole.node_at_voxel(root).unwrap(), &Unwatched).unwrap();
             same(&next, &fresh, whole.num_nodes())?;
-            // No voxel outside the returned box has another distance to the wall.
+            // No voxel outside the returned box may have another distance to the wall.
             for node in 0..graph.num_nodes() as u32 {
                 let voxel = graph.voxel(node).map(|v| v as isize);
-                let is_told = step.changed_box.is_some_and(|b| b.index_of(voxel).is_some());
-                if let Some(there) = whole.node_at_voxel(voxel) && !is_told {
+                let is_in_changed_box = step.changed_box.is_some_and(|b| b.index_of(voxel).is_some());
+                if let Some(there) = whole.node_at_voxel(voxel) && !is_in_changed_box {
                     prop_assert_eq!(graph.wall_mm(node).to_bits(), whole.wall_mm(there).to_bits());
                 }
             }
@@ -115,7 +116,7 @@ proptest! {
     }
 
     #[test]
-    fn the_cheapest_way_costs_what_a_search_of_all_finds(
+    fn the_least_cost_path_in_a_box_costs_as_much_as_in_an_exhaustive_search(
         weights in prop::collection::vec(prop_oneof![Just(0.0f32), 0.5f32..9.0], 5 * 4 * 5),
         goal in 0..100usize,
         start in 0..100usize,
@@ -125,7 +126,7 @@ proptest! {
         goals[goal] = 1;
         let voxel = |at: usize| [at % 5, at / 5 % 4, at / 20];
         let found = cheapest_way(shape, spacing, &weights, &goals, voxel(start), &Unwatched).unwrap();
-        // Bellman and Ford: relax all steps until nothing changes.
+        // Bellman and Ford: all steps are relaxed until no cost changes.
         let step = |a: usize, b: usize| {
             let (p, q) = (voxel(a), voxel(b));
             let off: [f64; 3] = std::array::from_fn(|n| p[n] as f64 - q[n] as f64);
@@ -150,7 +151,7 @@ proptest! {
         match found {
             None => prop_assert!(least[goal].is_infinite()),
             Some(way) => {
-                // Tolerance 1e-9: the two sums add their terms in different orders.
+                // The tolerance of 1e-9 allows for two sums that add their terms in different orders.
                 prop_assert!((way.cost - least[goal]).abs() < 1e-9);
                 prop_assert_eq!(way.voxels[0], voxel(goal));
                 prop_assert_eq!(way.voxels[way.voxels.len() - 1], voxel(start));

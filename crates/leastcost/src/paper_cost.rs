@@ -1,9 +1,9 @@
-//! Costs `paper` and `walls` (paper 6.2), from the gradient and the sign of the Laplacian.
+//! Edge costs `paper` and `walls` (paper 6.2), from the gradient and the sign of the Laplacian.
 //!
 //! `cost(u, v) = |p(u) - p(v)| (w_g f_g(u, v) + w_z f_z(u, v))`, in mm. The printed formula makes *high* gradients
 //! cheap, so a path follows edges, including the airway's wall. Section 6.3 says the opposite: "the wall of the airway
-//! has such a high cost" that no path goes through it. [`Reading::Printed`] is the printed formula, [`Reading::Walls`]
-//! the intended meaning: the same two functions with the opposite sign. Users of either cost should count the points
+//! has such a high cost" that no path goes through it. [`Reading::Printed`] is the printed formula; [`Reading::Walls`]
+//! is the intended meaning: the same two functions with the opposite sign. Users of either cost should count the points
 //! that leave the lumen.
 //!
 //! [`gradient`] and [`laplacian`] are the formulas as printed; [`PaperCost::build`] fills a table with equal numbers,
@@ -17,21 +17,21 @@ use crate::distance::VoxelBox;
 use crate::graph::Cost;
 use crate::{TrackError, Watch};
 
-/// Weight of the gradient, `w_g`.
+/// Weight of the gradient in the cost, `w_g` of paper 6.2.
 pub const GRADIENT_WEIGHT: f64 = 0.7;
-/// Weight of the Laplacian's zero crossing, `w_z`.
+/// Weight of the Laplacian's zero crossing in the cost, `w_z` of paper 6.2.
 pub const ZERO_CROSSING_WEIGHT: f64 = 0.3;
 
-/// Least weight per mm.
+/// Smallest weight of an edge per mm.
 ///
-/// Paper 6.2. Departure: the printed weight can be 0, and then the integer costs have no smallest edge that would
+/// Departure from paper 6.2: the printed weight can be 0, and then the integer costs have no smallest edge that would
 /// define an accuracy of 0.5 %. Only edges along which the mean gradient is above 99.4 % of the volume's largest are
 /// below this limit.
 pub const LEAST_WEIGHT: f64 = 1.0 / 256.0;
 
-/// Return G(u), the length of the gradient in units per mm, by central differences.
+/// Return G(u), the length of the gradient at a voxel in units of the values per mm, by central differences.
 ///
-/// Values beyond the edge repeat the edge.
+/// Beyond the edge of the volume the values of the edge are repeated.
 #[must_use]
 pub fn gradient(values: VolumeView<'_, i16>, ijk: [usize; 3]) -> f64 {
     let spacing = values.grid().spacing_mm();
@@ -46,9 +46,9 @@ pub fn gradient(values: VolumeView<'_, i16>, ijk: [usize; 3]) -> f64 {
     }))
 }
 
-/// Return 26 times the printed discrete Laplacian: 27 V minus the sum over the 27 voxels.
+/// Return 26 times the printed discrete Laplacian at a voxel: 27 V minus the sum over the 27 voxels.
 ///
-/// Values beyond the edge repeat the edge.
+/// Beyond the edge of the volume the values of the edge are repeated.
 #[must_use]
 pub fn laplacian(values: VolumeView<'_, i16>, ijk: [usize; 3]) -> i32 {
     let at = ijk.map(|v| v as isize);
@@ -61,10 +61,10 @@ pub fn laplacian(values: VolumeView<'_, i16>, ijk: [usize; 3]) -> i32 {
     27 * i32::from(values.at(ijk)) - sum
 }
 
-/// Return the weight per mm from G / max(G) and the Laplacian at both ends.
+/// Return the printed weight of an edge per mm, from G / max(G) and the Laplacian at its two ends.
 ///
-/// Paper 6.2. Departure: `f_g` is 1 - (G(u) + G(v)) / (2 max(G)), because the printed form without the 2 reaches -1 and
-/// Dijkstra's algorithm needs weights of at least 0.
+/// Departure from paper 6.2: `f_g` is 1 - (G(u) + G(v)) / (2 max(G)), because the printed form without the 2 reaches -1
+/// and Dijkstra's algorithm needs weights of at least 0.
 #[must_use]
 pub fn weight(gradient_share: [f64; 2], laplacian: [i32; 2]) -> f64 {
     let f_g = 1.0 - 0.5 * (gradient_share[0] + gradient_share[1]);
@@ -76,10 +76,10 @@ pub fn weight(gradient_share: [f64; 2], laplacian: [i32; 2]) -> f64 {
     (GRADIENT_WEIGHT * f_g + ZERO_CROSSING_WEIGHT * f_z).max(LEAST_WEIGHT)
 }
 
-/// Return the weight per mm with the opposite sign: high gradients and zero crossings are expensive (paper 6.3).
+/// Return the weight of an edge per mm with expensive gradients and zero crossings (paper 6.3).
 ///
-/// Departures: `f_g` is (G(u) + G(v)) / (2 max(G)); a Laplacian of 0 is no crossing, because nothing changes its sign
-/// in air without noise; no weight is below [`LEAST_WEIGHT`].
+/// The arguments are those of [`weight`]. Departures: `f_g` is (G(u) + G(v)) / (2 max(G)); a Laplacian of 0 is no
+/// crossing, because nothing changes its sign in air without noise; no weight is below [`LEAST_WEIGHT`].
 #[must_use]
 pub fn wall_weight(gradient_share: [f64; 2], laplacian: [i32; 2]) -> f64 {
     let f_g = 0.5 * (gradient_share[0] + gradient_share[1]);
@@ -91,24 +91,25 @@ pub fn wall_weight(gradient_share: [f64; 2], laplacian: [i32; 2]) -> f64 {
     (GRADIENT_WEIGHT * f_g + ZERO_CROSSING_WEIGHT * f_z).max(LEAST_WEIGHT)
 }
 
-/// Interpretation of the paper's cost.
+/// Interpretation of the paper's cost: cheap or expensive walls.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Reading {
-    /// As printed in 6.2: walls are cheap.
+    /// The formula printed in 6.2: walls are cheap.
     Printed,
-    /// As 6.3 requires: walls are expensive.
+    /// The meaning that 6.3 requires: walls are expensive.
     Walls,
 }
 
-/// Share of the volume's voxels without a higher gradient than the value used instead of max(G) for [`Reading::Walls`].
+/// Quantile of the volume's gradients that replaces max(G) in [`Reading::Walls`].
 ///
-/// Departure: metal or contrast medium determines the largest gradient of a volume, and relative to it walls would cost
-/// nearly nothing.
+/// Departure from the paper: metal or contrast medium determines the largest gradient of a volume, and relative to it
+/// walls would cost nearly nothing.
 pub const CLIPPED_SHARE: f64 = 0.999;
+/// Number of bins of the histogram from which the quantile is computed.
 const NUM_BINS: usize = 1 << 14;
 
 impl Reading {
-    /// Return the divisor of the gradients.
+    /// Return the gradient of the volume by which gradients are divided: max(G) or its quantile [`CLIPPED_SHARE`].
     ///
     /// # Errors
     ///
@@ -129,8 +130,9 @@ impl Reading {
     }
 }
 
-/// Return the gradient that [`CLIPPED_SHARE`] of the voxels do not exceed, with an accuracy of 1 / 16384 of the largest
-/// gradient.
+/// Return the gradient that the share [`CLIPPED_SHARE`] of the voxels does not exceed.
+///
+/// The accuracy is 1 / 16384 of the largest gradient, `greatest`.
 fn clipped_gradient(
     values: VolumeView<'_, i16>,
     greatest: f64,
@@ -181,7 +183,7 @@ fn clipped_gradient(
     Ok(greatest * (bin + 1) as f64 / NUM_BINS as f64)
 }
 
-/// Return max(G) over the whole volume.
+/// Return the largest gradient of the whole volume, max(G).
 ///
 /// # Errors
 ///
@@ -213,20 +215,20 @@ pub fn greatest_gradient(
     Ok(greatest.into_iter().fold(0.0, f64::max).sqrt())
 }
 
-/// Cost of the edges of a [`BoxGraph`], 5 bytes for each of its voxels.
+/// Cost of the edges of a [`BoxGraph`], as a table with 5 bytes for each voxel.
 #[derive(Debug)]
 pub struct PaperCost {
     reading: Reading,
-    /// G / max(G), 0 to 1. f32 gives `f_g` an accuracy of 1e-7.
+    /// G / max(G) of each voxel, 0 to 1; f32 gives `f_g` an accuracy of 1e-7.
     gradient_share: Vec<f32>,
-    /// Sign of the Laplacian, which is all that the zero crossing needs.
+    /// Sign of the Laplacian of each voxel, from which zero crossings follow.
     laplacian_sign: Vec<i8>,
 }
 
 impl PaperCost {
     /// Build the table for the voxels of a graph from the values of the whole volume.
     ///
-    /// `greatest_gradient` is [`Reading::scale`] of the volume.
+    /// `greatest_gradient` is the result of [`Reading::scale`] for the volume.
     ///
     /// # Errors
     ///
@@ -242,7 +244,7 @@ impl PaperCost {
         let [nx, ny, nz] = voxel_box.shape_ijk;
         let mut gradient_share = vec![0.0f32; voxel_box.num_voxels()];
         let mut laplacian_sign = vec![0i8; voxel_box.num_voxels()];
-        // A volume of one value has no gradient anywhere, so f_g is 1.
+        // A volume with a single value has no gradient anywhere, so f_g is 1.
         let scale = if greatest_gradient > 0.0 {
             1.0 / greatest_gradient
         } else {
@@ -309,7 +311,7 @@ struct Rows<'a> {
     values: VolumeView<'a, i16>,
     first_i: usize,
     squared: Vec<f64>,
-    /// Sum of nine rows at one i, from one voxel before the box to one behind it.
+    /// Sum of nine rows at each i, from one voxel before the box to one voxel after it.
     sums: Vec<i32>,
     laplacian: Vec<i32>,
 }

@@ -1,6 +1,6 @@
 //! Tests of the printed cost and of the cost with expensive walls, on random volumes.
 //!
-//! The table equals the formulas, weights stay in their range, and the tracker finds the costs of the plain search.
+//! The table equals the formulas, weights stay in their range, and the tracker finds the costs of Dijkstra's algorithm.
 
 use carina_grid::{Affine, Grid, VolumeView};
 use proptest::prelude::*;
@@ -91,7 +91,7 @@ proptest! {
             .map(|n| gradient(view, grid.voxel(n)))
             .fold(0.0, f64::max);
         let found = greatest_gradient(view, &Unwatched).unwrap();
-        // The table adds the three squares in another order.
+        // The tolerance is needed because the table adds the three squares in another order.
         prop_assert!((found - greatest).abs() <= 1e-12 * greatest);
         let graph = BoxGraph::new(&grid, case.part).unwrap();
         for reading in [Reading::Printed, Reading::Walls] {
@@ -109,7 +109,7 @@ proptest! {
                 worst = worst.max((table - printed).abs());
                 range &= (LEAST_WEIGHT..=1.0).contains(&table) && table == cost.weight(other, node);
             });
-            // The table is in f32.
+            // The tolerance is needed because the table is in f32.
             prop_assert!(worst < 1e-6, "{worst}");
             prop_assert!(range);
         }
@@ -117,7 +117,7 @@ proptest! {
     }
 
     #[test]
-    fn resumed_targets_cost_what_a_plain_search_finds(
+    fn resumed_costs_equal_dijkstra(
         case in case(),
         targets in prop::collection::vec(any::<u32>(), 1..6),
         walls in any::<bool>(),
@@ -156,7 +156,7 @@ fn a_step_edge_gives_the_printed_numbers() {
         .map(|n| if grid.voxel(n)[0] < 4 { -1000 } else { 0 })
         .collect();
     let view = VolumeView::new(&values, &grid).unwrap();
-    // Central differences include the step from both sides of it, but not one voxel farther.
+    // Central differences see the step from both sides of it, but not from one voxel farther away.
     for (i, expected) in [(2, 0.0), (3, 1000.0 / 1.4), (4, 1000.0 / 1.4), (5, 0.0)] {
         assert!((gradient(view, [i, 2, 2]) - expected).abs() < 1e-9);
     }
@@ -185,7 +185,7 @@ fn a_step_edge_gives_the_printed_numbers() {
 }
 
 #[test]
-fn where_walls_are_dear_a_step_costs_all_there_is_and_even_values_next_to_nothing() {
+fn in_the_walls_cost_a_step_edge_is_expensive_and_uniform_values_are_cheap() {
     let grid = grid([5, 5, 8]);
     let values: Vec<i16> = (0..grid.num_voxels())
         .map(|n| if grid.voxel(n)[0] < 4 { -1000 } else { 0 })
@@ -205,7 +205,7 @@ fn where_walls_are_dear_a_step_costs_all_there_is_and_even_values_next_to_nothin
 }
 
 #[test]
-fn metal_does_not_make_walls_cheap_where_they_are_dear() {
+fn metal_does_not_make_walls_cheap_in_the_walls_cost() {
     let grid = grid([20, 20, 20]);
     let mut values: Vec<i16> = (0..grid.num_voxels())
         .map(|n| if grid.voxel(n)[0] < 10 { -1000 } else { 0 })
@@ -221,7 +221,7 @@ fn metal_does_not_make_walls_cheap_where_they_are_dear() {
 }
 
 #[test]
-fn a_volume_of_one_value_has_a_cost_all_the_same() {
+fn a_volume_with_one_value_has_the_weight_of_a_zero_gradient() {
     let grid = grid([3, 3, 4]);
     let values = vec![17; grid.num_voxels()];
     let view = VolumeView::new(&values, &grid).unwrap();
@@ -231,7 +231,7 @@ fn a_volume_of_one_value_has_a_cost_all_the_same() {
 }
 
 #[test]
-fn a_box_that_is_not_in_the_volume_is_refused() {
+fn a_box_outside_the_volume_is_rejected() {
     let grid = grid([3, 3, 4]);
     for (first_ijk, shape_ijk) in [
         ([0, 0, 0], [5, 3, 3]),

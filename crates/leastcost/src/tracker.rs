@@ -1,8 +1,8 @@
 //! Resumable tree of least-cost paths (paper 6.3, Algorithm 1) with an integer bucket queue.
 //!
-//! The root is fixed. [`Tracker::solve_to`] settles nodes in the order of their cost until the target is settled and
-//! keeps all results: the search for the next target continues from there, and costs nothing if it is settled already.
-//! The back-pointers B(u) of the paper are `predecessor`.
+//! The root is fixed. [`Tracker::solve_to`] settles nodes in the order of their cost until the target is settled, and
+//! stores all results: the search for the next target continues from there, and needs no work if that target is settled
+//! already. The back-pointers B(u) of the paper are `predecessor`.
 //!
 //! The queue is Dial's (1969): edge costs are integers of at most C quanta, so all open costs are in a window of C + 1
 //! values, with one bucket each, used in a circle. Settling is exact, as with a heap; [`crate::dijkstra`] is the
@@ -17,12 +17,12 @@ pub const UNREACHED: u64 = u64::MAX;
 /// Number of nodes settled between two checks of the watch.
 const NODES_PER_LOOK: usize = 1 << 16;
 
-/// Tree of least-cost paths that grows on demand.
+/// Tree of least-cost paths from one root, which grows on demand.
 #[derive(Debug)]
 pub struct Tracker {
     root: u32,
     quantum: Quantum,
-    // u64: a sum of 2^31 edges of 2^24 quanta is below 2^55, so no path cost can overflow.
+    // The costs are u64: a sum of 2^31 edges of 2^24 quanta is below 2^55, so no path cost can overflow.
     cost: Vec<u64>,
     predecessor: Vec<u32>,
     settled: Vec<bool>,
@@ -62,9 +62,10 @@ impl Tracker {
         Ok(tracker)
     }
 
-    /// Create a tracker in which all nodes with a cost are settled, in the order of cost and then of nodes.
+    /// Create a tracker in which all nodes with a cost are settled.
     ///
-    /// `predecessor` is `NO_NODE` at the root and for nodes that are not settled.
+    /// `order` has these nodes, ordered by cost and then by node number. `predecessor` is `NO_NODE` at the root and for
+    /// nodes that are not settled.
     pub(crate) fn from_costs(
         root: u32,
         quantum: Quantum,
@@ -86,7 +87,9 @@ impl Tracker {
         }
     }
 
-    /// Settle all nodes with the first of equally cheap paths, so that the tree and its order depend only on the graph.
+    /// Create a tracker and settle all nodes, with the first of equally cheap paths.
+    ///
+    /// The tree and its order then depend only on the graph.
     pub(crate) fn solved_in_order(
         graph: &impl Graph,
         cost: &impl Cost,
@@ -96,7 +99,7 @@ impl Tracker {
         let mut tracker = Self::new(graph, cost, root)?;
         tracker.first_of_equals = true;
         tracker.solve_all(graph, cost, watch)?;
-        // The order of cost is already correct; sort nodes of equal cost by number.
+        // The order by cost is already correct; nodes of equal cost are sorted by number.
         let costs = &tracker.cost;
         for equals in tracker
             .order
@@ -107,18 +110,17 @@ impl Tracker {
         Ok(tracker)
     }
 
-    /// Return true if the first of equally cheap paths was taken everywhere, so that the tree depends only on the
-    /// graph.
+    /// Return true if the tree has the first of equally cheap paths everywhere, so that it depends only on the graph.
     pub(crate) const fn first_of_equals(&self) -> bool {
         self.first_of_equals
     }
 
-    /// Return true if no node is left to be settled.
+    /// Return true if every node that a path can reach is settled.
     pub(crate) const fn is_done(&self) -> bool {
         self.queue.num_open == 0
     }
 
-    /// Return the least cost of every node in quanta; [`UNREACHED`] if none is known.
+    /// Return the least cost of every node in quanta; [`UNREACHED`] for a node that is not settled.
     pub(crate) fn costs(&self) -> Vec<u64> {
         (0..self.cost.len() as u32)
             .map(|node| self.cost_quanta(node).unwrap_or(UNREACHED))
@@ -170,7 +172,7 @@ impl Tracker {
                 return Ok(());
             };
             let u = node as usize;
-            // A node is queued once per improvement; all entries but the last, cheapest one are stale.
+            // A node is queued once per improvement of its cost; all entries but the last, cheapest one are stale.
             if self.settled[u] || self.cost[u] != node_cost {
                 continue;
             }
@@ -187,7 +189,7 @@ impl Tracker {
                     predecessors[v as usize] = node;
                     queue.push(through, v);
                 } else if first_of_equals && through == least && node < predecessors[v as usize] {
-                    // All nodes through which a node's least cost is reached are settled before it, because each has a
+                    // All neighbours that give a node its least cost are settled before the node, because each has a
                     // lower cost.
                     predecessors[v as usize] = node;
                 }
@@ -200,13 +202,13 @@ impl Tracker {
         Ok(())
     }
 
-    /// Return the fixed root.
+    /// Return the node of the root.
     #[must_use]
     pub const fn root(&self) -> u32 {
         self.root
     }
 
-    /// Return the integer unit of this search.
+    /// Return the integer unit of the costs of this search.
     #[must_use]
     pub const fn quantum(&self) -> Quantum {
         self.quantum
@@ -218,13 +220,13 @@ impl Tracker {
         &self.order
     }
 
-    /// Return the least cost of a settled node in quanta.
+    /// Return the least cost of a node in quanta; `None` if the node is not settled.
     #[must_use]
     pub fn cost_quanta(&self, node: u32) -> Option<u64> {
         self.settled[node as usize].then(|| self.cost[node as usize])
     }
 
-    /// Return the least cost of a settled node, weight times mm.
+    /// Return the least cost of a node in weight times mm; `None` if the node is not settled.
     #[must_use]
     pub fn cost(&self, node: u32) -> Option<f64> {
         self.cost_quanta(node)
@@ -238,7 +240,7 @@ impl Tracker {
         (self.settled[node as usize] && before != NO_NODE).then_some(before)
     }
 
-    /// Return the nodes from the root to `target`; `None` if it is not settled.
+    /// Return the nodes of the path from the root to `target`; `None` if the target is not settled.
     #[must_use]
     pub fn path_to(&self, target: u32) -> Option<Vec<u32>> {
         if !self.settled[target as usize] {
@@ -257,11 +259,11 @@ impl Tracker {
 
 /// Dial's circular buckets, as linked lists in one pool.
 ///
-/// Within a bucket the last entry comes out first, so the order is fixed.
+/// Within a bucket the last entry comes out first, so the order of the entries is determined.
 #[derive(Debug)]
 struct BucketQueue {
     heads: Vec<u32>,
-    /// One bit per non-empty bucket, so that 64 empty buckets are skipped at a time.
+    /// One bit per bucket, set if the bucket is not empty, so that 64 empty buckets are skipped at a time.
     filled: Vec<u64>,
     entries: Vec<(u32, u32)>,
     free: u32,
@@ -270,11 +272,12 @@ struct BucketQueue {
     front: u64,
 }
 
+/// Entry number that stands for no entry.
 const END: u32 = u32::MAX;
 
 impl BucketQueue {
     fn new(dearest_edge: u32) -> Self {
-        // A power of two above C, so that a mask gives the index in the circle.
+        // The number of buckets is a power of two above C, so that a mask gives the index in the circle.
         let num_buckets = (dearest_edge as usize + 1).next_power_of_two().max(64);
         Self {
             heads: vec![END; num_buckets],

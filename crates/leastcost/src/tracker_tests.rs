@@ -62,7 +62,7 @@ fn random_graph() -> impl Strategy<Value = RandomGraph> {
     })
 }
 
-/// Return the cheapest edge between two neighbours, quanta.
+/// Return the cost in quanta of the cheapest edge between two neighbours.
 fn edge_quanta(graph: &RandomGraph, quantum: Quantum, u: u32, v: u32) -> u64 {
     graph.edges[u as usize]
         .iter()
@@ -74,7 +74,7 @@ fn edge_quanta(graph: &RandomGraph, quantum: Quantum, u: u32, v: u32) -> u64 {
 
 proptest! {
     #[test]
-    fn the_bucket_queue_finds_the_costs_of_the_heap(graph in random_graph()) {
+    fn costs_of_the_bucket_queue_equal_those_of_the_heap(graph in random_graph()) {
         let mut tracker = Tracker::new(&graph, &graph, 0).unwrap();
         tracker.solve_all(&graph, &graph, &Unwatched).unwrap();
         let truth = least_costs(&graph, &graph, tracker.quantum(), 0);
@@ -84,7 +84,7 @@ proptest! {
     }
 
     #[test]
-    fn resumed_targets_equal_a_fresh_solve(
+    fn resumed_searches_equal_fresh_searches(
         graph in random_graph(),
         targets in prop::collection::vec(0usize..60, 1..8),
     ) {
@@ -97,7 +97,7 @@ proptest! {
             let before = resumed.settled().len();
             let known = resumed.cost_quanta(target).is_some();
             let reached = resumed.solve_to(&graph, &graph, target, &Unwatched).unwrap();
-            // A settled target costs no further work.
+            // No node may be settled for a target that is settled already.
             prop_assert!(!known || resumed.settled().len() == before);
             prop_assert_eq!(reached, fresh.cost_quanta(target).is_some());
             prop_assert_eq!(resumed.path_to(target), fresh.path_to(target));
@@ -107,7 +107,7 @@ proptest! {
     }
 
     #[test]
-    fn a_paths_cost_is_the_sum_of_its_edges_and_right_within_half_a_percent(graph in random_graph()) {
+    fn a_path_cost_is_the_sum_of_its_edges_and_accurate_within_half_a_percent(graph in random_graph()) {
         let mut tracker = Tracker::new(&graph, &graph, 0).unwrap();
         tracker.solve_all(&graph, &graph, &Unwatched).unwrap();
         for target in 0..graph.num_nodes() as u32 {
@@ -145,8 +145,8 @@ impl Watch for StopOnce {
 }
 
 #[test]
-fn a_stopped_tracker_goes_on_where_it_stopped() {
-    // A chain longer than the number of nodes between two checks.
+fn a_stopped_tracker_resumes_with_equal_results() {
+    // The chain is longer than the number of nodes between two checks.
     let n = 200_000u32;
     let edges = (0..n)
         .map(|u| {
@@ -177,7 +177,7 @@ fn a_stopped_tracker_goes_on_where_it_stopped() {
 }
 
 #[test]
-fn a_cost_range_too_wide_for_the_queue_is_refused() {
+fn a_cost_range_too_wide_for_the_queue_is_rejected() {
     struct Wide(RandomGraph);
     impl Cost for Wide {
         fn weight(&self, u: u32, v: u32) -> f64 {

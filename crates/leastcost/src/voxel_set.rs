@@ -6,12 +6,12 @@
 
 use crate::distance::VoxelBox;
 
-/// Voxels of the volume inside a box.
+/// Set of voxels of the volume inside a box, which numbers its members in array order.
 #[derive(Debug, Clone)]
 pub(crate) struct VoxelSet {
     voxel_box: VoxelBox,
     words: Vec<u64>,
-    /// Number of members before each word.
+    /// Number of members before each 64-bit word.
     before: Vec<u32>,
 }
 
@@ -40,12 +40,12 @@ impl VoxelSet {
         }
     }
 
-    /// Return the box.
+    /// Return the box to which the set is limited.
     pub(crate) const fn voxel_box(&self) -> VoxelBox {
         self.voxel_box
     }
 
-    /// Return the index of a voxel among the members in array order; `None` if it is no member.
+    /// Return the number of a voxel among the members in array order; `None` if the voxel is no member.
     pub(crate) fn place(&self, ijk: [isize; 3]) -> Option<u32> {
         let at = self.voxel_box.index_of(ijk)?;
         let (word, bit) = (self.words[at / 64], at % 64);
@@ -53,7 +53,7 @@ impl VoxelSet {
             .then(|| self.before[at / 64] + (word & ((1 << bit) - 1)).count_ones())
     }
 
-    /// Return the members in a part of a row along i inside the box, with their indices, in order.
+    /// Return the members in a part of a row along i inside the box, in order, each as its i and its number.
     ///
     /// Empty parts are skipped 64 voxels at a time.
     pub(crate) fn in_row(
@@ -82,9 +82,9 @@ impl VoxelSet {
         })
     }
 
-    /// Return which of three voxels in a row along i are members, and the index of the first; `None` outside the box.
+    /// Return which of three voxels in a row along i are members, and the number of the first member.
     ///
-    /// The middle voxel's i must be in the box.
+    /// `ijk` is the middle voxel, whose i must be in the box. The result is `None` if the row is outside the box.
     #[inline]
     pub(crate) fn three(&self, ijk: [isize; 3]) -> Option<(u32, [bool; 3])> {
         let VoxelBox {
@@ -110,7 +110,7 @@ impl VoxelSet {
         ))
     }
 
-    /// Return true for a member.
+    /// Return true if a voxel is a member of the set.
     pub(crate) fn holds(&self, ijk: [isize; 3]) -> bool {
         self.voxel_box
             .index_of(ijk)
@@ -125,11 +125,11 @@ mod tests {
 
     proptest! {
         #[test]
-        fn places_count_the_members_in_array_order(bits in prop::collection::vec(any::<bool>(), 7 * 5 * 6)) {
+        fn members_are_numbered_in_array_order(bits in prop::collection::vec(any::<bool>(), 7 * 5 * 6)) {
             let voxel_box = VoxelBox { first_ijk: [3, 1, 2], shape_ijk: [7, 5, 6] };
             let voxel = |at: usize| voxel_box.voxel(at).map(|v| v as isize);
             let members: Vec<[isize; 3]> = (0..bits.len()).filter(|at| bits[*at]).map(voxel).collect();
-            // The order of the members does not matter.
+            // The members are added in reverse, because their order must not matter.
             let set = VoxelSet::new(voxel_box, members.iter().rev().copied());
             for (n, member) in members.iter().enumerate() {
                 prop_assert_eq!(set.place(*member), Some(n as u32));

@@ -1,4 +1,4 @@
-//! Nearest voxel outside for every lumen voxel, without a search of the rest of the volume.
+//! Search for the voxel outside the lumen that is nearest to each lumen voxel, limited to the lumen and its border.
 //!
 //! The method is the separable transform of [`crate::distance`] on runs of lumen voxels: along a line, no voxel beyond
 //! the first voxel outside a run can be nearest to a voxel of the run, so only a run and its two ends matter. The
@@ -7,7 +7,7 @@
 
 use crate::voxel_set::VoxelSet;
 
-/// Marker for no voxel outside (the lumen fills the volume).
+/// Value that stands for no voxel outside, if the lumen fills the volume.
 pub(crate) const NO_SITE: [u16; 3] = [u16::MAX; 3];
 
 #[derive(Debug, Clone, Copy)]
@@ -16,15 +16,16 @@ struct Near {
     squared_mm2: f64,
 }
 
+/// Entry of a position without any voxel outside.
 const NOTHING: Near = Near {
     site: NO_SITE,
     squared_mm2: f64::INFINITY,
 };
 
-/// Return the nearest voxel outside for each of `voxels`, which are the members of `lumen` in array order.
+/// Return for each lumen voxel the nearest voxel outside the lumen; [`NO_SITE`] if there is none.
 ///
-/// Distances are between voxel centres with `spacing_mm` along i, j, k. The region beyond the volume (`shape_ijk`) is
-/// unknown, so the volume's faces are no wall. The result is [`NO_SITE`] if there is no voxel outside.
+/// `voxels` are the members of `lumen` in array order. Distances are between voxel centres with `spacing_mm` along i,
+/// j, k. The region beyond the volume (`shape_ijk`) is unknown, so the volume's faces are no wall.
 pub(crate) fn nearest_outside_lumen(
     lumen: &VoxelSet,
     voxels: &[[u16; 3]],
@@ -40,7 +41,7 @@ pub(crate) fn nearest_outside_lumen(
             if lumen.holds(at) {
                 continue;
             }
-            // The first voxel of a run of lumen. The site outside the lumen before it is added first.
+            // This voxel is the first of a run of lumen. The voxel outside the lumen before the run is added first.
             line.begin(outside(*voxel, axis, -1, shape_ijk));
             let mut next = Some(first as u32);
             at[axis] += 1;
@@ -66,11 +67,11 @@ fn outside(voxel: [u16; 3], axis: usize, step: i32, shape_ijk: [usize; 3]) -> Op
     })
 }
 
-/// A run with its two ends: the lower envelope of one parabola per position.
+/// Run of lumen voxels with the voxels at its two ends, and the lower envelope of one parabola per position.
 #[derive(Debug, Default)]
 struct Line {
     nodes: Vec<u32>,
-    /// Heights of all positions: one more than nodes at either end.
+    /// Heights of the parabolas at all positions of the run and at one position beyond either end.
     heights: Vec<Near>,
     lowest: Vec<(usize, f64)>,
 }
@@ -100,7 +101,7 @@ impl Line {
             }
             let mut begins = f64::NEG_INFINITY;
             while let Some(&(p, p_begins)) = self.lowest.last() {
-                // Intersection of the two parabolas.
+                // The intersection of the two parabolas.
                 let (x, y) = (place(p), place(q));
                 begins = ((height.squared_mm2 + y * y) - (self.heights[p].squared_mm2 + x * x))
                     / (2.0 * (y - x));
@@ -146,7 +147,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_nearest_voxel_outside_is_as_near_as_a_search_of_all_finds(
+        fn the_distance_to_the_nearest_site_equals_an_exhaustive_search(
             outside in prop::collection::vec(prop::bool::weighted(0.1), 5 * 6 * 7),
             spacing in prop::array::uniform3(0.3f64..3.0),
         ) {
@@ -167,7 +168,7 @@ mod tests {
                     .reduce(f64::min);
                 match best {
                     None => prop_assert_eq!(site, NO_SITE),
-                    // Tolerance 1e-9 mm: the crossings of the parabolas are rounded.
+                    // The tolerance of 1e-9 mm allows for the rounding of the intersections of the parabolas.
                     Some(best) => prop_assert!((distance(*voxel, site) - best).abs() < 1e-9),
                 }
             }

@@ -1,4 +1,4 @@
-//! Tube that keeps an airway open: through the larynx, or through the front of the neck.
+//! Tube in the trachea that keeps the airway open, either through the larynx or through the front of the neck.
 
 use carina_grid::{cross, dot, length};
 
@@ -7,7 +7,7 @@ use crate::neck::Neck;
 use crate::random::Random;
 use crate::shapes::{Piece, SIGMA_MM, along, cover, direction, hermite, mix, sub};
 
-/// Route of a tube into the trachea.
+/// Route by which a tube enters the trachea.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TubeKind {
     /// Through the mouth and the larynx.
@@ -21,33 +21,35 @@ pub enum TubeKind {
 pub struct TubeTruth {
     /// Route of the tube.
     pub kind: TubeKind,
-    /// Middle of its open end, LPS mm.
+    /// Centre of the tube's open end in the trachea, LPS mm.
     pub tip_lps: [f64; 3],
-    /// Distance from the tip to the carina along the trachea's centreline, mm.
+    /// Distance from the tube's end to the carina along the trachea's centreline, mm.
     pub above_carina_mm: f64,
-    /// Radius of its outer surface, mm.
+    /// Radius of the tube's outer surface, mm.
     pub outer_mm: f64,
-    /// Radius of its inner surface, mm.
+    /// Radius of the tube's inner surface, mm.
     pub inner_mm: f64,
 }
 
-/// Data of a tube that the computation of a voxel needs.
+/// Geometry of a tube from which the values of voxels are computed.
 #[derive(Debug, Clone)]
 pub(crate) struct AirwayTube {
     pub(crate) truth: TubeTruth,
     pub(crate) pieces: Vec<Piece>,
     wall_hu: f64,
-    /// Heights between which fluid is on the cuff round the tube.
+    /// Lowest and highest height z of the fluid that is on the cuff round the tube, mm.
     fluid_z: [f64; 2],
 }
 
-/// Distance from the tip to the cuff, and the cuff's length.
+/// Distance from the tube's end to its cuff, and length of the cuff, mm.
 const CUFF_MM: [f64; 2] = [16.0, 24.0];
-/// Range of the height of the fluid on the cuff, mm.
+/// Smallest and largest height of the column of fluid on the cuff, mm.
 const FLUID_MM: [f64; 2] = [5.0, 12.0];
+/// Value of the radio-opaque line in the tube's wall, HU.
 const LINE_HU: f64 = 1500.0;
-/// Half of the width of the radio-opaque line in the wall, mm.
+/// Half of the width of the radio-opaque line in the tube's wall, mm.
 const HALF_LINE_MM: f64 = 0.6;
+/// Value of the fluid on the cuff, HU.
 const FLUID_HU: f64 = 12.0;
 
 impl AirwayTube {
@@ -63,21 +65,21 @@ impl AirwayTube {
         let outer_mm = random.range(4.6, 5.6);
         let inner_mm = outer_mm - random.range(1.1, 1.5);
         let wanted = match kind {
-            // The cuff and the fluid on it are below the cricoid.
+            // The cuff and the fluid on it must be below the cricoid.
             TubeKind::Endotracheal => {
                 let most = trachea[0][2] - CUFF_MM[0] - CUFF_MM[1] - FLUID_MM[1] - 4.0;
                 random.range(22.0, 58.0f64.min(most))
             }
             TubeKind::Tracheostomy => random.range(30.0, 55.0),
         };
-        // Start at the carina and go up.
+        // The end of the tube is searched from the carina upwards.
         let mut above_carina_mm = 0.0;
         let mut tip = trachea.len() - 1;
         while tip > 1 && above_carina_mm < wanted {
             above_carina_mm += length(sub(trachea[tip], trachea[tip - 1]));
             tip -= 1;
         }
-        // The tube touches the front or the back wall instead of being in the middle.
+        // The tube touches the front or the back wall of the trachea instead of being in its middle.
         let lean = random.range(-1.6, 2.2);
         let moved = |p: [f64; 3]| [p[0], p[1] + lean, p[2]];
         let mut points: Vec<[f64; 3]> = Vec::new();
@@ -112,7 +114,8 @@ impl AirwayTube {
         } else {
             points.extend(trachea[..=tip].iter().rev().map(|&p| moved(p)));
             if let Some(neck) = neck {
-                // The displacement changes to the path through the larynx within a few points.
+                // The displacement from the middle decreases to 0 within a few points, up to the path through the
+                // larynx.
                 let way = neck.way_up();
                 points.truncate(points.len().saturating_sub(6));
                 points.extend_from_slice(&way[2..]);
@@ -160,7 +163,9 @@ impl AirwayTube {
         (self.fluid_z[0]..self.fluid_z[1]).contains(&z)
     }
 
-    /// Apply the tube to a voxel's value: air in the tube, its wall, fluid round it on the cuff.
+    /// Return the value of a voxel with the tube: air in the tube, its wall, fluid round it on the cuff.
+    ///
+    /// `hu` is the value without the tube.
     pub(crate) fn lay_over(
         &self,
         hu: f64,
@@ -191,8 +196,9 @@ impl AirwayTube {
         hu * outside + own
     }
 
-    /// Return the distance from the tube's axis to a point, and the HU of its wall there; the axis ends flat at the
-    /// tip.
+    /// Return the distance from the tube's axis to a point, and the HU of the tube's wall there.
+    ///
+    /// The tube ends flat at its tip. The result is `None` beyond the ends of the tube.
     fn at(&self, p: [f64; 3], near: &[u32]) -> Option<(f64, f64)> {
         let mut best: Option<(f64, u32)> = None;
         for &n in near {
@@ -210,7 +216,7 @@ impl AirwayTube {
         if before || behind {
             return None;
         }
-        // The line is along the tube's front.
+        // The radio-opaque line runs along the tube's front.
         let front = direction(cross([1.0, 0.0, 0.0], axis));
         let from = sub(p, piece.start);
         let off = along(from, -dot(from, axis), axis);

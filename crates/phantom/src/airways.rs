@@ -5,31 +5,31 @@ use crate::random::Random;
 use crate::shapes::{along, direction, hermite, mix, normals, sub, tilted};
 use crate::skeleton::{Basal, RightUpper, named_branches};
 
-/// Airway with exact centreline and radii.
+/// Airway of a phantom with its exact centreline and radii.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Branch {
     /// Index in [`AirwayTree::branches`]; the trachea is 0.
     pub id: usize,
-    /// Id of the branch that this one leaves.
+    /// Id of the branch from whose end this branch starts; `None` for the trachea.
     pub parent: Option<usize>,
-    /// Ids of the branches that leave its end.
+    /// Ids of the branches that start at the end of this branch.
     pub children: Vec<usize>,
-    /// Generation; the trachea is 0.
+    /// Number of bifurcations from the trachea, whose generation is 0.
     pub generation: usize,
-    /// Name down to the segments; subsegments have none.
+    /// Name of the branch; `None` beyond the segments.
     pub name: Option<&'static str>,
-    /// Centreline, LPS mm, root to tip.
+    /// Points of the airway's centreline from its start to its end, LPS mm.
     ///
     /// The first point is the parent's last, bit for bit.
     pub points: Vec<[f64; 3]>,
-    /// Radius of the lumen at each point: of the circle with the lumen's area.
+    /// Radius in mm at each point of the circle with the area of the lumen.
     pub radius_mm: Vec<f64>,
-    /// Thickness of the wall, mm.
+    /// Thickness of the airway's wall, mm.
     pub wall_mm: f64,
 }
 
 impl Branch {
-    /// Return the last point.
+    /// Return the last point of the centreline.
     pub(crate) fn tip(&self) -> [f64; 3] {
         self.points[self.points.len() - 1]
     }
@@ -43,7 +43,7 @@ impl Branch {
         self.radius_mm[self.radius_mm.len() - 1]
     }
 
-    /// Return the length of the centreline.
+    /// Return the length of the centreline, mm.
     #[must_use]
     pub fn length_mm(&self) -> f64 {
         self.points
@@ -52,7 +52,7 @@ impl Branch {
             .sum()
     }
 
-    /// Return centre and radius of a ball around the whole branch, including its wall.
+    /// Return centre and radius of a ball that contains the whole branch, including its wall.
     fn ball(&self) -> ([f64; 3], f64) {
         let middle = self.points[self.points.len() / 2];
         let reach = self
@@ -68,11 +68,11 @@ impl Branch {
 /// Airways of a phantom; parents come before their children.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AirwayTree {
-    /// All branches, by id.
+    /// All branches; the index of a branch is its id.
     pub branches: Vec<Branch>,
 }
 
-/// Return the thickness of a wall from the radius of its lumen.
+/// Return the thickness of an airway's wall in mm from the radius of its lumen.
 ///
 /// The thickness is 1.8 mm at the trachea, 0.9 at a segment, 0.6 at generation 6 (docs/algorithms.md, sizes of
 /// airways).
@@ -82,11 +82,11 @@ fn wall_mm(radius: f64) -> f64 {
 
 /// Smallest distance between the walls of unrelated branches, mm.
 const GAP_MM: f64 = 0.8;
-/// Smallest distance of subsegments from the pleura, in addition to their own radius and wall.
+/// Smallest distance of subsegments from the pleura, in addition to their own radius and wall, mm.
 const PLEURA_MM: f64 = 2.5;
 
 impl AirwayTree {
-    /// Grow a tree whose trachea starts at height `top_z`.
+    /// Create a random tree of airways whose trachea starts at height `top_z`.
     ///
     /// Branches of a generation below `generations` divide, so the tree reaches that generation where the lung has
     /// enough space.
@@ -121,7 +121,8 @@ impl AirwayTree {
             let reach = if named.is_segment() { 1.45 } else { 1.0 };
             let length_mm = named.length_mm * reach * size * random.range(0.94, 1.06);
             let radius = 0.5 * named.diameter_mm * size * random.range(0.95, 1.05);
-            // 6 degrees: larger rotations of two neighbours could bring named branches into contact.
+            // The limit is 6 degrees, because larger rotations of two neighbours could bring named branches into
+            // contact.
             let dir = random.near(direction(named.dir), 0.105);
             let branch = tree.shoot(parent, dir, length_mm, radius, Some(named.name));
             tree.push(branch);
@@ -137,7 +138,7 @@ impl AirwayTree {
         self.branches.push(branch);
     }
 
-    /// Add the trachea: from the neck, where it is anterior, down and back to the carina at the origin.
+    /// Add the trachea to the tree: from the neck, where it is anterior, down and back to the carina at the origin.
     fn add_trachea(&mut self, top_z: f64, radius: f64) {
         let top = [1.5, -0.2 * top_z, top_z];
         let num = ((top_z / 1.5).ceil() as usize).max(4);
@@ -168,7 +169,7 @@ impl AirwayTree {
         });
     }
 
-    /// Return a child of `parent` that bends from the parent's direction into its own.
+    /// Return a new child of `parent` that bends from the parent's direction into `dir`.
     ///
     /// The child is not yet part of the tree.
     fn shoot(
@@ -203,10 +204,11 @@ impl AirwayTree {
         }
     }
 
-    /// Divide all ends below `generations` in two, breadth first.
+    /// Divide every end of a generation below `generations` into two branches, breadth first.
     fn subdivide(&mut self, generations: usize, random: &mut Random) {
         let mut next = 0;
-        // The plane of a division is perpendicular to that of the previous one; named ends start with a random plane.
+        // The plane of a division is perpendicular to that of the previous division; ends of named branches start with
+        // a random plane.
         let mut planes: Vec<Option<[f64; 3]>> = vec![None; self.branches.len()];
         while next < self.branches.len() {
             let id = next;
@@ -225,10 +227,10 @@ impl AirwayTree {
         }
     }
 
-    /// Return two children for an end, the pair with the largest clearance of some random tries, and the normal of
-    /// their plane.
+    /// Return two children for the end of a branch, and the normal of their plane.
     ///
-    /// The result is `None` if the lung has no space for any.
+    /// Of some random pairs, the one with the largest clearance is returned. The result is `None` if the lung has no
+    /// space for any pair.
     fn best_division(
         &self,
         id: usize,
@@ -238,7 +240,7 @@ impl AirwayTree {
         let parent = &self.branches[id];
         let dir = parent.tip_direction();
         let (across, up) = normals(dir);
-        // The children's plane contains this direction, the normal of the previous plane.
+        // The direction that the children's plane contains: the normal of the previous plane.
         let base = plane.map_or_else(
             || random.range(0.0, core::f64::consts::PI),
             |n| libm::atan2(carina_grid::dot(n, up), carina_grid::dot(n, across)),
@@ -248,23 +250,24 @@ impl AirwayTree {
             let wide = f64::from(attempt) / 24.0;
             let turn = base + random.range(-0.4 - 1.2 * wide, 0.4 + 1.2 * wide);
             let mut child = |side: f64| {
-                // Horsfield: 28 to 39 degrees (docs/algorithms.md, sizes of airways).
+                // The angles are Horsfield's, 28 to 39 degrees (docs/algorithms.md, sizes of airways).
                 let tilt = random.range(0.44, 0.70);
                 let radius = parent.tip_radius() * random.range(0.78, 0.90);
-                // Weibel's lengths of generations 4 to 8 are 2.8 to 3.3 diameters; these are longer, to fill the lung.
+                // Weibel's lengths of generations 4 to 8 are 2.8 to 3.3 diameters; the lengths here are longer, to fill
+                // the lung.
                 let length_mm =
                     2.0 * radius * random.range(3.6, 5.2) * if attempt < 16 { 1.0 } else { 0.75 };
                 let to = tilted(dir, across, up, turn + side, tilt);
                 self.shoot(id, to, length_mm, radius, None)
             };
             let pair = [child(0.0), child(core::f64::consts::PI)];
-            let room = pair
+            let clearance = pair
                 .iter()
-                .map(|b| self.room(b))
+                .map(|b| self.clearance(b))
                 .fold(f64::INFINITY, f64::min);
-            if room > 0.0 && best.as_ref().is_none_or(|(most, ..)| room > *most) {
+            if clearance > 0.0 && best.as_ref().is_none_or(|(most, ..)| clearance > *most) {
                 let normal = direction(cross(pair[0].tip_direction(), pair[1].tip_direction()));
-                best = Some((room, pair, normal));
+                best = Some((clearance, pair, normal));
             }
         }
         best.map(|(_, pair, normal)| (pair, normal))
@@ -273,14 +276,14 @@ impl AirwayTree {
     /// Return the clearance of a new branch from the pleura and from all unrelated branches, in mm.
     ///
     /// Below 0 the branch does not fit.
-    fn room(&self, branch: &Branch) -> f64 {
-        let mut room = f64::INFINITY;
+    fn clearance(&self, branch: &Branch) -> f64 {
+        let mut clearance = f64::INFINITY;
         // The start is on the parent, which may still be in the hilum.
         let from = branch.points.len() / 3;
         for (&p, &r) in branch.points.iter().zip(&branch.radius_mm).skip(from) {
-            room = room.min(-lung_distance(p) - r - branch.wall_mm - PLEURA_MM);
-            if room <= 0.0 {
-                return room;
+            clearance = clearance.min(-lung_distance(p) - r - branch.wall_mm - PLEURA_MM);
+            if clearance <= 0.0 {
+                return clearance;
             }
         }
         let (centre, reach) = branch.ball();
@@ -295,20 +298,20 @@ impl AirwayTree {
             for (&p, &r) in branch.points.iter().zip(&branch.radius_mm).skip(1) {
                 for (&q, &s) in other.points.iter().zip(&other.radius_mm) {
                     let gap = length(sub(p, q)) - r - s - branch.wall_mm - other.wall_mm;
-                    room = room.min(gap - GAP_MM);
+                    clearance = clearance.min(gap - GAP_MM);
                 }
             }
         }
-        room
+        clearance
     }
 
-    /// Return true if a fillet joins two branches: parent and child, or children of one parent.
+    /// Return true if a fillet joins two branches, that is, if they are parent and child or children of one parent.
     pub(crate) fn joined(&self, a: usize, b: usize) -> bool {
         let (pa, pb) = (self.branches[a].parent, self.branches[b].parent);
         pa == Some(b) || pb == Some(a) || (pa.is_some() && pa == pb)
     }
 
-    /// Return the position at a fraction (0 to 1) of a branch's points, with the direction there.
+    /// Return the position at a fraction (0 to 1) of a branch's points, and the branch's direction at that position.
     pub(crate) fn place(&self, id: usize, share: f64) -> ([f64; 3], [f64; 3]) {
         let points = &self.branches[id].points;
         let at = share * (points.len() - 1) as f64;
@@ -318,13 +321,13 @@ impl AirwayTree {
         (p, direction(sub(points[i + 1], points[i])))
     }
 
-    /// Return the branch with a name.
+    /// Return the branch with a name; `None` if no branch has it.
     #[must_use]
     pub fn named(&self, name: &str) -> Option<&Branch> {
         self.branches.iter().find(|b| b.name == Some(name))
     }
 
-    /// Return the nearest branch to a point, with its distance from the centreline.
+    /// Return the id of the branch that is nearest to a point, and the distance from its centreline in mm.
     pub(crate) fn nearest(&self, p: [f64; 3]) -> (usize, f64) {
         let mut best = (0, f64::INFINITY);
         for branch in &self.branches {

@@ -4,9 +4,9 @@ use carina_grid::{Grid, dot, length};
 
 use crate::shapes::{Piece, cover, direction, mix, sub};
 
-/// Compute the HU of each voxel from a signed distance at its centre.
+/// Return the HU of each voxel from a signed distance at its centre.
 ///
-/// The HU is `inside` below 0 and `outside` above, with a soft edge of about a voxel.
+/// The HU is `inside_hu` for distances below 0 and `outside_hu` above, with a soft edge of about a voxel.
 fn filled(
     grid: &Grid,
     inside_hu: i16,
@@ -23,7 +23,7 @@ fn filled(
         .collect()
 }
 
-/// Return an infinite straight tube of air in soft tissue.
+/// Return a volume with an infinite straight tube of air in soft tissue.
 ///
 /// The HU is -1000 within `radius_mm` of the line through `a_lps` and `b_lps`, and 40 outside.
 #[must_use]
@@ -36,8 +36,9 @@ pub fn tube(grid: &Grid, a_lps: [f64; 3], b_lps: [f64; 3], radius_mm: f64) -> Ve
     })
 }
 
-/// Return a stem of air in soft tissue that divides in two: three tubes of one radius with round ends that meet in
-/// `fork_lps`.
+/// Return a volume with a stem of air in soft tissue that divides into two branches.
+///
+/// The stem and its branches are three tubes of one radius with round ends that meet in `fork_lps`.
 #[must_use]
 pub fn y_junction(
     grid: &Grid,
@@ -59,7 +60,7 @@ pub fn y_junction(
     })
 }
 
-/// Return concentric shells without soft edges.
+/// Return a volume of concentric shells without soft edges.
 ///
 /// The value is `values_hu[n]` between the radii `radii_mm[n - 1]` and `radii_mm[n]` (ascending), and the last value
 /// outside all of them.
@@ -89,7 +90,7 @@ mod tests {
     use carina_grid::Affine;
 
     fn grid() -> Grid {
-        // Anisotropic and rotated by 90 degrees in plane, so that swapped axes cannot pass.
+        // The grid is anisotropic and rotated by 90 degrees in plane, so that swapped axes cannot pass.
         let m = Affine::from_columns(
             [0.0, 0.7, 0.0],
             [-0.9, 0.0, 0.0],
@@ -111,7 +112,7 @@ mod tests {
             .count();
         let area = dark as f64 * 0.7 * 0.9;
         let found = (area / core::f64::consts::PI).sqrt();
-        // Tolerance 3 %: 80 voxels, of which some 30 are on the edge.
+        // The tolerance is 3 %, for 80 voxels of which some 30 are on the edge.
         assert!((found - radius).abs() < 0.03 * radius, "{found}");
     }
 
@@ -133,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn shells_are_told_apart_by_radius() {
+    fn values_of_shells_follow_from_the_radius() {
         let g = grid();
         let hu = shells(&g, [0.0, 0.0, 0.0], &[4.0, 8.0], &[1, 2, 3]);
         for (n, &v) in hu.iter().enumerate() {

@@ -1,27 +1,27 @@
-//! Fixed anatomy around the lungs, LPS mm with the carina at the origin: great vessels, spine, ribs, sternum.
+//! Fixed anatomy of the phantom round the lungs: great vessels, spine, ribs, sternum; LPS mm, the carina is the origin.
 //!
 //! The structures are plain shapes at plausible positions. They serve as landmarks in the picture and as difficulties
-//! for an airway search; they are not ground truth.
+//! for an airway search; they are not part of the ground truth.
 
 use crate::shapes::{Piece, add, mix};
 
-/// Tissue of a solid.
+/// Tissue of a solid structure of the phantom.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Tissue {
-    /// Vessels, oesophagus, muscle: one HU throughout.
+    /// Soft tissue (vessels, oesophagus, muscle) with one value in HU throughout.
     Soft(f64),
-    /// Cortical shell of 1.5 mm around marrow.
+    /// Bone with a cortical shell of 1.5 mm round marrow.
     Bone,
 }
 
-/// Tube of one tissue.
+/// Solid structure of the phantom: a piece of a tube of one tissue.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Solid {
     pub(crate) piece: Piece,
     pub(crate) tissue: Tissue,
 }
 
-/// Return the y coordinate of the centre of the vertebral bodies at a height (the thoracic kyphosis).
+/// Return the y coordinate of the centre of the vertebral bodies at a height z (the thoracic kyphosis), LPS mm.
 pub(crate) fn spine_y(z: f64) -> f64 {
     let u = z + 60.0;
     53.0 - 0.00085 * u * u
@@ -176,7 +176,7 @@ fn great_vessels(out: &mut Vec<Solid>) {
     );
 }
 
-/// Add the processes and the ribs' heads behind the vertebral bodies.
+/// Add the processes of the vertebrae and the heads of the ribs, behind the vertebral bodies.
 fn posterior_spine(out: &mut Vec<Solid>) {
     let mut level = -216.0;
     while level < 130.0 {
@@ -229,7 +229,7 @@ fn ribs(out: &mut Vec<Solid>, side: f64, rib_cage: &impl Fn(f64, f64) -> [f64; 2
         let place = |t: f64| {
             let z = head_z + 4.0 - drop * t * t.mul_add(0.3, 0.7);
             let [x, y] = rib_cage(mix(0.24, turn, t), z);
-            // 7 mm outside the pleura: rib and intercostal muscle.
+            // The offset is 7 mm outside the pleura, for rib and intercostal muscle.
             let far = (x * x + y * y).sqrt().max(1.0);
             [side * x * (1.0 + 7.0 / far), y * (1.0 + 7.0 / far), z]
         };

@@ -3,7 +3,7 @@ use crate::neck::Neck;
 use crate::random::value_noise;
 use crate::shapes::{Piece, cover, ellipsoid, mix, smooth_max, smooth_min};
 
-/// Body without the airways and the lungs' own vessels.
+/// Body of a phantom without the airways and without the vessels of the lungs.
 #[derive(Debug)]
 pub(crate) struct Body {
     seed: u64,
@@ -12,25 +12,29 @@ pub(crate) struct Body {
 }
 
 /// Half width of the pleural cavity at its widest level, mm.
-///
-/// The next constants are its half depth, its middle y, and the heights of its widest level and of its apex.
 const CAVITY_X: f64 = 128.0;
+/// Half depth of the pleural cavity at its widest level, mm.
 const CAVITY_Y: f64 = 90.0;
+/// y coordinate of the middle of the pleural cavity, LPS mm.
 const CAVITY_MID_Y: f64 = -4.0;
+/// Height z of the widest level of the pleural cavity, LPS mm.
 const CAVITY_WIDE_Z: f64 = -70.0;
+/// Height z of the apex of the pleural cavity, LPS mm.
 const CAVITY_TOP_Z: f64 = 84.0;
 
-/// Return |q| to the power of 5/2, which gives a shape between an ellipse and a box, as a chest has.
+/// Return |q| to the power of 5/2, which gives sections between an ellipse and a box, like those of a chest.
 fn power(q: f64) -> f64 {
     q * q * q.sqrt()
 }
 
-/// Return the inverse of [`power`].
+/// Return the inverse function of [`power`].
 fn root(s: f64) -> f64 {
     libm::pow(s, 0.4)
 }
 
-/// Return [`root`] with an accuracy of 1 in 2,000: a guess from the exponent, and one step of Halley's method.
+/// Return [`root`] with an accuracy of 1 in 2,000, but faster.
+///
+/// The method is a guess from the exponent and one step of Halley's method.
 fn root_about(s: f64) -> f64 {
     // The bits of a float are approximately proportional to its logarithm; for a power of 2/5, 3/5 of the bits of 1
     // must be added.
@@ -39,13 +43,13 @@ fn root_about(s: f64) -> f64 {
     guess * (2.0 * fifth + 3.0 * target) / (3.0 * fifth + 2.0 * target)
 }
 
-/// Return the scale of the cavity at a height: 1 at its widest level, 0 at the apex.
+/// Return the scale of the pleural cavity's sections at a height: 1 at its widest level, 0 at the apex.
 fn cavity_shrink(z: f64) -> f64 {
     let u = ((z - CAVITY_WIDE_Z) / (CAVITY_TOP_Z - CAVITY_WIDE_Z)).max(0.0);
     root((1.0 - power(u)).max(0.0))
 }
 
-/// Return the pleura in a direction (0 = posterior, pi = anterior): `[x >= 0, y]`.
+/// Return the point of the pleura in a direction (0 = posterior, pi = anterior) at height `z`, as `[x >= 0, y]`.
 fn rib_cage(azimuth: f64, z: f64) -> [f64; 2] {
     let (s, c) = (libm::sin(azimuth), libm::cos(azimuth));
     // Above the apex the first rib still needs a ring, so the scale has a lower limit.
@@ -66,7 +70,7 @@ pub(crate) struct Surfaces {
 }
 
 impl Surfaces {
-    /// Return the distance to the nearest surface at which the tissue changes.
+    /// Return the distance to the nearest surface at which the tissue changes, mm.
     pub(crate) fn nearest(&self) -> f64 {
         // The muscle of the chest wall has surfaces 18 mm and 22 mm outside the cavity; fat begins 2 mm and muscle 12
         // mm under the skin.
@@ -95,7 +99,7 @@ impl Body {
             solids: solids(rib_cage),
             neck: None,
         };
-        // Sternum: a row of flat tubes side by side.
+        // The sternum is a row of flat tubes side by side.
         for x in [-11.0, -4.0, 4.0, 11.0] {
             let mut z = 48.0;
             while z > -66.0 {
@@ -115,7 +119,7 @@ impl Body {
         body
     }
 
-    /// Add a neck to the body.
+    /// Return the body with a neck.
     pub(crate) fn with_neck(mut self, neck: Neck) -> Self {
         // The vertebral arches of the chest end where those of the neck begin.
         self.solids.retain(|s| {
@@ -133,7 +137,8 @@ impl Body {
             .map_or_else(|| spine_y(z), |neck| neck.spine_y(z, spine_y(z)))
     }
 
-    /// Return the surfaces at one point; distances to surfaces that are far away are approximate.
+    /// Return the distances from a point to the surfaces of the body; distances to surfaces that are far away are
+    /// approximate.
     pub(crate) fn surfaces(&self, p: [f64; 3]) -> Surfaces {
         let mut s = surfaces_by(Superellipsoid::seen_distance, p);
         if let Some(neck) = &self.neck
@@ -149,8 +154,9 @@ impl Body {
         s
     }
 
-    /// Return the HU of the lung's tissue without airways and vessels: denser at the back (supine patient), finely
-    /// textured.
+    /// Return the HU of lung tissue without airways and vessels at a point.
+    ///
+    /// The tissue is denser at the back (supine patient) and has a fine texture.
     pub(crate) fn parenchyma_hu(&self, p: [f64; 3]) -> f64 {
         let gravity = 0.32 * (p[1] - CAVITY_MID_Y);
         let coarse = value_noise(self.seed ^ 0x11, p.map(|v| v / 9.0));
@@ -158,7 +164,7 @@ impl Body {
         -862.0 + gravity + 14.0 * coarse + 24.0 * fine
     }
 
-    /// Return the HU of the body at a point, without `solids`, airways and the lungs' vessels.
+    /// Return the HU of the body at a point, without `solids`, airways and the vessels of the lungs.
     pub(crate) fn hu(&self, p: [f64; 3], s: &Surfaces, sigma_mm: f64) -> f64 {
         let mut hu = mix(-1000.0, 5.0, cover(s.skin, sigma_mm));
         if s.skin > 4.0 {
@@ -167,7 +173,7 @@ impl Body {
         let mottle = value_noise(self.seed ^ 0x13, p.map(|v| v / 7.0));
         let fat = -102.0 + 9.0 * mottle;
         hu = mix(hu, fat, cover(s.skin + 2.0, sigma_mm));
-        // Chest wall and shoulders: muscle round the cavity and the neck, limited to below the fat.
+        // The chest wall and the shoulders are muscle round the cavity and the neck, below the fat.
         let neck = ellipsoid(p, [0.0, 6.0, 118.0], [122.0, 70.0, 66.0]);
         let back = ellipsoid(p, [0.0, 84.0, p[2]], [62.0, 26.0, 1e6]);
         let mut wall = (s.cavity - 18.0).min(neck).min(back);
@@ -182,11 +188,11 @@ impl Body {
         let seams = ((strands.abs() - 0.05) * 14.0).clamp(0.0, 1.0);
         let muscle_hu = mix(-70.0, 52.0 + 6.0 * mottle, mix(1.0, seams, 0.75));
         hu = mix(hu, muscle_hu, cover(muscle, sigma_mm));
-        // Within the cavity: mediastinal fat, the abdomen under the diaphragm, the heart.
+        // Mediastinal fat, the abdomen under the diaphragm and the heart are within the cavity.
         let cavity = cover(s.cavity, sigma_mm);
         if cavity > 0.0 {
             let mut inner = mix(-78.0 + 14.0 * mottle, 46.0, cover(s.heart, sigma_mm));
-            // Liver on the right, fat and spleen on the left; above the diaphragm the distance is negative.
+            // The liver is on the right, fat and spleen are on the left; above the diaphragm the distance is negative.
             let abdomen = if p[0] < 24.0 {
                 58.0
             } else {
@@ -208,7 +214,7 @@ fn with_spine(hu: f64, p: [f64; 3], spine: f64, spine_y: f64, neck: f64, sigma_m
     if spine > 30.0 {
         return hu;
     }
-    // Vertebral bodies with discs between them, and the canal behind.
+    // Vertebral bodies have discs between them, and the canal behind them.
     let level = (p[2] / VERTEBRA_MM).fract();
     let level = if level < 0.0 { level + 1.0 } else { level };
     let disc = (0.5 - (level - 0.5).abs()) * VERTEBRA_MM - 2.5;
@@ -221,7 +227,7 @@ fn with_spine(hu: f64, p: [f64; 3], spine: f64, spine_y: f64, neck: f64, sigma_m
     mix(hu, 22.0, cover(canal, sigma_mm))
 }
 
-/// Return the signed distance to the lungs, negative inside; accurate to a few per cent near the surface.
+/// Return the signed distance to the lungs in mm, negative inside; accurate to a few per cent near the surface.
 pub(crate) fn lung_distance(p: [f64; 3]) -> f64 {
     surfaces(p).lung
 }
@@ -237,7 +243,7 @@ fn surfaces_by(distance: impl Fn(&Superellipsoid) -> f64, p: [f64; 3]) -> Surfac
     let spine = spine(p);
     let mut centre = smooth_min(mediastinum(p), heart, 12.0);
     for side in [-1.0, 1.0] {
-        // Hilum: where bronchi and vessels enter.
+        // The hilum is where bronchi and vessels enter the lung.
         let hilum = ellipsoid(p, [side * 30.0, 4.0, -30.0], [15.0, 14.0, 24.0]);
         centre = smooth_min(centre, hilum, 8.0);
     }
@@ -253,7 +259,7 @@ fn surfaces_by(distance: impl Fn(&Superellipsoid) -> f64, p: [f64; 3]) -> Surfac
     }
 }
 
-/// Return the HU after a solid has been applied.
+/// Return the HU of a point with a solid, given the HU without it.
 pub(crate) fn with_solid(hu: f64, solid: &Solid, p: [f64; 3], sigma_mm: f64) -> f64 {
     let (d, _) = solid.piece.distance(p);
     let share = cover(d, sigma_mm);
@@ -277,7 +283,7 @@ fn skin(p: [f64; 3]) -> Superellipsoid {
     Superellipsoid::at([(p[0], a), (p[1] - y, b)])
 }
 
-/// Return half width, half depth and middle (y) of the chest's skin at a height.
+/// Return half width, half depth and middle (y) of the chest's skin at a height, mm.
 pub(crate) fn chest_skin(z: f64) -> [f64; 3] {
     let up = ((z - 30.0) / 90.0).clamp(0.0, 1.2);
     [168.0 - 26.0 * up * up, 121.0 - 34.0 * up * up, -2.0]
@@ -292,7 +298,7 @@ fn cavity(p: [f64; 3]) -> Superellipsoid {
     ])
 }
 
-/// Superellipsoid evaluated at a point, which is given as (coordinate, half axis) pairs.
+/// Superellipsoid, evaluated at a point that is given as (coordinate, half axis) pairs.
 struct Superellipsoid {
     sum: f64,
     slope: f64,
@@ -316,15 +322,15 @@ impl Superellipsoid {
         }
     }
 
-    /// Return the signed distance of the point from the surface, accurate to first order near the surface.
+    /// Return the signed distance of the point from the surface in mm, accurate to first order near the surface.
     fn distance(&self) -> f64 {
         self.distance_by(root)
     }
 
-    /// Return the same distance, exact within [`SEEN_MM`] of the surface, and accurate to 0.5 % farther away, where no
-    /// tissue changes.
+    /// Return the signed distance of the point, exact within [`SEEN_MM`] of the surface and accurate to 0.5 % farther
+    /// away.
     ///
-    /// The exact root takes a third of the time of most voxels.
+    /// No tissue changes farther away. The exact root takes a third of the time of most voxels.
     fn seen_distance(&self) -> f64 {
         let about = self.distance_by(root_about);
         if about.abs() > SEEN_MM {
@@ -342,12 +348,12 @@ impl Superellipsoid {
     }
 }
 
-/// Distance in mm within which exact values are needed.
+/// Distance in mm from the surface within which exact distances are needed.
 ///
 /// Tissue changes up to 22 mm from these surfaces, and rounded edges and blur extend 6 mm farther.
 const SEEN_MM: f64 = 30.0;
 
-/// Return the signed distance to the diaphragm, negative above it: two domes, the right one higher.
+/// Return the signed distance to the diaphragm in mm, negative above it: two domes, of which the right one is higher.
 fn diaphragm(p: [f64; 3]) -> f64 {
     let dome = |x: f64, y: f64, top: f64| {
         let (u, v) = ((p[0] - x) / 74.0, (p[1] - y) / 86.0);
@@ -366,7 +372,7 @@ fn heart(p: [f64; 3]) -> f64 {
     smooth_min(smooth_min(ventricles, right_atrium, 10.0), left_atrium, 6.0)
 }
 
-/// Return the signed distance to the mediastinum, a sheet of varying thickness.
+/// Return the signed distance to the mediastinum in mm, a sheet of varying thickness.
 ///
 /// The sheet is broad round the trachea and the great vessels, and thin in front.
 fn mediastinum(p: [f64; 3]) -> f64 {
@@ -375,7 +381,7 @@ fn mediastinum(p: [f64; 3]) -> f64 {
     let v = (p[1] - mix(2.0, -12.0, up)) / mix(36.0, 34.0, up);
     let v4 = v * v * v * v;
     let half = 3.5 + mix(18.0, 30.0, up * up) / (1.0 + v4);
-    // Factor 0.85: the sides of the sheet have a slope of up to 30 degrees.
+    // The factor of 0.85 accounts for the slope of the sheet's sides, up to 30 degrees.
     0.85 * ((p[0] - 1.0).abs() - half)
 }
 
@@ -388,7 +394,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_quick_root_is_good_to_one_in_two_thousand() {
+    fn the_fast_root_is_accurate_to_1_in_2000() {
         for n in 0..2000 {
             let s = libm::exp(-12.0 + 0.012 * f64::from(n));
             let (about, exact) = (root_about(s), root(s));
@@ -397,7 +403,7 @@ mod tests {
     }
 
     #[test]
-    fn surfaces_are_exact_where_tissue_changes_and_on_the_same_side_beyond() {
+    fn surface_distances_are_exact_near_tissue_changes_and_have_the_right_sign_elsewhere() {
         let (mut near, mut far) = (0, 0);
         for n in 0..40_000 {
             let p = [

@@ -16,7 +16,9 @@ use crate::voxels::Scene;
 ///
 /// The top of the box is at the first point of the ground truth.
 const LO_LPS: [f64; 3] = [-172.0, -126.0, -200.0];
+/// Upper corner of the chest's box, LPS mm with the carina at the origin.
 const HI_LPS: [f64; 3] = [172.0, 122.0, TOP_Z];
+/// Height z of the top of a chest's box without a neck, LPS mm.
 const TOP_Z: f64 = 110.0;
 
 /// Options of a phantom chest.
@@ -28,7 +30,7 @@ const TOP_Z: f64 = 110.0;
 pub struct ChestOptions {
     /// Seed of the random choices; the same seed gives the same chest.
     pub seed: u64,
-    /// Distance between voxel centres along x, y, z.
+    /// Distance between voxel centres along x, y, z, mm.
     pub spacing_mm: [f64; 3],
     /// Generation below which airways divide (trachea 0), 3 to 9.
     pub generations: usize,
@@ -42,13 +44,14 @@ pub struct ChestOptions {
     ///
     /// The trachea then ends at the cricoid.
     pub neck: bool,
-    /// Tube in the trachea; a tracheostomy requires the neck.
+    /// Kind of the tube in the trachea; a tracheostomy requires the neck; `None` for no tube.
     pub tube: Option<TubeKind>,
-    /// Lobe that was resected: its bronchus ends in a stump.
+    /// Lobe that was resected, whose bronchus ends in a stump; `None` for a complete lung.
     pub resected: Option<Lobe>,
-    /// Part of the chest to voxelize, `[lo, hi]` in LPS mm; the ground truth is always that of the whole chest.
+    /// Part of the chest to be computed, `[lo, hi]` in LPS mm; `None` for all. The ground truth is that of the whole
+    /// chest.
     pub box_lps: Option<[[f64; 3]; 2]>,
-    /// Whether to return the signed distance to the lumen, too.
+    /// Whether the signed distance to the lumen is also returned.
     pub with_distance: bool,
 }
 
@@ -75,45 +78,45 @@ impl Default for ChestOptions {
 pub struct Stenosis {
     /// Id of the narrowed airway.
     pub branch_id: usize,
-    /// Narrowest position, LPS mm, a point of the centreline.
+    /// Point of the centreline at the narrowest position, LPS mm.
     pub centre_lps: [f64; 3],
     /// Length of the narrowed part, mm.
     pub length_mm: f64,
-    /// Radius at the narrowest position, mm.
+    /// Radius of the lumen at the narrowest position, mm.
     pub min_radius_mm: f64,
-    /// Radius at that position without the narrowing, mm.
+    /// Radius of the lumen at the same position without the narrowing, mm.
     pub reference_radius_mm: f64,
 }
 
-/// Chest CT with its ground truth.
+/// Phantom chest CT with its ground truth.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Chest {
-    /// Grid of the voxels.
+    /// Grid of the chest's voxels.
     pub grid: Grid,
     /// Values of the voxels in HU, x fastest.
     pub hu: Vec<i16>,
-    /// Lumen: 1 for a voxel whose centre is inside an airway's lumen.
+    /// Mask of the lumen: 1 for a voxel whose centre is inside an airway's lumen.
     pub lumen: Vec<u8>,
-    /// Air above the cricoid (larynx, throat): 1 for a voxel whose centre is inside; `None` without a neck.
+    /// Mask of the air above the cricoid (larynx, throat): 1 for a voxel whose centre is inside; `None` without a neck.
     pub upper_airway: Option<Vec<u8>>,
     /// Signed distance to the lumen's surface in mm, negative inside, exact including the fillets at the carinas.
     ///
     /// The value is 5 or more where no airway is near. The field is `None` unless requested.
     pub lumen_distance_mm: Option<Vec<f32>>,
-    /// Exact airways.
+    /// Ground truth of the airways.
     pub tree: AirwayTree,
-    /// Nodule, if any.
+    /// Ground truth of the nodule; `None` without a nodule.
     pub nodule: Option<Nodule>,
-    /// Stenosis, if any.
+    /// Ground truth of the stenosis; `None` without a stenosis.
     pub stenosis: Option<Stenosis>,
     /// Middle of the airway at the lower border of the cricoid, LPS mm; `None` without a neck.
     pub cricoid_lps: Option<[f64; 3]>,
-    /// Tube in the trachea, if any.
+    /// Ground truth of the tube in the trachea; `None` without a tube.
     pub tube: Option<TubeTruth>,
 }
 
 impl ChestOptions {
-    /// Return the grid of these options.
+    /// Return the grid on which the chest of these options is computed.
     ///
     /// # Errors
     ///
@@ -183,8 +186,8 @@ impl ChestOptions {
 impl Chest {
     /// Generate a chest on the grid of its options.
     ///
-    /// `proceed` is called from time to time with the completed share (0 to 1); if it returns `false`, the function
-    /// ends with [`PhantomError::Cancelled`].
+    /// `proceed` is called repeatedly with the completed share (0 to 1); if it returns `false`, the function ends with
+    /// [`PhantomError::Cancelled`].
     ///
     /// # Errors
     ///
@@ -197,8 +200,7 @@ impl Chest {
         Self::generate_on(&grid, options, proceed)
     }
 
-    /// Return the signed distances in mm to the lumen of the chest of these options, at any points (LPS mm): negative
-    /// inside.
+    /// Return the signed distances in mm from points (LPS mm) to the lumen of a chest, negative inside.
     ///
     /// Near the surface the value is the exact distance; deep inside it is a lower bound of the depth, and 5 where no
     /// airway is near.
@@ -218,7 +220,7 @@ impl Chest {
         Ok(Scene::new(&tree, &body, &[], None).distances_at(&grid, points))
     }
 
-    /// Generate a chest on any grid, which may be oblique.
+    /// Generate a chest on any grid, which may be oblique; `proceed` is as for [`Self::generate`].
     ///
     /// # Errors
     ///
@@ -267,7 +269,7 @@ impl Chest {
     }
 }
 
-/// Narrow the left main or the intermediate bronchus to less than half its diameter.
+/// Narrow the left main or the intermediate bronchus to less than half its diameter, and return the ground truth of it.
 fn narrow(tree: &mut AirwayTree, random: &mut Random) -> Stenosis {
     let name = if random.unit() < 0.5 { "LMB" } else { "BI" };
     let id = tree.named(name).map_or(0, |b| b.id);
@@ -300,7 +302,7 @@ fn narrow(tree: &mut AirwayTree, random: &mut Random) -> Stenosis {
     }
 }
 
-/// Place a nodule 5 to 12 mm beyond the end of a peripheral airway, inside the lung and clear of all airways.
+/// Return a nodule 5 to 12 mm beyond the end of a peripheral airway, inside the lung and clear of all airways.
 fn place_nodule(tree: &AirwayTree, random: &mut Random) -> Nodule {
     let ends: Vec<usize> = tree
         .branches
@@ -330,16 +332,15 @@ fn place_nodule(tree: &AirwayTree, random: &mut Random) -> Nodule {
         };
         let branch = &tree.branches[branch_id];
         let clear = distance_mm - radius_mm - branch.radius_mm[0] - branch.wall_mm;
-        let room = clear.min(-lung_distance(centre_lps) - radius_mm - 2.0);
-        if room > 0.0 {
+        let clearance = clear.min(-lung_distance(centre_lps) - radius_mm - 2.0);
+        if clearance > 0.0 {
             return found;
         }
-        if best.is_none_or(|(most, _)| room > most) {
-            best = Some((room, found));
+        if best.is_none_or(|(most, _)| clearance > most) {
+            best = Some((clearance, found));
         }
     }
-    // 400 failed tries do not occur (tested over many seeds); if they did, the best position would be used and
-    // reported.
+    // After 400 failed tries, which did not occur over many seeds, the best position is used.
     best.map_or_else(
         || Nodule {
             centre_lps: tree.branches[0].points[0],
@@ -368,7 +369,7 @@ mod tests {
     }
 
     #[test]
-    fn one_thread_and_four_make_the_same_chest() {
+    fn a_chest_does_not_depend_on_the_number_of_threads() {
         let on = |threads: usize| {
             rayon::ThreadPoolBuilder::new()
                 .num_threads(threads)
@@ -380,9 +381,9 @@ mod tests {
     }
 
     #[test]
-    fn a_chest_is_in_the_same_place_on_an_oblique_grid() {
+    fn the_lumen_has_equal_positions_on_an_oblique_grid() {
         let straight = Chest::generate(&options(), &mut |_| true).unwrap();
-        // 20 degrees about z and a mirrored i axis: another grid in the same patient.
+        // The grid is rotated by 20 degrees about z and its i axis is mirrored: another grid in the same patient.
         let (s, c) = (libm::sin(0.35), libm::cos(0.35));
         let oblique = Affine::from_columns(
             [-1.3 * c, -1.3 * s, 0.0],
@@ -438,7 +439,7 @@ mod tests {
     }
 
     #[test]
-    fn the_caller_can_stop_the_work() {
+    fn a_false_result_of_proceed_cancels_the_generation() {
         let mut calls = 0;
         let stopped = Chest::generate(&options(), &mut |_| {
             calls += 1;

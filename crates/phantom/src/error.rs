@@ -6,11 +6,11 @@ pub enum PhantomError {
     /// An option is out of range.
     #[error("{what}: expected {expected}, found {found}")]
     Option {
-        /// Name of the option.
+        /// Name of the rejected option.
         what: &'static str,
-        /// Allowed values.
+        /// Values that the option may have.
         expected: &'static str,
-        /// Rejected value.
+        /// Value that the option has.
         found: String,
     },
     /// The grid of the options is not valid.
@@ -22,7 +22,7 @@ pub enum PhantomError {
 }
 
 impl PhantomError {
-    /// Return the stable error code, shared with Python and the wire.
+    /// Return the stable code of the error, which Python and the wire protocol also use.
     #[must_use]
     pub const fn code(&self) -> &'static str {
         match self {

@@ -1,6 +1,6 @@
-//! Chest after a lobectomy.
+//! Resection of a lobe of a phantom's lung.
 //!
-//! Of a lobe's airways only the stump of its bronchus is left, and neighbouring airways have moved into the free space.
+//! Of a lobe's airways only the stump of its bronchus remains, and neighbouring airways have moved into the free space.
 
 use carina_grid::length;
 
@@ -46,19 +46,18 @@ impl Lobe {
 /// Length of the stump of a lobe's bronchus beyond the wall of the airway that it leaves, mm.
 const STUMP_MM: f64 = 6.0;
 /// Displacement of neighbouring airways, as a fraction of their distance to the lobe's hilum.
-///
-/// The next constant is the decay length of the displacement.
 const SHIFT: f64 = 0.15;
+/// Distance from the hilum over which the displacement decays, mm.
 const SHIFT_REACH_MM: f64 = 80.0;
-/// Distance from the midline up to which nothing moves; at twice this distance the full displacement applies.
+/// Distance from the midline up to which no airway moves, mm; at twice this distance the full displacement applies.
 ///
 /// Trachea and main bronchi thus stay in place.
 const MIDLINE_MM: f64 = 12.0;
 
 impl AirwayTree {
-    /// Resect a lobe.
+    /// Resect a lobe: remove its airways except for the stump, and move neighbouring airways.
     ///
-    /// No remaining branch has a name of the lobe; branches get new ids in the same order.
+    /// No remaining branch has a name of the lobe; the remaining branches get new ids in the same order.
     pub(crate) fn resect(&mut self, lobe: Lobe) {
         let Some(lost) = self.named(lobe.name()) else {
             return;
@@ -104,7 +103,7 @@ impl AirwayTree {
     }
 }
 
-/// Return the new position of a point of the same lung.
+/// Return the new position of a point of the same lung after a lobe with this hilum was resected.
 fn shifted(p: [f64; 3], hilum: [f64; 3]) -> [f64; 3] {
     let side = hilum[0].signum();
     let beside = ((p[0] * side - MIDLINE_MM) / MIDLINE_MM).clamp(0.0, 1.0);
@@ -122,7 +121,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn of_a_resected_lobe_a_stump_is_left_and_the_tree_is_whole() {
+    fn a_resected_lobe_leaves_a_stump_and_a_consistent_tree() {
         for lobe in Lobe::ALL {
             let before = AirwayTree::grow(3, 6, 110.0);
             let lost = before.named(lobe.name()).unwrap();
@@ -145,7 +144,7 @@ mod tests {
                     assert_eq!(after.branches[child].points[0], branch.tip());
                 }
             }
-            // The other lung and the trachea stay in place.
+            // The other lung and the trachea must stay in place.
             let other = if lobe.name().starts_with('R') {
                 "LB6"
             } else {

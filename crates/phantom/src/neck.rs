@@ -1,6 +1,6 @@
 //! Neck above the chest: larynx, throat and surrounding tissue.
 //!
-//! Its frame starts at the lower border of the cricoid, where the trachea begins.
+//! The origin of heights is the lower border of the cricoid, where the trachea begins.
 //!
 //! Heights and widths are those of adults: the cords 18 to 25 mm above the cricoid's lower border, a rima of 18 to 24
 //! mm from front to back, trachea 104 to 126 mm from the carina to the cricoid. The sinuses beside the larynx end
@@ -10,30 +10,30 @@ use crate::anatomy::{Solid, Tissue};
 use crate::random::{Random, value_noise};
 use crate::shapes::{Piece, cover, ellipsoid, mix, smooth_max, smooth_min};
 
-/// Top of a chest's box with its neck, mm above the carina.
+/// Height above the carina of the top of a chest's box with its neck, mm.
 pub(crate) const NECK_TOP_Z: f64 = 195.0;
-/// Height at which spine, muscles and skin begin to change from the chest's shape to the neck's.
-///
-/// The next constant is the height at which the change is complete.
+/// Height above the carina at which spine, muscles and skin begin to change from the chest's shape to the neck's, mm.
 const INLET_Z: f64 = 85.0;
+/// Height above the carina at which spine, muscles and skin have the neck's shape completely, mm.
 const NECK_Z: f64 = 130.0;
 
-/// Neck of one person.
+/// Dimensions of the neck of one person.
 #[derive(Debug, Clone)]
 pub(crate) struct Neck {
     seed: u64,
-    /// Middle of the airway at the lower border of the cricoid, LPS mm: the beginning of the ground truth's trachea.
+    /// Middle of the airway at the lower border of the cricoid, LPS mm, where the trachea of the ground truth begins.
     pub(crate) cricoid_lps: [f64; 3],
     /// Radius of the trachea at the cricoid, mm.
     radius: f64,
     /// Height of the vocal cords above the cricoid's lower border, mm.
     cords: f64,
-    /// Half of the width of the rima between the cords; the next field is half of its depth; both mm.
+    /// Half of the width of the rima between the vocal cords, mm.
     gap: f64,
+    /// Half of the depth of the rima, from front to back, mm.
     rima: f64,
     /// Fraction by which the rima is wider at the back, and narrower in front, than in the middle.
     wedge: f64,
-    /// Half width and half depth of the throat, mm.
+    /// Half of the width and half of the depth of the throat, mm.
     throat: [f64; 2],
     /// Share of the cartilage that is calcified, 0 to 1.
     calcified: f64,
@@ -44,7 +44,7 @@ fn smoothstep(lo: f64, hi: f64, at: f64) -> f64 {
     t * t * (3.0 - 2.0 * t)
 }
 
-/// Interpolate the values of a table `(height, [..])` at a height, smoothly from row to row.
+/// Return the values of a table `(height, [..])` at a height, interpolated smoothly between its rows.
 fn row<const N: usize>(table: &[(f64, [f64; N])], h: f64) -> [f64; N] {
     let last = table.len() - 1;
     let next = table.iter().position(|(at, _)| *at > h).unwrap_or(last);
@@ -56,7 +56,7 @@ fn row<const N: usize>(table: &[(f64, [f64; N])], h: f64) -> [f64; N] {
     std::array::from_fn(|a| mix(from.1[a], to.1[a], t))
 }
 
-/// Return the distance to an ellipse in the plane, to first order near its edge.
+/// Return the signed distance to an ellipse with half axes `a` and `b` in the plane, to first order near its edge.
 fn ellipse(x: f64, y: f64, a: f64, b: f64) -> f64 {
     let (u, v) = (x / a, y / b);
     let (k0, k1) = (u.hypot(v), (u / a).hypot(v / b));
@@ -68,7 +68,7 @@ fn ellipse(x: f64, y: f64, a: f64, b: f64) -> f64 {
 }
 
 impl Neck {
-    /// Return the height of the beginning of the trachea for a seed, mm above the carina.
+    /// Return the height at which the trachea of a seed begins, mm above the carina.
     pub(crate) fn trachea_top_z(seed: u64) -> f64 {
         Random::new(seed, 7).range(104.0, 126.0)
     }
@@ -94,23 +94,24 @@ impl Neck {
         }
     }
 
-    /// Return the height above the cricoid's lower border.
+    /// Return the height of a point above the cricoid's lower border, mm.
     fn height(&self, p: [f64; 3]) -> f64 {
         p[2] - self.cricoid_lps[2]
     }
 
-    /// Return the y coordinate of the middle of the larynx, which continues in the trachea's direction.
+    /// Return the y coordinate of the middle of the larynx, which continues in the trachea's direction, at height `h`.
     fn larynx_y(&self, h: f64) -> f64 {
         self.cricoid_lps[1] - 0.1 * h
     }
 
-    /// Return the y coordinate of the middle of the vertebral bodies at a height, given the chest's.
+    /// Return the y coordinate of the middle of the vertebral bodies at a height; `chest_y` is that of a chest without
+    /// a neck.
     pub(crate) fn spine_y(&self, z: f64, chest_y: f64) -> f64 {
         let own = self.cricoid_lps[1] + 31.0 - 0.05 * (z - self.cricoid_lps[2]);
         mix(chest_y, own, smoothstep(INLET_Z, NECK_Z, z))
     }
 
-    /// Return the factor for a distance to the skin at a height, which accounts for the slope of shoulders and collar.
+    /// Return the factor of a distance to the skin at a height that accounts for the slope of shoulders and collar.
     ///
     /// [`Self::skin`] does not include the slope.
     pub(crate) fn slope(z: f64) -> f64 {
@@ -126,7 +127,9 @@ impl Neck {
         smoothstep(INLET_Z, NECK_Z, z)
     }
 
-    /// Return half width, half depth and middle (y) of the skin: shoulders below, the neck above.
+    /// Return half width, half depth and middle (y) of the skin at a height: shoulders below, the neck above.
+    ///
+    /// `chest` has the same numbers for the chest alone.
     pub(crate) fn skin(&self, z: f64, chest: [f64; 3]) -> [f64; 3] {
         // The shoulders of raised arms reach up to the larynx.
         let share = smoothstep(105.0, 150.0, z);
@@ -142,7 +145,8 @@ impl Neck {
         self.spine_y(z, 0.0) - 10.5 - 4.5
     }
 
-    /// Return the signed distance to the air of larynx and throat, from just under the cricoid's lower border upwards.
+    /// Return the signed distance to the air of larynx and throat, from just under the cricoid's lower border upwards,
+    /// mm.
     pub(crate) fn upper_airway(&self, p: [f64; 3]) -> f64 {
         let h = self.height(p);
         let x = p[0] - self.cricoid_lps[0];
@@ -150,8 +154,8 @@ impl Neck {
             return f64::INFINITY;
         }
         let (r, g, gap, b) = (self.radius, self.cords, self.gap, self.rima);
-        // Half width, half depth, and fraction by which the back is wider and the front is narrower, for: trachea,
-        // cricoid, cone, cords, ventricle, false cords, vestibule.
+        // The rows have half width, half depth, and the fraction by which the back is wider and the front is narrower,
+        // for: trachea, cricoid, cone, cords, ventricle, false cords, vestibule.
         let larynx = row(
             &[
                 (-6.0, [r, r, 0.0]),
@@ -193,8 +197,9 @@ impl Neck {
         d
     }
 
-    /// Return the signed distance to hypopharynx and oropharynx: from the spine's front to the epiglottis, higher up to
-    /// the tongue.
+    /// Return the signed distance to hypopharynx and oropharynx, mm.
+    ///
+    /// Both extend from the spine's front to the epiglottis, and higher up to the tongue.
     fn throat(&self, p: [f64; 3], h: f64, x: f64) -> f64 {
         let g = self.cords;
         let [half_width, half_depth] = self.throat;
@@ -212,7 +217,7 @@ impl Neck {
         smooth_max(d, g + 20.0 - h, 3.0)
     }
 
-    /// Return the signed distance to the epiglottis: a leaf from the front of the vestibule up into the throat.
+    /// Return the signed distance to the epiglottis in mm: a leaf from the front of the vestibule up into the throat.
     fn epiglottis(&self, h: f64, x: f64, y: f64) -> f64 {
         let up = h - (self.cords + 12.0);
         let at = self.larynx_y(h) - self.rima + 1.0 + 0.3 * up + x * x / 45.0;
@@ -222,7 +227,9 @@ impl Neck {
             .max(up - 30.0)
     }
 
-    /// Apply cricoid, thyroid cartilage and the surrounding muscle to a value; `to_air` is the distance to the airway.
+    /// Return a value with cricoid, thyroid cartilage and the surrounding muscle.
+    ///
+    /// `hu` is the value without them; `to_air` is the distance to the airway in mm.
     pub(crate) fn with_cartilage(&self, hu: f64, p: [f64; 3], to_air: f64, sigma_mm: f64) -> f64 {
         let h = self.height(p);
         let x = p[0] - self.cricoid_lps[0];
@@ -239,15 +246,15 @@ impl Neck {
             360.0,
             smoothstep(-0.2, 0.2, spots + 2.0 * self.calcified - 1.2),
         );
-        // Cricoid: an arch 6 mm high in front, a plate 20 mm high behind.
+        // The cricoid is an arch 6 mm high in front and a plate 20 mm high behind.
         let back = smoothstep(-0.6, 0.9, y / (self.radius + 4.0));
         let ring = (ellipse(x, y, self.radius + 4.2, self.radius + 4.6).abs() - 1.7)
             .max(-h)
             .max(h - mix(6.0, 20.0, back));
-        // Exclude the airway itself.
+        // The airway itself is excluded.
         let ring = ring.max(1.2 - to_air);
         hu = mix(hu, own, cover(ring, sigma_mm));
-        // Thyroid cartilage: two plates that meet in front.
+        // The thyroid cartilage is two plates that meet in front.
         let front = -self.rima - 5.5;
         let plate = 0.8 * ((y - front - 0.95 * x.abs()).abs() - 1.9);
         let plate = plate
@@ -258,8 +265,9 @@ impl Neck {
         mix(hu, own, cover(plate, sigma_mm))
     }
 
-    /// Return the structures that continue from the chest into the neck: vessels, oesophagus, hyoid and the arches of
-    /// the vertebrae.
+    /// Return the structures that continue from the chest into the neck.
+    ///
+    /// The structures are the vessels, the oesophagus, the hyoid and the arches of the vertebrae.
     pub(crate) fn solids(&self, chest_spine_y: impl Fn(f64) -> f64) -> Vec<Solid> {
         let mut out = Vec::new();
         let [cx, cy, cz] = self.cricoid_lps;
@@ -293,7 +301,7 @@ impl Neck {
                     (at(34.0, cy + 19.0, 215.0), 5.5),
                 ],
             );
-            // Thyroid gland beside the trachea's upper rings.
+            // The thyroid gland is beside the trachea's upper rings.
             chain(
                 Tissue::Soft(112.0),
                 &[
@@ -347,8 +355,7 @@ impl Neck {
         out
     }
 
-    /// Return the points of a path through the larynx, from the beginning of the trachea to above the box, which a tube
-    /// follows.
+    /// Return the points of the path of a tube through the larynx, from the beginning of the trachea to above the box.
     pub(crate) fn way_up(&self) -> Vec<[f64; 3]> {
         let [cx, _, cz] = self.cricoid_lps;
         let top = NECK_TOP_Z + 30.0 - cz;
@@ -356,7 +363,7 @@ impl Neck {
             .map(|n| {
                 let h = 2.0 * n as f64;
                 let z = cz + h;
-                // A tube is in the back of the rima and then bends back into the throat.
+                // The tube is in the back of the rima and then bends back into the throat.
                 let larynx = self.larynx_y(h) + 0.25 * self.rima;
                 let throat = self.throat_back_y(z) - self.throat[1];
                 let share = smoothstep(self.cords + 8.0, self.cords + 45.0, h);
@@ -365,7 +372,7 @@ impl Neck {
             .collect()
     }
 
-    /// Return the y coordinate of the front of the skin at a height.
+    /// Return the y coordinate of the front of the skin at a height; `chest` is as for [`Self::skin`].
     pub(crate) fn front_y(&self, z: f64, chest: [f64; 3]) -> f64 {
         let [_, depth, middle] = self.skin(z, chest);
         middle - depth

@@ -1,14 +1,14 @@
-//! Nodule in the lung.
+//! Nodule in the lung of a phantom.
 
-/// Round lesion.
+/// Round nodule of the lung.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Nodule {
-    /// Centre, LPS mm.
+    /// Centre of the nodule, LPS mm.
     pub centre_lps: [f64; 3],
-    /// Radius, mm.
+    /// Radius of the nodule, mm.
     pub radius_mm: f64,
-    /// Id of the nearest airway.
+    /// Id of the airway that is nearest to the nodule.
     pub branch_id: usize,
-    /// Distance of its centre from that airway's centreline, mm.
+    /// Distance of the nodule's centre from the centreline of that airway, mm.
     pub distance_mm: f64,
 }

@@ -4,17 +4,20 @@ use crate::random::mixed;
 
 /// Weight of the centre in the in-plane 3 x 3 kernel, which smooths slightly, as a soft-tissue reconstruction does.
 const CENTRE: f32 = 0.62;
+/// Weight of each of the four neighbours by edges in the in-plane 3 x 3 kernel.
 const SIDE: f32 = 0.30;
+/// Weight of each of the four neighbours by corners in the in-plane 3 x 3 kernel.
 const CORNER: f32 = 0.145;
 
-/// Add noise of standard deviation `sigma_hu` to one slice: white noise that depends on seed and voxel, correlated in
-/// plane.
+/// Add noise of standard deviation `sigma_hu` to one slice.
+///
+/// The noise is white noise that depends on seed and voxel, made correlated in plane by a kernel.
 pub(crate) fn add_noise(slice: &mut [f32], width: usize, z: usize, seed: u64, sigma_hu: f64) {
     if sigma_hu <= 0.0 {
         return;
     }
     let height = slice.len() / width;
-    // One more voxel on each side, so that the noise at the edge has the same statistics.
+    // The noise has one more voxel on each side, so that it has the same statistics at the edge.
     let stride = width + 2;
     let key = mixed(seed ^ mixed(z as u64));
     let white: Vec<f32> = (0..stride * (height + 2))
@@ -32,14 +35,16 @@ pub(crate) fn add_noise(slice: &mut [f32], width: usize, z: usize, seed: u64, si
     }
 }
 
-/// Return an approximately normal number with variance 1: the sum of four uniform ones (Irwin-Hall), from 16 bits each.
+/// Return an approximately normal number with variance 1 from 64 random bits.
+///
+/// The number is the sum of four uniform numbers of 16 bits (Irwin-Hall).
 fn white(bits: u64) -> f32 {
     let sum: u64 = (0..4).map(|n| (bits >> (16 * n)) & 0xffff).sum();
     // The sum has mean 2 * 65535 and variance 4 * 65536^2 / 12.
     (sum as f32 - 131_070.0) * (1.0 / 37_837.2)
 }
 
-/// Add noise to all slices and round to integer HU within the range of a scanner.
+/// Add noise to all slices, and round their values to integer HU within the range of a scanner.
 pub(crate) fn finish(
     values: &mut [f32],
     out: &mut [i16],
@@ -66,14 +71,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn noise_has_the_wanted_deviation_and_is_correlated_in_plane() {
+    fn noise_has_the_requested_deviation_and_is_correlated_in_plane() {
         let (width, height) = (200, 150);
         let mut slice = vec![0.0f32; width * height];
         add_noise(&mut slice, width, 7, 99, 20.0);
         let n = slice.len() as f32;
         let mean = slice.iter().sum::<f32>() / n;
         let variance = slice.iter().map(|v| (v - mean) * (v - mean)).sum::<f32>() / n;
-        // Tolerance 3 %: 30 000 samples, some 8 000 of them independent.
+        // The tolerance is 3 %, for 30 000 samples of which some 8 000 are independent.
         assert!((variance.sqrt() - 20.0).abs() < 0.6, "{}", variance.sqrt());
         assert!(mean.abs() < 1.0, "{mean}");
         let neighbours: f32 = slice

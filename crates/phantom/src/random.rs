@@ -1,6 +1,6 @@
-//! Random numbers that depend only on a seed and a position.
+//! Random numbers that depend only on a seed and a position or purpose.
 
-/// Mix 64 bits so that neighbouring inputs give unrelated outputs (the finalizer of `SplitMix64`).
+/// Return 64 bits in which neighbouring inputs give unrelated outputs (the finalizer of `SplitMix64`).
 pub(crate) const fn mixed(mut x: u64) -> u64 {
     x = x.wrapping_add(0x9e37_79b9_7f4a_7c15);
     x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -13,9 +13,9 @@ pub(crate) const fn mixed(mut x: u64) -> u64 {
 pub(crate) struct Random(u64);
 
 impl Random {
-    /// Create the stream `purpose` of a seed.
+    /// Create the stream of a seed for one purpose.
     ///
-    /// Streams of different purposes are unrelated, so that a nodule does not change the airways.
+    /// Streams of different purposes are unrelated, so that, for example, a nodule does not change the airways.
     pub(crate) const fn new(seed: u64, purpose: u64) -> Self {
         Self(mixed(
             mixed(seed) ^ purpose.wrapping_mul(0xd6e8_feb8_6659_fd93),
@@ -25,7 +25,7 @@ impl Random {
     /// Return a uniform random number in `0..1`.
     pub(crate) fn unit(&mut self) -> f64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        // 53 bits: all multiples of 2^-53 in 0..1.
+        // The 53 bits give all multiples of 2^-53 in 0..1.
         (mixed(self.0) >> 11) as f64 / (1u64 << 53) as f64
     }
 
@@ -34,8 +34,9 @@ impl Random {
         lo + (hi - lo) * self.unit()
     }
 
-    /// Return a direction within `angle_rad` of `dir` (uniform in angle, not in solid angle: near ones are more
-    /// frequent).
+    /// Return a random direction within `angle_rad` of `dir`.
+    ///
+    /// The angle is uniform, not the solid angle, so directions near `dir` are more frequent.
     pub(crate) fn near(&mut self, dir: [f64; 3], angle_rad: f64) -> [f64; 3] {
         let (across, up) = crate::shapes::normals(dir);
         let turn = self.range(0.0, core::f64::consts::TAU);
@@ -44,7 +45,7 @@ impl Random {
     }
 }
 
-/// Return value noise: smooth random values in -1..1 with features of one lattice unit.
+/// Return smooth random values in -1..1 at a point (value noise), with features of one lattice unit.
 pub(crate) fn value_noise(seed: u64, p: [f64; 3]) -> f64 {
     let cell = p.map(f64::floor);
     let t: [f64; 3] = std::array::from_fn(|a| {

@@ -1,8 +1,8 @@
-//! Signed distances in mm (negative inside) and their combinations.
+//! Shapes as signed distances in mm (negative inside), and combinations of shapes.
 
 use carina_grid::{cross, dot, length, unit};
 
-/// Blur of the scanner in addition to the voxel's own box: FWHM 0.8 mm.
+/// Standard deviation of the scanner's blur in addition to the voxel's own box, mm.
 pub(crate) const SIGMA_MM: f64 = 0.35;
 
 pub(crate) fn add(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
@@ -13,7 +13,7 @@ pub(crate) fn sub(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     std::array::from_fn(|i| a[i] - b[i])
 }
 
-/// Return `a + f * b`.
+/// Return the vector `a + f * b`.
 pub(crate) fn along(a: [f64; 3], f: f64, b: [f64; 3]) -> [f64; 3] {
     std::array::from_fn(|i| a[i] + f * b[i])
 }
@@ -22,7 +22,7 @@ pub(crate) fn mix(a: f64, b: f64, t: f64) -> f64 {
     a + t * (b - a)
 }
 
-/// Return the unit vector; the tree never passes a vector of length 0.
+/// Return the unit vector of `v`, whose length must not be 0.
 pub(crate) fn direction(v: [f64; 3]) -> [f64; 3] {
     unit(v).unwrap_or([0.0, 0.0, 1.0])
 }
@@ -38,7 +38,7 @@ pub(crate) fn normals(dir: [f64; 3]) -> ([f64; 3], [f64; 3]) {
     (across, cross(dir, across))
 }
 
-/// Return `dir` tilted by `tilt`, towards the direction `turn` round it.
+/// Return the direction `dir` tilted by the angle `tilt` towards the direction at the angle `turn` round `dir`.
 pub(crate) fn tilted(
     dir: [f64; 3],
     across: [f64; 3],
@@ -52,13 +52,13 @@ pub(crate) fn tilted(
     direction(std::array::from_fn(|i| ct * dir[i] + st * side[i]))
 }
 
-/// Return the union with a fillet of about `k` mm (quadratic).
+/// Return the signed distance of the union of two shapes, with a quadratic fillet of about `k` mm between them.
 pub(crate) fn smooth_min(a: f64, b: f64, k: f64) -> f64 {
     let h = (k - (a - b).abs()).max(0.0);
     a.min(b) - h * h / (4.0 * k)
 }
 
-/// Return the intersection with a rounded edge of about `k` mm.
+/// Return the signed distance of the intersection of two shapes, with an edge rounded by about `k` mm.
 pub(crate) fn smooth_max(a: f64, b: f64, k: f64) -> f64 {
     -smooth_min(-a, -b, k)
 }
@@ -82,7 +82,7 @@ pub(crate) struct Piece {
 }
 
 impl Piece {
-    /// Return the distance from the axis, and the position (0 to 1) of the nearest point along it.
+    /// Return the distance of a point from the axis, and the position (0 to 1) of the nearest point of the axis.
     pub(crate) fn axis_distance(&self, p: [f64; 3]) -> (f64, f64) {
         let axis = sub(self.end, self.start);
         let from = sub(p, self.start);
@@ -90,7 +90,8 @@ impl Piece {
         (length(along(from, -t, axis)), t)
     }
 
-    /// Return the signed distance, and the position (0 to 1) of the nearest point along the axis.
+    /// Return the signed distance of a point from the surface, and the position (0 to 1) of the nearest point of the
+    /// axis.
     pub(crate) fn distance(&self, p: [f64; 3]) -> (f64, f64) {
         let (away, t) = self.axis_distance(p);
         (away - mix(self.start_radius, self.end_radius, t), t)
@@ -110,7 +111,7 @@ impl Piece {
     }
 }
 
-/// Return the distance to an ellipsoid with axes along LPS, to first order near the surface.
+/// Return the signed distance to an ellipsoid with axes along LPS, to first order near the surface.
 pub(crate) fn ellipsoid(p: [f64; 3], centre: [f64; 3], radii: [f64; 3]) -> f64 {
     let inverse = radii.map(|r| 1.0 / r);
     let q: [f64; 3] = std::array::from_fn(|a| (p[a] - centre[a]) * inverse[a]);
@@ -122,7 +123,7 @@ pub(crate) fn ellipsoid(p: [f64; 3], centre: [f64; 3], radii: [f64; 3]) -> f64 {
     k0 * (k0 - 1.0) / k1
 }
 
-/// Return a point on the cubic from `a` (leaving along `ta`) to `b` (arriving along `tb`).
+/// Return the point at `t` (0 to 1) on the cubic curve from `a`, with tangent `ta`, to `b`, with tangent `tb`.
 ///
 /// The tangents have lengths in mm.
 pub(crate) fn hermite(a: [f64; 3], ta: [f64; 3], b: [f64; 3], tb: [f64; 3], t: f64) -> [f64; 3] {

@@ -1,11 +1,11 @@
-//! Named branches: their directions and sizes.
+//! Named branches of the phantom's airways: their directions and sizes.
 //!
 //! Lengths and diameters: PMC9929973, table 1 (docs/algorithms.md, sizes of airways). Directions are from this project,
 //! LPS: -x is the patient's right, +y posterior, +z superior. The table measures a main bronchus from the carina's
 //! ridge, which is some 9 mm below the point where the centrelines here separate, so the main bronchi here are longer
 //! by that distance.
 
-/// Named branch: `(name, parent, direction, length_mm, diameter_mm)`.
+/// Named branch with its parent, direction, length and diameter.
 pub(crate) struct Named {
     pub(crate) name: &'static str,
     pub(crate) parent: &'static str,
@@ -15,8 +15,9 @@ pub(crate) struct Named {
 }
 
 impl Named {
-    /// Return true for a segment, false for a common stem of two: RB1, LB1+2 (which is one segment of the left lung),
-    /// LB10.
+    /// Return true for a branch of one segment, such as RB1 or LB10, false for a common stem of two segments.
+    ///
+    /// LB1+2 is one segment of the left lung.
     pub(crate) fn is_segment(&self) -> bool {
         let segment = self.name.starts_with("RB") || self.name.starts_with("LB");
         segment && (self.name == "LB1+2" || !self.name.contains('+'))
@@ -39,8 +40,9 @@ const fn named(
     }
 }
 
-/// Variant of the division of the right upper lobe (Huang 2019: 59, 18 and 9 % of 238; the rest counts as the first
-/// variant).
+/// Variant of the division of the right upper lobe's bronchus.
+///
+/// The frequencies are 59, 18 and 9 % of 238 (Huang 2019); other divisions count as the first variant.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum RightUpper {
     Trifurcation,
@@ -48,7 +50,7 @@ pub(crate) enum RightUpper {
     PosteriorWithAnterior,
 }
 
-/// Variant of the division of the basal trunks.
+/// Variant of the division of a basal trunk.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Basal {
     Separate,

@@ -1,7 +1,7 @@
-//! Vessels of the lungs: arteries beside the bronchi, smaller ones beyond them, veins between.
+//! Vessels of the phantom's lungs: arteries beside the bronchi, smaller arteries beyond them, veins between.
 //!
 //! Vessels give a lung a realistic appearance, with bright tubes beside the dark airways, which an airway search must
-//! distinguish. They are not ground truth.
+//! distinguish. They are not part of the ground truth.
 
 use carina_grid::{dot, length};
 
@@ -10,7 +10,7 @@ use crate::body::lung_distance;
 use crate::random::Random;
 use crate::shapes::{Piece, along, direction, hermite, mix, normals, sub, tilted};
 
-/// End of a vessel that may divide further.
+/// End of a vessel that may divide further, with its direction and radius.
 struct End {
     at: [f64; 3],
     dir: [f64; 3],
@@ -18,10 +18,10 @@ struct End {
     depth: usize,
 }
 
-/// Radius below which vessels are part of the lung's texture, mm.
+/// Radius in mm below which vessels are not drawn, because they are part of the lung's texture.
 const THINNEST_MM: f64 = 0.5;
 
-/// Return all vessels of the lungs.
+/// Return the pieces of all vessels of the lungs.
 pub(crate) fn vessels(seed: u64, tree: &AirwayTree) -> Vec<Piece> {
     let mut pieces = Vec::new();
     let mut ends = arteries(tree, &mut pieces);
@@ -30,9 +30,12 @@ pub(crate) fn vessels(seed: u64, tree: &AirwayTree) -> Vec<Piece> {
     pieces
 }
 
-/// Add one artery along each bronchus from the lobes on, with touching walls.
+/// Add one artery along each bronchus from the lobar bronchi on, whose wall touches that of the bronchus.
+///
+/// Return the ends of the arteries.
 fn arteries(tree: &AirwayTree, pieces: &mut Vec<Piece>) -> Vec<End> {
-    // Direction from the bronchus to the artery at the end of each branch, carried along without twisting.
+    // Direction from the bronchus to the artery at the end of each branch, transported along the branches without
+    // twist.
     let mut offsets: Vec<[f64; 3]> = vec![[0.0; 3]; tree.branches.len()];
     let mut ends = Vec::new();
     for branch in &tree.branches {
@@ -42,8 +45,8 @@ fn arteries(tree: &AirwayTree, pieces: &mut Vec<Piece>) -> Vec<End> {
         let parent = branch.parent.unwrap_or(0);
         let before = offsets[parent];
         let dir = branch.tip_direction();
-        // On the right the artery enters in front of and lateral to the bronchi, on the left above them; further out it
-        // stays on that side.
+        // On the right the artery enters in front of and lateral to the bronchi, on the left above them; further out
+        // the artery stays on that side.
         let wanted = if length(before) > 0.0 {
             before
         } else if branch.points[0][0] < 0.0 {
@@ -91,7 +94,7 @@ fn arteries(tree: &AirwayTree, pieces: &mut Vec<Piece>) -> Vec<End> {
     ends
 }
 
-/// Add veins from the left atrium to the positions between the segments.
+/// Add veins from the left atrium to the positions between the segments, and return their ends.
 fn veins(tree: &AirwayTree, random: &mut Random, pieces: &mut Vec<Piece>) -> Vec<End> {
     let mut ends = Vec::new();
     for branch in &tree.branches {
@@ -157,7 +160,7 @@ fn veins(tree: &AirwayTree, random: &mut Random, pieces: &mut Vec<Piece>) -> Vec
     ends
 }
 
-/// Divide ends until they are too thin or reach the pleura.
+/// Divide the ends of vessels until the vessels are too thin or reach the pleura.
 fn divide(mut ends: Vec<End>, random: &mut Random, pieces: &mut Vec<Piece>) {
     while let Some(end) = ends.pop() {
         if end.radius < THINNEST_MM || end.depth > 7 {

@@ -1,6 +1,6 @@
-//! Conversion of shapes to voxels.
+//! Computation of the values of a phantom's voxels from its shapes.
 //!
-//! Each brick has a list of the pieces near it, and only voxels near a surface are sampled in detail.
+//! Each brick of the grid has a list of the pieces near it, and only voxels near a surface are sampled in detail.
 
 use carina_grid::{Affine, Grid, dot, length};
 use rayon::prelude::*;
@@ -11,41 +11,45 @@ use crate::body::{Body, with_solid};
 use crate::nodule::Nodule;
 use crate::shapes::{Piece, SIGMA_MM, along, cover, direction, mix, smooth_max, smooth_min, sub};
 
-/// Distance from a surface at which the blur ends, mm ([`cover`] ends at 1.88 sigma).
+/// Distance from a surface in mm beyond which the blur has no effect ([`cover`] ends at 1.88 sigma).
 const BLUR_MM: f64 = 1.88 * SIGMA_MM;
-/// Largest distance between samples within a voxel, for slices up to 3 mm.
+/// Largest distance between samples within a voxel, mm, for slices up to 3 mm.
 const SAMPLE_MM: f64 = 0.6;
-/// Approximate edge length of a brick for any spacing, so that lists stay short on coarse grids.
+/// Approximate edge length of a brick in mm, for any spacing, so that lists stay short on coarse grids.
 const BRICK_MM: f64 = 7.0;
+/// Value of air, HU.
 const AIR_HU: f64 = -1000.0;
+/// Value of an airway's wall, HU.
 const WALL_HU: f64 = 38.0;
+/// Value of a vessel, HU.
 const VESSEL_HU: f64 = 46.0;
+/// Value of a nodule, HU.
 const NODULE_HU: f64 = 34.0;
 
-/// Position, in radii, of the chord that cuts off the back of the trachea's circular section: the membranous wall.
+/// Distance in radii from the centre to the chord that cuts the back off the trachea's round section (membranous wall).
 const CUT: f64 = 0.6;
-/// Radius of the circle with the same area as the cut circle of radius 1.
+/// Radius of the circle with the area of the cut section of a trachea of radius 1.
 const CUT_EQUIVALENT: f64 = 0.926;
-/// Distance, in radii, of the cut circle's centroid in front of the circle's centre.
+/// Distance in radii by which the centroid of the cut section is in front of the circle's centre.
 const CUT_CENTROID: f64 = 0.1267;
 
 struct AirwayPiece {
     branch: u32,
     piece: Piece,
-    /// Largest radius of the whole branch.
+    /// Largest radius of the whole branch, mm.
     widest: f64,
-    /// Direction of the membranous wall, for the trachea.
+    /// Direction of the membranous wall; `None` for branches other than the trachea.
     behind: Option<[f64; 3]>,
 }
 
-/// Lumen near a point.
+/// Lumen that is near a point, with the point's distance from it.
 #[derive(Debug, Clone, Copy)]
 struct Lumen {
     distance: f64,
     branch: u32,
 }
 
-/// Data from which the values of voxels are computed.
+/// Shapes of a phantom from which the values of voxels are computed.
 pub(crate) struct Scene<'a> {
     tree: &'a AirwayTree,
     body: &'a Body,
@@ -53,12 +57,11 @@ pub(crate) struct Scene<'a> {
     nodule: Option<Nodule>,
     tube: Option<&'a AirwayTube>,
     airways: Vec<AirwayPiece>,
-    /// For each branch, the share of its lumen's darkness that the blur leaves in the middle, relative to a flat
-    /// surface.
+    /// For each branch, the darkness in the middle of its blurred lumen, relative to a flat surface as far away.
     depth: Vec<f64>,
 }
 
-/// Pieces of one kind near each brick, as indices in the scene's list.
+/// For each brick, the pieces of one kind near it, as indices in the scene's list of pieces.
 struct Lists {
     start: Vec<u32>,
     items: Vec<u32>,
@@ -122,13 +125,13 @@ impl<'a> Bricks<'a> {
         }
     }
 
-    /// Return the brick of a voxel.
+    /// Return the number of the brick that contains a voxel.
     fn at(&self, ijk: [usize; 3]) -> usize {
         let [x, y, z]: [usize; 3] = std::array::from_fn(|a| ijk[a] / self.size[a]);
         (z * self.num[1] + y) * self.num[0] + x
     }
 
-    /// Return the first and last brick, per axis, of a box given in LPS; `None` if it misses the grid.
+    /// Return the first and last brick, on each axis, that a box in LPS meets; `None` if the box misses the grid.
     fn of(&self, lo: [f64; 3], hi: [f64; 3]) -> Option<([usize; 3], [usize; 3])> {
         let (grid, num_bricks) = (self.grid, self.num);
         let m = grid.ijk_from_lps();
@@ -150,7 +153,7 @@ impl<'a> Bricks<'a> {
         Some((first, last))
     }
 
-    /// Return the kind of a brick apart from pieces.
+    /// Return the kind of a brick, without regard to the pieces near it.
     fn kind(&self, body: &Body, brick: usize) -> Kind {
         let at = [
             brick % self.num[0],
@@ -198,7 +201,7 @@ impl<'a> Scene<'a> {
                     let axis = direction(sub(piece.end, piece.start));
                     behind = Some(direction(along([0.0, 1.0, 0.0], -axis[1], axis)));
                     if n == 1 && body.neck.is_none() {
-                        // The trachea continues upwards beyond the ground truth's first point, out of the volume.
+                        // The trachea continues upwards beyond the first point of the ground truth, out of the volume.
                         piece.start = along(piece.start, -40.0, axis);
                     }
                 }
@@ -231,14 +234,15 @@ impl<'a> Scene<'a> {
         }
     }
 
-    /// Return the same scene with a tube in its trachea.
+    /// Return the scene with a tube in its trachea, or without one (`None`).
     pub(crate) const fn with_tube(mut self, tube: Option<&'a AirwayTube>) -> Self {
         self.tube = tube;
         self
     }
 
-    /// Return the signed distance to the air of trachea, bronchi and the upper airway, which counts as part of the
-    /// trachea.
+    /// Return the air near a point, with its signed distance; `None` if no airway is near.
+    ///
+    /// The upper airway counts as part of the trachea.
     fn lumen(&self, p: [f64; 3], near: &[u32]) -> Option<Lumen> {
         let below = self.tree_lumen(p, near);
         let Some(neck) = &self.body.neck else {
@@ -266,7 +270,10 @@ impl<'a> Scene<'a> {
         }))
     }
 
-    /// Return the signed distance to the lumen from the pieces in `near`, with the branch of that lumen.
+    /// Return the lumen of the airway tree near a point, with its signed distance and its branch; `None` if none is
+    /// near.
+    ///
+    /// `near` has the pieces that are examined.
     fn tree_lumen(&self, p: [f64; 3], near: &[u32]) -> Option<Lumen> {
         let far = Lumen {
             distance: f64::INFINITY,
@@ -317,14 +324,14 @@ impl<'a> Scene<'a> {
                 .tree
                 .joined(best.branch as usize, second.branch as usize)
         {
-            // A fillet of half the smaller radius, because a carina is rounded.
+            // The fillet has half of the smaller radius, because a carina is rounded.
             let k = 0.5 * radii[0].min(radii[1]);
             best.distance = smooth_min(best.distance, second.distance, k);
         }
         Some(best)
     }
 
-    /// Return the shares of a point's neighbourhood inside the airway's outer surface and inside its lumen.
+    /// Return the shares of a point's blurred neighbourhood inside the airway's outer surface and inside its lumen.
     fn airway_shares(&self, p: [f64; 3], near: &[u32]) -> (f64, f64) {
         let Some(lumen) = self.lumen(p, near) else {
             return (0.0, 0.0);
@@ -337,7 +344,7 @@ impl<'a> Scene<'a> {
         )
     }
 
-    /// Convert a distance to all airways to a distance to the tree, which ends at the cricoid.
+    /// Convert a distance to all air to a distance to the airway tree alone, which ends at the cricoid.
     fn below_the_cricoid(&self, p: [f64; 3], distance: f64) -> f64 {
         self.body.neck.as_ref().map_or(distance, |neck| {
             distance
@@ -352,7 +359,7 @@ impl<'a> Scene<'a> {
             .fold(f64::INFINITY, f64::min)
     }
 
-    /// Return the signed distances to the lumen at any points in a grid's box, negative inside.
+    /// Return the signed distances in mm from points in a grid's box to the lumen, negative inside.
     ///
     /// The value is 5 where no airway is near, and beyond the box. The voxels are computed from the same function.
     pub(crate) fn distances_at(&self, grid: &Grid, points: &[[f64; 3]]) -> Vec<f64> {
@@ -374,7 +381,8 @@ impl<'a> Scene<'a> {
             .collect()
     }
 
-    /// Compute the values of all voxels in the order of memory, `layer` slices at a time.
+    /// Compute the values of all voxels, some slices at a time in the order of memory; return `None` if `proceed` stops
+    /// it.
     pub(crate) fn voxelize(
         &self,
         grid: &Grid,
@@ -418,7 +426,7 @@ impl<'a> Scene<'a> {
             distance: with_distance.then(|| vec![0.0; grid.num_voxels()]),
         };
         let bricks_in_plane = bricks.num[0] * bricks.num[1];
-        // Whole bricks, and enough slices to keep all cores busy.
+        // A layer has whole bricks, and enough slices to keep all cores busy.
         let layer = bricks.size[2] * 24usize.div_ceil(bricks.size[2]);
         let mut values = vec![0f32; layer * slice_len];
         for z0 in (0..nz).step_by(layer) {
@@ -523,7 +531,7 @@ impl<'a> Scene<'a> {
             for &n in lists.solids.of(brick) {
                 hu = with_solid(hu, &self.body.solids[n as usize], p, body_sigma);
             }
-            // Only pieces within this distance can affect a position in the voxel.
+            // Only pieces within this distance can affect a sample in the voxel.
             vessels.clear();
             vessels.extend(
                 lists
@@ -598,11 +606,11 @@ impl<'a> Scene<'a> {
     }
 }
 
-/// Result of [`Scene::voxelize`].
+/// Values and masks of the voxels of a phantom.
 pub(crate) struct Voxels {
     pub(crate) hu: Vec<i16>,
     pub(crate) lumen: Vec<u8>,
-    /// Air above the cricoid: 1 inside; empty without a neck.
+    /// Mask of the air above the cricoid: 1 inside; empty without a neck.
     pub(crate) upper: Vec<u8>,
     pub(crate) distance: Option<Vec<f32>>,
 }
@@ -622,7 +630,7 @@ enum Kind {
 }
 
 impl AirwayPiece {
-    /// Return the distance from its axis within which a piece can affect the lumen or a wall of `wall` mm.
+    /// Return the distance from its axis, in mm, within which a piece can affect the lumen or a wall of `wall` mm.
     ///
     /// The distance includes the branch's largest radius (the nearest piece must be known near any part of the branch)
     /// and the largest fillet.
@@ -632,8 +640,9 @@ impl AirwayPiece {
         1.5 * self.widest + wall + more
     }
 
-    /// Return the signed distance to the lumen, and the lumen's radius, for a point `away` from the axis at `t` along
-    /// it.
+    /// Return the signed distance of a point to the lumen, and the lumen's radius, mm.
+    ///
+    /// The point is `away` from the piece's axis, nearest to the position `t` (0 to 1) along it.
     fn distance(&self, p: [f64; 3], away: f64, t: f64) -> (f64, f64) {
         let radius = mix(self.piece.start_radius, self.piece.end_radius, t);
         let Some(behind) = self.behind else {
@@ -658,9 +667,9 @@ fn voxel_diagonal(grid: &Grid) -> f64 {
     length(grid.spacing_mm())
 }
 
-/// Return positions within a voxel, as LPS offsets from its centre, evenly over its box.
+/// Return positions that are distributed evenly over a voxel's box, as LPS offsets from its centre.
 ///
-/// The positions are at most [`SAMPLE_MM`] apart, or five per axis.
+/// The positions are at most [`SAMPLE_MM`] apart, unless this would need more than five per axis.
 fn sample_offsets(lps_from_ijk: &Affine, spacing: [f64; 3]) -> Vec<[f64; 3]> {
     let num = spacing.map(|s| ((s / SAMPLE_MM).ceil() as usize).clamp(1, 5));
     let place = |n: usize, i: usize| (i as f64 + 0.5) / n as f64 - 0.5;

@@ -3,7 +3,8 @@
 //! `cargo bench -p carina-raycast --bench packets` casts a forked tube. With folders as arguments it casts the contents
 //! of each folder: `NAME.i16` (HU, `[z, y, x]`), `NAME.u8` (map of cells) and `NAME.txt` (shape, `lps_from_ijk`, table,
 //! transfer function, light, poses), given as `FOLDER/NAME`. `--quick` casts shaded leaps only, without the scalar
-//! caster; `--shaded`, `--flat`, `--leap`, `--brute` narrow the choice; `--repeats=N`; `--size=N`.
+//! caster. `--shaded`, `--flat`, `--leap` and `--brute` limit the cases to those named. `--repeats=N` sets the number
+//! of repeats, `--size=N` the size of the picture.
 //!
 //! Times are processor times of the thread, which other load on the machine affects less.
 
@@ -78,7 +79,7 @@ fn read_case(path: &str) -> Case {
     }
 }
 
-/// Return a case with air in a tube of 18 voxels that forks, in tissue with an edge two voxels wide and noise.
+/// Return a benchmark case: a tube of air 18 voxels wide that forks, in noisy tissue with an edge two voxels wide.
 fn forked_tube() -> Case {
     let n = 192;
     let grid = Grid::new([n; 3], Affine::IDENTITY).expect("a grid");
@@ -141,9 +142,10 @@ unsafe extern "C" {
     fn clock_gettime(clock: i32, time: *mut Timespec) -> i32;
 }
 
-/// Return the processor time of this thread, ms.
+/// Return the processor time that this thread has used, ms.
 #[cfg(target_os = "linux")]
 fn thread_ms() -> f64 {
+    /// Number of the thread's processor clock in Linux.
     const CLOCK_THREAD_CPUTIME_ID: i32 = 3;
     let mut time = Timespec { s: 0, ns: 0 };
     // SAFETY: the function writes one timespec, and `Timespec` has the layout of that struct on 64-bit Linux.
@@ -152,9 +154,10 @@ fn thread_ms() -> f64 {
     time.s as f64 * 1e3 + time.ns as f64 * 1e-6
 }
 
-/// Return the wall time, on systems other than Linux.
+/// Return the time since the first call, ms, on systems other than Linux.
 #[cfg(not(target_os = "linux"))]
 fn thread_ms() -> f64 {
+    /// Time of the first call of `thread_ms`.
     static START: std::sync::OnceLock<std::time::Instant> = std::sync::OnceLock::new();
     START
         .get_or_init(std::time::Instant::now)
@@ -208,7 +211,7 @@ fn bench(case: &Case, choice: &Choice) {
         .skip(1)
         .map(|simd| (false, simd))
         .collect();
-    // The scalar caster compiled for the best set.
+    // The scalar caster is compiled for the best instruction set.
     if !choice.quick {
         casters.insert(0, (true, InstructionSet::best()));
     }

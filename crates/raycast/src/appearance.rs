@@ -5,51 +5,50 @@
 
 use crate::RaycastError;
 
-/// Light, gloss and texture of the wall of an airway.
+/// Light, gloss, texture and decoration of the airway wall in a scope's picture.
 ///
 /// Shading is computed in linear light and displayed with a gamma of 2, so that a square root replaces the display's
 /// curve.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Appearance {
-    /// Positions of the ends of the two light guides in camera space, mm; equal for one guide.
+    /// Positions of the ends of the two light guides in camera space, mm; both are equal for a scope with one guide.
     ///
     /// Each guide gives half the light.
     pub guides_mm: [[f32; 3]; 2],
-    /// Brightness of the guides; `None` selects an automatic exposure that keeps the bright parts of a picture below
-    /// white.
+    /// Brightness of the light guides; `None` selects an automatic exposure, which leaves the bright parts of a picture
+    /// below white.
     pub exposure: Option<f32>,
-    /// Ambient light that the surrounding walls reflect, as a fraction of the light that a guide gives at normal
-    /// incidence.
+    /// Ambient light from the surrounding walls, as a fraction of the light that a guide gives at normal incidence.
     pub ambient: f32,
-    /// How far scattered light extends past the edge of a shadow (wrap lighting), 0 to 1.
+    /// Extent to which scattered light passes the edge of a shadow (wrap lighting), 0 to 1.
     pub wrap: f32,
-    /// Strength of the highlights on the film of mucus.
+    /// Strength of the highlights on the film of mucus; 0 for none.
     pub gloss: f32,
     /// Exponent of the highlight as a power of two: `2^shininess_log2`.
     pub shininess_log2: u32,
-    /// How much paler the mucosa is over dense tissue, 0 to 1.
+    /// Amount by which the mucosa is paler over dense tissue, 0 to 1.
     pub paleness: f32,
-    /// HU values beneath the surface at which the paling begins and at which it is strongest.
+    /// HU values beneath the wall at which the paling of the mucosa begins and at which it is strongest.
     pub pale_hu: [f32; 2],
-    /// Strength of the fine texture (mottling, and the fine relief that breaks up highlights); 0 for none.
+    /// Strength of the fine texture of the mucosa (mottling, and fine relief that breaks up highlights); 0 for none.
     pub texture: f32,
-    /// Strength of the vessels drawn in the mucosa; 0 for none.
+    /// Strength of the vessels that are drawn in the mucosa; 0 for none.
     ///
     /// CT does not show these vessels, and many of them are a sign of disease.
     pub vessels: f32,
     /// Whether pixels at the edge of a near wall in front of a far wall get two rays.
     ///
-    /// Silhouettes are no decoration: both rays show the CT.
+    /// This is no decoration: both rays show the CT.
     pub silhouettes: bool,
     /// Strength of highlights on droplets in the film of mucus, which are visible also at a distance; 0 for none.
     pub specks: f32,
     /// Strength of glossy pools and bubbles of secretions on the lowest wall of a supine patient; 0 for none.
     pub secretions: f32,
-    /// Strength of mist on the lens: 0 for none, 1 for a picture that hardly shows the lumen.
+    /// Strength of mist on the lens, from 0 (none) to 1 (the lumen is hardly visible).
     pub fog: f32,
     /// Strength of cartilage rings and plates; 0 for none.
     ///
-    /// Like the next three fields, it needs a frame with a [`crate::Decoration`].
+    /// `rings`, `membrane`, `hue` and `spurs` need a frame with a [`crate::Decoration`].
     pub rings: f32,
     /// Strength of the flat, folded membranous wall at the back of trachea and main bronchi; 0 for none.
     pub membrane: f32,
@@ -60,12 +59,13 @@ pub struct Appearance {
 }
 
 impl Appearance {
-    /// Return true if a feature that depends on anatomy is enabled.
+    /// Return true if a feature that depends on anatomy (`rings`, `membrane`, `hue`, `spurs`) is enabled.
     pub(crate) fn knows_anatomy(&self) -> bool {
         self.rings > 0.0 || self.membrane > 0.0 || self.hue > 0.0 || self.spurs > 0.0
     }
 
-    /// Return a copy without decoration: every feature that does not come from the patient's CT is off.
+    /// Return a copy of the appearance without decoration: every feature that does not come from the patient's CT is
+    /// off.
     pub(crate) const fn undecorated(self) -> Self {
         Self {
             texture: 0.0,
@@ -81,11 +81,11 @@ impl Appearance {
         }
     }
 
-    /// Check the values.
+    /// Check the numbers of the appearance.
     ///
     /// # Errors
     ///
-    /// Returns an error if a value is not finite or would overflow.
+    /// Returns an error if a number is not finite or would overflow.
     pub fn check(&self) -> Result<(), RaycastError> {
         let refuse = |what: &'static str, expected: &str, found: f32| {
             Err(RaycastError::Setting {

@@ -1,6 +1,6 @@
-//! Reference caster that reads every sample of every ray.
+//! Reference caster, which reads every sample of every ray.
 //!
-//! The code stays readable and defines the correct result for the leaping caster.
+//! The code stays readable, because the leaping caster is compared with it.
 
 use crate::{
     composite::Gathered,
@@ -8,8 +8,9 @@ use crate::{
     method::CastStats,
 };
 
-/// Cast a ray as the "ordinary ray casters" of paper 4.3 do: evenly spaced samples, front to back, until the ray is
-/// opaque.
+/// Cast one ray by brute force: read evenly spaced samples from front to back until the ray is opaque.
+///
+/// Paper 4.3 calls this method "ordinary ray casters".
 #[inline(always)]
 pub(crate) fn cast<const SHADED: bool, const NEAREST: bool, const HITS: bool>(
     frame: &Frame<'_>,

@@ -1,20 +1,20 @@
-//! Position of wall points along and around their airway, and the decoration that applies there.
+//! Coarse grid of anatomical data (position along and around the airway) for the decoration of airway walls.
 //!
-//! The caller computes a coarse grid along the patient's axes from the airway tree. The shading interpolates the grid
-//! at the wall of each pixel. The casters do not read the grid, so it moves no surface (docs/decisions/0105).
+//! The caller computes the grid along the patient's axes from the airway tree. The shading interpolates the grid at the
+//! wall of each pixel. The casters do not read the grid, so the grid moves no surface (docs/decisions/0105).
 
 use crate::RaycastError;
 
-/// Number of values in a cell.
+/// Number of values in a cell of a decoration.
 ///
 /// The values are: phase of the rings; position across the airway, to the left and to the back, in radii; then, from 0
-/// to 1, rings, proximal colour, ridge of a bifurcation, membranous wall and evenness of the rings.
+/// to 1, strength of the rings, proximal colour, ridge of a bifurcation, membranous wall and evenness of the rings.
 pub const CHANNELS: usize = 8;
 
-/// Anatomy of walls on a coarse grid; zeros where there is no wall.
+/// Anatomical data of airway walls on a coarse grid; zeros where there is no wall.
 #[derive(Debug, Clone, Copy)]
 pub struct Decoration<'a> {
-    /// Two items per cell, x fastest.
+    /// Values of the cells, two items of four numbers per cell, x fastest.
     pub(crate) cells: &'a [[f32; 4]],
     pub(crate) shape_ijk: [i32; 3],
     pub(crate) origin_lps: [f32; 3],

@@ -1,6 +1,6 @@
-//! Depth of field of a fixed-focus lens: blurs a picture by the depth of its pixels.
+//! Depth of field of a fixed-focus lens: blur of a picture by the depth of its pixels.
 //!
-//! The function needs the whole picture and its depth map, because blur crosses the borders of strips.
+//! The blur needs the whole picture and its depth map, because it crosses the borders of strips.
 
 use core::f32::consts::PI;
 
@@ -9,24 +9,24 @@ use rayon::prelude::*;
 
 use crate::RaycastError;
 
-/// Largest diameter of a circle of confusion that counts as a point, as a fraction of the picture's shorter side.
+/// Largest diameter of a circle of confusion that counts as sharp, as a fraction of the picture's shorter side.
 ///
 /// The limit is about one sensor pixel of a video bronchoscope (400 x 400).
 const SHARP_PART: f32 = 1.0 / 400.0;
-/// Largest radius of a circle of confusion, as a fraction of the shorter side.
+/// Largest radius of a circle of confusion, as a fraction of the picture's shorter side.
 ///
 /// A wall that would need a larger circle is too near for a scope to see anything.
 const WIDEST_PART: f32 = 1.0 / 32.0;
 
-/// Value used as radius for a pixel without a ray, which is no part of the picture.
+/// Radius that marks a pixel without a ray, which is no part of the picture.
 const NO_RAY: f32 = -1.0;
 
-/// Range of distances that is in focus, mm from the tip.
+/// Range of distances from the scope's tip that is in focus, mm.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Focus {
-    /// Nearest sharp distance, mm.
+    /// Nearest distance that is in focus, mm.
     pub near_mm: f32,
-    /// Farthest sharp distance, mm.
+    /// Farthest distance that is in focus, mm.
     pub far_mm: f32,
 }
 
@@ -55,11 +55,10 @@ impl Focus {
     }
 }
 
-/// Blur a picture (RGB) by the depth of its pixels (mm, NaN for none).
+/// Blur a picture (RGB) by the depth of its pixels (mm; NaN for a pixel without a wall).
 ///
-/// Pixels without a ray are neither read nor changed.
-///
-/// Each pixel gathers the pixels whose circle reaches it. Pixels behind a sharper edge do not spread over that edge.
+/// Each pixel gathers the pixels whose circle of confusion reaches it. Pixels behind a sharper edge do not spread over
+/// that edge. Pixels for which `rays` has no ray are neither read nor changed.
 ///
 /// # Errors
 ///
@@ -124,7 +123,7 @@ pub fn defocus(
                         }
                         let (dx, dy) = (x.abs_diff(column) as f32, y.abs_diff(row) as f32);
                         let covered = (radius + 0.5 - (dx * dx + dy * dy).sqrt()).clamp(0.0, 1.0);
-                        // A circle within its own pixel lights no other pixel.
+                        // A circle within its own pixel adds light to no other pixel.
                         let spread = radius.max(0.5);
                         let weight = covered / (PI * spread * spread);
                         total += weight;
@@ -145,12 +144,14 @@ pub fn defocus(
 mod tests {
     use super::*;
 
+    /// Range of distances that is in focus in these tests.
     const FOCUS: Focus = Focus {
         near_mm: 3.0,
         far_mm: 50.0,
     };
 
-    /// Return a picture of a white edge on black, 400 pixels square.
+    /// Return a picture with a white edge on black, 400 pixels square, whose pixels have one depth, blurred with
+    /// `FOCUS`.
     fn edge(depth_mm: f32) -> Vec<u8> {
         let rgb: Vec<u8> = (0..400 * 400)
             .flat_map(|n| [if n % 400 < 200 { 255 } else { 0 }; 3])
@@ -158,7 +159,7 @@ mod tests {
         defocus(&rgb, &vec![depth_mm; 400 * 400], 400, FOCUS, None).unwrap()
     }
 
-    /// Return the number of pixels over which the edge changes from light to dark.
+    /// Return the number of pixels over which the edge of `edge` changes from light to dark.
     fn width_of_edge(picture: &[u8]) -> usize {
         (0..400)
             .filter(|column| (10..245).contains(&picture[(200 * 400 + column) * 3]))
@@ -166,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn what_lies_in_the_range_is_sharp_and_what_is_nearer_is_not() {
+    fn edges_in_the_focus_range_are_sharp_and_nearer_edges_are_blurred() {
         for depth_mm in [3.0, 6.0, 20.0, 50.0] {
             assert!(width_of_edge(&edge(depth_mm)) <= 2, "{depth_mm} mm");
         }
@@ -176,11 +177,11 @@ mod tests {
     }
 
     #[test]
-    fn an_even_picture_stays_even_and_a_sharp_edge_before_a_blurred_wall_stays() {
+    fn a_uniform_picture_and_a_sharp_edge_before_a_blurred_wall_are_unchanged() {
         let even = vec![77; 60 * 60 * 3];
         let depths: Vec<f32> = (0..3600).map(|n| 0.3 + (n % 60) as f32).collect();
         assert_eq!(defocus(&even, &depths, 60, FOCUS, None).unwrap(), even);
-        // A dark wall in focus before a white, very distant background that is out of focus.
+        // The scene is a dark wall in focus before a white, very distant background that is out of focus.
         let focus = Focus {
             near_mm: 3.0,
             far_mm: 4.0,
@@ -198,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn a_range_that_is_none_and_depths_of_another_size_are_refused() {
+    fn an_invalid_focus_range_and_depths_of_another_size_are_rejected() {
         let run = |near_mm, far_mm, num_depths| {
             let focus = Focus { near_mm, far_mm };
             defocus(&[0; 27], &vec![1.0; num_depths], 3, focus, None)

@@ -13,36 +13,36 @@ use rayon::prelude::*;
 
 use crate::{InstructionSet, RaycastError, plane::check_size};
 
+/// Number of rays that are cast together.
 const LANES: usize = 16;
 
-/// Attenuation relative to water, in thousandths, of a voxel value: `max(v - air, 0) + bone_gain max(v - bone, 0)`.
+/// Attenuation of a voxel value `v`, in thousandths of water: `max(v - air, 0) + bone_gain max(v - bone, 0)`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Attenuation {
     /// Voxel value without attenuation: -1000 HU.
     pub air: f32,
-    /// Voxel value above which bone attenuates more than the HU scale indicates.
+    /// Voxel value above which attenuation increases faster than the HU scale, because of bone.
     pub bone: f32,
-    /// Additional attenuation for each HU above `bone`.
+    /// Additional attenuation for each unit of the value above `bone`.
     pub bone_gain: f32,
 }
 
-/// Geometry of the detector's pixels and of the source.
+/// Geometry of a radiograph: the detector's pixels and the X-ray source.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Projector {
     /// Transform from pixel corners (column, row, 0) of the detector to patient space.
     ///
     /// Its third column is the direction of parallel rays.
     pub lps_from_pixel: Affine,
-    /// Focal spot; `None` for parallel rays.
+    /// Position of the focal spot, LPS mm; `None` for parallel rays.
     ///
     /// Tissue behind the source does not count; rays continue behind the detector.
     pub source_lps: Option<[f64; 3]>,
 }
 
-/// Rays of one packet with the same dominant axis, as functions of the coordinate `u` of that axis:
-/// `p_b(u) = b0 + u * b1`.
+/// Rays with the same dominant axis, as functions of the coordinate `u` of that axis: `p_b(u) = b0 + u * b1`.
 struct Packet {
-    /// Part of the axis inside the volume, by lane; empty (`from > to`) for lanes of another packet.
+    /// Start of the part of the axis inside the volume, by lane; `from > to` marks a lane of another packet.
     from: [f32; LANES],
     to: [f32; LANES],
     b0: [f32; LANES],
@@ -51,6 +51,7 @@ struct Packet {
     c1: [f32; LANES],
 }
 
+/// Packet without any ray.
 const NOTHING: Packet = Packet {
     from: [1.0; LANES],
     to: [0.0; LANES],
@@ -60,11 +61,11 @@ const NOTHING: Packet = Packet {
     c1: [0.0; LANES],
 };
 
-/// Return the water-equivalent length in mm of each pixel of some rows, `[row, column]`:
-/// `integral of attenuation / 1000 dl`.
+/// Return the water-equivalent length in mm of each pixel of some rows, `[row, column]`.
 ///
-/// The tests require an error of at most 1e-4 of the length in a box of water, 0.2 % of finely sampled integrals
-/// through tissue, and less than a millimetre through voxelised ellipsoids on a 1 mm grid.
+/// The length is `integral of attenuation / 1000 dl`. The tests require an error of at most 1e-4 of the length in a box
+/// of water, 0.2 % of finely sampled integrals through tissue, and less than a millimetre through voxelised ellipsoids
+/// on a 1 mm grid.
 ///
 /// # Errors
 ///
@@ -108,7 +109,7 @@ pub fn cast_radiograph(
 struct Caster<'a> {
     data: &'a [i16],
     shape: [usize; 3],
-    /// Distance in memory to the next voxel; 0 on an axis of one voxel.
+    /// Distance in memory to the next voxel along each axis; 0 on an axis of one voxel.
     stride: [usize; 3],
     lps_from_ijk: Affine,
     ijk_from_pixel: Affine,
@@ -132,7 +133,7 @@ impl<'a> Caster<'a> {
         }
     }
 
-    /// Cast up to 16 pixels from `column` on.
+    /// Cast the rays of up to 16 pixels of a row, from `column` on.
     fn cast(&self, row: usize, column: usize, out: &mut [f32], simd: InstructionSet) {
         let mut packets = [NOTHING; 3];
         let mut used = [false; 3];
@@ -155,11 +156,10 @@ impl<'a> Caster<'a> {
         }
     }
 
-    /// Add the ray of a pixel to the packet of its dominant axis.
+    /// Add the ray of a pixel to the packet of its dominant axis; `None` if the ray misses the volume.
     ///
-    /// Return that axis and the distance in mm along the ray between two planes.
-    ///
-    /// The computation uses f64, because the source is far away.
+    /// Return the axis and the distance in mm along the ray between two voxel planes. The computation uses f64, because
+    /// the source is far away.
     fn set_up(
         &self,
         row: usize,
@@ -274,7 +274,7 @@ impl<'a> Caster<'a> {
     }
 }
 
-/// Range of voxels of one axis.
+/// Range of voxels on one axis within which planes are interpolated.
 #[derive(Clone, Copy)]
 struct Cells {
     last: f32,
@@ -282,7 +282,7 @@ struct Cells {
 }
 
 impl Cells {
-    /// Return the lower voxel of the pair around a coordinate and the fraction between both; clamped to the volume.
+    /// Return the lower voxel of the pair round a coordinate, and the fraction between both; clamped to the volume.
     #[inline(always)]
     fn place(self, p: f32) -> (usize, f32) {
         let p = at_least_0(p);
@@ -300,13 +300,13 @@ impl Cells {
     }
 }
 
-/// Return `max(x, 0)` with one instruction; NaN becomes 0.
+/// Return `max(x, 0)` with one instruction; the result is 0 for NaN.
 #[inline(always)]
 fn at_least_0(x: f32) -> f32 {
     if x > 0.0 { x } else { 0.0 }
 }
 
-/// Return the other two axes, the one with the smaller stride first.
+/// Return the two axes other than `axis`, the one with the smaller stride first.
 const fn others(axis: usize) -> (usize, usize) {
     match axis {
         0 => (1, 2),

@@ -5,6 +5,7 @@ use carina_grid::{Affine, Grid, VolumeView, clip_line_to_box, dot};
 use crate::InstructionSet;
 use crate::drr::{Attenuation, Projector, cast_radiograph};
 
+/// Attenuation of water without bone.
 const WATER: Attenuation = Attenuation {
     air: -1000.0,
     bone: 100.0,
@@ -81,7 +82,7 @@ fn a_box_of_water_gives_the_length_of_each_ray_in_it() {
                 let pixel = place.point([(n % 50) as f64 + 0.5, (n / 50) as f64 + 0.5, 0.0]);
                 let expected = source_lps.map_or_else(
                     || {
-                        // Parallel rays start at infinity: start far outside the box.
+                        // Parallel rays start at infinity, so the expected ray starts far outside the box.
                         let from = std::array::from_fn(|a| pixel[a] - 2000.0 * dir[a]);
                         length_in_box(&grid, from, dir)
                     },
@@ -91,8 +92,8 @@ fn a_box_of_water_gives_the_length_of_each_ray_in_it() {
                         length_in_box(&grid, s, way)
                     },
                 );
-                // Tolerance: 1e-4 of a length of up to 80 mm, and 1e-3 mm. Coordinates in f32 are accurate to 1e-5
-                // voxels, sums of some 50 slabs to 1e-5.
+                // The tolerance is 1e-4 of a length of up to 80 mm, and 1e-3 mm: coordinates in f32 are accurate to
+                // 1e-5 voxels, sums of some 50 slabs to 1e-5.
                 assert!(
                     (f64::from(mm) - expected).abs() <= 1e-4 * expected + 1e-3,
                     "{dir:?} {source_lps:?} pixel {n}: {mm} for {expected}"
@@ -106,8 +107,8 @@ fn a_box_of_water_gives_the_length_of_each_ray_in_it() {
 
 #[test]
 fn ellipsoids_of_water_and_bone_give_their_chords() {
-    // Water (0 HU) in air, with a kernel of 700 HU. The chords follow from the quadratic equation; above 100 HU bone
-    // attenuates twice as much per HU.
+    // The object is water (0 HU) in air, with a kernel of 700 HU. The chords follow from the quadratic equation; above
+    // 100 HU bone attenuates twice as much per HU.
     let n = 96usize;
     let grid = Grid::new(
         [n, n, n],
@@ -116,7 +117,7 @@ fn ellipsoids_of_water_and_bone_give_their_chords() {
     .unwrap();
     let centre = [47.3, 46.1, 48.9];
     let radii = [[36.0, 22.0, 30.0], [9.0, 11.0, 8.0]];
-    // Partial volume by 4^3 points in each voxel: a scanner reports the mean of the attenuation.
+    // Each voxel is the mean of 4^3 points (partial volume): a scanner reports the mean of the attenuation.
     let data: Vec<i16> = (0..n * n * n)
         .map(|index| {
             let p = grid.voxel(index);
@@ -164,7 +165,7 @@ fn ellipsoids_of_water_and_bone_give_their_chords() {
             // Water is 1; bone is 1.7 on the HU scale, plus (700 - 100) / 1000.
             let expected = water + bone * (0.7 + 0.6);
             let near_bone = chord(radii[1].map(|r| r + 1.5), source, way) > 0.0;
-            // The rims are excluded, where the chord changes by more than a millimetre over a voxel.
+            // The rims are excluded, because the chord changes there by more than a millimetre over a voxel.
             if water > 20.0 && (!near_bone || bone > 14.0) {
                 let off = f64::from(mm) - expected;
                 worst = worst.max(off.abs());
@@ -174,7 +175,7 @@ fn ellipsoids_of_water_and_bone_give_their_chords() {
         }
         assert!(num > 300, "{num}");
         // A diagonal ray reads a plane every 1.7 mm, and the surfaces in a 1 mm grid are accurate to a fraction of 1.7
-        // mm at either end. The mean has no bias.
+        // mm at either end. The mean error has no bias.
         assert!(worst < 1.0, "{dir:?}: {worst} mm");
         assert!(
             (sum / f64::from(num)).abs() < 0.1,
@@ -185,7 +186,7 @@ fn ellipsoids_of_water_and_bone_give_their_chords() {
 }
 
 #[test]
-fn tissue_gives_what_fine_sampling_along_the_ray_gives() {
+fn radiographs_of_tissue_equal_fine_sampling_along_the_ray() {
     let grid = oblique([40, 41, 42]);
     let data: Vec<i16> = (0..grid.num_voxels())
         .map(|n| {
@@ -241,7 +242,7 @@ fn tissue_gives_what_fine_sampling_along_the_ray_gives() {
                     step * ((v + 1000.0).max(0.0) + (v - 100.0).max(0.0)) / 1000.0
                 })
                 .sum();
-            // A plane is read where the ray crosses it and represents its slab. In tissue that changes by 150 HU per
+            // A plane is read where the ray crosses it and stands for its slab. In tissue that changes by 150 HU per
             // voxel the sum is accurate to 0.2 %, and in the two slabs that the volume cuts to 0.1 mm.
             assert!(
                 (f64::from(mm) - expected).abs() < 2e-3 * expected + 0.1,
@@ -279,7 +280,7 @@ fn every_instruction_set_gives_the_same_bits() {
 }
 
 #[test]
-fn a_volume_of_one_slice_and_an_attenuation_that_is_no_number() {
+fn one_slice_gives_its_length_and_a_nan_attenuation_is_rejected() {
     let grid = Grid::new([1, 5, 6], Affine::IDENTITY).unwrap();
     let data = vec![0i16; 30];
     let volume = VolumeView::new(&data, &grid).unwrap();

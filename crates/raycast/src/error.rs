@@ -1,7 +1,7 @@
 use carina_grid::GridError;
 use carina_isoregion::IsoRegionError;
 
-/// Errors of views and their settings.
+/// Errors of a view's settings, transfer function, grid or maps.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum RaycastError {
     /// A transfer function is not valid.
@@ -13,11 +13,11 @@ pub enum RaycastError {
     /// A setting is out of range.
     #[error("{what}: expected {expected}, found {found}")]
     Setting {
-        /// Name of the setting.
+        /// Name of the rejected setting.
         what: &'static str,
-        /// Allowed values.
+        /// Values that the setting may have.
         expected: String,
-        /// Rejected value.
+        /// Value that the setting has.
         found: String,
     },
     /// A grid or a camera is not valid.
@@ -29,7 +29,7 @@ pub enum RaycastError {
 }
 
 impl RaycastError {
-    /// Return the stable error code, shared with Python and the wire.
+    /// Return the stable code of the error, which Python and the wire protocol also use.
     #[must_use]
     pub const fn code(&self) -> &'static str {
         match self {

@@ -1,15 +1,14 @@
-//! Exposure of a picture: given, or computed from the walls in the picture.
+//! Exposure of a picture: the exposure that its appearance gives, or one computed from the walls in the picture.
 
 use crate::{Frame, Method, lighting::Lighting, packet::brightness, surface};
 
-/// Number of rays along each side of the grid of rays that measures the exposure.
+/// Number of rays along each side of the grid of rays with which the exposure is measured.
 const METERED: usize = 12;
-/// Mean linear light of the bright parts of an exposed picture, before the tone curve.
+/// Linear light, before the tone curve, to which the bright parts of an automatically exposed picture are set.
 const EXPOSED_TO: f64 = 1.1;
 
 impl Lighting {
-    /// Return the lighting of a frame whose options have an appearance, with its exposure; `None` without an
-    /// appearance.
+    /// Return the lighting of a frame, with its exposure; `None` if the frame's options have no appearance.
     pub(crate) fn exposed(frame: &Frame<'_>, method: Method<'_>) -> Option<Self> {
         let mut light = Self::of(frame)?;
         if light.look.exposure.is_none() {
@@ -33,7 +32,7 @@ impl Lighting {
                 (wall.hit >= 0.0).then_some((column, row, wall))
             })
             .collect();
-        // A ray that meets no wall counts as dark.
+        // A ray without a wall counts as dark.
         let sum: f64 = brightness(frame, self, &walls)
             .into_iter()
             .map(|v| f64::from(v).powi(4))

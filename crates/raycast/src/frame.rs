@@ -9,19 +9,19 @@ use crate::{
     composite::Gathered, sampling::Lanes,
 };
 
-/// Transparency below which a ray stops: the rest of the ray can change no channel by more than half a grey level.
+/// Transparency below which a ray stops; the remaining samples can change no channel by more than half a grey level.
 pub const STOP_TRANSPARENCY: f32 = 1.0 / 512.0;
 
-/// Interpolation of a sample.
+/// Method by which a sample is computed from the voxels round it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Interpolation {
     /// Trilinear interpolation between eight voxels.
     Trilinear,
-    /// Value of the nearest voxel, as in the paper; never shaded.
+    /// Value of the nearest voxel, as in the paper; such samples are never shaded.
     Nearest,
 }
 
-/// Settings of a picture.
+/// Interpolation, lighting and background of a picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FrameOptions {
     /// Interpolation of the samples.
@@ -40,7 +40,7 @@ pub struct Frame<'a> {
     pub(crate) field: Field<'a>,
     pub(crate) table: &'a TransferTable,
     pub(crate) options: FrameOptions,
-    /// Position of the walls along their airways, for the shading.
+    /// Anatomical data at the walls, for the shading.
     pub(crate) decoration: Option<Decoration<'a>>,
     pub(crate) grid: &'a Grid,
     camera: Camera,
@@ -48,22 +48,21 @@ pub struct Frame<'a> {
     pub(crate) origin_ijk: [f64; 3],
     origin: Lanes,
     pub(crate) step_mm: f32,
-    /// Metric of gradients, which are per voxel: `|gradient in LPS per mm|^2 = g^T metric g`; xx, yy, zz, 2xy, 2xz,
-    /// 2yz.
+    /// Metric of gradients `g` per voxel: `|gradient in LPS per mm|^2 = g^T metric g`; xx, yy, zz, 2xy, 2xz, 2yz.
     pub(crate) metric: [f32; 6],
-    /// Margin by which a leap ends early, to allow for f32 rounding of positions; voxels.
+    /// Margin in voxels by which a leap ends before the end of its cube, to allow for f32 rounding of positions.
     pub(crate) guard_vox: f32,
     /// Transparency below which a ray stops.
     pub(crate) stop: f32,
-    /// Whether rays leap also where brute force is faster.
+    /// Whether rays leap even if a trial shows that brute force is faster.
     pub(crate) always_leap: bool,
-    /// Cached wall normals of earlier pictures.
+    /// Cache of wall normals from earlier pictures of the volume.
     pub(crate) bricks: Option<Arc<NormalBricks>>,
-    /// Cached values and gradients of earlier pictures.
+    /// Cache of values and gradients from earlier pictures of the volume.
     pub(crate) samples: Option<Arc<SampleBricks>>,
 }
 
-/// One ray: samples `first..end` at `origin + (k + 1/2) delta`.
+/// One ray of a picture, with samples `first..end` at `origin + (k + 1/2) delta`.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Ray {
     pub origin: Lanes,
@@ -87,7 +86,7 @@ fn lanes(p: [f64; 3]) -> Lanes {
 }
 
 impl<'a> Frame<'a> {
-    /// Set up a picture.
+    /// Prepare a picture of a volume.
     ///
     /// # Errors
     ///
@@ -144,7 +143,7 @@ impl<'a> Frame<'a> {
                 2.0 * m(1, 2),
             ]
             .map(|v| v as f32),
-            // f32 coordinates up to 4096 are accurate to 2.5e-4; longer axes get a proportionally larger margin.
+            // f32 coordinates up to 4096 are accurate to 2.5e-4 voxels; longer axes get a proportionally larger margin.
             guard_vox: (1e-3 * (longest / 4096.0).max(1.0)) as f32,
             stop: STOP_TRANSPARENCY,
             always_leap: false,
@@ -172,15 +171,14 @@ impl<'a> Frame<'a> {
         Ok(self)
     }
 
-    /// Set the decoration: the position of walls along their airways, for the parts of an appearance that depend on
-    /// anatomy.
+    /// Set the anatomical data that the decoration of an appearance needs.
     #[must_use]
     pub const fn decorated_by(mut self, decoration: Decoration<'a>) -> Self {
         self.decoration = Some(decoration);
         self
     }
 
-    /// Set cached bricks of values and gradients of this volume; the light at every sample is computed from them.
+    /// Return the frame with cached bricks of its volume's values and gradients, from which samples are shaded.
     ///
     /// The caller must ensure that `samples` was filled from the same values.
     ///
@@ -199,14 +197,14 @@ impl<'a> Frame<'a> {
         Ok(self)
     }
 
-    /// Let rays leap also where a trial finds brute force faster, so that benchmarks can measure the leaps there.
+    /// Return the frame with rays that leap even where a trial finds brute force faster, for benchmarks of the leaps.
     #[must_use]
     pub const fn leaping_always(mut self) -> Self {
         self.always_leap = true;
         self
     }
 
-    /// Return true if first walls are shaded after casting.
+    /// Return true if the first walls of this frame are shaded after casting.
     #[must_use]
     pub const fn lights_walls(&self) -> bool {
         self.options.appearance.is_some()
@@ -218,7 +216,7 @@ impl<'a> Frame<'a> {
         self.grid.shape_ijk()
     }
 
-    /// Return true if samples are shaded while rays are cast.
+    /// Return true if the samples of this frame are shaded while rays are cast.
     #[must_use]
     pub const fn lights_samples(&self) -> bool {
         self.options.light.is_some()
@@ -232,7 +230,7 @@ impl<'a> Frame<'a> {
 
     /// Return the same frame with one row of rays in the given directions of camera space.
     ///
-    /// Casting and shading can thus process single rays with the same operations as whole pictures.
+    /// Single rays can thus be cast and shaded with the same operations as whole pictures.
     pub(crate) fn listing(&self, directions: &[[f32; 3]]) -> Self {
         Self {
             camera: self.camera.listing(directions),
@@ -246,7 +244,7 @@ impl<'a> Frame<'a> {
         [self.origin[0], self.origin[1], self.origin[2]]
     }
 
-    /// Return the camera's centre in voxels if it is inside the volume.
+    /// Return the camera's centre in voxels; `None` if it is outside the volume.
     pub(crate) fn inside(&self) -> Option<Lanes> {
         let n = self.grid.shape_ijk();
         let inside = (0..3).all(|a| (-0.5..=n[a] as f64 - 0.5).contains(&self.origin_ijk[a]));
@@ -276,7 +274,7 @@ impl<'a> Frame<'a> {
         farthest / self.table.step_mm() + 2.0
     }
 
-    /// Return one step of a pixel's ray in camera space, mm.
+    /// Return one step of a pixel's ray in camera space, mm; 0 for a pixel without a ray.
     #[inline(always)]
     fn step(&self, column: usize, row: usize) -> [f64; 3] {
         let step_mm = self.table.step_mm();
@@ -294,7 +292,7 @@ impl<'a> Frame<'a> {
     #[inline(always)]
     pub(crate) fn ray(&self, column: usize, row: usize) -> Ray {
         let delta = self.ijk_from_camera.vector(self.step(column, row));
-        // This pixel has no light: its lens or its mask has no ray for it.
+        // This pixel has no ray, because it is outside the lens's image or the picture's outline.
         if self.camera.lens_rays().is_some() && delta == [0.0; 3] {
             return Ray {
                 origin: self.origin,
@@ -308,7 +306,8 @@ impl<'a> Frame<'a> {
             clip_line_to_box(self.origin_ijk, delta, [-0.5; 3], n.map(|n| n as f64 - 0.5)).map_or(
                 (0, 0),
                 |(t_in, t_out)| {
-                    // Sample k is at t = k + 1/2 steps. The casts saturate: the part behind the camera starts at 0.
+                    // Sample k is at t = k + 1/2 steps. The casts saturate, so the part of the ray behind the camera is
+                    // left out.
                     ((t_in - 0.5).ceil() as u32, (t_out + 0.5).floor() as u32)
                 },
             );
@@ -355,7 +354,7 @@ impl<'a> Frame<'a> {
         true
     }
 
-    /// Return the absolute cosine between the surface normal and the ray.
+    /// Return the absolute cosine between the surface normal, from the gradient `g`, and the ray.
     ///
     /// Without the sign, a thin wall whose far slope is sampled has the same light as its near slope.
     #[inline(always)]

@@ -1,4 +1,4 @@
-//! Shading of pictures whose rays another caster has gathered, such as a graphics card.
+//! Shading of pictures whose rays were gathered by another caster, such as a graphics card.
 
 use std::ops::Range;
 
@@ -9,9 +9,9 @@ use crate::{
     rows::check,
 };
 
-/// Shade rows whose rays another caster has gathered, as [`cast_rows`] shades its own rows.
+/// Shade rows whose rays another caster has gathered; return RGB and statistics as [`cast_rows`] does for its own rays.
 ///
-/// `gathered` holds the rays of the rows [`rows_to_gather`], `[row, column]`, and `stats` are the statistics of the
+/// `gathered` contains the rays of the rows [`rows_to_gather`], `[row, column]`, and `stats` are the statistics of the
 /// other caster. `method` measures the exposure and casts the additional rays at silhouettes.
 ///
 /// # Errors

@@ -14,7 +14,7 @@ use crate::{
     lit::cast_lit,
     packet::{BAND_ROWS, Packets},
     rows::{check, share},
-    worth::if_it_pays,
+    worth::faster_method,
 };
 
 /// Cast `rows` of the picture as 8-bit RGB, `[row, column, channel]`.
@@ -59,7 +59,7 @@ fn cast(
     stop: Option<&AtomicBool>,
 ) -> Result<(Vec<u8>, CastStats), RaycastError> {
     check(frame, method, rows, simd)?;
-    let method = if_it_pays(frame, method, simd);
+    let method = faster_method(frame, method, simd);
     let bytes = (0u8, 3 * frame.camera().width());
     if let Some(light) = Lighting::exposed(frame, method) {
         let packets = Packets::of(frame, method, simd);
@@ -77,7 +77,7 @@ fn cast(
     }))
 }
 
-/// Cast the same picture with the scalar casters, which define the correct result, for any instruction set.
+/// Cast `rows` with the scalar casters, which define the correct picture; the result is equal for any instruction set.
 ///
 /// # Errors
 ///
@@ -89,7 +89,7 @@ pub fn cast_rows_scalar(
     simd: InstructionSet,
 ) -> Result<(Vec<u8>, CastStats), RaycastError> {
     check(frame, method, &rows, simd)?;
-    let method = if_it_pays(frame, method, simd);
+    let method = faster_method(frame, method, simd);
     let bytes = (0u8, 3 * frame.camera().width());
     if let Some(light) = Lighting::exposed(frame, method) {
         let scalar = (None, InstructionSet::Portable);

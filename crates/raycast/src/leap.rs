@@ -1,4 +1,4 @@
-//! Leaping caster (paper 4.3): it skips those brute-force samples whose result a map provides.
+//! Leaping caster (paper 4.3), which skips those brute-force samples whose result follows from a map of regions.
 //!
 //! # When a ray looks up the map
 //!
@@ -23,39 +23,39 @@ use crate::{
     sampling::Lanes,
 };
 
-/// Steps per voxel along an axis on which a ray does not advance: very large, but, unlike infinity, safe to multiply by
-/// 0.
+/// Number of ray steps per voxel along an axis on which a ray does not advance.
+///
+/// The number is very large, but, unlike infinity, safe to multiply by 0.
 pub(crate) const FAR: f32 = 1e30;
-/// Upper bound of the steps of any ray within a cube of 511 voxels.
+/// Upper bound of the number of steps of any ray within a cube of 511 voxels.
 pub(crate) const MAX_STEPS: f32 = 1e9;
 
-/// Reach of a leap from the centre of a cell of radius 0, in voxels.
+/// Distance in voxels that a leap may go from the centre of a cell of radius 0; each unit of radius adds 1.
 ///
 /// The known region of a cell ends half a voxel before the cell's radius.
 pub(crate) const CELL_REACH: f32 = -0.5;
 
-/// Number of samples after the first look-up that saved nothing.
+/// Number of samples that a ray takes after its first look-up that saved nothing.
 ///
 /// With steps of half a voxel, two samples share a voxel.
 pub(crate) const LEAST_PATIENCE: u32 = 2;
-/// Largest number of samples between look-ups.
-///
-/// A look-up then costs less than 1 percent of the samples' reads.
+/// Largest number of samples between two look-ups of a ray; a look-up then costs less than 1 percent of the samples'
+/// reads.
 pub(crate) const MOST_PATIENCE: u32 = 128;
-/// Number of samples before the first look-up of rays that start in no region.
+/// Number of samples before the first look-up, for rays that start in no region.
 const BLIND_SAMPLES: u32 = 8;
 
-/// Leap lengths that save time, from the reads of the skipped samples and the reads of a look-up.
+/// Numbers of samples that a leap must skip to save time, computed from the reads of a sample and of a look-up.
 #[derive(Clone, Copy)]
 pub(crate) struct Price {
-    /// Shortest leap that costs less than its samples.
+    /// Shortest leap, in samples, whose look-up costs less than its samples.
     pub worth: u32,
-    /// Shortest leap that also compensates for the next few look-ups without result.
+    /// Shortest leap, in samples, that also compensates for the next few look-ups without result.
     pub pays: u32,
 }
 
 impl Price {
-    /// Compute the lengths for samples and look-ups with the given numbers of reads.
+    /// Compute the lengths of paying leaps from the number of reads of a sample and of a look-up.
     pub(crate) const fn of(sample_loads: u32, lookup_loads: u32) -> Self {
         Self {
             worth: lookup_loads.div_ceil(sample_loads),
@@ -66,10 +66,10 @@ impl Price {
     }
 }
 
-/// Initial waiting length of the rays of a picture before their first look-up.
+/// Initial schedule of look-ups for all rays of a picture.
 #[derive(Clone, Copy)]
 pub(crate) struct Start {
-    /// Number of samples before the first look-up.
+    /// Number of samples before the first look-up of a ray.
     pub wait: u32,
     pub patience: u32,
 }
@@ -96,12 +96,12 @@ impl Start {
 }
 
 /// Schedule of the look-ups of one ray.
-struct Asking {
+struct LookupSchedule {
     at: u32,
     patience: u32,
 }
 
-impl Asking {
+impl LookupSchedule {
     #[inline(always)]
     fn of(start: Start, ray: &Ray) -> Self {
         Self {
@@ -110,14 +110,14 @@ impl Asking {
         }
     }
 
-    /// Update the schedule after a look-up for sample `k` that found nothing.
+    /// Postpone the next look-up after a look-up at sample `k` that found nothing.
     #[inline(always)]
     fn failed(&mut self, k: u32) {
         self.at = k + self.patience;
         self.patience = (2 * self.patience).min(MOST_PATIENCE);
     }
 
-    /// Update the schedule after a leap from sample `k` over `n` samples.
+    /// Set the next look-up after a leap from sample `k` over `n` samples.
     #[inline(always)]
     fn leaped(&mut self, k: u32, n: u32, price: Price) {
         if n < price.worth {
@@ -128,19 +128,19 @@ impl Asking {
         }
     }
 
-    /// Update the schedule after sample `k`, which had opacity.
+    /// Postpone the next look-up after sample `k`, which had opacity.
     #[inline(always)]
     fn lit(&mut self, k: u32) {
         self.at = self.at.max(k + 2);
     }
 }
 
-/// Conversion of distances to ray steps: how many steps a ray may take before it leaves a cube.
+/// Conversion from voxels to ray steps: the number of steps that a ray may take before it leaves a cube.
 #[derive(Clone, Copy)]
 struct Pace {
     /// Steps per voxel on each axis, with the sign of the direction.
     signed: Lanes,
-    /// Absolute value of `signed`.
+    /// Steps per voxel on each axis without the sign; [`FAR`] where the ray does not advance.
     plain: Lanes,
 }
 
@@ -161,7 +161,7 @@ impl Pace {
         pace
     }
 
-    /// Return the largest n with `|p + n delta - v| <= reach` on every axis; `v` is a voxel's or a cell's centre.
+    /// Return the largest n with `|p + n delta - v| <= reach` on every axis; `v` is the centre of a voxel or cell.
     #[inline(always)]
     fn steps(&self, p: Lanes, v: Lanes, reach: f32) -> u32 {
         let on: Lanes =
@@ -170,7 +170,7 @@ impl Pace {
         let least = |a: f32, b: f32| if a < b { a } else { b };
         let steps = least(least(on[0], on[1]), least(on[2], MAX_STEPS));
         let steps = if steps > 0.0 { steps } else { 0.0 };
-        // SAFETY: the value is between 0 and MAX_STEPS, so it fits an i32. The cast rounds down. Benchmark: as for
+        // SAFETY: the value is between 0 and MAX_STEPS, so it fits an i32. The cast rounds down. Benchmark: that of
         // `whole` in `sampling`.
         let steps: i32 = unsafe { steps.to_int_unchecked() };
         steps as u32
@@ -180,7 +180,7 @@ impl Pace {
 /// Cast a ray with leaps over transparent classes only.
 ///
 /// The skipped samples would have added nothing, so the picture equals that of brute force bit for bit. `radius` is the
-/// map of the transparent classes' cells, 0 elsewhere.
+/// map of the transparent classes' cells, with 0 for all other cells.
 #[inline(always)]
 pub(crate) fn cast_transparent<const SHADED: bool, const NEAREST: bool, const HITS: bool>(
     frame: &Frame<'_>,
@@ -194,10 +194,10 @@ pub(crate) fn cast_transparent<const SHADED: bool, const NEAREST: bool, const HI
     let price = const { Price::of(CastStats::sample_loads(NEAREST), 1) };
     let mut k = ray.first;
     let mut counts = [0u32; 4];
-    let mut asking = Asking::of(start, ray);
+    let mut schedule = LookupSchedule::of(start, ray);
     while k < ray.end {
         let p = ray.at(k);
-        if k >= asking.at {
+        if k >= schedule.at {
             let (index, v) = frame.field.cell_of(p);
             counts[0] += 1;
             // SAFETY: `cast_rows` has checked that the map has as many voxels as the volume, and `cell_of` clamps the
@@ -211,15 +211,15 @@ pub(crate) fn cast_transparent<const SHADED: bool, const NEAREST: bool, const HI
                     .min(ray.end - k);
                 counts[1] += 1;
                 counts[2] += n;
-                asking.leaped(k, n, price);
+                schedule.leaped(k, n, price);
                 k += n;
                 continue;
             }
-            asking.failed(k);
+            schedule.failed(k);
         }
         if frame.add_sample::<SHADED, NEAREST, HITS>(ray, k, p, &mut gathered) {
             counts[3] += 1;
-            asking.lit(k);
+            schedule.lit(k);
             if gathered.transparency < frame.stop {
                 k += 1;
                 break;
@@ -235,7 +235,7 @@ pub(crate) fn cast_transparent<const SHADED: bool, const NEAREST: bool, const HI
     gathered
 }
 
-/// Cast a ray with leaps over every class by the step table.
+/// Cast a ray with leaps over every class; the step table gives the colour of a leap.
 ///
 /// The result is within one grey level of brute force: a segment's colour is rounded once, the colours of its samples
 /// one by one. A leap that crosses the stop limit ends at the sample where brute force stops.
@@ -253,10 +253,10 @@ pub(crate) fn cast_classes<const NEAREST: bool, const HITS: bool>(
     // A nearest-voxel sample needs only its own voxel in the cube, not eight corners: half a voxel more on each side.
     let margin = class_margin(frame, NEAREST);
     let mut k = ray.first;
-    let mut asking = Asking::of(start, ray);
+    let mut schedule = LookupSchedule::of(start, ray);
     while k < ray.end {
         let p = ray.at(k);
-        if k >= asking.at {
+        if k >= schedule.at {
             let (index, v) = frame.field.nearest(p);
             stats.num_lookups += 1;
             // The label is read only for a radius above 0; a voxel with label 0 has radius 0.
@@ -280,14 +280,14 @@ pub(crate) fn cast_classes<const NEAREST: bool, const HITS: bool>(
                 gathered.add_segment(map.segments.segment(label, n));
                 stats.num_leaps += 1;
                 stats.num_skipped += n as u64;
-                asking.leaped(k, n as u32, price);
+                schedule.leaped(k, n as u32, price);
                 k += n as u32;
                 if gathered.transparency < frame.stop {
                     break;
                 }
                 continue;
             }
-            asking.failed(k);
+            schedule.failed(k);
         }
         frame.add_sample::<false, NEAREST, HITS>(ray, k, p, &mut gathered);
         stats.num_samples += 1;
@@ -299,7 +299,7 @@ pub(crate) fn cast_classes<const NEAREST: bool, const HITS: bool>(
     gathered
 }
 
-/// Return the distance in voxels by which a leap over a class may exceed the radius.
+/// Return the distance in voxels by which a leap over a class may exceed the radius of its region.
 pub(crate) fn class_margin(frame: &Frame<'_>, nearest: bool) -> f32 {
     if nearest {
         0.5 - frame.guard_vox
@@ -308,7 +308,7 @@ pub(crate) fn class_margin(frame: &Frame<'_>, nearest: bool) -> f32 {
     }
 }
 
-/// Store the first wall if it is within a segment: step through the segment's samples with the step table.
+/// Store the first wall of a ray if it is within a leaped segment, by stepping through the segment's samples.
 #[inline(always)]
 fn cross_segment(gathered: &mut Gathered, segments: &SegmentTable, label: u8, k: u32, n: usize) {
     let through = |samples| gathered.transparency * segments.segment(label, samples)[3];

@@ -2,12 +2,12 @@
 
 use crate::RaycastError;
 
-/// Light at the camera's centre, as on a bronchoscope: its direction equals that of the ray.
+/// Light at the camera's centre, as on a bronchoscope: the light has the direction of the ray.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Light {
-    /// Fraction of the colour that does not depend on the surface's direction.
+    /// Fraction of a sample's colour that does not depend on the direction of the surface.
     pub ambient: f32,
-    /// Fraction proportional to the cosine between surface normal and light.
+    /// Fraction of a sample's colour that is proportional to the cosine between surface normal and light.
     pub diffuse: f32,
     /// Strength of the white highlight of a wet surface at normal incidence.
     pub specular: f32,
@@ -15,16 +15,16 @@ pub struct Light {
     ///
     /// Powers are computed by squaring, so no sample needs `pow`.
     pub shininess_log2: u32,
-    /// Distance in mm at which half the light is left; infinite for no loss.
+    /// Distance from the camera in mm at which half the light is left; infinite for no loss.
     pub reach_mm: f32,
 }
 
 impl Light {
-    /// Check the values.
+    /// Check the numbers of the light.
     ///
     /// # Errors
     ///
-    /// Returns an error if a value is negative or not finite, or would overflow.
+    /// Returns an error if a number is negative or not finite, or would overflow.
     pub fn check(&self) -> Result<(), RaycastError> {
         let refuse = |what: &'static str, expected: &str, found: f32| {
             Err(RaycastError::Setting {
@@ -51,15 +51,17 @@ impl Light {
         Ok(())
     }
 
-    /// Return the fractions of the sample's own colour and of white, for the cosine `facing` (0 to 1) at `distance_mm`.
+    /// Return the fractions of a sample's own colour and of white in its shaded colour.
+    ///
+    /// `facing` is the cosine between surface normal and light (0 to 1).
     #[inline(always)]
     pub(crate) fn shares(&self, facing: f32, distance_mm: f32) -> (f32, f32) {
         let mut highlight = facing;
         for _ in 0..self.shininess_log2 {
             highlight *= highlight;
         }
-        // reach^2 / (reach^2 + d^2): inverse square at a distance, constant nearby, as with a scope's automatic
-        // exposure.
+        // The loss is reach^2 / (reach^2 + d^2): inverse square at a distance, constant nearby, as with a scope's
+        // automatic exposure.
         let part = distance_mm / self.reach_mm;
         let left = 1.0 / part.mul_add(part, 1.0);
         let own = facing.mul_add(self.diffuse, self.ambient);
@@ -71,6 +73,7 @@ impl Light {
 mod tests {
     use super::*;
 
+    /// Light at the camera of the test pictures.
     const LIGHT: Light = Light {
         ambient: 0.1,
         diffuse: 0.9,

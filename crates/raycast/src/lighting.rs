@@ -1,10 +1,10 @@
-//! Data of a frame that the shading of first walls needs.
+//! Parameters of a frame that the shading of first walls needs.
 
 use std::sync::Arc;
 
 use crate::{Appearance, Frame, NormalBricks, normals::Normals};
 
-/// Data for the shading of a frame, computed once in f64.
+/// Parameters for the shading of a frame's first walls, computed once in f64.
 #[derive(Debug, Clone)]
 pub(crate) struct Lighting {
     pub look: Appearance,
@@ -18,15 +18,15 @@ pub(crate) struct Lighting {
     pub camera_from_lps: [[f32; 3]; 3],
     /// Positions of the light guides relative to the camera's centre, LPS mm.
     pub guides: [[f32; 3]; 2],
-    /// Width of a pixel at a distance of 1 mm, in the middle of the picture.
+    /// Width of a pixel in the middle of the picture at a distance of 1 mm from the camera, mm.
     pub pixel_mm: f32,
     pub background: [f32; 3],
-    /// Brightness of the guides, measured or given.
+    /// Brightness of the light guides, measured or given by the appearance.
     pub exposure: f32,
 }
 
 impl Lighting {
-    /// Return the lighting of a frame whose options have an appearance; the exposure is not yet set.
+    /// Return the lighting of a frame, without its exposure; `None` if the frame's options have no appearance.
     pub(crate) fn of(frame: &Frame<'_>) -> Option<Self> {
         let look = frame.options.appearance?;
         let camera = frame.camera();

@@ -1,16 +1,16 @@
-//! Pictures whose rows are straight lines anywhere in the volume: curved reformations, and slabs of a plane.
+//! Pictures whose rows are arbitrary straight lines in the volume: curved reformations, and slabs round a plane.
 
 use carina_grid::VolumeView;
 use rayon::prelude::*;
 
 use crate::{Field, PlaneImage, RaycastError, Window, plane::check_size};
 
-/// Line of one picture row: pixel `c` has its centre at `start + (c + 1/2) step`.
+/// Line of the volume that one picture row shows: pixel `c` has its centre at `start + (c + 1/2) step`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PixelLine {
     /// Left edge of the row's first pixel, at half its height, LPS mm.
     pub start_lps: [f64; 3],
-    /// Vector from a pixel to the next, LPS mm.
+    /// Vector from a pixel of the row to the next, LPS mm.
     pub step_lps: [f64; 3],
     /// Unit vector perpendicular to the picture, along which a slab is sampled.
     pub through_lps: [f64; 3],
@@ -19,32 +19,32 @@ pub struct PixelLine {
 /// Projection of the values across a slab.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SlabKind {
-    /// Largest value: shows vessels and nodules.
+    /// Largest value across the slab, which shows vessels and nodules.
     Maximum,
-    /// Smallest value: shows airways.
+    /// Smallest value across the slab, which shows airways.
     Minimum,
-    /// Mean value: a thicker slice with less noise.
+    /// Mean value across the slab: a thicker slice with less noise.
     Mean,
 }
 
-/// Slab round a picture's plane.
+/// Thick slice round the plane of a picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Slab {
-    /// Thickness from front to back, mm.
+    /// Thickness of the slab from front to back, mm.
     pub thickness_mm: f64,
-    /// Projection across the slab.
+    /// Projection of the values across the slab.
     pub kind: SlabKind,
 }
 
-/// Largest thickness: a thicker slab is a projection and would take seconds.
+/// Largest thickness of a slab, mm; a thicker slab is a projection and would take seconds.
 const MAX_SLAB_MM: f64 = 100.0;
 /// Largest number of samples across a slab, for voxels of any size.
 const MAX_SLAB_SAMPLES: f64 = 256.0;
 
-/// Sample a picture line by line; pixels outside the volume are 0.
+/// Sample a picture line by line; pixels whose centre is outside the volume are 0.
 ///
-/// Samples across a slab are at most the smallest voxel spacing apart, but there are at most 256; samples outside the
-/// volume do not count.
+/// Samples across a slab are at most the smallest voxel spacing apart, unless this would need more than 256. Samples
+/// outside the volume do not count.
 ///
 /// # Errors
 ///
@@ -105,7 +105,7 @@ pub fn sample_lines(
     Ok(image)
 }
 
-/// Return the offsets from the middle of a slab at which it is sampled.
+/// Return the offsets in mm from the middle of a slab at which it is sampled; one offset of 0 without a slab.
 fn offsets_of(slab: Option<Slab>, spacing_mm: f64) -> Result<Vec<f32>, RaycastError> {
     let Some(Slab { thickness_mm, .. }) = slab else {
         return Ok(vec![0.0]);
@@ -175,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn a_slab_gathers_along_its_normal_and_counts_only_what_is_in_the_volume() {
+    fn a_slab_combines_values_along_its_normal_and_ignores_samples_outside() {
         let (grid, data) = (grid(), data());
         let volume = VolumeView::new(&data, &grid).unwrap();
         let window = Window::new(255.0, 127.5).unwrap();
@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn absurd_slabs_are_refused() {
+    fn slabs_out_of_range_are_rejected() {
         let (grid, data) = (grid(), data());
         let volume = VolumeView::new(&data, &grid).unwrap();
         let window = Window::new(255.0, 127.5).unwrap();

@@ -1,4 +1,4 @@
-//! Pictures whose first walls are shaded after casting.
+//! Casting of pictures whose first walls are shaded after casting.
 //!
 //! A few rows are cast, then shaded while their rays are in the cache. Only the depths are stored for all rows, with
 //! one more row on each side of a strip, because the neighbours of a pixel show whether it is on a silhouette.
@@ -19,7 +19,9 @@ use crate::{
     surface::cast_walls_row,
 };
 
-/// Return the rows needed to shade `rows`: with one row before and one after if silhouettes are smoothed.
+/// Return the rows whose rays are needed to shade `rows`.
+///
+/// If the appearance smooths silhouettes, the result also has the row before and the row after `rows`.
 #[must_use]
 pub fn rows_to_gather(frame: &Frame<'_>, rows: &Range<usize>) -> Range<usize> {
     let smooth = frame
@@ -33,15 +35,15 @@ pub fn rows_to_gather(frame: &Frame<'_>, rows: &Range<usize>) -> Range<usize> {
     }
 }
 
-/// Source of the first walls of rows.
+/// Source of the first walls of the rows that are shaded.
 pub(crate) enum Walls<'a> {
     /// Rays of all rows, gathered by another caster.
     Gathered(&'a [Gathered]),
-    /// Function that casts rows, starting with the given row.
+    /// Function that casts rows, starting with the given row, into a buffer and returns its statistics.
     Cast(&'a (dyn Fn(usize, &mut [Gathered]) -> CastStats + Sync)),
 }
 
-/// Cast rows, in packets or with the scalar casters, and shade them.
+/// Cast and shade rows, in packets or with the scalar casters.
 ///
 /// The statistics exclude the rays of the rows beside the strip, because these rows belong to other strips.
 pub(crate) fn cast_lit(
@@ -83,9 +85,9 @@ pub(crate) fn cast_lit(
     )
 }
 
-/// Shade rows, a few at a time; cast and shade silhouettes again if the appearance smooths them.
+/// Shade the first walls of rows, a few rows at a time, and smooth silhouettes if the appearance requires it.
 ///
-/// `beside` holds the depths of the row before and of the row after, empty at the picture's edge. After `stop` is set,
+/// `beside` has the depths of the row before and of the row after, empty at the picture's edge. After `stop` is set,
 /// the remaining rows stay black. `num_shaded` counts only this shading.
 pub(crate) fn light_walls(
     frame: &Frame<'_>,
@@ -103,7 +105,7 @@ pub(crate) fn light_walls(
         .par_chunks_mut(3 * width * BAND_ROWS)
         .zip(depths.par_chunks_mut(width * BAND_ROWS))
         .enumerate()
-        // Rows differ in cost, so each job is one item (see `share`).
+        // Rows differ in cost, so each job has one item (see `share`).
         .with_max_len(1)
         .map_init(Vec::new, |buffer, (n, (rgb, depths))| {
             if stop.is_some_and(|stop| stop.load(Ordering::Relaxed)) {

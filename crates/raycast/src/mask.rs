@@ -1,8 +1,8 @@
-//! Smooth field from a lumen mask, for the external view of the tree.
+//! Smooth field from a mask of the lumen, for the external view of the airway tree.
 
 use rayon::prelude::*;
 
-/// Value of `smoothed_mask` deep inside the mask.
+/// Value of [`smoothed_mask`] deep inside the mask.
 pub(crate) const FULL: i16 = 1024;
 
 /// Blur a mask (0 is outside) with the weights 1 2 1 along each axis to values in `0 ..= 1024`.
@@ -19,7 +19,7 @@ pub fn smoothed_mask(mask: &[u8], [nz, ny, nx]: [usize; 3]) -> Vec<i16> {
     if out.is_empty() {
         return out;
     }
-    // Blur within a slice along x and y, then across slices; the edge voxel is repeated.
+    // The blur is within a slice along x and y, then across slices; the edge voxel is repeated.
     out.par_chunks_mut(plane).for_each(|slice| {
         for row in slice.chunks_mut(nx) {
             blur(row, 1, nx);
@@ -72,7 +72,7 @@ mod tests {
     }
 
     #[test]
-    fn a_branch_one_voxel_thick_keeps_a_quarter() {
+    fn a_branch_one_voxel_thick_has_a_quarter_of_the_full_value() {
         let mut mask = [0u8; 5 * 5 * 5];
         for z in 0..5 {
             mask[z * 25 + 12] = 1;

@@ -1,34 +1,34 @@
-//! Choice of the caster of a picture, and statistics of a cast.
+//! Methods by which a picture can be cast, and statistics of a cast.
 
 use carina_isoregion::SegmentTable;
 
 use crate::{Frame, Interpolation, composite::Gathered};
 
-/// Caster of a picture.
+/// Method by which the rays of a picture are cast.
 #[derive(Debug, Clone, Copy)]
 pub enum Method<'a> {
-    /// Brute force: every sample.
+    /// Brute force: every sample is read.
     Brute,
-    /// Leaps over transparent classes.
+    /// Leaps over transparent classes only.
     ///
-    /// The variant holds the map of cells between voxels of these classes alone ([`carina_isoregion::cell_map`]).
+    /// The variant contains the map of cells between voxels of these classes ([`carina_isoregion::cell_map`]).
     LeapTransparent(&'a [u8]),
-    /// Leaps over all classes by the step table; only without shading.
+    /// Leaps over all classes by the step table, only for pictures without shading.
     LeapClasses(ClassMap<'a>),
 }
 
-/// Labels, radii and step table for leaps over every class; only without shading.
+/// Labels, radii and step table for leaps over every class, only for pictures without shading.
 #[derive(Debug, Clone, Copy)]
 pub struct ClassMap<'a> {
-    /// Labels `[z, y, x]`; label 0 is never leaped.
+    /// Label of each voxel, `[z, y, x]`; label 0 is never leaped.
     pub labels: &'a [u8],
-    /// Radius map `[z, y, x]` of the labels.
+    /// Radius of the region of each voxel, `[z, y, x]`.
     pub radius: &'a [u8],
-    /// Step table for one ray step of this picture.
+    /// Step table for the length of the ray steps of this picture.
     pub segments: &'a SegmentTable,
 }
 
-/// Statistics of a cast.
+/// Counts of the work that a cast has done.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct CastStats {
     /// Number of rays cast.
@@ -43,25 +43,26 @@ pub struct CastStats {
     pub num_skipped: u64,
     /// Number of shaded samples, for which a gradient was read.
     pub num_shaded: u64,
-    /// Number of reads of the volume and of the maps: see [`CastStats::sample_loads`].
+    /// Number of reads of the volume and of the maps; see [`CastStats::with_loads`].
     pub num_loads: u64,
 }
 
 impl CastStats {
-    /// Return the reads of a sample: four rows of two voxels of its cell, or one read for the nearest voxel.
+    /// Return the number of reads of a sample: four rows of two voxels of its cell, or one read for the nearest voxel.
     pub(crate) const fn sample_loads(nearest: bool) -> u32 {
         if nearest { 1 } else { 4 }
     }
 
-    /// Additional reads of a shaded sample: its gradient needs the eight rows beside its cell.
+    /// Number of additional reads of a shaded sample: its gradient needs the eight rows beside its cell.
     ///
-    /// The cell's own rows are then read with two more voxels.
+    /// The four rows of the cell itself are then read with two more voxels each.
     const GRADIENT_LOADS: u64 = 8;
 
-    /// Reads of a shaded first wall: gradients at the eight corners of its cell, and one sample beneath the wall.
+    /// Number of reads of a shaded first wall: gradients at the eight corners of its cell, and one sample beneath the
+    /// wall.
     const LIGHTING_LOADS: u64 = 8 + 4;
 
-    /// Compute the number of reads from the other counts.
+    /// Return the statistics with the number of reads, computed from the other counts.
     ///
     /// Counted are the reads of samples and their gradients, one radius for each look-up, and one label for each leap
     /// over a class. Reads of the transfer and step tables are left out: the tables are small and stay in the nearest
@@ -81,7 +82,7 @@ impl CastStats {
         }
     }
 
-    /// Add the shading of first walls to the counts.
+    /// Return the statistics with the shading of the first walls `walls` added.
     pub(crate) fn lit(self, walls: &[Gathered]) -> Self {
         let num_lit = walls.iter().filter(|wall| wall.hit >= 0.0).count() as u64;
         Self {

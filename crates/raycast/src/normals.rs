@@ -1,4 +1,4 @@
-//! Normals of walls.
+//! Normals of walls, from a smoothed gradient of the volume.
 
 use std::sync::Arc;
 
@@ -9,27 +9,31 @@ use crate::{
     sampling::Lanes,
 };
 
-/// Distance in mm from a wall of the samples for its normal.
+/// Distance in mm from a wall to the samples for its normal.
 ///
 /// The noise of a CT has about this grain size; cartilage rings are several times as wide.
 const NORMAL_REACH_MM: f64 = 0.9;
-/// Smallest distance of these samples in voxels: within one voxel, values are linear and contain no noise to smooth.
+/// Smallest distance in voxels from a wall to the samples for its normal.
+///
+/// Within one voxel, values are linear and contain no noise to smooth.
 const NORMAL_REACH_VOX: f64 = 0.8;
 /// Half of the contrast between air and tissue, HU.
 const HALF_CONTRAST_HU: f32 = 500.0;
 
-/// Parameters of the normals of walls.
+/// Parameters of a frame for the normals of its walls.
 ///
 /// The normal is a gradient over [`NORMAL_REACH_MM`], so that noise does not appear as a rough surface. Values are
-/// clamped to a range round the wall's own value: distant structures behind or before the wall (vessels, bone, noise of
-/// the air) do not influence its inclination.
+/// limited to a range round the wall's own value: other structures behind or before the wall (vessels, bone, noise of
+/// the air) do not influence the normal.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Normals {
-    /// Distance of the samples along each axis, voxels.
+    /// Distance from the wall to the samples along each axis, voxels.
     pub reach: [f32; 3],
-    /// Lower and upper limit of the values.
+    /// Lower and upper limit to which the sampled values are clamped.
     pub held: [f32; 2],
-    /// Matrix of `inward = rows . rise`, in LPS: the transposed inverse of the voxel axes, divided by the reach.
+    /// Matrix from rises along the voxel axes to the inward normal in LPS, `inward = rows . rise`.
+    ///
+    /// The matrix is the transposed inverse of the voxel axes, divided by the reach.
     pub rows: [[f32; 3]; 3],
 }
 
@@ -49,7 +53,7 @@ impl Normals {
         }
     }
 
-    /// Return the unit normal at a hit, on the camera's side.
+    /// Return the unit normal (LPS) of the wall at distance `hit` along a ray, on the camera's side.
     pub(crate) fn at(&self, frame: &Frame<'_>, ray: &Ray, hit: f32) -> [f32; 3] {
         let p: Lanes = std::array::from_fn(|a| hit.mul_add(ray.delta[a], ray.origin[a]));
         let [low, high] = self.held;
@@ -63,7 +67,7 @@ impl Normals {
             rise[a] = AXIS_WEIGHT * (held(after) - held(before));
         }
         for corner in 0..4 {
-            // Compute the difference between a corner of the cube and the opposite corner.
+            // The difference between a corner of the cube and the opposite corner.
             let side = [1.0, [1.0f32, -1.0][corner & 1], [1.0f32, -1.0][corner >> 1]];
             let (mut before, mut after) = (p, p);
             for a in 0..3 {
@@ -95,7 +99,7 @@ pub(crate) fn dot(u: [f32; 3], v: [f32; 3]) -> f32 {
     u[2].mul_add(v[2], u[1].mul_add(v[1], u[0] * v[0]))
 }
 
-/// Return the range of values that define the inclination of a wall.
+/// Return the range of values that determines the normal of a wall.
 ///
 /// The range is the transfer function's ramp and about half the contrast of an airway to each side of the ramp's
 /// middle, limited to the values of the volume.
@@ -115,17 +119,17 @@ impl NormalBricks {
     /// Create an empty cache of bricks for the volume and the transfer function of a frame.
     #[must_use]
     pub fn of(frame: &Frame<'_>) -> Self {
-        Self::with_room(frame, MOST_BRICKS)
+        Self::with_capacity(frame, MOST_BRICKS)
     }
 
-    /// Create an empty cache with capacity for `most` bricks.
+    /// Create an empty cache with a capacity of `most` bricks, for the volume and the transfer function of a frame.
     #[must_use]
-    pub fn with_room(frame: &Frame<'_>, most: usize) -> Self {
+    pub fn with_capacity(frame: &Frame<'_>, most: usize) -> Self {
         let normals = Normals::of(frame);
         Self::new(frame.grid.shape_ijk(), normals.reach, normals.held, most)
     }
 
-    /// Return whether the bricks fit a frame.
+    /// Return whether the bricks have the shape and the parameters of a frame.
     ///
     /// The caller must ensure that the frame shows the same values.
     #[must_use]
@@ -136,7 +140,7 @@ impl NormalBricks {
 }
 
 impl Frame<'_> {
-    /// Set cached bricks of wall normals of this volume.
+    /// Return the frame with cached bricks of wall normals of its volume.
     ///
     /// The caller must ensure that `bricks` was filled from the same values.
     ///

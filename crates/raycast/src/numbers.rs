@@ -1,10 +1,10 @@
-//! Parameters that a caster on other hardware needs to cast the same rays.
+//! Parameters of a frame with which a caster on other hardware casts the same rays.
 
 use carina_grid::Affine;
 
 use crate::{CastStats, Frame, FrameOptions, leap::Price};
 
-/// Return the length of the shortest leap over a transparent class that resets a ray's patience.
+/// Return the shortest leap over a transparent class, in samples, that resets the patience of a ray.
 #[must_use]
 pub const fn paying_leap(nearest: bool) -> u32 {
     Price::of(CastStats::sample_loads(nearest), 1).pays
@@ -15,17 +15,19 @@ pub const fn paying_leap(nearest: bool) -> u32 {
 pub struct FrameNumbers<'a> {
     /// Transform from directions in camera space (mm) to voxels.
     pub ijk_from_camera: Affine,
-    /// Camera centre, voxels.
+    /// Position of the camera's centre, voxels.
     pub origin_ijk: [f64; 3],
-    /// Number of voxels along each axis.
+    /// Number of voxels of the volume along each axis.
     pub shape_ijk: [usize; 3],
     /// Length of a ray step, mm.
     pub step_mm: f64,
-    /// Metric of gradients per voxel: `|gradient in LPS per mm|^2 = g^T metric g`; xx, yy, zz, 2xy, 2xz, 2yz.
+    /// Metric that converts a gradient `g` per voxel: `|gradient in LPS per mm|^2 = g^T metric g`.
+    ///
+    /// The items are xx, yy, zz, 2xy, 2xz, 2yz.
     pub metric: [f32; 6],
-    /// Margin between the end of a leap and the end of its cube, voxels.
+    /// Margin between the end of a leap and the end of the leap's cube, voxels.
     pub guard_vox: f32,
-    /// Upper bound of the steps of any ray.
+    /// Upper bound of the number of steps of any ray.
     pub most_steps: f64,
     /// Transparency below which a ray stops.
     pub stop: f32,
@@ -33,7 +35,7 @@ pub struct FrameNumbers<'a> {
     pub low_hu: i32,
     /// Premultiplied colour and opacity of one ray step, by integer HU; values outside the table are clamped.
     pub entries: &'a [[f32; 4]],
-    /// Sampling, light, background.
+    /// Interpolation, light, appearance and background of the frame.
     pub options: FrameOptions,
     /// Width of the viewport, pixels.
     pub width: usize,

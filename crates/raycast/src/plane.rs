@@ -1,4 +1,4 @@
-//! Planes through a volume with one sample per pixel (cut-plane view of paper 3.1, and slices).
+//! Pictures of planes through a volume, with one sample per pixel (cut-plane view of paper 3.1, and slices).
 
 use std::ops::Range;
 
@@ -13,13 +13,13 @@ use crate::{
 /// Grey levels of a plane, `[row, column]`; 0 outside the volume.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct PlaneImage {
-    /// Grey levels.
+    /// Grey level of each pixel.
     pub grey: Vec<u8>,
-    /// Mask: 1 where the pixel's centre is in the volume.
+    /// Mask of the pixels: 1 if the pixel's centre is in the volume.
     pub inside: Vec<u8>,
 }
 
-/// Sample a plane.
+/// Sample the picture of a plane through a volume.
 ///
 /// `lps_from_pixel` maps pixel corners (column, row, 0) to patient space; pixel centres are at + 1/2.
 ///
@@ -37,7 +37,7 @@ pub fn sample_plane(
     sample_plane_by(volume, lps_from_pixel, width, 0..height, window, simd)
 }
 
-/// Sample rows of a plane with a given instruction set; the bits do not depend on the set.
+/// Sample rows of a plane with a given instruction set; the results are equal for all sets, bit for bit.
 ///
 /// # Errors
 ///
@@ -66,7 +66,7 @@ pub fn sample_plane_by(
     ))
 }
 
-/// Sample rows in tiles, or pixel by pixel if the instruction set has no tiles.
+/// Sample rows of a plane in tiles, or pixel by pixel if the instruction set has no tiles.
 fn sample_rows(
     field: &Field<'_>,
     ijk_from_pixel: &Affine,
@@ -122,9 +122,10 @@ fn sample_rows(
     image
 }
 
+/// Number of pixels of the bands that threads sample in parallel; one thread samples a smaller picture.
 const BAND_PIXELS: usize = 1 << 16;
 
-/// Sample a row pixel by pixel: the reference for packets.
+/// Sample a row of a plane pixel by pixel; the code is the reference for packets.
 fn sample_row(
     field: &Field<'_>,
     start: [f32; 3],
@@ -171,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn every_instruction_set_gives_the_pixels_that_are_taken_one_by_one() {
+    fn planes_of_every_instruction_set_equal_single_pixels() {
         let mut state = 5u64;
         let mut random = |most: f64| {
             state = state
@@ -204,8 +205,8 @@ mod tests {
             let window = Window::new(1500.0, 300.0).unwrap();
             for (width, height) in [(1, 1), (7, 5), (37, 21), (64, 64), (129, 3)] {
                 for turn in 0..6 {
-                    // Planes through the middle at any angle; the last ones along an axis, with pixels exactly on the
-                    // faces of the box.
+                    // The planes go through the middle at any angle; the last ones are along an axis, with pixels
+                    // exactly on the faces of the box.
                     let step = if turn < 4 { random(0.4) } else { 0.5 };
                     let mut axis = || {
                         if turn < 4 {

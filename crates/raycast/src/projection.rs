@@ -5,30 +5,30 @@ use rayon::prelude::*;
 
 use crate::InstructionSet;
 
-/// Largest value along each grid axis.
+/// Largest values of a volume along each grid axis, as three pictures.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Projections {
-    /// Projection along i: `[k, j]`.
+    /// Maximum along i of each line, `[k, j]`.
     pub along_i: Vec<i16>,
-    /// Projection along j: `[k, i]`.
+    /// Maximum along j of each line, `[k, i]`.
     pub along_j: Vec<i16>,
-    /// Projection along k: `[j, i]`.
+    /// Maximum along k of each line, `[j, i]`.
     pub along_k: Vec<i16>,
 }
 
-/// Compute all three projections; each voxel is read once.
+/// Compute the maximum projections of a volume along its three axes; each voxel is read once.
 #[must_use]
 pub fn maximum_projections(volume: VolumeView<'_, i16>) -> Projections {
     maximum_projections_by(volume, InstructionSet::best())
 }
 
-/// Compute all three projections with a given instruction set; the values do not depend on the set.
+/// Compute the maximum projections with a given instruction set; the results are equal for all sets.
 #[must_use]
 pub fn maximum_projections_by(volume: VolumeView<'_, i16>, simd: InstructionSet) -> Projections {
     let [ni, nj, nk] = volume.grid().shape_ijk();
     let mut along_i = vec![i16::MIN; nk * nj];
     let mut along_j = vec![i16::MIN; nk * ni];
-    // Use at most one slab per thread, because each slab has its own image along k.
+    // There is at most one slab per thread, because each slab has its own image along k.
     let slices = nk.div_ceil(rayon::current_num_threads());
     let along_k = volume
         .data()
@@ -58,7 +58,7 @@ pub fn maximum_projections_by(volume: VolumeView<'_, i16>, simd: InstructionSet)
     }
 }
 
-/// Slab of slices and its part of the three images.
+/// Slab of successive slices, with its parts of the three images.
 struct Slab<'a> {
     data: &'a [i16],
     shape_ji: [usize; 2],
@@ -67,7 +67,7 @@ struct Slab<'a> {
     along_k: &'a mut [i16],
 }
 
-/// Registers of int16 values.
+/// Vector registers of int16 values with the operations of the projections.
 ///
 /// A value of the implementing type proves that the machine has these registers.
 trait Values: Copy {
@@ -75,13 +75,13 @@ trait Values: Copy {
     const N: usize;
     /// Whether two rows are processed together with explicit prefetches.
     ///
-    /// Otherwise the processor's own prefetcher follows the rows; explicit prefetches can disturb it: on Zen 4 with
-    /// AVX2 it reads 18 GB/s without them and 10 GB/s with them.
-    const ASKS: bool;
+    /// Without them the processor's own prefetcher follows the rows. Explicit prefetches can disturb it: on Zen 4 with
+    /// AVX2 they halve the speed.
+    const PREFETCHES: bool;
     type V: Copy;
     fn least(self) -> Self::V;
     fn max(self, a: Self::V, b: Self::V) -> Self::V;
-    /// Load `N` values.
+    /// Load a register of `N` values.
     ///
     /// # Safety
     ///
@@ -89,7 +89,7 @@ trait Values: Copy {
     unsafe fn load(self, at: *const i16) -> Self::V;
     /// Prefetch the cache line at `at`; any address is allowed.
     fn fetch(self, at: *const i16);
-    /// Store `N` values.
+    /// Store the `N` values of a register.
     ///
     /// # Safety
     ///
@@ -107,7 +107,7 @@ struct One;
 
 impl Values for One {
     const N: usize = 1;
-    const ASKS: bool = false;
+    const PREFETCHES: bool = false;
     type V = i16;
     #[inline(always)]
     fn least(self) -> i16 {
@@ -133,14 +133,14 @@ impl Values for One {
 
 #[cfg(target_arch = "x86_64")]
 macro_rules! registers {
-    ($name:ident, $what:literal, $v:ident, $n:literal, $asks:literal, $set1:ident, $max:ident, $load:ident, $store:ident) => {
+    ($name:ident, $what:literal, $v:ident, $n:literal, $prefetches:literal, $set1:ident, $max:ident, $load:ident, $store:ident) => {
         #[doc = $what]
         #[derive(Clone, Copy)]
         struct $name(());
 
         impl Values for $name {
             const N: usize = $n;
-            const ASKS: bool = $asks;
+            const PREFETCHES: bool = $prefetches;
             type V = std::arch::x86_64::$v;
             #[inline(always)]
             fn least(self) -> Self::V {
@@ -241,11 +241,12 @@ impl Slab<'_> {
         }
     }
 
-    /// Project four slices at a time.
+    /// Project the slices of the slab, four at a time.
     ///
     /// The image along k is in a slower cache than the rows, and is read once for all four slices.
     #[inline(always)]
     fn run<V: Values>(self, v: V) {
+        /// Number of slices that are projected together.
         const AT_ONCE: usize = 4;
         let [nj, ni] = self.shape_ji;
         let num_slices = self.along_i.len() / nj;
@@ -274,7 +275,7 @@ impl Slab<'_> {
     }
 }
 
-/// Prefetch distance in values: 2 KiB.
+/// Distance in values (int16) by which a prefetch precedes the read: 2 KiB.
 const AHEAD: usize = 1024;
 
 /// Project `S` slices into their rows of the images along i and j, and into the image along k.
@@ -295,8 +296,8 @@ fn project_slices<V: Values, const S: usize>(
         along_j,
         along_k,
     };
-    // Two rows at a time, so that the image along j is written once for both.
-    let in_pairs = if V::ASKS { nj - nj % 2 } else { 0 };
+    // Two rows are processed at a time, so that the image along j is written once for both.
+    let in_pairs = if V::PREFETCHES { nj - nj % 2 } else { 0 };
     for j in (0..in_pairs).step_by(2) {
         rows.project::<V, S, 2>(v, j);
     }
@@ -305,7 +306,7 @@ fn project_slices<V: Values, const S: usize>(
     }
 }
 
-/// Adjacent slices and their rows of the images.
+/// Adjacent slices of the volume, and the rows of the three images that belong to them.
 struct Rows<'a> {
     data: &'a [i16],
     shape_ji: [usize; 2],
@@ -315,7 +316,7 @@ struct Rows<'a> {
 }
 
 impl Rows<'_> {
-    /// Project rows `j .. j + R` of `S` slices.
+    /// Project rows `j .. j + R` of `S` slices into the three images.
     #[inline(always)]
     fn project<V: Values, const S: usize, const R: usize>(&mut self, v: V, j: usize) {
         let [nj, ni] = self.shape_ji;
@@ -332,7 +333,7 @@ impl Rows<'_> {
                     for s in 0..S {
                         let at = self.data.as_ptr().add((s * nj + j + r) * ni + i);
                         let values = v.load(at);
-                        if V::ASKS {
+                        if V::PREFETCHES {
                             v.fetch(at.wrapping_add(AHEAD));
                         }
                         most[r][s] = v.max(most[r][s], values);
@@ -385,10 +386,10 @@ mod tests {
     use super::*;
     use carina_grid::{Affine, Grid};
 
-    // Registers that every machine has, used in the way of the largest ones.
+    // Registers that every machine has, used in the same way as the largest ones.
     #[cfg(target_arch = "x86_64")]
     registers!(
-        Asking,
+        Prefetching,
         "SSE2, asking ahead.",
         __m128i,
         8,
@@ -401,7 +402,7 @@ mod tests {
 
     #[cfg(target_arch = "x86_64")]
     #[test]
-    fn asking_ahead_changes_no_value() {
+    fn prefetches_do_not_change_projections() {
         for shape in [[4, 2, 32], [9, 3, 71], [6, 5, 64]] {
             let grid = Grid::new(shape, Affine::IDENTITY).unwrap();
             let [nk, nj, ni] = shape;
@@ -418,7 +419,7 @@ mod tests {
                 along_j: &mut along_j,
                 along_k: &mut along_k,
             };
-            slab.run(Asking(()));
+            slab.run(Prefetching(()));
             let found = Projections {
                 along_i,
                 along_j,
@@ -430,8 +431,8 @@ mod tests {
 
     #[test]
     fn each_projection_is_the_largest_value_along_its_axis() {
-        // Rows shorter than a register, of several registers, and with a remainder; slices in groups of four, and with
-        // a remainder.
+        // The shapes have rows shorter than a register, rows of several registers, and rows with a remainder; the
+        // slices are in groups of four, and with a remainder.
         for shape in [[3, 4, 5], [4, 2, 32], [9, 3, 71], [1, 1, 1], [6, 5, 64]] {
             let grid = Grid::new(shape, Affine::IDENTITY).unwrap();
             let [nk, nj, ni] = shape;

@@ -9,9 +9,9 @@ use rayon::prelude::*;
 
 use crate::{CastStats, Frame, InstructionSet, Method, RaycastError};
 
-/// Fill rows in parallel, `num_rows` at a time; each row has `per_row` items, which are `blank` at first.
+/// Fill rows of a picture in parallel, `num_rows` at a time, and return the items and the sum of the statistics.
 ///
-/// After `stop` is set, the remaining rows stay blank.
+/// Each row has `per_row` items, which are `blank` at first. After `stop` is set, the remaining rows stay blank.
 pub(crate) fn share<T: Copy + Send>(
     rows: &Range<usize>,
     (blank, per_row): (T, usize),
@@ -23,8 +23,8 @@ pub(crate) fn share<T: Copy + Send>(
     let stats = items
         .par_chunks_mut(per_row * num_rows)
         .enumerate()
-        // Rows differ greatly in cost (dark lumen, near wall): with small jobs, a thread that has finished can take
-        // more.
+        // Rows differ greatly in cost (dark lumen, near wall); with small jobs, a thread that has finished can take
+        // over more of them.
         .with_max_len(4 / num_rows)
         .map(|(n, out)| {
             if stop.is_some_and(|stop| stop.load(Ordering::Relaxed)) {

@@ -1,30 +1,28 @@
-//! Sampling of a volume between its voxels.
+//! Sampling of a volume at positions between its voxels.
 
 use carina_grid::VolumeView;
 
-/// Point or offset in voxel coordinates.
-///
-/// The fourth lane is 0: four lanes fill one register.
+/// Point or offset in voxel coordinates; the fourth lane is 0, so that the lanes fill one register.
 pub(crate) type Lanes = [f32; 4];
 
 /// Volume of int16 values, prepared for sampling at f32 voxel coordinates; indices are clamped to the edge.
 #[derive(Debug, Clone, Copy)]
 pub struct Field<'a> {
     pub(crate) data: &'a [i16],
-    /// Largest coordinate `n - 1` per axis: coordinates are clamped to `0 ..= last`.
+    /// Largest coordinate of a voxel per axis, `n - 1`; coordinates are clamped to `0 ..= last`.
     pub(crate) last: Lanes,
-    /// Largest lower corner of a cell, `max(n - 2, 0)`.
+    /// Largest lower corner of a cell per axis, `max(n - 2, 0)`.
     pub(crate) last_cell: [i32; 4],
     /// Distance in memory to the next voxel; 0 on an axis of one voxel, so that its second corner is its first.
     pub(crate) stride: [usize; 3],
 }
 
-/// Cell of eight voxels and a position in it.
+/// Cell of eight neighbouring voxels, and a position in the cell.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Cell {
-    /// Lower corner.
+    /// Voxel at the lower corner of the cell.
     ijk: [i32; 4],
-    /// Index of the lower corner in memory.
+    /// Index in memory of the voxel at the lower corner.
     base: usize,
     /// Position in the cell, 0 to 1 on each axis.
     t: Lanes,
@@ -35,25 +33,25 @@ fn lerp(t: f32, a: f32, b: f32) -> f32 {
     t.mul_add(b - a, a)
 }
 
-/// Interpolate between integers, whose difference is exact.
+/// Interpolate linearly between two integers, whose difference is exact.
 #[inline(always)]
 fn lerp_ints(t: f32, a: i32, b: i32) -> f32 {
     t.mul_add((b - a) as f32, a as f32)
 }
 
-/// Return the first voxel of a pair.
+/// Return the first voxel of a pair of int16 in an i32.
 #[inline(always)]
 const fn low(pair: i32) -> i32 {
     pair << 16 >> 16
 }
 
-/// Return the second voxel of a pair.
+/// Return the second voxel of a pair of int16 in an i32.
 #[inline(always)]
 const fn high(pair: i32) -> i32 {
     pair >> 16
 }
 
-/// Return the integer part of a coordinate in a volume.
+/// Return the integer part of a voxel coordinate that is not negative.
 #[inline(always)]
 fn whole(x: f32) -> i32 {
     debug_assert!((0.0..=2e9).contains(&x));
@@ -74,7 +72,7 @@ fn clamp(p: Lanes, last: Lanes) -> Lanes {
 }
 
 impl<'a> Field<'a> {
-    /// Prepare a volume for sampling.
+    /// Prepare a volume for sampling between its voxels.
     #[must_use]
     pub fn new(volume: VolumeView<'a, i16>) -> Self {
         let [ni, nj, nk] = volume.grid().shape_ijk();
@@ -106,7 +104,7 @@ impl<'a> Field<'a> {
         ijk[0] as usize + ijk[1] as usize * self.stride[1] + ijk[2] as usize * self.stride[2]
     }
 
-    /// Return a voxel's value.
+    /// Return the value of the voxel at an index in memory.
     #[inline(always)]
     fn at(&self, index: usize) -> i32 {
         debug_assert!(index < self.data.len());
@@ -116,7 +114,9 @@ impl<'a> Field<'a> {
         i32::from(unsafe { *self.data.get_unchecked(index) })
     }
 
-    /// Return a voxel and its neighbour along x (itself if x has one voxel) in the low and the high half.
+    /// Return a voxel and its neighbour along x in the low and the high half of an i32.
+    ///
+    /// The neighbour is the voxel itself if x has one voxel.
     #[inline(always)]
     fn pair(&self, index: usize) -> i32 {
         if self.stride[0] == 0 {
@@ -131,14 +131,14 @@ impl<'a> Field<'a> {
         i32::from(pair[1]) << 16 | i32::from(pair[0]) & 0xffff
     }
 
-    /// Interpolate rows of two voxels along x.
+    /// Interpolate `N` rows of two voxels along x, which start at the indices `starts`.
     #[inline(always)]
     fn rows<const N: usize>(&self, tx: f32, starts: [usize; N]) -> [f32; N] {
         let pairs = starts.map(|start| self.pair(start));
         std::array::from_fn(|n| lerp_ints(tx, low(pairs[n]), high(pairs[n])))
     }
 
-    /// Return the interpolated value: along x, then y, then z, each as `a + t (b - a)` with one rounding.
+    /// Return the interpolated value in a cell: along x, then y, then z, each as `a + t (b - a)` with one rounding.
     #[inline(always)]
     pub(crate) fn value_in(&self, cell: &Cell) -> f32 {
         let [_, sy, sz] = self.stride;
@@ -158,10 +158,10 @@ impl<'a> Field<'a> {
         self.value_in(&self.cell([x, y, z, 0.0]))
     }
 
-    /// Return the gradient: central differences per voxel at the eight corners, interpolated like values.
+    /// Return the gradient in a cell: central differences per voxel at the eight corners, interpolated like values.
     ///
-    /// At the edge the missing neighbour is replaced by the edge voxel itself, so a difference there is half the
-    /// one-sided one.
+    /// At the edge of the volume the missing neighbour is replaced by the edge voxel itself, so a difference there is
+    /// half the one-sided one.
     #[inline(always)]
     pub(crate) fn gradient_in(&self, cell: &Cell) -> [f32; 3] {
         let [tx, ty, tz, _] = cell.t;
@@ -193,13 +193,12 @@ impl<'a> Field<'a> {
     /// Return the voxel nearest to a point, clamped to the volume: its index in memory and its coordinates.
     #[inline(always)]
     pub(crate) fn nearest(&self, p: Lanes) -> (usize, Lanes) {
-        // At most last + 1/2, whose integer part is last.
+        // The sum is at most last + 1/2, whose integer part is last.
         let ijk = clamp(p, self.last).map(|x| whole(x + 0.5));
         (self.index(ijk), ijk.map(|v| v as f32))
     }
 
-    /// Return the cell that contains a point, clamped to the volume: the index in memory of its lower corner, and its
-    /// centre.
+    /// Return the cell that contains a point, clamped to the volume: the index of its lower corner, and its centre.
     ///
     /// For a point on or beyond the volume's upper face the result is the cell that starts at that face. Maps of cells
     /// have radius 0 there.
@@ -215,7 +214,7 @@ impl<'a> Field<'a> {
         self.data[index]
     }
 
-    /// Return true if the point is in the box of the voxels, including half a voxel beyond the outer centres.
+    /// Return true if a point is in the box of the voxels, which extends half a voxel beyond the outer centres.
     #[inline(always)]
     pub(crate) fn contains(&self, p: [f32; 3]) -> bool {
         (0..3).all(|a| p[a] >= -0.5 && p[a] <= self.last[a] + 0.5)
@@ -240,7 +239,7 @@ mod tests {
             .collect()
     }
 
-    /// Return the value in f64 by the textbook sum over eight clamped corners.
+    /// Return the interpolated value in f64 by the textbook sum over eight clamped corners.
     fn reference(volume: VolumeView<'_, i16>, p: [f64; 3]) -> f64 {
         let mut sum = 0.0;
         for corner in 0..8 {
@@ -270,7 +269,7 @@ mod tests {
             let p: [f32; 3] = std::array::from_fn(|a| (at[a] * n[a] as f64 - 0.5) as f32);
             let field = Field::new(volume);
             let value = f64::from(field.value(p));
-            // Three roundings at up to 4096: below 0.001 HU. The classes allow 0.25.
+            // Three roundings at values up to 4096 give an error below 0.001 HU. The classes allow 0.25 HU.
             prop_assert!((value - reference(volume, p.map(f64::from))).abs() < 0.01);
             let corners: Vec<i16> = (0..8)
                 .map(|c| volume.at_clamped(std::array::from_fn(|a| p[a].floor() as isize + (c >> a & 1))))
@@ -293,7 +292,7 @@ mod tests {
             let field = Field::new(volume);
             let found = field.gradient_in(&field.cell([p[0], p[1], p[2], 0.0]));
             for axis in 0..3 {
-                // Central differences at the eight corners, with clamped indices, weighted.
+                // The expected gradient: central differences at the eight corners, with clamped indices, weighted.
                 let mut sum = 0.0;
                 for corner in 0..8 {
                     let mut weight = 1.0;

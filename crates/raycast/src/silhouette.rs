@@ -21,42 +21,43 @@ use crate::{
     surface::cast_walls_row,
 };
 
-/// Offsets of the two rays from the centre of a pixel, in pixels.
+/// Offsets of the two rays of a silhouette pixel from the pixel's centre, in pixels.
 ///
 /// The rays are a fraction of a pixel apart along both axes and along neither diagonal, so that edges of most
 /// directions get an intermediate level.
 const BESIDE: [[f64; 2]; 2] = [[-0.2, -0.36], [0.2, 0.36]];
-/// Limit of the second difference of the inverse depth from pixel to pixel, as a fraction of the nearest pixel's
-/// inverse depth.
+/// Largest second difference of the inverse depth from pixel to pixel in a wall without silhouette.
 ///
-/// The inverse depth of a plane is linear at any inclination; a deviation of an eighth is 1/8 of the brightness of a
-/// wall.
+/// The limit is a fraction of the nearest pixel's inverse depth. The inverse depth of a plane is linear at any
+/// inclination; a deviation of 1/8 changes the brightness of a wall by about as much as a visible step.
 const BEND: f32 = 0.125;
-/// Linear light of a wall at normal incidence below which a staircase is not visible.
+/// Linear light of a wall at normal incidence below which a staircase at its edge is not visible.
 const FAINT: f32 = 0.02;
 
-/// Smallest wrap lighting at a silhouette.
+/// Smallest wrap lighting of a wall at a silhouette.
 ///
 /// The edge of thin, wet mucosa is not the dark line that matt stone shows where it turns away.
 const EDGE_WRAP: f32 = 0.6;
 
-/// Number of rows that are searched together, and of pixels that are cast together.
+/// Number of rows in which silhouettes are searched together.
 const ROWS_AT_A_TIME: usize = 16;
+/// Number of silhouette pixels that are cast together.
 const PIXELS_AT_A_TIME: usize = 256;
 
-/// Depths of the first walls of some rows in ray steps, with the row before and the row after if the picture has them.
+/// Depths of the first walls of some rows, in ray steps, with the rows before and after them if the picture has them.
 #[derive(Clone, Copy)]
 pub(crate) struct DepthRows<'a> {
     pub width: usize,
     pub first_row: usize,
     pub depths: &'a [f32],
-    /// Row before; empty at the picture's edge.
+    /// Depths of the row before the rows of `depths`; empty at the picture's edge.
     pub before: &'a [f32],
+    /// Depths of the row after the rows of `depths`; empty at the picture's edge.
     pub after: &'a [f32],
 }
 
 impl<'a> DepthRows<'a> {
-    /// Return the pixels of a row if they are known.
+    /// Return the depths of a row; `None` if the row is outside the picture.
     fn row(&self, row: Option<usize>) -> Option<&'a [f32]> {
         let row = row?;
         let num_rows = self.depths.len() / self.width;
@@ -72,7 +73,7 @@ impl<'a> DepthRows<'a> {
     }
 }
 
-/// Compute the inverse depths of a row in ray steps; 0 for a ray that meets no wall.
+/// Compute the inverse depth of each pixel of a row, in ray steps; 0 for a ray that meets no wall.
 ///
 /// A wall within the first step touches the lens. Pixels outside the outline of a scope's picture have no ray and are
 /// not at a wall's edge: they get NaN, for which every comparison is false. This function and the functions that mark
@@ -95,7 +96,7 @@ fn inverses(frame: &Frame<'_>, depths: &[f32], row: usize, out: &mut [f32]) {
     }
 }
 
-/// Return the pixels (column, row) of some rows that are on a silhouette.
+/// Return the pixels (column, row) in the wanted rows that are on a silhouette.
 fn pixels_of(
     frame: &Frame<'_>,
     light: &Lighting,
@@ -134,10 +135,10 @@ fn search(
     rows: &DepthRows<'_>,
     wanted: Range<usize>,
 ) -> Vec<(usize, usize)> {
-    // Inverse depth below which the reflected light, `exposure / depth^2`, is faint.
+    // Inverse depth below which the reflected light, `exposure / depth^2`, is too faint for a visible staircase.
     let least = (FAINT / light.exposure.max(1e-9)).sqrt() * light.step_mm;
     let mut found = Vec::new();
-    // Ring buffer of the row above, the row itself and the row below.
+    // Ring buffer of the inverse depths of three rows: the row above, the row itself and the row below.
     let mut inverse = [(); 3].map(|()| vec![0.0f32; rows.width]);
     let mut known = [false; 3];
     for (n, row) in [wanted.start.checked_sub(1), Some(wanted.start)]
@@ -180,7 +181,7 @@ fn search(
     found
 }
 
-/// Mark the pixels where the second difference of the inverse depth over three rows or columns exceeds the limit.
+/// Mark the pixels where the second difference of the inverse depth over three rows or columns exceeds [`BEND`].
 #[inline(always)]
 fn mark_bends(three: [&[f32]; 3], least: f32, on: &mut [u8]) {
     let [before, middle, after] = three;
@@ -195,7 +196,7 @@ fn mark_bends(three: [&[f32]; 3], least: f32, on: &mut [u8]) {
     }
 }
 
-/// Cast and shade the two rays of every pixel on a silhouette in the rows of `rgb`, and store their mean there.
+/// Cast and shade two rays for every pixel on a silhouette in the rows of `rgb`, and store their mean in `rgb`.
 ///
 /// Without packets the scalar casters are used. After `stop` is set, the remaining pixels stay unchanged.
 pub(crate) fn smooth_silhouettes(
@@ -270,7 +271,7 @@ fn smoothed_pixels(
     let shown = pairs
         .iter()
         .map(|two| [0, 1, 2].map(|c| mean(two[c], two[3 + c])));
-    // The number of rays is the number of pixels, so further rays of a pixel are not counted.
+    // The number of rays is the number of pixels, so the additional rays of a pixel are not counted.
     let stats = CastStats {
         num_rays: 0,
         ..stats.with_loads(frame, method).lit(&walls)

@@ -1,6 +1,6 @@
-//! First wall of every ray: its depth, position and normal.
+//! Computation of the first wall of every ray: its depth, position and normal.
 //!
-//! Picking, contact and synthetic data use it, and shading starts from it.
+//! Picking, contact detection, synthetic data and shading use these walls.
 
 use std::ops::Range;
 
@@ -16,16 +16,16 @@ use crate::{
     rows::{check, share},
 };
 
-/// First wall of a ray, where the remaining transparency falls below one half.
+/// First wall of a ray: the point where the remaining transparency falls below one half.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Hit {
-    /// Distance along the ray from the camera's centre, mm.
+    /// Distance of the wall from the camera's centre along the ray, mm.
     pub depth_mm: f32,
     /// Position of the wall, LPS mm.
     pub position_lps: [f64; 3],
-    /// Unit normal of the wall, on the camera's side.
+    /// Unit normal of the wall (LPS), which points to the camera's side.
     ///
-    /// In flat tissue, which has no direction, it is the reverse of the ray's direction.
+    /// In flat tissue, which has no direction, the normal is the reverse of the ray's direction.
     pub normal_lps: [f32; 3],
 }
 
@@ -59,7 +59,7 @@ pub fn cast_surface(
     Ok((hits, stats))
 }
 
-/// Return the first wall at one pixel: one ray, with the same numbers as from [`cast_surface`].
+/// Return the first wall at one pixel, equal to that of [`cast_surface`]; `None` if the pixel's ray meets no wall.
 ///
 /// # Errors
 ///
@@ -89,7 +89,7 @@ pub fn pick(
     Ok(found.then(|| hit_of(frame, &Normals::of(frame), column, row, wall.hit)))
 }
 
-/// Cast the ray of one pixel.
+/// Cast the ray of one pixel, including its first wall, without the light at the tip.
 pub(crate) fn wall_at(
     frame: &Frame<'_>,
     method: Method<'_>,
@@ -105,7 +105,7 @@ pub(crate) fn wall_at(
     )
 }
 
-/// Cast the rays of `rows` without the light at the tip, including first walls.
+/// Cast the rays of `rows`, including their first walls, without the light at the tip.
 pub(crate) fn cast_walls(
     frame: &Frame<'_>,
     method: Method<'_>,
@@ -124,7 +124,7 @@ pub(crate) fn cast_walls(
     }))
 }
 
-/// Cast the rays of one row without the light at the tip, with the scalar casters.
+/// Cast the rays of one row with the scalar casters, including their first walls, without the light at the tip.
 pub(crate) fn cast_walls_row(
     frame: &Frame<'_>,
     method: Method<'_>,
@@ -167,8 +167,8 @@ fn cast_wall(
 
 fn hit_of(frame: &Frame<'_>, normals: &Normals, column: usize, row: usize, hit: f32) -> Hit {
     let ray = frame.ray(column, row);
-    // Computed in f64: f32 is accurate to 0.03 um at the far end of a patient, but sums of such positions must not
-    // drift.
+    // The position is computed in f64: f32 is accurate to 0.03 um at the far end of a patient, but sums of such
+    // positions must not drift.
     let at: [f64; 3] = std::array::from_fn(|a| {
         f64::from(hit).mul_add(f64::from(ray.delta[a]), frame.origin_ijk[a])
     });

@@ -1,10 +1,10 @@
-//! Transfer functions: conversion of points to a table over integer HU.
+//! Transfer functions, given as points and converted to a table over integer HU.
 
 use carina_isoregion::Rgba;
 
 use crate::RaycastError;
 
-/// Colour and opacity over HU, linear between points.
+/// Colour and opacity as functions of HU, linear between points.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Transfer {
     points: Vec<[f64; 5]>,
@@ -15,10 +15,9 @@ pub struct Transfer {
 impl Transfer {
     /// Create a transfer function from points `[hu, r, g, b, alpha]` in order of HU.
     ///
-    /// Colours and opacities are 0 to 1, opacity is per `reference_mm`.
-    ///
-    /// Two points at one HU make a step; the later one applies at that HU. With `bin_hu` above 1 every bin of that
-    /// width has the colour of its middle (the paper's quantised values).
+    /// Colours and opacities are 0 to 1; opacity is per `reference_mm`. Two points at one HU make a step; the later
+    /// point applies at that HU. With `bin_hu` above 1 every bin of that width has the colour of its middle (the
+    /// paper's quantised values).
     ///
     /// # Errors
     ///
@@ -84,20 +83,20 @@ impl Transfer {
         std::array::from_fn(|c| last[c + 1] + t * (next[c + 1] - last[c + 1]))
     }
 
-    /// Return the entries for every HU from `lo` to `hi`.
+    /// Return colour and opacity for every integer HU from `lo` to `hi`.
     #[must_use]
     pub fn range(&self, lo: i32, hi: i32) -> Vec<Rgba> {
         (lo..=hi).map(|hu| self.at(hu)).collect()
     }
 }
 
-/// Premultiplied colour and opacity that one sample (one ray step) adds, by integer HU.
+/// Premultiplied colour and opacity that one ray step adds, as a table over integer HU.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TransferTable {
     pub(crate) lo_hu: i32,
     pub(crate) last: i32,
     pub(crate) entries: Vec<[f32; 4]>,
-    /// Index of the first entry with opacity.
+    /// Index of the first entry with an opacity above 0.
     pub(crate) first_visible: i32,
     step_mm: f64,
 }
@@ -105,8 +104,8 @@ pub struct TransferTable {
 impl TransferTable {
     /// Create a table for ray steps of `step_mm` over the values that a volume contains.
     ///
-    /// Opacity of a step: `1 - (1 - alpha)^(step / reference)`, in f64 by a pure-Rust `pow`, so that tables are equal
-    /// on all machines.
+    /// The opacity of a step is `1 - (1 - alpha)^(step / reference)`, computed in f64 by a pure-Rust `pow`, so that
+    /// tables are equal on all machines.
     ///
     /// # Errors
     ///
@@ -136,7 +135,7 @@ impl TransferTable {
         let entries: Vec<[f32; 4]> = (i32::from(lo_hu)..=i32::from(hi_hu))
             .map(|hu| {
                 let rgba = transfer.at(hu);
-                // Long constant sections are common and `pow` is slow.
+                // Long constant sections are common and `pow` is slow, so equal colours reuse the previous entry.
                 if let Some((before, entry)) = last
                     && before.map(f64::to_bits) == rgba.map(f64::to_bits)
                 {
@@ -158,11 +157,11 @@ impl TransferTable {
         })
     }
 
-    /// Return the entry of a sampled value: `floor(value + 0.5)`, clamped to the table.
+    /// Return the entry of an interpolated value: that of the integer `floor(value + 0.5)`, clamped to the table.
     #[inline(always)]
     pub(crate) fn at(&self, value: f32) -> [f32; 4] {
-        // SAFETY: interpolated int16 values are finite and within +-32768.5, so the result fits an i32. Benchmark: as
-        // for `whole` in `sampling`.
+        // SAFETY: interpolated int16 values are finite and within +-32768.5, so the result fits an i32. Benchmark: that
+        // of `whole` in `sampling`.
         let hu: i32 = unsafe { (value + 0.5).floor().to_int_unchecked() };
         self.at_hu(hu)
     }
@@ -189,7 +188,7 @@ impl TransferTable {
         self.step_mm
     }
 
-    /// Return true if no entry from `lo` to `hi` has opacity.
+    /// Return true if no entry from `lo_hu` to `hi_hu` has an opacity above 0.
     #[must_use]
     pub fn is_transparent(&self, lo_hu: i32, hi_hu: i32) -> bool {
         (lo_hu..=hi_hu).all(|hu| self.at_hu(hu)[3] == 0.0)
@@ -238,12 +237,12 @@ mod tests {
     }
 
     #[test]
-    fn opacity_does_not_depend_on_the_step_that_a_wall_is_cut_into() {
+    fn the_opacity_of_a_wall_does_not_depend_on_the_ray_step() {
         let through = |step_mm: f64| {
             let table = TransferTable::new(&ramp(), step_mm, -1024, 3071).unwrap();
             (1.0 - f64::from(table.at(40.0)[3])).powf(2.0 / step_mm)
         };
-        // 2 mm of opacity 0.8 per mm; 1e-5: f32 entries to the 8th power.
+        // Both rays cross 2 mm of opacity 0.8 per mm; the tolerance of 1e-5 allows for f32 entries to the 8th power.
         assert!((through(2.0) - 0.04).abs() < 1e-5);
         assert!((through(0.25) - 0.04).abs() < 1e-5);
     }
@@ -258,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn broken_transfer_functions_are_refused() {
+    fn invalid_transfer_functions_are_rejected() {
         for points in [
             vec![],
             vec![[0.0, 2.0, 0.0, 0.0, 0.0]],

@@ -1,4 +1,4 @@
-//! Three orthogonal planes in occlusion order (paper 3.1, tri-plane view: z-sorted surface ray casting).
+//! Picture of three orthogonal planes in occlusion order (paper 3.1, tri-plane view: z-sorted surface ray casting).
 
 use std::ops::Range;
 
@@ -14,17 +14,17 @@ pub struct TriPlane {
     pub centre_lps: [f64; 3],
     /// Window that maps values to grey levels.
     pub window: Window,
-    /// Value below which a plane is transparent; `None` for opaque planes.
+    /// Value below which a plane is transparent; `None` for planes that are opaque everywhere.
     pub clear_below: Option<f32>,
-    /// Background colour.
+    /// Colour of pixels whose ray meets no plane.
     pub background: [u8; 3],
     /// Brightness of the sagittal, coronal and axial plane; different values make the edges of the planes visible.
     pub brightness: [f32; 3],
 }
 
-/// Cast rows of the planes' picture, `[row, column, channel]`.
+/// Cast rows of a picture of three planes, `[row, column, channel]`.
 ///
-/// Each ray shows the nearest plane that is in the volume and not transparent there.
+/// Each ray shows the nearest plane that is inside the volume and not transparent at the point where the ray meets it.
 #[must_use]
 pub fn cast_tri_plane(
     volume: VolumeView<'_, i16>,
@@ -80,7 +80,7 @@ mod tests {
 
     #[test]
     fn the_nearest_plane_hides_those_behind_it_and_clear_values_do_not() {
-        // Values are 10 i: the plane x = 2 shows 20 everywhere, the planes y and z show all values.
+        // The values are 10 i: the plane x = 2 shows 20 everywhere, the planes y and z show all values.
         let grid = Grid::new([9, 9, 9], Affine::IDENTITY).unwrap();
         let data: Vec<i16> = (0..729).map(|n| (n % 9 * 10) as i16).collect();
         let volume = VolumeView::new(&data, &grid).unwrap();
@@ -107,8 +107,8 @@ mod tests {
         let through = cast_tri_plane(volume, &planes, &camera, 0..65);
         let strip = cast_tri_plane(volume, &planes, &camera, 20..31);
         assert_eq!(strip, through[20 * 65 * 3..31 * 65 * 3]);
-        // Row 32 looks horizontally along y = 3.3, so it meets neither of the other planes inside the box; a lower row
-        // meets y = 4.
+        // Row 32 looks horizontally along y = 3.3, so it meets neither the plane y nor the plane z inside the box; a
+        // lower row meets y = 4.
         assert_eq!(&through[centre..centre + 3], &[9, 8, 7]);
         assert!(
             through.chunks(3).any(|p| p[0] > 21),

@@ -1,20 +1,21 @@
-//! Endoscopic wall: raised values round the lumen in a copy of the volume (docs/decisions/0105).
+//! Endoscopic wall: a copy of the volume with raised values round the lumen, so that the wall is opaque
+//! (docs/decisions/0105).
 
 use rayon::prelude::*;
 
 use crate::{RaycastError, mask::FULL};
 
-/// Tables of the values to write, indexed by the smoothed lumen at a voxel (0 ..= 1024).
+/// Tables of the values to write, indexed by the smoothed lumen mask at a voxel (0 ..= 1024).
 ///
 /// There is a table for voxels in the lumen, one for the shell of one voxel round the lumen, and one for the voxels
 /// behind that shell.
 #[derive(Debug, Clone, Copy)]
 pub struct WallHeights<'a> {
-    /// Values in the lumen.
+    /// Values to write in the lumen.
     pub lumen: &'a [i16],
-    /// Values in the shell.
+    /// Values to write in the shell round the lumen.
     pub shell: &'a [i16],
-    /// Values behind the shell.
+    /// Values to write behind the shell.
     pub backing: &'a [i16],
 }
 
@@ -56,7 +57,7 @@ pub fn raise_wall(
     let row_of =
         |z: usize, y: usize| (part[0].0 + z) * plane + (part[1].0 + y) * shape_zyx[2] + part[2].0;
 
-    // Mask of the lumen, extended by the voxels of its blurred edge.
+    // The mask of the lumen includes the voxels of its blurred edge.
     let mut open = vec![0u8; nz * ny * nx];
     open.par_chunks_mut(ny * nx)
         .enumerate()
@@ -127,7 +128,7 @@ pub fn raise_wall(
     Ok(())
 }
 
-/// Set every voxel of a slice within `reach` of a set voxel, along both axes.
+/// Set every voxel of a slice that is within `reach` voxels of a set voxel, along both axes.
 fn grow(slice: &mut [u8], nx: usize, reach: usize) {
     for _ in 0..reach {
         for row in slice.chunks_mut(nx) {
@@ -189,7 +190,7 @@ mod tests {
     use crate::smoothed_mask;
 
     #[test]
-    fn a_slice_is_smoothed_as_the_whole_mask_is() {
+    fn a_smoothed_slice_equals_that_of_the_smoothed_mask() {
         let [nz, ny, nx] = [5usize, 6, 7];
         let mask: Vec<u8> = (0..nz * ny * nx)
             .map(|n| u8::from(n * 2_654_435_761 % 97 < 40))
@@ -207,7 +208,7 @@ mod tests {
     #[test]
     fn growing_reaches_diagonal_neighbours_and_stops_at_the_edge() {
         let mut slice = [0u8; 20];
-        slice[6] = 1; // row 1, column 1 of 4 x 5
+        slice[6] = 1; // Row 1, column 1 of 4 x 5.
         grow(&mut slice, 5, 1);
         assert_eq!(
             slice,
@@ -218,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn a_box_or_a_table_that_does_not_fit_is_refused() {
+    fn a_box_or_a_table_of_the_wrong_size_is_rejected() {
         let table = [0i16; 1025];
         let heights = WallHeights {
             lumen: &table,

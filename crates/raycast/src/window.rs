@@ -1,8 +1,8 @@
-//! Window and level: conversion of values to grey levels.
+//! Window and level of a picture: conversion of voxel values to grey levels.
 
 use crate::RaycastError;
 
-/// Window and level: the values that become black and white.
+/// Window and level: the voxel values that become black and white.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Window {
     lo: f32,
@@ -29,7 +29,7 @@ impl Window {
         })
     }
 
-    /// Return the grey level of a value.
+    /// Return the grey level of a voxel value, 0 to 255.
     #[inline(always)]
     #[must_use]
     pub fn grey(&self, value: f32) -> u8 {
@@ -37,7 +37,7 @@ impl Window {
         (value - self.lo).mul_add(self.scale, 0.5) as u8
     }
 
-    /// Return the value that is black, and the grey levels per unit of value above it.
+    /// Return the voxel value that is black, and the number of grey levels per unit of value above it.
     pub(crate) const fn ramp(self) -> (f32, f32) {
         (self.lo, self.scale)
     }

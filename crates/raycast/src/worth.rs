@@ -1,4 +1,4 @@
-//! Rule that decides whether rays leap in a picture.
+//! Rule that decides for each picture whether its rays leap over regions of equal labels or read every sample.
 //!
 //! In dense or noisy tissue leaping skips too few samples to compensate for its look-ups.
 //!
@@ -12,12 +12,12 @@ use crate::{
 };
 
 /// Number of trial rays along each side of the picture.
-const TRIED: usize = 8;
-/// Number of pixels below which a picture needs no trial.
-const LEAST_PIXELS: usize = 64 * TRIED * TRIED;
+const TRIAL_SIDE: usize = 8;
+/// Number of pixels below which a picture is cast with leaps without a trial.
+const LEAST_PIXELS: usize = 64 * TRIAL_SIDE * TRIAL_SIDE;
 
-/// Return `method`, or brute force if leaps would take longer.
-pub(crate) fn if_it_pays<'a>(
+/// Return the faster method for a picture: `method`, or brute force if a trial shows that leaps would take longer.
+pub(crate) fn faster_method<'a>(
     frame: &Frame<'_>,
     method: Method<'a>,
     simd: InstructionSet,
@@ -28,17 +28,19 @@ pub(crate) fn if_it_pays<'a>(
         return method;
     }
     let stats = match simd {
-        InstructionSet::Portable | InstructionSet::Neon => tried(frame, method),
+        InstructionSet::Portable | InstructionSet::Neon => trial_counts(frame, method),
         #[cfg(target_arch = "x86_64")]
         // SAFETY: an `InstructionSet` value of these sets exists only on a machine with AVX2, FMA, BMI1, BMI2, LZCNT
         // and POPCNT. Benchmark: without them every fused multiply-add is a call, and the trial takes a tenth of the
         // time of a small picture.
-        InstructionSet::Avx2 | InstructionSet::Avx512 => unsafe { tried_avx2(frame, method) },
+        InstructionSet::Avx2 | InstructionSet::Avx512 => unsafe {
+            trial_counts_avx2(frame, method)
+        },
         #[cfg(not(target_arch = "x86_64"))]
-        InstructionSet::Avx2 | InstructionSet::Avx512 => tried(frame, method),
+        InstructionSet::Avx2 | InstructionSet::Avx512 => trial_counts(frame, method),
     };
-    // Setting up leaps makes the start of a ray a little more expensive.
-    let num_rays = (TRIED * TRIED) as u64;
+    // The start of a ray is a little slower with leaps, by about three samples.
+    let num_rays = (TRIAL_SIDE * TRIAL_SIDE) as u64;
     if stats.num_skipped > lookup_price(frame, method) * stats.num_lookups + 3 * num_rays {
         method
     } else {
@@ -46,7 +48,7 @@ pub(crate) fn if_it_pays<'a>(
     }
 }
 
-/// Return the time of a look-up in units of a brute-force sample; measured, docs/decisions/0104.
+/// Return the measured time of a look-up, in units of a brute-force sample (docs/decisions/0104).
 fn lookup_price(frame: &Frame<'_>, method: Method<'_>) -> u64 {
     match (method, frame.options.interpolation) {
         (Method::LeapClasses(_), Interpolation::Nearest) => 7,
@@ -57,19 +59,19 @@ fn lookup_price(frame: &Frame<'_>, method: Method<'_>) -> u64 {
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
-fn tried_avx2(frame: &Frame<'_>, method: Method<'_>) -> CastStats {
-    tried(frame, method)
+fn trial_counts_avx2(frame: &Frame<'_>, method: Method<'_>) -> CastStats {
+    trial_counts(frame, method)
 }
 
 #[inline(always)]
-fn tried(frame: &Frame<'_>, method: Method<'_>) -> CastStats {
+fn trial_counts(frame: &Frame<'_>, method: Method<'_>) -> CastStats {
     let camera = frame.camera();
     let start = Start::of(frame, method);
     let nearest = frame.options.interpolation == Interpolation::Nearest;
-    let place = |n: usize, size: usize| (2 * n + 1) * size / (2 * TRIED);
+    let place = |n: usize, size: usize| (2 * n + 1) * size / (2 * TRIAL_SIDE);
     let mut stats = CastStats::default();
-    for row in 0..TRIED {
-        for column in 0..TRIED {
+    for row in 0..TRIAL_SIDE {
+        for column in 0..TRIAL_SIDE {
             let ray = &frame.ray(place(column, camera.width()), place(row, camera.height()));
             let stats = &mut stats;
             // Light changes neither where a ray samples nor where it stops.

@@ -1,4 +1,4 @@
-//! Benchmark of the wall field of a curved tube: three runs on as many threads as `RAYON_NUM_THREADS`.
+//! Benchmark of the computation of the wall field of a curved tube: three runs, on `RAYON_NUM_THREADS` threads.
 //!
 //! `cargo bench -p carina-scope --bench field` creates the mesh; a file of vertices (f64) and a file of triangles (u32)
 //! as arguments replace it.
@@ -10,7 +10,9 @@ use carina_scope::WallField;
 type Mesh = (Vec<[f64; 3]>, Vec<[u32; 3]>);
 
 fn spiral() -> Mesh {
+    /// Number of rings of vertices of the tube's mesh.
     const ROWS: usize = 1600;
+    /// Number of vertices of each ring.
     const ROUND: usize = 24;
     let mut vertices = Vec::new();
     for row in 0..ROWS {

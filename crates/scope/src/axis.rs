@@ -1,9 +1,9 @@
 //! Axis of the scope: nodes from the tip back to the entry, their frames, and the relaxation.
 //!
 //! The axis is an elastic rod of nodes [`NODE_MM`] apart (Bergou et al., "Discrete elastic rods", SIGGRAPH 2008: frames
-//! carried along without twist, bending energy from the angle at each node). The rod is stiff against twist and
-//! stretch, so the roll of the hand arrives at the tip. The rest shape of the bending section has the curvature set by
-//! the lever; elsewhere the rest shape is straight. Walls limit the positions of the nodes.
+//! transported along the rod without twist, bending energy from the angle at each node). The rod is stiff against twist
+//! and stretch, so the roll of the hand arrives at the tip. The rest shape of the bending section has the curvature
+//! that the lever sets; elsewhere the rest shape is straight. Walls limit the positions of the nodes.
 
 use carina_grid::{cross, dot, unit};
 
@@ -13,21 +13,23 @@ use crate::wall::WallField;
 
 type Point = [f64; 3];
 
-/// Largest penetration of the wall by the tip with which a movement is accepted, mm.
-///
-/// The next constant is the limit for the shaft. (The specified limits are 0.1 mm and 0.5 mm.)
+/// Largest penetration of the wall by the tip with which a movement is accepted, mm; the specified limit is 0.1 mm.
 const TIP_TOLERANCE_MM: f64 = 0.02;
+/// Largest penetration of the wall by the shaft with which a movement is accepted, mm; the specified limit is 0.5 mm.
 const SHAFT_TOLERANCE_MM: f64 = 0.15;
+/// Smallest number of sweeps of one relaxation.
 const LEAST_SWEEPS: usize = 3;
+/// Largest number of sweeps of one relaxation.
 const MOST_SWEEPS: usize = 36;
-/// Number of sweeps within which the penetration must fall by half; otherwise the scope does not fit.
+/// Number of sweeps within which the penetration must fall by half; otherwise the relaxation ends, as the scope does
+/// not fit.
 const PATIENCE: usize = 8;
-/// Number of nodes near the tip that every sweep processes.
+/// Number of nodes near the tip that every sweep of a relaxation processes.
 ///
 /// Nodes farther back move little, and only the first sweep processes them.
 const NEAR_NODES: usize = 60;
 
-/// Controls of the scope.
+/// Values of the three controls of the scope: insertion, roll and flexion.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Controls {
     /// Insertion depth from the entry, mm.
@@ -36,11 +38,12 @@ pub(crate) struct Controls {
     pub(crate) flexion_rad: f64,
 }
 
-/// Nodes of the axis, the tip's face first.
+/// Nodes of the scope's axis, the tip's face first.
 ///
-/// The last two are behind the entry and have prescribed positions.
+/// The last two nodes are behind the entry and have prescribed positions.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Axis {
+    /// Positions of the nodes, LPS mm.
     pub(crate) nodes: Vec<Point>,
 }
 
@@ -56,15 +59,15 @@ fn mix(a: Point, b: Point, t: f64) -> Point {
     std::array::from_fn(|k| a[k] + t * (b[k] - a[k]))
 }
 
-/// Rotate `v`, which is perpendicular to `from`, by the smallest rotation that takes `from` to `to`.
-fn carried(v: Point, from: Point, to: Point) -> Point {
+/// Return `v`, which is perpendicular to `from`, rotated by the smallest rotation that takes `from` to `to`.
+fn transported(v: Point, from: Point, to: Point) -> Point {
     let share = dot(to, v) / (1.0 + dot(from, to)).max(1e-6);
     let turned: Point = std::array::from_fn(|a| v[a] - share * (from[a] + to[a]));
     let slant = dot(turned, to);
     unit(along(turned, -slant, to)).unwrap_or(v)
 }
 
-/// Return `v` rotated about the unit axis.
+/// Return `v` rotated by an angle in radians about a unit axis.
 fn turned(v: Point, axis: Point, angle: f64) -> Point {
     let (s, c) = (libm::sin(angle), libm::cos(angle));
     let (across, part) = (cross(axis, v), dot(axis, v) * (1.0 - c));
@@ -72,12 +75,12 @@ fn turned(v: Point, axis: Point, angle: f64) -> Point {
 }
 
 impl Axis {
-    /// Return the number of nodes for a depth, from the tip to the second node behind the entry.
+    /// Return the number of nodes for an insertion depth, from the tip to the second node behind the entry.
     fn num_nodes(depth_mm: f64) -> usize {
         (depth_mm / NODE_MM).ceil() as usize + 2
     }
 
-    /// Create a straight scope that enters along the entry's direction.
+    /// Create the axis of a straight scope that enters in the entry's direction.
     pub(crate) fn straight(entry: &Entry, depth_mm: f64) -> Self {
         Self {
             nodes: (0..Self::num_nodes(depth_mm))
@@ -86,14 +89,14 @@ impl Axis {
         }
     }
 
-    /// Return the unit vector from a node to the next one towards the tip.
+    /// Return the unit vector from a node to the next node towards the tip.
     fn forward(&self, node: usize) -> Point {
         unit(sub(self.nodes[node - 1], self.nodes[node])).unwrap_or([0.0, 0.0, -1.0])
     }
 
-    /// Return the up direction of each segment.
+    /// Return the up direction of each segment between two nodes.
     ///
-    /// Index 0 is segment (1, 0) at the tip, the last index the segment behind the entry.
+    /// Index 0 is the segment between nodes 1 and 0, at the tip; the last index is the segment behind the entry.
     pub(crate) fn ups(&self, first_up: Point, roll_rad: f64) -> Vec<Point> {
         let last = self.nodes.len() - 1;
         let mut ups = vec![[0.0; 3]; last];
@@ -103,7 +106,7 @@ impl Axis {
         up = unit(along(up, -dot(up, before), before)).unwrap_or(up);
         for node in (1..=last).rev() {
             let forward = self.forward(node);
-            up = carried(up, before, forward);
+            up = transported(up, before, forward);
             ups[node - 1] = up;
             before = forward;
         }
@@ -121,7 +124,7 @@ impl Axis {
         }
     }
 
-    /// Move the scope along itself: each node follows the path of the nodes before it.
+    /// Move the axis along itself by `by_mm`: each node follows the path of the nodes before it.
     pub(crate) fn shift(&mut self, entry: &Entry, depth_mm: f64, by_mm: f64) {
         let share = (by_mm.abs() / NODE_MM).min(1.0);
         let old = &self.nodes;
@@ -147,7 +150,7 @@ impl Axis {
         self.nodes = moved;
     }
 
-    /// Bend the part in front of each node of the bending section by the change of the controls.
+    /// Apply a change of roll and flexion: rotate the part of the axis in front of each node of the bending section.
     pub(crate) fn bend(
         &mut self,
         body: &ScopeBody,
@@ -180,7 +183,7 @@ impl Axis {
         };
         for node in (1..=last).rev() {
             if node >= rigid {
-                // The old bend is removed and the new one applied, both about axes of the segment behind.
+                // The old bend is removed and the new bend applied, both about axes of the segment behind the node.
                 let behind = turned_by(&turns, forwards[node]);
                 let up = turned_by(&turns, old_ups[node]);
                 let new_up = turned(up, behind, roll);
@@ -192,7 +195,7 @@ impl Axis {
         }
     }
 
-    /// Return the second difference of the nodes of the rest shape at each node.
+    /// Return the second difference of the nodes' positions in the rest shape at each node.
     fn rest(&self, body: &ScopeBody, ups: &[Point], flexion_rad: f64) -> Vec<Point> {
         let (rigid, num) = (body.rigid_nodes(), body.bending_nodes());
         let bow = 2.0 * NODE_MM * libm::sin(0.5 * flexion_rad / num as f64);
@@ -207,7 +210,7 @@ impl Axis {
             .collect()
     }
 
-    /// Move each of the first `num` nodes once to the position of least bending energy of its neighbourhood.
+    /// Move each of the first `num` nodes once to the position with the least bending energy of it and its neighbours.
     fn unbend(&mut self, rest: &[Point], num: usize) {
         let x = &mut self.nodes;
         for n in (0..num).rev() {
@@ -231,7 +234,7 @@ impl Axis {
         }
     }
 
-    /// Restore the distances of the nodes, from the entry to the tip, and straighten the rigid tip.
+    /// Restore the distances between the nodes, from the entry to the tip, and straighten the rigid tip.
     fn stretch(&mut self, body: &ScopeBody, num: usize) {
         let free = self.nodes.len() - 2;
         for n in (0..num).rev() {
@@ -248,15 +251,15 @@ impl Axis {
         }
     }
 
-    /// Return the positions along the shaft that are kept off the wall.
+    /// Return the positions along the shaft that are kept away from the wall.
     ///
-    /// The positions are nodes and the midpoints between them, as pairs of the nodes that are moved.
+    /// The positions are nodes and the midpoints between them, each as the pair of nodes that are moved.
     fn shaft_places(body: &ScopeBody, num: usize) -> impl Iterator<Item = (usize, usize)> + use<> {
         let base = body.rigid_nodes().min(num);
         (base..num).flat_map(move |n| [(n, n), (n, n + 1)])
     }
 
-    fn hold_off(
+    fn push_off_wall(
         &mut self,
         field: &WallField,
         feelers: &Feelers,
@@ -297,7 +300,7 @@ impl Axis {
             let Some(away) = field.away_from_wall(least.at_lps) else {
                 break;
             };
-            // The tip is a lever: a push at a fraction of its length moves both of its ends.
+            // The tip acts as a lever: a push at a fraction of its length moves both of its ends.
             let share = (-least.in_tip[2] / (base as f64 * NODE_MM)).clamp(0.0, 1.0);
             let norm = share * share + (1.0 - share) * (1.0 - share);
             let (front, back) = ((1.0 - share) / norm, share / norm);
@@ -309,7 +312,8 @@ impl Axis {
         }
     }
 
-    /// Return the penetration of the wall by the tip and by the shaft's first `num` nodes (0 without penetration).
+    /// Return the penetration of the wall, in mm, by the tip and by the shaft's first `num` nodes (0 without
+    /// penetration).
     pub(crate) fn depths_mm(
         &self,
         field: &WallField,
@@ -331,7 +335,7 @@ impl Axis {
         ((-tip.mm).max(0.0), shaft)
     }
 
-    /// Relax the rod against the walls; return false if it does not fit.
+    /// Relax the axis against the walls; return false if the scope does not fit at this position.
     pub(crate) fn relax(
         &mut self,
         field: &WallField,
@@ -358,7 +362,7 @@ impl Axis {
             if is_free {
                 let rest = self.rest(body, &ups, controls.flexion_rad);
                 self.unbend(&rest, num);
-                self.hold_off(field, feelers, body, entry, ups[0], num);
+                self.push_off_wall(field, feelers, body, entry, ups[0], num);
                 self.stretch(body, num);
             }
             if sweep + 1 < LEAST_SWEEPS {
@@ -370,7 +374,7 @@ impl Axis {
                 let all = self.depths_mm(field, feelers, body, entry, ups[0], free);
                 if all.1 > SHAFT_TOLERANCE_MM {
                     // The shaft penetrates the wall far back, where only sweeps over all nodes have an effect.
-                    self.hold_off(field, feelers, body, entry, ups[0], free);
+                    self.push_off_wall(field, feelers, body, entry, ups[0], free);
                     self.stretch(body, free);
                     continue;
                 }
@@ -392,7 +396,8 @@ impl Axis {
         false
     }
 
-    /// Return the position of the tip's face if the part in front of the bending section's base were free of walls.
+    /// Return the position that the tip's face would have if no wall touched the part in front of the bending section's
+    /// base.
     pub(crate) fn free_face(
         &self,
         body: &ScopeBody,

@@ -1,4 +1,4 @@
-//! Sizes of the scope, and its tip in space.
+//! Dimensions of the scope, and the pose of its tip.
 
 use carina_grid::{dot, length};
 
@@ -7,9 +7,9 @@ use crate::ScopeError;
 /// Distance between the nodes of the scope's axis, mm.
 pub(crate) const NODE_MM: f64 = 2.0;
 
-/// Sizes of a scope.
+/// Dimensions of a scope.
 ///
-/// Lengths in mm, angles in radians.
+/// Lengths are in mm, angles in radians.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ScopeBody {
     /// Radius of the rigid tip and of the bending section, mm.
@@ -20,20 +20,20 @@ pub struct ScopeBody {
     pub rigid_mm: f64,
     /// Length of the bending section, mm.
     pub bending_mm: f64,
-    /// Largest upward flexion, radians.
+    /// Largest upward flexion of the tip, radians.
     pub up_rad: f64,
-    /// Largest downward flexion, positive.
+    /// Largest downward flexion of the tip, radians, as a positive number.
     pub down_rad: f64,
-    /// Working length, mm.
+    /// Working length of the scope, mm.
     pub length_mm: f64,
 }
 
 impl ScopeBody {
-    /// Check the sizes and return them.
+    /// Check the dimensions and return them unchanged.
     ///
     /// # Errors
     ///
-    /// Returns an error if a size is out of range.
+    /// Returns an error if a dimension is out of range.
     pub fn checked(self) -> Result<Self, ScopeError> {
         let within = |what: &str, value: f64, low: f64, high: f64| {
             if (low..=high).contains(&value) {
@@ -43,8 +43,8 @@ impl ScopeBody {
                 reason: format!("expected {what} from {low} to {high}, found {value}"),
             })
         };
-        // A tip with a diameter of twice the radius of the rounded edge is a ball; 3.9 mm is less than half of the
-        // range of the field.
+        // Below 0.7 mm the tip would be smaller than its rounded edge; 3.9 mm is less than half of the range of the
+        // field.
         within("a tip radius (mm)", self.tip_radius_mm, 0.7, 3.9)?;
         within("a tube radius (mm)", self.tube_radius_mm, 0.5, 3.9)?;
         within("a rigid tip (mm)", self.rigid_mm, 2.0, 20.0)?;
@@ -63,7 +63,7 @@ impl ScopeBody {
         ((self.bending_mm / NODE_MM).round() as usize).max(2)
     }
 
-    /// Return the radius of the scope at a distance behind the face.
+    /// Return the radius of the scope in mm at a distance behind the face.
     pub(crate) fn radius_mm(&self, behind_mm: f64) -> f64 {
         if behind_mm < (self.rigid_nodes() + self.bending_nodes()) as f64 * NODE_MM {
             self.tip_radius_mm
@@ -73,7 +73,7 @@ impl ScopeBody {
     }
 }
 
-/// Tip in space: the face's centre and unit axes.
+/// Pose of the tip: the centre of its face and its unit axes, LPS.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Tip {
     pub(crate) at: [f64; 3],
@@ -90,7 +90,7 @@ impl Tip {
     }
 }
 
-/// Plane through which the scope enters; the region behind it is ignored.
+/// Plane through which the scope enters the lumen; nothing behind this plane is checked against the wall.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Entry {
     pub(crate) at: [f64; 3],
@@ -111,6 +111,7 @@ pub(crate) fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
 mod tests {
     use super::*;
 
+    /// Dimensions of the scope in these tests.
     const BODY: ScopeBody = ScopeBody {
         tip_radius_mm: 2.45,
         tube_radius_mm: 2.45,
@@ -122,7 +123,7 @@ mod tests {
     };
 
     #[test]
-    fn a_scope_of_impossible_sizes_is_refused() {
+    fn scope_dimensions_out_of_range_are_rejected() {
         assert!(BODY.checked().is_ok());
         assert!(
             ScopeBody {

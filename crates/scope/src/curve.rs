@@ -4,38 +4,37 @@ use crate::ScopeError;
 use crate::frames::rotation_minimising_frames;
 use crate::gaze::{gaze, smoothed};
 
-/// Distance between the curve's knots.
+/// Distance between the knots of the curve, mm.
 ///
 /// The distance is small relative to a voxel, so straight lines between knots look like a curve.
 const STEP_MM: f64 = 0.25;
-/// Sigma of the smoothing of positions: it removes the steps of 0.5 to 1 mm voxels and keeps the bends of an airway.
+/// Sigma of the smoothing of positions, mm, which removes the steps of voxels but not the bends of an airway.
 const POSITION_SIGMA_MM: f64 = 2.0;
-/// Distance from a point to the centre of the Gaussian that weights the tangents ahead of it for the gaze, mm.
-///
-/// The next constant is the sigma of the Gaussian, mm.
-///
-/// Together they cover about the length of one subsegmental airway (7 to 10 mm).
+/// Distance from a point to the centre of the Gaussian that weights the tangents ahead of the point for the gaze, mm.
 const GAZE_AHEAD_MM: f64 = 3.0;
+/// Sigma of the Gaussian that weights the tangents ahead of a point for the gaze, mm.
+///
+/// The Gaussian covers about the length of one subsegmental airway (7 to 10 mm).
 const GAZE_SIGMA_MM: f64 = 4.0;
-/// Sigma of the smoothing of tangents, so that planes across the curve do not rock with the remaining voxel steps.
+/// Sigma of the smoothing of tangents, mm, so that planes across the curve do not rock with the remaining voxel steps.
 const TANGENT_SIGMA_MM: f64 = 2.0;
-/// Largest length of a path, longer than any patient; a longer path is invalid input and would need unlimited memory.
+/// Largest length of a path, mm, longer than any patient; a longer path is invalid and would need unlimited memory.
 const MAX_LENGTH_MM: f64 = 20_000.0;
 
-/// Nearest point of a curve.
+/// Position on a curve that is nearest to a point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Nearest {
-    /// Position on the curve, in mm along the given polyline.
+    /// Position on the curve, in mm along the polyline of the curve.
     pub path_mm: f64,
-    /// Distance from the curve, mm.
+    /// Distance of the point from the curve, mm.
     pub distance_mm: f64,
 }
 
-/// Smooth curve with camera frames along a polyline.
+/// Smooth curve with camera frames, computed from a polyline.
 ///
-/// Positions on the curve are in millimetres *of the given polyline*, so that bifurcations and generations along the
-/// polyline keep their positions; the curve itself is a little shorter. Every point of the curve is within
-/// `max_deviation_mm` of the polyline.
+/// Positions on the curve are in millimetres *of the polyline*, so that bifurcations and generations along the polyline
+/// keep their positions; the curve itself is a little shorter. Every point of the curve is within `max_deviation_mm` of
+/// the polyline.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FlightCurve {
     step_mm: f64,
@@ -60,7 +59,7 @@ impl FlightCurve {
         max_deviation_mm: f64,
     ) -> Result<Self, ScopeError> {
         let refuse = |reason: String| Err(ScopeError::Path { reason });
-        // Half a step of the deviation is used by the chords of the resampled line (below).
+        // The chords of the resampled line need half a step of the deviation, so the deviation has a lower limit.
         if !(0.2..=10.0).contains(&max_deviation_mm) {
             return Err(ScopeError::Deviation {
                 found_mm: max_deviation_mm,
@@ -99,7 +98,7 @@ impl FlightCurve {
         let step_mm = length_mm / num_steps as f64;
         let even = resampled(&line, &cumulative, step_mm, num_steps);
         // A knot may deviate from its position on the polyline by `reach`; a chord between two positions one step apart
-        // cuts a corner by at most half a step; together they stay within the given deviation.
+        // cuts a corner by at most half a step. The sum is within the given deviation.
         let reach = max_deviation_mm - STEP_MM / 2.0;
         let knots: Vec<[f64; 3]> = smoothed(&even, POSITION_SIGMA_MM, step_mm)
             .iter()
@@ -107,7 +106,7 @@ impl FlightCurve {
             .map(|(s, e)| {
                 let away: [f64; 3] = std::array::from_fn(|a| s[a] - e[a]);
                 let far = length(away);
-                // tanh: limited by `reach`, without a kink where the limit takes effect.
+                // The hyperbolic tangent limits the deviation to `reach` without a kink where the limit takes effect.
                 let shrink = if far > 1e-12 {
                     reach * libm::tanh(far / reach) / far
                 } else {
@@ -121,7 +120,7 @@ impl FlightCurve {
             Some(up) => unit(up).ok_or(ScopeError::Up {
                 reason: "has zero length",
             })?,
-            // 0.99: within 8 degrees of the anterior axis "anterior up" is undefined.
+            // A cosine of 0.99 is an angle of 8 degrees to the anterior axis, within which "anterior up" is undefined.
             None if gazes[0][1].abs() < 0.99 => [0.0, -1.0, 0.0],
             None => [0.0, 0.0, 1.0],
         };
@@ -141,13 +140,13 @@ impl FlightCurve {
         })
     }
 
-    /// Return the length of the given polyline.
+    /// Return the length of the polyline of the curve, mm.
     #[must_use]
     pub const fn length_mm(&self) -> f64 {
         self.length_mm
     }
 
-    /// Return the number of knots.
+    /// Return the number of knots of the curve.
     #[must_use]
     pub const fn num_knots(&self) -> usize {
         self.frames.len()
@@ -183,7 +182,7 @@ impl FlightCurve {
             .unwrap_or_else(|| self.frames.clone())
     }
 
-    /// Return the camera (`lps_from_camera`) at a position, clamped to the ends.
+    /// Return the pose of the camera (`lps_from_camera`) at a position in mm along the polyline, clamped to the ends.
     #[must_use]
     pub fn pose_at(&self, path_mm: f64) -> Affine {
         let last = self.frames.len() - 1;
@@ -202,13 +201,14 @@ impl FlightCurve {
         let slant = dot(down, forward);
         let down =
             unit(std::array::from_fn(|k| down[k] - slant * forward[k])).unwrap_or_else(|| {
-                // This occurs only if a path reverses within one step; the previous frame is still valid.
+                // Mixed axes have no direction only if a path reverses within one step; the previous frame is then
+                // used.
                 a.column(1)
             });
         Affine::from_columns(cross(down, forward), down, forward, mix(3))
     }
 
-    /// Return the position nearest to a point.
+    /// Return the position on the curve that is nearest to a point (LPS mm).
     #[must_use]
     pub fn nearest(&self, point: [f64; 3]) -> Nearest {
         let mut best = Nearest {
@@ -233,7 +233,7 @@ impl FlightCurve {
     }
 }
 
-/// Return frames at `knots` that look along `looks`.
+/// Return camera frames at `knots` that look along the directions `looks`; `None` if `up` is along the first of them.
 ///
 /// Double reflection needs a curve and its tangents. The looks are not the tangents of the curve through the knots, so
 /// the frames are computed along a curve with these tangents, and then moved to the knots.
@@ -259,7 +259,7 @@ fn frames_along(
     )
 }
 
-/// Return points every `step_mm` along a polyline, including both ends.
+/// Return `num_steps + 1` points every `step_mm` along a polyline, including both ends.
 fn resampled(
     line: &[[f64; 3]],
     cumulative: &[f64],
@@ -300,7 +300,7 @@ mod tests {
             .fold(f64::INFINITY, f64::min)
     }
 
-    /// Return a staircase on anisotropic voxels along a slanted line, as a voxel tracker returns it.
+    /// Return a polyline with the steps of anisotropic voxels along a slanted line, as a voxel tracker returns it.
     fn staircase() -> Vec<[f64; 3]> {
         let spacing = [0.7, 0.8, 1.25];
         (0..150)
@@ -327,27 +327,28 @@ mod tests {
             let Ok(curve) = FlightCurve::new(&line, None, deviation) else { return Ok(()) };
             for n in 0..=200 {
                 let pose = curve.pose_at(curve.length_mm() * f64::from(n) / 200.0);
-                // Tolerance 1e-9: rounding of coordinates of some hundred mm.
+                // The tolerance of 1e-9 allows for the rounding of coordinates of some hundred mm.
                 prop_assert!(distance_to_line(pose.column(3), &line) <= deviation + 1e-9);
                 prop_assert!(pose.is_rigid(1e-12));
             }
         }
 
         #[test]
-        fn a_point_of_the_curve_is_found_again(at in 0.0f64..1.0) {
+        fn the_nearest_position_of_a_point_on_the_curve_is_its_own_position(at in 0.0f64..1.0) {
             let curve = FlightCurve::new(&staircase(), None, 0.5).unwrap();
             let there = at * curve.length_mm();
             let found = curve.nearest(curve.pose_at(there).column(3));
             prop_assert!(found.distance_mm < 1e-9);
-            // A step across the path gives positions that are near in space but one step apart in mm.
+            // Across a voxel step, two positions are near each other in space but one step apart along the polyline.
             prop_assert!((found.path_mm - there).abs() < 1.0);
         }
     }
 
     #[test]
-    fn the_gaze_does_not_wobble_on_a_staircase_of_voxels() {
+    fn the_gaze_on_a_staircase_of_voxels_turns_slowly() {
         let curve = FlightCurve::new(&staircase(), None, 0.5).unwrap();
-        // The line itself turns by less than 0.5 degrees per mm; its voxel steps differ from it by up to 50 degrees.
+        // The slanted line itself turns by less than 0.5 degrees per mm; its voxel steps differ from it by up to 50
+        // degrees.
         let mut last = curve.pose_at(0.0);
         let mut worst: f64 = 0.0;
         let num = curve.length_mm() as usize;
@@ -365,11 +366,11 @@ mod tests {
 
     #[test]
     fn the_start_has_anterior_up_and_the_patients_right_on_the_right() {
-        // Looking caudally from the head end (docs/conventions.md, left and right): -y is anterior, -x is the patient's
-        // right.
+        // The camera looks caudally from the head end (docs/conventions.md, left and right): -y is anterior, -x is the
+        // patient's right.
         let curve = FlightCurve::new(&[[5.0, 6.0, 100.0], [5.0, 6.0, 0.0]], None, 0.5).unwrap();
         let near = |found: [f64; 3], wanted: [f64; 3]| {
-            // Tolerance 1e-12: rounding of the weighted means.
+            // The tolerance of 1e-12 allows for the rounding of the weighted means.
             assert!(
                 length(std::array::from_fn(|a| found[a] - wanted[a])) < 1e-12,
                 "{found:?}"
@@ -384,7 +385,7 @@ mod tests {
     }
 
     #[test]
-    fn broken_paths_are_refused_and_a_very_short_one_flies() {
+    fn invalid_paths_are_rejected_and_a_very_short_path_is_accepted() {
         let p = [1.0, 2.0, 3.0];
         assert!(FlightCurve::new(&[], None, 0.5).is_err());
         assert!(FlightCurve::new(&[p, p, p], None, 0.5).is_err());
@@ -397,8 +398,8 @@ mod tests {
     }
 
     #[test]
-    fn tangent_frames_stand_across_the_curve_and_do_not_spin() {
-        // A quarter circle of radius 40 mm in the coronal plane, with straight ends.
+    fn tangent_frames_are_perpendicular_to_the_curve_and_do_not_twist() {
+        // The path is a quarter circle of radius 40 mm in the coronal plane, with straight ends.
         let points: Vec<[f64; 3]> = (0..=200)
             .map(|i| {
                 let s = f64::from(i) * 0.5;
@@ -421,10 +422,11 @@ mod tests {
         for i in 1..frames.len() - 1 {
             assert!(frames[i].is_rigid(1e-9));
             assert_eq!(frames[i].column(3), knots[i]);
-            // Down stays posterior, because the curve is in the coronal plane.
+            // The down direction stays posterior, because the curve is in the coronal plane.
             assert!((frames[i].column(1)[1] - 1.0).abs() < 1e-6, "{i}");
             let chord = unit(std::array::from_fn(|a| knots[i + 1][a] - knots[i - 1][a])).unwrap();
-            // Tolerance: 2 degrees at the beginning of the bend, from the smoothing over 2 mm of a radius of 40 mm.
+            // The tolerance of 2 degrees is the effect of the smoothing over 2 mm at the beginning of a bend of radius
+            // 40 mm.
             assert!(dot(chord, frames[i].column(2)) > 0.9994, "{i}");
         }
     }

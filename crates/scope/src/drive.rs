@@ -1,4 +1,4 @@
-//! Drive of the scope.
+//! Drive of the scope: motion of its tip and shaft in a lumen by insertion, roll and flexion.
 //!
 //! The controls change in small steps, and each step is accepted only if tip and shaft stay in the lumen.
 
@@ -14,19 +14,18 @@ use crate::wall::WallField;
 
 type Point = [f64; 3];
 
-/// Largest step of the insertion.
-///
-/// The next constant is that of flexion and roll (a bent tip of 50 mm then moves by about as much).
+/// Largest step of the insertion, mm.
 const STEP_MM: f64 = 0.5;
+/// Largest step of flexion and roll, radians; a bent tip of 50 mm then moves by about as much as in an insertion step.
 const STEP_RAD: f64 = 0.02;
 /// Largest distance between tip and wall that counts as contact, mm.
 const TOUCH_MM: f64 = 0.1;
-/// Distance at which contact ends.
+/// Distance between tip and wall above which contact ends, mm.
 ///
-/// The limit is larger than that of contact, so that a tip that slides along a rough wall counts as one contact, not as
-/// a hundred.
+/// The limit is larger than that for the beginning of contact, so that a tip that slides along a rough wall counts as
+/// one contact.
 const RELEASE_MM: f64 = 0.3;
-/// Distances ahead at which a blocked scope measures the width of the airway, mm.
+/// Distances ahead of a blocked tip at which the width of the airway is measured, mm.
 const LOOK_AHEAD_MM: [f64; 4] = [1.0, 2.0, 3.0, 4.0];
 
 /// Reason why the scope did not follow the controls completely.
@@ -34,15 +33,15 @@ const LOOK_AHEAD_MM: [f64; 4] = [1.0, 2.0, 3.0, 4.0];
 pub enum Limit {
     /// The scope followed the controls.
     None,
-    /// The scope is withdrawn to the entry.
+    /// The requested insertion is before the entry, to which the scope is withdrawn.
     Entry,
-    /// The tip is pressed against a wall.
+    /// The tip is pressed against a wall, and the insertion is not reached.
     Wall,
     /// The airway ahead is too narrow.
     Narrow,
-    /// The working length is used up.
+    /// The requested insertion is larger than the working length of the scope.
     Length,
-    /// The lever is at its stop.
+    /// The requested flexion is larger than that of the lever's stop.
     Flexion,
 }
 
@@ -51,49 +50,49 @@ pub enum Limit {
 pub struct Contact {
     /// Position on the wall, LPS mm.
     pub point_lps: Point,
-    /// Direction away from the wall, unit length.
+    /// Unit vector away from the wall at this position, LPS.
     pub normal_lps: Point,
     /// Additional distance by which the tip would move into the wall if the wall did not exist, mm.
     pub depth_mm: f64,
 }
 
-/// Summary of the contacts since the scope was placed.
+/// Summary of the contacts of the tip since the scope was placed.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ContactRecord {
     /// Number of contacts of the tip.
     pub count: u64,
-    /// Total time of contact, s.
+    /// Total time of contact of the tip, s.
     pub time_s: f64,
-    /// Largest [`Contact::depth_mm`].
+    /// Largest [`Contact::depth_mm`] since the scope was placed, mm.
     pub max_depth_mm: f64,
 }
 
-/// State of the scope after a sample.
+/// State of the scope after its controls were set.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ScopeState {
     /// Pose of the tip's face: +x right, +y down, +z forward.
     pub lps_from_tip: Affine,
-    /// Insertion from the path's start, mm.
+    /// Distance from the start of the path to the tip's face along the scope, mm.
     pub insertion_mm: f64,
-    /// Roll, clockwise as the operator sees it.
+    /// Roll in radians, clockwise as the operator sees it.
     pub roll_rad: f64,
-    /// Flexion, positive for up.
+    /// Flexion in radians, positive for up.
     pub flexion_rad: f64,
-    /// Contact of the tip, if any.
+    /// Contact of the tip with the wall; `None` without contact.
     pub contact: Option<Contact>,
-    /// Red-out: 0 for a clear view, 1 if the lens touches the wall.
+    /// Red-out of the picture: 0 for a clear view, 1 if the lens touches the wall.
     pub red_out: f64,
     /// Reason why the scope did not follow the controls completely.
     pub limit: Limit,
-    /// Diameter of the widest tip that would pass, if the limit is [`Limit::Narrow`].
+    /// Diameter in mm of the widest tip that would pass; `None` unless the limit is [`Limit::Narrow`].
     pub passable_mm: Option<f64>,
-    /// Summary of the contacts so far.
+    /// Summary of the contacts since the scope was placed.
     pub record: ContactRecord,
 }
 
-/// Scope in a lumen.
+/// Simulation of a scope in a lumen.
 ///
-/// Its states depend only on its samples: equal samples give equal states, bit for bit.
+/// The states depend only on the sequence of controls: equal sequences give equal states, bit for bit.
 #[derive(Debug, Clone)]
 pub struct ScopeDrive {
     field: Arc<WallField>,
@@ -104,8 +103,8 @@ pub struct ScopeDrive {
     first_up: Point,
     axis: Axis,
     controls: Controls,
-    /// Requested roll including whole turns; the controls contain less than one turn.
-    asked_roll_rad: f64,
+    /// Requested roll in radians including whole turns; `controls` contains less than one turn.
+    requested_roll_rad: f64,
     touches: bool,
     state: ScopeState,
 }
@@ -113,12 +112,13 @@ pub struct ScopeDrive {
 impl ScopeDrive {
     /// Create a scope that enters a lumen along a path (LPS mm; the trachea's centreline from its start).
     ///
-    /// The scope enters at the first position of the path that is wide enough; `up` is the direction that is up in the
-    /// unrolled picture.
+    /// The scope enters at the first position of the path that is wide enough. `up` is the LPS direction that is up in
+    /// the picture at a roll of 0; `None` selects anterior, or superior if the path starts along the antero-posterior
+    /// axis.
     ///
     /// # Errors
     ///
-    /// Returns an error if the sizes or the path are not valid, or if the scope does not fit.
+    /// Returns an error if the dimensions or the path are not valid, or if the scope does not fit.
     pub fn new(
         field: Arc<WallField>,
         body: ScopeBody,
@@ -132,7 +132,7 @@ impl ScopeDrive {
             .iter()
             .position(|&p| field.distance_mm(p) >= widest + 0.3)
         else {
-            let room = line
+            let clearance_mm = line
                 .iter()
                 .map(|&p| field.distance_mm(p))
                 .fold(f64::NEG_INFINITY, f64::max);
@@ -140,7 +140,7 @@ impl ScopeDrive {
                 reason: format!(
                     "it is {:.1} mm wide and the start of the path has room for {:.1} mm",
                     2.0 * widest,
-                    2.0 * (room - 0.3).max(0.0)
+                    2.0 * (clearance_mm - 0.3).max(0.0)
                 ),
             });
         };
@@ -189,26 +189,26 @@ impl ScopeDrive {
             first_up,
             axis,
             controls,
-            asked_roll_rad: 0.0,
+            requested_roll_rad: 0.0,
             touches: false,
         };
         drive.look(0.0, Limit::None, 0.0);
         Ok(drive)
     }
 
-    /// Return the present state.
+    /// Return the present state of the scope.
     #[must_use]
     pub const fn state(&self) -> &ScopeState {
         &self.state
     }
 
-    /// Return the sizes of the scope.
+    /// Return the dimensions of the scope.
     #[must_use]
     pub const fn body(&self) -> &ScopeBody {
         &self.body
     }
 
-    /// Return the position of the entry in mm along the path: the smallest insertion.
+    /// Return the position of the entry in mm along the path, which is the smallest insertion.
     #[must_use]
     pub const fn entry_mm(&self) -> f64 {
         self.entry_mm
@@ -229,7 +229,7 @@ impl ScopeDrive {
         points
     }
 
-    /// Return the penetration of the wall by tip and shaft, according to the wall field (0 without penetration).
+    /// Return the penetration of the wall by tip and shaft in mm, according to the wall field (0 without penetration).
     #[must_use]
     pub fn wall_depths_mm(&self) -> (f64, f64) {
         let ups = self.axis.ups(self.first_up, self.controls.roll_rad);
@@ -243,9 +243,9 @@ impl ScopeDrive {
         )
     }
 
-    /// Set the three controls, `dt_s` after the previous sample.
+    /// Set the three controls, `dt_s` seconds after the previous call, and return the new state.
     ///
-    /// The scope moves from its present position towards the controls and stops where it is blocked; the next sample
+    /// The scope moves from its present position towards the controls and stops where it is blocked; the next call
     /// starts there. Roll and flexion always reach their values (a lever can be pressed against a wall); insertion may
     /// not.
     ///
@@ -284,8 +284,8 @@ impl ScopeDrive {
             limit = Limit::Length;
         }
         let start = self.controls;
-        // Whole turns have no effect, because the shaft is stiff and does not twist. The remainder of a roll of any
-        // size is less than one turn.
+        // Whole turns have no effect, because the shaft is stiff and does not twist. The remainder of any roll is less
+        // than one turn.
         let whole = |rad: f64| libm::remainder(rad, core::f64::consts::TAU);
         let turn = whole(whole(roll_rad) - start.roll_rad);
         let (advance, bend) = (depth_mm - start.depth_mm, flexion - start.flexion_rad);
@@ -308,7 +308,7 @@ impl ScopeDrive {
             blocked |= !self.step(wanted);
         }
         self.controls.roll_rad = whole(roll_rad);
-        self.asked_roll_rad = roll_rad;
+        self.requested_roll_rad = roll_rad;
         if blocked {
             limit = Limit::Wall;
         }
@@ -317,11 +317,11 @@ impl ScopeDrive {
         Ok(self.state)
     }
 
-    /// Perform one small step; return false if the insertion could not be reached.
+    /// Move by one small step towards `wanted`; return false if the insertion could not be reached.
     fn step(&mut self, wanted: Controls) -> bool {
         let before = self.controls;
         let advance = wanted.depth_mm - before.depth_mm;
-        // If the whole step does not fit, a part of it may; at the end only the lever moves.
+        // If the whole step does not fit, a part of the insertion may; the last try changes only roll and flexion.
         for share in [1.0, 0.3, 0.0] {
             if share < 1.0 && advance == 0.0 {
                 break;
@@ -335,7 +335,7 @@ impl ScopeDrive {
             }
         }
         if advance < 0.0 {
-            // Withdrawn without relaxation, the scope has only positions that it had before.
+            // The scope is withdrawn along itself without relaxation, so it has only positions that it had before.
             let mut axis = self.axis.clone();
             axis.shift(&self.entry, wanted.depth_mm, advance);
             let ups = axis.ups(self.first_up, wanted.roll_rad);
@@ -354,7 +354,7 @@ impl ScopeDrive {
                 return true;
             }
         }
-        // The lever is pressed against a wall: it turns, but the tip does not.
+        // The lever is pressed against a wall: its angle changes, but the tip does not move.
         self.controls = Controls {
             depth_mm: before.depth_mm,
             ..wanted
@@ -362,10 +362,11 @@ impl ScopeDrive {
         advance == 0.0
     }
 
-    /// Place the scope along a path that starts where its own path does, with the tip `insertion_mm` along it.
+    /// Place the scope along a path with the tip `insertion_mm` along it, and return the new state.
     ///
-    /// Roll and flexion become 0, and the contact record starts again. If the path is too narrow, the tip ends before
-    /// the narrow position, and the limit of the state is set.
+    /// `path` must have the same start as the path with which the scope was created. Roll and flexion become 0, and the
+    /// contact record starts again. If the path is too narrow, the tip ends before the narrow position, and the limit
+    /// of the state is set.
     ///
     /// # Errors
     ///
@@ -390,8 +391,9 @@ impl ScopeDrive {
                 "the path passes {off:.0} mm from where the scope enters; it must start as the scope's own does"
             ));
         }
-        let room_mm = (line.len() - 1 - first) as f64 * PATH_STEP_MM;
-        let wanted_mm = (insertion_mm - self.entry_mm).clamp(0.0, self.body.length_mm.min(room_mm));
+        let remaining_mm = (line.len() - 1 - first) as f64 * PATH_STEP_MM;
+        let wanted_mm =
+            (insertion_mm - self.entry_mm).clamp(0.0, self.body.length_mm.min(remaining_mm));
         let at = |mm: f64| -> Point {
             let place = first as f64 + mm.max(0.0) / PATH_STEP_MM;
             let n = (place as usize).min(line.len() - 2);
@@ -420,7 +422,7 @@ impl ScopeDrive {
             if found {
                 self.axis = axis;
                 self.controls = controls;
-                self.asked_roll_rad = 0.0;
+                self.requested_roll_rad = 0.0;
                 break;
             }
             if depth_mm == 0.0 {
@@ -466,7 +468,7 @@ impl ScopeDrive {
         self.axis.tip(ups[0])
     }
 
-    /// Compute the state from axis and controls.
+    /// Compute the state of the scope from axis and controls, and update the contact record.
     fn look(&mut self, dt_s: f64, limit: Limit, further_mm: f64) {
         let tip = self.tip();
         let least = self.feelers.clearance(&self.field, &tip, &self.entry);
@@ -499,7 +501,7 @@ impl ScopeDrive {
         self.state = ScopeState {
             lps_from_tip: Affine::from_columns(tip.right, tip.down, tip.forward, tip.at),
             insertion_mm: self.entry_mm + self.controls.depth_mm,
-            roll_rad: self.asked_roll_rad,
+            roll_rad: self.requested_roll_rad,
             flexion_rad: self.controls.flexion_rad,
             contact,
             red_out: self.red_out(&tip),
@@ -509,7 +511,7 @@ impl ScopeDrive {
         };
     }
 
-    /// Return the red-out.
+    /// Return the red-out, 0 to 1, for a pose of the tip.
     ///
     /// A wall beside the tip is one radius away from the lens; only a wall in front of the lens can be nearer.
     fn red_out(&self, tip: &Tip) -> f64 {
@@ -520,7 +522,7 @@ impl ScopeDrive {
         ((0.6 * r - self.field.distance_mm(tip.at)) / (0.45 * r)).clamp(0.0, 1.0)
     }
 
-    /// Return the width of the airway ahead if it is too narrow for the tip.
+    /// Return the diameter of the airway ahead in mm if the airway is too narrow for the tip, otherwise `None`.
     fn too_narrow(&self, tip: &Tip) -> Option<f64> {
         let mut least = f64::INFINITY;
         let mut at = tip.at;
@@ -528,7 +530,7 @@ impl ScopeDrive {
         let mut walked = 0.0;
         for ahead in LOOK_AHEAD_MM {
             let mut p = along(at, ahead - walked, forward);
-            // Move to the middle of the lumen across the direction of advance.
+            // The position moves to the middle of the lumen across the direction of advance.
             for _ in 0..40 {
                 let Some(away) = self.field.away_from_wall(p) else {
                     break;
@@ -540,12 +542,12 @@ impl ScopeDrive {
                 }
                 p = next;
             }
-            let room = self.field.distance_mm(p);
-            if room < 0.3 {
-                // No airway, but the wall itself.
+            let clearance_mm = self.field.distance_mm(p);
+            if clearance_mm < 0.3 {
+                // There is no airway ahead, but the wall itself.
                 break;
             }
-            least = least.min(room);
+            least = least.min(clearance_mm);
             forward = unit(sub(p, at)).unwrap_or(forward);
             at = p;
             walked = ahead;
@@ -554,11 +556,16 @@ impl ScopeDrive {
     }
 }
 
+/// Distance between the points of a resampled path, mm.
 const PATH_STEP_MM: f64 = 0.25;
-/// Largest length of a path, eight times the length of a scope; the points of a longer path would only use memory.
+/// Largest length of a path, mm: eight times the length of a scope. Points of a longer path would only use memory.
 const MOST_PATH_MM: f64 = 5_000.0;
 
 /// Return points [`PATH_STEP_MM`] apart along a path.
+///
+/// # Errors
+///
+/// Returns an error if the points are not a path.
 fn evenly(path: &[Point]) -> Result<Vec<Point>, ScopeError> {
     if path.iter().flatten().any(|v| !v.is_finite()) {
         return Err(ScopeError::Scope {

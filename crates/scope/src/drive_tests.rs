@@ -7,6 +7,7 @@ use crate::{Limit, ScopeBody, ScopeDrive, WallField};
 
 type Point = [f64; 3];
 
+/// Dimensions of the scope in these tests.
 pub(crate) const BODY: ScopeBody = ScopeBody {
     tip_radius_mm: 2.45,
     tube_radius_mm: 2.45,
@@ -24,9 +25,9 @@ fn capsule(p: Point, a: Point, b: Point, radius: f64) -> f64 {
     radius - distance(ap, ab.map(|v| t * v))
 }
 
-/// Signed distance of a test lumen: a stem of 9 mm radius down to the origin, then two arms.
+/// Return the signed distance of a test lumen: a stem of 9 mm radius down to the origin, then two arms.
 ///
-/// The right one (x below 0) narrows to a radius of 2.
+/// The right arm (x below 0) narrows to a radius of 2 mm.
 pub(crate) fn lumen(p: Point) -> f64 {
     let right = capsule(p, [0.0, 0.0, 0.0], [-30.0, 0.0, -45.0], 6.0).max(capsule(
         p,
@@ -46,6 +47,7 @@ pub(crate) fn lumen(p: Point) -> f64 {
 }
 
 pub(crate) fn field() -> Arc<WallField> {
+    /// Wall field of the test lumen, computed on first use.
     static FIELD: OnceLock<Arc<WallField>> = OnceLock::new();
     FIELD.get_or_init(sampled).clone()
 }
@@ -69,6 +71,7 @@ fn sampled() -> Arc<WallField> {
     Arc::new(WallField::from_distances(&values, shape, &lps).unwrap())
 }
 
+/// Path down the stem of the test lumen, LPS mm.
 const TRACHEA: [Point; 2] = [[0.0, 0.0, 110.0], [0.0, 0.0, 0.0]];
 
 fn scope() -> ScopeDrive {
@@ -76,13 +79,13 @@ fn scope() -> ScopeDrive {
 }
 
 #[test]
-fn pushed_straight_the_tip_goes_straight_and_looks_down_with_anterior_up() {
+fn a_scope_without_flexion_advances_straight_with_anterior_up() {
     let mut scope = scope();
     let state = scope.drive(60.0, 0.0, 0.0, 0.1).unwrap();
     let tip = state.lps_from_tip;
     assert_eq!(state.limit, Limit::None);
     assert!(distance(tip.column(3), [0.0, 0.0, 50.0]) < 1e-6);
-    // Head end: the patient's right (-x) on the right, anterior (-y) up.
+    // Seen from the head end, the patient's right (-x) is on the right, and anterior (-y) is up.
     assert!(distance(tip.column(0), [-1.0, 0.0, 0.0]) < 1e-6);
     assert!(distance(tip.column(1), [0.0, 1.0, 0.0]) < 1e-6);
     assert!(state.contact.is_none() && state.red_out == 0.0);
@@ -107,9 +110,9 @@ fn a_free_tip_bends_to_its_angle_with_the_radius_of_its_bending_section() {
     let state = scope.drive(60.0, 0.0, 1.0, 0.1).unwrap();
     let look = state.lps_from_tip.column(2);
     let angle = libm::acos(-look[2]);
-    // Tolerance 1e-3: the residual error of the relaxation.
+    // The tolerance of 1e-3 rad is the remaining error of the relaxation.
     assert!((angle - 1.0).abs() < 1e-3, "{angle}");
-    // Up is anterior, and the tip moves in that direction.
+    // Up is anterior, so the tip moves in that direction.
     assert!(look[1] < 0.0 && state.lps_from_tip.column(3)[1] < -2.0);
     // After a roll by a quarter turn clockwise, up is the patient's right.
     let state = scope
@@ -117,14 +120,14 @@ fn a_free_tip_bends_to_its_angle_with_the_radius_of_its_bending_section() {
         .unwrap();
     let look = state.lps_from_tip.column(2);
     assert!(look[0] < -0.8 && look[1].abs() < 0.01, "{look:?}");
-    // And back: the state does not depend on previous positions.
+    // After the reverse movement the state must not depend on previous positions.
     let state = scope.drive(60.0, 0.0, 0.0, 0.1).unwrap();
     let off = distance(state.lps_from_tip.column(2), [0.0, 0.0, -1.0]);
     assert!(off < 1e-3, "{off}");
 }
 
 #[test]
-fn the_two_flexions_have_their_own_stops() {
+fn upward_and_downward_flexion_stop_at_different_limits() {
     let mut scope = scope();
     scope.drive(60.0, 0.0, 0.0, 0.1).unwrap();
     let up = scope.drive(60.0, 0.0, 9.0, 0.1).unwrap();
@@ -134,7 +137,7 @@ fn the_two_flexions_have_their_own_stops() {
 }
 
 #[test]
-fn pushed_at_a_carina_it_stops_there_in_red_and_is_drawn_back_again() {
+fn a_scope_pushed_at_a_carina_stops_with_red_out_and_can_be_withdrawn() {
     let mut scope = scope();
     let state = scope.drive(140.0, 0.0, 0.0, 0.1).unwrap();
     assert!(state.insertion_mm > 90.0, "{}", state.insertion_mm);
@@ -146,7 +149,7 @@ fn pushed_at_a_carina_it_stops_there_in_red_and_is_drawn_back_again() {
     assert!(distance(state.lps_from_tip.column(3), [0.0, 0.0, 90.0]) < 0.5);
 }
 
-/// Steer the tip towards a point as a hand would: roll so that the point is up or down, and flex.
+/// Steer the tip towards a point as a hand would: roll until the point is up or down, then flex.
 pub(crate) fn steered(scope: &mut ScopeDrive, to: Point, steps: usize) -> crate::ScopeState {
     let mut state = *scope.state();
     for _ in 0..steps {
@@ -162,7 +165,7 @@ pub(crate) fn steered(scope: &mut ScopeDrive, to: Point, steps: usize) -> crate:
         }
         let off = libm::atan2(libm::hypot(x, y), z);
         let turn = libm::atan2(x, -y);
-        // The smaller of the rolls that turn the point up or down.
+        // Of the two rolls that turn the point up or down, the smaller one is used.
         let (turn, bend) = if turn.abs() > core::f64::consts::FRAC_PI_2 {
             (turn - core::f64::consts::PI.copysign(turn), -off)
         } else {
@@ -184,7 +187,7 @@ pub(crate) fn steered(scope: &mut ScopeDrive, to: Point, steps: usize) -> crate:
 }
 
 #[test]
-fn steered_into_a_narrow_airway_it_stops_and_says_what_would_pass() {
+fn a_scope_in_a_narrow_airway_stops_and_reports_the_passable_diameter() {
     let mut scope = scope();
     steered(&mut scope, [0.0, 0.0, 12.0], 400);
     let state = steered(&mut scope, [-28.0, 0.0, -42.0], 400);
@@ -200,7 +203,7 @@ fn steered_into_a_narrow_airway_it_stops_and_says_what_would_pass() {
 }
 
 #[test]
-fn steered_into_the_other_arm_it_gets_to_its_end() {
+fn a_scope_steered_into_the_wide_arm_reaches_its_end() {
     let mut scope = scope();
     steered(&mut scope, [0.0, 0.0, 12.0], 400);
     steered(&mut scope, [34.0, 0.0, -34.0], 400);
@@ -213,7 +216,7 @@ fn steered_into_the_other_arm_it_gets_to_its_end() {
 }
 
 #[test]
-fn broken_samples_are_refused_and_change_nothing() {
+fn invalid_samples_are_rejected_without_effect() {
     let mut scope = scope();
     let before = scope.drive(30.0, 0.1, 0.2, 0.1).unwrap();
     for bad in [f64::NAN, f64::INFINITY] {
@@ -236,7 +239,7 @@ fn broken_samples_are_refused_and_change_nothing() {
 }
 
 #[test]
-fn the_same_samples_give_the_same_states_bit_for_bit() {
+fn equal_samples_give_equal_states_bit_for_bit() {
     let run = || {
         let mut scope = scope();
         let mut random = 9u64;
@@ -263,7 +266,7 @@ fn the_same_samples_give_the_same_states_bit_for_bit() {
 }
 
 #[test]
-fn a_roll_of_any_size_is_less_than_a_turn_and_does_not_hang() {
+fn rolls_of_any_size_finish_and_whole_turns_have_no_effect() {
     let mut scope = scope();
     let start = scope.drive(50.0, 0.0, 0.6, 0.1).unwrap();
     // Removing whole turns by a rounded division leaves 2.1e9 rad of this roll, which is 1e11 steps.
@@ -294,19 +297,19 @@ fn a_roll_of_any_size_is_less_than_a_turn_and_does_not_hang() {
 }
 
 #[test]
-fn a_path_longer_than_any_airway_is_refused_however_it_is_cut() {
+fn a_path_longer_than_any_airway_is_rejected_for_any_point_spacing() {
     let far = |num: usize| -> Vec<Point> {
         (0..=num)
             .map(|n| [0.0, 0.0, 110.0 - 6_000.0 * n as f64 / num as f64])
             .collect()
     };
     for num in [1, 2, 1000] {
-        let told = ScopeDrive::new(field(), BODY, &far(num), None)
+        let message = ScopeDrive::new(field(), BODY, &far(num), None)
             .unwrap_err()
             .to_string();
-        assert!(told.contains("6000 mm long"), "{told}");
-        let told = scope().place(&far(num), 50.0).unwrap_err().to_string();
-        assert!(told.contains("6000 mm long"), "{told}");
+        assert!(message.contains("6000 mm long"), "{message}");
+        let message = scope().place(&far(num), 50.0).unwrap_err().to_string();
+        assert!(message.contains("6000 mm long"), "{message}");
     }
     assert!(
         ScopeDrive::new(

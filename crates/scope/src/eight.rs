@@ -4,9 +4,10 @@
     reason = "operations must become registers in the function that has them enabled"
 )]
 
+/// Number of f32 in a vector.
 pub(crate) const LANES: usize = 8;
 
-/// Vector of eight f32.
+/// Vector of eight f32, one per lane.
 ///
 /// No operation is fused or approximated, so all implementations give the same bits.
 pub(crate) trait Eight: Copy {
@@ -15,14 +16,14 @@ pub(crate) trait Eight: Copy {
     fn plus(self, other: Self) -> Self;
     fn minus(self, other: Self) -> Self;
     fn times(self, other: Self) -> Self;
-    /// Return the greater number of each lane; `other` if `self` is not greater.
+    /// Return in each lane the greater number; `other` if `self` is not greater.
     fn greater(self, other: Self) -> Self;
-    /// Return the lesser number of each lane; `other` if `self` is not less.
+    /// Return in each lane the lesser number; `other` if `self` is not less.
     fn lesser(self, other: Self) -> Self;
     fn root(self) -> Self;
-    /// Return `yes` in lanes where this number is above 0, else `no`.
+    /// Return `yes` in lanes where `self` is above 0, and `no` in the other lanes.
     fn above_zero(self, yes: Self, no: Self) -> Self;
-    /// Return whether a number in any lane is at most that of `other`.
+    /// Return whether in any lane the number of `self` is at most that of `other`.
     fn any_within(self, other: Self) -> bool;
 
     #[inline(always)]
@@ -35,7 +36,7 @@ pub(crate) trait Eight: Copy {
 #[derive(Clone, Copy)]
 pub(crate) struct Plain([f32; LANES]);
 
-/// Define operations as loops, not closures, so that each becomes one instruction on registers.
+/// Macro that defines operations as loops, not closures, so that each becomes one instruction on registers.
 macro_rules! each {
     ($n:ident, $value:expr) => {{
         let mut out = [0.0; LANES];

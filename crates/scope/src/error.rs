@@ -4,16 +4,16 @@ pub enum ScopeError {
     /// The points are not a path.
     #[error("cannot fly along this path: {reason}")]
     Path {
-        /// Reason of the error.
+        /// Reason why the points are not a path.
         reason: String,
     },
-    /// The up direction has no length, or is along the first gaze.
+    /// The up direction of a curve has no length, or is along the first gaze.
     #[error("cannot orient the view: the up direction {reason}")]
     Up {
-        /// Reason of the error.
+        /// Reason why the up direction is not valid.
         reason: &'static str,
     },
-    /// The allowed deviation is too small for smoothing, or not a length.
+    /// The allowed deviation of a curve from its path is too small for smoothing, or not a length.
     #[error(
         "the largest deviation from the path must be between 0.2 and 10 mm; found {found_mm} mm"
     )]
@@ -24,10 +24,10 @@ pub enum ScopeError {
     /// The wall field cannot be computed.
     #[error("cannot compute the distances to the wall: {reason}")]
     Wall {
-        /// Reason of the error.
+        /// Reason why the wall field cannot be computed.
         reason: String,
     },
-    /// A scope's sizes are not valid, or the scope cannot be placed at the requested position.
+    /// The dimensions of a scope are not valid, or the scope cannot be placed at the requested position.
     #[error("cannot drive this scope: {reason}")]
     Scope {
         /// Reason of the error.
@@ -39,7 +39,7 @@ pub enum ScopeError {
 }
 
 impl ScopeError {
-    /// Return the stable error code, shared with Python and the wire.
+    /// Return the stable code of the error, which Python and the wire protocol also use.
     #[must_use]
     pub const fn code(&self) -> &'static str {
         match self {

@@ -1,59 +1,64 @@
-//! Balls that represent the surface of the rigid tip, and their clearance from the wall.
+//! Balls that represent the surface of the rigid tip (feelers), and their clearance from the wall.
 //!
 //! The balls are so dense that a ridge of the wall cannot penetrate between them by more than some hundredths of a
-//! millimetre, so a wide tip has hundreds of balls. Most are not tested: each group has a leader, and if the clearance
-//! of the leader is large enough for its whole group, the other balls of the group need no test.
+//! millimetre, so a wide tip has hundreds of balls. Most of them are not tested: each group has a leader, and if the
+//! clearance of the leader is large enough for its whole group, the other balls of the group need no test.
 
 use crate::body::{Entry, ScopeBody, Tip, distance};
 use crate::wall::WallField;
 
-/// Radius of the rounded edge of the tip's face, mm.
+/// Radius of the rounded edge between the face and the side of the tip, mm.
 const EDGE_MM: f64 = 0.6;
-/// Distance between neighbouring balls of the face, the edge and the side behind it: a ridge penetrates by
-/// `APART^2 / (8 EDGE)`.
-const APART_MM: f64 = 0.36;
-/// Distance between the balls on the axis behind them, with a penetration of at most 0.03 mm for the thinnest tip.
-const AXIS_MM: f64 = 0.4;
-/// Gap between the balls and the wall.
+/// Distance between neighbouring balls of the face, the edge and the side behind the edge, mm.
 ///
-/// At an edge of the wall the interpolated field is some hundredths too large, and a ridge penetrates between balls by
-/// as much.
+/// A ridge of the wall can penetrate between them by `APART^2 / (8 EDGE)`.
+const APART_MM: f64 = 0.36;
+/// Distance between the balls on the axis behind the face, mm.
+///
+/// A ridge penetrates between them by at most 0.03 mm for the thinnest tip.
+const AXIS_MM: f64 = 0.4;
+/// Gap between the balls and the wall, mm.
+///
+/// At an edge of the wall the interpolated field is some hundredths of a millimetre too large, and a ridge penetrates
+/// between balls by as much.
 pub(crate) const SKIN_MM: f64 = 0.03;
-/// Largest distance of the balls of a group from its leader, mm.
+/// Largest distance of the balls of a group from the group's leader, mm.
 const REACH_MM: f64 = 0.75;
-/// Clearance that a leader must have beyond its reach.
+/// Clearance, in addition to the reach of its group, that a leader must have so that its group needs no test, mm.
 ///
 /// Distances change by at most 1 mm per mm, but interpolated values of the field may change a little more, and
 /// clearances up to the end of contact must be exact.
 const GUARD_MM: f64 = 0.5;
 
-/// Ball: its centre in the tip's frame (right, down, forward; the face's centre is the origin) and radius.
+/// Ball of the tip's surface: its centre in the tip's frame and its radius, mm.
+///
+/// The frame is right, down, forward; its origin is the face's centre.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Feeler {
     pub(crate) at: [f64; 3],
     pub(crate) radius: f64,
 }
 
-/// Group of consecutive balls, the leader first.
+/// Group of consecutive balls, of which the leader is the first.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Group {
     first: usize,
     end: usize,
-    /// Distance from the leader's centre to the farthest of the other centres, mm.
+    /// Distance from the leader's centre to the farthest centre of the group's balls, mm.
     reach_mm: f64,
 }
 
-/// All balls of a tip, which is a cylinder with a flat face and a rounded edge.
+/// All balls of a rigid tip, which is a cylinder with a flat face and a rounded edge.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Feelers {
     balls: Vec<Feeler>,
     groups: Vec<Group>,
-    /// Number of groups of face, edge and the side near them; the balls of the other groups are on the axis.
+    /// Number of groups of the face, the edge and the side near them; the balls of the other groups are on the axis.
     num_front: usize,
     radius_mm: f64,
 }
 
-/// Least clearance of the tip's balls, with its position in the tip's frame and in space.
+/// Smallest clearance of the tip's balls from the wall, with its position in the tip's frame and in space.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Clearance {
     pub(crate) mm: f64,
@@ -137,17 +142,20 @@ impl Feelers {
         made
     }
 
-    /// Return the least clearance; a value far above the limit of contact may be that of another ball.
+    /// Return the smallest clearance of the tip's balls from the wall.
+    ///
+    /// A clearance far above the limit of contact may be that of another ball, because groups are skipped.
     pub(crate) fn clearance(&self, field: &WallField, tip: &Tip, entry: &Entry) -> Clearance {
         let mut least = Clearance::none(tip);
-        // If a ball round the face and the part behind it is free, no ball of the face can touch the wall.
+        // If one ball round the face and the part behind it is free of the wall, no ball of the face can touch the
+        // wall.
         let r = self.radius_mm;
         let is_clear = entry.depth_mm(tip.at) >= 0.0
             && field.distance_mm(tip.place([0.0, 0.0, -0.5 * r])) > 1.2 * r + 1.0;
         let skipped = if is_clear { self.num_front } else { 0 };
         for group in &self.groups[skipped..] {
-            let room = self.take(&mut least, group.first, field, tip, entry);
-            if room <= group.reach_mm + GUARD_MM {
+            let clearance_mm = self.take(&mut least, group.first, field, tip, entry);
+            if clearance_mm <= group.reach_mm + GUARD_MM {
                 for n in group.first + 1..group.end {
                     self.take(&mut least, n, field, tip, entry);
                 }
@@ -156,7 +164,7 @@ impl Feelers {
         least
     }
 
-    /// Return the clearance of a ball, and update `least`; balls behind the entry do not update it.
+    /// Return the clearance of ball `n`, and update `least` unless the ball is behind the entry.
     fn take(
         &self,
         least: &mut Clearance,
@@ -178,7 +186,7 @@ impl Feelers {
         mm
     }
 
-    /// Return the least clearance of every ball, as a reference for [`Self::clearance`].
+    /// Return the smallest clearance after testing every ball, as a reference for [`Self::clearance`].
     #[cfg(test)]
     fn clearance_of_all(&self, field: &WallField, tip: &Tip, entry: &Entry) -> Clearance {
         let mut least = Clearance::none(tip);
@@ -203,7 +211,10 @@ mod tests {
         })
     }
 
-    /// Return a point of the tip's surface, `along` its outline from the face's centre to the rigid end (0 to 1).
+    /// Return a point of the tip's surface in the tip's frame.
+    ///
+    /// `along` is the position on the outline from the face's centre to the rigid end (0 to 1), `turn` the angle round
+    /// the axis.
     fn on_surface(radius: f64, along: f64, turn: f64) -> [f64; 3] {
         let edge = EDGE_MM.min(0.5 * radius);
         let (flat, round) = (radius - edge, 0.5 * core::f64::consts::PI * edge);
@@ -222,7 +233,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_balls_fill_the_tip_to_its_surface_and_nowhere_stick_out(
+        fn the_balls_cover_the_tips_surface_and_do_not_protrude(
             radius in 0.7f64..3.9,
             along in 0.0f64..1.0,
             turn in 0.0f64..6.3,
@@ -238,12 +249,12 @@ mod tests {
                 .iter()
                 .map(|f| distance(p, f.at) - f.radius)
                 .fold(f64::INFINITY, f64::min);
-            // A spike could penetrate by this distance; a ridge by half of it.
+            // A spike of the wall could penetrate by this distance, a ridge by half of it.
             prop_assert!(gap < if radius < 1.2 { 0.12 } else { 0.065 }, "{gap} at {p:?}");
         }
 
         #[test]
-        fn a_tip_that_is_rolled_is_as_deep_in_a_wall_as_before(
+        fn the_clearance_of_a_tip_does_not_depend_on_its_roll(
             radius in 0.7f64..3.9,
             lean in 0.0f64..3.2,
             roll in 0.0f64..6.3,
@@ -272,7 +283,7 @@ mod tests {
         }
 
         #[test]
-        fn leaders_find_what_all_balls_find_wherever_a_tip_touches(
+        fn the_clearance_by_leaders_equals_that_of_all_balls_near_contact(
             radius in 0.7f64..3.9,
             at in prop::array::uniform3(0.0f64..1.0),
             look in prop::array::uniform3(-1.0f64..1.0),
@@ -286,7 +297,7 @@ mod tests {
             let mut tip = Tip { at, right, down: carina_grid::cross(forward, right), forward };
             let entry = Entry { at: [0.0, 0.0, 112.0], into: [0.0, 0.0, -1.0] };
             let feelers = tip_of(radius);
-            // From a free position to contact, and some way into the wall.
+            // The tip moves from a free position to contact, and some way into the wall.
             for _ in 0..12 {
                 let all = feelers.clearance_of_all(&field, &tip, &entry);
                 let led = feelers.clearance(&field, &tip, &entry);

@@ -34,8 +34,8 @@ pub fn rotation_minimising_frames(
             let down_left = mirrored(down, step);
             let rest: [f64; 3] = std::array::from_fn(|a| tangent[a] - tangent_left[a]);
             down = mirrored(down_left, rest);
-            // Two reflections keep right angles except for rounding errors, which would accumulate over thousands of
-            // points.
+            // Two reflections preserve right angles except for rounding errors, which would accumulate over thousands
+            // of points.
             let along = dot(down, tangent);
             down = unit(std::array::from_fn(|a| down[a] - along * tangent[a]))?;
         }
@@ -66,15 +66,14 @@ mod tests {
     }
 
     #[test]
-    fn on_a_helix_the_frame_turns_against_the_normal_by_the_torsion() {
-        // A rotation-minimising frame turns by -torsion * length relative to the Frenet frame; torsion = b / (a^2 +
-        // b^2).
+    fn frames_on_a_helix_rotate_against_the_normal_by_the_torsion() {
+        // The frame turns by -torsion * length relative to the Frenet frame; torsion = b / (a^2 + b^2).
         let (a, b, length) = (10.0, 4.0, 60.0);
         let torsion = b / (a * a + b * b);
         let mut errors = Vec::new();
         for num in [31usize, 61] {
             let (points, tangents) = helix(a, b, length, num);
-            // The Frenet normal at the start points to the axis, -x; it is used as "up", so down = +x.
+            // The Frenet normal at the start points to the axis, -x; it is used as "up", so down is +x.
             let frames = rotation_minimising_frames(&points, &tangents, [-1.0, 0.0, 0.0]).unwrap();
             let last = frames.last().unwrap();
             let p = points[num - 1];
@@ -82,16 +81,18 @@ mod tests {
             let binormal = cross(tangents[num - 1], outwards.map(|v| -v));
             let down = last.column(1);
             let angle = libm::atan2(dot(down, binormal), dot(down, outwards));
-            // Frenet's normal (inwards) turns by the torsion about the tangent, so the frame lags behind it by as much.
+            // The Frenet normal (inwards) turns by the torsion about the tangent, so the frame lags behind it by this
+            // angle.
             errors.push((angle - torsion * length).abs());
         }
         assert!(errors[1] < 1e-5, "{errors:?}");
-        // Fourth order (Wang 2008, 4.2): with half the step the error is a sixteenth; 12 allows for the next order.
+        // The method has fourth order (Wang 2008, 4.2): with half the step the error is a sixteenth; 12 allows for the
+        // next order.
         assert!(errors[0] / errors[1] > 12.0, "{errors:?}");
     }
 
     #[test]
-    fn in_a_plane_the_frame_keeps_the_normal_of_the_plane() {
+    fn frames_of_a_plane_curve_contain_the_normal_of_the_plane() {
         let (points, tangents) = helix(20.0, 0.0, 90.0, 50);
         let frames = rotation_minimising_frames(&points, &tangents, [0.0, 0.0, 1.0]).unwrap();
         for frame in frames {
@@ -101,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn an_up_direction_along_the_tangent_is_refused() {
+    fn an_up_direction_along_the_tangent_gives_none() {
         let (points, tangents) = helix(20.0, 0.0, 90.0, 5);
         assert!(rotation_minimising_frames(&points, &tangents, tangents[0]).is_none());
     }

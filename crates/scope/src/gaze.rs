@@ -1,7 +1,8 @@
 use carina_grid::unit;
 
-/// Return the weights of a Gaussian around `centre`, in steps of `step`, cut at three sigma, with the offset of the
-/// first weight.
+/// Return the weights of a Gaussian round `centre`, and the offset of the first weight in steps.
+///
+/// The weights are `step` apart and end at three sigma.
 fn gaussian(centre: f64, sigma: f64, step: f64) -> (isize, Vec<f64>) {
     let first = ((centre - 3.0 * sigma) / step).floor() as isize;
     let last = ((centre + 3.0 * sigma) / step).ceil() as isize;
@@ -15,14 +16,14 @@ fn gaussian(centre: f64, sigma: f64, step: f64) -> (isize, Vec<f64>) {
     (first, weights.into_iter().map(|w| w / sum).collect())
 }
 
-/// Replace each of the evenly spaced points by a Gaussian mean of its neighbours.
+/// Return evenly spaced points with each point replaced by a Gaussian mean of its neighbours.
 ///
 /// Both ends stay fixed: beyond them the line is continued by mirroring in the end point.
 pub(crate) fn smoothed(points: &[[f64; 3]], sigma_mm: f64, step_mm: f64) -> Vec<[f64; 3]> {
     let (first, weights) = gaussian(0.0, sigma_mm, step_mm);
     let last = points.len() as isize - 1;
     let at = |n: isize| -> [f64; 3] {
-        // A point beyond an end is the mirror image, in the end point, of the point as far inside.
+        // A point beyond an end is the mirror image, in the end point, of the point at the same distance inside.
         let (end, inner) = if n < 0 {
             (0, (-n).min(last))
         } else if n > last {
@@ -47,10 +48,10 @@ pub(crate) fn smoothed(points: &[[f64; 3]], sigma_mm: f64, step_mm: f64) -> Vec<
         .collect()
 }
 
-/// Return the viewing direction at each point: the mean tangent of the part ahead, weighted by a Gaussian.
+/// Return the viewing direction at each point of a line: the mean tangent of the part ahead, weighted by a Gaussian.
 ///
-/// A view along the tangent itself shows every voxel step of a path as a wobble, and turns into a branch only when the
-/// tip is already in the branch; a person looks ahead.
+/// A view along the tangent itself would wobble with every voxel step of a path, and would turn into a branch only when
+/// the tip is already in the branch.
 pub(crate) fn gaze(
     points: &[[f64; 3]],
     ahead_mm: f64,
@@ -59,7 +60,7 @@ pub(crate) fn gaze(
 ) -> Vec<[f64; 3]> {
     let num = points.len();
     let last = num - 1;
-    // One-sided at the ends, central between.
+    // Differences are one-sided at the ends and central between them.
     let mut before = [0.0, 0.0, 1.0];
     let tangents: Vec<[f64; 3]> = (0..num)
         .map(|i| {
@@ -83,7 +84,7 @@ pub(crate) fn gaze(
                     sum[a] += w * t[a];
                 }
             }
-            // Where a path reverses, the mean vanishes; the last valid gaze is kept.
+            // Where a path reverses, the mean vanishes, so the last valid direction is used.
             if carina_grid::length(sum) > 1e-3
                 && let Some(g) = unit(sum)
             {

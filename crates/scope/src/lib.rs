@@ -1,10 +1,10 @@
-//! Bronchoscope: the motion of its tip along a path (paper 3.2, path mode), and its bending and contact with the wall.
+//! Motion of a bronchoscope along a path (paper 3.2, path mode), and its bending and contact with the airway wall.
 //!
 //! A tracked path is a polyline, often with voxel steps. [`FlightCurve`] converts it to a path for a camera: a curve
 //! that stays within a given distance of the polyline, a gaze that turns slowly, and frames that do not rotate about
 //! the gaze.
 //!
-//! [`ScopeDrive`] is the instrument itself: insertion, roll and flexion move an elastic axis in a lumen, which is a
+//! [`ScopeDrive`] simulates the instrument: insertion, roll and flexion move an elastic axis in a lumen. The lumen is a
 //! [`WallField`], the signed distance to the wall.
 
 mod axis;

@@ -1,6 +1,6 @@
-//! Nearest triangle of a mesh for one point at a time.
+//! Search for the triangle of a mesh that is nearest to a point, for one point at a time.
 //!
-//! The module is the readable reference of [`crate::nearest_packet`], which processes eight points.
+//! The module is the readable reference of [`crate::nearest_packet`], which processes eight points at a time.
 
 use std::collections::HashMap;
 
@@ -10,13 +10,13 @@ use crate::axis::{along, sub};
 
 type Point = [f64; 3];
 
-/// Number of triangles of a leaf.
+/// Largest number of triangles of a leaf of the box tree.
 const LEAF: usize = 4;
 
-/// Return the nearest point of a triangle, and the feature that contains it (Ericson, "Real-Time Collision Detection",
-/// 5.1.5).
+/// Return the nearest point of a triangle, and the feature of the triangle that contains this point.
 ///
-/// The feature is 0 to 2 for a corner, 3 to 5 for the edge from that corner (minus 3) to the next, 6 for the face.
+/// The method is from Ericson, "Real-Time Collision Detection", 5.1.5. The feature is 0 to 2 for a corner, 3 to 5 for
+/// the edge from corner (feature - 3) to the next, and 6 for the face.
 pub(crate) fn nearest_on([a, b, c]: [Point; 3], p: Point) -> (Point, usize) {
     let (ab, ac, ap) = (sub(b, a), sub(c, a), sub(p, a));
     let (d1, d2) = (dot(ab, ap), dot(ac, ap));
@@ -53,10 +53,11 @@ pub(crate) fn nearest_on([a, b, c]: [Point; 3], p: Point) -> (Point, usize) {
 pub(crate) struct Node {
     low: Point,
     high: Point,
-    /// For a leaf, the first triangle and the number of triangles.
+    /// For a leaf, the number of its first triangle; for an inner node, the index of its right child.
     ///
-    /// For an inner node, the index of the right child and 0 (the left child follows the node).
+    /// The left child of an inner node follows the node.
     pub(crate) first: u32,
+    /// Number of triangles of a leaf; 0 for an inner node.
     pub(crate) count: u32,
 }
 
@@ -66,15 +67,15 @@ impl Node {
     }
 }
 
-/// Triangles in a tree of bounding boxes.
+/// Triangles of a closed mesh in a tree of bounding boxes.
 pub(crate) struct Boxes {
     pub(crate) nodes: Vec<Node>,
     pub(crate) triangles: Vec<[Point; 3]>,
     /// Normals, out of the lumen, of each triangle's corners, edges and face (see [`nearest_on`]).
     ///
-    /// The side of the feature's normal on which a point lies is the side of the wall, whichever of several equally
-    /// near triangles was found (Baerentzen and Aanaes, "Signed distance computation using the angle weighted
-    /// pseudonormal", 2005). Using the triangle that faces the point most gives the wrong side at some corners.
+    /// The sign of the distance follows from the normal of the nearest feature, whichever of several equally near
+    /// triangles was found (Baerentzen and Aanaes, "Signed distance computation using the angle weighted pseudonormal",
+    /// 2005). The normal of the triangle that faces the point most would give the wrong sign at some corners.
     normals: Vec<[Point; 7]>,
 }
 
@@ -131,15 +132,15 @@ impl Boxes {
         Self::split(nodes, vertices, all, middle..range.end);
     }
 
-    /// Return whether a point with this nearest triangle is in the lumen, or on the wall.
+    /// Return whether a point, whose nearest triangle is `triangle`, is in the lumen or on the wall.
     pub(crate) fn is_inside(&self, p: Point, triangle: usize) -> bool {
         let (foot, part) = nearest_on(self.triangles[triangle], p);
         dot(sub(p, foot), self.normals[triangle][part]) <= 0.0
     }
 
-    /// Return the signed distance, positive inside, and the nearest triangle.
+    /// Return the signed distance from a point to the mesh in mm, positive inside, and the nearest triangle.
     ///
-    /// `hint` is a triangle that may be near.
+    /// `hint` is the number of a triangle that may be near.
     pub(crate) fn signed(&self, p: Point, hint: usize) -> (f64, usize) {
         let measure = |t: usize| {
             let away = sub(p, nearest_on(self.triangles[t], p).0);
@@ -186,7 +187,7 @@ impl Boxes {
     }
 }
 
-/// Compute the normals of corners and edges.
+/// Compute the normals of the corners, edges and face of each triangle.
 ///
 /// The normal of a corner is the sum of its faces' normals weighted by angle, that of an edge the sum of those of its
 /// two faces.
@@ -236,7 +237,7 @@ fn squared_box_distance(node: &Node, p: Point) -> f64 {
 pub(crate) mod tests {
     use super::*;
 
-    /// Return a cube of 10 mm round the origin.
+    /// Return the vertices and triangles of a cube of 10 mm round the origin.
     pub(crate) fn cube() -> (Vec<Point>, Vec<[u32; 3]>) {
         let vertices = (0..8usize)
             .map(|c| std::array::from_fn(|a| if c >> a & 1 == 1 { 5.0 } else { -5.0 }))
@@ -256,7 +257,7 @@ pub(crate) mod tests {
         (vertices, triangles)
     }
 
-    /// Return a closed surface of `rows` rings of `round` points between two ends, the upper one first.
+    /// Return the mesh of a closed surface of `rows` rings of `round` points between two ends, the upper one first.
     pub(crate) fn of_rings(
         [top, bottom]: [Point; 2],
         [rows, round]: [usize; 2],
@@ -280,7 +281,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn the_distance_of_a_cube_has_its_sign_beside_faces_edges_and_corners() {
+    fn the_distance_to_a_cube_has_the_right_sign_beside_faces_edges_and_corners() {
         let (vertices, triangles) = cube();
         let boxes = Boxes::new(&vertices, &triangles);
         let truth = |p: Point| {

@@ -1,7 +1,8 @@
-//! Signed distances of eight points at once: one traversal of the tree of boxes, triangles measured in lanes.
+//! Signed distances of eight points at once: one traversal of the tree of boxes, with a lane for each point.
 //!
-//! [`Boxes::signed`] is the readable form; a property test compares the two. Lanes are plain arrays that the compiler
-//! translates to registers. No operation is fused or approximated, so every instruction set gives the same bits.
+//! [`Boxes::signed`] is the readable form, with which a property test compares the results. Lanes are plain arrays that
+//! the compiler translates to registers. No operation is fused or approximated, so every instruction set gives the same
+//! bits.
 #![allow(
     clippy::inline_always,
     reason = "operations of lanes must become registers in the function that has them enabled"
@@ -18,20 +19,20 @@ use crate::nearest::Boxes;
 type Point = [f64; 3];
 type Lanes = [f32; LANES];
 
-/// Margin of the boxes, which are stored in f32 relative to the mesh's middle; rounding errors are smaller.
+/// Margin of the boxes in mm, larger than the rounding errors of their f32 coordinates relative to the mesh's middle.
 const BOX_MM: f32 = 1e-4;
 
-/// Triangle in the form that the lanes need.
+/// Triangle with the precomputed vectors that the distance computation needs.
 struct Face {
     corner: Point,
-    /// Edges from corner to corner, in order.
+    /// Edges of the triangle from corner to corner, in order.
     edges: [[f32; 3]; 3],
-    /// Directions in the triangle's plane that point outwards across each edge.
+    /// Vectors in the triangle's plane that point outwards across each edge.
     outwards: [[f32; 3]; 3],
-    /// 1 / length^2 of the edges; 0 for an edge without length.
+    /// 1 / length^2 of each edge; 0 for an edge without length.
     inverse: [f32; 3],
     normal: [f32; 3],
-    /// 1 for a triangle without area, for which only the edges count.
+    /// 1 for a triangle without area, for which only the edges count; otherwise 0.
     flat: f32,
 }
 
@@ -60,21 +61,21 @@ impl Face {
     }
 }
 
-/// Mesh prepared for queries of packets of points.
+/// Mesh that is prepared for queries of eight points at a time.
 pub(crate) struct Packets<'a> {
     boxes: &'a Boxes,
     middle: Point,
-    /// Low and high corners of the nodes' boxes, relative to the middle.
+    /// Low and high corners of the tree nodes' boxes, relative to the mesh's middle, mm.
     spans: Vec<[[f32; 3]; 2]>,
     faces: Vec<Face>,
     simd: InstructionSet,
 }
 
-/// Packet of eight points that are near each other.
+/// Eight points that are near each other.
 pub(crate) struct Together {
-    /// Origin of the points' coordinates.
+    /// Origin of the points' coordinates, LPS mm.
     pub(crate) origin: Point,
-    /// x, y and z of the points, mm from the origin.
+    /// x, y and z coordinates of the points, mm from the origin.
     pub(crate) at: [Lanes; 3],
 }
 
@@ -102,9 +103,9 @@ impl<'a> Packets<'a> {
         }
     }
 
-    /// Return signed distances in mm, positive inside, and the nearest triangles.
+    /// Return the signed distances of eight points from the mesh in mm, positive inside, and their nearest triangles.
     ///
-    /// `hint` is a triangle that may be near.
+    /// `hint` is the number of a triangle that may be near.
     pub(crate) fn signed(&self, points: &Together, hint: u32) -> Found {
         let (mut signed_mm, triangles) = self.nearest(points, hint);
         for n in 0..LANES {
@@ -159,8 +160,8 @@ impl<'a> Packets<'a> {
             at[1].plus(E::all(shift[1])),
             at[2].plus(E::all(shift[2])),
         ];
-        // A box is visited only if it may contain a triangle nearer to some lane; eight near points together visit
-        // little more than one of them alone.
+        // A box is visited only if it may contain a nearer triangle for some lane. Eight near points together visit
+        // hardly more boxes than one of these points alone.
         let mut bound = nearest.bound();
         let mut stack = [(E::all(0.0), 0u32); 64];
         let mut depth = 1;
@@ -242,15 +243,15 @@ fn squared_to_edge<E: Eight>(from: [E; 3], edge: [f32; 3], inverse: f32) -> E {
     x.times(x).plus(y.times(y)).plus(z.times(z))
 }
 
-/// Nearest triangle so far, for each lane.
+/// Nearest triangle found so far, for each lane.
 struct Nearest<E> {
     distance: E,
-    /// Number of the triangle, stored as the bits of an f32.
+    /// Number of the nearest triangle, stored as the bits of an f32.
     which: E,
 }
 
 impl<E: Eight> Nearest<E> {
-    /// Measure the distance of a triangle from every lane.
+    /// Measure the distance from every lane's point to a triangle, and store the triangle where it is nearer.
     #[inline(always)]
     fn meet(&mut self, face: &Face, number: u32, origin: Point, at: [E; 3]) {
         let corner = [
@@ -276,7 +277,7 @@ impl<E: Eight> Nearest<E> {
         self.distance = self.distance.lesser(distance);
     }
 
-    /// Return the squared distance beyond which no triangle changes a lane.
+    /// Return the squared distance, over all lanes, beyond which no triangle changes the result.
     #[inline(always)]
     fn bound(&self) -> E {
         let far = self.distance.plus(E::all(BOX_MM));
@@ -284,7 +285,7 @@ impl<E: Eight> Nearest<E> {
     }
 }
 
-/// Results for each of eight points.
+/// Signed distances and nearest triangles of eight points.
 pub(crate) struct Found {
     pub(crate) signed_mm: Lanes,
     pub(crate) triangles: [u32; LANES],
@@ -296,10 +297,13 @@ mod tests {
     use crate::nearest::tests::{cube, of_rings};
     use proptest::prelude::*;
 
-    /// Return a closed surface round the origin with folds and dents: a sphere of latitudes whose corners have random
-    /// radii.
+    /// Return the mesh of a closed surface round the origin with folds and dents.
+    ///
+    /// The surface is a sphere of latitudes whose corners have the distances `radii` from the origin.
     fn dented(radii: &[f64]) -> (Vec<Point>, Vec<[u32; 3]>) {
+        /// Number of rings of vertices of the mesh.
         const ROWS: usize = 7;
+        /// Number of vertices of each ring of the mesh.
         const ROUND: usize = 9;
         let ends = [[0.0, 0.0, 4.0], [0.0, 0.0, -4.0]];
         of_rings(ends, [ROWS, ROUND], |row, n| {
@@ -334,7 +338,7 @@ mod tests {
             for n in 0..LANES {
                 let p = std::array::from_fn(|a| points.origin[a] + f64::from(points.at[a][n]));
                 let (truth, _) = boxes.signed(p, 0);
-                // Tolerance: rounding to f32 of coordinates within some 10 mm.
+                // The tolerance allows for the rounding to f32 of coordinates within some 10 mm.
                 let one = f64::from(found.signed_mm[n]);
                 assert!((one - truth).abs() < 2e-5, "{one} {truth} at {p:?}");
                 let triangle = boxes.triangles[found.triangles[n] as usize];
@@ -346,8 +350,9 @@ mod tests {
         assert!(bits.windows(2).all(|w| w[0] == w[1]));
     }
 
-    /// Return the winding number of the surface round a point, by solid angles (van Oosterom and Strackee 1983): 1
-    /// inside, 0 outside.
+    /// Return the winding number of a surface round a point: 1 inside, 0 outside.
+    ///
+    /// The method uses solid angles (van Oosterom and Strackee 1983).
     fn winding(vertices: &[Point], triangles: &[[u32; 3]], p: Point) -> f64 {
         let angles = triangles.iter().map(|t| {
             let [a, b, c] = t.map(|v| sub(vertices[v as usize], p));
@@ -360,7 +365,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_side_of_the_wall_is_right_at_every_corner_and_fold(
+        fn distances_have_the_right_sign_at_every_corner_and_fold(
             radii in prop::collection::vec(2.0..6.0f64, 40..63),
             place in prop::array::uniform3(-6.0..6.0f64),
         ) {
@@ -372,7 +377,7 @@ mod tests {
         }
 
         #[test]
-        fn a_packet_measures_what_single_points_do(
+        fn distances_of_a_packet_equal_those_of_single_points(
             radii in prop::collection::vec(2.0..6.0f64, 40..63),
             place in prop::array::uniform3(-6.0..6.0f64),
             spread in 0.0..1.0f32,
@@ -384,7 +389,7 @@ mod tests {
         }
 
         #[test]
-        fn beside_faces_edges_and_corners_of_a_cube_packets_have_the_right_side(
+        fn packets_beside_faces_edges_and_corners_of_a_cube_have_the_right_sign(
             place in prop::array::uniform3(-8i32..8),
             seed in 0u32..1_000_000,
         ) {
@@ -394,12 +399,12 @@ mod tests {
     }
 
     #[test]
-    fn triangles_without_area_or_length_hide_nothing() {
+    fn triangles_without_area_or_length_do_not_change_distances() {
         let (mut vertices, mut triangles) = cube();
         vertices.push([0.0, 0.0, 5.0]);
         triangles.extend([[8, 8, 8], [0, 0, 1], [8, 1, 8]]);
-        // The last two triangles are on the surface or inside: only their edges are near, and they do not determine a
-        // side.
+        // The last two triangles have no area and are on the surface or inside it: only their edges are near, and they
+        // do not determine a sign.
         for seed in 0..50 {
             check(
                 &vertices,

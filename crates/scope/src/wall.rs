@@ -1,4 +1,4 @@
-//! Wall of the lumen as a signed distance field: distance of a point from the wall, and direction away from the wall.
+//! Wall of the lumen as a signed distance field, which gives the distance from the wall and the direction away from it.
 //!
 //! Distances are samples on a lattice and are interpolated trilinearly. Only bricks of the lattice near the wall are
 //! stored, because a trachea and its branches fill a small part of a large box.
@@ -9,31 +9,34 @@ use crate::ScopeError;
 
 /// Number of cells of a brick on each axis; a brick stores one more sample, so that a cell never needs two bricks.
 pub(crate) const CELLS: usize = 8;
+/// Number of samples of a brick on each axis.
 const SIDE: usize = CELLS + 1;
+/// Number of samples of a brick.
 pub(crate) const SAMPLES: usize = SIDE * SIDE * SIDE;
-/// Size of the matrix and of the shape in the serialised bytes of a field.
+/// Number of bytes of the transform and of the shape at the start of a serialised field.
 const HEAD_BYTES: usize = 8 * 15;
-/// Largest distance outside the lumen that is stored; beyond, the stored value means "farther".
+/// Largest distance outside the lumen that is stored, mm; it also stands for larger distances.
 pub(crate) const OUTSIDE_MM: f64 = 2.5;
-/// Largest distance inside the lumen that is stored; beyond, the stored value means "farther".
-///
-/// No scope has such a radius.
+/// Largest distance inside the lumen that is stored, mm, more than any scope's radius; it also stands for larger
+/// distances.
 pub(crate) const INSIDE_MM: f64 = 4.5;
+/// Entry of a brick that is far outside the lumen.
 const FAR_OUTSIDE: u32 = u32::MAX;
+/// Entry of a brick that is inside the lumen and far from the wall.
 const FAR_INSIDE: u32 = u32::MAX - 1;
 
-/// Contents of a brick.
+/// Contents of a brick of the lattice.
 pub(crate) enum Brick {
-    /// All samples are farther than [`OUTSIDE_MM`] outside the lumen.
+    /// The brick is outside the lumen; all samples are farther than [`OUTSIDE_MM`] from the wall.
     Outside,
-    /// All samples are inside and farther than [`INSIDE_MM`] from the wall.
+    /// The brick is inside the lumen; all samples are farther than [`INSIDE_MM`] from the wall.
     Inside,
-    /// Samples, x fastest.
+    /// The brick is near the wall; the samples are stored, x fastest.
     Near(Vec<f32>),
 }
 
 impl Brick {
-    /// Create a brick from its samples.
+    /// Create a brick from its samples, which are stored only if the brick is near the wall.
     pub(crate) fn of(samples: Vec<f32>) -> Self {
         if samples.iter().all(|&d| f64::from(d) <= -OUTSIDE_MM) {
             Self::Outside
@@ -45,22 +48,22 @@ impl Brick {
     }
 }
 
-/// Signed distance to the wall in mm, positive in the lumen.
+/// Signed distance field of a lumen's wall, in mm, positive in the lumen.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WallField {
     lattice_from_lps: Affine,
     lps_from_lattice: Affine,
-    /// Number of samples along i, j, k.
+    /// Number of samples of the lattice along i, j, k.
     shape_ijk: [usize; 3],
     num_bricks: [usize; 3],
     brick_at: Vec<u32>,
     samples: Vec<f32>,
-    /// Half of the smallest sample spacing: the step of the finite differences.
+    /// Step of the finite differences in mm: half of the smallest sample spacing.
     step_mm: f64,
 }
 
 impl WallField {
-    /// Create a field from signed distances on a grid, positive in the lumen, `[z, y, x]`, x fastest.
+    /// Create a field from signed distances on a grid, positive in the lumen, `[z, y, x]` with x fastest.
     ///
     /// # Errors
     ///
@@ -98,7 +101,7 @@ impl WallField {
         })
     }
 
-    /// Create a field of bricks; `make` returns each brick from the lattice position of its first sample.
+    /// Create a field of bricks; `brick` returns each brick from the lattice position of its first sample.
     pub(crate) fn build(
         shape_ijk: [usize; 3],
         lps_from_lattice: Affine,
@@ -146,19 +149,19 @@ impl WallField {
         })
     }
 
-    /// Return the transform of the lattice to patient space.
+    /// Return the transform from the lattice of samples to patient space.
     #[must_use]
     pub const fn lps_from_lattice(&self) -> &Affine {
         &self.lps_from_lattice
     }
 
-    /// Return the memory of the samples in bytes.
+    /// Return the memory of the stored samples in bytes.
     #[must_use]
     pub const fn num_bytes(&self) -> usize {
         self.samples.len() * size_of::<f32>()
     }
 
-    /// Call `take` with all data of the field as successive bytes; equal fields give equal bytes.
+    /// Call `take` with the serialised field as successive parts; equal fields give equal bytes.
     pub fn for_each_part(&self, mut take: impl FnMut(&[u8])) {
         for row in self.lps_from_lattice.rows() {
             for v in row {
@@ -182,7 +185,7 @@ impl WallField {
         }
     }
 
-    /// Decode the joined bytes of [`WallField::for_each_part`].
+    /// Decode a field from the joined parts of [`WallField::for_each_part`].
     ///
     /// # Errors
     ///
@@ -247,7 +250,7 @@ impl WallField {
         })
     }
 
-    /// Return the distance to the wall, positive in the lumen.
+    /// Return the distance from a point to the wall in mm, positive in the lumen.
     ///
     /// The distance is limited to -2.5 mm outside (also beyond the lattice, and for a NaN) and to 4.5 mm inside.
     #[must_use]
@@ -281,7 +284,8 @@ impl WallField {
         mix(plane(0), plane(SIDE * SIDE), share[2])
     }
 
-    /// Return the unit direction in which the distance increases; `None` if it is constant in all directions.
+    /// Return the unit direction (LPS) in which the distance to the wall increases; `None` where the distance is
+    /// constant.
     #[must_use]
     pub fn away_from_wall(&self, p_lps: [f64; 3]) -> Option<[f64; 3]> {
         let h = self.step_mm;
@@ -304,7 +308,7 @@ mod tests {
     use super::*;
     use carina_grid::length;
 
-    /// Return a tube along z, on anisotropic samples rotated by 30 degrees.
+    /// Return the wall field of a tube along z, on anisotropic samples rotated by 30 degrees.
     fn tube(radius: f64) -> WallField {
         let (s, c) = (0.5, libm::sqrt(0.75));
         let lps = Affine::from_columns(
@@ -324,12 +328,12 @@ mod tests {
     }
 
     #[test]
-    fn the_distance_in_a_tube_is_its_radius_less_that_from_its_axis() {
+    fn the_distance_in_a_tube_is_its_radius_minus_the_distance_from_its_axis() {
         let field = tube(4.0);
         for (x, y) in [(1.5, 0.3), (-2.0, 1.9), (3.2, -2.0), (3.5, 3.0)] {
             let truth = 4.0 - libm::hypot(x, y);
             let found = field.distance_mm([x, y, 1.3]);
-            // h^2 / (8 r) for samples 0.6 mm apart and a radius of curvature of 1.5 mm.
+            // The tolerance is h^2 / (8 r) for samples 0.6 mm apart and a radius of curvature of 1.5 mm.
             assert!((found - truth).abs() < 0.03, "{found} {truth}");
             let away = field.away_from_wall([x, y, 1.3]).unwrap();
             let inwards = [-x, -y, 0.0].map(|v| v / libm::hypot(x, y));
@@ -338,7 +342,7 @@ mod tests {
     }
 
     #[test]
-    fn outside_the_lattice_and_at_no_number_it_is_outside_the_lumen() {
+    fn points_outside_the_lattice_and_nan_are_outside_the_lumen() {
         let field = tube(4.0);
         assert_eq!(field.distance_mm([0.0, 0.0, 900.0]), -OUTSIDE_MM);
         assert_eq!(field.distance_mm([f64::NAN, 0.0, 0.0]), -OUTSIDE_MM);
@@ -346,7 +350,7 @@ mod tests {
     }
 
     #[test]
-    fn distances_that_are_no_numbers_or_too_few_are_refused() {
+    fn nan_distances_and_a_wrong_number_of_distances_are_rejected() {
         assert!(WallField::from_distances(&[1.0; 7], [2, 2, 2], &Affine::IDENTITY).is_err());
         assert!(WallField::from_distances(&[f32::NAN; 8], [2, 2, 2], &Affine::IDENTITY).is_err());
         assert!(WallField::from_distances(&[-9.0; 8], [2, 2, 2], &Affine::IDENTITY).is_err());
@@ -359,18 +363,18 @@ mod tests {
     }
 
     #[test]
-    fn the_bytes_of_a_field_give_the_same_field() {
+    fn a_field_decoded_from_its_bytes_equals_the_field() {
         let field = tube(4.0);
         assert_eq!(WallField::from_bytes(&bytes_of(&field)), Ok(field));
     }
 
     #[test]
-    fn damaged_bytes_of_a_field_are_refused() {
+    fn damaged_bytes_of_a_field_are_rejected() {
         let good = bytes_of(&tube(4.0));
         for short in [0, 8, HEAD_BYTES, HEAD_BYTES + 3, good.len() - 1] {
             assert!(WallField::from_bytes(&good[..short]).is_err(), "{short}");
         }
-        // Damaged are a row of the matrix, a size of the lattice, the number of a brick, and a sample.
+        // The damaged parts are a row of the matrix, a size of the lattice, the number of a brick, and a sample.
         for (at, bytes) in [
             (0, f64::NAN.to_le_bytes()),
             (0, 0.0f64.to_le_bytes()),

@@ -14,10 +14,10 @@ use crate::wall::{Brick, CELLS, INSIDE_MM, OUTSIDE_MM, SAMPLES, WallField, clamp
 type Point = [f64; 3];
 
 impl WallField {
-    /// Compute a field from a closed mesh whose triangles are counterclockwise from outside, on samples `spacing_mm`
-    /// apart.
+    /// Compute the wall field of a closed mesh, on samples `spacing_mm` apart.
     ///
-    /// `go_on` receives the completed share and returns false to stop the computation.
+    /// The triangles must be counterclockwise as seen from outside. `go_on` receives the completed share and returns
+    /// false to stop the computation.
     ///
     /// # Errors
     ///
@@ -111,7 +111,8 @@ impl WallField {
                     for z in 0..=CELLS {
                         for y in 0..=CELLS {
                             let there = |x: usize| [first[0] + x, first[1] + y, first[2] + z];
-                            // The samples that the brick owns are contiguous; the others come from its neighbours.
+                            // The samples that the brick owns are contiguous; the other samples come from its
+                            // neighbours.
                             let own_row = if y < CELLS && z < CELLS {
                                 let row = (z * CELLS + y) * CELLS;
                                 &own[row..row + CELLS]
@@ -129,23 +130,23 @@ impl WallField {
     }
 }
 
-/// Samples that a brick owns, x fastest: all but those on its far faces, which are the first ones of its neighbours.
+/// Samples that a brick owns, x fastest: all but those on its far faces, which its neighbours own.
 type Owned = Vec<f32>;
 
-/// Share of the work that determines the kinds of bricks.
+/// Share of the work (0 to 1) that determines the kinds of the bricks.
 const CLASSED: f64 = 0.1;
 
-/// Number of packets of the samples that a brick owns.
+/// Number of packets of eight samples that a brick owns.
 const NUM_PACKETS: usize = (CELLS / 2) * (CELLS / 2) * (CELLS / 2);
 
-/// Progress counter and stop function of the computation.
+/// Progress counter of the computation, with the function that may stop it.
 struct Steps<'a, F> {
     done: AtomicUsize,
     go_on: &'a F,
 }
 
 impl<F: Fn(f64) -> bool + Sync> Steps<'_, F> {
-    /// Count a finished brick of `num` bricks; return false if the computation must stop.
+    /// Count a finished brick, of `num` bricks; return false if the computation must stop.
     fn go_on(&self, num: usize) -> bool {
         let done = self.done.fetch_add(1, Ordering::Relaxed) + 1;
         (self.go_on)(CLASSED + (1.0 - CLASSED) * done as f64 / num as f64)
@@ -156,7 +157,7 @@ impl<F: Fn(f64) -> bool + Sync> Steps<'_, F> {
 enum Kind {
     Outside,
     Inside,
-    /// With the triangle nearest to the brick's middle, at which its search starts in any thread.
+    /// Brick near the wall, with the triangle nearest to the brick's middle, at which every search in the brick starts.
     Near(usize),
 }
 
@@ -170,10 +171,10 @@ const fn index_of(at: [usize; 3], num: [usize; 3]) -> usize {
     (at[2] * num[1] + at[1]) * num[0] + at[0]
 }
 
-/// Return the kind of each brick.
+/// Return for each brick whether it is near the wall, outside the lumen or inside.
 ///
-/// Bricks near a triangle's box are `Near`, and bricks that are connected with the faces of the lattice are `Outside`.
-/// For the other bricks the signed distance from the brick's centre to the wall determines the kind.
+/// Bricks near a triangle's box are `Near`. Other bricks that are connected with the faces of the lattice are
+/// `Outside`. For the remaining bricks the signed distance from the brick's centre to the wall determines the kind.
 fn brick_kinds<F: Fn(f64) -> bool + Sync>(
     boxes: &Boxes,
     lps: &Affine,
@@ -220,13 +221,13 @@ fn brick_kinds<F: Fn(f64) -> bool + Sync>(
     Ok(made.concat())
 }
 
-/// Return the position of a lane in its packet.
+/// Return the position (0 or 1 on each axis) of a lane in its packet of 2 x 2 x 2 samples.
 #[inline]
 const fn bits(lane: usize) -> [usize; 3] {
     [lane & 1, lane >> 1 & 1, lane >> 2 & 1]
 }
 
-/// Return the offsets of a packet's samples from its first one: two on each axis, `apart_mm` apart.
+/// Return the offsets of a packet's samples from its first sample: two on each axis, `apart_mm` apart.
 ///
 /// The lattice is parallel to the LPS axes.
 fn two_on_each_axis(apart_mm: f32) -> [[f32; LANES]; 3] {
@@ -239,12 +240,12 @@ fn two_on_each_axis(apart_mm: f32) -> [[f32; LANES]; 3] {
     at
 }
 
-/// Return the signed distances of the samples that a brick owns, each to the nearest of all triangles.
+/// Return the signed distances from the samples that a brick owns to the mesh.
 fn own_samples(packets: &Packets<'_>, lps: &Affine, first: [usize; 3], hint: usize) -> Owned {
     let mut found = vec![0.0; CELLS * CELLS * CELLS];
     let spacing = carina_grid::length(lps.column(0)) as f32;
     let apart = two_on_each_axis(spacing);
-    // Distance from any sample of a packet to any sample of the next packet.
+    // The largest distance from any sample of a packet to any sample of the next packet.
     let reach = libm::sqrtf(9.0 + 1.0 + 1.0) * spacing;
     let mut hint = hint as u32;
     let mut before = 0.0f32;
@@ -253,8 +254,8 @@ fn own_samples(packets: &Packets<'_>, lps: &Affine, first: [usize; 3], hint: usi
         let place = index_of(at, [CELLS; 3]);
         if at[0] > 0 && (before > INSIDE_MM as f32 + reach || before < -(OUTSIDE_MM as f32 + reach))
         {
-            // The previous packet is so far from the wall that the values of this packet are clamped, too; no query is
-            // needed.
+            // The previous packet is so far from the wall that the values of this packet are at the limit as well; no
+            // query is needed.
             for lane in 0..LANES {
                 found[place + index_of(bits(lane), [CELLS; 3])] = clamped(before);
             }
@@ -278,12 +279,13 @@ fn own_samples(packets: &Packets<'_>, lps: &Affine, first: [usize; 3], hint: usi
     found
 }
 
-/// Marker for no near triangle.
+/// Number that stands for no triangle.
 const NONE: u32 = u32::MAX;
 
 /// Return, for each brick, a triangle whose box is within [`OUTSIDE_MM`] of the brick.
 ///
-/// The result is [`NONE`] if there is none: then the whole brick is inside, or farther outside.
+/// The result is [`NONE`] for a brick without such a triangle: the whole brick is then inside the lumen, or farther
+/// outside.
 fn triangles_near(boxes: &Boxes, low: Point, brick_mm: f64, num: [usize; 3]) -> Vec<u32> {
     let mut near = vec![NONE; num.iter().product()];
     for (t, corners) in boxes.triangles.iter().enumerate() {
@@ -307,7 +309,7 @@ fn triangles_near(boxes: &Boxes, low: Point, brick_mm: f64, num: [usize; 3]) -> 
     near
 }
 
-/// Return the bricks that can be reached from the faces of the lattice without passing a brick near a triangle.
+/// Return for each brick whether a path of bricks without near triangles connects it with a face of the lattice.
 fn reached_from_outside(near: &[u32], num: [usize; 3]) -> Vec<bool> {
     let mut reached = vec![false; near.len()];
     let mut open = Vec::new();
@@ -343,7 +345,7 @@ mod tests {
     use crate::nearest::tests::{cube, of_rings};
 
     #[test]
-    fn the_field_of_a_mesh_is_its_distance_within_what_interpolation_leaves() {
+    fn the_field_of_a_mesh_equals_its_distance_within_the_interpolation_error() {
         let (vertices, triangles) = cube();
         let field = WallField::from_mesh(&vertices, &triangles, 0.5, &|_| true).unwrap();
         for (p, truth) in [
@@ -351,14 +353,15 @@ mod tests {
             ([0.0, -6.0, 1.0], -1.0),
             ([0.0, 0.0, 0.0], INSIDE_MM),
         ] {
-            // The ridge in the middle is the only position where the distance is not linear between samples.
+            // The tolerance is large because of the ridge in the middle, the only position where the distance is not
+            // linear between samples.
             assert!((field.distance_mm(p) - truth).abs() < 0.26, "{p:?}");
         }
         assert_eq!(field.distance_mm([40.0, 0.0, 0.0]), -OUTSIDE_MM);
     }
 
     #[test]
-    fn a_broken_mesh_is_refused_and_work_can_be_stopped() {
+    fn an_invalid_mesh_is_rejected_and_the_computation_can_be_stopped() {
         let (vertices, triangles) = cube();
         assert!(WallField::from_mesh(&vertices, &[], 0.5, &|_| true).is_err());
         assert!(WallField::from_mesh(&vertices, &[[0, 1, 99]], 0.5, &|_| true).is_err());
@@ -367,9 +370,11 @@ mod tests {
         assert_eq!(stopped.unwrap_err(), ScopeError::Cancelled);
     }
 
-    /// Return a sphere of 7 mm with a tube attached, in triangles of some mm.
+    /// Return the mesh of a sphere of 7 mm radius with a tube attached, in triangles of some mm.
     fn bulb() -> (Vec<Point>, Vec<[u32; 3]>) {
+        /// Number of rings of vertices of the mesh.
         const ROWS: usize = 40;
+        /// Number of vertices of each ring of the mesh.
         const ROUND: usize = 24;
         let ends = [[0.0, 0.0, 7.0], [0.3, -0.2, -21.0]];
         of_rings(ends, [ROWS - 1, ROUND], |row, n| {
@@ -381,7 +386,7 @@ mod tests {
     }
 
     #[test]
-    fn every_sample_of_a_field_is_what_the_readable_search_gives_also_on_the_faces_of_bricks() {
+    fn every_sample_of_a_field_equals_the_reference_search_also_on_faces_of_bricks() {
         let (vertices, triangles) = bulb();
         let spacing = 0.37;
         let field = WallField::from_mesh(&vertices, &triangles, spacing, &|_| true).unwrap();
@@ -395,7 +400,8 @@ mod tests {
                     let (truth, _) = boxes.signed(p, 0);
                     let wanted = truth.clamp(-OUTSIDE_MM, INSIDE_MM);
                     num_in_band += u32::from(wanted == truth);
-                    // Tolerance: rounding to f32, and interpolation at a position that rounding moves slightly off a sample.
+                    // The tolerance allows for rounding to f32, and for interpolation at a position that rounding moves
+                    // slightly off a sample.
                     let found = field.distance_mm(p);
                     assert!((found - wanted).abs() < 5e-5, "{found} {wanted} at {p:?}");
                 }

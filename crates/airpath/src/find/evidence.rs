@@ -1,10 +1,11 @@
-//! Path from a position in the lung to the lumen along which the CT shows the most wall (docs/decisions/0119).
+//! Search for the path from a position in the lung to the lumen along which the CT shows the most airway wall
+//! (docs/decisions/0119).
 //!
-//! The measure of wall is that of the extension ([`crate::find::tubeness`]): the rise of the values on all but a fifth
-//! of the rays from a voxel, called the enclosure. The cost of a step is low where the enclosure is high, or where the
-//! values are as dark as the air of a wide airway, which rays of 3 mm do not cross; it is high in plain lung and higher
-//! towards tissue. The enclosure of a voxel does not depend on the start of a search, so it is cached: a moving pointer
-//! needs mostly the same voxels again.
+//! The measure of wall is the enclosure of a voxel ([`crate::find::tubeness`]), which the extension of the lumen uses
+//! as well: the rise of the values on all but a fifth of the rays from the voxel. The cost of a step is low where the
+//! enclosure is high, and where the values are as dark as the air of a wide airway, which rays of 3 mm do not cross.
+//! The cost is high in plain lung and higher towards tissue. The enclosure of a voxel does not depend on the start of a
+//! search, so it is cached: while the pointer moves, successive searches visit mostly the same voxels.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -16,35 +17,39 @@ use rayon::prelude::*;
 use crate::find::tubeness::{Enclosure, REACH_MM, smoothed};
 use carina_leastcost::{TrackError, Watch};
 
-/// Levels that determine the cost of a step, in the volume's numbers.
+/// Value levels of a CT that determine the cost of a step of a path, in the volume's numbers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WayLevels {
-    /// Rise to the wall that most lung does not reach; the cost is lowest at twice this rise.
+    /// Rise of the values to a wall that most lung voxels do not reach; the cost is lowest at twice this rise.
     pub enclosed: f64,
-    /// Largest value that counts as the air of a wide airway.
+    /// Largest value of the air in a wide airway.
     pub dark: f64,
-    /// Value above which brightness increases the cost.
+    /// Value above which the cost of a step increases with the brightness.
     pub bright: f64,
-    /// Value above which no path passes.
+    /// Largest value of a voxel that a path may enter.
     pub closed: f64,
 }
 
-/// Weight of a voxel without any wall round it, relative to the middle of an airway.
+/// Weight of a voxel without any wall round it; the middle of an airway has the weight 1.
 const PLAIN: f64 = 25.0;
+/// Largest weight of a voxel that is as dark as the air of a wide airway, even if the rays meet no wall.
 const DARK: f64 = 1.5;
 /// Additional weight of a voxel that is about as bright as tissue.
 const BRIGHT: f64 = 6.0;
-/// Number of voxels that are searched for an airway before the search heads straight for the lumen.
+/// Number of voxels after which a search that has met no lumen heads straight for a given position in the lumen.
 const PATIENCE: usize = 25_000;
-/// Number of voxels after which a search stops, because tissue lies between.
+/// Number of voxels after which a search stops without a result, because tissue separates its start from the lumen.
 const MOST_VOXELS: usize = 300_000;
-/// Edge length of a page, in voxels.
-const PAGE: usize = 8;
-const PAGE_VOXELS: usize = PAGE * PAGE * PAGE;
+/// Edge length of a block of the cache, in voxels.
+const BLOCK: usize = 8;
+/// Number of voxels of a block of the cache.
+const BLOCK_VOXELS: usize = BLOCK * BLOCK * BLOCK;
+/// Mark of a voxel whose enclosure has not been computed.
 const UNKNOWN: i16 = i16::MIN;
+/// Mark of the voxel at which a search starts: no step leads to it.
 const NO_STEP: u8 = 255;
 
-/// Volume without its finest noise, and the cached enclosures of its voxels.
+/// Volume without its finest noise, with a cache of the enclosures of its voxels.
 #[derive(Debug)]
 pub struct Enclosures {
     grid: Grid,
@@ -53,17 +58,17 @@ pub struct Enclosures {
     search: Mutex<Search>,
 }
 
-/// Path from the lumen to a position.
+/// Least-cost path from the lumen to a position in the lung.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SeenWay {
     /// Voxels of the path; the first is in the lumen.
     pub voxels: Vec<[usize; 3]>,
-    /// Sum of length in mm times weight.
+    /// Sum over the steps of the path: length in mm times weight.
     pub cost: f64,
 }
 
 impl Enclosures {
-    /// Prepare a volume.
+    /// Create the smoothed copy of a volume and an empty cache of enclosures.
     #[must_use]
     pub fn new(values: VolumeView<'_, i16>) -> Self {
         let grid = values.grid().clone();
@@ -87,13 +92,13 @@ impl Enclosures {
         VolumeView::new(&self.smooth, &self.grid).expect("made on this grid")
     }
 
-    /// Return the trilinear value without the finest noise; outside the volume the nearest edge value is used.
+    /// Return the trilinear value of the smoothed volume at a position; outside the volume, the nearest edge value.
     #[must_use]
     pub fn value_at(&self, ijk: [f64; 3]) -> f32 {
         carina_leastcost::lumen::interpolated(self.smooth(), ijk)
     }
 
-    /// Return the enclosure of a voxel: the rise of the values on all but a fifth of the rays.
+    /// Return the enclosure of a voxel: the rise of the values on all but a fifth of the rays from the voxel.
     #[must_use]
     pub fn at(&self, voxel: [usize; 3]) -> i16 {
         let [nx, ny, _] = self.grid.shape_ijk();
@@ -101,7 +106,7 @@ impl Enclosures {
             .at(&self.smooth, voxel[0] + nx * (voxel[1] + ny * voxel[2]))
     }
 
-    /// Return the weight per mm of a voxel; 0 for a voxel that no path passes.
+    /// Return the cost per mm of a voxel with this value and enclosure (`rise`); 0 for a voxel that no path may enter.
     #[must_use]
     pub fn weight(&self, levels: WayLevels, value: f64, rise: f64) -> f64 {
         if value > levels.closed {
@@ -117,14 +122,14 @@ impl Enclosures {
         }
     }
 
-    /// Find the cheapest path from the lumen to `start`; return `None` if there is none.
+    /// Find the least-cost path from the lumen to `start`; return `None` if there is none.
     ///
-    /// If an airway leads to `start`, the search finds it quickly. If the search has met none after `PATIENCE`
-    /// voxels, it heads for `toward`, a position in the lumen: the resulting path follows no airway and need not be the
-    /// cheapest of all.
+    /// If an airway leads to `start`, the search finds it quickly. If the search has met no lumen after `PATIENCE`
+    /// voxels, it heads for `toward`, a position in the lumen. The resulting path then follows no airway and need not
+    /// be the cheapest of all.
     ///
-    /// A step costs its length in mm times the mean weight of its voxels. Of equally cheap paths the result is the one
-    /// whose last voxels come first in array order.
+    /// A step costs its length in mm times the mean weight of its two voxels. Of equally cheap paths the result is the
+    /// one whose last voxels come first in array order.
     ///
     /// # Errors
     ///
@@ -141,10 +146,11 @@ impl Enclosures {
         self.cheapest(&mut search, start, Some(toward), levels, is_lumen, watch)
     }
 
-    /// Find from each start the cheapest path to any voxel `away_mm` away, regardless of the tissue.
+    /// Find for each start the least-cost path to any voxel at a distance of `away_mm`, whether the voxel is lumen or
+    /// not.
     ///
-    /// The results show the cost of paths through lung alone. Paths begin at their far end; `None` where there is no
-    /// path.
+    /// The costs of these paths show what a path through lung alone costs. Each path begins at its far end. The result
+    /// is `None` for a start without such a path.
     ///
     /// # Errors
     ///
@@ -192,7 +198,7 @@ impl Enclosures {
             .collect();
         let mut open = BinaryHeap::new();
         search.reach(start, 0.0, NO_STEP);
-        let first = self.look(search, start, levels, &is_lumen);
+        let first = self.weight_of(search, start, levels, &is_lumen);
         if first <= 0.0 {
             return Ok(None);
         }
@@ -254,16 +260,16 @@ impl Enclosures {
                 if to[0] >= nx || to[1] >= ny || to[2] >= nz {
                     continue;
                 }
-                let (page, cell) = search.place(to);
-                let known = search.pages[page].known_cost(cell, search.round);
+                let (block, cell) = search.block_and_cell(to);
+                let known = search.blocks[block].known_cost(cell, search.round);
                 if known <= here {
                     continue;
                 }
-                let there = self.look_in(search, (page, cell), to, levels, &is_lumen);
+                let there = self.weight_in_block(search, (block, cell), to, levels, &is_lumen);
                 if there == 0.0 {
                     continue;
                 }
-                // The lumen has the weight of an airway's middle.
+                // A lumen voxel has the weight of an airway's middle, 1.
                 let through =
                     here + step_mm * 0.5 * (weight + if there < 0.0 { 1.0 } else { there });
                 // Costs are stored as f32 and must be compared as f32, so that each voxel is reached once.
@@ -281,28 +287,28 @@ impl Enclosures {
         Ok(None)
     }
 
-    /// Return the weight of a voxel, which is computed once per search; below 0 in the lumen.
-    fn look(
+    /// Return the weight of a voxel, computed once per search; a negative number for a voxel of the lumen.
+    fn weight_of(
         &self,
         search: &mut Search,
         voxel: [usize; 3],
         levels: WayLevels,
         is_goal: &impl Fn([usize; 3]) -> bool,
     ) -> f64 {
-        let (page, cell) = search.place(voxel);
-        self.look_in(search, (page, cell), voxel, levels, is_goal)
+        let (block, cell) = search.block_and_cell(voxel);
+        self.weight_in_block(search, (block, cell), voxel, levels, is_goal)
     }
 
-    fn look_in(
+    fn weight_in_block(
         &self,
         search: &mut Search,
-        (page, cell): (usize, usize),
+        (block, cell): (usize, usize),
         voxel: [usize; 3],
         levels: WayLevels,
         is_goal: &impl Fn([usize; 3]) -> bool,
     ) -> f64 {
-        let known = search.pages[page].weight[cell];
-        if search.pages[page].seen[cell] == search.round {
+        let known = search.blocks[block].weight[cell];
+        if search.blocks[block].seen[cell] == search.round {
             return f64::from(known);
         }
         let weight = if is_goal(voxel) {
@@ -311,15 +317,15 @@ impl Enclosures {
             let [nx, ny, _] = self.grid.shape_ijk();
             let at = index(voxel, nx, ny);
             let value = f64::from(self.smooth[at]);
-            let mut rise = search.pages[page].rise[cell];
+            let mut rise = search.blocks[block].rise[cell];
             if rise == UNKNOWN && value <= levels.closed {
                 rise = self.enclosure.at(&self.smooth, at).max(UNKNOWN + 1);
-                search.pages[page].rise[cell] = rise;
+                search.blocks[block].rise[cell] = rise;
             }
             self.weight(levels, value, f64::from(rise))
         };
-        search.pages[page].seen[cell] = search.round;
-        search.pages[page].weight[cell] = weight as f32;
+        search.blocks[block].seen[cell] = search.round;
+        search.blocks[block].weight[cell] = weight as f32;
         weight
     }
 }
@@ -328,31 +334,32 @@ const fn index(voxel: [usize; 3], nx: usize, ny: usize) -> usize {
     voxel[0] + nx * (voxel[1] + ny * voxel[2])
 }
 
-/// Data of the voxels that a search has met; only the enclosures are reused by the next search.
+/// Costs, weights and enclosures of the voxels that a search has visited.
+///
+/// Only the enclosures are reused by the next search.
 #[derive(Debug)]
 struct Search {
-    num_pages: [usize; 3],
-    /// Index plus one of each page of the volume; 0 for a page that is not stored.
-    place_of: Vec<u32>,
+    num_blocks: [usize; 3],
+    /// For each block of the volume, its index in `blocks` plus one; 0 if the block is not stored.
+    block_of: Vec<u32>,
     last: (u32, u32),
-    pages: Vec<Page>,
+    blocks: Vec<Block>,
     round: u32,
 }
 
 #[derive(Debug)]
-struct Page {
-    rise: [i16; PAGE_VOXELS],
-    /// Number of the search in which the weight was computed.
-    ///
-    /// The next field is the search in which the voxel was reached.
-    seen: [u32; PAGE_VOXELS],
-    met: [u32; PAGE_VOXELS],
-    weight: [f32; PAGE_VOXELS],
-    cost: [f32; PAGE_VOXELS],
-    before: [u8; PAGE_VOXELS],
+struct Block {
+    rise: [i16; BLOCK_VOXELS],
+    /// Number of the last search that computed the weight of the voxel.
+    seen: [u32; BLOCK_VOXELS],
+    /// Number of the last search that reached the voxel.
+    met: [u32; BLOCK_VOXELS],
+    weight: [f32; BLOCK_VOXELS],
+    cost: [f32; BLOCK_VOXELS],
+    before: [u8; BLOCK_VOXELS],
 }
 
-impl Page {
+impl Block {
     fn known_cost(&self, cell: usize, round: u32) -> f64 {
         if self.met[cell] == round {
             f64::from(self.cost[cell])
@@ -364,74 +371,74 @@ impl Page {
 
 impl Search {
     fn new(grid: &Grid) -> Self {
-        let num_pages = grid.shape_ijk().map(|n| n.div_ceil(PAGE));
+        let num_blocks = grid.shape_ijk().map(|n| n.div_ceil(BLOCK));
         Self {
-            place_of: vec![0; num_pages.iter().product()],
-            num_pages,
+            block_of: vec![0; num_blocks.iter().product()],
+            num_blocks,
             last: (u32::MAX, 0),
-            pages: Vec::new(),
+            blocks: Vec::new(),
             round: 0,
         }
     }
 
     fn begin(&mut self) {
         self.round += 1;
-        // A page takes 9 KiB, so the cache is cleared when searches have covered much of a large volume.
-        if self.pages.len() > 10_000 {
-            self.pages.clear();
-            self.place_of.fill(0);
+        // A block takes 9 KiB, so the cache is cleared when searches have covered much of a large volume.
+        if self.blocks.len() > 10_000 {
+            self.blocks.clear();
+            self.block_of.fill(0);
             self.last = (u32::MAX, 0);
         }
     }
 
-    fn place(&mut self, voxel: [usize; 3]) -> (usize, usize) {
-        let [x, y, z] = voxel.map(|v| v / PAGE);
-        let key = (x + self.num_pages[0] * (y + self.num_pages[1] * z)) as u32;
+    fn block_and_cell(&mut self, voxel: [usize; 3]) -> (usize, usize) {
+        let [x, y, z] = voxel.map(|v| v / BLOCK);
+        let key = (x + self.num_blocks[0] * (y + self.num_blocks[1] * z)) as u32;
         if self.last.0 != key {
-            if self.place_of[key as usize] == 0 {
-                self.pages.push(Page {
-                    rise: [UNKNOWN; PAGE_VOXELS],
-                    seen: [0; PAGE_VOXELS],
-                    met: [0; PAGE_VOXELS],
-                    weight: [0.0; PAGE_VOXELS],
-                    cost: [0.0; PAGE_VOXELS],
-                    before: [NO_STEP; PAGE_VOXELS],
+            if self.block_of[key as usize] == 0 {
+                self.blocks.push(Block {
+                    rise: [UNKNOWN; BLOCK_VOXELS],
+                    seen: [0; BLOCK_VOXELS],
+                    met: [0; BLOCK_VOXELS],
+                    weight: [0.0; BLOCK_VOXELS],
+                    cost: [0.0; BLOCK_VOXELS],
+                    before: [NO_STEP; BLOCK_VOXELS],
                 });
-                self.place_of[key as usize] = self.pages.len() as u32;
+                self.block_of[key as usize] = self.blocks.len() as u32;
             }
-            let place = self.place_of[key as usize] - 1;
+            let place = self.block_of[key as usize] - 1;
             self.last = (key, place);
         }
-        let [i, j, k] = voxel.map(|v| v % PAGE);
-        (self.last.1 as usize, i + PAGE * (j + PAGE * k))
+        let [i, j, k] = voxel.map(|v| v % BLOCK);
+        (self.last.1 as usize, i + BLOCK * (j + BLOCK * k))
     }
 
     fn cost(&mut self, voxel: [usize; 3]) -> f64 {
-        let (page, cell) = self.place(voxel);
-        self.pages[page].known_cost(cell, self.round)
+        let (block, cell) = self.block_and_cell(voxel);
+        self.blocks[block].known_cost(cell, self.round)
     }
 
     fn weight(&mut self, voxel: [usize; 3]) -> f32 {
-        let (page, cell) = self.place(voxel);
-        self.pages[page].weight[cell]
+        let (block, cell) = self.block_and_cell(voxel);
+        self.blocks[block].weight[cell]
     }
 
     fn reach(&mut self, voxel: [usize; 3], cost: f64, step: u8) {
-        let (page, cell) = self.place(voxel);
+        let (block, cell) = self.block_and_cell(voxel);
         let round = self.round;
-        let page = &mut self.pages[page];
-        page.met[cell] = round;
-        page.cost[cell] = cost as f32;
-        page.before[cell] = step;
+        let block = &mut self.blocks[block];
+        block.met[cell] = round;
+        block.cost[cell] = cost as f32;
+        block.before[cell] = step;
     }
 
-    /// Return the voxels from a voxel back to the start of the search.
+    /// Return the voxels of the path from a voxel back to the start of the search.
     fn back(&mut self, from: [usize; 3], steps: &[([isize; 3], f64)]) -> Vec<[usize; 3]> {
         let mut found = vec![from];
         let mut voxel = from;
         loop {
-            let (page, cell) = self.place(voxel);
-            let step = self.pages[page].before[cell];
+            let (block, cell) = self.block_and_cell(voxel);
+            let step = self.blocks[block].before[cell];
             if step == NO_STEP {
                 return found;
             }
@@ -442,7 +449,7 @@ impl Search {
     }
 }
 
-/// Finite cost with a total order.
+/// Finite path cost with a total order.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Ordered(f64);
 
@@ -468,7 +475,7 @@ mod tests {
     use super::*;
     use carina_leastcost::Unwatched;
 
-    /// Return the least cost to reach any goal, by relaxing every step until nothing changes.
+    /// Compute the least cost to reach any goal, by relaxing every step until no cost changes.
     fn least_cost(
         found: &Enclosures,
         start: [usize; 3],
@@ -524,7 +531,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(24))]
         #[test]
-        fn the_way_with_most_wall_costs_what_the_slow_search_finds(
+        fn the_path_with_most_wall_costs_as_much_as_in_an_exhaustive_search(
             seed in 0u64..1000,
             spacing in proptest::array::uniform3(0.5f64..3.0),
         ) {

@@ -1,17 +1,17 @@
 //! Extension of the lumen from the end of the flood into airways that the flood could not follow (docs/algorithms.md).
 //!
-//! The flood ends where an airway's wall does not confine a level any more. The extension searches by shape instead of
-//! by level: voxels that are enclosed by brighter wall ([`crate::find::tubeness`]) are followed from the lumen's
-//! surface, face to face. The threshold of the enclosure comes from the volume itself: lung away from the airways shows
-//! the enclosures that noise, texture and vessels cause. At most a fiftieth of the lung passes the threshold, far below
-//! the share (31 % of a cubic lattice joined by faces) at which randomly placed voxels would form connected paths of
-//! any length. An edge-enhancing kernel arranges such voxels in sheets (docs/decisions/0113), so a search that reaches
-//! too much of the lung is cancelled.
+//! The flood ends where the wall of an airway is not brighter everywhere than the level of the flood. The extension
+//! searches by shape instead of by level: from the lumen's surface it follows, face to face, voxels that are enclosed
+//! by brighter wall ([`crate::find::tubeness`]). The threshold of the enclosure comes from the volume itself: lung away
+//! from the airways shows the enclosures that noise, texture and vessels cause. At most a fiftieth of the lung passes
+//! the threshold, far below the share (31 % of a cubic lattice joined by faces) at which randomly placed voxels would
+//! form connected paths of any length. An edge-enhancing kernel arranges such voxels in sheets (docs/decisions/0113),
+//! so a search that reaches too much of the lung is cancelled.
 //!
-//! The reached voxels give paths from the lumen, along the most enclosed voxels, to the farthest tips, the longest
-//! first; a path ends where its further part does not look like an airway. A path that is short, or not clearly better
-//! than lung, is removed. Round a remaining path the lumen consists of the voxels that are darker than half-way up to
-//! the wall there.
+//! The reached voxels give paths from the lumen, along the most enclosed voxels, to the farthest tips, the longest path
+//! first. A path ends where its further course does not look like an airway. A path that is short, or not clearly
+//! better than lung, is discarded. Round an accepted path the lumen consists of the voxels that are darker than
+//! half-way up to the wall at that part of the path.
 
 use carina_grid::VolumeView;
 use rayon::prelude::*;
@@ -23,22 +23,23 @@ use crate::find::extension_ways::Search;
 use crate::find::tubeness::{Enclosure, REACH_MM, smoothed};
 use carina_leastcost::{TrackError, Watch};
 
-/// Result of [`extend`].
+/// Paths and voxels that [`extend`] added to a lumen.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Extension {
-    /// Accepted paths; a path comes before the paths that leave it.
+    /// Accepted paths; each path comes before the paths that branch off it.
     pub followed: Vec<Followed>,
     /// Number of voxels added to the lumen.
     pub num_voxels: usize,
     /// Threshold of the enclosure in the volume's numbers, which 98 % of the lung does not reach.
     pub enclosed: f64,
-    /// Number of voxels that could be followed from the lumen's surface, before paths were judged.
+    /// Number of voxels that were reached from the lumen's surface, before paths were accepted or discarded.
     pub num_reached: usize,
-    /// Whether the search reached more of the lung than airways can and was cancelled: nothing was added.
+    /// Whether the search was cancelled because it reached more of the lung than airways occupy; nothing was added
+    /// then.
     pub ran_out: bool,
 }
 
-/// Extend `lumen` (1 inside, 0 outside; face-connected) in place: added voxels get [`EXTENDED`].
+/// Extend `lumen` (1 inside, 0 outside; face-connected) in place; each added voxel gets the value [`EXTENDED`].
 ///
 /// # Errors
 ///

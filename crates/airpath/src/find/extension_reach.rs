@@ -1,5 +1,4 @@
-//! Voxels that can be reached from the lumen's surface through enclosed voxels, and those that need no crossing of a
-//! wall.
+//! Search for enclosed voxels from the lumen's surface, and selection of those that lie behind no wall.
 
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
@@ -11,17 +10,17 @@ use crate::find::extension_levels::{ExtensionLimits, LUMEN, Levels, PENDING, REF
 use crate::find::tubeness::Enclosure;
 use carina_leastcost::{TrackError, Watch};
 
-/// Voxel that was reached.
+/// Voxel that the search has reached from the lumen's surface.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Node {
     pub(crate) voxel: u32,
-    /// Rise to its wall: its enclosure.
+    /// Enclosure of the voxel: rise of the values to its wall.
     pub(crate) rise: i16,
-    /// Length of the path without a wall that leads to it, mm.
+    /// Length in mm of the last part of the path to this voxel in which the voxels have too little wall.
     gap_mm: f32,
 }
 
-/// Return all voxels that can be followed from the lumen's surface, in the order in which they were met.
+/// Return all voxels that can be reached from the lumen's surface through enclosed voxels, in the order of the search.
 ///
 /// The search ends early if it reaches more than [`Levels::most_reached`] voxels, because it has then leaked into the
 /// lung.
@@ -36,7 +35,7 @@ pub(crate) fn reach(
 ) -> Result<Vec<Node>, TrackError> {
     let faces = Faces::new(values);
     let mut nodes: Vec<Node> = Vec::new();
-    // Items are (voxel, gap before it, mm of the step to it).
+    // Items are (voxel, length of the gap before the voxel in mm, length of the step to the voxel in mm).
     let mut wave: Vec<(u32, f32, f32)> = Vec::new();
     for at in 0..lumen.len() {
         if lumen[at] == LUMEN {
@@ -48,7 +47,7 @@ pub(crate) fn reach(
             });
         }
     }
-    // Voxels, with their enclosures, that no sufficiently short gap has reached yet.
+    // Voxels, with their enclosures, to which every path found so far leads through a gap that is too long.
     let mut waiting: HashMap<u32, i16> = HashMap::new();
     while !wave.is_empty() && nodes.len() <= levels.most_reached {
         watch.go_on(0.3)?;
@@ -98,7 +97,7 @@ pub(crate) fn reach(
     Ok(nodes)
 }
 
-/// Neighbours by faces, and their distances.
+/// Memory offsets of the six face neighbours of a voxel, and their distances.
 pub(crate) struct Faces {
     shape: [usize; 3],
     step_mm: [f32; 3],
@@ -137,9 +136,11 @@ impl Faces {
     }
 }
 
-/// Return which of the reached voxels can be reached without a fall larger than [`Levels::drop`].
+/// Return for each reached voxel whether a path leads to it along which the values never fall by more than
+/// [`Levels::drop`].
 ///
-/// Each voxel is reached by the path with the lowest maximum value (a minimax path).
+/// Each voxel is reached by the path with the lowest maximum value (a minimax path); a larger fall after that maximum
+/// means that the path has crossed a wall.
 pub(crate) fn open_from(
     values: VolumeView<'_, i16>,
     smooth: &[i16],
@@ -183,7 +184,7 @@ pub(crate) fn open_from(
     open
 }
 
-/// Return the index of each reached voxel in the list.
+/// Return a map from each reached voxel to its index in `reached`.
 pub(crate) fn places(reached: &[Node]) -> HashMap<u32, u32> {
     reached
         .iter()

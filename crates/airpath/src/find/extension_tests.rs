@@ -1,4 +1,4 @@
-//! Tests of the extension on drawn tubes.
+//! Tests of the extension of the lumen on drawn tubes.
 //!
 //! The extension follows a faint tube and crosses a short gap, but enters neither the lung nor a groove.
 
@@ -8,6 +8,7 @@ use crate::find::extension::{EXTENDED, Extension, ExtensionLimits, extend};
 use crate::find::extension_levels::Divided;
 use carina_leastcost::Unwatched;
 
+/// Limits with which the search runs in these tests.
 const LIMITS: ExtensionLimits = ExtensionLimits {
     air: -1000.0,
     lung: (-950, -600),
@@ -27,8 +28,10 @@ struct Drawn {
     lumen: Vec<u8>,
 }
 
-/// Draw lung with noise, and a wide dark tube along x that is known up to `known_mm` and continues thin and faint up to
-/// `ends_mm`.
+/// Draw lung with noise and a wide dark tube along x, which is in the known lumen up to `known_mm` and continues thin
+/// and faint up to `ends_mm`.
+///
+/// `dimmed` is the factor of the wall's brightness at a position.
 fn drawn(noise_hu: f64, known_mm: f64, ends_mm: f64, dimmed: impl Fn([f64; 3]) -> f64) -> Drawn {
     let place = Affine::from_columns(
         [0.0, 0.65, 0.0],
@@ -89,7 +92,7 @@ fn a_faint_tube_is_followed_to_its_end_and_no_farther() {
         let end = farthest_mm(&chest);
         assert!((45.0..=51.5).contains(&end), "noise {noise}: ends at {end}");
         assert_eq!(found.followed.len(), 1, "noise {noise}");
-        // No added voxel is outside the tube's outer wall: 0.8 + 0.6 mm, and half a voxel.
+        // No added voxel may be outside the tube's outer wall: 0.8 + 0.6 mm, and half a voxel.
         for (at, _) in chest
             .lumen
             .iter()
@@ -113,7 +116,7 @@ fn a_faint_tube_is_followed_to_its_end_and_no_farther() {
 }
 
 #[test]
-fn a_short_stretch_without_wall_is_crossed_and_a_long_one_ends_the_way() {
+fn a_short_gap_in_the_wall_is_crossed_and_a_long_gap_ends_the_path() {
     let gap = |long: f64| {
         let mut chest = drawn(10.0, 20.0, 50.0, move |p| {
             if (30.0..30.0 + long).contains(&p[0]) {
@@ -131,7 +134,7 @@ fn a_short_stretch_without_wall_is_crossed_and_a_long_one_ends_the_way() {
 }
 
 #[test]
-fn in_divided_slices_a_way_ends_at_a_long_stretch_of_enclosed_lung_even_if_a_tube_lies_beyond_it() {
+fn in_divided_slices_a_path_ends_at_long_enclosed_lung_even_if_a_tube_follows() {
     let limits = ExtensionLimits {
         divided: Some(Divided {
             axis: 2,
@@ -148,7 +151,7 @@ fn in_divided_slices_a_way_ends_at_a_long_stretch_of_enclosed_lung_even_if_a_tub
             let p: [f64; 3] = std::array::from_fn(|a| v[a] as f64 * spacing[a]);
             let off = length([0.0, p[1] - 16.0, p[2] - 15.0]);
             if (24.0..24.0 + long_mm).contains(&p[0]) && off < 3.2 {
-                // As wide as an airway with dark air, but as bright as lung.
+                // A channel as wide as an airway with dark air, but filled with values of lung.
                 chest.values[at] = if off < 2.2 { -860 } else { -100 };
             }
         }
@@ -174,7 +177,7 @@ fn lung_round_a_tube_that_ends_adds_nothing() {
 }
 
 #[test]
-fn a_straight_tube_is_likely_and_no_way_is_kept_below_the_least_probability() {
+fn a_straight_tube_is_probable_and_paths_below_the_least_probability_are_rejected() {
     let follow = |least_probability: f64| {
         let mut chest = drawn(30.0, 20.0, 50.0, |_| 1.0);
         let view = VolumeView::new(&chest.values, &chest.grid).unwrap();
@@ -192,7 +195,7 @@ fn a_straight_tube_is_likely_and_no_way_is_kept_below_the_least_probability() {
 }
 
 #[test]
-fn a_groove_between_two_vessels_beside_the_airway_is_no_airway() {
+fn a_groove_between_two_vessels_is_not_followed() {
     // Two adjacent bright bars with lung between them, from the end of the known tube on.
     let mut chest = drawn(15.0, 20.0, 20.0, |_| 1.0);
     let spacing = chest.grid.spacing_mm();
@@ -211,7 +214,7 @@ fn a_groove_between_two_vessels_beside_the_airway_is_no_airway() {
 }
 
 #[test]
-fn a_search_that_reaches_too_much_of_the_lung_is_given_up_and_adds_nothing() {
+fn a_search_that_reaches_too_much_of_the_lung_is_cancelled_and_adds_nothing() {
     // Several copies of a chest side by side, because the lung of one copy is too small for the share.
     let one = drawn(15.0, 20.0, 50.0, |_| 1.0);
     let grid = Grid::new([40 * 14, 46, 100], *one.grid.lps_from_ijk()).unwrap();
@@ -231,7 +234,7 @@ fn a_search_that_reaches_too_much_of_the_lung_is_given_up_and_adds_nothing() {
 }
 
 #[test]
-fn a_raised_bar_follows_less() {
+fn a_higher_enclosure_threshold_follows_less() {
     let follow = |raised: f64| {
         let mut chest = drawn(30.0, 20.0, 50.0, |_| 1.0);
         let view = VolumeView::new(&chest.values, &chest.grid).unwrap();
@@ -260,7 +263,7 @@ fn the_result_does_not_depend_on_the_number_of_threads() {
 }
 
 #[test]
-fn stopping_leaves_an_error_and_a_lumen_without_marks_is_asked_for() {
+fn a_stopped_search_returns_an_error_and_a_lumen_with_marks_is_rejected() {
     struct Never;
     impl carina_leastcost::Watch for Never {
         fn go_on(&self, _share: f64) -> Result<(), carina_leastcost::TrackError> {

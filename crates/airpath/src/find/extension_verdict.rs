@@ -1,18 +1,20 @@
-//! Criteria for whether a section of a path looks like an airway.
+//! Criteria by which a section across a path, and a whole path, count as airway.
 
 use carina_grid::Grid;
 
 use crate::find::extension_levels::{Divided, ExtensionLimits};
 use crate::find::tubeness::Section;
 
-/// Blur (sigma) of a scanner with a smooth kernel in a CT that was interpolated once: 1.8 mm full width.
+/// Blur (sigma) in mm of a scanner with a smooth kernel, in a CT that was interpolated once.
 const SCANNER_BLUR_MM: f64 = 0.75;
-/// Radius in blurs below which the radius is only that of the blur and does not show how dark the lumen should be.
+/// Radius, in multiples of the blur's sigma, below which a section shows the blur and not the radius of its lumen.
+///
+/// The required darkness of the lumen then cannot be computed.
 const BLURRED: f64 = 0.75;
-/// Smallest share of the sides of a section that must have a wall; a bifurcation leaves a quarter open.
+/// Smallest share of the sides of a section that must have a wall; a bifurcation leaves a quarter of the sides open.
 const MIN_WALLED: f64 = 0.7;
 
-/// Weights of the products of pairs of the seven features of [`log_odds`], as a triangular matrix.
+/// Weights of the products of pairs of the seven features of a section ([`log_odds`]), as a triangular matrix.
 const WEIGHTS: [&[f64]; 7] = [
     &[-8.55, 0.68, 3.23, 0.45, -0.63, 3.90, -0.58],
     &[0.44, 2.72, 0.21, 1.43, -4.59, -2.21],
@@ -22,29 +24,31 @@ const WEIGHTS: [&[f64]; 7] = [
     &[-7.69, 3.79],
     &[-1.98],
 ];
-/// Weights of the features of a path.
+/// Weights of the five features of a whole path, in a volume whose slices were not divided.
 ///
 /// The features are: 1; logarithm of the evidence of its sections; distance from other lumens (mm); share of the
-/// surrounding lung that the search reached; straightness (distance of its ends divided by its length).
+/// surrounding lung that the search reached; straightness (distance of the path's ends divided by its length).
 pub(crate) const WAY_WEIGHTS: [f64; 5] = [-8.23, 1.09, 0.57, -8.62, 6.44];
-/// Weights of the same features, for evidence that is the sum of the sections' log-odds.
+/// Weights of the features of [`WAY_WEIGHTS`] in divided slices, where the evidence is the sum of the sections'
+/// log-odds.
 pub(crate) const WAY_WEIGHTS_DIVIDED: [f64; 5] = [-7.64, 1.03, 0.61, -2.82, 3.95];
 
-/// Blur within the slices (sigma), mm; the next constant is the smallest blur across them.
+/// Blur (sigma) within the slices, mm.
 const BLUR_IN_SLICE_MM: f64 = 0.65;
+/// Smallest blur (sigma) across the slices, mm.
 const LEAST_BLUR_ACROSS_MM: f64 = 0.5;
 
-/// Blur and noise that separate the true values of a lumen from those in the volume.
+/// Blur and noise by which the values of a lumen in the volume differ from its true values.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Blur {
-    /// Blur of scanner, voxel and smoothing.
+    /// Blur (sigma) of scanner, voxel and smoothing together, mm.
     pub(crate) sigma_mm: f64,
-    /// Noise in the volume's numbers.
+    /// Standard deviation of the noise, in the volume's numbers.
     pub(crate) noise: f64,
 }
 
 impl Blur {
-    /// Return the blur on a grid, of scanner, voxel and smoothing together.
+    /// Return the blur of scanner, voxel and smoothing together for the voxels of a grid.
     pub(crate) fn on(grid: &Grid, noise: f64) -> Self {
         let voxel_mm = grid.spacing_mm().iter().product::<f64>().cbrt();
         Self {
@@ -61,8 +65,8 @@ impl Blur {
 /// and between air and half a wall; the radius; the share of sides with a wall; and the logarithm of the ratio between
 /// the blur that gives a lumen of that radius this brightness and the blur of the slices in this direction.
 ///
-/// `enclosure` is the rise of the values round the path, in thresholds; `along` is the component of the path's
-/// direction across the slices.
+/// `own` is the value in the middle of the section. `enclosure` is the rise of the values round the path, in
+/// thresholds. `along` is the component of the path's direction across the slices.
 pub(crate) fn log_odds(
     section: &Section,
     own: f64,
@@ -93,15 +97,15 @@ pub(crate) fn log_odds(
         .sum()
 }
 
-/// Return the probability that a path is an airway if the airway that it leaves is one.
+/// Return the probability that a path is an airway, on condition that the airway from which it branches is one.
 ///
-/// The features are those of [`WAY_WEIGHTS`].
+/// `figures` are the features that [`WAY_WEIGHTS`] describes.
 pub(crate) fn probability_of_way(figures: [f64; 5], weights: &[f64; 5]) -> f64 {
     let odds: f64 = weights.iter().zip(figures).map(|(w, f)| w * f).sum();
     1.0 / (1.0 + (-odds).exp())
 }
 
-/// Return the brightness of the middle, as a fraction of the distance from air to the wall.
+/// Return the brightness of a section's middle between air (0) and the section's wall (1), limited to 0.02 to 0.98.
 fn share_of_wall(section: &Section, own: f64, air: f64) -> f64 {
     if section.rise > 0.0 {
         ((own - air) / (own + section.rise - air).max(1.0)).clamp(0.02, 0.98)
@@ -110,15 +114,15 @@ fn share_of_wall(section: &Section, own: f64, air: f64) -> f64 {
     }
 }
 
-/// Return the radius, clamped to the range to which the weights were fitted, mm.
+/// Return the radius of a section in mm, limited to the range to which the weights were fitted.
 fn radius_of(section: &Section) -> f64 {
     section.radius_mm.clamp(0.4, 2.2)
 }
 
-/// Return the logarithm of the ratio between an assumed blur and the blur of the slices in this direction.
+/// Return the logarithm of the ratio between the blur that a section shows and the blur of the slices in its direction.
 ///
-/// The assumed blur is the one that gives a lumen of this radius this brightness. `along` is the component of the
-/// path's direction across the slices.
+/// The blur that the section shows is the one that gives a lumen of its radius the brightness of its middle. `along` is
+/// the component of the path's direction across the slices.
 fn blur_ratio(section: &Section, own: f64, along: f64, air: f64, divided: Divided) -> f64 {
     let blur_mm = radius_of(section) / (-2.0 * share_of_wall(section, own, air).ln()).sqrt();
     let across_mm = (divided.slice_mm / 12f64.sqrt()).hypot(LEAST_BLUR_ACROSS_MM);
@@ -128,10 +132,10 @@ fn blur_ratio(section: &Section, own: f64, along: f64, air: f64, divided: Divide
         .ln()
 }
 
-/// Return true if there is wall on most sides and the middle is as dark as a lumen of this width must be.
+/// Return true if a section has wall on most sides and a middle as dark as that of a lumen of its width.
 ///
 /// Blur leaves `exp(-r^2 / 2 s^2)` of the wall's brightness in the middle of a tube of radius r. A wide tube is as dark
-/// as the trachea; a groove between a vessel and an airway's wall is as wide, and as bright as lung.
+/// as the trachea. A groove between a vessel and an airway's wall is as wide, but as bright as lung.
 pub(crate) fn looks_like_airway(section: &Section, own: f64, air: f64, blur: Blur) -> bool {
     let wall = own + section.rise;
     let widths = section.radius_mm / blur.sigma_mm;
@@ -147,6 +151,7 @@ pub(crate) fn looks_like_airway(section: &Section, own: f64, air: f64, blur: Blu
 mod tests {
     use super::*;
 
+    /// Limits with which the search runs in these tests.
     const LIMITS: ExtensionLimits = ExtensionLimits {
         air: -1000.0,
         lung: (-950, -700),
@@ -159,6 +164,7 @@ mod tests {
         least_probability: 0.7,
         divided: None,
     };
+    /// Thick slices of the test volume, which were divided.
     const DIVIDED: Divided = Divided {
         axis: 2,
         slice_mm: 3.0,
@@ -174,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn a_thin_blurred_tube_is_likelier_an_airway_than_a_wide_gap_as_bright() {
+    fn a_thin_blurred_tube_is_a_more_probable_airway_than_an_equally_bright_wide_gap() {
         let tube = log_odds(
             &section(1.0, 0.95, 250.0),
             -760.0,
@@ -195,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn the_blur_of_a_tube_is_that_of_its_slices_if_blur_alone_made_it_bright() {
+    fn the_blur_ratio_of_a_tube_blurred_by_its_slices_is_one() {
         for along in [0.0, 0.4, 1.0] {
             let across: f64 = (3.0 / 12f64.sqrt()).hypot(LEAST_BLUR_ACROSS_MM);
             let up = (BLUR_IN_SLICE_MM * along).hypot(across * f64::sqrt(1.0 - along * along));
@@ -214,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn a_straight_way_away_from_other_lumens_is_likelier_than_one_that_winds_beside_them() {
+    fn a_straight_path_far_from_lumens_is_more_probable_than_a_winding_one_beside_them() {
         for weights in [WAY_WEIGHTS, WAY_WEIGHTS_DIVIDED] {
             let of = |evidence: f64, clear_mm: f64, reached: f64, straight: f64| {
                 probability_of_way([1.0, evidence.ln(), clear_mm, reached, straight], &weights)
@@ -231,7 +237,7 @@ mod tests {
     }
 
     #[test]
-    fn every_product_of_two_figures_has_one_weight() {
+    fn every_product_of_two_features_has_one_weight() {
         let num = WEIGHTS.len();
         assert!(
             WEIGHTS

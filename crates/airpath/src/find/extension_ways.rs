@@ -14,38 +14,41 @@ use crate::find::thin_profile::Profile;
 use crate::find::tubeness::{REACH_MM, Section, section};
 use carina_leastcost::{TrackError, Watch};
 
+/// Mark of a node without a previous node: it touches the lumen, or no path leads to it.
 const NONE: u32 = u32::MAX;
-/// Distance from a path, through enclosed voxels, up to which voxels belong to the same tube, mm.
+/// Distance from a path, through enclosed voxels, up to which voxels belong to the tube of the path, mm.
 const COVER_MM: f32 = 3.0;
-/// Largest distance of a lumen's voxels from the path, measured through faces (also round corners), in radii.
+/// Largest distance of a lumen voxel from its path, in radii of the lumen; measured from face to face, round corners.
 const FILL_RADII: f64 = 1.5;
-/// Number of voxels to both sides over which the level half-way up the wall is taken.
+/// Number of voxels of the path on each side over which the level half-way up the wall is averaged by the median.
 const FILL_NODES: usize = 2;
-/// Length to both sides over which the direction of a path is taken, mm.
+/// Length of path on each side of a voxel over which the path's direction is measured, mm.
 const TANGENT_MM: f64 = 2.0;
-/// Length of the first part of a path, which does not count for the distance from known lumens.
+/// Length of the first part of a path that is ignored when its distance from known lumens is measured, mm.
 ///
-/// That part is beside the airway that the path leaves. The next constant is the upper limit of that distance; both mm.
+/// This part is beside the airway from which the path branches.
 const BEYOND_MM: f64 = 5.0;
+/// Upper limit of the measured distance of a path from known lumens, mm.
 const CLEAR_MM: f64 = 6.0;
-/// Radius of the lung around a path in which reached voxels are counted, mm.
+/// Radius round a path in which the share of reached lung voxels is measured, mm.
 const AROUND_MM: f64 = 8.0;
-/// Largest gain of a path by one voxel, in thresholds, so that one bright wall does not compensate for a long part
-/// without wall.
+/// Largest gain of a path by one voxel, in thresholds of the enclosure.
+///
+/// The limit prevents that one bright wall compensates for a long part without wall.
 const MOST_GAIN: f64 = 3.0;
-/// In divided slices, a path ends where it has lost this much of its previous gain, in thresholds times mm.
+/// Loss of gain after which a path in divided slices ends, in thresholds of the enclosure times mm.
 ///
 /// An airway farther on does not belong to this path (docs/decisions/0112).
 const MOST_LOSS_MM: f64 = 12.0;
 
-/// Accepted path, as indices in the list of reached voxels.
+/// Accepted path of an airway; its nodes are indices in the list of reached voxels.
 #[derive(Debug, Clone)]
 pub(crate) struct Path {
     nodes: Vec<u32>,
-    /// Distance to the wall at each voxel, mm.
+    /// Radius of the lumen at each voxel of the path, mm.
     radius_mm: Vec<f64>,
     length_mm: f64,
-    /// Probability that this path and all paths that it leaves are airways.
+    /// Probability that this path and all paths from which it branches are airways.
     probability: f64,
 }
 
@@ -69,7 +72,7 @@ impl Path {
     }
 }
 
-/// Section across a path at one of its voxels, with the direction of the path there.
+/// Section across a path at one of its voxels, and the direction of the path at that voxel.
 struct WaySection {
     /// Direction of the path, a unit vector in mm on the grid's axes.
     along: [f64; 3],
@@ -80,7 +83,7 @@ struct WaySection {
 pub(crate) struct Search<'a> {
     values: VolumeView<'a, i16>,
     smooth: VolumeView<'a, i16>,
-    /// Lumen with the marks of the search.
+    /// Lumen, with the marks that the search has set in it.
     lumen: &'a [u8],
     faces: Faces,
     reached: &'a [Node],
@@ -88,8 +91,8 @@ pub(crate) struct Search<'a> {
     at: HashMap<u32, u32>,
     before: Vec<u32>,
     along_mm: Vec<f32>,
-    /// Probability of the accepted path that contains the voxel; 0 for a voxel in no path.
-    kept: Vec<f64>,
+    /// For each reached voxel, the probability of the accepted path that contains it; 0 if no path contains it.
+    accepted: Vec<f64>,
 }
 
 impl<'a> Search<'a> {
@@ -108,7 +111,7 @@ impl<'a> Search<'a> {
         let mut along_mm = vec![f32::INFINITY; reached.len()];
         let mut cost = vec![u64::MAX; reached.len()];
         let mut open = BinaryHeap::new();
-        // Micrometres times weight, as integers, because integers have a total order.
+        // The cost is length in micrometres times weight, as an integer, because integers have a total order.
         let weight = |node: &Node| {
             let rise = f64::from(node.rise.max(1));
             1.0 + (4.0 * f64::from(levels.followed) / rise).min(20.0).powi(2)
@@ -155,7 +158,7 @@ impl<'a> Search<'a> {
             at,
             before,
             along_mm,
-            kept: vec![0.0; reached.len()],
+            accepted: vec![0.0; reached.len()],
         }
     }
 
@@ -189,15 +192,15 @@ impl<'a> Search<'a> {
             let mut way = vec![tip];
             while let Some(last) = way.last().copied()
                 && self.before[last as usize] != NONE
-                && self.kept[self.before[last as usize] as usize] == 0.0
+                && self.accepted[self.before[last as usize] as usize] == 0.0
             {
                 way.push(self.before[last as usize]);
             }
             way.reverse();
             self.cover(&way, &mut covered);
-            if let Some(path) = self.worth(&way, limits) {
+            if let Some(path) = self.accepted_part(&way, limits) {
                 for node in &path.nodes {
-                    self.kept[*node as usize] = path.probability;
+                    self.accepted[*node as usize] = path.probability;
                 }
                 paths.push(path);
             }
@@ -205,19 +208,20 @@ impl<'a> Search<'a> {
         Ok(paths)
     }
 
-    /// Return the first part of a path with the largest gain, if it qualifies as an airway.
+    /// Return the first part of a path, up to the voxel with the largest sum of gains, if that part qualifies as an
+    /// airway.
     ///
-    /// In divided slices the sections are first judged by log-odds, which need much evidence, and then as in any other
-    /// CT.
-    fn worth(&self, way: &[u32], limits: &ExtensionLimits) -> Option<Path> {
+    /// In divided slices the sections are first assessed by their log-odds, which require much evidence, and otherwise
+    /// in the way that applies to undivided slices.
+    fn accepted_part(&self, way: &[u32], limits: &ExtensionLimits) -> Option<Path> {
         let sections = self.sections(way);
         limits
             .divided
-            .and_then(|divided| self.part_that_pays(way, &sections, limits, Some(divided)))
-            .or_else(|| self.part_that_pays(way, &sections, limits, None))
+            .and_then(|divided| self.part_with_largest_gain(way, &sections, limits, Some(divided)))
+            .or_else(|| self.part_with_largest_gain(way, &sections, limits, None))
     }
 
-    fn part_that_pays(
+    fn part_with_largest_gain(
         &self,
         way: &[u32],
         sections: &[WaySection],
@@ -225,11 +229,15 @@ impl<'a> Search<'a> {
         divided: Option<Divided>,
     ) -> Option<Path> {
         let threshold = f64::from(self.levels.followed);
-        // Two of 100 voxels of lung pass the threshold, which is thus two standard deviations; one is allowed for.
+        // Two of 100 voxels of lung pass the threshold, so the threshold is two standard deviations of the noise; half
+        // of it is one.
         let blur = Blur::on(self.smooth.grid(), 0.5 * threshold);
         let (start_mm, probability_before) = match self.before[way[0] as usize] {
             NONE => (0.0, 1.0),
-            before => (self.along_mm[before as usize], self.kept[before as usize]),
+            before => (
+                self.along_mm[before as usize],
+                self.accepted[before as usize],
+            ),
         };
         let (mut gain, mut best, mut last_mm) = (0.0, (0.0, 0, 0.0), start_mm);
         let (mut sum, mut sum_at_best) = (0.0, 0.0);
@@ -241,7 +249,8 @@ impl<'a> Search<'a> {
             let step = f64::from(along - last_mm);
             last_mm = along;
             let own = f64::from(self.smooth.data()[self.reached[*node as usize].voxel as usize]);
-            // The path has crossed a wall: a dark part behind it is not this airway.
+            // A fall larger than `drop` means that the path has crossed a wall; a dark part behind that wall is another
+            // structure.
             highest = highest.max(own);
             if own < highest - self.levels.drop {
                 break;
@@ -298,8 +307,9 @@ impl<'a> Search<'a> {
         })
     }
 
-    /// Return the probability that a path is an airway if the airway that it leaves is one, from features of the whole
-    /// path.
+    /// Return the probability that a path is an airway, on condition that the airway from which it branches is one.
+    ///
+    /// The probability is computed from features of the whole path ([`WAY_WEIGHTS`]).
     fn way_probability(
         &self,
         way: &[u32],
@@ -334,7 +344,7 @@ impl<'a> Search<'a> {
         probability_of_way(figures, weights)
     }
 
-    /// Return the distance to the previously known lumen, at most [`CLEAR_MM`].
+    /// Return the distance in mm from a voxel to the lumen that was known before the extension, at most [`CLEAR_MM`].
     fn clearance_at(&self, voxel: [usize; 3]) -> f64 {
         let mut least = CLEAR_MM;
         self.each_within(voxel, CLEAR_MM, |at, off_mm| {
@@ -345,7 +355,7 @@ impl<'a> Search<'a> {
         least
     }
 
-    /// Return the share of the lung round a voxel that the search reached.
+    /// Return the share of the lung voxels round a voxel that the search has reached.
     ///
     /// The share is large where the search leaks into the lung.
     fn reached_share(&self, voxel: [usize; 3], limits: &ExtensionLimits) -> f64 {
@@ -391,7 +401,9 @@ impl<'a> Search<'a> {
         Profile::of(self.values, &voxels).is_none_or(|profile| profile.is_round())
     }
 
-    /// Return the length of a path without its zigzag between voxels: measured between positions about one slice apart.
+    /// Return the length of a path in mm without its zigzag between voxels.
+    ///
+    /// The length is measured between positions that are about one slice apart.
     fn straight_mm(&self, way: &[u32]) -> f64 {
         let grid = self.smooth.grid();
         let spacing = grid.spacing_mm();
@@ -434,7 +446,7 @@ impl<'a> Search<'a> {
             .collect()
     }
 
-    /// Mark the voxels in the tube round a path, so that they do not become separate tips.
+    /// Mark the voxels in the tube round a path, so that no further path ends in this tube.
     fn cover(&self, way: &[u32], covered: &mut [bool]) {
         let mut left: HashMap<u32, f32> = way.iter().map(|n| (*n, COVER_MM)).collect();
         let mut open: Vec<u32> = way.to_vec();
@@ -457,7 +469,7 @@ impl<'a> Search<'a> {
 
     /// Return the voxels of the lumen round the accepted paths.
     pub(crate) fn filled(&self, smooth: &[i16], paths: &[Path]) -> Vec<u32> {
-        // Level half-way up the wall at each position of a path, the median over some voxels along the path.
+        // The limit of each position is the level half-way up the wall, as the median over some voxels of the path.
         let mut open = BinaryHeap::new();
         let mut best: HashMap<u32, u32> = HashMap::new();
         for path in paths {
@@ -474,13 +486,13 @@ impl<'a> Search<'a> {
                 open.push(Reverse((0u32, *node, half as i32, reach_um)));
             }
         }
-        let mut kept: Vec<u32> = Vec::new();
+        let mut added: Vec<u32> = Vec::new();
         while let Some(Reverse((off_um, n, half, reach_um))) = open.pop() {
             if best.get(&n) != Some(&off_um) {
                 continue;
             }
             let voxel = self.reached[n as usize].voxel;
-            kept.push(voxel);
+            added.push(voxel);
             self.faces.each(voxel as usize, |next, step_mm| {
                 let Some(&m) = self.at.get(&(next as u32)) else {
                     return;
@@ -495,9 +507,9 @@ impl<'a> Search<'a> {
                 }
             });
         }
-        kept.sort_unstable();
-        kept.dedup();
-        kept
+        added.sort_unstable();
+        added.dedup();
+        added
     }
 }
 

@@ -2,11 +2,11 @@
 //!
 //! The level rises one unit (HU) at a time. A voxel joins if its value is at most the level and it touches the lumen by
 //! a face; the voxels that become reachable through it at the same level join with it. These voxels are the *basin*
-//! behind that voxel. In an airway, basins are small, or they are tubes; where the flood breaks through a wall, the
-//! basin is the lung, which is huge. So a basin above a size limit is a leak: its voxels are removed again, and a ball
-//! round the breach stays closed permanently, while the flood rises elsewhere. The level is therefore local:
-//! thick-walled airways are filled up to the half-maximum of their wall, thin ones up to just below the level at which
-//! they would leak.
+//! behind that voxel, which is the basin's *entry*. In an airway, basins are small, or they are tubes; where the flood
+//! breaks through a wall, the basin is the lung, which is huge. So a basin above a size limit is a leak: its voxels are
+//! removed again, and a ball round its entry (the breach) stays closed permanently, while the flood rises elsewhere.
+//! The level is therefore local: thick-walled airways are filled up to the half-maximum of their wall, thin ones up to
+//! just below the level at which they would leak.
 //!
 //! Above the level of tracheal air and its noise, a second test examines the surroundings of a basin. The wall of an
 //! airway is clearly brighter than the level; the surroundings of a dark pocket of lung are not.
@@ -15,46 +15,48 @@ use carina_grid::{Grid, VolumeView};
 
 use carina_leastcost::{TrackError, Watch};
 
-/// Limits of the flood.
+/// Levels and sizes that limit a flood of the airways.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FloodLimits {
-    /// First level; all voxels up to this level that are connected with the start are lumen.
+    /// Level at which the flood starts; all voxels up to this level that are connected with the seeds are lumen.
     pub first_level: i16,
     /// Upper limit of tracheal air and its noise; above this level the surroundings of basins are tested.
     pub core_level: i16,
-    /// Last level (half-way between lumen and wall).
+    /// Level at which the flood ends, half-way between lumen and wall.
     pub last_level: i16,
-    /// Largest volume of a basin that is not a leak, mm^3.
+    /// Largest volume of a basin up to the core level, mm^3; a larger basin is a leak.
     pub leak_mm3: f64,
-    /// Largest volume of a basin that is not a leak, above the core level.
+    /// Largest volume of a basin above the core level, mm^3; a larger basin is a leak.
     pub small_leak_mm3: f64,
-    /// Radius of the ball round a breach that stays closed, mm.
+    /// Radius of the ball round the entry of a leak that stays closed, mm.
     pub closed_radius_mm: f64,
-    /// Smallest mean difference between a basin's surroundings and the level, above the core level.
+    /// Smallest mean difference between the values round a basin and the level; required above the core level only.
     pub min_contrast: f64,
 }
 
-/// Result of the flood.
+/// Lumen that a flood has filled, and the leaks that it has closed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Flood {
-    /// Lumen: 1 inside, 0 outside.
+    /// Mask of the lumen: 1 inside, 0 outside.
     pub lumen: Vec<u8>,
     /// Number of voxels in the lumen.
     pub num_voxels: usize,
-    /// Breaches that were closed: voxel and level.
+    /// Entry voxel and level of each leak that was closed.
     pub leaks: Vec<([usize; 3], i16)>,
     /// Number of basins that were rejected because they have no wall around them.
     pub num_without_wall: usize,
 }
 
+/// State of a voxel that the flood has not met.
 const UNKNOWN: u8 = 0;
+/// State of a voxel in the lumen.
 const LUMEN: u8 = 1;
-/// State of a voxel that was above the level when it was met and waits for its level.
+/// State of a voxel that was above the level when the flood met it and that is listed under its own level.
 const WAITING: u8 = 2;
 /// State of a voxel that is closed permanently.
 const CLOSED: u8 = 3;
 
-/// Flood from `seeds` (voxels of the trachea).
+/// Flood the airways from `seeds` (voxels of the trachea) up to the last level.
 ///
 /// # Errors
 ///
@@ -89,7 +91,7 @@ struct Rising<'a> {
     values: VolumeView<'a, i16>,
     limits: &'a FloodLimits,
     state: Vec<u8>,
-    /// Waiting voxels, by level above the first level.
+    /// Waiting voxels, one list for each level from the first level on.
     waiting: Vec<Vec<u32>>,
     leak_vox: usize,
     small_leak_vox: usize,
@@ -145,7 +147,7 @@ impl<'a> Rising<'a> {
         Ok(())
     }
 
-    /// Open one waiting voxel: its basin joins the lumen or is rejected.
+    /// Open one waiting voxel: add its basin to the lumen, or reject the basin as a leak or as lung without wall.
     fn open(&mut self, entry: u32, level: i16, watch: &impl Watch) -> Result<(), TrackError> {
         let limit = if level > self.limits.core_level {
             self.small_leak_vox
@@ -210,7 +212,7 @@ impl<'a> Rising<'a> {
         Ok(())
     }
 
-    /// Remove a leaking basin and close the ball round its breach.
+    /// Remove a leaking basin from the lumen and close the ball round its entry.
     fn close(&mut self, entry: u32, level: i16) {
         for at in &self.basin {
             self.state[*at as usize] = UNKNOWN;
@@ -255,7 +257,7 @@ impl<'a> Rising<'a> {
                     high[axis] = high[axis].max(voxel[axis]);
                 }
             } else {
-                // From here on, UNKNOWN means not connected with the outside.
+                // From here on, `UNKNOWN` marks voxels that are not connected with the outside of the box.
                 self.state[at] = UNKNOWN;
             }
         }
@@ -318,7 +320,7 @@ impl<'a> Rising<'a> {
     }
 }
 
-/// Call `visit` for the up to six voxels that share a face.
+/// Call `visit` with the index of each of the up to six voxels that share a face with voxel `at`.
 fn for_each_face(grid: &Grid, at: usize, mut visit: impl FnMut(usize)) {
     let [nx, ny, nz] = grid.shape_ijk();
     let [i, j, k] = grid.voxel(at);

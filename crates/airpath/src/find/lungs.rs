@@ -4,17 +4,16 @@ use carina_grid::{Ijk, VolumeView, length};
 
 use crate::find::spots::{AirLevels, transverse_axis};
 
-/// Smallest area of lung on each side of the carina, mm2 in one slice.
-///
-/// The chest CTs examined show 7000 and more, the bowel of an abdomen 330.
+/// Smallest area of lung on each side of the carina in one slice, mm2; bowel has less than half of it.
 pub(crate) const MIN_LUNG_MM2: f64 = 800.0;
-/// Distances from the carina within which lung is searched: sideways, front and back, down; mm.
+/// Largest distances from the carina at which lung is searched, mm: sideways, to front and back, and down.
 const LUNG_REACH_MM: [f64; 3] = [130.0, 80.0, 45.0];
 
-/// Return the areas of lung on the right and on the left of the carina, at its height or below.
+/// Return the areas of lung on the right and on the left of the carina, at its height or below, mm2.
 ///
-/// Each area is the largest in one slice, mm2. A voxel is lung if it and its four neighbours in the slice are in lung's
-/// range (the blurred edges of bowel gas and skin pass through that range within one voxel), with tissue farther out.
+/// Each area is the largest in one slice. A voxel is lung if it and its four neighbours in the slice have values of
+/// lung, and if tissue follows farther out. The blurred edges of bowel gas and skin pass through the values of lung
+/// within one voxel. Both areas are infinite if `levels` has no values of lung.
 pub(crate) fn lungs_beside(
     values: VolumeView<'_, i16>,
     levels: AirLevels,
@@ -45,7 +44,7 @@ pub(crate) fn lungs_beside(
         let Some(slice) = slice.filter(|s| *s < shape[axis]) else {
             break;
         };
-        // First and last tissue of every line of the slice, to distinguish lung from the air outside the body.
+        // The first and the last tissue of every line of the slice distinguish lung from the air outside the body.
         let voxel = |p: usize, q: usize| {
             let mut ijk = [0; 3];
             (ijk[axis], ijk[u], ijk[v]) = (slice, p, q);

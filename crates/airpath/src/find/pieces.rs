@@ -1,33 +1,33 @@
-//! Connected pieces of air that the lumen does not touch.
+//! Connected pieces of air that share no face with the lumen.
 
 use rayon::prelude::*;
 
-/// Criteria and region of the search.
+/// Region, air value and sizes for a search for pieces of air.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PieceLimits {
     /// Largest value of air.
     pub darkest: i16,
-    /// First voxel (i, j, k) of the box to search, and the first voxel beyond it.
+    /// First voxel (i, j, k) of the box to search, and the first voxel beyond the box.
     ///
-    /// Voxels outside do not count as air.
+    /// Voxels outside the box do not count as air.
     pub box_ijk: ([usize; 3], [usize; 3]),
-    /// Smallest number of face neighbours at most as bright as `darkest`, lumen or not; a voxel with fewer is noise.
+    /// Smallest number of face neighbours, in the lumen or not, with values up to `darkest`; a voxel with fewer is
+    /// noise.
     pub least_neighbours: usize,
     /// Smallest and largest number of voxels of a piece.
     pub voxels: (usize, usize),
-    /// Largest number of air voxels; with more, pieces have no meaning and the result is empty.
+    /// Largest number of air voxels in the box; with more, pieces have no meaning and the search returns none.
     pub most_air: usize,
 }
 
-/// Mark of a voxel of the box: air.
-///
-/// The next constant marks a voxel that touches the lumen.
+/// Mark of an air voxel of the box.
 const AIR: u8 = 1;
+/// Mark of an air voxel that touches the lumen.
 const TOUCHES: u8 = 2;
 
-/// Find the face-connected pieces of air that share no face with the lumen (not 0).
+/// Find the face-connected pieces of air that share no face with the lumen (voxels of `lumen` that are not 0).
 ///
-/// Return their voxels in ascending order, the largest piece first.
+/// Return the voxels of each piece in ascending order, the largest piece first.
 pub fn pieces_of_air(
     values: &[i16],
     lumen: &[u8],

@@ -1,8 +1,4 @@
-//! Volume as from a softer reconstruction kernel: the amplification by a sharp kernel is reversed.
-//!
-//! An edge-enhancing kernel amplifies fine detail: its transfer function is `1 + a (1 - g)`, where `g` falls from 1 to
-//! 0 with frequency. The inverse, `1 / (1 + a (1 - g))`, is a weighted sum of the value itself and of blurs
-//! (docs/decisions/0113).
+//! Approximation of a softer reconstruction kernel: the amplification of fine detail by a sharp kernel is reversed.
 
 use carina_grid::VolumeView;
 use rayon::prelude::*;
@@ -10,23 +6,24 @@ use rayon::prelude::*;
 use crate::find::extension_reach::Faces;
 use crate::find::tubeness::{Enclosure, REACH_MM, smoothed};
 
-/// One Gaussian of a mixture.
+/// One Gaussian blur of the mixture that [`mixed`] adds.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Blur {
-    /// Weight in the sum.
+    /// Weight of this blur in the sum.
     pub weight: f64,
-    /// Standard deviation, mm.
+    /// Standard deviation of the Gaussian, mm.
     pub sigma_mm: f64,
 }
 
-/// Radius at which Gaussians are truncated, in sigmas.
+/// Radius at which a Gaussian is truncated, in sigmas.
 const REACH_SIGMAS: f64 = 3.0;
-/// Sigma in voxels below which a Gaussian does not reach the next voxel.
+/// Sigma in voxels below which a Gaussian is replaced by no blur, because its weights for the next voxel are
+/// negligible.
 const NARROWEST_VOX: f64 = 0.25;
 
-/// Return `own` times each value plus the blurs of the volume along the axes that are `blurred`.
+/// Return `own` times the volume plus the weighted `blurs` of the volume along the axes that are `blurred`.
 ///
-/// Beyond a face the values at the face are used.
+/// Beyond a face of the volume the values at the face are used.
 #[must_use]
 pub fn mixed(
     values: VolumeView<'_, i16>,
@@ -53,25 +50,25 @@ pub fn mixed(
     let slice = nx * ny;
     let mut out = vec![0i16; data.len()];
     out.par_chunks_mut(slice).enumerate().for_each_init(
-        || Room::new(nx, ny),
-        |room, (k, out)| {
+        || SliceBuffers::new(nx, ny),
+        |buffers, (k, out)| {
             let at = |k: usize| &data[k * slice..(k + 1) * slice];
-            for (sum, value) in room.sum.iter_mut().zip(at(k)) {
+            for (sum, value) in buffers.sum.iter_mut().zip(at(k)) {
                 *sum = own as f32 * f32::from(*value);
             }
             for (blur, [wx, wy, wz]) in blurs.iter().zip(&kernels) {
-                for (mean, value) in room.across.iter_mut().zip(at(k)) {
+                for (mean, value) in buffers.across.iter_mut().zip(at(k)) {
                     *mean = wz[0] * f32::from(*value);
                 }
                 for (n, weight) in wz.iter().enumerate().skip(1) {
                     let (below, above) = (at(k.saturating_sub(n)), at((k + n).min(nz - 1)));
-                    for ((mean, low), high) in room.across.iter_mut().zip(below).zip(above) {
+                    for ((mean, low), high) in buffers.across.iter_mut().zip(below).zip(above) {
                         *mean += weight * (f32::from(*low) + f32::from(*high));
                     }
                 }
-                room.blur_slice(blur.weight as f32, wx, wy);
+                buffers.blur_slice(blur.weight as f32, wx, wy);
             }
-            for (value, sum) in out.iter_mut().zip(&room.sum) {
+            for (value, sum) in out.iter_mut().zip(&buffers.sum) {
                 *value = sum.round() as i16;
             }
         },
@@ -84,17 +81,17 @@ pub fn mixed(
 pub struct CutOff {
     /// Lowest value of the sharp volume.
     pub floor: i16,
-    /// Value of air.
+    /// Value of air in the softened volume.
     pub air: i16,
-    /// Largest value in the softened volume that is certainly air.
+    /// Largest value of the softened volume that only air has.
     pub certain: i16,
-    /// Smallest rise of a wall above a clipped lumen.
+    /// Smallest rise from a clipped lumen to its wall.
     pub rise: i16,
-    /// Width of the dark seam that a kernel creates inside a wall, mm.
+    /// Width of the dark seam that a sharp kernel creates inside a wall, mm.
     pub seam_mm: f64,
 }
 
-/// Set clipped voxels of airway lumens to the value of air; return the number of these voxels.
+/// Set the clipped voxels of airway lumens in `soft` to the value of air; return the number of these voxels.
 ///
 /// A sharp kernel makes the lumen along a wall, and all of a small lumen, darker than air. Files have a lowest value;
 /// darker values are lost, and the softened lumen becomes too bright. The dark rims beside vessels and pleura are
@@ -111,10 +108,11 @@ pub fn keep_cut_off_air(sharp: VolumeView<'_, i16>, soft: &mut [i16], cut: &CutO
         })
         .map(|(at, _)| at as u32)
         .collect();
-    // Start at voxels that are certainly air and continue through clipped voxels up to the width of a seam.
+    // The search starts beside voxels that are certainly air and continues through clipped voxels up to the width of a
+    // seam.
     let faces = Faces::new(sharp);
     let is_cut = |at: usize, soft: &[i16]| sharp.data()[at] <= cut.floor && soft[at] > cut.certain;
-    // A lung voxel that is dark because of noise does not count: air has air or clipped voxels on all sides.
+    // A lung voxel that is dark because of noise does not count as air: air has air or clipped voxels on all sides.
     let is_air = |at: usize| {
         let mut is_inside = soft[at] <= cut.certain;
         if is_inside {
@@ -164,17 +162,17 @@ pub fn keep_cut_off_air(sharp: VolumeView<'_, i16>, soft: &mut [i16], cut: &CutO
     kept.len()
 }
 
-/// Buffers of one thread for a slice.
-struct Room {
+/// Buffers in which one thread blurs one slice.
+struct SliceBuffers {
     shape: [usize; 2],
     sum: Vec<f32>,
     across: Vec<f32>,
     row: Vec<f32>,
-    /// A row, extended beyond its ends.
+    /// Row of the slice, extended beyond both ends by its edge values.
     wide: Vec<f32>,
 }
 
-impl Room {
+impl SliceBuffers {
     fn new(nx: usize, ny: usize) -> Self {
         Self {
             shape: [nx, ny],
@@ -185,7 +183,7 @@ impl Room {
         }
     }
 
-    /// Add `weight` times the blurred slice to the sum.
+    /// Blur `across` along y and x, and add the result times `weight` to `sum`.
     fn blur_slice(&mut self, weight: f32, wx: &[f32], wy: &[f32]) {
         let [nx, ny] = self.shape;
         let reach = wx.len() - 1;
@@ -216,7 +214,7 @@ impl Room {
     }
 }
 
-/// Return half of a Gaussian's weights, the middle first; together with their mirror image they sum to 1.
+/// Return one half of a Gaussian's weights, from the middle outwards; together with their mirror image they sum to 1.
 fn weights(sigma_vox: f64) -> Vec<f32> {
     if sigma_vox < NARROWEST_VOX {
         return vec![1.0];
@@ -236,7 +234,8 @@ mod tests {
 
     use super::*;
 
-    /// Compute the mixture directly from its definition: each blur is a sum over all voxels within its radius.
+    /// Compute the result of [`mixed`] directly from its definition: each blur is a sum over all voxels within its
+    /// radius.
     fn mixed_slowly(
         values: VolumeView<'_, i16>,
         own: f64,
@@ -281,7 +280,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(24))]
         #[test]
-        fn the_separable_sums_are_the_plain_ones(
+        fn the_separable_blurs_equal_the_sums_of_their_definition(
             seed in 0u64..1000,
             spacing in proptest::array::uniform3(0.5f64..3.0),
             sigma_mm in 0.3f64..1.6,
@@ -305,14 +304,14 @@ mod tests {
             let blurs = [Blur { weight: 0.4, sigma_mm }, Blur { weight: 0.25, sigma_mm: 1.5 * sigma_mm }];
             let fast = mixed(view, 0.35, &blurs, blurred);
             for (a, b) in fast.iter().zip(mixed_slowly(view, 0.35, &blurs, blurred)) {
-                // Tolerance: half a unit of rounding, and the difference between f32 and f64.
+                // The tolerance is half a unit of rounding plus the difference between f32 and f64.
                 prop_assert!((f64::from(*a) - b).abs() <= 0.51);
             }
         }
     }
 
     #[test]
-    fn a_lumen_that_was_cut_off_is_air_and_a_rim_beside_tissue_is_not() {
+    fn a_clipped_lumen_becomes_air_and_a_clipped_rim_beside_tissue_does_not() {
         let place =
             Affine::from_columns([0.7, 0.0, 0.0], [0.0, 0.7, 0.0], [0.0, 0.0, 0.7], [0.0; 3]);
         let grid = Grid::new([24, 32, 40], place).unwrap();
@@ -322,7 +321,7 @@ mod tests {
                 let (x, y) = (i as f64 - 12.0, j as f64 - 16.0);
                 let off = x.hypot(y);
                 match i {
-                    // The volume has tissue from i = 30 on, and a dark rim two voxels wide in front of it.
+                    // The volume has tissue from i = 30 on, and in front of the tissue a dark rim two voxels wide.
                     30.. => 40,
                     28..30 => -1024,
                     _ if off <= 1.2 => -1024,
@@ -341,6 +340,7 @@ mod tests {
         assert!(found >= 12 * 5);
     }
 
+    /// Parameters of the restoration of clipped air in these tests.
     const CUT: CutOff = CutOff {
         floor: -1024,
         air: -1000,
@@ -350,11 +350,12 @@ mod tests {
     };
 
     #[test]
-    fn what_was_cut_off_along_the_wall_of_a_wide_airway_is_air_as_far_as_the_seam() {
+    fn clipped_voxels_along_the_wall_of_a_wide_airway_become_air_up_to_the_seam_width() {
         let place =
             Affine::from_columns([0.7, 0.0, 0.0], [0.0, 0.7, 0.0], [0.0, 0.0, 0.7], [0.0; 3]);
         let grid = Grid::new([12, 12, 60], place).unwrap();
-        // Wide air with a dark seam and a wall; and lung with an equally dark seam of tissue alone.
+        // The first part has wide air with a dark seam and a wall; the second has lung with an equally dark seam of
+        // tissue alone.
         let sharp: Vec<i16> = (0..grid.num_voxels())
             .map(|at| match grid.voxel(at)[0] {
                 0..20 => -1005,
@@ -377,7 +378,7 @@ mod tests {
     }
 
     #[test]
-    fn where_shares_sum_to_one_an_even_volume_stays_as_it_is() {
+    fn weights_that_sum_to_one_do_not_change_a_uniform_volume() {
         let grid = Grid::new(
             [4, 5, 6],
             Affine::from_columns([1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0; 3]),

@@ -3,14 +3,15 @@
 
 use carina_grid::{Grid, Ijk, VolumeView, length};
 
-/// Levels that distinguish air, lung and tissue.
+/// Value levels of a CT that distinguish air, lung and tissue.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AirLevels {
-    /// Upper limit of the values of air.
+    /// Largest value of air.
     pub air: i16,
     /// Smallest value of a wall of soft tissue.
     pub tissue: i16,
-    /// Range of values of lung; `None` if the values do not show lung (a painted mask), so that no lung is required.
+    /// Range of values of lung; `None` if the volume shows no lung (a painted mask), so that the search does not
+    /// require lung.
     pub lung: Option<(i16, i16)>,
 }
 
@@ -22,15 +23,19 @@ pub(crate) struct Spot {
     pub(crate) centre_lps: [f64; 3],
     pub(crate) area_mm2: f64,
     elongation: f64,
-    /// Share of directions in which soft tissue follows.
+    /// Share of the directions from the spot in which soft tissue follows the air.
     pub(crate) ringed: f64,
-    /// Cells of the spot in the slice, in ascending order; the next field is the cell of `voxel`.
+    /// Cells of the spot in the slice, as indices in ascending order.
     cells: Vec<u32>,
+    /// Index of the spot's middle cell, that of `voxel`.
     middle: u32,
 }
 
+/// Number of directions in which the search looks for tissue round a spot.
 const NUM_DIRECTIONS: usize = 24;
+/// Smallest area of a spot of air, mm2.
 const MIN_AREA_MM2: f64 = 12.0;
+/// Largest area of a spot of air, mm2.
 const MAX_AREA_MM2: f64 = 900.0;
 
 impl Spot {
@@ -46,14 +51,14 @@ impl Spot {
         (4.0..=33.0).contains(&self.diameter_mm()) && self.ringed >= 0.5
     }
 
-    /// Return true if the middle of one spot is in the other.
+    /// Return true if the middle of one of the two spots is in the other.
     fn overlaps(&self, other: &Self) -> bool {
         self.cells.binary_search(&other.middle).is_ok()
             || other.cells.binary_search(&self.middle).is_ok()
     }
 }
 
-/// Return the grid axis nearest to head-feet.
+/// Return the grid axis that is nearest to the direction from head to feet.
 pub(crate) fn transverse_axis(grid: &Grid) -> usize {
     let share = |axis: usize| {
         let column = grid.lps_from_ijk().column(axis);
@@ -64,7 +69,7 @@ pub(crate) fn transverse_axis(grid: &Grid) -> usize {
         .unwrap_or(2)
 }
 
-/// Return the spots of one slice whose size is relevant.
+/// Return the spots of air of one slice whose area is between `MIN_AREA_MM2` and `MAX_AREA_MM2`.
 pub(crate) fn spots_of_air(
     values: VolumeView<'_, i16>,
     levels: AirLevels,
@@ -180,8 +185,9 @@ pub(crate) fn spots_of_air(
     spots
 }
 
-/// Return the share of directions in which tissue follows within 4 mm behind the edge of the air, at most 30 mm from
-/// the centre.
+/// Return the share of directions in which tissue follows within 4 mm of the edge of the air.
+///
+/// Only the first 30 mm from the centre are examined.
 fn ringed_share(
     nu: usize,
     nv: usize,
@@ -266,7 +272,7 @@ pub(crate) fn chains(
     found
 }
 
-/// Return the distance of two spots across the head-feet axis.
+/// Return the distance in mm between the centres of two spots, projected along the axis from head to feet.
 pub(crate) fn across_mm(a: &Spot, b: &Spot) -> f64 {
     (a.centre_lps[0] - b.centre_lps[0]).hypot(a.centre_lps[1] - b.centre_lps[1])
 }
@@ -279,7 +285,7 @@ pub(crate) fn chain_length_mm(slices: &[Vec<Spot>], chain: &Chain) -> f64 {
 }
 
 impl Chain {
-    /// Return the chain's spot in a slice, if the chain includes that slice.
+    /// Return the spot of this chain in a slice; `None` if the chain does not include that slice.
     pub(crate) fn at<'a>(&self, slices: &'a [Vec<Spot>], slice: usize) -> Option<&'a Spot> {
         let n = slice.checked_sub(self.first)?;
         self.spots.get(n).map(|spot| &slices[slice][*spot])

@@ -1,4 +1,7 @@
-//! Values of a CT round a path, averaged along the path, and the part of the path that is a thin airway.
+//! Profile of the CT values round a path, averaged along the path, and the part of a path that is a thin airway.
+//!
+//! The *dip* at a position is the rise from the middle to the second darkest side. The *crest* is the brightest
+//! distance of a side: the top of its wall.
 
 use carina_grid::VolumeView;
 use carina_leastcost::lumen::interpolated;
@@ -7,49 +10,48 @@ use crate::find::tube_filter::{NUM_SIDES, ROUNDNESS, ThinSection, across, sides}
 
 /// Distance between positions along a path, mm.
 pub(crate) const EVERY_MM: f64 = 0.5;
-/// Number of positions to both sides over which values are averaged: 5 mm.
+/// Number of positions on each side of a position over which values are averaged: 5 mm of path in total.
 const NUM_MEAN: usize = 5;
-/// Number of positions to both sides over which the zigzag between voxels is smoothed.
-///
-/// The next constant is the number of positions on each side between which the direction of the path is measured.
+/// Number of positions on each side over which the zigzag of a path between voxels is smoothed.
 const NUM_SMOOTHED: usize = 2;
+/// Number of positions on each side between which the direction of a path is measured.
 const NUM_DIRECTION: usize = 3;
-/// Offsets across a path, mm, at which a darker position is searched; `NUM_CENTRED` is the number of repetitions.
+/// Offsets across a path at which a darker position is searched, mm.
 const OFFSETS_MM: [f64; 2] = [0.25, 0.5];
+/// Number of positions that are compared: the path itself and eight directions for each offset.
 const NUM_OFFSETS: usize = 1 + 8 * OFFSETS_MM.len();
+/// Number of times that a path is moved to the darkest positions.
 const NUM_CENTRED: usize = 2;
-/// Distances from the middle at which values are read, mm.
+/// Distances from the middle of a path at which the values of its sides are read, mm.
 const DISTANCES_MM: [f64; 8] = [0.6, 0.8, 1.0, 1.25, 1.6, 2.1, 2.6, 3.2];
-/// Number of the first distances at which the crest of a wall is searched.
+/// Number of values of `DISTANCES_MM`, from the first, at which the crest of a wall is searched.
 const NUM_CRESTS: usize = 6;
-/// Largest gain of a path by one position, in thresholds, so that one bright wall does not compensate for a long part
-/// without wall.
+/// Largest gain of a path by one position, in thresholds of the dip.
+///
+/// The limit prevents that one bright wall compensates for a long part without wall.
 const MOST_GAIN: f64 = 3.0;
-/// Smallest mean dip of an accepted path, in thresholds.
-///
-/// The next constant is the smallest share of positions that look like an airway.
+/// Smallest mean dip of an accepted path, in thresholds of the dip.
 const KEPT_MEAN: f64 = 1.2;
+/// Smallest share of the positions of an accepted path that look like an airway.
 const KEPT_SHARE: f64 = 0.75;
-/// Largest distance of the crest of a thin airway's wall, mm.
-///
-/// The next constants are the smallest mean number of 8 sides with lung behind the wall (an artery is at the others),
-/// and the largest standard deviation of the radius, mm.
+/// Largest distance from the middle of a thin airway to the crest of its wall, mm.
 const FARTHEST_CREST_MM: f64 = 1.3;
+/// Smallest mean number of the 8 sides with lung behind the wall; an artery is behind the others.
 const LEAST_THIN: f64 = 4.5;
+/// Largest standard deviation of the radius along a thin airway, mm.
 const STEADY_MM: f64 = 0.06;
 
-/// Number of positions at the start of a path that may be brighter than its median.
-///
-/// The next constant is the largest difference, as a fraction of the wall's rise.
+/// Number of positions at the start of a path whose brightness is compared with the median of the path.
 const NUM_FIRST: usize = 4;
+/// Largest excess of the first `NUM_FIRST` positions over the median of the path, as a fraction of the wall's rise.
 const OPENNESS: f64 = 0.65;
 
 /// Smallest rise of the second darkest side of a whole path, as a fraction of the rise of the median side.
 const ROUND_WAY: f64 = 0.4;
-/// Radius of a wall above which the CT does not show reliably on how many sides it is, mm.
+/// Radius in mm above which a CT does not show reliably on how many sides a wall is.
 const WIDE_MM: f64 = 1.3;
 
-/// Positions of a path, each with the values averaged over 5 mm of the path.
+/// Positions along a path, each with CT values averaged over 5 mm of the path.
 #[derive(Debug, Clone)]
 pub(crate) struct Profile {
     pub(crate) places: Vec<Place>,
@@ -57,20 +59,21 @@ pub(crate) struct Profile {
 
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Place {
-    /// Position in mm along the grid's axes.
+    /// Coordinates in mm along the grid's axes.
     pub(crate) mm: [f64; 3],
-    /// Value in the middle at this position; the next field is the average along the path.
+    /// Value in the middle at this position alone.
     own: f64,
+    /// Value in the middle, averaged along the path.
     pub(crate) middle: f64,
-    /// Rise of the second darkest side above the middle.
+    /// Rise from the middle to the second darkest side.
     dip: f64,
-    /// Rise of the median side above the middle.
+    /// Rise from the middle to the median side.
     pub(crate) rise: f64,
-    /// Distance at which the median side is half-way up, mm.
+    /// Distance from the middle at which the median side is half-way up its wall, mm.
     pub(crate) radius_mm: f64,
-    /// Distance at which the median side is brightest, mm.
+    /// Distance from the middle at which the median side is brightest, mm.
     crest_mm: f64,
-    /// Lowest value of each side beyond the crest.
+    /// Lowest value of each side beyond the crest of its wall.
     beyond: [f64; NUM_SIDES],
 }
 
@@ -83,13 +86,13 @@ pub(crate) struct Asked {
 }
 
 impl Profile {
-    /// Return the profile of a path through adjacent voxels; `None` if the path has only one position.
+    /// Compute the profile of a path through adjacent voxels; return `None` if the path has only one position.
     pub(crate) fn of(values: VolumeView<'_, i16>, voxels: &[u32]) -> Option<Self> {
         let curve = evenly(values, voxels);
         (curve.len() > 1).then(|| Self::along(values, &curve))
     }
 
-    /// Return the profile of a path after moving it to the darkest positions; `None` if the path has only one position.
+    /// Move a path to the darkest positions and compute its profile; return `None` if the path has only one position.
     pub(crate) fn centred(values: VolumeView<'_, i16>, voxels: &[u32]) -> Option<Self> {
         let curve = evenly(values, voxels);
         let moved = |curve: Vec<[f64; 3]>, _| centred(&curve, |mm| value_at(values, mm));
@@ -126,7 +129,8 @@ impl Profile {
 
     /// Return the number of positions, from the first, that are an airway.
     ///
-    /// These positions are the part with the largest gain; the result is 0 if the part does not qualify.
+    /// This first part of the path is the one with the largest sum of gains. The result is 0 if that part does not
+    /// qualify.
     pub(crate) fn kept(&self, asked: &Asked) -> usize {
         let (mut gain, mut most, mut num) = (0.0, 0.0, 0);
         let looks: Vec<bool> = self.places.iter().map(|p| p.looks_like(asked)).collect();
@@ -150,17 +154,18 @@ impl Profile {
         let alike = looks[..num].iter().filter(|l| **l).count();
         let is_kept =
             sum >= KEPT_MEAN * asked.dip * num as f64 && alike as f64 >= KEPT_SHARE * num as f64;
-        if is_kept && self.is_open(num) && self.is_a_thread(num, &asked.section) {
+        if is_kept && self.is_open(num) && self.is_thin_and_steady(num, &asked.section) {
             num
         } else {
             0
         }
     }
 
-    /// Return whether the wall is as thin as that of an airway and the radius constant along the path.
+    /// Return whether the first `num` positions have a wall as thin as an airway's and a radius constant along the
+    /// path.
     ///
-    /// A space enclosed by vessels does not satisfy this.
-    fn is_a_thread(&self, num: usize, section: &ThinSection) -> bool {
+    /// A space between vessels does not satisfy this.
+    fn is_thin_and_steady(&self, num: usize, section: &ThinSection) -> bool {
         let places = &self.places[..num];
         let mean =
             |value: &dyn Fn(&Place) -> f64| places.iter().map(value).sum::<f64>() / num as f64;
@@ -171,9 +176,9 @@ impl Profile {
             && varies_mm <= STEADY_MM
     }
 
-    /// Return whether the lumen opens into the airway that it leaves.
+    /// Return whether the lumen of the path opens into the airway from which the path branches.
     ///
-    /// A path that begins in that airway's wall leads to lung beside it.
+    /// A path that begins in the wall of that airway leads to lung beside it.
     fn is_open(&self, num: usize) -> bool {
         let places = &self.places[..num];
         let first = &places[..NUM_FIRST.min(num)];
@@ -181,15 +186,15 @@ impl Profile {
         brightest - median(places, |p| p.own) <= OPENNESS * median(places, |p| p.rise)
     }
 
-    /// Return whether the wall is on all sides (a groove between a vessel and a wall is open on one side).
+    /// Return whether the path has wall on all sides; a groove between a vessel and a wall is open on one side.
     ///
-    /// The result is always true for wide lumens.
+    /// The result is always true for a path with a wide lumen.
     pub(crate) fn is_round(&self) -> bool {
         median(&self.places, |p| p.radius_mm) > WIDE_MM
             || median(&self.places, |p| p.dip / p.rise.max(1.0)) >= ROUND_WAY
     }
 
-    /// Return the mean dip of the first positions.
+    /// Return the mean dip of the first `num` positions.
     pub(crate) fn mean_dip(&self, num: usize) -> f64 {
         self.places[..num].iter().map(|p| p.dip).sum::<f64>() / num.max(1) as f64
     }
@@ -201,7 +206,7 @@ fn median(places: &[Place], value: impl Fn(&Place) -> f64) -> f64 {
     values[values.len() / 2]
 }
 
-/// Return the length of a number of positions.
+/// Return the length in mm of `num` positions.
 pub(crate) fn length_mm(num: usize) -> f64 {
     EVERY_MM * num as f64
 }
@@ -214,7 +219,7 @@ fn value_at(values: VolumeView<'_, i16>, mm: [f64; 3]) -> f64 {
     ))
 }
 
-/// Values at one position of a path: in the middle, and at several distances on each side.
+/// CT values at one position of a path: in the middle, and at several distances on each side.
 struct Seen {
     middle: f64,
     walls: [[f64; NUM_SIDES]; DISTANCES_MM.len()],
@@ -264,7 +269,7 @@ impl Place {
         }
     }
 
-    /// Return the number of sides with lung behind the wall.
+    /// Return the number of sides at this position with lung behind the wall.
     fn num_thin(&self, section: &ThinSection) -> f64 {
         let most = section.beyond(self.middle + self.rise);
         self.beyond.iter().filter(|side| **side < most).count() as f64
@@ -279,8 +284,8 @@ impl Place {
     }
 }
 
-/// Return at each position of a curve two unit vectors across it, with the least rotation from one position to the
-/// next.
+/// Return at each position of a curve two unit vectors across the curve, rotated as little as possible between
+/// positions.
 fn frames(curve: &[[f64; 3]]) -> impl Iterator<Item = [[f64; 3]; 2]> {
     let last = curve.len() - 1;
     let mut up = None;
@@ -304,7 +309,8 @@ fn frames(curve: &[[f64; 3]]) -> impl Iterator<Item = [[f64; 3]; 2]> {
     })
 }
 
-/// Move the curve to where the CT along it is darkest, because a path from voxel to voxel cuts corners.
+/// Return the curve with each position moved across it to the darkest near value, because a path from voxel to voxel
+/// cuts corners.
 fn centred(curve: &[[f64; 3]], at: impl Fn([f64; 3]) -> f64) -> Vec<[f64; 3]> {
     let last = curve.len() - 1;
     let moved = |n: usize, frame: &[[f64; 3]; 2], offset: [f64; 2]| -> [f64; 3] {
@@ -327,7 +333,7 @@ fn centred(curve: &[[f64; 3]], at: impl Fn([f64; 3]) -> f64) -> Vec<[f64; 3]> {
     smoothed(&darkest)
 }
 
-/// Return the offsets across a path: none, and 8 directions at each distance, mm.
+/// Return offset `n` across a path in mm: none for 0, then eight directions for each distance of `OFFSETS_MM`.
 fn offset_mm(n: usize) -> [f64; 2] {
     let Some(n) = n.checked_sub(1) else {
         return [0.0; 2];
@@ -337,7 +343,7 @@ fn offset_mm(n: usize) -> [f64; 2] {
     [mm * cos, mm * sin]
 }
 
-/// Replace each position by the mean of the near positions.
+/// Return a curve with each position replaced by the mean of its `NUM_SMOOTHED` neighbours on each side.
 fn smoothed(curve: &[[f64; 3]]) -> Vec<[f64; 3]> {
     let last = curve.len().saturating_sub(1);
     (0..curve.len())
@@ -349,7 +355,7 @@ fn smoothed(curve: &[[f64; 3]]) -> Vec<[f64; 3]> {
         .collect()
 }
 
-/// Return positions at equal distances along the path, with the zigzag between voxels smoothed.
+/// Return positions at equal distances along a path of voxels, with the zigzag between voxels smoothed.
 fn evenly(values: VolumeView<'_, i16>, voxels: &[u32]) -> Vec<[f64; 3]> {
     let grid = values.grid();
     let spacing = grid.spacing_mm();

@@ -1,4 +1,8 @@
-//! Voxels that paths of thin airways may use, from the lumen outwards, and the least-cost paths through them.
+//! Search for voxels of thin airways from the lumen outwards, and the least-cost paths through these voxels.
+//!
+//! The *dip* of a voxel is the output of the tube filter ([`crate::find::tube_filter`]): the rise from the middle of a
+//! thin tube to its sides. The *allowance* of a path is the length in mm that it may still pass through voxels without
+//! a dip.
 
 use carina_grid::{Grid, InstructionSet};
 use carina_leastcost::{TrackError, Watch};
@@ -7,39 +11,39 @@ use rayon::prelude::*;
 use crate::find::extension_levels::LUMEN;
 use crate::find::tube_filter::{BLOCK, TubeFilter};
 
-/// Allowance of a path at the lumen: length in mm that it may pass through voxels without a dip.
-///
-/// The next constant is the largest allowance. At `PRICE` per mm, the actual length is half of that.
+/// Allowance of a path that leaves the lumen, mm.
 const FIRST_MM: f32 = 1.0;
+/// Largest allowance of a path, mm; each mm without a dip uses up `PRICE` mm of the allowance.
 const MOST_MM: f32 = 4.0;
-/// Change of the allowance per mm of path: this factor times (dip divided by the threshold, minus 1).
-///
-/// The next constant is the largest increase per mm.
+/// Change of the allowance per mm of path, as a factor of (dip divided by the threshold, minus 1).
 const PRICE: f32 = 2.0;
+/// Largest increase of the allowance per mm of path.
 const MOST_GAIN: f32 = 0.5;
-/// Smallest improvement of the allowance, in mm, for which a voxel is processed again.
+/// Smallest increase of a voxel's allowance, in mm, for which the search visits the voxel again.
 const BETTER_MM: f32 = 0.05;
 
-/// Voxel that was reached.
+/// Voxel that the search has reached from the lumen.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Node {
     pub(crate) voxel: u32,
     pub(crate) dip: i16,
-    /// Remaining allowance of length without a dip, mm.
+    /// Allowance of the best path to this voxel, mm.
     left_mm: f32,
 }
 
-/// All voxels that were reached.
+/// All voxels that a search has reached from the lumen.
 #[derive(Debug)]
 pub(crate) struct Reached {
     pub(crate) nodes: Vec<Node>,
-    /// Index of each voxel among the nodes.
+    /// Index of each reached voxel in `nodes`.
     at: VoxelMap,
     around: Neighbours,
 }
 
 impl Reached {
-    /// Find the voxels that can be reached from the lumen; the search ends if there are more than `most`.
+    /// Find the voxels that paths from the lumen can reach; the search ends early with more than `most` voxels.
+    ///
+    /// `asked` is the threshold of the dip.
     pub(crate) fn from_lumen(
         grid: &Grid,
         lumen: &[u8],
@@ -98,7 +102,7 @@ impl Reached {
         Ok(Self { nodes, at, around })
     }
 
-    /// Call `visit` with each neighbouring node and its distance, mm.
+    /// Call `visit` with each reached neighbour of a node and its distance in mm.
     pub(crate) fn each_beside(&self, node: u32, mut visit: impl FnMut(u32, f32)) {
         self.around
             .each(self.nodes[node as usize].voxel as usize, |next, step_mm| {
@@ -108,14 +112,14 @@ impl Reached {
             });
     }
 
-    /// Compute the cheapest paths from the lumen.
+    /// Compute the least-cost paths from the lumen to all reached voxels; `asked` is the threshold of the dip.
     pub(crate) fn ways(&self, lumen: &[u8], asked: f64) -> Ways {
         let num = self.nodes.len();
         let mut ways = Ways {
             before: vec![None; num],
             along_mm: vec![f32::INFINITY; num],
         };
-        // Micrometres times weight, as integers, because integers have a total order.
+        // The cost is length in micrometres times weight, as an integer, because integers have a total order.
         let mut found: Vec<Found> = self
             .nodes
             .iter()
@@ -164,15 +168,18 @@ impl Reached {
     }
 }
 
-/// Cost of the cheapest path to a node, and weight of the node.
+/// Cost of the least-cost path to a node, and the weight of the node.
 #[derive(Debug, Clone, Copy)]
 struct Found {
     cost: u64,
-    /// Cost per length, 1 or more.
+    /// Factor of the length of a path at this node, 1 or more.
     weight: f64,
 }
 
-/// Queue by cost, in buckets so narrow that no step stays within its bucket: a bucket that is sorted once is in order.
+/// Priority queue by cost, divided into buckets.
+///
+/// A bucket is so narrow that every step leads to a later bucket. A bucket that is sorted once therefore stays in
+/// order.
 #[derive(Debug)]
 struct Buckets {
     width: u64,
@@ -181,7 +188,7 @@ struct Buckets {
 }
 
 impl Buckets {
-    /// Create a queue; `least` is a lower bound of the cost of a step.
+    /// Create an empty queue; `least` is a lower bound of the cost of a step.
     fn new(least: f64) -> Self {
         Self {
             width: (least as u64).max(1),
@@ -198,7 +205,8 @@ impl Buckets {
         self.open[bucket].push((cost, node));
     }
 
-    /// Return the bucket with the lowest costs, sorted by cost and number.
+    /// Remove and return the bucket with the lowest costs, sorted by cost and node number; `None` if the queue is
+    /// empty.
     fn pop(&mut self) -> Option<Vec<(u64, u32)>> {
         let ahead = self.open[self.front..].iter().position(|b| !b.is_empty())?;
         self.front += ahead + 1;
@@ -208,21 +216,21 @@ impl Buckets {
     }
 }
 
-/// Cheapest path to each node.
+/// Least-cost paths to all nodes, each stored as its previous node and its length.
 #[derive(Debug)]
 pub(crate) struct Ways {
-    /// Previous node; none beside the lumen.
+    /// Previous node on the path; `None` for a node beside the lumen.
     pub(crate) before: Vec<Option<u32>>,
-    /// Length of the path, mm.
+    /// Length of the path from the lumen, mm.
     pub(crate) along_mm: Vec<f32>,
 }
 
-/// Neighbours by faces, edges and corners, and their distances.
+/// Offsets of the neighbours of a voxel by faces, edges and corners, and their distances.
 #[derive(Debug)]
 pub(crate) struct Neighbours {
     shape: [isize; 3],
     steps: Vec<([isize; 3], f32)>,
-    /// The same neighbours as memory offsets, for voxels that are not at a face of the volume.
+    /// Memory offsets and distances of the same neighbours, for voxels that are not at a face of the volume.
     in_memory: Vec<(isize, f32)>,
 }
 
@@ -250,7 +258,7 @@ impl Neighbours {
         }
     }
 
-    /// Return the distance of the nearest neighbour.
+    /// Return the distance of the nearest neighbour in mm.
     fn nearest_mm(&self) -> f32 {
         self.steps
             .iter()
@@ -277,15 +285,16 @@ impl Neighbours {
     }
 }
 
-/// Cache of the dips of voxels that are dark enough for a lumen.
+/// Cache of the dips of those voxels that are dark enough for a lumen.
 pub(crate) struct Dips<'a> {
     filter: &'a TubeFilter,
     values: &'a [i16],
     smooth: &'a [i16],
-    /// Largest smoothed value of a voxel that can be lumen.
+    /// Largest value of the smoothed volume in a lumen.
     brightest: i16,
     simd: InstructionSet,
-    /// Dips in blocks of voxels that are consecutive in memory, because neighbours are usually needed soon.
+    /// Dips in blocks of voxels that are consecutive in memory, because the search soon needs the neighbours of a
+    /// voxel.
     known: Vec<[i16; BLOCK]>,
     /// Index of each block in `known`.
     at: VoxelMap,
@@ -309,7 +318,7 @@ impl<'a> Dips<'a> {
         }
     }
 
-    /// Compute the dips of voxels that are not cached yet, in their order in memory.
+    /// Compute and store the dips of those voxels that are not cached; `voxels` must be in memory order.
     fn measure(&mut self, voxels: &[(u32, f32)]) {
         let is_dark = |voxel: u32| self.smooth[voxel as usize] <= self.brightest;
         let mut blocks: Vec<u32> = voxels
@@ -330,7 +339,7 @@ impl<'a> Dips<'a> {
         );
     }
 
-    /// Return the dip of a measured voxel; `None` if the voxel is too bright.
+    /// Return the dip of a measured voxel; `None` if the voxel is too bright for a lumen.
     fn of(&self, voxel: u32) -> Option<i16> {
         let block = self.at.get(voxel / BLOCK as u32)?;
         (self.smooth[voxel as usize] <= self.brightest)
@@ -338,11 +347,11 @@ impl<'a> Dips<'a> {
     }
 }
 
-/// Voxels to be reached next, each once.
+/// Voxels that the search visits next, each once.
 #[derive(Debug)]
 struct Wave {
     reached: Vec<(u32, f32)>,
-    /// Index of each voxel in the list.
+    /// Index of each voxel in the list of this wave.
     at: VoxelMap,
 }
 
@@ -358,7 +367,7 @@ impl Wave {
         self.reached.is_empty()
     }
 
-    /// Add a voxel; of several paths to it the best allowance counts.
+    /// Add a voxel with its allowance; a voxel that is already in the list keeps the larger allowance.
     fn reach(&mut self, voxel: u32, left_mm: f32) {
         if let Some(n) = self.at.get(voxel) {
             let best_mm = &mut self.reached[n as usize].1;
@@ -369,7 +378,7 @@ impl Wave {
         }
     }
 
-    /// Return all voxels in their order in memory and empty the list.
+    /// Remove and return all voxels in memory order.
     fn take(&mut self) -> Vec<(u32, f32)> {
         let mut reached = std::mem::take(&mut self.reached);
         for (voxel, _) in &reached {
@@ -380,10 +389,12 @@ impl Wave {
     }
 }
 
+/// Number of consecutive voxels of one block of a [`VoxelMap`].
 const TILE: usize = 256;
+/// Entry of a voxel without a number.
 const NONE: u32 = u32::MAX;
 
-/// Map from some voxels of a volume to numbers; it needs memory only where it has entries.
+/// Map from voxels of a volume to numbers, which uses memory only for the blocks that have entries.
 #[derive(Debug)]
 struct VoxelMap {
     tiles: Vec<Option<Box<[u32; TILE]>>>,

@@ -8,6 +8,7 @@ use carina_leastcost::{TrackError, Unwatched, Watch};
 use crate::find::extension_levels::{EXTENDED, LUMEN};
 use crate::find::thin::{Thin, ThinLimits, extend_thin};
 
+/// Limits with which the search runs in these tests.
 const LIMITS: ThinLimits = ThinLimits {
     air: -1000.0,
     lung: (-950, -600),
@@ -20,9 +21,11 @@ const LIMITS: ThinLimits = ThinLimits {
     min_side_mm: 5.0,
     most_reached: 1.0,
 };
-/// End of the known airway; the next constant is the direction of its continuation, along no axis of the grid.
+/// End of the known airway, mm along the grid's axes.
 const START_MM: [f64; 3] = [12.0, 12.5, 12.0];
+/// Direction in which the airway continues from its known end, along no axis of the grid.
 const ALONG: [f64; 3] = [0.86, 0.33, 0.39];
+/// Radius of the known airway, mm.
 const KNOWN_RADIUS_MM: f64 = 1.9;
 
 struct Drawn {
@@ -31,7 +34,8 @@ struct Drawn {
     lumen: Vec<u8>,
 }
 
-/// Return the coordinates of a point along the continuation from the start, and to two sides of it, mm.
+/// Return the coordinates of a point relative to the end of the known airway: along the continuation, and to two sides,
+/// mm.
 fn along_and_off(p: [f64; 3]) -> [f64; 3] {
     let along = unit(ALONG).unwrap();
     let across = unit(cross(along, [0.0, 0.0, 1.0])).unwrap();
@@ -43,9 +47,10 @@ fn along_and_off(p: [f64; 3]) -> [f64; 3] {
     ]
 }
 
-/// Draw lung with noise of 25 HU and a known airway that ends at the start, blurred like a CT.
+/// Draw lung with noise of 25 HU and a known airway that ends at `START_MM`, blurred like a CT.
 ///
-/// `drawn_hu` gives values of the continuation at a point along and off the path, or `None` for lung.
+/// `drawn_hu` returns the value of the continuation at a point (the coordinates of `along_and_off`), or `None` for
+/// lung.
 fn drawn(drawn_hu: impl Fn([f64; 3]) -> Option<f64>) -> Drawn {
     let place = Affine::from_columns(
         [0.0, 0.6, 0.0],
@@ -136,7 +141,7 @@ fn extended(chest: &mut Drawn) -> Thin {
     extend_thin(view, &mut chest.lumen, &LIMITS, &Unwatched).unwrap()
 }
 
-/// Return how far along the path the added voxels extend, and their largest distance from it, mm.
+/// Return the extent of the added voxels along the continuation, and their largest distance from it, mm.
 fn added_mm(chest: &Drawn) -> (f64, f64) {
     let spacing = chest.grid.spacing_mm();
     chest
@@ -173,7 +178,7 @@ fn a_thin_tube_in_noise_is_followed_to_its_end_and_no_farther() {
 }
 
 #[test]
-fn a_gap_in_its_wall_is_crossed_and_a_long_one_ends_the_way() {
+fn a_short_gap_in_a_thin_wall_is_crossed_and_a_long_gap_ends_the_path() {
     let farthest = |long: f64| {
         let mut chest = thin_tube(18.0, |t| (7.0..7.0 + long).contains(&t));
         extended(&mut chest);
@@ -185,7 +190,7 @@ fn a_gap_in_its_wall_is_crossed_and_a_long_one_ends_the_way() {
 }
 
 #[test]
-fn a_vessel_that_goes_on_from_the_airway_is_none() {
+fn a_vessel_that_continues_the_airway_is_not_followed() {
     for radius_mm in [0.7, 1.0, 1.6] {
         let mut chest = drawn(|[_, x, y]| (x.hypot(y) < radius_mm).then_some(40.0));
         let found = extended(&mut chest);
@@ -194,8 +199,9 @@ fn a_vessel_that_goes_on_from_the_airway_is_none() {
 }
 
 #[test]
-fn lung_between_two_or_three_vessels_is_no_airway() {
-    // Three vessels that touch each other would enclose a lumen that a CT cannot distinguish from an airway's.
+fn lung_between_two_or_three_vessels_is_not_followed() {
+    // Three vessels that touch each other would enclose a space that a CT cannot distinguish from the lumen of an
+    // airway.
     for (vessels, apart_mm) in [(2, 1.8), (2, 2.2), (3, 2.7)] {
         let mut chest = drawn(|[_, x, y]| {
             let is_vessel = (0..vessels).any(|n| {
@@ -223,7 +229,7 @@ fn lung_beyond_an_airway_that_ends_adds_nothing() {
 }
 
 #[test]
-fn a_search_that_reaches_too_much_of_the_lung_is_given_up_and_adds_nothing() {
+fn a_search_that_reaches_too_much_of_the_lung_is_cancelled_and_adds_nothing() {
     // Several copies of a chest side by side, because the lung of one copy is too small for the share.
     let one = thin_tube(16.0, |_| false);
     let num = 18;
@@ -259,7 +265,7 @@ fn the_result_does_not_depend_on_the_number_of_threads() {
 }
 
 #[test]
-fn a_search_that_is_stopped_is_an_error() {
+fn a_stopped_search_returns_an_error() {
     struct Never;
     impl Watch for Never {
         fn go_on(&self, _share: f64) -> Result<(), TrackError> {
@@ -273,7 +279,7 @@ fn a_search_that_is_stopped_is_an_error() {
 }
 
 #[test]
-fn a_place_off_the_way_is_told_from_one_along_it() {
+fn coordinates_separate_the_distance_along_the_path_from_that_off_it() {
     let along = unit(ALONG).unwrap();
     let [t, x, y] = along_and_off(std::array::from_fn(|a| START_MM[a] + 3.0 * along[a]));
     assert!((t - 3.0).abs() < 1e-9 && length([x, y, 0.0]) < 1e-9);

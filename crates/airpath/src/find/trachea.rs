@@ -21,10 +21,10 @@ use crate::find::spots::{
 };
 use carina_leastcost::{TrackError, Watch};
 
-/// Part of the expected anatomy that is missing.
+/// Part of the expected anatomy round a trachea that is missing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Doubt {
-    /// The first slices of the volume cut the trachea off less than 18 mm above the carina.
+    /// The volume begins less than 18 mm above the carina and cuts the trachea off.
     CutOff,
     /// One main bronchus is short or narrow.
     NarrowBronchus,
@@ -34,59 +34,63 @@ pub enum Doubt {
     OneLung,
 }
 
-/// Trachea that was found.
+/// Trachea that was found in a CT.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Trachea {
-    /// Voxels of its air, one per slice, from the top down.
+    /// Voxels inside the trachea, one per slice, from the top down.
     pub voxels: Vec<[usize; 3]>,
-    /// Equivalent diameter at each voxel, mm.
+    /// Diameter at each voxel of the circle with the area of the trachea in that slice, mm.
     pub diameters_mm: Vec<f64>,
-    /// Length, mm.
+    /// Length of the trachea in the volume, mm.
     pub length_mm: f64,
     /// Position of the carina, LPS.
     pub carina_lps: [f64; 3],
-    /// Reasons why it may be another structure; empty for a trachea with the expected anatomy.
+    /// Missing parts of the anatomy, because of which the tube may be another structure; empty for the expected
+    /// anatomy.
     pub doubts: Vec<Doubt>,
 }
 
 /// Criteria for the two tubes below a division.
 #[derive(Debug, Clone, Copy)]
 struct SplitRule {
-    /// Length over which both are followed down, mm.
+    /// Length over which both tubes are followed down, mm.
     follow_mm: f64,
-    /// Smallest diameter of the wider tube, mm; the next field is that of the narrower one.
+    /// Smallest diameter of the wider tube, mm.
     wider_mm: f64,
+    /// Smallest diameter of the narrower tube, mm.
     narrower_mm: f64,
-    /// Largest distance front to back, mm, because the oesophagus is behind.
+    /// Largest distance between the two tubes from front to back, mm; the oesophagus is farther behind.
     front_back_mm: f64,
 }
 
-/// Smallest length of trachea in the volume, mm; the next constant applies if the volume's first slices cut it off.
+/// Smallest length of trachea in the volume, mm.
 const MIN_LENGTH_MM: f64 = 18.0;
+/// Smallest length of a trachea that the first slices of the volume cut off, mm.
 const MIN_CUT_OFF_MM: f64 = 8.0;
-/// Smallest length of a trachea without one main bronchus or one lung, mm: no other airway is wide for this length.
+/// Smallest length of a trachea that lacks one main bronchus or one lung, mm; no other airway is wide for this length.
 const STRICT_LENGTH_MM: f64 = 40.0;
-/// Smallest length of a trachea without one main bronchus and one lung, or with other tubes beside the trachea, mm.
+/// Smallest length of a trachea that lacks one main bronchus and one lung, or that has other tubes beside it, mm.
 const BEYOND_DOUBT_MM: f64 = 60.0;
-/// Smallest median diameter of such a trachea, mm.
-///
-/// The next constants are the smallest share surrounded by tissue, and the largest sideways displacement per mm down.
+/// Smallest median diameter of a trachea that lacks a main bronchus or a lung, mm.
 const STRICT_DIAMETER_MM: f64 = 9.0;
+/// Smallest median share of directions with tissue round a trachea that lacks a main bronchus or a lung.
 const STRICT_RINGED: f64 = 0.8;
+/// Largest sideways displacement, per mm down, of a trachea that lacks a main bronchus or a lung.
 const STRICT_SLANT: f64 = 0.6;
-/// Smallest distance by which a single main bronchus leaves the line of the trachea, mm.
+/// Smallest distance by which a single main bronchus leaves the straight line of the trachea, mm.
 const ASIDE_MM: f64 = 10.0;
-/// Largest change of the area of a tube from slice to slice, as a factor.
-///
-/// The next constant applies to a bronchus, which may meet a horizontal branch.
+/// Largest ratio of the areas of a trachea in successive slices.
 const TRACHEA_CHANGE: f64 = 2.2;
+/// Largest ratio of the areas of a bronchus in successive slices, one of which may cut a horizontal branch.
 const BRONCHUS_CHANGE: f64 = 5.0;
+/// Criteria for two main bronchi of normal width.
 const BOTH_BRONCHI: SplitRule = SplitRule {
     follow_mm: 6.0,
     wider_mm: 5.0,
     narrower_mm: 5.0,
     front_back_mm: f64::INFINITY,
 };
+/// Criteria for two main bronchi of which one is short or narrow.
 const NARROW_BRONCHUS: SplitRule = SplitRule {
     follow_mm: 3.0,
     wider_mm: 5.0,
@@ -94,14 +98,13 @@ const NARROW_BRONCHUS: SplitRule = SplitRule {
     front_back_mm: 12.0,
 };
 /// Smallest diameter of a twin (a similar tube beside a candidate), as a fraction of the candidate's diameter.
-///
-/// The next constants are the range of distances of a twin, and the smallest length over which it runs beside the
-/// candidate.
 const TWIN_DIAMETER: f64 = 0.6;
+/// Smallest and largest distance of a twin from the candidate, mm.
 const TWIN_OFF_MM: (f64, f64) = (22.0, 130.0);
+/// Smallest length over which a twin runs beside the candidate, mm.
 const TWIN_LENGTH_MM: f64 = 12.0;
 
-/// Slices from the top down, with the chains of bronchi.
+/// CT with the air spots of its slices from the top down, and the chains of spots that may be bronchi.
 struct Scene<'a> {
     values: VolumeView<'a, i16>,
     levels: AirLevels,
@@ -110,7 +113,7 @@ struct Scene<'a> {
     step_mm: f64,
 }
 
-/// Find the trachea.
+/// Find the trachea of a chest CT.
 ///
 /// # Errors
 ///
@@ -129,7 +132,7 @@ pub fn find_trachea(
     } else {
         (0..num_slices).rev().collect()
     };
-    // Slices from the top down.
+    // The slices are ordered from the top down.
     let slices: Vec<Vec<Spot>> = in_order
         .par_iter()
         .map(|&slice| {
@@ -155,8 +158,8 @@ pub fn find_trachea(
         let Some(candidate) = scene.candidate(chain) else {
             continue;
         };
-        // A candidate of this length needs no test for twins: pockets of air beside it (a collapsed lung, the gut) are
-        // no twins.
+        // A candidate longer than `BEYOND_DOUBT_MM` needs no test for twins: pockets of air beside it (a collapsed
+        // lung, the gut) are no twins.
         let is_long = candidate.trachea.length_mm >= BEYOND_DOUBT_MM;
         if !(is_long && scene.passes_strictly(chain, &candidate))
             && scene.has_twin(chain, candidate.ends_at)
@@ -187,7 +190,7 @@ pub fn find_trachea(
     }))
 }
 
-/// Chain that qualifies as a trachea.
+/// Chain of air spots that qualifies as a trachea.
 struct Candidate {
     trachea: Trachea,
     ends_at: usize,
@@ -202,10 +205,10 @@ impl Candidate {
         doubts.contains(&Doubt::OneBronchus) || doubts.contains(&Doubt::OneLung)
     }
 
-    /// Return whether this candidate is better: the larger tube.
+    /// Return whether this candidate is better than `other`, in general because it has the larger volume.
     ///
-    /// A candidate without a main bronchus or a lung is better only if it is above the other, because the colon is
-    /// below the lungs.
+    /// A candidate that lacks a main bronchus or a lung is better only if it is also above the other, because the colon
+    /// is below the lungs.
     fn beats(&self, other: &Self) -> bool {
         let above = |a: &Self, b: &Self| a.bottom_z_mm >= b.top_z_mm - 15.0;
         match (self.is_strict(), other.is_strict()) {
@@ -221,7 +224,7 @@ impl Scene<'_> {
         &self.slices[chain.first + n][chain.spots[n]]
     }
 
-    /// Return the chain as a trachea, with its doubts; `None` if it does not qualify.
+    /// Return the chain as a candidate, with its doubts; `None` if the chain does not qualify as a trachea.
     fn candidate(&self, chain: &Chain) -> Option<Candidate> {
         // Part of the scanner's first slice may be padding.
         let cut_off = chain.first <= 1;
@@ -255,7 +258,7 @@ impl Scene<'_> {
             return None;
         }
         if length_mm < MIN_LENGTH_MM {
-            // Such a short piece must be wide.
+            // A piece of trachea shorter than `MIN_LENGTH_MM` must be wide.
             if median(&diameters_mm) < STRICT_DIAMETER_MM {
                 return None;
             }
@@ -287,9 +290,9 @@ impl Scene<'_> {
         (!candidate.is_strict() || self.passes_strictly(chain, &candidate)).then_some(candidate)
     }
 
-    /// Return true if the tube is long, wide, upright and surrounded by tissue throughout.
+    /// Return true if a candidate is long, wide, upright and surrounded by tissue throughout.
     ///
-    /// Then no second main bronchus or lung is required.
+    /// Such a candidate needs no second main bronchus or lung.
     fn passes_strictly(&self, chain: &Chain, candidate: &Candidate) -> bool {
         let trachea = &candidate.trachea;
         let ringed: Vec<f64> = (0..=candidate.ends_at)
@@ -310,11 +313,12 @@ impl Scene<'_> {
             && aside <= STRICT_SLANT * (candidate.top_z_mm - candidate.bottom_z_mm)
     }
 
-    /// Return the carina's position and the last spot of the chain above it.
+    /// Find two main bronchi below a chain; return the carina's position and the index of the chain's last spot above
+    /// it.
     ///
-    /// The carina is above two tubes in the same slices, one on the right and one on the left of the chain's last
-    /// undivided spot, that both continue for a while and diverge. One of them may be the lower part of the chain
-    /// itself.
+    /// The two tubes are in the same slices, one on the right and one on the left of the chain's last undivided spot.
+    /// Both continue for the length of the rule and diverge. One of them may be the lower part of the chain itself. The
+    /// result is `None` if the chain does not divide.
     fn split_below(
         &self,
         chain: &Chain,
@@ -335,8 +339,8 @@ impl Scene<'_> {
             };
             for start in below..=furthest {
                 let stop = start + num_needed - 1;
-                // Tubes that are present in this slice and long enough below it, with their spots in the first and the
-                // last of these slices.
+                // Tubes that cross the first slice of the followed length and its last slice, with their spots in these
+                // two slices.
                 let tubes: Vec<(&Spot, &Spot)> = self
                     .bronchi
                     .iter()
@@ -373,14 +377,15 @@ impl Scene<'_> {
         None
     }
 
-    /// Return the position where the chain, or the tube that continues it, leaves its line to one side.
+    /// Find where the chain, or the tube that continues it, leaves its straight line to one side.
     ///
-    /// The position is the carina if one main bronchus is closed.
+    /// Return the position and the index of the chain's last spot before it. If one main bronchus is closed, this
+    /// position is the carina. The result is `None` if the chain stays on its line.
     fn turn_aside(&self, chain: &Chain) -> Option<([f64; 3], usize)> {
         let last = chain.spots.len() - 1;
         let end = self.spot(chain, last);
         let top = self.spot(chain, 0);
-        // Line through the upper part: from the top to 60 % of the length.
+        // The straight line goes through the upper part of the chain: from its top to 60 % of its length.
         let upper = self.spot(chain, last * 3 / 5);
         let down = top.centre_lps[2] - upper.centre_lps[2];
         if down < STRICT_LENGTH_MM / 2.0 {
@@ -417,7 +422,8 @@ impl Scene<'_> {
     /// Return true if another tube of similar width runs beside the chain, to the right or to the left.
     fn has_twin(&self, chain: &Chain, ends_at: usize) -> bool {
         let min_slices = (TWIN_LENGTH_MM / self.step_mm).ceil().max(2.0) as usize;
-        // The tubes of a division may begin a little above the chain's last spot, so the slices there are not tested.
+        // The tubes of a division may begin a little above the chain's last spot, so no twin is searched in the slices
+        // there.
         let num_near = (6.0 / self.step_mm).ceil() as usize;
         let stop = chain.first + (ends_at + 1).saturating_sub(num_near);
         self.bronchi.iter().any(|other| {

@@ -10,23 +10,23 @@
 
 use carina_grid::{Grid, InstructionSet};
 
-/// Number of directions tested, over half a sphere: any tube is within 12 degrees of one.
+/// Number of directions tested, over half a sphere: every tube is within 12 degrees of one of them.
 const NUM_DIRECTIONS: usize = 64;
-/// Number of sides round an axis.
+/// Number of sides round the axis of a piece.
 pub(crate) const NUM_SIDES: usize = 8;
-/// Number of positions along a piece; the next constant is the distance between them, mm.
+/// Number of positions along a piece.
 const NUM_ALONG: usize = 7;
+/// Distance between the positions along a piece, mm.
 const STEP_MM: f64 = 0.75;
-/// Distances at which the crest of the wall is searched, mm: those of thin lumens, blurred.
+/// Distances from the axis at which the crest of the wall is searched, mm: those of thin lumens, blurred.
 ///
 /// A thin lumen has no wall farther out.
 const CRESTS_MM: [f64; 3] = [0.65, 0.75, 1.1];
-/// Distance behind a thin wall at which there must be lung.
-///
-/// The next constant is the smallest number of sides with lung (an artery is at the others).
+/// Distance from the axis, behind a thin wall, at which there must be lung, mm.
 const BEYOND_MM: f64 = 2.4;
+/// Smallest number of sides with lung behind the wall; an artery is behind the others.
 const LEAST_BEYOND: usize = 4;
-/// Distance at which a blurred lumen is half-way up its wall, as a fraction of the crest's distance.
+/// Distance from the axis at which a blurred lumen is half-way up its wall, as a fraction of the crest's distance.
 const HALF_WAY: f64 = 0.5;
 /// Smallest rise of the second darkest side, as a fraction of the mean rise.
 pub(crate) const ROUNDNESS: f64 = 0.5;
@@ -35,46 +35,47 @@ pub(crate) const ROUNDNESS: f64 = 0.5;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct ThinSection {
     pub(crate) air: f64,
-    /// Smallest value of a wall.
+    /// Smallest value of the wall of an airway.
     pub(crate) least_wall: f64,
-    /// Blur (sigma), mm.
+    /// Blur (sigma) of the CT, mm.
     pub(crate) blur_mm: f64,
     /// Value of lung round the airways.
     pub(crate) lung: f64,
 }
 
 impl ThinSection {
-    /// Return the value below which a voxel behind a wall is lung and not wall.
+    /// Return the value between lung and a wall; behind a wall, a voxel below this value is lung.
     pub(crate) fn beyond(&self, wall: f64) -> f64 {
         0.5 * (wall + self.lung)
     }
 
-    /// Return whether a middle is as dark as that of a tube: blur leaves `exp(-r^2 / 2 s^2)` of the wall's brightness
-    /// in it.
+    /// Return whether a middle is as dark as that of a tube of this radius.
+    ///
+    /// Blur leaves `exp(-r^2 / 2 s^2)` of the wall's brightness in the middle of a tube.
     pub(crate) fn is_dark(&self, middle: f64, wall: f64, radius_mm: f64) -> bool {
         middle - self.air <= (-0.5 * (radius_mm / self.blur_mm).powi(2)).exp() * (wall - self.air)
     }
 }
 
-/// Filter for one grid.
+/// Filter for thin tubes on the voxels of one grid.
 #[derive(Debug)]
 pub(crate) struct TubeFilter {
     shape: [isize; 3],
     margin: [isize; 3],
-    /// Largest memory offset of the pieces of a voxel, in both directions.
+    /// Largest memory offset, in both directions, of the values that the filter reads round a voxel.
     reach: usize,
     directions: Vec<Direction>,
     section: ThinSection,
 }
 
-/// Memory offsets of the values of a piece, from the first voxel that any piece uses.
+/// Memory offsets of the values along one line of a piece, from the first voxel that the filter reads.
 type Steps = [u32; NUM_ALONG];
 
 #[derive(Debug)]
 struct Direction {
     middle: Steps,
     crests: Vec<Crest>,
-    /// Positions of each side behind the wall.
+    /// Offsets of the values behind the wall on each side.
     beyond: [Steps; NUM_SIDES],
 }
 
@@ -84,15 +85,15 @@ struct Crest {
     sides: [Steps; NUM_SIDES],
 }
 
-/// Measures of the sides of a piece at one crest, from the sums of their values.
+/// Sums of the values along the sides of a piece at one crest distance.
 #[derive(Debug, Clone, Copy)]
 struct Sides {
-    /// Sum of the second darkest side.
+    /// Sum of the values along the second darkest side.
     second: i32,
     total: i32,
 }
 
-/// Number of voxels, consecutive in memory, that are filtered at once.
+/// Number of voxels, consecutive in memory, that the filter processes at once.
 pub(crate) const BLOCK: usize = 8;
 
 impl TubeFilter {
@@ -129,8 +130,8 @@ impl TubeFilter {
                         sides: ring(mm),
                     })
                     .to_vec();
-                // With large voxels two crests may use the same voxels; then only the nearer one is used, for which the
-                // tube may be brighter.
+                // With large voxels two crest distances may use the same voxels. Only the smaller distance is then
+                // used, because it permits a brighter tube.
                 crests.dedup_by(|next, last| next.sides == last.sides);
                 Direction {
                     middle: std::array::from_fn(|n| place(n, [0.0; 3])),
@@ -148,9 +149,9 @@ impl TubeFilter {
         }
     }
 
-    /// Return the dip at a voxel; 0 if there is no tube, or at the end of the volume.
+    /// Return the dip at a voxel; 0 if there is no tube, or if the filter would read beyond the volume.
     ///
-    /// This function is the definition; [`TubeFilter::dips`] computes the same for many voxels faster.
+    /// This function is the definition; [`TubeFilter::dips`] computes the same result for many voxels faster.
     pub(crate) fn dip(&self, values: &[i16], voxel: usize) -> i16 {
         if !self.is_within(voxel) {
             return 0;
@@ -240,7 +241,7 @@ impl TubeFilter {
         best.map(mean_dip)
     }
 
-    /// Return whether all positions that the filter reads round a voxel are in the volume.
+    /// Return whether all positions that the filter reads round a voxel are in the volume's memory.
     fn is_within(&self, voxel: usize) -> bool {
         let [nx, ny, _] = self.shape;
         let at = voxel as isize;
@@ -248,7 +249,7 @@ impl TubeFilter {
         (0..3).all(|a| ijk[a] >= self.margin[a] && ijk[a] < self.shape[a] - self.margin[a])
     }
 
-    /// Return whether a piece whose sides rise above its middle looks like a thin tube.
+    /// Return whether a piece in one direction, whose sides rise above its middle, looks like a thin tube.
     fn is_tube(
         &self,
         direction: &Direction,
@@ -274,12 +275,12 @@ impl TubeFilter {
     }
 }
 
-/// Return a piece's mean dip from the dip of its sum.
+/// Return the mean dip of a piece from the difference of the sums along its side and its middle.
 const fn mean_dip(sum: i32) -> i16 {
     (sum / NUM_ALONG as i32) as i16
 }
 
-/// Return the sum of a piece's values; `window` begins with the first voxel that any piece uses.
+/// Return the sum of the values along one line of a piece; `window` begins with the first voxel that the filter reads.
 fn sum_of(window: &[i16], steps: &Steps) -> i32 {
     steps
         .iter()
@@ -287,7 +288,7 @@ fn sum_of(window: &[i16], steps: &Steps) -> i32 {
         .sum()
 }
 
-/// Return the sums of a piece's values for voxels that are consecutive in memory.
+/// Return, for voxels that are consecutive in memory, the sums of the values along one line of a piece.
 #[expect(
     clippy::inline_always,
     reason = "compiled once for each instruction set"
@@ -306,9 +307,9 @@ fn sums_of(window: &[i16], steps: &Steps) -> [i32; BLOCK] {
     sums
 }
 
-/// Return the second darkest of the sides and the sum of all, as [`risen`] does.
+/// Return the measures of the sides, as [`risen`] does, for voxels that are consecutive in memory.
 ///
-/// The function processes voxels that are consecutive in memory. The result is `None` if no voxel is above its `least`.
+/// The result is `None` if for no voxel the second darkest side is above its `least`.
 #[expect(
     clippy::inline_always,
     reason = "compiled once for each instruction set"
@@ -337,13 +338,13 @@ fn risen_anywhere(
     Some((second, total))
 }
 
-/// Return whether enough sides are darker than `most` behind the wall.
+/// Return whether enough sides of a piece are darker than `most` behind the wall.
 fn is_thin(sides: &[Steps; NUM_SIDES], sum: impl Fn(&Steps) -> i32, most: f64) -> bool {
     let dark = sides.iter().filter(|side| f64::from(sum(side)) < most);
     dark.count() >= LEAST_BEYOND
 }
 
-/// Return the measures of the sides; `None` if the second darkest is not above `least`.
+/// Return the measures of the sides of a piece; `None` if the sum of the second darkest side is not above `least`.
 fn risen(sides: &[Steps; NUM_SIDES], sum: impl Fn(&Steps) -> i32, least: i32) -> Option<Sides> {
     let (mut darkest, mut second, mut total) = (i32::MAX, i32::MAX, 0);
     for side in sides {
@@ -361,11 +362,11 @@ fn risen(sides: &[Steps; NUM_SIDES], sum: impl Fn(&Steps) -> i32, least: i32) ->
     Some(Sides { second, total })
 }
 
-/// One side of an axis.
+/// One of the sides round an axis, as a direction across the axis.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Side {
     unit: [f64; 3],
-    /// Distance below which a position is in the voxel of the axis itself, mm.
+    /// Distance from the axis in mm, below which a position is still in the voxel of the axis.
     least_mm: f64,
 }
 
@@ -378,7 +379,7 @@ impl Side {
         }
     }
 
-    /// Return the position on this side at a distance, mm; at least in the next voxel.
+    /// Return the offset of this side at a distance in mm from the axis, at least in the next voxel.
     pub(crate) fn at(&self, distance_mm: f64) -> [f64; 3] {
         self.unit.map(|u| u * distance_mm.max(self.least_mm))
     }
@@ -394,7 +395,7 @@ pub(crate) fn sides(across: [f64; 3], up: [f64; 3], spacing: [f64; 3]) -> [Side;
     })
 }
 
-/// Return two perpendicular unit vectors across a direction.
+/// Return two unit vectors that are perpendicular to a direction and to each other.
 pub(crate) fn across(along: [f64; 3]) -> ([f64; 3], [f64; 3]) {
     let smallest = (0..3)
         .min_by(|a, b| along[*a].abs().total_cmp(&along[*b].abs()))
@@ -405,7 +406,7 @@ pub(crate) fn across(along: [f64; 3]) -> ([f64; 3], [f64; 3]) {
     (across, carina_grid::cross(along, across))
 }
 
-/// Return unit vectors distributed evenly over half a sphere (a Fibonacci lattice).
+/// Return `num` unit vectors distributed evenly over half a sphere (a Fibonacci lattice).
 fn half_sphere(num: usize) -> impl Iterator<Item = [f64; 3]> {
     let golden = std::f64::consts::PI * (3.0 - 5f64.sqrt());
     (0..num).map(move |n| {
@@ -423,6 +424,7 @@ mod tests {
 
     use super::*;
 
+    /// Properties of a thin airway in the test volume.
     const SECTION: ThinSection = ThinSection {
         air: -1000.0,
         least_wall: -840.0,
@@ -430,7 +432,7 @@ mod tests {
         lung: -870.0,
     };
 
-    /// Draw noise, and a bright thread with a dark middle, at an angle to all axes.
+    /// Draw a volume of noise with a bright thread that has a dark middle, at an angle to all axes.
     fn chest(grid: &Grid, seed: u64, noise: i64) -> Vec<i16> {
         let spacing = grid.spacing_mm();
         let mut state = seed | 1;
@@ -467,7 +469,7 @@ mod tests {
         #![proptest_config(ProptestConfig::with_cases(12))]
 
         #[test]
-        fn many_voxels_at_once_say_what_each_says_alone(
+        fn dips_of_many_voxels_equal_the_dip_of_each_voxel(
             seed: u64,
             noise in 0..300i64,
             spacing in prop::array::uniform3(0.45..1.1),

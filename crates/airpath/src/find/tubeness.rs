@@ -4,24 +4,25 @@
 //! brighter than a vessel's rim. The shape remains visible: from the middle of the lumen the values rise in all
 //! directions but the two along the tube (three at a bifurcation). So rays start at the voxel, each gives the rise of
 //! the values along it, and the *enclosure* is the rise that all but a fifth of the rays reach. The enclosure needs no
-//! estimate of direction or scale, and a voxel beside one vessel, or between two, is enclosed on some sides only.
+//! estimate of direction or scale. A voxel beside one vessel, or between two, is enclosed on some sides only.
 
 use carina_grid::{Grid, VolumeView};
 use rayon::prelude::*;
 
-/// Length of the rays, mm.
+/// Length of the rays from a voxel, mm.
 ///
-/// This length includes the wall of an airway up to 4 mm wide, and the two open ends take a fifth of the rays.
+/// Rays of this length reach the wall of an airway up to 4 mm wide; the two open ends of such an airway take a fifth of
+/// the rays.
 pub const REACH_MM: f64 = 3.0;
 
+/// Number of rays from a voxel, distributed evenly over all directions.
 const NUM_RAYS: usize = 48;
 /// Number of rays that may find no wall: both ends of the tube, or all three of a bifurcation.
 const NUM_OPEN: usize = 10;
 
-/// Remove the finest noise: smooth with a kernel of three voxels on each axis, with a sigma of 0.6 of the smallest
-/// spacing.
+/// Return the volume without its finest noise: smoothed with a kernel of three voxels on each axis.
 ///
-/// An axis with much longer voxels is not smoothed.
+/// The sigma of the kernel is 0.6 of the smallest spacing. An axis with much longer voxels is not smoothed.
 #[must_use]
 pub fn smoothed(values: VolumeView<'_, i16>) -> Vec<i16> {
     let grid = values.grid();
@@ -63,23 +64,23 @@ pub fn smoothed(values: VolumeView<'_, i16>) -> Vec<i16> {
     out
 }
 
-/// Rays of one grid.
+/// Rays from a voxel on one grid, by which the enclosure is measured.
 #[derive(Debug)]
 pub struct Enclosure {
     shape: [isize; 3],
-    /// For each ray its voxels in order, as offsets.
+    /// Voxels of each ray in order, as index offsets.
     rays: Vec<Vec<[isize; 3]>>,
-    /// The same voxels as memory offsets, for voxels that are not near the volume's faces.
+    /// Voxels of each ray as memory offsets, for voxels that are not near the volume's faces.
     steps: Vec<Vec<isize>>,
     margin: [isize; 3],
 }
 
 impl Enclosure {
-    /// Create rays of `reach_mm` for a grid.
+    /// Create rays of length `reach_mm` for a grid.
     #[must_use]
     pub fn new(grid: &Grid, reach_mm: f64) -> Self {
         let spacing = grid.spacing_mm();
-        // At least one voxel on each axis, for any spacing.
+        // A ray has at least one voxel on each axis, for any spacing.
         let coarsest = spacing.into_iter().fold(0.0, f64::max);
         let reach_mm = reach_mm.max(1.01 * coarsest);
         let step_mm = 0.5 * grid.min_spacing_mm();
@@ -112,7 +113,7 @@ impl Enclosure {
         }
     }
 
-    /// Return the rise of the values on all but a fifth of the rays from a voxel; below 0 on a wall.
+    /// Return the enclosure of a voxel: the rise of the values on all but a fifth of the rays; below 0 on a wall.
     #[must_use]
     pub fn at(&self, smooth: &[i16], voxel: usize) -> i16 {
         let [nx, ny, nz] = self.shape;
@@ -145,9 +146,9 @@ impl Enclosure {
         *rises.select_nth_unstable(NUM_OPEN).1
     }
 
-    /// Return whether the values rise by `rise` or more on all but a fifth of the rays.
+    /// Return whether the enclosure of a voxel is `rise` or more.
     ///
-    /// The result equals that of a comparison of [`Enclosure::at`] with `rise`, but faster.
+    /// The result equals the comparison of [`Enclosure::at`] with `rise`, but is computed faster.
     #[must_use]
     pub fn reaches(&self, smooth: &[i16], voxel: usize, rise: i16) -> bool {
         let [nx, ny, _] = self.shape;
@@ -181,22 +182,23 @@ fn directions() -> impl Iterator<Item = [f64; 3]> {
     })
 }
 
-/// Section across a tube: share of its sides with wall, and distance of the wall.
+/// Section across a tube: the share of its sides with a wall, and the distance of the wall.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Section {
-    /// Share of the directions across in which the values rise enough.
+    /// Share of the directions across the tube in which the values rise enough for a wall.
     pub walled: f64,
-    /// Median distance to half of the rise, mm.
+    /// Median distance from the middle to half of the rise, mm.
     pub radius_mm: f64,
-    /// Median rise to the wall.
+    /// Median rise of the values from the middle to the wall.
     pub rise: f64,
 }
 
+/// Number of directions across a tube in which a section is measured.
 const NUM_SIDES: usize = 16;
 
-/// Measure the section at a voxel across a tube with direction `along` (unit vector in steps of mm on the grid's axes).
+/// Measure the section at a voxel across a tube in direction `along` (unit vector in mm along the grid's axes).
 ///
-/// `rise` is the smallest rise that counts as wall.
+/// `rise` is the smallest rise of the values that counts as wall; `reach_mm` is the largest distance examined.
 #[must_use]
 pub fn section(
     smooth: VolumeView<'_, i16>,
@@ -231,7 +233,7 @@ pub fn section(
             });
             *value = f64::from(carina_leastcost::lumen::interpolated(smooth, at));
         }
-        // Only up to the first wall, because further rises do not belong to this tube.
+        // Only the rise up to the first wall counts, because further rises do not belong to this tube.
         let mut peak = 0;
         for s in 1..profile.len() {
             if profile[s] > profile[peak] {
@@ -294,7 +296,8 @@ mod tests {
         Grid::new(shape_zyx, place).unwrap()
     }
 
-    /// Compute the kernel directly from its definition: a product of three weights, neighbours clamped to the edge.
+    /// Compute the result of [`smoothed`] from its definition: a product of three weights, neighbours clamped to the
+    /// edge.
     fn smoothed_slowly(values: VolumeView<'_, i16>) -> Vec<i16> {
         let grid = values.grid();
         let sigma = 0.6 * grid.min_spacing_mm();
@@ -319,7 +322,7 @@ mod tests {
             .collect()
     }
 
-    /// Compute the enclosure without the faster path for voxels away from the faces.
+    /// Compute the enclosure of a voxel without the faster path for voxels away from the faces.
     fn enclosed_slowly(enclosure: &Enclosure, smooth: VolumeView<'_, i16>, voxel: usize) -> i16 {
         let shape = smooth.grid().shape_ijk().map(|n| n as isize);
         let from = smooth.grid().voxel(voxel).map(|v| v as isize);
@@ -346,7 +349,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_fast_kernels_are_the_slow_ones(
+        fn the_fast_kernels_equal_their_definitions(
             seed in 0u64..1000,
             spacing in proptest::array::uniform3(0.5f64..3.0),
         ) {
@@ -376,7 +379,7 @@ mod tests {
         }
     }
 
-    /// Draw lung at -860 HU with a tube along a direction: lumen and wall, both blurred.
+    /// Draw lung at -860 HU with a tube in direction `along`: lumen and wall, both blurred.
     fn tube(grid: &Grid, along: [f64; 3], radius: f64, wall_mm: f64) -> Vec<i16> {
         let middle = grid.shape_ijk().map(|n| n as f64 / 2.0);
         let spacing = grid.spacing_mm();
@@ -401,7 +404,7 @@ mod tests {
             let enclosure = Enclosure::new(&grid, REACH_MM);
             let middle = grid.shape_ijk().map(|n| n / 2);
             assert!(enclosure.at(&smooth, grid.index(middle)) > 150, "{along:?}");
-            // 2.5 mm from the axis, outside the wall.
+            // The voxel `beside` is 2.5 mm from the axis, outside the wall.
             let helper = if along[0] > 0.9 {
                 [0.0, 1.0, 0.0]
             } else {
@@ -416,7 +419,7 @@ mod tests {
     }
 
     #[test]
-    fn a_section_knows_the_tubes_radius_and_its_open_side() {
+    fn a_section_has_the_tubes_radius_and_the_share_of_its_open_side() {
         let grid = grid([41, 45, 49], [0.5, 0.55, 0.6]);
         let along = [0.6, 0.64, 0.48];
         let mut values = tube(&grid, along, 1.5, 0.9);
@@ -430,10 +433,10 @@ mod tests {
             REACH_MM,
         );
         assert_eq!(closed.walled, 1.0);
-        // The drawn wall is blurred to half its height, so its half-way level is 0.2 mm inside the drawn edge; 0.15 mm
-        // for the voxel's centre, which is off the axis.
+        // The drawn wall is blurred to half its height, so its half-way level is 0.2 mm inside the drawn edge. A
+        // further 0.15 mm allows for the voxel's centre, which is off the axis.
         assert!((closed.radius_mm - 1.3).abs() < 0.15, "{closed:?}");
-        // One half has no wall, only lung.
+        // One half of the tube has no wall, only lung.
         let limit = middle[0] as f64;
         for (at, value) in values.iter_mut().enumerate() {
             if grid.voxel(at)[0] as f64 > limit {

@@ -12,21 +12,25 @@ use std::sync::LazyLock;
 
 use rayon::prelude::*;
 
-/// Number of directions from within the slice (0 degrees) to across it (90 degrees).
+/// Number of tabulated directions, from within the slice (0 degrees) to across it (90 degrees).
 const NUM_DIRECTIONS: usize = 5;
+/// Number of tabulated lumen radii.
 const NUM_RADII: usize = 14;
+/// Smallest tabulated lumen radius, in blurs within the slices.
 const LEAST_RADIUS: f64 = 0.7;
+/// Largest tabulated lumen radius, in blurs within the slices.
 const MOST_RADIUS: f64 = 14.0;
+/// Tabulated wall thicknesses, in blurs within the slices.
 const WALLS: [f64; 8] = [0.25, 0.5, 0.8, 1.2, 1.7, 2.4, 3.4, 5.0];
-/// Ratios of the blur across the slices to the blur within them.
+/// Tabulated ratios of the blur across the slices to the blur within them.
 const RATIOS: [f64; 6] = [0.6, 1.0, 1.4, 1.9, 2.8, 4.2];
-/// Value of lung above the lumen, as a fraction of the wall's rise above the lumen: -860 HU between -1000 and 20 HU.
+/// Difference between lung and lumen, as a fraction of the difference between wall and lumen.
 const LUNG: f64 = 0.14;
 
-/// Measurements on the profiles of a tube in the directions of a quarter turn.
+/// Edge and rise of a blurred tube in each tabulated direction, as a CT shows them.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 struct Shown {
-    /// Half-maximum edge of the lumen, measured from the centre.
+    /// Distance of the lumen's half-maximum edge from the centre.
     edge: [f64; NUM_DIRECTIONS],
     /// Rise from the lowest value to the wall's peak, as a fraction of the rise of an unblurred wall.
     rise: [f64; NUM_DIRECTIONS],
@@ -46,6 +50,7 @@ struct Tables {
     in_tissue: Vec<Shown>,
 }
 
+/// Measurements of all tabulated tubes, computed on first use.
 static TABLES: LazyLock<Tables> = LazyLock::new(|| {
     let shown = |n: usize, wall: Option<f64>| {
         image(radius_at(n / RATIOS.len()), wall, RATIOS[n % RATIOS.len()])
@@ -64,13 +69,13 @@ fn radius_at(n: usize) -> f64 {
     LEAST_RADIUS * (MOST_RADIUS / LEAST_RADIUS).powf(n as f64 / (NUM_RADII - 1) as f64)
 }
 
-/// Clamp a radius to the range of the tables.
+/// Limit a lumen radius to the range of the tables.
 #[must_use]
 pub fn within_tables(radius: f64) -> f64 {
     radius.clamp(LEAST_RADIUS, MOST_RADIUS)
 }
 
-/// Measurements on blurred tubes of one radius, by the thickness of their walls.
+/// Edges and rises of blurred tubes of one lumen radius, for each tabulated wall thickness.
 #[derive(Debug, Clone, Copy)]
 pub struct Tube {
     walled: [Shown; WALLS.len()],
@@ -78,7 +83,7 @@ pub struct Tube {
 }
 
 impl Tube {
-    /// Return the measurements of a tube of this radius, interpolated linearly between computed sizes.
+    /// Return the edges and rises for a lumen radius, interpolated linearly between tabulated radii and ratios.
     ///
     /// `ratio` is the blur across the slices divided by the blur within them.
     #[must_use]
@@ -102,13 +107,15 @@ impl Tube {
         tube
     }
 
-    /// Return the half-maximum edge in a direction (0 within the slice, 1 across it) with tissue behind the edge.
+    /// Return the half-maximum edge of the lumen in a direction (0 within the slice, 1 across it) if tissue follows the
+    /// lumen.
     #[must_use]
     pub fn edge_in_tissue(&self, turn: f64) -> f64 {
         at_turn(&self.in_tissue.edge, turn)
     }
 
-    /// Return the thickness of the wall with the given rise above the lumen in a direction, and its half-maximum edge.
+    /// Find the wall thickness that gives a rise in a direction; return the thickness and the lumen's half-maximum
+    /// edge.
     #[must_use]
     pub fn wall_that_rises(&self, rise: f64, turn: f64) -> (f64, f64) {
         let of = |w: usize| {
@@ -134,14 +141,14 @@ impl Tube {
     }
 }
 
-/// Interpolate a value between the directions from within the slice (0) to across it (1).
+/// Interpolate tabulated values at a direction between within the slice (0) and across it (1).
 fn at_turn(values: &[f64; NUM_DIRECTIONS], turn: f64) -> f64 {
     let at = turn * (NUM_DIRECTIONS - 1) as f64;
     let before = (at as usize).min(NUM_DIRECTIONS - 2);
     values[before] + (at - before as f64) * (values[before + 1] - values[before])
 }
 
-/// Return two neighbours in an ascending list and their weights, by the logarithm of the value.
+/// Return the indices of the two entries of an ascending list around `value`, with weights by the value's logarithm.
 fn between(list: &[f64], value: f64) -> [(usize, f64); 2] {
     let value = value.clamp(list[0], list[list.len() - 1]);
     let after = list
@@ -151,9 +158,9 @@ fn between(list: &[f64], value: f64) -> [(usize, f64); 2] {
     [(after - 1, 1.0 - share), (after, share)]
 }
 
-/// Compute the profiles of one tube and measure them.
+/// Compute the profiles of one blurred tube in all directions and measure their edges and rises.
 ///
-/// `ratio` is the blur across the slices divided by the blur within them.
+/// `wall` is `None` for a lumen in thick tissue. `ratio` is the blur across the slices divided by the blur within them.
 fn image(radius: f64, wall: Option<f64>, ratio: f64) -> Shown {
     let widest = ratio.max(1.0);
     let step = 0.1;
@@ -201,16 +208,17 @@ pub(crate) fn normal_cdf(x: f64) -> f64 {
     0.5 * (1.0 + if x < 0.0 { -erf } else { erf })
 }
 
-/// Blurred disc, divided into strips along the second axis.
+/// Disc of the model, to be blurred, divided into strips along the second axis.
 struct Disc {
-    /// Strips with their position along the first axis, half of their height, and their weight.
+    /// Strips of the disc: position along the first axis, half of the height, and weight.
     strips: Vec<[f64; 3]>,
     ratio: f64,
 }
 
 impl Disc {
     fn new(radius: f64, ratio: f64) -> Self {
-        // Midpoints of equal angles: strips become narrower towards the ends, where the height changes most.
+        // The strips are at midpoints of equal angles, so they become narrower towards the ends, where the height
+        // changes most.
         let num = (6.0 * radius).ceil().clamp(20.0, 90.0) as usize;
         let each = std::f64::consts::PI / num as f64;
         let strips = (0..num)
@@ -227,7 +235,7 @@ impl Disc {
         Self { strips, ratio }
     }
 
-    /// Return the fraction of the point spread at a position that is in the disc.
+    /// Return the fraction of the point spread function, centred at a position, that is inside the disc.
     fn share(&self, x: f64, y: f64) -> f64 {
         self.strips
             .iter()

@@ -9,7 +9,7 @@
 //! lumen found, and the rays are cast again.
 //!
 //! Half-maximum edges of thin walls are biased, and [`crate::section::deblur`] removes the known part of the bias. This
-//! file finds the raw edges and computes measurements from the corrected ones.
+//! module finds the raw edges and computes measurements from the corrected ones.
 
 use carina_grid::{Grid, Lps, VolumeView, length};
 use rayon::prelude::*;
@@ -23,47 +23,49 @@ use crate::section::rays::{
 use crate::tree::smooth::Point;
 use carina_leastcost::{TrackError, Watch};
 
-/// Smallest fraction of rays whose wall has a far side for which the wall's thickness is reported.
+/// Smallest fraction of rays that must show the far side of the wall; with fewer, no wall thickness is reported.
 pub const LEAST_WALL_SHARE: f64 = 0.3;
-/// Largest thickness of a wall; a larger one includes the tissue that touches the wall.
+/// Largest thickness of an airway's wall, mm; a larger measured thickness includes tissue that touches the wall.
 pub const THICKEST_WALL_MM: f64 = 3.0;
-/// Distance of the centre from the middle, as a fraction of a voxel, below which the centre needs no correction.
+/// Distance between the centre of the rays and that of the lumen found, in voxels, below which no further cast is
+/// needed.
 const CENTRED_VOX: f64 = 0.1;
+/// Largest number of times that the rays of a plane are cast.
 const MAX_CASTS: usize = 4;
 /// Number of planes between two checks of the watch.
 ///
-/// The number is small, so that pictures that are due wait for at most some milliseconds.
+/// The number is small, so that a picture that waits for the computation is delayed by some milliseconds at most.
 const PLANES_PER_LOOK: usize = 16;
-/// Uncertainty of one edge due to interpolation and step length, in voxels (one standard deviation).
+/// Standard deviation of one edge due to interpolation and step length, in voxels.
 const EDGE_VOX: f64 = 0.1;
-/// Half of a 95 % interval, in standard deviations.
+/// Half of the width of a 95 % interval, in standard deviations.
 const HALF_95: f64 = 1.96;
-/// Error of a radius with unknown blur, as a fraction of the radius.
+/// Error of a radius if the blur of the CT is not known, as a fraction of the radius.
 const UNKNOWN_BLUR: f64 = 0.2;
-/// Ratio of a wall's error due to the blur model to the radius's error.
+/// Ratio of the wall thickness's error to the radius's error, both due to the blur model.
 const WALL_BY_MODEL: f64 = 2.0;
-/// Weight of a direction from which on its shape counts fully for the widths of a section.
+/// Weight of a ray's edge above which it counts fully for the smallest and largest widths of a section.
 const SHAPE_WEIGHT: f64 = 0.5;
-/// Error of a wall due to the wall model (flat and of constant thickness), in blurs.
+/// Error of the wall thickness due to the model of a flat wall of constant thickness, in blurs.
 const WALL_BY_BLUR: f64 = 0.4;
 
-/// Position and orientation of a section.
+/// Plane of a cross-section: a point in the lumen and the direction of the airway.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Plane {
     /// Point well inside the lumen, LPS mm.
     pub centre: Point,
-    /// Unit vector along the airway.
+    /// Unit vector along the airway, LPS, perpendicular to the plane.
     pub normal: Point,
     /// Approximate distance to the wall, mm; it determines the length of the rays ([`reach_mm`]).
     pub radius_mm: f64,
 }
 
-/// Measurements of a section.
+/// Measurements of one cross-section of an airway.
 ///
-/// Lengths are in mm; NaN if there is no value.
+/// Lengths are in mm. A measurement without a value is NaN.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Section {
-    /// Centre of the area of the lumen found, in the plane.
+    /// Centre of the area of the lumen, in the plane, LPS mm.
     pub centre: Point,
     /// Area of the lumen, mm^2.
     pub area_mm2: f64,
@@ -73,25 +75,25 @@ pub struct Section {
     pub min_mm: f64,
     /// Largest width through the centre, mm.
     pub max_mm: f64,
-    /// Thickness of the wall, from the rays whose wall has a far side.
+    /// Thickness of the wall, from the rays that show the wall's far side, mm.
     pub wall_mm: f64,
-    /// Mean distance by which the edges are outside the half-maximum ones: the correction for the blur.
+    /// Mean distance by which the blur correction moved the edges outwards from the half-maximum, mm.
     pub shift_mm: f64,
-    /// Half-width of an interval that should contain the true diameter in 95 of 100 cases; see [`Section::set_errors`].
+    /// Half-width of the 95 % interval of `equivalent_mm`, mm; see [`Section::set_errors`].
     pub equivalent_error_mm: f64,
-    /// Half-width of such an interval for the smallest and the largest width, mm.
+    /// Half-width of the 95 % interval of `min_mm` and of `max_mm`, mm.
     pub width_error_mm: f64,
-    /// Half-width of such an interval for the wall, mm.
+    /// Half-width of the 95 % interval of `wall_mm`, mm.
     pub wall_error_mm: f64,
     /// Fraction of rays that met a wall, 0 to 1.
     pub share: f64,
-    /// Fraction of rays whose wall has a far side, 0 to 1.
+    /// Fraction of rays that show the far side of the wall, 0 to 1.
     pub wall_share: f64,
     /// Fraction of rays that left the volume before they met a wall, 0 to 1.
     pub left_share: f64,
-    /// Distance of the lumen's edge from `centre` along each ray; NaN where no edge was found.
+    /// Distance of the lumen's edge from `centre` along each ray, mm; NaN where no edge was found.
     pub edge_mm: [f64; NUM_RAYS],
-    /// Distance of the wall's outer edge from `centre` along each ray; NaN where no edge was found.
+    /// Distance of the wall's outer edge from `centre` along each ray, mm; NaN where no edge was found.
     pub outer_mm: [f64; NUM_RAYS],
 }
 
@@ -103,7 +105,7 @@ pub fn reach_mm(radius_mm: f64, voxel_mm: f64) -> f64 {
     3.0 * radius_mm + 3.0 * voxel_mm
 }
 
-/// Return the size of a voxel along the rays of a plane, mm (root mean square over the rays).
+/// Return the root mean square, over the rays of a plane, of the size of a voxel along the ray, mm.
 #[must_use]
 pub fn voxel_in_plane_mm(grid: &Grid, axes: (Point, Point)) -> f64 {
     let square: f64 = (0..NUM_RAYS)
@@ -135,7 +137,7 @@ pub fn cast_planes(
     Ok(sections)
 }
 
-/// Cast the rays of one plane from the centre of the lumen in that plane.
+/// Cast the rays of one plane, after the plane's centre has moved to the centre of the lumen.
 #[must_use]
 pub fn cast_plane(values: VolumeView<'_, i16>, plane: Plane, levels: SectionLevels) -> Cast {
     let axes = plane_axes(plane.normal);
@@ -151,13 +153,14 @@ pub fn cast_plane(values: VolumeView<'_, i16>, plane: Plane, levels: SectionLeve
         if far_mm <= centred_mm {
             break;
         }
-        // A hole in the contour can pull the centre out of the lumen, so the centre moves by at most half a radius at a
-        // time.
+        // A hole in the contour can move the centre out of the lumen, so the centre moves by at most half a radius per
+        // cast.
         let share = (0.5 * plane.radius_mm / far_mm).min(1.0);
         let next: Point =
             std::array::from_fn(|a| centre[a] + share * (u * axes.0[a] + v * axes.1[a]));
         let cast_again = cast(values, next, axes, plane.radius_mm, levels);
-        // If fewer rays meet a wall, the step went into a neighbouring airway.
+        // If fewer rays meet a wall than before, the centre has moved into a neighbouring airway; the previous cast is
+        // used.
         if share_met(&cast_again) + 0.05 < share_met(&rays) {
             break;
         }
@@ -190,9 +193,9 @@ fn cast(
     })
 }
 
-/// Move each edge towards the section's circle as far as the blur in its direction makes it uncertain.
+/// Move each edge towards the circle of the section as far as the blur in its direction makes it uncertain.
 ///
-/// Thick slices do not show the shape of an airway across them. The circle's area is the weighted mean over the edges.
+/// Thick slices do not show the shape of an airway across them. The circle has the weighted mean area of all edges.
 fn rounded_across(edge_mm: &[f64; NUM_RAYS], weights: &[f64; NUM_RAYS]) -> [f64; NUM_RAYS] {
     let (mut square, mut total) = (0.0, 0.0);
     for n in (0..NUM_RAYS).filter(|n| edge_mm[*n].is_finite()) {
@@ -208,9 +211,9 @@ fn share_met(rays: &[Edges; NUM_RAYS]) -> f64 {
 }
 
 impl Section {
-    /// Compute the measurements of a cast, with edges corrected by `blur` (`None`: raw half-maximum edges).
+    /// Compute the measurements of a section from a cast, with edges corrected for `blur` (`None`: half-maximum edges).
     ///
-    /// `voxel_mm` is the spacing in the plane.
+    /// `voxel_mm` is the size of a voxel in the plane.
     #[must_use]
     pub fn of(cast: &Cast, blur: Option<&Blur>, voxel_mm: f64, levels: SectionLevels) -> Self {
         let noise = f64::from(levels.noise);
@@ -231,7 +234,7 @@ impl Section {
         let weights = blur.map_or([1.0; NUM_RAYS], |b| b.weights(axes));
         let moved_mm = std::array::from_fn(|n| raw_mm[n] + shift[n]);
         let edge_mm = rounded_across(&moved_mm, &weights);
-        // Widths are not means over directions, so they keep the shape as far as it is visible at all.
+        // Widths are not means over directions, so they use the measured shape wherever the CT shows it.
         let shape_mm = rounded_across(&moved_mm, &weights.map(|w| (w / SHAPE_WEIGHT).min(1.0)));
         let mut section = Self {
             centre: cast.centre,
@@ -291,8 +294,8 @@ impl Section {
 
     /// Set the errors: half-widths of intervals that should contain the true values in 95 of 100 cases.
     ///
-    /// One edge has the error `e`, with `e^2 = (noise / slope)^2 + (0.1 voxel)^2`. A section of radius `r` has as many
-    /// independent edges as voxels on its edge, `n = 2 pi r / voxel`, at most one per ray. Their error,
+    /// One edge has the standard deviation `e`, with `e^2 = (noise / slope)^2 + (0.1 voxel)^2`. A section of radius `r`
+    /// has as many independent edges as voxels on its edge, `n = 2 pi r / voxel`, at most one per ray. Their error,
     /// `1.96 e / sqrt(n)`, is combined with the error of the blur model ([`Correction::error`]; without a blur a fixed
     /// fraction). A width has fewer independent edges, `n / 4`. The error of the wall includes both of its edges and a
     /// fraction of the blur.
@@ -313,14 +316,14 @@ impl Section {
         }
     }
 
-    /// Return true if the section has an area.
+    /// Return true if the section has a lumen area, that is, if its contour was closed.
     #[must_use]
     pub fn is_measured(&self) -> bool {
         self.area_mm2.is_finite()
     }
 }
 
-/// Return the error of one edge due to noise and voxels: one standard deviation.
+/// Return the standard deviation of one edge due to noise and voxels, mm.
 fn edge_error_mm(cast: &Cast, edge_mm: &[f64; NUM_RAYS], voxel_mm: f64, noise: f64) -> f64 {
     let slopes = (0..NUM_RAYS)
         .filter(|n| edge_mm[*n].is_finite())
@@ -330,7 +333,7 @@ fn edge_error_mm(cast: &Cast, edge_mm: &[f64; NUM_RAYS], voxel_mm: f64, noise: f
     (noise / median(slopes).max(1e-3)).hypot(EDGE_VOX * voxel_mm)
 }
 
-/// Return the smallest and the largest width through the centre.
+/// Return the smallest and the largest width of a contour through its centre, mm.
 ///
 /// The width at an angle is the sum of two opposite edges, which depends only on even harmonics of the contour. Small
 /// lumens are treated as ellipses (second harmonic), because finer shapes are smaller than their voxels. Noise alone

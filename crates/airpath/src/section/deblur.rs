@@ -1,13 +1,13 @@
-//! Removal of the effect of the scanner's blur on half-maximum edges.
+//! Removal of the bias that the scanner's blur causes in the half-maximum edges of airways.
 //!
 //! A wall thinner than the blur shows less than its true peak, so the half-way levels are too low on both sides: the
 //! lumen appears too small and the wall too thick. A section is therefore compared with the image of a round tube under
 //! the scan's own blur ([`crate::section::blurred_tube`]): the tube with the measured half-maximum edges and rise from
 //! lumen to wall. In the direction of a vessel or of tissue the wall rises more, and the edge there moves less.
 //!
-//! The blur along the slices and the blur across them are measured separately. An edge without a far side (thick tissue
-//! behind it) takes 1.349 sigma from a quarter to three quarters of its rise. Edges across thick slices give little
-//! information about the diameter; their weight is the fourth power of the ratio of both blurs.
+//! The blur within the slices and the blur across them are measured separately. An edge without a far side (thick
+//! tissue behind it) takes 1.349 sigma from a quarter to three quarters of its rise. Edges across thick slices give
+//! little information about the diameter; their weight is the fourth power of the ratio of both blurs.
 //!
 //! For a wall that is wide relative to the blur, the thickness follows from its half-maximum edges instead: for a flat
 //! wall of thickness `w` between two equally dark sides the half-maximum thickness is `sigma * G(w / sigma)`, a known
@@ -21,84 +21,85 @@ use crate::section::blurred_tube::{Tube, normal_cdf, within_tables};
 use crate::section::rays::{Cast, NUM_RAYS, direction, median, plane_axes, without_outliers};
 use crate::tree::smooth::Point;
 
-/// Smallest number of edges from which the blur is measured.
+/// Smallest number of edges from which the blur of a scan is measured.
 const LEAST_EDGES: usize = 200;
-/// Limits of the slice axis's share in a ray's direction below which the ray counts for the blur within the slices.
+/// Limits for rays that show the blur within the slices: the absolute cosine between ray and slice axis is below the
+/// limit.
 ///
-/// The first limit with enough edges is used, because the blur of thick slices already shows at a small slope.
+/// The first limit with `ENOUGH_EDGES` edges is used, because rays with a small slope already show the blur of thick
+/// slices.
 const IN_PLANE: [f64; 4] = [0.1, 0.15, 0.2, 0.35];
+/// Number of edges below a limit of `IN_PLANE` that suffice to use this limit.
 const ENOUGH_EDGES: usize = 1000;
-/// Share above which a ray counts for the blur across the slices.
+/// Absolute cosine between ray and slice axis above which a ray counts for the blur across the slices.
 const ACROSS: f64 = 0.8;
-/// Quantile of the measured blurs that is used within the slices.
+/// Quantile of the blurs of single edges that is taken as the blur within the slices.
 ///
 /// Not all tissue has a sharp edge, so the steeper edges show the blur.
 const STEEP_SHARE: f64 = 0.3;
-/// Factor by which interpolation widens an edge across slices, which contains few values.
+/// Factor by which interpolation widens an edge across the slices, which contains few values.
 const WIDENED_ACROSS: f64 = 1.36;
-/// Smallest ratio of the blur across the slices to the blur within them.
+/// Smallest accepted ratio of the blur across the slices to the blur within them.
 const LEAST_ACROSS: f64 = 0.8;
-/// Thickness in blurs above which the half-maximum edges of a wall count for its thickness.
-///
-/// The next constant is the further thickness, in blurs, beyond which the edges alone determine the thickness.
+/// Wall thickness, in blurs, above which the wall's half-maximum edges contribute to the measured thickness.
 const EDGES_TELL_FROM: f64 = 2.2;
+/// Further wall thickness, in blurs, after which the half-maximum edges alone determine the measured thickness.
 const EDGES_TELL_OVER: f64 = 1.2;
-/// Smallest weight of a direction that counts for the thickness of a wall.
+/// Smallest weight of a ray that counts for the thickness of the wall.
 const CERTAIN: f64 = 0.6;
-/// Number of rays on each side over which the rise of a wall is averaged.
+/// Number of rays on each side of a ray over which the rise of the wall is averaged.
 const SMOOTHED_RAYS: usize = 2;
-/// Largest ratio of blur to radius for which the remaining bias is known.
-///
-/// The next constant is the largest ratio of the blur across the slices to the blur within them.
+/// Largest ratio of blur to radius for which the bias of the fitted tube is known.
 const MOST_BLURRED: f64 = 0.8;
+/// Largest ratio of the blur across the slices to that within them, for which the bias of the fitted tube is known.
 const MOST_ACROSS: f64 = 4.0;
-/// Blur in pixels of a kernel without overshoot; a kernel with a blur smaller by more than `SHARP` overshoots clearly.
+/// Blur in pixels of a kernel that does not overshoot at edges.
 const NO_RIM: f64 = 0.9;
+/// Difference of the blur from `NO_RIM`, in pixels, above which a kernel overshoots clearly and the error increases.
 const SHARP: f64 = 0.3;
 /// Number of iterations of the fit of a tube to a section.
 const FITS: usize = 14;
-/// Smallest thickness of a wall in blurs: the half-maximum thickness hardly differs between thinner walls.
+/// Smallest wall thickness, in blurs, of a result: thinner walls have nearly the same half-maximum thickness.
 const THINNEST: f64 = 0.6;
 
-/// Blur of the scanner, including that of the voxels and of the interpolation; standard deviations in mm.
+/// Blur of a CT, from the scanner, the voxels and the interpolation together; standard deviations in mm.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Blur {
-    /// Unit vector across the slices.
+    /// Unit vector perpendicular to the slices, LPS.
     pub slice_normal: Point,
-    /// Blur within a slice, mm.
+    /// Blur within a slice, as a standard deviation in mm.
     pub in_plane_mm: f64,
-    /// Blur across the slices, mm.
+    /// Blur across the slices, as a standard deviation in mm.
     pub across_mm: f64,
-    /// Smallest voxel spacing, mm.
+    /// Smallest voxel spacing of the grid, mm.
     pub pixel_mm: f64,
 }
 
-/// Correction of one section.
+/// Correction of the lumen edges of one section for the blur, with the resulting wall thickness.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Correction {
-    /// Distance by which each edge of the lumen moves outwards, mm.
+    /// Distance by which the edge of the lumen on each ray moves outwards, mm.
     pub shift_mm: [f64; NUM_RAYS],
-    /// Thickness of the wall, mm.
+    /// Thickness of the wall without the blur, mm.
     pub wall_mm: f64,
     /// Half-width, as a fraction of the radius, of an interval that should contain the true radius in 95 of 100 cases,
     /// without noise.
     pub error: f64,
 }
 
-/// Parameters of the remaining bias and of the error of a section.
+/// Properties of a section that determine the bias and the error of its fitted tube.
 #[derive(Debug, Clone, Copy)]
 struct Size {
     /// Ratio of the blur within the slices to the radius.
     blur_over_radius: f64,
-    /// Excess of the blur across the slices over the blur within them, times the share of the direction across in the
-    /// section.
+    /// Ratio of the blurs across and within the slices minus 1, times the squared sine between airway and slice normal.
     across: f64,
-    /// Difference in pixels between the blur of a kernel without overshoot and this blur.
+    /// Blur of a kernel without overshoot (`NO_RIM`) minus this blur, in pixels; 0 for a wider blur.
     sharpness: f64,
 }
 
 impl Size {
-    /// Return the logarithm of the ratio of the true radius to that of the fitted tube.
+    /// Return the bias of the fitted tube: the logarithm of the ratio of the true radius to the fitted one.
     ///
     /// A scan differs from the model: slices and pixels are boxes, values are discrete and are interpolated, and sharp
     /// kernels overshoot. The weights were fitted to painted phantoms and one painted patient (docs/decisions/0117).
@@ -108,7 +109,7 @@ impl Size {
         (within + a * self.across * (0.273 - 0.923 * a)).clamp(-0.15, 0.25)
     }
 
-    /// Return the error (see [`Correction::error`]), fitted to the phantoms and the patient of `rest`.
+    /// Return the error of the corrected radius ([`Correction::error`]), fitted to the data of `rest`.
     fn error(self) -> f64 {
         let (a, sharp) = (self.blur_over_radius, (self.sharpness - SHARP).max(0.0));
         0.0053 + a * a * (0.263 + 0.4 * a + 1.25 * sharp) + 0.093 * a * self.across.max(0.0).sqrt()
@@ -116,7 +117,7 @@ impl Size {
 }
 
 impl Blur {
-    /// Create a blur for this grid.
+    /// Create a blur from its standard deviations within and across the slices of a grid.
     #[must_use]
     pub fn new(grid: &Grid, in_plane_mm: f64, across_mm: f64) -> Self {
         Self {
@@ -127,7 +128,7 @@ impl Blur {
         }
     }
 
-    /// Measure the blur of a scan from the rays that met thick tissue; return `None` if there are too few.
+    /// Measure the blur of a scan from the rays that met thick tissue; return `None` if too few rays did.
     #[must_use]
     pub fn of_casts(grid: &Grid, casts: &[Cast]) -> Option<Self> {
         let slice_normal = slice_normal(grid);
@@ -163,7 +164,8 @@ impl Blur {
         let in_plane_mm = steep[(STEEP_SHARE * steep.len() as f64) as usize];
         let spacing = grid.spacing_mm();
         let across_mm = if across.len() < LEAST_EDGES {
-            // A slice is a wider box than a pixel: the variance of a box is its width^2 / 12.
+            // Without enough edges across the slices, their blur follows from their thickness: the variance of a box is
+            // its width^2 / 12.
             let widest = spacing.into_iter().fold(0.0, f64::max);
             let wider = widest * widest - grid.min_spacing_mm().powi(2);
             (in_plane_mm.powi(2) + wider / 12.0).sqrt()
@@ -173,14 +175,14 @@ impl Blur {
         Some(Self::new(grid, in_plane_mm, across_mm))
     }
 
-    /// Return the blur along a direction.
+    /// Return the blur along a unit vector (LPS), as a standard deviation in mm.
     #[must_use]
     pub fn along_mm(&self, dir: Point) -> f64 {
         let share = dot(dir, self.slice_normal).powi(2).min(1.0);
         (self.in_plane_mm.powi(2) * (1.0 - share) + self.across_mm.powi(2) * share).sqrt()
     }
 
-    /// Return the weight of an edge in each direction: 1 within the slices, less where the blur is wider.
+    /// Return the weight of the edge on each ray of a plane: 1 within the slices, less where the blur is wider.
     #[must_use]
     pub fn weights(&self, axes: (Point, Point)) -> [f64; NUM_RAYS] {
         std::array::from_fn(|n| {
@@ -190,11 +192,14 @@ impl Blur {
         })
     }
 
-    /// Compute the correction of a section.
+    /// Compute the correction of a section's edges for the blur.
     ///
     /// The function fits the round tube whose blurred image has the section's edges and its rise from lumen to wall.
     /// The wall is modelled as soft tissue of constant thickness. The thickness of a wall thinner than the blur follows
-    /// from its rise, that of a thick wall from its own half-maximum edges.
+    /// from its rise, that of a thick wall from its half-maximum edges.
+    ///
+    /// `edge_mm` and `thick_mm` are the half-maximum edges and wall thicknesses of the rays (NaN where there is none).
+    /// `wall_rise` is the rise of an unblurred wall above air.
     #[must_use]
     pub fn correction(
         &self,
@@ -242,7 +247,7 @@ impl Blur {
             let next = weighted_mean(&weights, met, |n| edge_mm[n] / sigma + shift[n]);
             radius += 0.6 * (next - radius);
         }
-        // Medians, because a vessel that touches a part of the wall makes it thicker there.
+        // Medians are used, because a vessel that touches a part of the wall makes it thicker there.
         let by_rise = median((0..NUM_RAYS).filter(certain).map(|n| walls[n]).collect());
         let by_edges = median(
             (0..NUM_RAYS)
@@ -278,7 +283,7 @@ fn weighted_mean(
     sum / total
 }
 
-/// Return the direction of the grid axis with the widest spacing; the third axis if all are equal.
+/// Return the direction in LPS of the grid axis with the widest spacing; the third axis if all are equal.
 fn slice_normal(grid: &Grid) -> Point {
     let spacing = grid.spacing_mm();
     let widest = (0..3)
@@ -296,7 +301,7 @@ fn slice_normal(grid: &Grid) -> Point {
 
 /// Number of table entries of `G` per unit of `w / sigma`.
 const TABLE_STEPS: usize = 50;
-/// Thickness in blurs above which the blur does not matter.
+/// Wall thickness, in blurs, above which the half-maximum thickness equals the true one.
 const TABLE_END: usize = 6;
 
 /// Table of `G(w / sigma)`, the half-maximum thickness in blurs, for thicknesses of 0 to [`TABLE_END`] blurs.
@@ -306,7 +311,7 @@ static TABLE: LazyLock<Vec<f64>> = LazyLock::new(|| {
         .collect()
 });
 
-/// Compute `G` by bisection.
+/// Compute `G`, the half-maximum thickness of a wall in blurs, by bisection on the blurred profile.
 fn half_maximum_slow(wall: f64) -> f64 {
     let at = |x: f64| normal_cdf(x + 0.5 * wall) - normal_cdf(x - 0.5 * wall);
     let half = 0.5 * at(0.0);
@@ -322,7 +327,7 @@ fn half_maximum_slow(wall: f64) -> f64 {
     inside + outside
 }
 
-/// Return the half-maximum thickness of a blurred flat wall between equally dark sides.
+/// Return the half-maximum thickness in mm of a flat wall between equally dark sides, blurred by `sigma_mm`.
 #[must_use]
 pub fn half_maximum_mm(wall_mm: f64, sigma_mm: f64) -> f64 {
     let at = wall_mm / sigma_mm * TABLE_STEPS as f64;
@@ -334,7 +339,7 @@ pub fn half_maximum_mm(wall_mm: f64, sigma_mm: f64) -> f64 {
     sigma_mm * (TABLE[before] + share * (TABLE[before + 1] - TABLE[before]))
 }
 
-/// Return the thickness of the wall with this half-maximum thickness, at least [`THINNEST`] blurs.
+/// Return the true thickness in mm of a wall with a half-maximum thickness of `thick_mm`, at least [`THINNEST`] blurs.
 #[must_use]
 pub fn true_thickness_mm(thick_mm: f64, sigma_mm: f64) -> f64 {
     let thick = thick_mm / sigma_mm;

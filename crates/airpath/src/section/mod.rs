@@ -1,4 +1,4 @@
-//! Cross-sections of an airway.
+//! Measurement of cross-sections of an airway.
 
 pub mod blurred_tube;
 pub mod cross_section;

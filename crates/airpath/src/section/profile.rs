@@ -1,40 +1,44 @@
-//! Values along a ray, and the edges of lumen and wall in them.
+//! Profile of CT values along a ray, and the edges of lumen and wall in a profile.
 
 use carina_grid::VolumeView;
 
-/// Smallest fall of the values behind a wall's peak, as a fraction of their rise, that counts as the wall's far side.
+/// Smallest fall of the values behind a wall's peak that shows the wall's far side, as a fraction of the rise to the
+/// peak.
 const FALL: f32 = 0.3;
-/// Distance behind the lumen's edge up to which the wall's far side is searched, mm.
+/// Length of a ray behind the lumen's edge in which the wall's far side is searched, mm.
 ///
 /// Walls are 1 to 3 mm thick.
 pub(crate) const WALL_REACH_MM: f64 = 5.0;
 
-/// Levels that distinguish lumen, wall and noise, in the units of the values.
+/// Levels that distinguish lumen, wall and noise, in the units of the CT values.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SectionLevels {
-    /// Smallest rise of a wall above the lumen.
+    /// Smallest rise from the lumen to a wall.
     pub min_contrast: f32,
-    /// Largest value of a wall: calcified cartilage and vessels with contrast medium are clipped to it.
+    /// Value to which the values of a wall are limited, because of calcified cartilage and vessels with contrast
+    /// medium.
     pub brightest_wall: f32,
     /// Rise of a wall of soft tissue above air.
     pub wall_rise: f32,
-    /// Standard deviation of the noise.
+    /// Standard deviation of the CT's noise.
     pub noise: f32,
 }
 
-/// Values at constant intervals along a ray.
+/// CT values at constant intervals along a ray.
 #[derive(Debug, Clone, Default)]
 pub struct Profile {
     /// Distance between successive values, mm.
     pub step_mm: f64,
-    /// Values; the first is at the ray's origin.
+    /// CT values along the ray; the first is at the ray's origin.
     pub values: Vec<f32>,
     /// Whether the ray left the volume before its full length.
     pub left_volume: bool,
 }
 
 impl Profile {
-    /// Read the values along a ray of at most `length_mm`; `dir_ijk` is the step of 1 mm in voxels.
+    /// Read the values of a CT along a ray of at most `length_mm` into this profile.
+    ///
+    /// `dir_ijk` is a step of 1 mm along the ray, in voxels.
     pub fn read(
         &mut self,
         values: VolumeView<'_, i16>,
@@ -60,7 +64,9 @@ impl Profile {
         }
     }
 
-    /// Return the position where the line between two neighbouring values crosses a level, mm.
+    /// Return the distance in mm from the ray's origin at which the values after index `before` cross a level.
+    ///
+    /// The values are interpolated linearly between `before` and its successor.
     fn crossing_mm(&self, before: usize, level: f32) -> f64 {
         let (low, high) = (self.values[before], self.values[before + 1]);
         let share = if low == high {
@@ -75,35 +81,39 @@ impl Profile {
 /// Edges of lumen and wall along one ray.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Edges {
-    /// Edge of the lumen, mm from the origin.
+    /// Distance of the lumen's edge from the ray's origin, mm; `None` if the ray met no wall.
     pub inner_mm: Option<f64>,
-    /// Far side of the wall, mm from the origin.
+    /// Distance of the wall's far side from the ray's origin, mm; `None` if the wall has none.
     pub outer_mm: Option<f64>,
-    /// Distance in mm over which the lumen's edge rises from a quarter to three quarters; NaN if that is not visible.
+    /// Length along the ray in mm over which the lumen's edge rises from a quarter to three quarters; NaN if not
+    /// visible.
     pub flank_mm: f64,
     /// Rise from the lumen's lowest value to the wall's peak.
     pub rise: f64,
-    /// Whether no wall was met because the ray left the volume.
+    /// Whether the ray left the volume before it met a wall.
     pub left_volume: bool,
 }
 
 impl Edges {
-    /// Return the mean slope of the middle half of the lumen's edge, per mm.
+    /// Return the mean slope of the lumen's edge between a quarter and three quarters of its rise, per mm.
     #[must_use]
     pub fn slope_per_mm(&self) -> f64 {
         0.5 * self.rise / self.flank_mm.max(1e-3)
     }
 
-    /// Return the standard deviation of the blur, mm, from an edge against thick tissue; `None` for any other edge.
+    /// Return the blur that an edge against thick tissue shows, as a standard deviation in mm; `None` for any other
+    /// edge.
     #[must_use]
     pub fn sigma_mm(&self) -> Option<f64> {
-        // A Gaussian's integral takes 1.349 standard deviations from a quarter to three quarters.
+        // The integral of a Gaussian takes 1.349 standard deviations from a quarter to three quarters.
         (self.inner_mm.is_some() && self.outer_mm.is_none() && self.flank_mm > 0.0)
             .then(|| self.flank_mm / 1.349)
     }
 }
 
-/// Find the half-maximum edges; the lumen's edge is at most `reach_mm` from the origin.
+/// Find the half-maximum edges of lumen and wall in a profile.
+///
+/// The lumen's edge is at most `reach_mm` from the ray's origin.
 #[must_use]
 pub fn edges_of(profile: &Profile, reach_mm: f64, levels: SectionLevels) -> Edges {
     let values = &profile.values;
@@ -152,7 +162,7 @@ pub fn edges_of(profile: &Profile, reach_mm: f64, levels: SectionLevels) -> Edge
             ..none
         };
     }
-    // Positions of a quarter and three quarters of the rise, along the flank that contains the edge.
+    // Positions of a quarter and of three quarters of the rise on the flank that contains the lumen's edge.
     let level = |share: f32| low + share * (peak - low);
     let quarter = (0..=before).rev().find(|&n| values[n] < level(0.25));
     let three = (before..peak_at).find(|&n| values[n + 1] >= level(0.75));
@@ -171,7 +181,10 @@ pub fn edges_of(profile: &Profile, reach_mm: f64, levels: SectionLevels) -> Edge
     }
 }
 
-/// Return the wall's far side: half-way between its peak and the lowest value behind it, if the values fall at all.
+/// Return the distance of the wall's far side from the ray's origin, mm; `None` if the values do not fall behind the
+/// wall.
+///
+/// The far side is half-way between the wall's peak and the lowest value behind the peak.
 fn outer_mm(
     profile: &Profile,
     peak_at: usize,
@@ -183,7 +196,7 @@ fn outer_mm(
     let window = profile.values.iter().skip(peak_at).take(wall_steps);
     for &value in window.clone() {
         behind = behind.min(value);
-        // The next structure begins here.
+        // A further rise is another structure.
         if peak - behind >= fall && value - behind >= fall {
             break;
         }
@@ -196,10 +209,10 @@ fn outer_mm(
     (after > 0).then(|| profile.crossing_mm(peak_at + after - 1, half))
 }
 
-/// Interpolate the value at a point between voxels: Catmull-Rom along each axis.
+/// Interpolate the value of a volume at a point between voxels: Catmull-Rom along each axis.
 ///
-/// Beyond the last voxel, its value is used. Unlike linear interpolation, this method hardly blurs: a lumen of three
-/// voxels keeps its width.
+/// Beyond the last voxel, the value of that voxel is used. Unlike linear interpolation, this method hardly blurs: a
+/// lumen of three voxels keeps its width.
 #[must_use]
 pub fn value_at(values: VolumeView<'_, i16>, ijk: [f64; 3]) -> f32 {
     let base = ijk.map(|v| v.floor() as isize);
@@ -230,7 +243,7 @@ pub fn value_at(values: VolumeView<'_, i16>, ijk: [f64; 3]) -> f32 {
     sum
 }
 
-/// Return the weights of the neighbours at -1, 0, 1 and 2 for a point at `t` between 0 and 1.
+/// Return the Catmull-Rom weights of the values at -1, 0, 1 and 2 for a point at `t` between 0 and 1.
 fn catmull_rom(t: f32) -> [f32; 4] {
     let (t2, t3) = (t * t, t * t * t);
     [

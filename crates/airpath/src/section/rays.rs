@@ -1,4 +1,4 @@
-//! Rays of a section and its contour: distances at equal angles round a point, in the plane across an airway.
+//! Rays of a cross-section and its contour: distances at equal angles round a point, in the plane across an airway.
 
 use carina_grid::{cross, unit};
 
@@ -8,24 +8,25 @@ use crate::tree::smooth::Point;
 /// Number of rays of a section, and of points of its contour.
 pub const NUM_RAYS: usize = 64;
 
-/// Smallest fraction of rays that meet a wall; with fewer there is no closed lumen.
+/// Smallest fraction of the rays that must meet a wall; with fewer, the section has no closed lumen.
 pub const LEAST_SHARE: f64 = 0.6;
 
-/// Rays of a plane with the edges found on them.
+/// Rays of one plane across an airway, with the edges found on them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Cast {
     /// Origin of the rays, LPS mm.
     pub centre: Point,
-    /// Unit vector along the airway.
+    /// Unit vector along the airway, LPS, perpendicular to the rays.
     pub normal: Point,
-    /// Edges on each ray: counterclockwise as seen against the normal, from the first axis of [`plane_axes`].
+    /// Edges on each ray; the rays run counterclockwise as seen against the normal, from the first axis of
+    /// [`plane_axes`].
     pub rays: [Edges; NUM_RAYS],
 }
 
 /// Return two unit vectors that span the plane across `normal` and form a right-handed frame with it.
 #[must_use]
 pub fn plane_axes(normal: Point) -> (Point, Point) {
-    // The helper is the LPS axis with the smallest component along the normal, so that equal normals give equal frames.
+    // The helper is the LPS axis with the smallest component along the normal, so equal normals give equal axes.
     let mut helper = [0.0; 3];
     let least = (0..3)
         .min_by(|&a, &b| normal[a].abs().total_cmp(&normal[b].abs()))
@@ -35,7 +36,7 @@ pub fn plane_axes(normal: Point) -> (Point, Point) {
     (across, cross(normal, across))
 }
 
-/// Return the unit vector of a ray.
+/// Return the unit vector of ray `n` in the plane of two axes.
 pub(crate) fn direction((across, up): (Point, Point), n: usize) -> Point {
     let (s, c) = angle(n).sin_cos();
     std::array::from_fn(|a| c * across[a] + s * up[a])
@@ -45,18 +46,19 @@ pub(crate) fn angle(n: usize) -> f64 {
     std::f64::consts::TAU * n as f64 / NUM_RAYS as f64
 }
 
-/// Return the edges of the lumen.
+/// Return the distance of the lumen's edge on each ray, without edges of other structures.
 ///
-/// The result is NaN where there is none, or where the edge is far from those of the neighbouring rays and belongs to
-/// another structure (the far wall of a branch that leaves here).
+/// The result is NaN for a ray without an edge, and for an edge that is far from those of the neighbouring rays. Such
+/// an edge belongs to another structure, for example the far wall of a branch that leaves here.
 pub(crate) fn without_outliers(rays: &[Edges; NUM_RAYS]) -> [f64; NUM_RAYS] {
     without_far(&std::array::from_fn(|n| {
         rays[n].inner_mm.unwrap_or(f64::NAN)
     }))
 }
 
-/// Replace lengths along rays that are far from those of the neighbouring rays by NaN.
+/// Return the lengths of the rays, with NaN for each length that is far from those of the neighbouring rays.
 pub(crate) fn without_far(lengths: &[f64; NUM_RAYS]) -> [f64; NUM_RAYS] {
+    /// Number of rays on each side that a ray is compared with.
     const REACH: usize = 5;
     std::array::from_fn(|n| {
         let near = (0..=2 * REACH)
@@ -72,7 +74,7 @@ pub(crate) fn without_far(lengths: &[f64; NUM_RAYS]) -> [f64; NUM_RAYS] {
     })
 }
 
-/// Fill the gaps of a contour from both sides; return `None` if there are too many gaps.
+/// Fill the gaps (NaN) of a contour from the nearest rays on both sides; return `None` if there are too many gaps.
 pub(crate) fn filled(met: &[f64; NUM_RAYS]) -> Option<[f64; NUM_RAYS]> {
     if share_of(met) < LEAST_SHARE {
         return None;
@@ -81,7 +83,7 @@ pub(crate) fn filled(met: &[f64; NUM_RAYS]) -> Option<[f64; NUM_RAYS]> {
         if met[n].is_finite() {
             return met[n];
         }
-        // Nearest ray with a length on each side, round the circle.
+        // The nearest ray with a length on each side, round the circle.
         let side = |step: usize| {
             (1..NUM_RAYS)
                 .map(|d| (d, (n + d * step) % NUM_RAYS))
@@ -100,13 +102,13 @@ pub(crate) fn share_of(lengths: &[f64; NUM_RAYS]) -> f64 {
     lengths.iter().filter(|r| r.is_finite()).count() as f64 / NUM_RAYS as f64
 }
 
-/// Return the median; NaN for an empty list.
+/// Return the median of a list of numbers; NaN for an empty list.
 pub(crate) fn median(mut list: Vec<f64>) -> f64 {
     list.sort_by(f64::total_cmp);
     list.get(list.len() / 2).copied().unwrap_or(f64::NAN)
 }
 
-/// Return the centre of the area inside a contour, in the plane's axes.
+/// Return the centroid of the area inside a contour, in coordinates of the plane's axes.
 pub(crate) fn centroid(contour: &[f64; NUM_RAYS]) -> [f64; 2] {
     let (mut u, mut v, mut area) = (0.0, 0.0, 0.0);
     for (n, r) in contour.iter().enumerate() {

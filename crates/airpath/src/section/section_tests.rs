@@ -11,19 +11,21 @@ use crate::section::rays::{Cast, NUM_RAYS, plane_axes};
 use crate::tree::smooth::Point;
 use carina_leastcost::Unwatched;
 
+/// Value levels of the drawn lumen and wall.
 const LEVELS: SectionLevels = SectionLevels {
     min_contrast: 100.0,
     brightest_wall: 100.0,
     wall_rise: 1020.0,
     noise: 5.0,
 };
+/// Blur of the drawn tubes, as a standard deviation in mm.
 const SIGMA_MM: f64 = 0.5;
 
 /// Straight tube with an elliptical lumen and a wall, blurred by a Gaussian.
 struct Tube {
     centre: Point,
     axis: Point,
-    /// Half of the lumen's width along the two axes of the plane, mm.
+    /// Half widths of the lumen along the two axes of the plane, mm.
     half_mm: [f64; 2],
     wall_mm: f64,
     /// Value behind the wall.
@@ -51,7 +53,7 @@ impl Tube {
 
     fn sharp(&self, u: f64, v: f64) -> f64 {
         let [a, b] = self.half_mm;
-        // Distance to an ellipse, to first order at its edge: exact for a circle.
+        // The distance to an ellipse is computed to first order at its edge, which is exact for a circle.
         let k0 = (u / a).hypot(v / b);
         let k1 = (u / (a * a)).hypot(v / (b * b));
         let depth = if k1 < 1e-9 {
@@ -68,7 +70,8 @@ impl Tube {
         }
     }
 
-    /// Return the section, blurred along both axes; a straight tube has the same section everywhere.
+    /// Return the image of the tube's section, blurred along both axes; a straight tube has the same section
+    /// everywhere.
     fn picture(&self) -> Vec<f64> {
         let n = (2.0 * PICTURE_MM / PIXEL_MM) as usize;
         let at = |i: usize| (i as f64 + 0.5) * PIXEL_MM - PICTURE_MM;
@@ -125,8 +128,8 @@ fn draw(grid: &Grid, tube: &Tube) -> Vec<i16> {
         .map(|at| {
             let p = grid.to_lps(Ijk(grid.voxel(at).map(|v| v as f64))).0;
             let off: Point = std::array::from_fn(|a| p[a] - tube.centre[a]);
-            // Linear interpolation between pixels, which are much smaller than the blur; beyond the picture, the value
-            // at its border.
+            // The image is interpolated linearly between its pixels, which are much smaller than the blur; beyond the
+            // image, the value at its border is used.
             let place = |mm: f64| ((mm + PICTURE_MM) / PIXEL_MM - 0.5).clamp(0.0, n as f64 - 1.001);
             let (u, v) = (place(dot(off, across)), place(dot(off, up)));
             let (i, j) = (u as usize, v as usize);
@@ -137,7 +140,7 @@ fn draw(grid: &Grid, tube: &Tube) -> Vec<i16> {
         .collect()
 }
 
-/// Cast a section that starts a third of the lumen off the middle, so that the centre must be found.
+/// Cast a section whose rays start a third of the lumen off its middle, so that the centre must be found.
 fn cut(grid: &Grid, values: &[i16], tube: &Tube) -> Cast {
     let (across, _) = plane_axes(tube.axis);
     let least = tube.half_mm[0].min(tube.half_mm[1]);
@@ -151,7 +154,7 @@ fn cut(grid: &Grid, values: &[i16], tube: &Tube) -> Cast {
     cast_plane(view, plane, LEVELS)
 }
 
-/// Return the blur of a profile, which includes the interpolation between voxels.
+/// Return the blur of a profile in mm, which includes the interpolation between voxels.
 ///
 /// Interpolation is a triangle as wide as two voxels, with a variance of a sixth of a voxel's square.
 /// [`Blur::of_casts`] measures both together.
@@ -179,7 +182,7 @@ fn measure(grid: &Grid, tube: &Tube) -> Section {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
     #[test]
-    fn a_tube_is_measured_within_its_error_whatever_its_direction(
+    fn a_tube_in_any_direction_is_measured_within_its_stated_error(
         axis in prop::array::uniform3(-1.0f64..1.0).prop_filter("long", |a| unit(*a).is_some() && dot(*a, *a) > 0.1),
         radius in 2.0f64..5.0,
         flat in 0.7f64..1.0,
@@ -192,8 +195,8 @@ proptest! {
         let off = (section.equivalent_mm - truth).abs();
         prop_assert!(off <= section.equivalent_error_mm, "{off} of {}", section.equivalent_error_mm);
         prop_assert!(off < 0.3, "{off}");
-        // About half of the blur on each side; the error with the measured blur is much smaller (see the assertion
-        // before).
+        // The tolerance is about half of the blur on each side; the error with the measured blur is much smaller (see
+        // the previous assertion).
         prop_assert!(section.equivalent_error_mm < 0.6, "{}", section.equivalent_error_mm);
         let off = (section.min_mm - 2.0 * flat * radius).abs().max((section.max_mm - 2.0 * radius).abs());
         prop_assert!(off <= section.width_error_mm + 0.1, "{off} of {}", section.width_error_mm);
@@ -227,7 +230,7 @@ proptest! {
 }
 
 #[test]
-fn without_the_correction_a_thin_wall_looks_thick_and_its_lumen_narrow() {
+fn without_the_blur_correction_a_thin_wall_is_too_thick_and_its_lumen_too_narrow() {
     let tube = Tube::new([0.2, 0.3, 1.0], [3.0, 3.0], 0.8);
     let grid = grid([0.6; 3], 10.0);
     let values = draw(&grid, &tube);
@@ -245,7 +248,7 @@ fn without_the_correction_a_thin_wall_looks_thick_and_its_lumen_narrow() {
 }
 
 #[test]
-fn the_blur_is_found_on_edges_against_thick_tissue() {
+fn the_blur_is_measured_from_edges_against_thick_tissue() {
     let mut tube = Tube::new([0.1, 0.2, 1.0], [6.0, 6.0], 1.5);
     tube.outside = 40.0;
     let grid = grid([0.6; 3], 14.0);
@@ -260,7 +263,7 @@ fn the_blur_is_found_on_edges_against_thick_tissue() {
         .collect();
     let casts = cast_planes(view, &planes, LEVELS, &Unwatched).unwrap();
     let blur = Blur::of_casts(&grid, &casts).unwrap();
-    // 0.03 is the blur of the interpolation itself.
+    // The interpolation between voxels adds 0.03 mm to the blur.
     assert!((blur.in_plane_mm - SIGMA_MM).abs() < 0.04, "{blur:?}");
     let section = Section::of(&casts[0], Some(&blur), 0.6, LEVELS);
     assert!(section.wall_mm.is_nan(), "no far side");
@@ -272,7 +275,7 @@ fn the_blur_is_found_on_edges_against_thick_tissue() {
 }
 
 #[test]
-fn where_a_vessel_lies_against_the_wall_its_rays_have_no_say() {
+fn rays_towards_a_vessel_at_the_wall_do_not_change_the_wall_thickness() {
     let mut tube = Tube::new([0.0, 0.1, 1.0], [3.0, 3.0], 1.2);
     tube.vessel_mm = 4.2;
     let section = measure(&grid([0.6; 3], 11.0), &tube);
@@ -282,7 +285,7 @@ fn where_a_vessel_lies_against_the_wall_its_rays_have_no_say() {
 }
 
 #[test]
-fn rays_that_leave_the_volume_are_said_and_nothing_is_invented() {
+fn rays_that_leave_the_volume_are_reported_and_give_no_edges() {
     let tube = Tube::new([0.0, 0.0, 1.0], [4.0, 4.0], 1.2);
     // The volume ends 1 mm beside the axis.
     let whole = grid([0.6; 3], 4.0);
@@ -314,7 +317,7 @@ fn a_plane_in_solid_tissue_or_in_open_air_has_no_section() {
 }
 
 #[test]
-fn one_thread_and_three_find_the_same() {
+fn sections_do_not_depend_on_the_number_of_threads() {
     let tube = Tube::new([0.4, 0.3, 1.0], [3.0, 2.5], 1.0);
     let grid = grid([0.7, 0.7, 1.0], 10.0);
     let values = draw(&grid, &tube);
@@ -345,7 +348,7 @@ fn one_thread_and_three_find_the_same() {
 }
 
 #[test]
-fn thickness_and_half_maximum_undo_each_other_and_the_frame_is_right_handed() {
+fn true_and_half_maximum_thickness_are_inverse_and_the_axes_are_right_handed() {
     for wall in [0.5, 0.8, 1.3, 2.0, 4.0] {
         let found = true_thickness_mm(half_maximum_mm(wall, 0.6), 0.6);
         assert!((found - wall).abs() < 5e-3, "{wall} {found}");

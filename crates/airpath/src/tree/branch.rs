@@ -1,4 +1,4 @@
-//! Branch of the airway tree, and smooth points and wall distances of a line in the lumen.
+//! Branch of the airway tree, and conversion of a line in the lumen to smooth points with wall distances.
 
 use carina_grid::{Grid, Ijk, length};
 
@@ -8,19 +8,20 @@ use carina_leastcost::lumen::LumenGraph;
 /// Part of an airway between two bifurcations, or between a bifurcation and a tip.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Branch {
-    /// Index of the parent in the list; `None` at the root.
+    /// Index of the parent branch in the list of branches; `None` for the branch at the root.
     ///
-    /// Parents come first.
+    /// A parent comes before its children.
     pub parent: Option<usize>,
     /// Number of bifurcations between the root and this branch.
     pub generation: u32,
-    /// Voxel path from the root side to the tip side; the first node is the parent's last.
+    /// Voxel path from the root side to the tip side; the first node is the last node of the parent branch.
     pub nodes: Vec<u32>,
-    /// Smooth centreline in the middle of the lumen, LPS; the first point is the parent's last, bit for bit.
+    /// Smooth centreline in the middle of the lumen, LPS mm; the first point equals the parent's last point bit for
+    /// bit.
     pub points: Vec<Point>,
-    /// Radius in mm, at each point, of the circle with the area of the lumen's cross-section.
+    /// Radius at each point, in mm, of the circle with the area of the lumen's cross-section.
     pub radius_mm: Vec<f64>,
-    /// Distance to the wall at each point, mm.
+    /// Distance from each point to the nearest wall, mm.
     pub wall_mm: Vec<f64>,
 }
 
@@ -52,7 +53,7 @@ pub(crate) fn pulled_inside(graph: &LumenGraph, grid: &Grid, lps: Point) -> Poin
     grid.to_lps(Ijk(graph.pulled_inside(grid, ijk))).0
 }
 
-/// Return the distance to the wall at a point, mm; 0 outside the lumen.
+/// Return the distance in mm from a point (LPS mm) to the nearest wall; 0 outside the lumen.
 ///
 /// The result is the smallest sum, over the neighbouring lumen voxels, of the distance from the point to the voxel and
 /// of the voxel's distance to its wall. The sum is never smaller than the distance to the wall, and equal to it if the

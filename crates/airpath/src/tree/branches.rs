@@ -1,4 +1,4 @@
-//! Branches, derived from the tree of least-cost paths.
+//! Branches of the airway tree, derived from the tree of least-cost paths.
 //!
 //! Tips are found as in TEASAR (Sato et al. 2000): the node with the longest path among the uncovered nodes is a tip;
 //! its path is traced back to the existing tree; then all nodes within a multiple of the tube's radius are covered.
@@ -17,21 +17,21 @@ use carina_leastcost::lumen::LumenGraph;
 use carina_leastcost::tracker::Tracker;
 use carina_leastcost::{TrackError, Watch};
 
-/// Limits that decide whether a side path is a branch.
+/// Limits that decide whether a path that leaves a tube is a branch.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BranchLimits {
-    /// Smallest distance in mm by which a side path must extend beyond the tube that it leaves.
+    /// Smallest length in mm of a path outside the tube that it leaves.
     pub min_length_mm: f64,
-    /// Multiple of a tube's radius within which a path covers all nodes; `cover_mm` is added to this distance.
+    /// Factor of a tube's radius in the distance within which a path covers nodes (`cover_radii * radius + cover_mm`).
     pub cover_radii: f64,
-    /// Distance in mm that is added to the multiple `cover_radii` of the radius.
+    /// Constant term in mm of the distance within which a path covers nodes.
     pub cover_mm: f64,
     /// Distance between points along a centreline, mm.
     pub step_mm: f64,
 }
 
 impl BranchLimits {
-    /// Return the limits for a grid: thick slices cause coarser bumps on a tube.
+    /// Return the limits for a grid: in thick slices, bumps on a tube are coarser, so a branch must be longer.
     #[must_use]
     pub fn for_grid(grid: &Grid) -> Self {
         let coarsest = grid.spacing_mm().into_iter().fold(0.0, f64::max);
@@ -44,7 +44,7 @@ impl BranchLimits {
     }
 }
 
-/// Return the automatic tree of all nodes that `tracker` has settled.
+/// Return the branches of the tree of all nodes that `tracker` has settled.
 ///
 /// # Errors
 ///
@@ -85,11 +85,11 @@ pub fn find_branches(
     Ok(tree.branches(limits, &[]))
 }
 
-/// Return the part of the automatic tree that leads to `targets`.
+/// Return the branches of the automatic tree (the result of [`find_branches`]) that lead to `targets`.
 ///
-/// The end of a target's own path joins the target to the automatic tree; this piece belongs to the branch that it
-/// joins. Branches end at the bifurcations of the automatic tree, so that they equal its branches except for the last
-/// ones, which may be shorter.
+/// The least-cost path of a target joins the automatic tree. The piece of this path outside the tree belongs to the
+/// branch that it joins. Branches end at the bifurcations of the automatic tree, so they equal its branches except for
+/// the last ones, which may be shorter.
 #[must_use]
 pub fn branches_to(
     graph: &LumenGraph,
@@ -103,7 +103,7 @@ pub fn branches_to(
     let mut before: BTreeMap<u32, u32> = BTreeMap::new();
     for branch in automatic {
         for pair in branch.nodes.windows(2) {
-            // Nodes found along a centreline may repeat; a repeated node would become its own ancestor.
+            // Nodes found along a centreline may repeat; a repeated node would become its own predecessor.
             if !whole.in_tree[pair[1] as usize] {
                 before.insert(pair[1], pair[0]);
                 whole.add(pair);
@@ -115,7 +115,8 @@ pub fn branches_to(
         if tracker.cost_quanta(target).is_none() {
             continue;
         }
-        // A target at the wall is a whole radius away from the axis, so the search uses 1.5 radii.
+        // A target at the wall is a whole radius away from the axis, so 1.5 radii are searched for the tube that it
+        // belongs to.
         let mut chain = whole.forked_low(&whole.chain_to_tree(target), 1.5);
         chain.reverse();
         while !used.in_tree[chain[chain.len() - 1] as usize]
@@ -125,7 +126,7 @@ pub fn branches_to(
         }
         chain.reverse();
         if chain.len() > 1 || used.chains.is_empty() {
-            // Lengths follow the chain, also where it is not the target's least-cost path.
+            // Lengths are measured along this chain, even where it differs from the target's least-cost path.
             used.measure(&chain);
             used.add(&chain);
         }
@@ -139,18 +140,17 @@ pub fn branches_to(
     used.branches(limits, &forks)
 }
 
-/// Return, for every node of the graph, the index of the branch whose tube contains the node.
+/// Return for every node of the graph the index of the branch whose tube contains the node.
 ///
-/// The result is `NO_NODE` if the node is connected to no branch.
-///
-/// The result is the branch with the nearest centreline, measured inside the lumen and from the tube's surface: a wide
-/// tube reaches farther than a narrow one that leaves it.
+/// The branch is the one with the nearest centreline, measured inside the lumen and from the tube's surface: a wide
+/// tube reaches farther than a narrow one that leaves it. The result is `NO_NODE` for a node that is connected to no
+/// branch.
 #[must_use]
 pub fn branch_of_nodes(graph: &LumenGraph, branches: &[Branch]) -> Vec<u32> {
     let mut branch_of = vec![NO_NODE; graph.num_nodes()];
     let mut off = vec![u32::MAX; graph.num_nodes()];
     let mut open = BinaryHeap::new();
-    // The shared first node belongs to the parent, which comes first.
+    // The node at which a branch begins belongs to the parent, which comes before the branch.
     for (b, branch) in branches.iter().enumerate() {
         for &node in &branch.nodes {
             if branch_of[node as usize] == NO_NODE {
@@ -177,19 +177,19 @@ pub fn branch_of_nodes(graph: &LumenGraph, branches: &[Branch]) -> Vec<u32> {
     branch_of
 }
 
-/// Radius in mm that is larger than that of any airway.
+/// Radius in mm that is larger than the radius of any airway.
 pub(crate) const WIDEST_TUBE_MM: f64 = 20.0;
 
-/// Region near the paths of the tree, measured inside the lumen.
+/// Set of the nodes near the paths of the tree, with distances measured inside the lumen.
 pub(crate) struct Cover<'a> {
     graph: &'a LumenGraph,
     limits: &'a BranchLimits,
-    /// Remaining reach of the cover from each node, mm; 0 for a node that is not covered.
+    /// Distance in mm by which the covered region extends beyond each node; 0 for a node that is not covered.
     left_mm: Vec<f32>,
     open: BinaryHeap<(OrderedMm, u32)>,
 }
 
-/// Length as an integer in micrometres, because integers have a total order.
+/// Length in micrometres, as an integer because integers have a total order.
 pub(crate) type OrderedMm = u32;
 
 pub(crate) fn ordered(mm: f64) -> OrderedMm {
@@ -210,9 +210,10 @@ impl<'a> Cover<'a> {
         self.left_mm[node as usize] > 0.0
     }
 
-    /// Cover the surroundings of a chain.
+    /// Cover the nodes near a chain of nodes.
     ///
-    /// All nodes start at once, largest reach first, so that each node is visited about once.
+    /// The search starts at all nodes of the chain together, those with the largest reach first, so that each node is
+    /// visited about once.
     pub(crate) fn add(&mut self, chain: &[u32]) {
         for &node in chain {
             let reach = self.limits.cover_radii * self.graph.wall_mm(node) + self.limits.cover_mm;
@@ -226,7 +227,7 @@ impl<'a> Cover<'a> {
             let (left_mm, open) = (&mut self.left_mm, &mut self.open);
             self.graph.for_each_edge(node, |next, length_mm| {
                 let left = here - length_mm;
-                // The tolerance of 1 micrometre prevents repeated updates between nodes with equal reach.
+                // The tolerance of 1 micrometre prevents repeated updates between nodes of equal reach.
                 if left > f64::from(left_mm[next as usize]) + 1e-3 {
                     left_mm[next as usize] = left as f32;
                     open.push((ordered(left), next));
@@ -236,23 +237,23 @@ impl<'a> Cover<'a> {
     }
 }
 
-/// Multiple of a tube's radius: a path has left the tube if it is farther than this distance from the tube's axis.
+/// Distance from a tube's axis, in radii of the tube, beyond which a path has left the tube.
 const FORK_RADII: f64 = 1.0;
 
-/// Multiple of a tube's radius: two bifurcations nearer than this distance are merged.
+/// Distance in radii of the tube below which two bifurcations are merged.
 const ONE_FORK_RADII: f64 = 0.9;
 
-/// Growing set of paths from the root.
+/// Tree of paths from the root to which paths can be added.
 struct NodeTree<'a> {
     graph: &'a LumenGraph,
     tracker: &'a Tracker,
     grid: &'a Grid,
-    /// Length of each settled node's path, mm.
+    /// Length of the path from the root to each settled node, mm.
     along_mm: Vec<f64>,
     in_tree: Vec<bool>,
-    /// Paths in the order in which they were added; each begins on an earlier one.
+    /// Paths in the order in which they were added; each begins at a node of an earlier one.
     chains: Vec<Vec<u32>>,
-    /// Next nodes of each node of the tree, in that order.
+    /// Next nodes of each node of the tree, in the order in which their paths were added.
     children: BTreeMap<u32, Vec<u32>>,
 }
 
@@ -283,7 +284,7 @@ impl<'a> NodeTree<'a> {
         self.chains.is_empty()
     }
 
-    /// Return the path from the nearest node of the tree (or the root) to `tip`.
+    /// Return the path to `tip` from the nearest node of the tree, or from the root if the tree is empty.
     fn chain_to_tree(&self, tip: u32) -> Vec<u32> {
         let mut chain = vec![tip];
         let mut node = tip;
@@ -297,12 +298,12 @@ impl<'a> NodeTree<'a> {
         chain
     }
 
-    /// Move the bifurcation of a new chain to the point where the chain leaves the tube that it shares with the tree.
+    /// Move the start of a new chain to the point where the chain leaves the tube that it shares with the tree.
     ///
     /// Two least-cost paths separate well before their tubes do, because each cuts the corner. A node still belongs to
-    /// the shared tube while a node of the tree below the present bifurcation is near and visible from it.
+    /// the shared tube while it sees a node of the tree below the present start at a distance of at most `radii` radii.
     fn forked_low(&self, chain: &[u32], radii: f64) -> Vec<u32> {
-        // Nodes of the tree below the junction.
+        // Nodes of the tree beyond the present start of the chain.
         let mut below = vec![chain[0]];
         let mut next = 0;
         while next < below.len() {
@@ -313,7 +314,7 @@ impl<'a> NodeTree<'a> {
         }
         let ijk = |node: u32| self.graph.voxel(node).map(|v| v as f64);
         let mut fork = (0, chain[0]);
-        // The last node stays in the chain, because the tip must not be lost.
+        // The last node stays in the chain, because it is the tip.
         for (n, &node) in chain.iter().enumerate().take(chain.len() - 1).skip(1) {
             let point = self.point(node);
             let near = below
@@ -335,9 +336,9 @@ impl<'a> NodeTree<'a> {
         lower
     }
 
-    /// Return the number of nodes at a chain's tip that run into the blind end of the tube.
+    /// Return the number of nodes at a chain's tip that lead into the blind end of the tube.
     ///
-    /// There the wall becomes nearer with every step. The result is at most 4 mm and a third of the chain.
+    /// In the blind end the wall comes nearer with every step. The nodes are at most 4 mm and a third of the chain.
     fn blunt_end(&self, chain: &[u32]) -> usize {
         let tip = chain.len() - 1;
         let mut num_cut = 0;
@@ -352,7 +353,8 @@ impl<'a> NodeTree<'a> {
         num_cut
     }
 
-    /// Set the lengths along a chain that is attached to the tree, independent of the least-cost paths of its nodes.
+    /// Set the lengths of nodes along a chain that is attached to the tree, even if the chain is not their least-cost
+    /// path.
     fn measure(&mut self, chain: &[u32]) {
         for pair in chain.windows(2) {
             let (p, q) = (self.point(pair[0]), self.point(pair[1]));
@@ -377,7 +379,7 @@ impl<'a> NodeTree<'a> {
             .0
     }
 
-    /// Divide the paths into branches at their bifurcations.
+    /// Divide the paths of the tree into branches at their bifurcations and at the nodes `more_forks`.
     fn branches(&self, limits: &BranchLimits, more_forks: &[u32]) -> Vec<Branch> {
         if self.chains.is_empty() {
             return Vec::new();
@@ -390,7 +392,7 @@ impl<'a> NodeTree<'a> {
                 || (!below(node).is_empty() && more_forks.binary_search(&node).is_ok())
         };
 
-        // Depth-first search with a stack of (parent, first node, second node).
+        // Depth-first search with a stack of (parent, [first node, second node]).
         let mut branches: Vec<Branch> = Vec::new();
         let mut open: Vec<(Option<usize>, Vec<u32>)> = vec![(None, vec![root])];
         while let Some((parent, mut nodes)) = open.pop() {
@@ -400,7 +402,7 @@ impl<'a> NodeTree<'a> {
                 end = below(end)[0];
                 nodes.push(end);
             }
-            // Two near bifurcations count as one with more children.
+            // Two bifurcations near each other count as one with more children.
             let run_mm = self.along_mm[end as usize] - self.along_mm[nodes[0] as usize];
             let is_one_fork = parent.is_some()
                 && below(end).len() > 1
@@ -433,11 +435,11 @@ impl<'a> NodeTree<'a> {
         branches
     }
 
-    /// Compute smooth centrelines.
+    /// Compute the smooth centrelines of branches.
     ///
-    /// Each path from the root is smoothed as a whole, longest first, so that it runs evenly through its bifurcations.
-    /// A branch takes its part of the first such path that contains it; its beginning is blended from the last point of
-    /// its parent.
+    /// Each path from the root is smoothed as a whole, the longest first, so that it runs evenly through its
+    /// bifurcations. A branch takes its part of the first such path that contains it. The start of that part is moved
+    /// gradually to the last point of the parent.
     fn draw(&self, branches: &mut [Branch], limits: &BranchLimits) {
         let mut leaves: Vec<usize> = (0..branches.len())
             .filter(|b| !branches.iter().any(|other| other.parent == Some(*b)))
@@ -478,7 +480,7 @@ impl<'a> NodeTree<'a> {
         }
     }
 
-    /// Return the part of a curve between two positions along it, moved to begin at `start`.
+    /// Return the part of a smooth curve between two positions along it, moved so that it begins at `start`.
     fn cut(
         &self,
         curve: &[Point],

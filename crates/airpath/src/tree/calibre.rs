@@ -1,9 +1,10 @@
 //! Width of a branch at each point of its centreline: the radius of the circle with the area of the lumen's
 //! cross-section.
 //!
-//! The distance to the wall is smaller, because it is the minimum over all directions; the more wall is near, the more
-//! noise lowers it. At a bifurcation a section cuts more than one tube. There the width is that of the nearest section
-//! of the branch alone, or of the section at the point itself if that is narrower (a stenosis at the branch's ostium).
+//! The distance to the wall is smaller than this radius, because it is the minimum over all directions; the more wall
+//! is near, the more noise lowers it. The *own part* of a branch is where the branch is a separate tube. Near a
+//! bifurcation a section cuts more than one tube. The width at such a point is that of the nearest section in the own
+//! part, or of the section at the point itself if that is narrower (a stenosis at the branch's ostium).
 
 use carina_grid::{Grid, unit};
 use rayon::prelude::*;
@@ -14,20 +15,19 @@ use crate::tree::smooth::Point;
 use crate::tree::tube::{BEFORE_FORK_RADII, PAST_CARINA_RADII, Tube, View};
 use carina_leastcost::lumen::LumenGraph;
 
-/// Radii of a branch from its sections, and distances to the wall, mm.
+/// Radii of the cross-sections along a branch, and distances to its wall.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Calibre {
-    /// Radius, at each point, of the circle with the area of the lumen's cross-section.
+    /// Radius at each point, in mm, of the circle with the area of the lumen's cross-section.
     pub section_mm: Vec<f64>,
-    /// Distance to the wall at each point, mm.
+    /// Distance from each point to the nearest wall, mm.
     pub wall_mm: Vec<f64>,
 }
 
-/// Compute the radii of the wanted branches of a tree.
+/// Compute the radii of those branches of a tree for which `wanted` is true; the result is `None` for the others.
 ///
-/// `lines` has the points of all branches, and `parents` their parents.
-///
-/// The result depends only on the lumen and these lines, so equal trees have equal radii.
+/// `lines` has the points of all branches, and `parents` the index of each branch's parent. The result depends only on
+/// the lumen and these lines, so equal trees have equal radii.
 #[must_use]
 pub fn of_branches(
     graph: &LumenGraph,
@@ -43,7 +43,7 @@ pub fn of_branches(
             children[*parent].push(b);
         }
     }
-    // The start of a branch's own part depends on its siblings at the same bifurcation.
+    // The start of a branch's own part depends on its siblings at the same bifurcation, so they are needed as well.
     let needed: Vec<bool> = (0..lines.len())
         .map(|b| wanted(b) || parents[b].is_some_and(|p| children[p].iter().any(|c| wanted(*c))))
         .collect();
@@ -89,7 +89,7 @@ pub fn of_branches(
         .collect()
 }
 
-/// Return the radius at each point, from sections of the tube's own part, `from_mm` to `to_mm`.
+/// Return the radius in mm at each point of a tube, from sections of its own part, `from_mm` to `to_mm`.
 fn sections(view: &View<'_>, tube: &Tube, wall: &[f64], from_mm: f64, to_mm: f64) -> Vec<f64> {
     let count = tube.points.len();
     let raw: Vec<f64> = (0..count).map(|n| section(view, tube, n)).collect();
@@ -105,7 +105,7 @@ fn sections(view: &View<'_>, tube: &Tube, wall: &[f64], from_mm: f64, to_mm: f64
                 return raw[n];
             }
             let held = match (after.checked_sub(1).map(|m| own[m]), own.get(after)) {
-                // Interpolate across a gap between two sections.
+                // The radius is interpolated across a gap between two sections.
                 (Some(before), Some(&next)) => {
                     let (a, b) = (tube.along_mm[before], tube.along_mm[next]);
                     let share = (tube.along_mm[n] - a) / (b - a).max(1e-9);
@@ -123,7 +123,7 @@ fn sections(view: &View<'_>, tube: &Tube, wall: &[f64], from_mm: f64, to_mm: f64
         .collect()
 }
 
-/// Return the radius of the section at a point; NaN if the lumen is not closed round the point.
+/// Return the radius in mm of the section at point `n` of a tube; NaN if the lumen is not closed round the point.
 fn section(view: &View<'_>, tube: &Tube, n: usize) -> f64 {
     let at = tube.along_mm[n];
     let chord = tube.chord(at - tube.radius_mm, at + tube.radius_mm);

@@ -6,6 +6,7 @@ use crate::tree::calibre::of_branches;
 use crate::tree::smooth::Point;
 use carina_leastcost::lumen::{LumenGraph, WallLevels};
 
+/// Value levels of the drawn lumen and wall.
 const LEVELS: WallLevels = WallLevels {
     core: -900.0,
     wall: -500.0,
@@ -47,7 +48,7 @@ fn line(from: Point, to: Point) -> Vec<Point> {
 }
 
 #[test]
-fn a_flat_lumen_is_as_wide_as_the_circle_of_its_area_and_not_as_its_least_width() {
+fn the_radius_of_a_flat_lumen_is_that_of_the_circle_with_its_area() {
     let grid = grid();
     let (long, short) = (6.0, 3.0);
     let graph = graph(&grid, |[x, y, _]| {
@@ -62,8 +63,8 @@ fn a_flat_lumen_is_as_wide_as_the_circle_of_its_area_and_not_as_its_least_width(
         .unwrap();
     let circle = f64::sqrt(long * short);
     for n in 5..35 {
-        // Tolerance of a twentieth: between voxels the edge is accurate to about a tenth of a voxel, and 64 rays meet
-        // it.
+        // The tolerance is a twentieth: between voxels the edge is accurate to about a tenth of a voxel, and 64 rays
+        // meet it.
         assert!(
             (found.section_mm[n] / circle - 1.0).abs() < 0.05,
             "{}",
@@ -100,7 +101,7 @@ fn off(p: Point, line: &[Point]) -> (f64, f64) {
 }
 
 #[test]
-fn up_to_its_fork_a_branch_is_as_wide_as_beyond_it() {
+fn the_width_of_a_branch_near_its_bifurcation_is_that_of_its_own_part() {
     let grid = grid();
     let (lines, parents, radii) = fork();
     let graph = graph(&grid, |p| {
@@ -112,8 +113,7 @@ fn up_to_its_fork_a_branch_is_as_wide_as_beyond_it() {
     for (b, found) in all.iter().enumerate() {
         let found = found.as_ref().unwrap();
         for r in &found.section_mm[..36] {
-            // Tolerance of half a voxel: accurate for a noise-free section; the distance to the wall would be wrong by
-            // the parent's radius here.
+            // The tolerance is half a voxel; the distance to the wall would be wrong by the parent's radius here.
             assert!((r - radii[b]).abs() < 0.4, "branch {b}: {r}");
         }
     }
@@ -130,7 +130,7 @@ fn up_to_its_fork_a_branch_is_as_wide_as_beyond_it() {
 }
 
 #[test]
-fn a_narrow_mouth_is_told_although_it_lies_at_the_fork() {
+fn a_narrow_ostium_at_a_bifurcation_is_measured() {
     let grid = grid();
     let (lines, parents, radii) = fork();
     let graph = graph(&grid, |p| {

@@ -1,11 +1,11 @@
 //! Centrelines in the middle of the lumen, and bifurcations where the axes of the tubes meet.
 //!
-//! A least-cost path stays near the middle, but cuts the corner into a branch. In the part where a branch is a separate
-//! tube, its points move to the centre of the lumen's cross-section, with sub-voxel accuracy. Near a bifurcation the
-//! cross-section includes other branches. There the axes of parent and children continue as straight lines, and the
-//! bifurcation is the point nearest to all of them (least squares; Antiga and Steinman 2004 similarly place a
-//! bifurcation's origin from where its tubes begin to be separate). The centreline bends from one tube's axis to the
-//! other's with the least possible curvature.
+//! A least-cost path stays near the middle, but cuts the corner into a branch. In the *own part* of a branch, where it
+//! is a separate tube, its points move to the centre of the lumen's cross-section, with sub-voxel accuracy. Near a
+//! bifurcation the cross-section includes other branches. There the axes of parent and children continue as straight
+//! lines, and the bifurcation is the point nearest to all of these lines (least squares; Antiga and Steinman 2004
+//! similarly place a bifurcation's origin from where its tubes begin to be separate). The centreline bends from one
+//! tube's axis to the other's with the least possible curvature.
 
 use carina_grid::{Grid, Lps, dot, length};
 use rayon::prelude::*;
@@ -16,20 +16,20 @@ use crate::tree::smooth::{self, Point, cumulative_mm};
 use crate::tree::tube::{BEFORE_FORK_RADII, CENTRED_PULL, PAST_CARINA_RADII, Tube, View, sub};
 use carina_leastcost::lumen::LumenGraph;
 
-/// Number of radii before a tip where the tube ends, because the lumen closes at the tip.
+/// Distance in radii before a tip at which the own part of the last branch ends, because the lumen closes at the tip.
 const BEFORE_TIP_RADII: f64 = 0.5;
-/// Weight of the bifurcation of the least-cost paths relative to an axis.
+/// Weight of the bifurcation of the least-cost paths, relative to the weight of an axis, in the least-squares fit.
 ///
-/// The weight matters only if the axes are nearly parallel.
+/// This weight matters only if the axes are nearly parallel.
 const OLD_FORK_WEIGHT: f64 = 0.05;
-/// Largest displacement of a bifurcation, as a multiple of its tube's radius.
+/// Largest displacement of a bifurcation, in radii of the parent tube; otherwise it stays in place.
 const FARTHEST_RADII: f64 = 2.5;
-/// Weight of the points near a bifurcation; they are small, because these points only show where the lumen is.
+/// Weight in the smoothing of the points near a bifurcation, small because they only show where the lumen is.
 const FORK_PULL: f64 = 1e-3;
 
-/// Move the drawn branches to the middle of the lumen and their bifurcations to the intersections of the axes.
+/// Move the centrelines of branches to the middle of the lumen, and their bifurcations to where the tubes' axes meet.
 ///
-/// Every point stays in the lumen, and a child still begins at its parent's last point, bit for bit.
+/// Every point stays in the lumen, and each child still begins at its parent's last point, bit for bit.
 pub(crate) fn refine(graph: &LumenGraph, grid: &Grid, branches: &mut [Branch], step_mm: f64) {
     let view = View { graph, grid };
     let children: Vec<Vec<usize>> = (0..branches.len())
@@ -63,7 +63,7 @@ pub(crate) fn refine(graph: &LumenGraph, grid: &Grid, branches: &mut [Branch], s
         let length_mm = tube.length_mm();
         tube.to_mm = length_mm - before_end * tube.radius_mm;
         if tube.to_mm - tube.from_mm < step_mm {
-            // The whole branch belongs to its bifurcations; only its middle is its own part.
+            // The branch is too short to be a separate tube; its own part is then a single position in its middle.
             let middle =
                 (0.5 * (tube.from_mm + tube.to_mm)).clamp(0.25 * length_mm, 0.75 * length_mm);
             (tube.from_mm, tube.to_mm) = (middle, middle);
@@ -79,7 +79,7 @@ pub(crate) fn refine(graph: &LumenGraph, grid: &Grid, branches: &mut [Branch], s
         let tube = &tubes[b];
         starts[b] = branches[b].parent.map_or(tube.points[0], |p| ends[p]);
         let old = tube.at(tube.length_mm());
-        // A bifurcation that would move behind the previous one keeps its position.
+        // If the bifurcation would move behind the start of the branch, it keeps its previous position.
         ends[b] = match forks[b] {
             Some(fork)
                 if dot(sub(fork, starts[b]), sub(old, tube.points[0])) > 0.0
@@ -114,7 +114,10 @@ pub(crate) fn refine(graph: &LumenGraph, grid: &Grid, branches: &mut [Branch], s
 }
 
 impl View<'_> {
-    /// Return the point nearest to the axes of a branch and of its children.
+    /// Return the new position of the bifurcation at the end of branch `parent`: the point nearest to the tubes' axes.
+    ///
+    /// The result is the previous position if the new one is far away, outside the lumen, or not visible from the
+    /// previous one.
     fn fork(&self, tubes: &[Tube], parent: usize, children: &[usize]) -> Point {
         let tube = &tubes[parent];
         let old = tube.at(tube.length_mm());
@@ -155,7 +158,7 @@ impl View<'_> {
         self.graph.sees(p, q)
     }
 
-    /// Return the points of the whole branch from its first point to its last, through the middle of its own part.
+    /// Return the smooth points of a branch from `start` to `end`, through the middle of the lumen in its own part.
     fn drawn(
         &self,
         tube: &Tube,
@@ -164,7 +167,7 @@ impl View<'_> {
         forks: bool,
         step_mm: f64,
     ) -> Vec<Point> {
-        // The bifurcation may have moved, so points that are not between the two ends are left out.
+        // The bifurcations may have moved, so points of the own part that are not between the two ends are left out.
         let axis = sub(end, start);
         let on_way =
             |p: &&Point| dot(sub(**p, start), axis) > 0.0 && dot(sub(end, **p), axis) > 0.0;

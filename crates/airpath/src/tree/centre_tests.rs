@@ -10,6 +10,7 @@ use carina_leastcost::Unwatched;
 use carina_leastcost::lumen::{LumenCost, LumenGraph, WallLevels};
 use carina_leastcost::tracker::Tracker;
 
+/// Value levels of the drawn lumen and wall.
 const LEVELS: WallLevels = WallLevels {
     core: -900.0,
     wall: -500.0,
@@ -40,7 +41,7 @@ fn grid() -> Grid {
     .unwrap()
 }
 
-/// Return a trunk, a wide branch that continues nearly straight, and a narrow one to the side.
+/// Return the tubes of a Y: a trunk, a wide branch that continues nearly straight, and a narrow branch to the side.
 fn tubes() -> Vec<Tube> {
     let fork = [0.6, -0.3, 0.2];
     let tube = |start, end, radius_mm| Tube {
@@ -70,7 +71,7 @@ fn found(with_levels: bool, step: impl Fn(&LumenGraph, &Tracker, &Grid, &[Branch
             (40.0 - 1040.0 * inside) as i16
         })
         .collect();
-    // Lumen as the flood finds it, which ends before the half-maximum.
+    // The lumen is as the flood finds it, which ends before the half-maximum of the wall.
     let lumen: Vec<u8> = values.iter().map(|v| u8::from(*v < -800)).collect();
     let mask: Vec<u8> = (0..values.len())
         .map(|at| u8::from(depth(at) < 0.0))
@@ -103,15 +104,15 @@ fn found(with_levels: bool, step: impl Fn(&LumenGraph, &Tracker, &Grid, &[Branch
 }
 
 #[test]
-fn centrelines_lie_on_the_axes_and_the_fork_where_they_meet() {
+fn centrelines_are_on_the_tubes_axes_and_the_bifurcation_is_at_their_intersection() {
     for with_levels in [true, false] {
         let branches = found(with_levels, |_, _, _, _| {});
         let tubes = tubes();
         assert_eq!(branches.len(), 3);
         let fork = branches[0].points[branches[0].points.len() - 1];
         let away = length([0, 1, 2].map(|a| fork[a] - tubes[0].end[a]));
-        // The axes are straight, so only the voxel size limits the distance between the bifurcation and the
-        // intersection: one voxel.
+        // The tolerance is one voxel: the axes are straight, so only the voxel size limits the distance between the
+        // bifurcation and the intersection of the axes.
         assert!(away < 1.0, "{with_levels} {away}");
         let (mut sum, mut radius_sum, mut num) = (0.0, 0.0, 0.0);
         for branch in &branches {
@@ -130,8 +131,8 @@ fn centrelines_lie_on_the_axes_and_the_fork_where_they_meet() {
                 num += 1.0;
                 if far_from_fork(p) {
                     radius_sum += (r - tube.radius_mm).abs();
-                    // The crossings of the wall are found on grid edges, 0.8 to 1.1 mm apart, and the nearest counts; a
-                    // mask has them half-way between voxels.
+                    // Crossings of the wall are found on grid edges, 0.8 to 1.1 mm apart, and the nearest crossing
+                    // counts; in a mask they are half-way between voxels.
                     let least = if with_levels { 0.45 } else { 0.7 };
                     assert!(
                         (r - tube.radius_mm).abs() < least,
@@ -141,7 +142,7 @@ fn centrelines_lie_on_the_axes_and_the_fork_where_they_meet() {
                 }
             }
         }
-        // A third of the smallest voxel, including bifurcations and tips.
+        // The tolerance is a third of the smallest voxel, including bifurcations and tips.
         assert!(sum / num < 0.28, "{with_levels} {}", sum / num);
         assert!(
             radius_sum / num < 0.15,
@@ -152,7 +153,7 @@ fn centrelines_lie_on_the_axes_and_the_fork_where_they_meet() {
 }
 
 #[test]
-fn a_target_half_way_down_a_branch_has_the_same_fork_or_none() {
+fn a_path_to_the_middle_of_a_branch_begins_at_the_trunks_end() {
     let _ = found(true, |graph, tracker, grid, automatic| {
         let limits = BranchLimits::for_grid(grid);
         let middle = automatic[1].nodes[automatic[1].nodes.len() / 2];

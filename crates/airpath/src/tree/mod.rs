@@ -1,4 +1,4 @@
-//! Airway tree: branches, centrelines and radii.
+//! Branches of the airway tree, with their centrelines and radii.
 
 pub mod branch;
 pub mod branches;

@@ -10,29 +10,35 @@ use carina_grid::length;
 /// Point in LPS, mm.
 pub type Point = [f64; 3];
 
-/// Length of a bend below which it counts as a voxel step and not as anatomy, in a tube of [`REFERENCE_RADIUS_MM`].
+/// Length of a bend, in a tube of [`REFERENCE_RADIUS_MM`], below which it counts as a voxel step and not as anatomy,
+/// mm.
 const SHORTEST_BEND_MM: f64 = 18.0;
-/// Radius of the reference tube.
+/// Radius of the tube to which `SHORTEST_BEND_MM` applies, mm.
 ///
 /// Wider tubes are smoothed more, because their middle is known less exactly and the chain may deviate more.
 const REFERENCE_RADIUS_MM: f64 = 2.0;
+/// Largest number of rounds, after the gentle ones, in which points outside the lumen are pulled to the chain.
 const MAX_ROUNDS: usize = 24;
-/// Number of first rounds, in which a point outside is only pulled to just inside, so that the curve stays smooth.
+/// Number of first rounds, in which a point outside the lumen is only pulled to just inside, so that the curve stays
+/// smooth.
 ///
 /// If the lumen is thinner than the slices, the chain has corners, and a curve that is pulled onto the chain would get
 /// them.
 const GENTLE_ROUNDS: usize = 16;
-/// Step, as a fraction of the distance to the chain, of the search for a position inside.
+/// Step of the search for a position inside the lumen, as a fraction of the distance to the chain.
 const GENTLE_SHARE: f64 = 0.125;
+/// Smallest weight of a point after it was pulled inside the lumen.
 const GENTLE_PULL: f64 = 1.0;
-/// Cosine of the largest turn between successive points that is not sharp: 20 degrees.
+/// Cosine of the largest turn between successive points that is not a sharp corner: 20 degrees.
 const SHARP_COSINE: f64 = 0.94;
+/// Largest number of rounds in which sharp corners are spread over neighbouring points.
 const RELAXING_ROUNDS: usize = 30;
+/// Share of the way to the middle of its neighbours by which a corner moves in one round.
 const RELAXING_SHARE: f64 = 0.5;
-/// Weight of a point that must not move.
+/// Weight of a point that must not move in the smoothing.
 pub const FIXED: f64 = 1e9;
 
-/// Return the weight with which a point attracts the curve, from the radius of the tube at the point.
+/// Return the weight with which a point of the chain attracts the curve, for a tube of this radius.
 #[must_use]
 pub fn pull_of(radius_mm: f64) -> f64 {
     (REFERENCE_RADIUS_MM / radius_mm.max(0.1))
@@ -40,7 +46,7 @@ pub fn pull_of(radius_mm: f64) -> f64 {
         .clamp(0.05, 4.0)
 }
 
-/// Return points every `step_mm` (or a little less) along a chain, with both ends unchanged.
+/// Return points at equal distances of at most `step_mm` along a chain, with both ends unchanged.
 ///
 /// Also return the distance of each point along the chain, mm.
 #[must_use]
@@ -60,7 +66,7 @@ pub fn resampled(chain: &[Point], step_mm: f64) -> (Vec<Point>, Vec<f64>) {
     (points, at)
 }
 
-/// Return the length along a chain up to each of its points.
+/// Return the length in mm along a chain from its start to each of its points.
 #[must_use]
 pub fn cumulative_mm(chain: &[Point]) -> Vec<f64> {
     let mut sum = 0.0;
@@ -95,10 +101,11 @@ fn distance(a: Point, b: Point) -> f64 {
     length([a[0] - b[0], a[1] - b[1], a[2] - b[2]])
 }
 
-/// Smooth evenly spaced points; the first stays fixed, and the last too if `keep_end` (a tip may move a little).
+/// Smooth evenly spaced points of a tube and keep them inside the lumen.
 ///
-/// `radius_mm` is the tube's radius at each point. `inside` must be true for every given point; it is true for every
-/// returned point, because a point for which the strongest weight is not enough is returned unchanged.
+/// The first point stays fixed, and the last one too if `keep_end` is true; otherwise it may move a little. `radius_mm`
+/// is the tube's radius at each point. `inside` must be true for every given point; it is true for every returned
+/// point, because a point for which the strongest weight is not enough is returned unchanged.
 #[must_use]
 pub fn smoothed(
     points: &[Point],
@@ -116,9 +123,9 @@ pub fn smoothed(
     smoothed_by(points, &pull, inside)
 }
 
-/// Smooth evenly spaced points, each with its own weight; points with the weight [`FIXED`] do not move.
+/// Smooth evenly spaced points with a given weight each, and keep them inside the lumen.
 ///
-/// Otherwise the function works as [`smoothed`].
+/// Points with the weight [`FIXED`] do not move. Otherwise the function works as [`smoothed`].
 #[must_use]
 pub fn smoothed_by(points: &[Point], pull: &[f64], inside: impl Fn(Point) -> bool) -> Vec<Point> {
     let n = points.len();
@@ -143,8 +150,8 @@ pub fn smoothed_by(points: &[Point], pull: &[f64], inside: impl Fn(Point) -> boo
         for &m in &fixed {
             smooth[m] = points[m];
         }
-        // The middle between neighbours should be inside as well, because a flight interpolates. The given chain itself
-        // may cut a voxel's corner there, so in the last rounds only the points must be inside.
+        // The middle between neighbours should be inside as well, because a flight interpolates between points. The
+        // given chain may cut a voxel's corner there, so in the last rounds only the points must be inside.
         let halves = round < GENTLE_ROUNDS + MAX_ROUNDS / 2;
         let bad: Vec<usize> = (0..n)
             .filter(|&m| {
@@ -162,8 +169,8 @@ pub fn smoothed_by(points: &[Point], pull: &[f64], inside: impl Fn(Point) -> boo
                 }
                 continue;
             }
-            // If the point itself is inside, the middle between it and the next point is outside: both points move
-            // back.
+            // If the point itself is inside, the middle between it and the next point is outside, and both points are
+            // pulled back.
             let both = if inside(smooth[m]) { m + 2 } else { m + 1 };
             for near in m..both.min(n) {
                 if pull[near] >= FIXED {
@@ -188,12 +195,12 @@ pub fn smoothed_by(points: &[Point], pull: &[f64], inside: impl Fn(Point) -> boo
     relaxed(smooth, given, inside)
 }
 
-/// Spread sharp corners over the neighbouring points as far as the lumen allows.
+/// Spread sharp corners of a smoothed line over the neighbouring points as far as the lumen allows.
 ///
 /// Where the lumen is one voxel wide, points that were pulled inside leave a corner between two smooth parts.
 fn relaxed(mut points: Vec<Point>, pull: &[f64], inside: impl Fn(Point) -> bool) -> Vec<Point> {
     let last = points.len() - 1;
-    // Smallest cosine of the turns at a point and at its neighbours.
+    // The smallest cosine of the turns at a point and at its two neighbours.
     let sharpest = |points: &[Point], m: usize| {
         (m.saturating_sub(1).max(1)..(m + 2).min(last))
             .map(|n| cosine(points[n - 1], points[n], points[n + 1]))
@@ -302,7 +309,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_corner_is_spread_where_the_lumen_allows_it_and_no_new_one_arises() {
+    fn a_sharp_corner_is_spread_within_the_lumen_and_no_new_corner_arises() {
         let line: Vec<Point> = (0..20)
             .map(|n| {
                 let n = f64::from(n);
@@ -357,14 +364,14 @@ mod tests {
                         gradient += lambda * factor * bend(at);
                     }
                 }
-                // Tolerance 1e-8: rounding of sums of some 60 mm times 12.5 in f64.
+                // The tolerance of 1e-8 allows for rounding in sums of some 60 mm times 12.5 in f64.
                 assert!(gradient.abs() < 1e-8, "{a} {m} {gradient}");
             }
         }
     }
 
     #[test]
-    fn a_straight_line_is_left_alone_and_a_staircase_turns_straight() {
+    fn a_straight_line_is_unchanged_and_a_staircase_becomes_straight() {
         let line: Vec<Point> = (0..40)
             .map(|n| [0.3 * f64::from(n), 5.0 - 0.1 * f64::from(n), f64::from(n)])
             .collect();
@@ -387,8 +394,8 @@ mod tests {
     }
 
     #[test]
-    fn no_point_leaves_the_inside_and_the_ends_stay() {
-        // A right-angled corridor one unit wide, whose corner unconstrained smoothing would cut.
+    fn smoothed_points_stay_inside_and_the_ends_do_not_move() {
+        // A right-angled corridor one unit wide; smoothing without the lumen would cut its corner.
         let mut chain: Vec<Point> = (0..20).map(|n| [f64::from(n), 0.0, 0.0]).collect();
         chain.extend((1..20).map(|n| [19.0, f64::from(n), 0.0]));
         let inside = |p: Point| {
@@ -411,8 +418,8 @@ mod tests {
     }
 
     #[test]
-    fn steps_between_thick_slices_are_taken_without_corners() {
-        // A slanting lumen one voxel of 0.66 mm wide on slices of 3 mm: in each slice a corridor along x.
+    fn a_line_across_thick_slices_is_smoothed_without_corners() {
+        // A slanting lumen one voxel of 0.66 mm wide, in slices of 3 mm: in each slice it is a corridor along x.
         let starts = [0.0, 2.64, 4.62, 8.58, 10.56, 13.2, 17.16];
         let slice = |z: f64| (z / 3.0).round().clamp(0.0, 5.0) as usize;
         let inside = |p: Point| {

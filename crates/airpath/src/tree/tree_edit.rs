@@ -12,15 +12,14 @@ use carina_leastcost::lumen::LumenGraph;
 use carina_leastcost::tracker::Tracker;
 use carina_leastcost::{TrackError, Watch};
 
-/// Largest distance in mm of lumen from the centreline of a branch that is cut off.
+/// Largest distance in mm, from the centreline of a branch that is cut off, at which lumen is removed.
 const CUT_REACH_MM: f64 = 25.0;
 
-/// Return the nodes that are in the tubes of the branches `cut` rather than of the branches `kept`.
+/// Return the nodes that belong to the tubes of the branches to cut and not to those that remain.
 ///
-/// Both are given by the nodes on their centrelines.
-///
-/// Distances are measured inside the lumen from the tubes' surfaces, as in [`crate::tree::branches::branch_of_nodes`];
-/// a node at equal distance from both is not returned. Only the box round `cut` is searched.
+/// `cut` and `kept` are the nodes on the centrelines of these branches. Distances are measured inside the lumen from
+/// the tubes' surfaces, as in [`crate::tree::branches::branch_of_nodes`]. A node at equal distance from both is not
+/// returned. Only the box round `cut` is searched.
 #[must_use]
 pub fn cut_nodes(graph: &LumenGraph, grid: &Grid, cut: &[u32], kept: &[u32]) -> Vec<u32> {
     let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
@@ -40,8 +39,7 @@ pub fn cut_nodes(graph: &LumenGraph, grid: &Grid, cut: &[u32], kept: &[u32]) -> 
     let mut is_cut = vec![false; graph.num_nodes()];
     let mut is_middle = vec![false; graph.num_nodes()];
     let mut open = BinaryHeap::new();
-    // The branches that remain come first, so that a node on both centrelines, or at equal distance from both, is not
-    // cut.
+    // The branches that remain come first, so a node on both centrelines, or at equal distance from both, is not cut.
     for (nodes, of_cut) in [(kept, false), (cut, true)] {
         for &node in nodes {
             if off[node as usize] == u32::MAX && is_near(node) {
@@ -72,7 +70,7 @@ pub fn cut_nodes(graph: &LumenGraph, grid: &Grid, cut: &[u32], kept: &[u32]) -> 
         .collect()
 }
 
-/// Return the tips of branches that are among `candidates` and not in an existing tree, longest path first.
+/// Return the tips of branches in the nodes `candidates` that an existing tree does not cover, longest path first.
 ///
 /// The existing tree has `tree_nodes` on its centrelines. The tips are found as for the automatic tree (see
 /// [`crate::tree::branches::find_branches`]), except that the existing tree already covers its surroundings.
@@ -130,7 +128,8 @@ pub fn more_tips(
             chain.push(before);
             node = before;
         }
-        // The length is measured from the surface of the tube that the piece leaves; the tube's cover reaches farther.
+        // The length of a new piece is measured from the surface of the tube that it leaves, but the cover of that tube
+        // reaches farther.
         let covered_mm = (limits.cover_radii - 1.0) * graph.wall_mm(node) + limits.cover_mm;
         let beyond_mm = along_mm[tip as usize] - along_mm[node as usize] + covered_mm;
         if beyond_mm >= limits.min_length_mm {

@@ -1,4 +1,6 @@
-//! Branch as a tube: its own part (where it is a separate tube), its axis, and sections of the lumen across it.
+//! Branch as a tube: its own part, its axis, and sections of the lumen across it.
+//!
+//! The *own part* of a branch is the length over which the branch is a tube separate from its parent and its siblings.
 
 use carina_grid::{Grid, Ijk, Lps, dot, unit};
 
@@ -7,32 +9,33 @@ use crate::tree::branch::{self, Branch};
 use crate::tree::smooth::{self, Point, cumulative_mm, point_at};
 use carina_leastcost::lumen::LumenGraph;
 
-/// Interval in mm at which positions along two branches are compared.
+/// Distance in mm between the positions at which two branches are compared.
 const LOOK_MM: f64 = 0.25;
 
-/// Number of radii past the carina at which a branch's own part begins.
-///
-/// The next constant is the number of radii before the branch's bifurcation at which that part ends.
+/// Distance in radii between the carina and the start of a branch's own part.
 pub(crate) const PAST_CARINA_RADII: f64 = 0.3;
+/// Distance in radii between the end of a branch's own part and the bifurcation at the branch's end.
 pub(crate) const BEFORE_FORK_RADII: f64 = 1.0;
 
-/// Length of the tube, in radii, through which its axis is fitted.
+/// Length of the own part, in radii, to which the axis of its end is fitted.
 const AXIS_RADII: f64 = 2.0;
 
-/// Weight of centred points in the smoothing relative to the points of a voxel path.
+/// Weight in the smoothing of points in the centre of their section, relative to points of a voxel path.
 pub(crate) const CENTRED_PULL: f64 = 4.0;
+/// Number of times that the points of the own part are centred in their sections.
 const ROUNDS: usize = 3;
 
-/// Branch with its own part, in which it is a separate tube.
+/// Centreline of a branch with its own part, in which it is a tube separate from other branches.
 pub(crate) struct Tube {
     pub(crate) points: Vec<Point>,
     pub(crate) along_mm: Vec<f64>,
-    /// Median distance to the wall, mm.
+    /// Median distance from the centreline to the wall, mm.
     pub(crate) radius_mm: f64,
-    /// Start of the branch's own part, mm along the branch; the next field is its end.
+    /// Start of the branch's own part, mm along the branch.
     pub(crate) from_mm: f64,
+    /// End of the branch's own part, mm along the branch.
     pub(crate) to_mm: f64,
-    /// Centred points of the own part.
+    /// Points of the own part, each in the centre of its section.
     pub(crate) middle: Vec<Point>,
 }
 
@@ -48,12 +51,14 @@ impl Tube {
         point_at(&self.points, &self.along_mm, s.clamp(0.0, self.length_mm()))
     }
 
-    /// Return the vector from one position along the branch to another.
+    /// Return the vector between two positions along the branch, given in mm, LPS.
     pub(crate) fn chord(&self, from_mm: f64, to_mm: f64) -> Point {
         sub(self.at(to_mm), self.at(from_mm))
     }
 
-    /// Return the axis at one end of the own part: a point, a unit vector along the branch, and the weight of the axis.
+    /// Return the axis at one end of the own part: a point (LPS mm), a unit vector along the branch, and a weight.
+    ///
+    /// The result is `None` if the branch has no direction, because it has one point.
     pub(crate) fn axis(&self, at_end: bool) -> Option<(Point, Point, f64)> {
         let n = self.middle.len();
         let reach_mm = AXIS_RADII * self.radius_mm;
@@ -70,13 +75,14 @@ impl Tube {
             .map(|m| self.middle[m])
             .collect();
         if part.len() < 3 {
-            // The own part is too short for an axis: use the direction of the whole branch with a small weight.
+            // The own part is too short for a fit, so the axis has the direction of the whole branch and a small
+            // weight.
             let chord = sub(self.at(self.length_mm()), self.at(0.0));
             return Some((part.first().copied()?, unit(chord)?, 0.1));
         }
         let count = part.len() as f64;
         let mean: Point = std::array::from_fn(|a| part.iter().map(|p| p[a]).sum::<f64>() / count);
-        // Least squares over the distance along the branch: the slope of each coordinate.
+        // The axis is a least-squares line: the slope of each coordinate over the distance along the branch.
         let middle = (count - 1.0) / 2.0;
         let slope: Point = std::array::from_fn(|a| {
             (0..part.len())
@@ -89,7 +95,7 @@ impl Tube {
             part[0]
         };
         let dir = unit(slope)?;
-        // Point of the line that is nearest to the end of the own part.
+        // The point of the axis that is nearest to the end of the own part.
         let off = dot(sub(end, mean), dir);
         let on_line = std::array::from_fn(|a| mean[a] + off * dir[a]);
         Some((
@@ -104,7 +110,7 @@ pub(crate) fn sub(a: Point, b: Point) -> Point {
     std::array::from_fn(|i| a[i] - b[i])
 }
 
-/// Lumen that contains tubes.
+/// Lumen in which the tubes of branches are measured.
 pub(crate) struct View<'a> {
     pub(crate) graph: &'a LumenGraph,
     pub(crate) grid: &'a Grid,
@@ -120,7 +126,7 @@ impl View<'_> {
         self.tube_of(&branch.points, &walls)
     }
 
-    /// Create a tube from a line with its distances to the wall.
+    /// Create a tube from the points of a centreline and their distances to the wall in mm; its own part is not set.
     pub(crate) fn tube_of(&self, points: &[Point], walls_mm: &[f64]) -> Tube {
         let mut radii = walls_mm.to_vec();
         radii.sort_by(f64::total_cmp);
@@ -138,7 +144,8 @@ impl View<'_> {
         self.graph.holds(self.grid.to_ijk(Lps(p)).0)
     }
 
-    /// Return the distance from their common bifurcation at which a wall separates two branches.
+    /// Return the distance in mm from their common bifurcation at which a wall separates two branches; `None` if no
+    /// wall does.
     pub(crate) fn parting_mm(&self, one: &Tube, other: &Tube) -> Option<f64> {
         let shorter = one.length_mm().min(other.length_mm());
         (1..=(shorter / LOOK_MM) as usize)
@@ -149,7 +156,7 @@ impl View<'_> {
             })
     }
 
-    /// Return the points of a tube's own part, each moved to the centre of its section.
+    /// Return the points of a tube's own part, each moved to the centre of the lumen's section at the point.
     pub(crate) fn centred(&self, tube: &Tube, step_mm: f64) -> Vec<Point> {
         let num_steps = ((tube.to_mm - tube.from_mm) / step_mm).round().max(0.0) as usize;
         let place = |n: usize| {
@@ -167,7 +174,7 @@ impl View<'_> {
                     let chord = if b - a >= 2 {
                         sub(points[b], points[a])
                     } else {
-                        // A short part uses the direction of its branch.
+                        // A section of a short own part is perpendicular to the direction of the branch around it.
                         let s = place(n);
                         tube.chord(s - tube.radius_mm, s + tube.radius_mm)
                     };
@@ -182,7 +189,7 @@ impl View<'_> {
         points
     }
 
-    /// Return the lumen's edge in a plane, if it is closed there.
+    /// Return the distances from a point to the lumen's edge in a plane; `None` if the lumen is not closed there.
     pub(crate) fn contour(
         &self,
         from: Point,
@@ -194,7 +201,8 @@ impl View<'_> {
         filled(&without_far(&met))
     }
 
-    /// Return the centre of the lumen's area in a plane, if the lumen is closed there and contains the centre.
+    /// Return the centroid of the lumen in a plane; `None` if the lumen is not closed there or does not contain the
+    /// centroid.
     fn centre(&self, from: Point, normal: Point, radius_mm: f64) -> Option<Point> {
         let axes = plane_axes(normal);
         let [u, v] = centroid(&self.contour(from, axes, radius_mm)?);
@@ -204,10 +212,10 @@ impl View<'_> {
         self.holds(centre).then_some(centre)
     }
 
-    /// Return the distance at which a ray leaves the lumen.
+    /// Return the distance in mm at which a ray from a point leaves the lumen.
     ///
     /// The result is the distance to the last voxel in the lumen plus that voxel's distance to the wall. The result is
-    /// NaN beyond the reach.
+    /// NaN if the ray is still in the lumen at `reach_mm`.
     fn ray_mm(&self, from: Point, dir: Point, reach_mm: f64) -> f64 {
         let step_mm = 0.5 * self.grid.min_spacing_mm();
         let first = self.grid.to_ijk(Lps(from)).0;

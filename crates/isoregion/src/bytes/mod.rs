@@ -1,5 +1,4 @@
-//! Operations on rows of bytes, one voxel each, a register at a time, that the map's kernels need from an instruction
-//! set.
+//! Register-wise operations on rows of bytes, one byte per voxel, for the kernels of the maps.
 
 mod portable;
 mod register;
@@ -12,15 +11,15 @@ pub(crate) use register::Bytes;
 #[cfg(target_arch = "x86_64")]
 use x86::{Avx2, Avx512, Sse2};
 
-/// Code that is compiled once for each instruction set.
+/// Computation that is compiled once for each instruction set.
 pub(crate) trait Kernel {
-    /// Run the code.
+    /// Run the computation with the instruction set `b`.
     ///
     /// The method must be inlined, or it is compiled without the instruction set.
     fn run<B: Bytes>(self, b: B);
 }
 
-/// Run a kernel with the widest registers of the set that a row of `nx` voxels fills.
+/// Run a kernel with the widest registers of an instruction set that a row of `nx` voxels fills.
 pub(crate) fn run<K: Kernel>(simd: InstructionSet, nx: usize, kernel: K) {
     #[cfg(target_arch = "x86_64")]
     {
@@ -60,7 +59,7 @@ pub(crate) fn run<K: Kernel>(simd: InstructionSet, nx: usize, kernel: K) {
 mod tests {
     use super::*;
 
-    /// Check every operation against a plain loop that defines it.
+    /// Check every operation of an instruction set against a plain loop that defines the operation.
     fn check<B: Bytes>(b: B) {
         let n = B::N;
         let load = |v: &[u8]| {
@@ -138,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn every_instruction_set_does_what_the_operations_say() {
+    fn operations_of_every_instruction_set_equal_their_definitions() {
         check(Portable::<1>);
         check(Portable::<16>);
         #[cfg(target_arch = "x86_64")]

@@ -2,11 +2,12 @@
 
 use super::Bytes;
 
-/// Register of `N` voxels: 16, or 1 for rows shorter than a register.
+/// Instruction set whose register is an array of `N` bytes: 16, or 1 for rows shorter than a register.
 #[derive(Clone, Copy)]
 pub(crate) struct Portable<const N: usize>;
 
 impl<const N: usize> Bytes for Portable<N> {
+    /// Number of voxels in a register.
     const N: usize = N;
     type V = [u8; N];
 
@@ -44,7 +45,7 @@ impl<const N: usize> Bytes for Portable<N> {
     }
     #[inline(always)]
     fn spread(self, mut v: [u8; N]) -> [u8; N] {
-        // Distances 1, 2, 4 .. combine to every distance.
+        // Distances of 1, 2, 4 .. combine to every distance.
         let mut s = 1;
         while s < N {
             let old = v;
@@ -94,7 +95,7 @@ impl<const N: usize> Bytes for Portable<N> {
     }
 }
 
-/// Combine 64 bytes of 0 or 1 to a mask: bit n is byte n.
+/// Return a mask of 64 bits from 64 bytes of 0 or 1: bit n is byte n.
 #[inline(always)]
 fn bits(flags: [u8; 64]) -> u64 {
     let mut out = 0;

@@ -1,48 +1,47 @@
-//! Interface of an instruction set for the map's kernels.
+//! Interface of an instruction set for the kernels of the maps.
 
-/// Instruction set.
+/// Instruction set for the kernels of the maps.
 ///
-/// A value of the implementing type proves that the machine has the set.
-///
-/// A register holds `N` voxels that are neighbours along x. All numbers are distances; 255 means 255 or more.
+/// A value of the implementing type proves that the machine has the instruction set. A register has `N` voxels that are
+/// neighbours along x, one byte each. The bytes are distances; 255 stands for 255 or more.
 pub(crate) trait Bytes: Copy {
-    /// Number of voxels in a register; divides 64.
+    /// Number of voxels in a register, a divisor of 64.
     const N: usize;
     /// Register of `N` bytes.
     type V: Copy;
 
     fn splat(self, v: u8) -> Self::V;
     fn min(self, a: Self::V, b: Self::V) -> Self::V;
-    /// Add; the result saturates at 255.
+    /// Return the sum of two registers; each byte saturates at 255.
     fn add(self, a: Self::V, b: Self::V) -> Self::V;
     fn is_zero(self, v: Self::V) -> bool;
     fn same(self, a: Self::V, b: Self::V) -> bool;
-    /// Return for each voxel the previous one; `before` contains the voxels before the first.
+    /// Return for each voxel the byte of the previous voxel; `before` is the register before `v`.
     fn previous(self, before: Self::V, v: Self::V) -> Self::V;
-    /// Return for each voxel the next one; `after` contains the voxels after the last.
+    /// Return for each voxel the byte of the next voxel; `after` is the register after `v`.
     fn next(self, v: Self::V, after: Self::V) -> Self::V;
-    /// Return 255 where the bit is set, else 0.
+    /// Return for each voxel 255 if its bit is set, otherwise 0.
     fn expand(self, bits: u64) -> Self::V;
-    /// Return for each voxel the least sum of any voxel's value in the register and its distance.
+    /// Return for each voxel the least sum, over the voxels of the register, of a voxel's byte and the distance to it.
     fn spread(self, v: Self::V) -> Self::V;
-    /// Return `1, 2 ..= N`.
+    /// Return a register with the bytes `1, 2 ..= N`.
     fn rising(self) -> Self::V;
-    /// Return `N ..= 2, 1`.
+    /// Return a register with the bytes `N ..= 2, 1`.
     fn falling(self) -> Self::V;
 
-    /// Load `N` bytes.
+    /// Load a register of `N` bytes.
     ///
     /// # Safety
     ///
     /// `N` bytes from `at` must be readable.
     unsafe fn load(self, at: *const u8) -> Self::V;
-    /// Store `N` bytes.
+    /// Store the `N` bytes of a register.
     ///
     /// # Safety
     ///
     /// `N` bytes from `at` must be writable.
     unsafe fn store(self, at: *mut u8, v: Self::V);
-    /// Return a mask whose bit n is set if the bytes n are equal.
+    /// Return a mask whose bit n is set if the bytes n of `a` and `b` are equal.
     ///
     /// # Safety
     ///

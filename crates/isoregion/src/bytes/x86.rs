@@ -1,4 +1,4 @@
-//! Instruction sets SSE2, which every `x86_64` has, AVX2 and AVX-512.
+//! Instruction sets of `x86_64`: SSE2, which every such machine has, AVX2 and AVX-512.
 
 use std::arch::x86_64::{
     __m128i, __m256i, __m512i, _mm_adds_epu8, _mm_and_si128, _mm_cmpeq_epi8, _mm_cmpeq_epi16,
@@ -18,6 +18,7 @@ use std::arch::x86_64::{
 
 use super::Bytes;
 
+/// Bytes 1, 2 ..= 64.
 const RISING: [u8; 64] = {
     let mut out = [0; 64];
     let mut n = 0;
@@ -28,7 +29,7 @@ const RISING: [u8; 64] = {
     out
 };
 
-/// Bytes whose part `FALLING[64 - N ..]` falls from N to 1.
+/// Bytes 64 ..= 2, 1; the part `FALLING[64 - N ..]` falls from N to 1.
 const FALLING: [u8; 64] = {
     let mut out = [0; 64];
     let mut n = 0;
@@ -39,7 +40,7 @@ const FALLING: [u8; 64] = {
     out
 };
 
-/// Define operations of one or a few instructions each.
+/// Macro that defines operations of one or a few instructions each.
 macro_rules! operations {
     ($(fn $name:ident($($arg:ident: $type:ty),*) -> $out:ty { $body:expr })*) => {$(
         #[inline(always)]
@@ -51,14 +52,12 @@ macro_rules! operations {
     )*};
 }
 
-/// Instruction set AVX-512 F and BW.
-///
-/// A value proves that the machine has both.
+/// Instruction set AVX-512 F and BW; a value proves that the machine has both.
 #[derive(Clone, Copy)]
 pub(crate) struct Avx512(());
 
 impl Avx512 {
-    /// Create a value, which proves that the machine has the instructions.
+    /// Create the proof that the machine has the instruction set.
     ///
     /// # Safety
     ///
@@ -70,6 +69,7 @@ impl Avx512 {
 }
 
 impl Bytes for Avx512 {
+    /// Number of voxels in a register.
     const N: usize = 64;
     type V = __m512i;
 
@@ -151,14 +151,12 @@ impl Bytes for Avx512 {
     }
 }
 
-/// Instruction set AVX2.
-///
-/// A value proves that the machine has it.
+/// Instruction set AVX2; a value proves that the machine has it.
 #[derive(Clone, Copy)]
 pub(crate) struct Avx2(());
 
 impl Avx2 {
-    /// Create a value, which proves that the machine has the instructions.
+    /// Create the proof that the machine has the instruction set.
     ///
     /// # Safety
     ///
@@ -170,6 +168,7 @@ impl Avx2 {
 }
 
 impl Bytes for Avx2 {
+    /// Number of voxels in a register.
     const N: usize = 32;
     type V = __m256i;
 
@@ -267,13 +266,12 @@ impl Bytes for Avx2 {
     }
 }
 
-/// Instruction set SSE2.
-///
-/// This set needs no proof, because SSE2 is part of `x86_64`.
+/// Instruction set SSE2, which needs no proof, because it is part of `x86_64`.
 #[derive(Clone, Copy)]
 pub(crate) struct Sse2;
 
 impl Bytes for Sse2 {
+    /// Number of voxels in a register.
     const N: usize = 16;
     type V = __m128i;
 

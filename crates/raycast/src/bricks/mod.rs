@@ -1,7 +1,7 @@
-//! Bricks: cached numbers at the voxels of one volume that its pictures share.
+//! Bricks: cached numbers at the voxels of one volume, shared by all pictures of the volume.
 //!
-//! A brick holds 4 x 4 x 4 cells. The first thread that needs a brick fills it, and all threads read it. The picture
-//! does not depend on which bricks exist.
+//! A brick has 4 x 4 x 4 cells. The first thread that needs a brick fills it, and all threads read it. The picture does
+//! not depend on which bricks exist.
 
 mod samples;
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! Bricks of values and gradients of a volume, for pictures that are shaded at every sample.
+//! Bricks of the values and gradients of a volume, for pictures that are shaded at every sample.
 //!
 //! An interpolated value with its gradient needs 32 voxels at twelve addresses, and neighbouring samples read most of
 //! them again. At a voxel, the gradient is an exact central difference of integers. Stored beside the value as four
@@ -7,7 +7,7 @@
 use super::store::{CELLS, Fill, MOST_BRICKS, Numbers, PER_BRICK, STRIDE, Store, VOXELS};
 use crate::Field;
 
-/// Bricks of values and gradients of one volume.
+/// Cached bricks of the values and gradients of one volume.
 ///
 /// Each voxel has its value and the differences along i, j and k between the voxels after it and before it.
 #[derive(Debug)]
@@ -16,15 +16,15 @@ pub struct SampleBricks {
 }
 
 impl SampleBricks {
-    /// Create an empty cache for a volume of this shape.
+    /// Create an empty cache for a volume of a given shape.
     #[must_use]
     pub fn of(shape_ijk: [usize; 3]) -> Self {
-        Self::with_room(shape_ijk, MOST_BRICKS)
+        Self::with_capacity(shape_ijk, MOST_BRICKS)
     }
 
-    /// Create an empty cache with capacity for `most` bricks.
+    /// Create an empty cache with a capacity of `most` bricks, for a volume of a given shape.
     #[must_use]
-    pub fn with_room(shape_ijk: [usize; 3], most: usize) -> Self {
+    pub fn with_capacity(shape_ijk: [usize; 3], most: usize) -> Self {
         Self {
             store: Store::new(shape_ijk, most),
         }
@@ -50,9 +50,7 @@ impl SampleBricks {
         self.len() == 0
     }
 
-    /// Return whether the cache is full.
-    ///
-    /// Cells without a stored brick are read from the volume.
+    /// Return whether the cache is full; cells without a stored brick are then read from the volume.
     #[must_use]
     pub fn is_full(&self) -> bool {
         self.store.is_full()
@@ -64,7 +62,7 @@ impl Fill for SampleBricks {
         &self.store
     }
 
-    /// Return false also if a difference does not fit an int16.
+    /// Fill a brick; return false if the cache is full or a difference does not fit an int16.
     fn fill(&self, field: &Field<'_>, number: usize) -> bool {
         let brick = self.store.brick(number);
         let filled = || filled(field, brick);
@@ -73,7 +71,8 @@ impl Fill for SampleBricks {
 }
 
 fn filled(field: &Field<'_>, brick: [usize; 3]) -> Option<Numbers> {
-    // Memory offsets of the voxels from the one before the brick to the one after it, clamped at the edge.
+    // Memory offsets along each axis of the voxels from the one before the brick to the one after it, clamped at the
+    // edge.
     let places: [[usize; VOXELS + 2]; 3] = std::array::from_fn(|a| {
         std::array::from_fn(|n| {
             let voxel = (brick[a] * CELLS + n).saturating_sub(1);

@@ -9,6 +9,7 @@ use crate::{
 use carina_grid::{Affine, Camera, Grid, VolumeView};
 use proptest::prelude::*;
 
+/// Light at the camera of the test pictures.
 const LIGHT: Light = Light {
     ambient: 0.2,
     diffuse: 0.8,
@@ -25,9 +26,8 @@ struct Case {
 }
 
 impl Case {
-    /// Create a case with random values between two limits, seen from the middle or from a corner.
-    ///
-    /// Half of the values are visible.
+    /// Create a case with random values between two limits, half of them visible, seen from the middle or from a
+    /// corner.
     fn random(shape: [usize; 3], limits: [i16; 2], seed: u64) -> Self {
         let mut state = seed | 1;
         let mut random = |n: i64| {
@@ -73,10 +73,10 @@ impl Case {
         Frame::new(volume, &self.table, camera, options).unwrap()
     }
 
-    /// Check that pictures of all instruction sets, twice from the same bricks, equal the scalar caster's.
+    /// Check that pictures of all instruction sets, cast twice from the same bricks, equal the scalar caster's picture.
     ///
-    /// Return the bricks.
-    fn check(&self, room: usize) -> Arc<SampleBricks> {
+    /// Return the bricks, which hold at most `capacity` bricks.
+    fn check(&self, capacity: usize) -> Arc<SampleBricks> {
         let (truth, counts) = cast_rows_scalar(
             &self.frame(),
             Method::Brute,
@@ -84,12 +84,15 @@ impl Case {
             InstructionSet::Portable,
         )
         .unwrap();
-        let bricks = Arc::new(SampleBricks::with_room(self.frame().shape_ijk(), room));
+        let bricks = Arc::new(SampleBricks::with_capacity(
+            self.frame().shape_ijk(),
+            capacity,
+        ));
         for simd in InstructionSet::available() {
             let frame = self.frame().with_samples(Arc::clone(&bricks)).unwrap();
             for _ in 0..2 {
                 let (shown, stats) = cast_rows(&frame, Method::Brute, 0..16, simd).unwrap();
-                assert!(shown == truth, "{simd:?}, room for {room}");
+                assert!(shown == truth, "{simd:?}, room for {capacity}");
                 assert_eq!(stats, counts);
             }
         }
@@ -101,18 +104,18 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 
     #[test]
-    fn pictures_from_bricks_are_the_scalar_casters(
-        shape in prop::array::uniform3(1usize..14), seed in any::<u64>(), room in 0usize..40,
+    fn pictures_from_bricks_equal_those_of_the_scalar_caster(
+        shape in prop::array::uniform3(1usize..14), seed in any::<u64>(), capacity in 0usize..40,
     ) {
-        let bricks = Case::random(shape, [-1024, 3071], seed).check(room);
-        prop_assert!(bricks.len() <= room);
+        let bricks = Case::random(shape, [-1024, 3071], seed).check(capacity);
+        prop_assert!(bricks.len() <= capacity);
     }
 
     #[test]
     fn differences_beyond_int16_are_read_from_the_volume(
         shape in prop::array::uniform3(2usize..10), seed in any::<u64>(),
     ) {
-        // Half of the volume does not fit in the bricks; the other half is stored.
+        // Half of the volume has differences that do not fit in the bricks; the other half is stored.
         let mut case = Case::random(shape, [-32_768, 32_767], seed);
         let half = case.values.len() / 2;
         for value in &mut case.values[half..] {
@@ -123,7 +126,7 @@ proptest! {
 }
 
 #[test]
-fn a_volume_of_extremes_keeps_no_brick_and_one_of_a_ct_fills_those_that_are_seen() {
+fn extreme_values_store_no_brick_and_ct_values_fill_the_visible_bricks() {
     let extreme = Case::random([9, 9, 9], [-32_768, 32_767], 5).check(1000);
     assert!(extreme.is_empty() && !extreme.is_full());
     let seen = Case::random([9, 9, 9], [-1024, 3071], 5).check(1000);
@@ -133,7 +136,7 @@ fn a_volume_of_extremes_keeps_no_brick_and_one_of_a_ct_fills_those_that_are_seen
 }
 
 #[test]
-fn bricks_of_another_shape_are_refused() {
+fn bricks_of_another_shape_are_rejected() {
     let (case, other) = (
         Case::random([8, 8, 8], [0, 100], 1),
         Case::random([8, 8, 9], [0, 100], 1),

@@ -13,6 +13,7 @@ use crate::{
 use carina_grid::{Affine, Camera, Grid, VolumeView};
 use proptest::prelude::*;
 
+/// Appearance of the test pictures.
 const LOOK: Appearance = Appearance {
     guides_mm: [[-1.9, -0.5, 0.0], [1.9, -0.5, 0.3]],
     exposure: Some(9.0),
@@ -90,7 +91,7 @@ impl Case {
     }
 }
 
-/// Return the slope at a voxel by its definition: fourteen samples of clamped values, in f64.
+/// Return the slope at a voxel in f64 by its definition: fourteen samples of clamped values.
 fn slope_at(frame: &Frame<'_>, voxel: [usize; 3]) -> [f64; 3] {
     let Normals { reach, held, .. } = Normals::of(frame);
     let last = frame.grid.shape_ijk().map(|n| n as isize - 1);
@@ -128,7 +129,7 @@ fn slope_at(frame: &Frame<'_>, voxel: [usize; 3]) -> [f64; 3] {
     })
 }
 
-/// Return the slope as packets read it, in one lane.
+/// Return the slope at a point as packets read it from the bricks, in one lane.
 fn rise_at(frame: &Frame<'_>, bricks: &NormalBricks, p: [f32; 3]) -> [f32; 3] {
     let l = TestSet;
     let p = [l.splat(p[0]), l.splat(p[1]), l.splat(p[2])];
@@ -140,7 +141,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 
     #[test]
-    fn slopes_at_voxels_are_their_definition_and_between_them_interpolated(
+    fn slopes_equal_their_definition_at_voxels_and_are_interpolated_between_them(
         shape in prop::array::uniform3(1usize..14), spacing in prop::array::uniform3(0.25f64..2.5),
         at in prop::array::uniform3(0.0f32..1.0), seed in any::<u64>(),
     ) {
@@ -166,7 +167,7 @@ proptest! {
             }
         }
         for a in 0..3 {
-            // Stored numbers are accurate to half a unit.
+            // The tolerance is half a unit of the stored numbers.
             let off = (f64::from(found[a]) - expected[a]).abs();
             prop_assert!(off < 0.51 * f64::from(bricks.unit()) + 0.02, "{found:?} {expected:?}");
         }
@@ -174,7 +175,7 @@ proptest! {
 }
 
 #[test]
-fn a_picture_is_the_same_whatever_bricks_there_are_and_however_many_can_be_kept() {
+fn a_picture_does_not_depend_on_the_stored_bricks_or_the_capacity() {
     let case = Case::new([30, 26, 22], [0.7, 0.8, 1.1], |[x, y, z]| {
         let off = [(x - 14.5) * 0.7, (y - 12.5) * 0.8, (z - 10.5) * 1.1];
         let tissue = (carina_grid::length(off) - 6.0 + (x * y).sin()).clamp(0.0, 1.0);
@@ -183,20 +184,23 @@ fn a_picture_is_the_same_whatever_bricks_there_are_and_however_many_can_be_kept(
     let shown = |frame: &Frame<'_>, simd| cast_rows(frame, Method::Brute, 0..40, simd).unwrap().0;
     let truth = shown(&case.frame(), InstructionSet::Portable);
     for simd in InstructionSet::available() {
-        for room in [0, 1, 2, 1000] {
-            let bricks = Arc::new(NormalBricks::with_room(&case.frame(), room));
+        for capacity in [0, 1, 2, 1000] {
+            let bricks = Arc::new(NormalBricks::with_capacity(&case.frame(), capacity));
             let frame = case.frame().with_normals(Arc::clone(&bricks)).unwrap();
             for _ in 0..2 {
-                assert!(shown(&frame, simd) == truth, "{simd:?}, room for {room}");
+                assert!(
+                    shown(&frame, simd) == truth,
+                    "{simd:?}, room for {capacity}"
+                );
             }
-            assert_eq!(bricks.is_full(), room <= 2);
-            assert!(bricks.len() <= room && bricks.is_empty() == (room == 0));
+            assert_eq!(bricks.is_full(), capacity <= 2);
+            assert!(bricks.len() <= capacity && bricks.is_empty() == (capacity == 0));
         }
     }
 }
 
 #[test]
-fn bricks_of_another_transfer_function_are_refused() {
+fn bricks_of_another_transfer_function_are_rejected() {
     let case = Case::random([12, 12, 12], [1.0; 3], 7);
     let steep = vec![[-150.0, 0.9, 0.5, 0.5, 0.0], [200.0, 0.9, 0.5, 0.5, 0.9]];
     let other = Case {
@@ -211,7 +215,7 @@ fn bricks_of_another_transfer_function_are_refused() {
 }
 
 #[test]
-fn slopes_of_a_blurred_plane_point_across_it_no_less_than_samples_at_the_point_do() {
+fn slopes_of_a_blurred_plane_are_as_accurate_as_direct_samples() {
     let (mut worst, mut sum, mut sum_of_samples) = (0.0f64, 0.0, 0.0);
     for n in 0..40 {
         let turn = f64::from(n);
@@ -222,7 +226,7 @@ fn slopes_of_a_blurred_plane_point_across_it_no_less_than_samples_at_the_point_d
             let from_middle: [f64; 3] =
                 std::array::from_fn(|a| (ijk[a] - [12.0, 12.0, 10.0][a]) * spacing[a]);
             let edge = carina_grid::dot(from_middle, across) / 0.6;
-            // A smooth step, about as blurred as by a scanner.
+            // The edge is a smooth step, about as blurred as by a scanner.
             -1000.0 + 1040.0 / (1.0 + (-2.4 * edge).exp())
         });
         let frame = case.frame();

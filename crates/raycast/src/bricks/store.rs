@@ -1,4 +1,4 @@
-//! Memory of bricks, and coordination of the threads that fill them.
+//! Memory of a volume's bricks, which threads fill and read concurrently.
 
 use std::{
     cell::UnsafeCell,
@@ -11,41 +11,42 @@ use crate::Field;
 pub(crate) const CELLS: usize = 4;
 /// Number of voxels of a brick along each axis: both ends of its cells.
 pub(super) const VOXELS: usize = CELLS + 1;
-/// Numbers in memory for each voxel: four, so that a voxel is one 64-bit load.
+/// Number of stored numbers per voxel: four, so that a voxel is one 64-bit load.
 pub(crate) const PER_VOXEL: usize = 4;
-/// Numbers in memory for each brick, of which the last few are 0.
+/// Number of stored numbers per brick, of which the last few are 0.
 pub(crate) const PER_BRICK: usize = 512;
-/// Memory offset in a brick from voxel to voxel along each axis.
+/// Difference in memory between neighbouring voxels of a brick along each axis, in numbers.
 pub(crate) const STRIDE: [usize; 3] = [PER_VOXEL, PER_VOXEL * VOXELS, PER_VOXEL * VOXELS * VOXELS];
 /// Largest number of stored bricks: 64 MB, enough for some fifty views of an airway.
 pub(crate) const MOST_BRICKS: usize = 1 << 16;
 
-/// Numbers of a brick.
+/// Stored numbers of one brick.
 pub(crate) type Numbers = Box<[i16; PER_BRICK]>;
 
-/// Table entry of a brick that is not stored.
-///
-/// The next constants are the entries of a brick that is being filled and of a brick that cannot be stored. Any other
-/// entry is one more than the brick's index.
+/// Table entry of a brick that is not stored; the entry of a stored brick is one more than its index.
 const ABSENT: i32 = 0;
+/// Table entry of a brick that a thread is filling.
 const BUSY: i32 = -1;
+/// Table entry of a brick that cannot be stored.
 const UNFIT: i32 = -2;
 
-/// Contents of bricks.
+/// Cache of bricks that can compute the contents of a brick.
 pub(crate) trait Fill {
     fn store(&self) -> &Store;
-    /// Fill a brick, given by its number in the volume, if it is not yet filled; return false if it cannot be stored.
+    /// Fill a brick if it is not yet filled; return false if it cannot be stored.
+    ///
+    /// `number` is the brick's number among the bricks of the volume.
     fn fill(&self, field: &Field<'_>, number: usize) -> bool;
 }
 
-/// Bricks of one volume.
+/// Memory of the bricks of one volume.
 #[derive(Debug)]
 pub(crate) struct Store {
     pub(super) shape: [usize; 3],
     num_bricks: [usize; 3],
-    /// State or index of each brick of the volume.
+    /// Entry of each brick of the volume: its state, or one more than its index.
     table: Box<[AtomicI32]>,
-    /// Memory of the bricks.
+    /// Numbers of the stored bricks.
     ///
     /// Each brick is written once, by the thread that has claimed it, before the table refers to it.
     numbers: UnsafeCell<Vec<i16>>,
@@ -67,7 +68,7 @@ impl Store {
             shape,
             num_bricks,
             table: absent(num),
-            // Lanes without a brick read the first one, so its memory must exist.
+            // Lanes without a brick read the first brick, so its memory must exist.
             numbers: UnsafeCell::new(vec![0; most.max(1) * PER_BRICK]),
             most,
             len: AtomicUsize::new(0),
@@ -83,7 +84,7 @@ impl Store {
         self.len() == self.most && self.most < self.table.len()
     }
 
-    /// Return a pointer to the numbers of all bricks.
+    /// Return a pointer to the numbers of all stored bricks.
     pub(crate) fn numbers(&self) -> *const i16 {
         // SAFETY: the vector itself never changes, only its elements, and no reference to the elements is created here.
         unsafe { (*self.numbers.get()).as_ptr() }
@@ -99,11 +100,9 @@ impl Store {
         self.num_bricks
     }
 
-    /// Return the index of a brick in [`Self::numbers`], and fill the brick if it is not yet filled.
+    /// Fill a brick if it is not yet filled; return its index in [`Self::numbers`], or `None` if it is not stored.
     ///
-    /// The result is `None` if it is not stored.
-    ///
-    /// `fill` returns `None` if the numbers cannot be stored; the table records this result, too.
+    /// `fill` returns `None` if the numbers cannot be stored; the table then records this.
     #[cold]
     pub(super) fn fill(
         &self,
@@ -152,7 +151,9 @@ impl Store {
     }
 }
 
-/// Return a table without bricks: zeroed memory, whose pages the system provides only when a ray needs them.
+/// Return a table in which no brick is stored.
+///
+/// The table is zeroed memory, whose pages the operating system provides only when a ray needs them.
 fn absent(num: usize) -> Box<[AtomicI32]> {
     let zeros = vec![ABSENT; num].into_boxed_slice();
     // SAFETY: an AtomicI32 has the size, the alignment and the bit representation of an i32. Benchmark: initialising

@@ -1,4 +1,4 @@
-//! Look-ups of a packet and the leaps that follow; the operations of [`crate::leap`], lane by lane.
+//! Look-ups of a packet in the radius map and the leaps that follow: the operations of [`crate::leap`], lane by lane.
 
 use carina_isoregion::MAX_SEGMENT_SAMPLES;
 
@@ -9,7 +9,7 @@ use super::{
 };
 use crate::leap::{FAR, LEAST_PATIENCE, MAX_STEPS, MOST_PATIENCE, Price};
 
-/// Steps per voxel on each axis, with and without the sign of the direction; as in `leap::Pace`.
+/// Ray steps per voxel on each axis, with and without the sign of the direction, for each lane; see `leap::Pace`.
 #[derive(Clone, Copy)]
 pub(super) struct Pace<L: Lanes> {
     signed: [L::F; 3],
@@ -30,7 +30,8 @@ impl<L: Lanes> Pace<L> {
         Self { signed, plain }
     }
 
-    /// Return the steps until each lane leaves its cube; as in `leap::Pace::steps`.
+    /// Return for each lane the number of steps until its ray leaves its cube; the operations equal
+    /// `leap::Pace::steps`.
     #[inline(always)]
     fn steps(&self, l: L, p: [L::F; 3], v: [L::F; 3], reach: L::F) -> L::I {
         let mut on = v;
@@ -44,35 +45,43 @@ impl<L: Lanes> Pace<L> {
 }
 
 impl Scene<'_> {
-    /// Look up the map in some lanes.
+    /// Look up the map in the lanes `looked_up`; return the lanes that have leaped.
     ///
-    /// Lanes with a radius above 0 leap; the patience of the others grows. Return the lanes that have leaped.
+    /// Lanes with a radius above 0 leap; the patience of the other lanes of `looked_up` grows.
     #[inline(always)]
-    pub(super) fn ask<L: Lanes>(
+    pub(super) fn look_up<L: Lanes>(
         &self,
         l: L,
         packet: &mut Packet<L>,
         pace: &Pace<L>,
-        asked: L::M,
+        looked_up: L::M,
     ) -> L::M {
         let p = packet.at(l, packet.k, self.frame.origin3());
         let (index, v) = self.voxels.cell_of(l, p);
         // SAFETY: the map has as many voxels as the volume, and `cell_of` clamps the index to them in all lanes.
         // Benchmark: benchmarks/measurements/rendering.md.
         let r = unsafe { l.bytes(self.radius.as_ptr(), index) };
-        let leaps = l.and(asked, l.less_i(l.splat_i(0), r));
+        let leaps = l.and(looked_up, l.less_i(l.splat_i(0), r));
         let n = pace.steps(l, p, v, l.add(l.to_f(r), l.splat(self.margin)));
         let left = l.sub_i(packet.end, packet.k);
         let n = l.min_i(l.add_i(n, l.splat_i(1)), left);
-        self.settle(l, packet, asked, leaps, n);
+        self.settle(l, packet, looked_up, leaps, n);
         leaps
     }
 
-    /// Apply leaps of `n` samples and update the rays' patience after look-ups; as in `leap::Asking`.
+    /// Advance lanes by leaps of `n` samples and update the patience of the lanes `looked_up`; see
+    /// `leap::LookupSchedule`.
     #[inline(always)]
-    fn settle<L: Lanes>(&self, l: L, packet: &mut Packet<L>, asked: L::M, leaps: L::M, n: L::I) {
+    fn settle<L: Lanes>(
+        &self,
+        l: L,
+        packet: &mut Packet<L>,
+        looked_up: L::M,
+        leaps: L::M,
+        n: L::I,
+    ) {
         let Price { worth, pays } = self.price;
-        let mut failed = l.without(asked, leaps);
+        let mut failed = l.without(looked_up, leaps);
         let mut paid = leaps;
         if worth > 1 {
             let short = l.and(leaps, l.less_i(n, l.splat_i(worth as i32)));
@@ -81,7 +90,7 @@ impl Scene<'_> {
         if pays > 1 {
             paid = l.without(leaps, l.less_i(n, l.splat_i(pays as i32)));
         }
-        packet.ask_at = l.select_i(failed, l.add_i(packet.k, packet.patience), packet.ask_at);
+        packet.lookup_at = l.select_i(failed, l.add_i(packet.k, packet.patience), packet.lookup_at);
         let twice = l.add_i(packet.patience, packet.patience);
         let more = l.min_i(twice, l.splat_i(MOST_PATIENCE as i32));
         let patience = l.select_i(failed, more, packet.patience);
@@ -89,7 +98,7 @@ impl Scene<'_> {
         packet.k = l.select_i(leaps, l.add_i(packet.k, n), packet.k);
     }
 
-    /// Return the segments of `n` samples in the rows of the step table that begin at `row`.
+    /// Return the colour and transparency of segments of `n` samples, from the step table's rows that begin at `row`.
     ///
     /// The function contains no closure, because a closure would be compiled without the instruction set.
     #[inline(always)]
@@ -102,17 +111,17 @@ impl Scene<'_> {
         unsafe { l.entries(segments.as_ptr(), at) }
     }
 
-    /// Look up the map of all classes in some lanes, and add a segment in lanes with a label; as in
+    /// Look up the map of all classes in the lanes `looked_up`, and add a segment in lanes with a label; see
     /// `leap::cast_classes`.
     ///
     /// Return the lanes that have leaped and the lanes whose ray is now opaque.
     #[inline(always)]
-    pub(super) fn ask_classes<L: Lanes>(
+    pub(super) fn look_up_classes<L: Lanes>(
         &self,
         l: L,
         packet: &mut Packet<L>,
         pace: &Pace<L>,
-        asked: L::M,
+        looked_up: L::M,
     ) -> (L::M, L::M) {
         let p = packet.at(l, packet.k, self.frame.origin3());
         let (index, v) = self.voxels.nearest(l, p);
@@ -125,7 +134,7 @@ impl Scene<'_> {
             )
         };
         let zero = l.splat_i(0);
-        let leaps = l.and(asked, l.and(l.less_i(zero, r), l.less_i(zero, label)));
+        let leaps = l.and(looked_up, l.and(l.less_i(zero, r), l.less_i(zero, label)));
         let n = pace.steps(l, p, v, l.add(l.to_f(r), l.splat(self.margin)));
         let left = l.sub_i(packet.end, packet.k);
         let n = l.min_i(l.add_i(n, l.splat_i(1)), left);
@@ -139,7 +148,7 @@ impl Scene<'_> {
         let faint = l.less(l.mul(packet.transparency, segment[3]), limit);
         let crossing = l.bits(l.and(leaps, faint));
         if crossing != 0 {
-            // Find the sample where brute force stops; this happens once per ray.
+            // The sample where brute force would stop is searched; this happens once per ray.
             let (labels, transparency) = (l.store_i(label), l.store(packet.transparency));
             let mut cut = l.store_i(n);
             each_lane(crossing, |lane| {
@@ -159,7 +168,7 @@ impl Scene<'_> {
         }
         let through = l.mul(packet.transparency, segment[3]);
         packet.transparency = l.select(leaps, through, packet.transparency);
-        self.settle(l, packet, asked, leaps, n);
+        self.settle(l, packet, looked_up, leaps, n);
         (leaps, l.and(leaps, l.less(packet.transparency, limit)))
     }
 }

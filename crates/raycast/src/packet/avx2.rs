@@ -14,9 +14,7 @@ use super::{
     },
 };
 
-/// Instruction set AVX2 and FMA.
-///
-/// A value proves that the machine has both.
+/// Instruction set AVX2 and FMA; a value proves that the machine has both.
 #[derive(Clone, Copy)]
 pub(super) struct Avx2 {
     /// Whether pairs of voxels are read by gather instructions.
@@ -24,7 +22,7 @@ pub(super) struct Avx2 {
 }
 
 impl Avx2 {
-    /// Create a value, which proves that the machine has the instructions.
+    /// Create the proof that the machine has the instruction set.
     ///
     /// `gathers` selects gather instructions for reads of voxel pairs ([`super::gathers`]).
     ///
@@ -37,7 +35,7 @@ impl Avx2 {
     }
 }
 
-/// For each mask of eight lanes and each lane: the index of the packed value that the lane takes.
+/// For each mask of eight lanes and each lane, the index of the packed value that the lane takes.
 static TURN: [[i32; 8]; 256] = {
     let mut turns = [[0; 8]; 256];
     let mut mask = 0;
@@ -55,7 +53,7 @@ static TURN: [[i32; 8]; 256] = {
     turns
 };
 
-/// For each mask of eight lanes: the indices of its lanes in ascending order.
+/// For each mask of eight lanes, the indices of its lanes in ascending order.
 static PLACE: [[i32; 8]; 256] = {
     let mut places = [[0; 8]; 256];
     let mut mask = 0;
@@ -73,7 +71,7 @@ static PLACE: [[i32; 8]; 256] = {
     places
 };
 
-/// Expand each bit to a full lane.
+/// Return a register with all bits of a lane set for each set bit of `bits`.
 ///
 /// # Safety
 ///
@@ -87,7 +85,7 @@ unsafe fn lanes_of(bits: u32) -> __m256i {
     }
 }
 
-/// Define operations of one or a few instructions each.
+/// Macro that defines operations of one or a few instructions each.
 macro_rules! operations {
     ($(fn $name:ident($($arg:ident: $type:ty),*) -> $out:ty { $body:expr })*) => {$(
         #[inline(always)]
@@ -99,7 +97,7 @@ macro_rules! operations {
     )*};
 }
 
-/// Combine two halves in one register.
+/// Return one register that contains two halves.
 ///
 /// # Safety
 ///
@@ -111,6 +109,7 @@ unsafe fn whole_of([a, b]: [__m128i; 2]) -> __m256i {
 }
 
 impl Lanes for Avx2 {
+    /// Number of lanes of a register, each with one ray.
     const N: usize = 8;
     type F = __m256;
     type I = __m256i;
@@ -167,7 +166,7 @@ impl Lanes for Avx2 {
         fn quarters(a: __m256i) -> __m256i { _mm256_srli_epi32::<2>(a) }
         fn modulo_4(a: __m256i) -> __m256i { _mm256_and_si256(a, _mm256_set1_epi32(3)) }
 
-        // Products with 1, 0 and -1, added in pairs as i32, cannot overflow.
+        // The products with 1, 0 and -1, added in pairs as i32, cannot overflow.
         fn first(pair: __m256i) -> __m256i { _mm256_madd_epi16(pair, _mm256_set1_epi32(1)) }
         fn second(pair: __m256i) -> __m256i { _mm256_srai_epi32::<16>(pair) }
         fn rise(pair: __m256i) -> __m256i { _mm256_madd_epi16(pair, _mm256_set1_epi32(0x0001_ffff)) }

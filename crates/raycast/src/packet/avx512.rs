@@ -14,9 +14,7 @@ use super::{
     },
 };
 
-/// Instruction set AVX-512 F, BW, DQ and VL.
-///
-/// A value proves that the machine has all of them.
+/// Instruction set AVX-512 F, BW, DQ and VL; a value proves that the machine has all of them.
 #[derive(Clone, Copy)]
 pub(super) struct Avx512 {
     /// Whether pairs of voxels are read by gather instructions.
@@ -24,7 +22,7 @@ pub(super) struct Avx512 {
 }
 
 impl Avx512 {
-    /// Create a value, which proves that the machine has the instructions.
+    /// Create the proof that the machine has the instruction set.
     ///
     /// `gathers` selects gather instructions for reads of voxel pairs ([`super::gathers`]).
     ///
@@ -37,7 +35,7 @@ impl Avx512 {
     }
 }
 
-/// Define operations of one or a few instructions each.
+/// Macro that defines operations of one or a few instructions each.
 macro_rules! operations {
     ($(fn $name:ident($($arg:ident: $type:ty),*) -> $out:ty { $body:expr })*) => {$(
         #[inline(always)]
@@ -49,7 +47,7 @@ macro_rules! operations {
     )*};
 }
 
-/// Combine four quarters in one register.
+/// Return one register that contains four quarters.
 ///
 /// # Safety
 ///
@@ -65,6 +63,7 @@ unsafe fn whole_of([a, b, c, d]: [__m128i; 4]) -> __m512i {
 }
 
 impl Lanes for Avx512 {
+    /// Number of lanes of a register, each with one ray.
     const N: usize = 16;
     type F = __m512;
     type I = __m512i;
@@ -113,7 +112,7 @@ impl Lanes for Avx512 {
         fn quarters(a: __m512i) -> __m512i { _mm512_srli_epi32::<2>(a) }
         fn modulo_4(a: __m512i) -> __m512i { _mm512_and_si512(a, _mm512_set1_epi32(3)) }
 
-        // Products with 1, 0 and -1, added in pairs as i32, cannot overflow.
+        // The products with 1, 0 and -1, added in pairs as i32, cannot overflow.
         fn first(pair: __m512i) -> __m512i { _mm512_madd_epi16(pair, _mm512_set1_epi32(1)) }
         fn second(pair: __m512i) -> __m512i { _mm512_srai_epi32::<16>(pair) }
         fn rise(pair: __m512i) -> __m512i { _mm512_madd_epi16(pair, _mm512_set1_epi32(0x0001_ffff)) }

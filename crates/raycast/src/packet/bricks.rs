@@ -1,4 +1,4 @@
-//! Reads of bricks by packets, lane by lane.
+//! Reads of cached bricks by packets, lane by lane.
 
 use super::lanes::{Array, Lanes, each_lane};
 use crate::{
@@ -8,7 +8,7 @@ use crate::{
 
 const _: () = assert!(CELLS == 4, "`quarters` and `modulo_4` are made for it");
 
-/// Memory offsets, in voxels of a brick, from a cell's lower corner to its four rows along x.
+/// Memory offsets in a brick from a cell's lower corner to its four rows along x, in stored numbers.
 const ROWS: [i32; 4] = [
     0,
     STRIDE[1] as i32,
@@ -16,7 +16,7 @@ const ROWS: [i32; 4] = [
     (STRIDE[1] + STRIDE[2]) as i32,
 ];
 
-/// Reader of the bricks of a volume.
+/// Reader of the bricks of a volume, which fills bricks that are needed and not yet stored.
 pub(super) struct Reader<'a, B> {
     bricks: &'a B,
     field: &'a Field<'a>,
@@ -36,7 +36,7 @@ fn lerp<L: Lanes>(l: L, t: L::F, a: L::F, b: L::F) -> L::F {
     l.fma(t, l.sub(b, a), a)
 }
 
-/// Interpolate between the two numbers of a pair.
+/// Interpolate linearly between the two numbers of a pair.
 #[inline(always)]
 fn lerp_pair<L: Lanes>(l: L, t: L::F, pair: L::I) -> L::F {
     l.fma(t, l.to_f(l.rise(pair)), l.to_f(l.first(pair)))
@@ -56,7 +56,7 @@ impl<'a, B: Fill> Reader<'a, B> {
     /// Return, for each lane, one more than the index of its cell's brick; `None` if a wanted lane has no brick.
     ///
     /// Other lanes without a brick get the first brick, whose memory always exists, because a volume has at least one
-    /// brick. Every lane's cell must be in the volume, also in lanes that are not wanted.
+    /// brick. The cell of every lane must be in the volume, also in lanes that are not wanted.
     #[inline(always)]
     fn find<L: Lanes>(&self, l: L, ijk: &[L::I; 3], wanted: L::M) -> Option<L::I> {
         let [ni, nj] = [l.splat_i(self.num_bricks[0]), l.splat_i(self.num_bricks[1])];
@@ -65,19 +65,19 @@ impl<'a, B: Fill> Reader<'a, B> {
         let table = self.bricks.store().table().as_ptr();
         // SAFETY: cells are in the volume, so the numbers of their bricks are in the table. Benchmark:
         // benchmarks/measurements/rendering.md.
-        let mut kept = unsafe { l.links(table, number) };
-        let absent = l.bits(l.without(wanted, l.less_i(l.splat_i(0), kept)));
+        let mut entry = unsafe { l.links(table, number) };
+        let absent = l.bits(l.without(wanted, l.less_i(l.splat_i(0), entry)));
         if absent != 0 {
             if !self.fill(&l.store_i(number), absent) {
                 return None;
             }
             // SAFETY: cells are in the volume, so the numbers of their bricks are in the table.
-            kept = unsafe { l.links(table, number) };
+            entry = unsafe { l.links(table, number) };
         }
-        Some(l.max_i(kept, l.splat_i(1)))
+        Some(l.max_i(entry, l.splat_i(1)))
     }
 
-    /// Fill the bricks of some lanes; return false if one of them cannot be stored.
+    /// Fill the bricks of some lanes; return false if one of these bricks cannot be stored.
     #[cold]
     #[inline(never)]
     fn fill(&self, numbers: &Array<i32>, lanes: u32) -> bool {
@@ -88,11 +88,10 @@ impl<'a, B: Fill> Reader<'a, B> {
         all
     }
 
-    /// Interpolate the four numbers of voxels in each lane's cell `ijk` at `t`.
+    /// Interpolate the four numbers per voxel in each lane's cell `ijk` at position `t` in the cell.
     ///
-    /// Return `None` if a wanted lane has no brick.
-    ///
-    /// Every lane's cell must be in the volume, also in lanes that are not wanted.
+    /// Return `None` if a wanted lane has no brick. The cell of every lane must be in the volume, also in lanes that
+    /// are not wanted.
     #[inline(always)]
     pub(super) fn between_voxels<L: Lanes>(
         &self,
@@ -101,8 +100,8 @@ impl<'a, B: Fill> Reader<'a, B> {
         t: &[L::F; 3],
         wanted: L::M,
     ) -> Option<[L::F; 4]> {
-        let kept = self.find(l, ijk, wanted)?;
-        let mut at = l.mul_i(l.sub_i(kept, l.splat_i(1)), l.splat_i(PER_BRICK as i32));
+        let entry = self.find(l, ijk, wanted)?;
+        let mut at = l.mul_i(l.sub_i(entry, l.splat_i(1)), l.splat_i(PER_BRICK as i32));
         for a in 0..3 {
             let steps = l.mul_i(l.modulo_4(ijk[a]), l.splat_i(STRIDE[a] as i32));
             at = l.add_i(at, steps);

@@ -1,6 +1,6 @@
-//! Wet surface of the wall: droplets in the film of mucus, and secretions.
+//! Wet surface of the wall: droplets in the film of mucus, and pools and bubbles of secretions.
 //!
-//! Both are decoration and are fixed to the tissue like the texture.
+//! All of this is decoration and is fixed to the tissue like the texture.
 
 use std::array::from_fn;
 
@@ -11,19 +11,21 @@ use super::{
 };
 use crate::appearance::Appearance;
 
-/// Noise cells per mm: of the pools of secretions here, of the bubbles in the next constant.
+/// Number of noise cells per mm of the pools of secretions.
 const POOLS_PER_MM: f32 = 0.2;
+/// Number of noise cells per mm of the bubbles in secretions.
 const BUBBLES_PER_MM: f32 = 1.5;
-/// Exponent of the highlight on a droplet as a power of two.
+/// Logarithm to base 2 of the exponent of the highlight on a droplet.
 ///
 /// A droplet is rounder than the film, so its highlight has a visible size.
 const DROP_LOG2: u32 = 5;
 /// Strength of the highlight of a droplet, as a fraction of the light that a guide gives at normal incidence.
 const DROP_GLINT: f32 = 1.2;
-/// Decrease, per unit of film thickness, of the height that a bump needs to carry a droplet.
+/// Decrease of the height that a bump of the relief needs to carry a droplet, per unit of film thickness.
 ///
 /// Droplets thus form groups with dry wall between them.
 const GATHER: f32 = 1.0;
+/// Strength of the highlight of a bubble, as a fraction of the light that a guide gives at normal incidence.
 const BUBBLE_GLINT: f32 = 2.4;
 /// Slope of a droplet's side.
 ///
@@ -31,22 +33,23 @@ const BUBBLE_GLINT: f32 = 2.4;
 const DROP_SLOPE: f32 = 1.4;
 /// Display colour of secretions, pale and slightly yellow.
 const SECRETIONS_RGB: [f32; 3] = [0.90, 0.84, 0.66];
-/// Opacity of a pool over the mucosa beneath it.
+/// Opacity of a pool of secretions over the mucosa beneath it, 0 to 1.
 const COVER: f32 = 0.55;
 
 /// Wet surface at points of the wall.
 #[derive(Clone, Copy)]
 pub(super) struct Film<L: Lanes> {
-    /// Coverage by droplets and bubbles, times the strength of their highlight.
+    /// Coverage by droplets and bubbles times the strength of their highlight.
     pub glint: L::F,
     /// Normal of the surface of droplets and bubbles.
     pub drop: [L::F; 3],
-    /// Coverage by a pool, 0 to 1.
+    /// Coverage by a pool of secretions, 0 to 1.
     pub pool: L::F,
 }
 
-/// Return the height of a noise bump above `from`, scaled to 0 to 1, and the normal of its sides, from the noise's
-/// value and slope.
+/// Return the height of a noise bump above `from`, scaled to 0 to 1, and the normal of the bump's sides.
+///
+/// The second argument is the noise's value and slope; `n` is the normal of the wall.
 #[inline(always)]
 fn bump<L: Lanes>(
     l: L,
@@ -61,10 +64,10 @@ fn bump<L: Lanes>(
     (above, unit(l, tilted).0)
 }
 
-/// Return the visibility of noise detail.
+/// Return the visibility of droplets and bubbles, from the size of a noise cell in pixels.
 ///
-/// The visibility is 1 if a noise cell covers ten pixels or more, and 0 below about three, because a droplet would be
-/// only a white dot.
+/// The visibility is 1 if a noise cell covers ten pixels or more. Below about three pixels the visibility is 0, because
+/// a droplet would then be only a white dot.
 #[inline(always)]
 fn fades<L: Lanes>(l: L, footprint_mm: L::F, per_mm: f32) -> L::F {
     let cells = l.mul(footprint_mm, l.splat(per_mm));
@@ -75,7 +78,7 @@ fn fades<L: Lanes>(l: L, footprint_mm: L::F, per_mm: f32) -> L::F {
 ///
 /// Droplets finer than a few pixels fade out; `footprint_mm` is the width of a pixel at the wall. Droplets form where
 /// the film is `thick` and the coarse relief is high; `bumps` are value and slope of that relief. A separate noise for
-/// droplets would cost more than the rest of this function.
+/// droplets would take longer than the remaining function.
 #[inline(always)]
 pub(super) fn film<L: Lanes>(
     l: L,
@@ -101,7 +104,7 @@ pub(super) fn film<L: Lanes>(
         film.glint = l.mul(l.mul(above, near), s(DROP_GLINT * look.specks));
     }
     if look.secretions > 0.0 {
-        // Floor of an airway in a supine patient: the wall whose normal points to the front, LPS -y.
+        // The lowest wall in a supine patient is the one whose normal points to the front, LPS -y.
         let floor = smooth(l, l.fma(n[1], s(-2.5), s(-0.6)));
         let (level, _) = noise(l, scaled(l, s(POOLS_PER_MM), q), 61);
         let filled = l.add(level, s(look.secretions.mul_add(1.2, -0.8)));
@@ -145,7 +148,7 @@ impl<L: Lanes> Film<L> {
         *n_film = unit(l, mixed).0;
     }
 
-    /// Return the highlight towards the scope.
+    /// Return the strength of the highlight of droplets and bubbles towards the scope.
     ///
     /// `half` is the half-way vector between the directions to the scope and to a light.
     #[inline(always)]

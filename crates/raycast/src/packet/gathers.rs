@@ -1,8 +1,8 @@
-//! Measurement that decides whether gather instructions or single loads are used on this machine.
+//! Measurement that decides whether voxels are read by gather instructions or by single loads on this machine.
 //!
 //! Gathers are faster on Intel's server processors since Sapphire Rapids, slower on Zen 4 and Zen 5, and several times
 //! slower where microcode mitigates Gather Data Sampling. No feature flag distinguishes these machines, a virtual
-//! machine may hide the model, and the bits are the same either way. So both variants are timed once per process
+//! machine may hide the model, and the results are equal. So both variants are timed once per process
 //! (docs/decisions/0103).
 
 use std::{
@@ -17,18 +17,19 @@ use super::{
 };
 use crate::InstructionSet;
 
-/// Return true if gathers read voxels faster than single loads.
+/// Return true if gather instructions read voxels faster than single loads on this machine.
 ///
-/// The first call takes some fifty microseconds.
-pub(super) fn gathers_pay(simd: InstructionSet) -> bool {
-    static PAY: [OnceLock<bool>; 2] = [OnceLock::new(), OnceLock::new()];
+/// The first call for an instruction set takes some fifty microseconds.
+pub(super) fn gathers_are_faster(simd: InstructionSet) -> bool {
+    /// Result for AVX2 and for AVX-512, measured on first use.
+    static ARE_FASTER: [OnceLock<bool>; 2] = [OnceLock::new(), OnceLock::new()];
     match simd {
-        InstructionSet::Avx2 if simd.is_available() => *PAY[0].get_or_init(|| {
+        InstructionSet::Avx2 if simd.is_available() => *ARE_FASTER[0].get_or_init(|| {
             // SAFETY: `simd.is_available()` has confirmed that the machine has the instruction set. Benchmark:
             // `carina bench isoregion`, the oblique slice.
             faster(|data, gathers| unsafe { read_avx2(data, gathers) })
         }),
-        InstructionSet::Avx512 if simd.is_available() => *PAY[1].get_or_init(|| {
+        InstructionSet::Avx512 if simd.is_available() => *ARE_FASTER[1].get_or_init(|| {
             // SAFETY: `simd.is_available()` has confirmed that the machine has the instruction set.
             faster(|data, gathers| unsafe { read_avx512(data, gathers) })
         }),
@@ -36,11 +37,16 @@ pub(super) fn gathers_pay(simd: InstructionSet) -> bool {
     }
 }
 
+/// Number of voxels along each row of the test data.
 const SIDE: usize = 64;
+/// Number of reads in one timed round.
 const READS: usize = 64;
+/// Number of timed rounds of each variant.
 const ROUNDS: usize = 9;
 
-/// Compare the shortest times of alternating rounds with and without gathers; the data fit the nearest cache.
+/// Return whether the shortest time with gathers is below the shortest time without, over alternating rounds.
+///
+/// The data that `read` reads fit the nearest cache.
 fn faster(read: impl Fn(&[i16], bool) -> i32) -> bool {
     let data: Vec<i16> = (0..SIDE * SIDE).map(|n| n as i16).collect();
     let mut least = [Duration::MAX; 2];
@@ -66,7 +72,7 @@ fn read_avx2(data: &[i16], gathers: bool) -> i32 {
     read(unsafe { avx2::Avx2::new(gathers) }, data)
 }
 
-/// Read the rows of consecutive cells along a diagonal and add them.
+/// Read the rows of consecutive cells along a diagonal, and return the sum of their voxels.
 #[inline(always)]
 fn read<L: Lanes>(l: L, data: &[i16]) -> i32 {
     assert!(data.len() >= SIDE * SIDE);
@@ -95,7 +101,7 @@ fn read<L: Lanes>(l: L, data: &[i16]) -> i32 {
 mod tests {
     use super::*;
 
-    /// Return the pair at one index per lane, read by the lanes and read one by one.
+    /// Return the pair of voxels at one index per lane, read by the instruction set and read one by one.
     fn pairs_of<L: Lanes>(l: L, data: &[i16], places: &Array<i32>, offset: i32) -> [Vec<i32>; 2] {
         let reach = |place: i32| usize::try_from(place + offset).unwrap();
         assert!(places[..L::N].iter().all(|&p| reach(p) + 1 < data.len()));
@@ -131,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn gathers_read_what_single_loads_read() {
+    fn gathers_and_single_loads_read_equal_voxels() {
         let mut state = 11u64;
         let mut random = |n: usize| {
             state = state

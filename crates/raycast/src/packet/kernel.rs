@@ -18,12 +18,12 @@ use super::{
 };
 use crate::CastStats;
 
-/// Number of rays in the shading pool at which shading starts.
+/// Number of rays in the shading pool at which the shade stage starts.
 ///
-/// A change of stage saves and loads all lanes.
+/// A change of stage is expensive, because it saves and loads all lanes.
 const SHADE_FROM: usize = 96;
 
-/// State of a band of rows, whose rays are searched in `L` and shaded in `S`.
+/// State of a band of rows whose rays are searched in the lanes of `L` and shaded in the lanes of `S`.
 struct Band<L: Lanes, S: Lanes, O: Out> {
     source: Source,
     searching: Pool,
@@ -31,7 +31,7 @@ struct Band<L: Lanes, S: Lanes, O: Out> {
     search: Packet<L>,
     shade: Packet<S>,
     stats: CastStats,
-    /// Sum of the last sample numbers of the rays that have ended.
+    /// Sum, over the rays that have ended, of the number of their last sample.
     sum_of_end: u64,
     out: O,
 }
@@ -92,7 +92,8 @@ impl Scene<'_> {
 
     /// Run the search stage: leaps and clear samples, until enough rays wait for shading or none is left to search.
     ///
-    /// Without shading a visible sample costs no more than a clear one and is taken here.
+    /// Without shading, a visible sample takes no longer than a clear one, so the search stage takes visible samples,
+    /// too.
     #[inline(always)]
     fn search<
         L: Lanes,
@@ -109,7 +110,7 @@ impl Scene<'_> {
         let mut packet = band.search;
         let mut pace = Pace::of(l, &packet.delta);
         let mut active = packet.occupied;
-        // Lanes whose next sample may be visible.
+        // Mask of the lanes whose next sample may be visible.
         let mut visible = 0;
         loop {
             // Rays are exchanged many at a time, because an exchange costs about as much as a look-up
@@ -151,18 +152,19 @@ impl Scene<'_> {
             }
             let mut walk = active;
             if LEAP != BRUTE {
-                walk &= l.bits(l.less_i(packet.k, packet.ask_at));
-                let ask = active & !walk;
-                if ask.count_ones() >= walk.count_ones() {
-                    let asked = l.mask(ask);
+                walk &= l.bits(l.less_i(packet.k, packet.lookup_at));
+                let due = active & !walk;
+                if due.count_ones() >= walk.count_ones() {
+                    let looked_up = l.mask(due);
                     let leaps = if LEAP == CLASSES {
-                        let (leaps, opaque) = self.ask_classes(l, &mut packet, &pace, asked);
+                        let (leaps, opaque) =
+                            self.look_up_classes(l, &mut packet, &pace, looked_up);
                         active &= !l.bits(opaque);
                         leaps
                     } else {
-                        self.ask(l, &mut packet, &pace, asked)
+                        self.look_up(l, &mut packet, &pace, looked_up)
                     };
-                    band.stats.num_lookups += u64::from(ask.count_ones());
+                    band.stats.num_lookups += u64::from(due.count_ones());
                     band.stats.num_leaps += u64::from(l.bits(leaps).count_ones());
                     active &= l.bits(l.less_i(packet.k, packet.end));
                     continue;
@@ -182,10 +184,10 @@ impl Scene<'_> {
                 let (lit, goes_on) =
                     self.take_samples::<L, O, false, NEAREST>(l, &mut packet, at, walks);
                 if LEAP == TRANSPARENT {
-                    // No look-up directly after a sample with opacity.
+                    // The map is not looked up directly after a sample with opacity.
                     let next = l.add_i(packet.k, l.splat_i(1));
-                    let later = l.max_i(packet.ask_at, next);
-                    packet.ask_at = l.select_i(lit, later, packet.ask_at);
+                    let later = l.max_i(packet.lookup_at, next);
+                    packet.lookup_at = l.select_i(lit, later, packet.lookup_at);
                 }
                 active &= !walk | l.bits(goes_on);
             }
@@ -195,7 +197,8 @@ impl Scene<'_> {
 
     /// Run the shade stage: visible samples, until no ray waits for shading and few are left in the lanes.
     ///
-    /// No ray needs a look-up here: its previous sample had opacity, or the search stage has already looked up the map.
+    /// No ray needs a look-up in this stage: its previous sample had opacity, or the search stage has already looked up
+    /// the map.
     #[inline(always)]
     fn shade<L: Lanes, S: Lanes, O: Out, const SHADED: bool>(
         &self,
@@ -204,9 +207,9 @@ impl Scene<'_> {
     ) {
         let mut packet = band.shade;
         let mut active = packet.occupied;
-        // Next sample of the active lanes. The counter advances in the other lanes, too.
+        // Number of the next sample in the active lanes; the counter advances in the other lanes, too.
         let mut k = packet.k;
-        // Lanes whose last sample was clear.
+        // Mask of the lanes whose last sample was clear.
         let mut clear = 0;
         loop {
             if S::N - active.count_ones() as usize >= S::N / 4 {

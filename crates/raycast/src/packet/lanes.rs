@@ -1,6 +1,6 @@
-//! Operations that a packet kernel needs from an instruction set.
+//! Interface of the instruction sets: the operations that a packet kernel needs.
 //!
-//! The operations work on numbers, masks and gathers for as many rays as fit a register.
+//! The operations work on numbers, masks and loads for as many rays as fit a register.
 
 use std::sync::atomic::AtomicI32;
 
@@ -10,20 +10,19 @@ pub(super) const MAX_LANES: usize = 32;
 /// One value for each lane, in memory.
 pub(crate) type Array<T> = [T; MAX_LANES];
 
-/// Instruction set.
+/// Instruction set of the packet kernels.
 ///
-/// A value of the implementing type proves that the machine has the set.
-///
-/// Every operation is the IEEE or integer operation of the scalar kernel; there are no approximations. `min(a, b)` is
-/// `if a < b { a } else { b }`, `max(a, b)` is `if a > b { a } else { b }`.
+/// A value of the implementing type proves that the machine has the instruction set. Every operation is the IEEE or
+/// integer operation of the scalar kernel; there are no approximations. `min(a, b)` is `if a < b { a } else { b }`,
+/// `max(a, b)` is `if a > b { a } else { b }`.
 pub(crate) trait Lanes: Copy {
-    /// Number of lanes.
+    /// Number of lanes of a register, each with one ray.
     const N: usize;
-    /// One f32 for each lane.
+    /// Register with one f32 for each lane.
     type F: Copy;
-    /// One i32 for each lane.
+    /// Register with one i32 for each lane.
     type I: Copy;
-    /// One boolean for each lane.
+    /// Mask with one boolean for each lane.
     type M: Copy;
 
     fn splat(self, v: f32) -> Self::F;
@@ -31,22 +30,22 @@ pub(crate) trait Lanes: Copy {
     fn store(self, v: Self::F) -> Array<f32>;
     fn store_i(self, v: Self::I) -> Array<i32>;
     fn load_i(self, values: &Array<i32>) -> Self::I;
-    /// Put consecutive values into the lanes of the mask; other lanes stay unchanged.
+    /// Return `old` with consecutive items of `values` in the lanes of the mask.
     ///
     /// There must be at least as many values as lanes.
     fn fill(self, old: Self::F, mask: u32, values: &[f32]) -> Self::F;
-    /// Put consecutive integers into the lanes of the mask; other lanes stay unchanged.
+    /// Return `old` with consecutive integers of `values` in the lanes of the mask.
     ///
     /// There must be at least as many values as lanes.
     fn fill_i(self, old: Self::I, mask: u32, values: &[i32]) -> Self::I;
 
-    /// Write the lanes of the mask consecutively to `out`.
+    /// Write the numbers in the lanes of the mask consecutively to `out`.
     ///
-    /// The following items, up to the number of lanes, become undefined.
+    /// The following items of `out`, up to the number of lanes, become undefined.
     fn put(self, v: Self::F, mask: u32, out: &mut [f32]);
-    /// Write the lanes of the mask consecutively to `out`, as integers.
+    /// Write the integers in the lanes of the mask consecutively to `out`.
     ///
-    /// The following items, up to the number of lanes, become undefined.
+    /// The following items of `out`, up to the number of lanes, become undefined.
     fn put_i(self, v: Self::I, mask: u32, out: &mut [i32]);
 
     fn add(self, a: Self::F, b: Self::F) -> Self::F;
@@ -61,7 +60,7 @@ pub(crate) trait Lanes: Copy {
     fn sqrt(self, a: Self::F) -> Self::F;
     fn floor(self, a: Self::F) -> Self::F;
     fn less(self, a: Self::F, b: Self::F) -> Self::M;
-    /// Return `yes` in the lanes of the mask, else `no`.
+    /// Return `yes` in the lanes of the mask and `no` in the other lanes.
     fn select(self, mask: Self::M, yes: Self::F, no: Self::F) -> Self::F;
 
     fn add_i(self, a: Self::I, b: Self::I) -> Self::I;
@@ -72,7 +71,7 @@ pub(crate) trait Lanes: Copy {
     fn less_i(self, a: Self::I, b: Self::I) -> Self::M;
     fn select_i(self, mask: Self::M, yes: Self::I, no: Self::I) -> Self::I;
 
-    /// Return the integer part; the value must be within i32.
+    /// Return the integer part of a number, which must be within the range of an i32.
     fn whole(self, a: Self::F) -> Self::I;
     fn to_f(self, a: Self::I) -> Self::F;
 
@@ -80,19 +79,19 @@ pub(crate) trait Lanes: Copy {
     fn bits(self, a: Self::M) -> u32;
     fn and(self, a: Self::M, b: Self::M) -> Self::M;
     fn or(self, a: Self::M, b: Self::M) -> Self::M;
-    /// Return `a` without `b`.
+    /// Return the lanes of mask `a` that are not in mask `b`.
     fn without(self, a: Self::M, b: Self::M) -> Self::M;
 
-    /// Return the quotient of a non-negative number by 4.
+    /// Return the integer quotient of a number by 4; the number must not be negative.
     fn quarters(self, a: Self::I) -> Self::I;
-    /// Return the remainder of a non-negative number by 4.
+    /// Return the remainder of a number divided by 4; the number must not be negative.
     fn modulo_4(self, a: Self::I) -> Self::I;
 
-    /// Return the first of the two int16 in each lane.
+    /// Return the first of the two int16 in each lane, as an i32.
     fn first(self, pair: Self::I) -> Self::I;
-    /// Return the second of the two int16 in each lane.
+    /// Return the second of the two int16 in each lane, as an i32.
     fn second(self, pair: Self::I) -> Self::I;
-    /// Return the second int16 minus the first.
+    /// Return the second int16 in each lane minus the first, as an i32.
     fn rise(self, pair: Self::I) -> Self::I;
 
     /// Load, for each offset, voxel `base + offset` into the low half and the next voxel along x into the high half.
@@ -106,7 +105,7 @@ pub(crate) trait Lanes: Copy {
         base: Self::I,
         offsets: [i32; R],
     ) -> [Self::I; R];
-    /// Load, for each offset, voxel `base + offset` and the next three along x, as two pairs.
+    /// Load, for each offset, voxel `base + offset` and the next three voxels along x, as two pairs.
     ///
     /// # Safety
     ///
@@ -117,9 +116,9 @@ pub(crate) trait Lanes: Copy {
         base: Self::I,
         offsets: [i32; R],
     ) -> [[Self::I; 2]; R];
-    /// Load, for each offset, four int16 at `base + offset` and the next four, interleaved as pairs.
+    /// Load, for each offset, four int16 at `base + offset` and the next four, interleaved as four pairs.
     ///
-    /// The pairs are both first ones, both second ones and so on.
+    /// The first pair has the first numbers of both groups, the second pair the second numbers, and so on.
     ///
     /// # Safety
     ///
@@ -130,20 +129,21 @@ pub(crate) trait Lanes: Copy {
         base: Self::I,
         offsets: [i32; R],
     ) -> [[Self::I; 4]; R];
-    /// Load the table's entries at `index` atomically, with acquire ordering: writes before the store of an entry are
-    /// visible.
+    /// Load the table's entries at `index` atomically.
+    ///
+    /// The load has acquire ordering, so memory that was written before the store of an entry is visible.
     ///
     /// # Safety
     ///
     /// In every lane `index` must be in the table.
     unsafe fn links(self, table: *const AtomicI32, index: Self::I) -> Self::I;
-    /// Load the voxel at `index`.
+    /// Load for each lane the voxel at `index`.
     ///
     /// # Safety
     ///
     /// In every lane `index` must be in the data.
     unsafe fn voxels(self, data: *const i16, index: Self::I) -> Self::I;
-    /// Load the byte at `index`, 0 to 255.
+    /// Load for each lane the byte at `index`, 0 to 255.
     ///
     /// # Safety
     ///
@@ -157,7 +157,7 @@ pub(crate) trait Lanes: Copy {
     unsafe fn entries(self, table: *const [f32; 4], index: Self::I) -> [Self::F; 4];
 }
 
-/// Call `take` with the number of each lane in a mask.
+/// Call `take` with the number of each lane whose bit is set in `lanes`.
 #[inline(always)]
 pub(super) fn each_lane(mut lanes: u32, mut take: impl FnMut(usize)) {
     while lanes != 0 {

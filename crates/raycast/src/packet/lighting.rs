@@ -1,4 +1,4 @@
-//! Shading of the first walls: see `appearance`.
+//! Shading of the first walls of packets; the model is described in [`crate::appearance`].
 
 use std::{array::from_fn, iter::once};
 
@@ -18,9 +18,9 @@ use super::{
 };
 use crate::{Decoration, Field, Frame, InstructionSet, composite::Gathered, lighting::Lighting};
 
-/// Squared radius of a light guide's end, mm2: it limits the inverse square for a wall that touches the guide.
+/// Squared radius of the end of a light guide, mm2, which limits the inverse square for a wall that touches the guide.
 const GUIDE_MM2: f32 = 2.5;
-/// Depth beneath the surface at which the tissue is sampled, mm: the cartilage of an airway is at this depth.
+/// Depth beneath the wall's surface at which the tissue is sampled, mm; the cartilage of an airway is at this depth.
 const BENEATH_MM: f32 = 1.4;
 /// Display colour of mucosa over cartilage.
 const PALE_RGB: [f32; 3] = [0.98, 0.79, 0.72];
@@ -31,7 +31,7 @@ const WHITE: f32 = 3.6;
 /// Strength of the darkening of dark tones, 0 to 1.
 const TOE: f32 = 0.65;
 
-/// Values of a volume at positions in voxels.
+/// Source of a volume's values at positions in voxels.
 pub(super) trait Values<L: Lanes>: Copy {
     fn at(self, l: L, p: [L::F; 3]) -> L::F;
 }
@@ -43,7 +43,7 @@ impl<L: Lanes> Values<L> for Voxels<'_> {
     }
 }
 
-/// Values read one by one, for volumes that packets cannot read.
+/// Values read one lane after another, for volumes that packets cannot read.
 impl<L: Lanes> Values<L> for &Field<'_> {
     fn at(self, l: L, p: [L::F; 3]) -> L::F {
         let p = p.map(|p| l.store(p));
@@ -56,7 +56,7 @@ fn load<L: Lanes>(l: L, values: &Array<f32>) -> L::F {
     l.fill(l.splat(0.0), ((1u64 << L::N) - 1) as u32, values)
 }
 
-/// Return the gradient of the volume round `p` in LPS, from the slopes in the bricks (docs/decisions/0103).
+/// Return the gradient of the volume round positions `p`, in LPS, from the slopes in the bricks (docs/decisions/0103).
 #[inline(always)]
 fn inward<L: Lanes>(l: L, light: &Lighting, field: &Field<'_>, p: [L::F; 3]) -> [L::F; 3] {
     turn(l, &light.normals.rows, rise(l, &light.bricks, field, p))
@@ -64,7 +64,7 @@ fn inward<L: Lanes>(l: L, light: &Lighting, field: &Field<'_>, p: [L::F; 3]) -> 
 
 /// Return the linear colour of shaded walls, before the tone curve.
 ///
-/// `hit` must be 0 or more in all lanes.
+/// `walls.hit` must be 0 or more in all lanes.
 #[inline(always)]
 fn lit<L: Lanes>(
     l: L,
@@ -78,7 +78,7 @@ fn lit<L: Lanes>(
     let look = &light.look;
     let p = along(l, splat(l, light.origin_ijk), hit, delta);
     let step = turn(l, &light.lps_from_ijk, delta);
-    // Vector in mm from the camera's centre to the wall.
+    // The vector in mm from the camera's centre to the wall.
     let offset = scaled(l, hit, step);
     let back = scaled(l, s(-1.0 / light.step_mm), step);
     let depth = l.mul(hit, s(light.step_mm));
@@ -137,7 +137,8 @@ fn lit<L: Lanes>(
     }
     // Half of the relief also affects the diffuse light.
     let n_matt = unit(l, along(l, n, s(1.0), n_film)).0;
-    // No closure: a closure would be compiled without the instruction set, with a call for each operation.
+    // This is no closure, because a closure would be compiled without the instruction set, with a call for each
+    // operation.
     let wet = if look.specks > 0.0 || look.secretions > 0.0 {
         Some(film(l, look, lps, n, footprint, thick, bumps))
     } else {
@@ -182,8 +183,9 @@ fn lit<L: Lanes>(
     out
 }
 
-/// Shade rows of gathered pixels, from `first_row` on, as 8-bit colours; the bits are the same on every instruction
-/// set.
+/// Shade rows of gathered pixels, from `first_row` on, as 8-bit colours.
+///
+/// The result is equal on every instruction set, bit for bit.
 pub(crate) fn light_rows(
     frame: &Frame<'_>,
     light: &Lighting,
@@ -292,7 +294,7 @@ fn light_row<L: Lanes>(
             let behind = s(light.background[c]);
             let mut v = l.fma(walls.transparency, l.sub(behind, v), v);
             if let Some((veil, met)) = veil {
-                // A ray without a wall ends in the dark; the mist is visible there, too.
+                // A ray without a wall ends in the dark; the mist on the lens is visible there, too.
                 let dark = l.mul(walls.transparency, behind);
                 v = l.select(met, v, dark);
                 v = l.fma(veil, l.sub(s(MIST_RGB[c]), v), v);
@@ -310,7 +312,7 @@ fn light_row<L: Lanes>(
     }
 }
 
-/// Return a pixel without colour: a ray without a wall ends far away and gets no light.
+/// Return a pixel without colour for a lane without a wall; its wall is set far away, so it gets no light.
 fn unlit(pixel: &Gathered) -> Gathered {
     Gathered {
         rgb: [0.0; 3],
@@ -318,13 +320,13 @@ fn unlit(pixel: &Gathered) -> Gathered {
     }
 }
 
-/// Results of gathered rays, in lanes.
+/// Results of gathered rays, one per lane, which are to be shaded.
 struct Walls<L: Lanes> {
     delta: [L::F; 3],
-    /// Distance to the wall in steps; 0 in lanes without a wall.
+    /// Distance from the camera to the wall in steps; 0 in lanes without a wall.
     hit: L::F,
     transparency: L::F,
-    /// Flat colour, not multiplied by its opacity.
+    /// Colour of the wall before shading, not multiplied by its opacity.
     albedo: [L::F; 3],
 }
 
@@ -355,9 +357,9 @@ fn gather<L: Lanes>(l: L, delta: &[Array<f32>; 3], pixels: &[Gathered]) -> Walls
     }
 }
 
-/// Return the reflected light of pixels (column, row, gathered ray) for the automatic exposure.
+/// Return the reflected light of pixels (column, row, gathered ray), from which the automatic exposure is computed.
 ///
-/// The exposure is 1, and decoration is off.
+/// The light is computed with an exposure of 1 and without decoration.
 pub(crate) fn brightness(
     frame: &Frame<'_>,
     light: &Lighting,

@@ -1,4 +1,4 @@
-//! Loads from a separate address for each lane.
+//! Loads from a separate memory address for each lane, without gather instructions.
 //!
 //! On some machines single loads and insertions take half to two thirds of the time of the gather instructions
 //! (docs/decisions/0103); on others they take more ([`super::gathers`]).
@@ -14,7 +14,7 @@ use std::{
 
 use super::lanes::Array;
 
-/// Return the addresses of the voxels of lanes `n..n + 4`.
+/// Return the memory addresses of the voxels of lanes `n..n + 4`.
 ///
 /// # Safety
 ///
@@ -36,7 +36,7 @@ pub(super) unsafe fn lane_pointers(
     }
 }
 
-/// Load two voxels for each of four lanes, as 32-bit words.
+/// Load two successive voxels for each of four lanes, as 32-bit words.
 ///
 /// # Safety
 ///
@@ -58,7 +58,7 @@ pub(super) unsafe fn four_pairs(lanes: [*const i16; 4], offset: i32) -> __m128i 
     }
 }
 
-/// Load four voxels for each of four lanes: the first two and the last two, as 32-bit words.
+/// Load four successive voxels for each of four lanes: the first two and the last two, as 32-bit words.
 ///
 /// # Safety
 ///
@@ -80,7 +80,8 @@ pub(super) unsafe fn four_quads(lanes: [*const i16; 4], offset: i32) -> [__m128i
     }
 }
 
-/// Return the shuffle of bytes that interleaves two groups of four int16: both first ones, both second ones and so on.
+/// Return the byte shuffle that interleaves two groups of four int16: both first numbers, both second numbers and so
+/// on.
 ///
 /// # Safety
 ///
@@ -91,7 +92,7 @@ pub(super) unsafe fn interleaved() -> __m128i {
     unsafe { _mm_setr_epi8(0, 1, 8, 9, 2, 3, 10, 11, 4, 5, 12, 13, 6, 7, 14, 15) }
 }
 
-/// Load eight numbers.
+/// Load eight successive int16 of a brick.
 ///
 /// # Safety
 ///
@@ -102,11 +103,11 @@ pub(super) unsafe fn eight_numbers(data: *const i16, offset: i32) -> __m128i {
     unsafe { _mm_loadu_si128(data.offset(offset as isize).cast()) }
 }
 
-/// Load the links of lanes `n..n + 4`.
+/// Load the table entries of the bricks of lanes `n..n + 4`.
 ///
 /// # Safety
 ///
-/// The links must be in the table, and the machine must have SSE 4.1.
+/// The entries must be in the table, and the machine must have SSE 4.1.
 #[inline(always)]
 pub(super) unsafe fn four_links(table: *const AtomicI32, index: &Array<i32>, n: usize) -> __m128i {
     // SAFETY: the caller guarantees SSE 4.1 and that the links are in the table; indices are not negative.
@@ -122,7 +123,7 @@ pub(super) unsafe fn four_links(table: *const AtomicI32, index: &Array<i32>, n: 
     }
 }
 
-/// Load a voxel for each of lanes `n..n + 8`.
+/// Load one voxel for each of lanes `n..n + 8`.
 ///
 /// # Safety
 ///
@@ -143,7 +144,7 @@ pub(super) unsafe fn eight_voxels(data: *const i16, index: &Array<i32>, n: usize
     }
 }
 
-/// Load a byte for each of lanes `n..n + 4`, in the lowest 32 bits.
+/// Load one byte for each of lanes `n..n + 4`, into the lowest 32 bits.
 ///
 /// # Safety
 ///

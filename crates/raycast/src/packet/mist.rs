@@ -1,4 +1,4 @@
-//! Mist on the lens: it is fixed to the picture, not to the tissue, and hides the scene behind it.
+//! Mist on the lens, which is fixed to the picture and not to the tissue, and hides the scene behind it.
 
 use super::{
     lanes::Lanes,
@@ -7,12 +7,12 @@ use super::{
 };
 use crate::lighting::Lighting;
 
-/// Number of mist patches per radian.
+/// Number of patches of the mist per radian of the view.
 const PATCHES: f32 = 2.3;
-/// Display colour of the mist, which the light reflected by the wall illuminates.
+/// Display colour of the mist; the light that the wall reflects illuminates it.
 pub(super) const MIST_RGB: [f32; 3] = [0.66, 0.56, 0.53];
 
-/// Return the opacity of the mist, 0 to 1, for rays with steps `delta` in voxels.
+/// Return the opacity of the mist on the lens, 0 to 1, for rays with steps `delta` in voxels.
 ///
 /// The opacity depends only on the ray's direction relative to the camera.
 #[inline(always)]
@@ -21,6 +21,6 @@ pub(super) fn mist<L: Lanes>(l: L, light: &Lighting, delta: [L::F; 3]) -> L::F {
     let lps = turn(l, &light.lps_from_ijk, delta);
     let dir = turn(l, &light.camera_from_lps, lps);
     let (patch, _) = noise(l, scaled(l, s(PATCHES / light.step_mm), dir), 71);
-    // The mist has patches, but covers the whole lens.
+    // The mist has patches of different opacity, but covers the whole lens.
     l.mul(l.fma(patch, s(0.22), s(0.62)), s(light.look.fog))
 }

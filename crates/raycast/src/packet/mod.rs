@@ -42,7 +42,7 @@ use crate::{
     leap::{CELL_REACH, Price, Start, class_margin},
 };
 #[cfg(target_arch = "x86_64")]
-use gathers::gathers_pay;
+use gathers::gathers_are_faster;
 use lanes::Lanes;
 use out::{Out, Rgb8, Walls};
 #[cfg(target_arch = "x86_64")]
@@ -59,7 +59,7 @@ pub(crate) use {
     lanes::Lanes as TestLanes, portable::Portable as TestSet, slopes::rise as test_rise,
 };
 
-/// Picture that packets can cast.
+/// Picture that is cast in packets, with the choice of kernel.
 #[derive(Clone, Copy)]
 pub(crate) struct Packets<'a> {
     scene: Scene<'a>,
@@ -69,10 +69,11 @@ pub(crate) struct Packets<'a> {
     simd: InstructionSet,
 }
 
+/// Step table of pictures that do not leap over all classes.
 static NO_SEGMENTS: SegmentTable = SegmentTable::EMPTY;
 
 impl<'a> Packets<'a> {
-    /// Prepare a picture; return `None` if the scalar casters must cast it.
+    /// Prepare a picture for packets; return `None` if only the scalar casters can cast it.
     ///
     /// Packets do not support volumes beyond 32-bit indices, volumes with an axis above 65,535 voxels or one voxel
     /// along x, and rays of 2^30 steps. The caller must have checked the maps against the volume.
@@ -119,14 +120,14 @@ impl<'a> Packets<'a> {
         })
     }
 
-    /// Return true if packets find first walls for this picture.
+    /// Return true if packets can find the first walls of this picture.
     ///
-    /// Packets find no first walls with nearest voxels, nor within segments of opaque classes.
+    /// Packets find no first walls with nearest-voxel samples, nor within segments of opaque classes.
     pub(crate) fn find_walls(&self) -> bool {
         !self.nearest && self.leap != CLASSES
     }
 
-    /// Cast rows from `first_row` on, as many as `out` holds.
+    /// Cast as many rows as `out` contains, from `first_row` on, as 8-bit RGB.
     pub(crate) fn cast_band(&self, first_row: usize, out: &mut [u8]) -> CastStats {
         let background = self.scene.frame.options.background;
         let num_pixels = out.len() / 3;
@@ -137,7 +138,8 @@ impl<'a> Packets<'a> {
         self.cast_to(first_row, num_pixels, out)
     }
 
-    /// Cast rows and return everything that the rays gather, including first walls.
+    /// Cast as many rows as `out` contains, from `first_row` on, and write all results of the rays, including first
+    /// walls.
     ///
     /// The light at the tip is not applied.
     pub(crate) fn cast_walls(&self, first_row: usize, out: &mut [Gathered]) -> CastStats {
@@ -170,7 +172,7 @@ impl<'a> Packets<'a> {
     #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
     fn cast_avx512<O: Out>(&self, source: Source, out: O) -> CastStats {
         // SAFETY: this function runs only on a machine with the instructions of its target features.
-        let l = Pair(unsafe { avx512::Avx512::new(gathers_pay(self.simd)) });
+        let l = Pair(unsafe { avx512::Avx512::new(gathers_are_faster(self.simd)) });
         self.cast((l, l), source, out)
     }
 
@@ -179,11 +181,11 @@ impl<'a> Packets<'a> {
     fn cast_avx2<O: Out>(&self, source: Source, out: O) -> CastStats {
         // SAFETY: this function runs only on a machine with the instructions of its target features.
         let l = Pair(unsafe { avx2::Avx2::new(false) });
-        // Benchmark: benchmarks/measurements/rendering.md.
+        // The search uses twice the lanes; benchmark: benchmarks/measurements/rendering.md.
         self.cast((Pair(l), l), source, out)
     }
 
-    /// Search in the first lanes and shade in the second lanes.
+    /// Cast a band of rows: search in the lanes of the first instruction set and shade in those of the second.
     #[inline(always)]
     fn cast<L: Lanes, S: Lanes, O: Out>(&self, l: (L, S), source: Source, out: O) -> CastStats {
         let scene = &self.scene;

@@ -1,4 +1,4 @@
-//! Outputs of packets for the gathered rays.
+//! Outputs to which packets write the rays that have ended.
 
 use std::ops::Range;
 
@@ -8,19 +8,19 @@ use super::{
 };
 use crate::composite::Gathered;
 
-/// Pixels of a band.
+/// Output for the pixels of a band of rows.
 pub(super) trait Out {
-    /// Whether the output needs first walls.
+    /// Whether the output needs the first walls of rays.
     const HITS: bool;
 
-    /// Write the pixels of some lanes.
+    /// Write the results of the rays in some lanes to their pixels.
     fn write<L: Lanes>(&mut self, l: L, packet: &Packet<L>, lanes: u32);
 
-    /// Write pixels that have no ray.
+    /// Write a range of pixels that have no ray.
     fn write_nothing(&mut self, pixels: Range<usize>);
 }
 
-/// Output of 8-bit colours over a background.
+/// Output of 8-bit colours over a background colour.
 pub(super) struct Rgb8<'a> {
     pub rgb: &'a mut [u8],
     pub background: [f32; 3],
@@ -31,7 +31,7 @@ impl Out for Rgb8<'_> {
 
     #[inline(always)]
     fn write<L: Lanes>(&mut self, l: L, packet: &Packet<L>, lanes: u32) {
-        // Same conversion as in `Gathered::to_rgb8`, whose cast saturates.
+        // The conversion equals that of `Gathered::to_rgb8`, whose cast saturates.
         let mut rgb = [[0; MAX_LANES]; 3];
         for c in 0..3 {
             let v = l.fma(
@@ -60,7 +60,7 @@ impl Out for Rgb8<'_> {
     }
 }
 
-/// Output of everything that rays gather, including first walls.
+/// Output of all results of rays, including first walls.
 pub(super) struct Walls<'a>(pub &'a mut [Gathered]);
 
 impl Out for Walls<'_> {
@@ -96,7 +96,7 @@ mod tests {
     use super::{Gathered, Out, Rgb8, Walls};
 
     #[test]
-    fn pixels_without_a_ray_show_the_background_whatever_was_there() {
+    fn pixels_without_a_ray_are_overwritten_by_the_background() {
         let mut rgb = [7; 12];
         let background = [0.0, 0.5, 1.0];
         Rgb8 {

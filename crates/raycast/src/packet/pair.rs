@@ -1,15 +1,15 @@
-//! Pairs of registers used as one: twice the rays for each branch, and independent operations that the processor can
-//! overlap.
+//! Pairs of registers used as one register: twice the rays for each branch, and independent operations that the
+//! processor can overlap.
 
 use std::sync::atomic::AtomicI32;
 
 use super::lanes::{Array, Lanes, MAX_LANES};
 
-/// Two registers of an instruction set.
+/// Instruction set whose registers are two registers of the instruction set `L`.
 #[derive(Clone, Copy)]
 pub(super) struct Pair<L>(pub L);
 
-/// Define operations that apply to both halves.
+/// Macro that defines operations which apply an operation to both halves.
 macro_rules! in_both {
     ($(fn $name:ident($($arg:ident: $kind:ident),*) -> $out:ident;)*) => {$(
         #[inline(always)]
@@ -35,6 +35,7 @@ impl<L: Lanes> Pair<L> {
 }
 
 impl<L: Lanes> Lanes for Pair<L> {
+    /// Number of lanes of a register, each with one ray.
     const N: usize = 2 * L::N;
     type F = [L::F; 2];
     type I = [L::I; 2];

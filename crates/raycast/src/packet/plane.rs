@@ -1,4 +1,4 @@
-//! Pixels of a plane, as many at once as a register has lanes: [`crate::sample_plane`] lane by lane, tile by tile.
+//! Sampling of a plane with as many pixels at once as a register has lanes: [`crate::sample_plane`], tile by tile.
 
 #![cfg_attr(
     not(target_arch = "x86_64"),
@@ -10,27 +10,29 @@
 )]
 
 #[cfg(target_arch = "x86_64")]
-use super::{avx2, avx512, gathers::gathers_pay, pair::Pair};
+use super::{avx2, avx512, gathers::gathers_are_faster, pair::Pair};
 use super::{
     lanes::{Array, Lanes, MAX_LANES},
     voxels::Voxels,
 };
 use crate::{Field, InstructionSet, Window};
 
-/// Number of rows of a tile; the next constant is the number of columns (docs/decisions/0103).
+/// Number of rows of a tile (docs/decisions/0103).
+pub(crate) const TILE_ROWS: usize = 64;
+/// Number of columns of a tile (docs/decisions/0103).
 ///
 /// In an oblique plane, each pixel of a row reads one or two other rows of voxels. 256 pixels read more cache lines
 /// than the nearest cache holds; the lines of 16 pixels stay in the cache for the next row.
-pub(crate) const TILE_ROWS: usize = 64;
 const TILE_COLUMNS: usize = 16;
-/// Prefetch distance in rows (docs/decisions/0103).
+/// Number of rows by which the prefetch of a row of pixels precedes its sampling (docs/decisions/0103).
 const ROWS_AHEAD: usize = 8;
 
-/// Data that all tiles of a plane share.
+/// Parameters that all tiles of a plane share.
 #[derive(Clone, Copy)]
 pub(crate) struct PlaneTiles<'a> {
     voxels: Voxels<'a>,
-    /// Coordinates of the last voxel; the next field has those of the end of the box of the voxels.
+    /// Voxel coordinates of the last voxel.
+    /// Voxel coordinates of the upper end of the box of the voxels.
     last: [f32; 3],
     end: [f32; 3],
     along_row: [f32; 3],
@@ -39,14 +41,14 @@ pub(crate) struct PlaneTiles<'a> {
     gathers: bool,
 }
 
-/// Position of the pixels of a tile relative to the volume.
+/// Position of all pixels of a tile relative to the volume.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Tile {
     /// All pixels are in cells of eight voxels.
     Between,
     /// No pixel is in the box of the voxels.
     Outside,
-    /// Any other position.
+    /// Some pixels are between voxels, others are not.
     Any,
 }
 
@@ -73,7 +75,7 @@ fn range_of(starts: &[[f32; 3]]) -> Option<[[f32; 3]; 2]> {
 }
 
 impl<'a> PlaneTiles<'a> {
-    /// Prepare a plane; return `None` if pixels must be sampled one by one.
+    /// Prepare a plane for tiles; return `None` if its pixels must be sampled one by one.
     ///
     /// Pixels are sampled one by one without AVX2, for volumes beyond 32-bit indices, and for one voxel along x.
     pub(crate) fn of(
@@ -94,7 +96,7 @@ impl<'a> PlaneTiles<'a> {
                 along_row,
                 window,
                 simd,
-                gathers: gathers_pay(simd),
+                gathers: gathers_are_faster(simd),
             })
         }
         #[cfg(not(target_arch = "x86_64"))]
@@ -104,7 +106,7 @@ impl<'a> PlaneTiles<'a> {
         }
     }
 
-    /// Select reads with or without gather instructions, to compare both.
+    /// Return the plane with or without gather instructions for its reads, so that tests can compare both.
     #[cfg(test)]
     pub(crate) fn with_gathers(self, gathers: bool) -> Self {
         Self { gathers, ..self }
@@ -142,7 +144,7 @@ impl<'a> PlaneTiles<'a> {
         self.tiles::<_, true>(l, starts, grey, inside);
     }
 
-    /// Return the position of the pixels of some columns relative to the volume.
+    /// Return the position, relative to the volume, of the pixels in a range of columns of a tile.
     ///
     /// A coordinate is `t * along + start` with one rounding, which is monotonic in both `t` and `start`: over a tile
     /// it is between the coordinates at the corners.
@@ -171,9 +173,9 @@ impl<'a> PlaneTiles<'a> {
         p
     }
 
-    /// Sample tile by tile; `ASKS` enables prefetches.
+    /// Sample rows of pixels tile by tile; `PREFETCHES` enables prefetches.
     #[inline(always)]
-    fn tiles<L: Lanes, const ASKS: bool>(
+    fn tiles<L: Lanes, const PREFETCHES: bool>(
         &self,
         l: L,
         starts: &[[f32; 3]],
@@ -197,24 +199,24 @@ impl<'a> PlaneTiles<'a> {
                     let mut column = first;
                     while column < end {
                         let t = l.add(l.splat(column as f32), centres);
-                        if ASKS {
+                        if PREFETCHES {
                             // Prefetch later rows of this tile, and at the tile's end those of the next tile.
                             let soon = row + ROWS_AHEAD;
                             let beside = if soon < starts.len() { 0 } else { TILE_COLUMNS };
                             let t = l.add(t, l.splat(beside as f32));
                             let start = &starts[soon % starts.len()];
-                            self.voxels.ask_for(l, self.places(l, t, start));
+                            self.voxels.prefetch_cells(l, self.places(l, t, start));
                         }
                         let p = self.places(l, t, &starts[row]);
                         let at = row * width + column;
                         if whole {
                             let pixels = at..at + L::N;
                             // SAFETY: `place` has returned `Tile::Between` for this tile.
-                            unsafe { self.all(l, p, &mut grey[pixels.clone()]) };
+                            unsafe { self.sample_between(l, p, &mut grey[pixels.clone()]) };
                             inside[pixels].fill(1);
                         } else {
                             let pixels = at..at + L::N.min(end - column);
-                            self.some(l, p, &mut grey[pixels.clone()], &mut inside[pixels]);
+                            self.sample_any(l, p, &mut grey[pixels.clone()], &mut inside[pixels]);
                         }
                         column += L::N;
                     }
@@ -224,13 +226,13 @@ impl<'a> PlaneTiles<'a> {
         }
     }
 
-    /// Sample pixels that are all in cells of eight voxels; the slice fills a whole register.
+    /// Sample pixels that are all in cells of eight voxels; `grey` has as many items as a register has lanes.
     ///
     /// # Safety
     ///
     /// The pixels must be in a tile for which [`Self::place`] returns [`Tile::Between`].
     #[inline(always)]
-    unsafe fn all<L: Lanes>(&self, l: L, p: [L::F; 3], grey: &mut [u8]) {
+    unsafe fn sample_between<L: Lanes>(&self, l: L, p: [L::F; 3], grey: &mut [u8]) {
         // SAFETY: the caller guarantees that the pixels are in cells of eight voxels. Benchmark:
         // `carina bench isoregion`, the oblique slice; without clamps and tests a slice takes a tenth less.
         let cells = unsafe { self.voxels.cells_between(l, p) };
@@ -240,9 +242,9 @@ impl<'a> PlaneTiles<'a> {
         }
     }
 
-    /// Sample pixels at any position, as many as the slices hold.
+    /// Sample pixels at any position, as many as `grey` and `inside` have items.
     #[inline(always)]
-    fn some<L: Lanes>(&self, l: L, p: [L::F; 3], grey: &mut [u8], inside: &mut [u8]) {
+    fn sample_any<L: Lanes>(&self, l: L, p: [L::F; 3], grey: &mut [u8], inside: &mut [u8]) {
         // True in all lanes. The comparisons below clear lanes outside the box, and lanes with a NaN.
         let mut within = l.less(l.splat(-1.0), l.splat(0.0));
         for a in 0..3 {
@@ -263,7 +265,7 @@ impl<'a> PlaneTiles<'a> {
         }
     }
 
-    /// Return grey levels; as in [`Window::grey`].
+    /// Return the grey levels of values; the operations equal [`Window::grey`].
     #[inline(always)]
     fn level<L: Lanes>(&self, l: L, value: L::F) -> Array<i32> {
         let (lo, scale) = self.window.ramp();
@@ -315,7 +317,7 @@ mod tests {
     }
 
     #[test]
-    fn tiles_in_the_middle_are_between_voxels_and_tiles_far_away_outside() {
+    fn tiles_in_the_middle_are_classified_between_voxels_and_distant_tiles_outside() {
         let grid = Grid::new([40, 50, 60], Affine::IDENTITY).unwrap();
         let data = vec![0i16; grid.num_voxels()];
         let field = Field::new(VolumeView::new(&data, &grid).unwrap());

@@ -1,4 +1,4 @@
-//! Storage of rays that are in no lane: rays to search, and rays that wait for shading.
+//! Storage of rays that are in no lane: rays to be searched, and rays that wait for shading.
 
 use super::{
     lanes::{Array, Lanes, MAX_LANES, each_lane},
@@ -6,7 +6,7 @@ use super::{
 };
 use crate::{composite::NO_HIT, leap::Start};
 
-/// Smallest number of rays that are set up at a time; at most 31 more are set up.
+/// Number of rays after which no further rays are set up for a pool; a patch may add up to 31 more.
 pub(super) const BATCH: usize = 64;
 /// Capacity of a pool in rays.
 ///
@@ -14,24 +14,25 @@ pub(super) const BATCH: usize = 64;
 /// lanes, so there are never more than 288. A margin of 32 rays allows stores of whole registers.
 const CAPACITY: usize = 384;
 
-/// Rays in the lanes of an instruction set.
+/// State of rays, one in each lane of an instruction set.
 #[derive(Clone, Copy)]
 pub(super) struct Packet<L: Lanes> {
     pub delta: [L::F; 3],
     pub rgb: [L::F; 3],
     pub transparency: L::F,
-    /// Distance to the first wall, as in `Gathered`; used only if the output needs first walls.
+    /// Distance to the first wall, as in [`Gathered`](crate::composite::Gathered); used only if the output needs first
+    /// walls.
     pub hit: L::F,
-    /// Next sample.
+    /// Number of the next sample.
     pub k: L::I,
     pub end: L::I,
-    /// Index of the pixel in the band.
+    /// Index of the ray's pixel in the band.
     pub pixel: L::I,
-    /// Number of the sample at which the map is next looked up; the next field is the number of samples
-    /// between a failed look-up and the next one (see `leap`).
-    pub ask_at: L::I,
+    /// Number of the sample at which the map is next looked up.
+    pub lookup_at: L::I,
+    /// Number of samples between a look-up that saves nothing and the next one (see [`crate::leap`]).
     pub patience: L::I,
-    /// Lanes that contain a ray.
+    /// Bit mask of the lanes that contain a ray.
     pub occupied: u32,
 }
 
@@ -47,7 +48,7 @@ impl<L: Lanes> Packet<L> {
             k: none,
             end: none,
             pixel: none,
-            ask_at: none,
+            lookup_at: none,
             patience: none,
             occupied: 0,
         }
@@ -58,7 +59,7 @@ impl<L: Lanes> Packet<L> {
         !self.occupied & (u32::MAX >> (32 - L::N))
     }
 
-    /// Return the positions of samples.
+    /// Return the positions of the samples `k` in voxels.
     #[inline(always)]
     pub(super) fn at(&self, l: L, k: L::I, origin: [f32; 3]) -> [L::F; 3] {
         let t = l.add(l.to_f(k), l.splat(0.5));
@@ -69,7 +70,8 @@ impl<L: Lanes> Packet<L> {
         p
     }
 
-    /// Free some lanes whose pixels are written; return the sum of their sample numbers.
+    /// Mark some lanes as free after their pixels were written; return the sum of the last sample numbers of their
+    /// rays.
     #[inline(always)]
     pub(super) fn finish(&mut self, l: L, lanes: u32) -> u64 {
         let k = l.store_i(self.k);
@@ -90,7 +92,7 @@ pub(super) struct Pool {
     k: [i32; CAPACITY],
     end: [i32; CAPACITY],
     pixel: [i32; CAPACITY],
-    ask_at: [i32; CAPACITY],
+    lookup_at: [i32; CAPACITY],
     patience: [i32; CAPACITY],
 }
 
@@ -110,7 +112,7 @@ impl Pool {
             k: [0; CAPACITY],
             end: [0; CAPACITY],
             pixel: [0; CAPACITY],
-            ask_at: [0; CAPACITY],
+            lookup_at: [0; CAPACITY],
             patience: [0; CAPACITY],
         }
     }
@@ -125,7 +127,7 @@ impl Pool {
         self.len == 0
     }
 
-    /// Add the first `count` of rays that have taken no sample yet.
+    /// Add the first `count` of `rays` to the pool, with no sample taken yet.
     #[inline(always)]
     pub(super) fn add(&mut self, rays: &Rays, pixel: &Array<i32>, count: usize, start: Start) {
         let at = self.len;
@@ -139,7 +141,7 @@ impl Pool {
         write(&mut self.end, at, rays.end);
         write(&mut self.pixel, at, *pixel);
         write(
-            &mut self.ask_at,
+            &mut self.lookup_at,
             at,
             rays.first.map(|first| first + start.wait as i32),
         );
@@ -147,7 +149,8 @@ impl Pool {
         self.len += count;
     }
 
-    /// Move rays from some lanes to the pool, which frees the lanes; with `hits` also their first walls.
+    /// Move rays from some lanes to the pool and mark these lanes as free; `hits` selects whether first walls are
+    /// moved, too.
     #[inline(always)]
     pub(super) fn take_from<L: Lanes>(
         &mut self,
@@ -168,17 +171,17 @@ impl Pool {
         l.put_i(packet.k, lanes, &mut self.k[at..]);
         l.put_i(packet.end, lanes, &mut self.end[at..]);
         l.put_i(packet.pixel, lanes, &mut self.pixel[at..]);
-        l.put_i(packet.ask_at, lanes, &mut self.ask_at[at..]);
+        l.put_i(packet.lookup_at, lanes, &mut self.lookup_at[at..]);
         l.put_i(packet.patience, lanes, &mut self.patience[at..]);
         self.len += lanes.count_ones() as usize;
         packet.occupied &= !lanes;
     }
 
-    /// Move rays from the pool to free lanes, as many as there are.
+    /// Move rays from the pool to the free lanes of a packet, as many as there are.
     #[inline(always)]
     pub(super) fn give_to<L: Lanes>(&mut self, l: L, packet: &mut Packet<L>, hits: bool) {
         let mut lanes = packet.free();
-        // If fewer rays are left than free lanes, the lowest lanes take them.
+        // If fewer rays than free lanes are left, the lowest free lanes take them.
         while lanes.count_ones() as usize > self.len {
             lanes &= !(1 << lanes.ilog2());
         }
@@ -195,7 +198,7 @@ impl Pool {
         packet.k = l.fill_i(packet.k, lanes, &self.k[at..]);
         packet.end = l.fill_i(packet.end, lanes, &self.end[at..]);
         packet.pixel = l.fill_i(packet.pixel, lanes, &self.pixel[at..]);
-        packet.ask_at = l.fill_i(packet.ask_at, lanes, &self.ask_at[at..]);
+        packet.lookup_at = l.fill_i(packet.lookup_at, lanes, &self.lookup_at[at..]);
         packet.patience = l.fill_i(packet.patience, lanes, &self.patience[at..]);
         packet.occupied |= lanes;
     }

@@ -1,7 +1,7 @@
 //! Instruction set of eight lanes in plain arrays: loops that the compiler translates to the vector instructions of the
 //! target.
 //!
-//! The set is the packet kernel for NEON, and on every machine the kernel that tests compare with the scalar casters.
+//! This set is the packet kernel for NEON. On every machine, tests compare its results with the scalar casters.
 
 use std::{
     array::from_fn,
@@ -10,13 +10,14 @@ use std::{
 
 use super::lanes::{Array, Lanes, MAX_LANES};
 
+/// Number of lanes of a register, each with one ray.
 const N: usize = 8;
 
-/// Instruction set that needs only the instructions of the target.
+/// Instruction set of plain loops, which needs only the instructions of the compiler's target.
 #[derive(Clone, Copy)]
 pub(crate) struct Portable;
 
-/// Define operations lane by lane.
+/// Macro that defines operations as a loop over the lanes.
 macro_rules! lane_by_lane {
     ($(fn $name:ident($($arg:ident: $type:ty),*) -> $out:ty { $body:expr })*) => {$(
         #[inline(always)]
@@ -56,13 +57,13 @@ fn put<T: Copy>(v: [T; N], mask: u32, out: &mut [T]) {
     let out = &mut out[..N];
     let mut turn = 0;
     for n in 0..N {
-        // If the register is full, all of its lanes have been moved by then.
+        // If the register is full, all of its lanes have already been moved, so overwriting them changes nothing.
         out[turn % N] = v[n];
         turn += (mask >> n & 1) as usize;
     }
 }
 
-/// Return the lower and the upper half of a pair of int16.
+/// Return the lower and the upper half of an i32 that contains a pair of int16.
 #[inline(always)]
 const fn halves(pair: i32) -> (i32, i32) {
     (pair << 16 >> 16, pair >> 16)
@@ -72,7 +73,7 @@ impl Lanes for Portable {
     const N: usize = N;
     type F = [f32; N];
     type I = [i32; N];
-    /// All bits of a lane set, or none.
+    /// Mask: all bits of a lane are set, or none.
     type M = [i32; N];
 
     #[inline(always)]
@@ -174,7 +175,7 @@ impl Lanes for Portable {
                 from_fn(
                     #[inline(always)]
                     |n| {
-                        // SAFETY: the caller guarantees that both voxels are in the data. Benchmark: as for the loads
+                        // SAFETY: the caller guarantees that both voxels are in the data. Benchmark: that of the loads
                         // in `sampling`.
                         let [a, b] = unsafe {
                             let at = data.offset(base[n] as isize + offset as isize);
@@ -197,7 +198,7 @@ impl Lanes for Portable {
         offsets.map(
             #[inline(always)]
             |offset| {
-                // SAFETY: the caller guarantees that all four voxels are in the data. Benchmark: as for the loads in
+                // SAFETY: the caller guarantees that all four voxels are in the data. Benchmark: that of the loads in
                 // `sampling`.
                 unsafe { self.pairs(data, base, [offset, offset + 2]) }
             },
@@ -216,7 +217,7 @@ impl Lanes for Portable {
             |offset| {
                 let mut out = [[0; N]; 4];
                 for n in 0..N {
-                    // SAFETY: the caller guarantees that all eight numbers are in the data. Benchmark: as for the loads
+                    // SAFETY: the caller guarantees that all eight numbers are in the data. Benchmark: that of the loads
                     // in `sampling`.
                     let numbers = unsafe {
                         let at = data.offset(base[n] as isize + offset as isize);
@@ -234,25 +235,25 @@ impl Lanes for Portable {
 
     #[inline(always)]
     unsafe fn links(self, table: *const AtomicI32, index: [i32; N]) -> [i32; N] {
-        // SAFETY: the caller guarantees that the link is in the table. Benchmark: as for the loads in `sampling`.
+        // SAFETY: the caller guarantees that the link is in the table. Benchmark: that of the loads in `sampling`.
         index.map(|index| unsafe { &*table.add(index as usize) }.load(Ordering::Acquire))
     }
 
     #[inline(always)]
     unsafe fn voxels(self, data: *const i16, index: [i32; N]) -> [i32; N] {
-        // SAFETY: the caller guarantees that the voxel is in the data. Benchmark: as for the loads in `sampling`.
+        // SAFETY: the caller guarantees that the voxel is in the data. Benchmark: that of the loads in `sampling`.
         index.map(|index| i32::from(unsafe { *data.add(index as usize) }))
     }
 
     #[inline(always)]
     unsafe fn bytes(self, data: *const u8, index: [i32; N]) -> [i32; N] {
-        // SAFETY: the caller guarantees that the byte is in the data. Benchmark: as for the loads in `sampling`.
+        // SAFETY: the caller guarantees that the byte is in the data. Benchmark: that of the loads in `sampling`.
         index.map(|index| i32::from(unsafe { *data.add(index as usize) }))
     }
 
     #[inline(always)]
     unsafe fn entries(self, table: *const [f32; 4], index: [i32; N]) -> [[f32; N]; 4] {
-        // SAFETY: the caller guarantees that the entry is in the table. Benchmark: as for the loads in `sampling`.
+        // SAFETY: the caller guarantees that the entry is in the table. Benchmark: that of the loads in `sampling`.
         let entries = index.map(|index| unsafe { *table.add(index as usize) });
         from_fn(|c| from_fn(|n| entries[n][c]))
     }

@@ -1,5 +1,4 @@
-//! Decoration fixed to the anatomy of a wall: cartilage rings, the membranous wall, colour by region, ridges at
-//! bifurcations.
+//! Decoration that depends on anatomy: cartilage rings, the membranous wall, colour by region, ridges at bifurcations.
 //!
 //! The decoration changes only the normal used for shading, and the colour. Every effect is a strength times a change,
 //! so a pixel with strength 0 keeps its bits, whichever pixels share its register.
@@ -11,40 +10,42 @@ use super::{
 };
 use crate::{appearance::Appearance, decoration::Decoration};
 
-/// Height of a ring above the intervals, as a fraction of the rings' distance: some 0.3 mm of 5.6.
+/// Height of a ring above the gaps between rings, as a fraction of the distance between rings (5.6 mm).
 const HEIGHT: f32 = 0.050;
-/// Half of the width of a ring, as a fraction of the rings' distance: a ring is 4 mm of 5.6 wide.
+/// Half of the width of a ring, as a fraction of the distance between rings.
 const HALF_WIDTH: f32 = 0.34;
-/// Width of a ring's soft edge, as a fraction of the rings' distance.
+/// Width of a ring's soft edge, as a fraction of the distance between rings.
 const EDGE: f32 = 0.24;
-/// Largest displacement of regular and of irregular rings, as a fraction of their distance.
+/// Largest displacement of regular and of irregular rings, as a fraction of the distance between rings.
 const STRAY: [f32; 2] = [0.09, 0.30];
 /// Cosines of the angle from the middle of the back at which the membranous wall begins and is complete.
 ///
 /// The membranous wall takes about a third of the circumference.
 const BACK: [f32; 2] = [0.28, 0.70];
-/// Number of folds of the membranous wall across one radius, and along one ring's distance.
+/// Number of folds of the membranous wall across one radius of the airway, and along one distance between rings.
 const FOLDS: [f32; 2] = [9.0, 0.26];
-/// Sideways displacement of the folds, in folds.
+/// Sideways displacement of the folds of the membranous wall, in folds.
 const WINDING: f32 = 1.6;
-/// Slope of the folds.
+/// Slope of the sides of the folds of the membranous wall.
 const FOLD: f32 = 0.32;
-/// Strength of the flattening of the membranous wall's normal.
+/// Strength, 0 to 1, with which the normal of the membranous wall is turned to that of a flat wall.
 const FLAT: f32 = 0.60;
 
-/// Change of red, green and blue in the trachea and far from it: yellowish and pale in the trachea, redder far from it.
+/// Changes of red, green and blue by region: the first in the trachea, the second far from it.
+///
+/// The trachea is yellowish and pale; the mucosa far from it is redder.
 const HUE: [(f32, f32); 3] = [(0.02, 0.0), (0.13, -0.06), (0.02, -0.05)];
-/// Change of red, green and blue between rings, on the membranous wall, and on its folds.
+/// Changes of red, green and blue by visible blood: between rings, on the membranous wall, and on its folds.
 const BLOOD: [(f32, f32, f32); 3] = [
     (-0.02, 0.01, 0.04),
     (-0.15, -0.09, 0.17),
     (-0.11, -0.06, 0.13),
 ];
 
-/// Position of wall points on their airway.
+/// Position of wall points along and around their airway, with the strengths of the decoration there.
 struct Place<L: Lanes> {
     phase: L::F,
-    /// Gradient of the phase per mm, LPS.
+    /// Gradient of the rings' phase per mm, LPS.
     growth: [L::F; 3],
     across: [L::F; 2],
     rings: L::F,
@@ -59,9 +60,9 @@ fn lerp<L: Lanes>(l: L, t: L::F, a: L::F, b: L::F) -> L::F {
     l.fma(t, l.sub(b, a), a)
 }
 
-/// Interpolate the cells round patient points `lps`; strengths are 0 outside the grid.
+/// Interpolate the decoration's grid at patient points `lps`; strengths are 0 outside the grid.
 ///
-/// Return `None` if all are 0.
+/// Return `None` if the strengths of all lanes are 0.
 #[inline(always)]
 fn place<L: Lanes>(l: L, field: &Decoration<'_>, lps: [L::F; 3]) -> Option<Place<L>> {
     let s = |v: f32| l.splat(v);
@@ -150,18 +151,18 @@ fn place<L: Lanes>(l: L, field: &Decoration<'_>, lps: [L::F; 3]) -> Option<Place
     })
 }
 
-/// Decoration of walls.
+/// Effect of the decoration on the shading of wall points.
 #[derive(Clone, Copy)]
 pub(super) struct Decorated<L: Lanes> {
-    /// Slope of rings and folds, LPS; it affects diffuse light and highlights.
+    /// Slope of rings and folds, LPS, which affects diffuse light and highlights.
     pub form: [L::F; 3],
     /// Paleness of the mucosa, 0 to 1.
     pub pale: L::F,
-    /// Factors of the colour channels, linear.
+    /// Linear factors of the colour channels.
     pub tint: [L::F; 3],
 }
 
-/// Points of walls.
+/// Points of walls that are decorated.
 ///
 /// The fields are the position in the patient, the normal towards the camera, the cosine between normal and viewing
 /// direction (0 to 1), and the width of a pixel.
@@ -172,7 +173,7 @@ pub(super) struct Wall<L: Lanes> {
     pub footprint_mm: L::F,
 }
 
-/// Return the colour factors by region.
+/// Return the linear colour factors of the mucosa by region.
 ///
 /// Away from the trachea, and where the region is unknown, the mucosa is redder.
 #[inline(always)]
@@ -186,7 +187,7 @@ fn hue<L: Lanes>(l: L, look: &Appearance, proximal: L::F) -> [L::F; 3] {
     factors
 }
 
-/// Compute rings, membranous wall, colour by region and ridges of walls.
+/// Compute the effect of rings, membranous wall, colour by region and ridges on wall points.
 ///
 /// The result depends only on the wall points themselves.
 #[inline(always)]
@@ -206,13 +207,14 @@ pub(super) fn decorate<L: Lanes>(
     };
     let [left, back] = place.across;
     let off = l.sqrt(l.fma(left, left, l.mul(back, back)));
-    // Only a wall close to the ideal tube has rings; a flat back wall is nearer to the axis.
+    // Only a wall close to the ideal tube has rings; a flat back wall is nearer to the axis than a tube's wall.
     let beyond = smooth(l, l.fma(off, s(-4.0), s(6.2)));
     let proximal = l.mul(place.proximal, beyond);
     let mut tint = hue(l, look, proximal);
     // The ridge between two daughter branches is cartilage under thin mucosa.
     let ridge = l.mul(l.mul(place.spur, s(look.spurs)), beyond);
-    // Most walls beyond the lobar bronchi have neither rings nor a membranous wall.
+    // Most walls beyond the lobar bronchi have neither rings nor a membranous wall, so the function returns early for
+    // them.
     let either = l.max(
         l.mul(place.rings, s(look.rings)),
         l.mul(place.membrane, s(look.membrane)),
@@ -231,7 +233,7 @@ pub(super) fn decorate<L: Lanes>(
         l.mul(l.sub(cos_back, s(BACK[0])), s(1.0 / (BACK[1] - BACK[0]))),
     );
 
-    // Direction of the airway, and a pixel's width along it in ring distances.
+    // The direction of the airway, and the width of a pixel along it in distances between rings.
     let (axis, per_mm) = unit(l, place.growth);
     let width = l.div(
         l.mul(wall.footprint_mm, per_mm),
@@ -248,7 +250,7 @@ pub(super) fn decorate<L: Lanes>(
     let ring = smooth(l, inwards);
     let steep = l.mul(l.mul(inwards, l.sub(one, inwards)), l.mul(s(6.0), per_edge));
     let steep = l.select(l.less(t, s(0.0)), steep, l.sub(s(0.0), steep));
-    // Plates instead of rings: parts of the circumference have no cartilage.
+    // Smaller airways have plates instead of rings: parts of the circumference have no cartilage.
     let plates = lerp(
         l,
         place.regular,
@@ -260,14 +262,15 @@ pub(super) fn decorate<L: Lanes>(
     let strength = l.mul(strength, l.mul(on_tube, between));
     let rise = l.mul(l.mul(strength, seen), l.mul(steep, s(HEIGHT)));
     form = along(l, form, rise, axis);
-    // At a distance where single rings are not visible, rings and intervals have one mean colour.
+    // At a distance where single rings are not visible, rings and gaps have one mean colour.
     let ring = lerp(l, seen, s(2.0 * HALF_WIDTH), ring);
     pale = l.fma(l.mul(strength, ring), s(0.34), pale);
-    // The redness varies between intervals and round the circumference.
+    // The redness varies between gaps and round the circumference.
     let red = l.fma(skin.mottle, s(0.7), s(0.8));
     let interval = l.mul(l.mul(strength, red), l.sub(one, ring));
 
-    // Folds along the membranous wall. The wall is flat, so its normal turns less across the wall than on a round tube.
+    // Folds run along the membranous wall. The wall is flat, so its normal turns less across the wall than on a round
+    // tube.
     let membrane = l.mul(
         l.mul(place.membrane, s(look.membrane)),
         l.mul(at_back, l.mul(on_back, between)),

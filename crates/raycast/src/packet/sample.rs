@@ -1,9 +1,10 @@
-//! Samples of a packet: read, classified, shaded and added; the operations of `Frame::add_sample`, lane by lane.
+//! Samples of a packet, which are read, classified, shaded and added: the operations of `Frame::add_sample`, lane by
+//! lane.
 
 use super::{lanes::Lanes, out::Out, pool::Packet, scene::Scene};
 
 impl Scene<'_> {
-    /// Take samples `k` and advance to the next ones.
+    /// Take the samples `k` in the lanes `take` and advance these lanes to their next samples.
     ///
     /// Return the lanes whose sample had opacity and the lanes whose ray has not ended.
     ///
@@ -25,7 +26,7 @@ impl Scene<'_> {
         (lit, l.without(l.less_i(packet.k, packet.end), opaque))
     }
 
-    /// Read the samples `k`; return the lanes whose sample is certainly clear.
+    /// Read the next sample in each lane; return the lanes whose sample certainly has no opacity.
     #[inline(always)]
     pub(super) fn clear_samples<L: Lanes>(&self, l: L, packet: &Packet<L>) -> L::M {
         let cells = self
@@ -36,13 +37,13 @@ impl Scene<'_> {
         l.less_i(n, l.splat_i(self.frame.table.first_visible))
     }
 
-    /// Return the index in the transfer table for sampled values; as in `TransferTable::at`.
+    /// Return the indices in the transfer table of interpolated values; the operations equal `TransferTable::at`.
     #[inline(always)]
     fn entry_of<L: Lanes>(&self, l: L, value: L::F) -> L::I {
         self.entry_of_hu(l, l.whole(l.floor(l.add(value, l.splat(0.5)))))
     }
 
-    /// Return the index in the transfer table for integers; as in `TransferTable::at_hu`.
+    /// Return the indices in the transfer table of integer values; the operations equal `TransferTable::at_hu`.
     #[inline(always)]
     fn entry_of_hu<L: Lanes>(&self, l: L, hu: L::I) -> L::I {
         let table = self.frame.table;
@@ -50,9 +51,7 @@ impl Scene<'_> {
         l.max_i(l.min_i(n, l.splat_i(table.last)), l.splat_i(0))
     }
 
-    /// Read the samples `k` and add them in the lanes `take`.
-    ///
-    /// Return the lanes whose sample had opacity.
+    /// Read the samples `k` and add them in the lanes `take`; return the lanes whose sample had opacity.
     #[inline(always)]
     fn add_samples<L: Lanes, O: Out, const SHADED: bool, const NEAREST: bool>(
         &self,
@@ -90,7 +89,7 @@ impl Scene<'_> {
         let mut rgb = [r, g, b];
         if let (true, Some(light)) = (SHADED, &self.frame.options.light) {
             let facing = self.facing(l, &packet.delta, gradient);
-            // Same computation as in `Light::shares`.
+            // The computation equals that of `Light::shares`.
             let mut highlight = facing;
             for _ in 0..light.shininess_log2 {
                 highlight = l.mul(highlight, highlight);
@@ -113,7 +112,7 @@ impl Scene<'_> {
         }
         let through = l.mul(packet.transparency, l.sub(l.splat(1.0), alpha));
         if O::HITS {
-            // Same computation as in `Gathered::cross`.
+            // The computation equals that of `Gathered::cross`.
             let (half, before) = (l.splat(0.5), packet.transparency);
             let crossed = l.without(l.and(lit, l.less(through, half)), l.less(before, half));
             // A crossing happens once per ray.
@@ -126,7 +125,7 @@ impl Scene<'_> {
         lit
     }
 
-    /// Return the absolute cosines between surface normals and rays; as in `Frame::facing`.
+    /// Return the absolute cosines between surface normals and rays; the operations equal `Frame::facing`.
     #[inline(always)]
     fn facing<L: Lanes>(&self, l: L, delta: &[L::F; 3], g: [L::F; 3]) -> L::F {
         let along = l.fma(g[2], delta[2], l.fma(g[1], delta[1], l.mul(g[0], delta[0])));

@@ -7,22 +7,22 @@ use std::ops::Range;
 use super::lanes::{Array, MAX_LANES};
 use crate::Frame;
 
-/// Rays of some pixels: steps in voxels, first samples, ends.
+/// Rays of some pixels: their steps in voxels, the numbers of their first samples, and the numbers after their last.
 pub(super) struct Rays {
     pub delta: [Array<f32>; 3],
     pub first: Array<i32>,
     pub end: Array<i32>,
 }
 
-/// Steps of rays in camera space, mm, by axis; all 0 for a pixel that a lens or a mask leaves without a ray.
+/// Steps of rays in camera space, mm, by axis; all 0 for a pixel that has no ray because of a lens or a mask.
 #[derive(Clone, Copy)]
 pub(super) struct Directions([[f64; MAX_LANES]; 3]);
 
-/// Range of columns and range of rows of a picture.
+/// Rectangle of a picture: range of columns and range of rows.
 pub(super) type Patch = (Range<usize>, Range<usize>);
 
 impl Directions {
-    /// Compute the directions of some patches, one after the other and each row by row.
+    /// Compute the directions of the rays of patches, one patch after the other and each row by row.
     ///
     /// There must be at most as many pixels as lanes.
     #[inline(always)]
@@ -74,7 +74,7 @@ impl Directions {
         self.0.iter().flatten().all(|&d| d == 0.0)
     }
 
-    /// Return the steps of the rays in voxels along an axis.
+    /// Return the steps of the rays along one axis of the volume, in voxels.
     #[inline(always)]
     fn along(&self, frame: &Frame<'_>, axis: usize) -> [f64; MAX_LANES] {
         let [mx, my, mz, _] = frame.ijk_from_camera.rows()[axis];
@@ -89,7 +89,7 @@ impl Directions {
 
 /// Fill `to` with numbers from `first` on in steps of `by`.
 ///
-/// Four at a time, as in `scaled`.
+/// The loop processes four items at a time, like that of [`scaled`].
 #[inline(always)]
 pub(super) fn count_up(to: &mut [i32], mut first: i32, by: i32) {
     let (fours, rest) = to.as_chunks_mut::<4>();
@@ -105,9 +105,9 @@ pub(super) fn count_up(to: &mut [i32], mut first: i32, by: i32) {
     }
 }
 
-/// Multiply numbers by a factor.
+/// Write the numbers `from` times a factor to `to`.
 ///
-/// Four at a time: for fewer, the loop costs more than its operations.
+/// The loop processes four items at a time; for fewer, the loop takes longer than its operations.
 #[inline(always)]
 fn scaled(to: &mut [f64], from: &[f32], factor: f64) {
     let (to, to_rest) = to.as_chunks_mut::<4>();
@@ -122,7 +122,7 @@ fn scaled(to: &mut [f64], from: &[f32], factor: f64) {
     }
 }
 
-/// Return the steps of rays in voxels.
+/// Return the steps of rays in voxels, in f32.
 #[inline(always)]
 pub(super) fn deltas_of(frame: &Frame<'_>, directions: &Directions) -> [Array<f32>; 3] {
     let mut delta = [[0.0; MAX_LANES]; 3];
@@ -135,7 +135,7 @@ pub(super) fn deltas_of(frame: &Frame<'_>, directions: &Directions) -> [Array<f3
     delta
 }
 
-/// Set up rays in these directions; as in [`Frame::ray`] and `clip_line_to_box`.
+/// Set up rays in these directions; the operations equal [`Frame::ray`] and `clip_line_to_box`.
 #[inline(always)]
 pub(super) fn rays_of(frame: &Frame<'_>, directions: &Directions) -> Rays {
     let shape = frame.grid.shape_ijk();
@@ -194,7 +194,7 @@ pub(super) fn rays_of(frame: &Frame<'_>, directions: &Directions) -> Rays {
         }
     }
     for n in 0..MAX_LANES {
-        // The part behind the camera starts at 0. `Packets::of` has checked that no ray has 2^30 steps.
+        // The part of a ray behind the camera is left out. `Packets::of` has checked that no ray has 2^30 steps.
         let hit = t_in[n] <= t_out[n];
         let from = (t_in[n] - 0.5).ceil().max(0.0) as i32;
         let to = (t_out[n] + 0.5).floor().max(0.0) as i32;

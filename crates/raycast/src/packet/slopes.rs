@@ -9,7 +9,7 @@ use crate::{
     bricks::{NormalBricks, STRIDE},
 };
 
-/// Return the slopes of a volume round positions in voxels, interpolated from those at voxels.
+/// Return the slopes of a volume round positions in voxels, interpolated from the slopes at voxels in the bricks.
 ///
 /// The slopes are per voxel axis, in HU over the reach.
 #[inline(always)]
@@ -46,7 +46,7 @@ pub(crate) fn rise<L: Lanes>(
     slope
 }
 
-/// Return the slopes if not all bricks can be stored.
+/// Return the slopes in lanes one after another, for cells whose bricks cannot all be stored.
 ///
 /// A brick that is not stored is computed again for each lane that needs it.
 #[cold]

@@ -1,4 +1,4 @@
-//! Source of the rays of a band.
+//! Source of the rays of a band of rows, in the order in which packets cast them.
 
 use super::{
     lanes::MAX_LANES,
@@ -10,15 +10,17 @@ use crate::{Frame, leap::Start};
 
 /// Number of rows of a picture that are cast together, so that packets cover squares of pixels.
 pub(crate) const BAND_ROWS: usize = 4;
-/// Largest number of rays of a patch of pixels: the lanes of a packet with AVX2, half of those with AVX-512.
+/// Largest number of rays of a patch of pixels that is set up at once: half of the largest number of lanes.
 const PATCH: usize = MAX_LANES / 2;
 
-/// Rays of a band of rows that are not set up yet: patch by patch, so that a packet covers a square of pixels.
+/// Rays of a band of rows that are not set up yet.
+///
+/// The rays are set up patch by patch, so that a packet covers a square of pixels.
 pub(super) struct Source {
     width: usize,
     first_row: usize,
     num_rows: usize,
-    /// Position of the next rays in the band.
+    /// Column in the band of the next rays to be set up.
     column: usize,
     row: usize,
     sum_of_first: u64,
@@ -45,12 +47,12 @@ impl Source {
         self.row == self.num_rows
     }
 
-    /// Return the sum of the first sample numbers of the rays set up so far.
+    /// Return the sum, over the rays set up so far, of the number of their first sample.
     pub(super) fn sum_of_first(&self) -> u64 {
         self.sum_of_first
     }
 
-    /// Return the next pixels of the band, a square of them in a band of four rows; empty at the end.
+    /// Return the next patch of pixels: a square in a band of four rows; empty at the end of the band.
     #[inline(always)]
     fn next_patch(&mut self) -> Patch {
         let num_rows = (self.num_rows - self.row).min(BAND_ROWS);
@@ -64,9 +66,9 @@ impl Source {
         (columns, rows)
     }
 
-    /// Set up rays in an empty pool.
+    /// Set up rays and add them to an empty pool.
     ///
-    /// If none of the pixels of a patch has a ray, write these pixels to `out` at once.
+    /// If none of the pixels of a patch has a ray, these pixels are written to `out` at once.
     #[inline(always)]
     pub(super) fn set_up<O: Out>(
         &mut self,

@@ -1,4 +1,4 @@
-//! Texture of mucosa: mottling, vessels and fine relief from noise that is fixed to the tissue.
+//! Texture of mucosa: mottling, vessels and fine relief, from noise that is fixed to the tissue.
 
 use std::array::from_fn;
 
@@ -8,14 +8,17 @@ use super::{
 };
 use crate::appearance::Appearance;
 
-/// Noise cells of the texture per mm: of the mottling here, of the coarse and of the fine relief in the next constants.
+/// Number of noise cells per mm of the mottling.
 const MOTTLE_PER_MM: f32 = 0.23;
+/// Number of noise cells per mm of the coarse relief (wrinkles).
 pub(super) const WRINKLES_PER_MM: f32 = 0.45 * RELIEF_PER_MM;
+/// Number of noise cells per mm of the fine relief.
 const RELIEF_PER_MM: f32 = 1.9;
-/// Half of the width of a vessel's stem, mm; the next constant is that of a branch where it leaves the stem.
+/// Half of the width of a vessel's stem, mm.
 const VESSEL_MM: f32 = 0.17;
+/// Half of the width of a vessel's branch where it leaves the stem, mm.
 const BRANCH_MM: f32 = 0.12;
-/// Slope of the fine relief.
+/// Slope of the fine relief at strength 1.
 const RELIEF: f32 = 0.11;
 
 #[inline(always)]
@@ -23,13 +26,13 @@ fn lerp<L: Lanes>(l: L, t: L::F, a: L::F, b: L::F) -> L::F {
     l.fma(t, l.sub(b, a), a)
 }
 
-/// Return x (2 x + 1), a permutation of the 32-bit numbers.
+/// Return x (2 x + 1) in each lane, a permutation of the 32-bit numbers that mixes their bits.
 #[inline(always)]
 fn mix<L: Lanes>(l: L, x: L::I) -> L::I {
     l.mul_i(x, l.add_i(l.add_i(x, x), l.splat_i(1)))
 }
 
-/// Return a pseudo-random number from -1 to 1 for a corner of the lattice.
+/// Return a pseudo-random number from -1 to 1 for a corner of the noise lattice.
 ///
 /// After two mixing steps the high bits show no visible pattern.
 #[inline(always)]
@@ -39,7 +42,7 @@ fn corner<L: Lanes>(l: L, at: [[L::I; 2]; 3], [i, j, k]: [usize; 3]) -> L::F {
     l.mul(l.to_f(mixed), l.splat(1.0 / 2_147_483_648.0))
 }
 
-/// Return the noise of the integer lattice, -1 to 1, and its gradient; it is smooth to the second derivative.
+/// Return lattice noise at positions `q`, from -1 to 1, and its gradient; the noise is smooth to the second derivative.
 #[inline(always)]
 pub(super) fn noise<L: Lanes>(l: L, q: [L::F; 3], seed: i32) -> (L::F, [L::F; 3]) {
     // Multipliers of the hash of a lattice point: odd numbers without a pattern in their bits.
@@ -66,7 +69,7 @@ pub(super) fn noise<L: Lanes>(l: L, q: [L::F; 3], seed: i32) -> (L::F, [L::F; 3]
         let y = l.mul(x, l.sub(x, one));
         slope[a] = l.mul(s(30.0), l.mul(y, y));
     }
-    // Rows along x, then their slopes along x, y, z.
+    // The rows along x, then their slopes along x, y, z.
     let mut value = [[q[0]; 2]; 2];
     let mut rise = value;
     for k in 0..2 {
@@ -100,10 +103,10 @@ pub(super) fn noise<L: Lanes>(l: L, q: [L::F; 3], seed: i32) -> (L::F, [L::F; 3]
     (lerp(l, t[2], near, far), slopes)
 }
 
-/// Texture of a wall at a point of the patient.
+/// Texture of the wall at points of the patient.
 #[derive(Clone, Copy)]
 pub(super) struct Texture<L: Lanes> {
-    /// Factors of the colour channels, linear.
+    /// Linear factors of the colour channels.
     pub tint: [L::F; 3],
     /// Slope of the fine relief, LPS.
     pub relief: [L::F; 3],
@@ -116,17 +119,17 @@ pub(super) struct Texture<L: Lanes> {
     pub bumps: (L::F, [L::F; 3]),
 }
 
-/// Rotation from the patient's axes to the noise lattice, so that no row of the lattice runs along an airway.
+/// Rotation from the patient's axes to the noise lattice, chosen so that no row of the lattice runs along an airway.
 pub(super) const ASKEW: [[f32; 3]; 3] = [[0.36, 0.48, -0.8], [-0.8, 0.60, 0.0], [0.48, 0.64, 0.60]];
 
-/// Return the visibility of the noise: 1 while a cell of the lattice covers 2 pixels or more, 0 below one pixel.
+/// Return the visibility of noise: 1 if a cell of its lattice covers 2 pixels or more, 0 if it covers less than one.
 #[inline(always)]
 pub(super) fn sharp<L: Lanes>(l: L, footprint_mm: L::F, per_mm: f32) -> L::F {
     let cells = l.mul(footprint_mm, l.splat(per_mm));
     smooth(l, l.fma(cells, l.splat(-2.0), l.splat(2.0)))
 }
 
-/// Return the coverage, 0 to 1, by a line of half-width `half_mm` along the zeros of a noise.
+/// Return the coverage, 0 to 1, by a line that follows the zeros of a noise and has the half-width `half_mm`.
 ///
 /// `web` is the value of the noise and `steep_per_mm` the length of its gradient.
 #[inline(always)]
@@ -145,10 +148,10 @@ fn line<L: Lanes>(
     l.mul(near, l.mul(half_mm, per_width))
 }
 
-/// Return the coverage by a vessel, 0 to 1, from the values and gradients of the noises of mottling and wrinkles.
+/// Return the coverage by vessels, 0 to 1, from the values and gradients of the noises of mottling and wrinkles.
 ///
 /// Stems follow the zeros of the mottling; branches follow the zeros of the wrinkles, leave a stem to one side and
-/// taper. A separate noise for vessels would cost more than the rest of the function.
+/// taper. A separate noise for vessels would take longer than the remaining function.
 #[inline(always)]
 fn vessel<L: Lanes>(
     l: L,
@@ -158,7 +161,7 @@ fn vessel<L: Lanes>(
 ) -> L::F {
     let s = |v: f32| l.splat(v);
     let (bend_steep, fold_steep) = (l.sqrt(dot(l, bend, bend)), l.sqrt(dot(l, fold, fold)));
-    // A flat noise would give a patch instead of a line; such patches are left out.
+    // Where the noise is flat, its zeros form a patch instead of a line; such patches are left out.
     let stem = line(
         l,
         (mottle, l.mul(bend_steep, s(MOTTLE_PER_MM))),
@@ -184,10 +187,10 @@ fn vessel<L: Lanes>(
     l.mul(l.max(stem, l.mul(branch, beside)), shown)
 }
 
-/// Compute the texture at patient points `lps` (mm).
+/// Compute the texture of the wall at patient points `lps` (mm).
 ///
-/// The texture depends on the point alone, so it stays on the tissue when the scope moves; detail finer than
-/// `footprint_mm`, the width of a pixel there, fades out.
+/// The texture depends on the point alone, so it stays on the tissue when the scope moves. Detail finer than
+/// `footprint_mm`, the width of a pixel at the point, fades out.
 #[inline(always)]
 pub(super) fn texture<L: Lanes>(
     l: L,
@@ -218,7 +221,7 @@ pub(super) fn texture<L: Lanes>(
     for a in 0..3 {
         relief[a] = l.fma(slope[a], fine, l.mul(coarse[a], wide));
     }
-    // Rotation from the lattice to the patient: the inverse of a rotation is its transpose.
+    // The rotation from the lattice to the patient is the transpose of the rotation to the lattice.
     let back = from_fn::<_, 3, _>(|x| from_fn(|a| ASKEW[a][x]));
     let film = l.fma(l.mul(grain, fine), s(1.2), l.fma(mottle, s(0.35), s(0.75)));
     Texture {

@@ -1,26 +1,26 @@
-//! Reads of a volume for a packet of rays: the operations of [`crate::sampling`], lane by lane.
+//! Reads of a volume by a packet of rays: the operations of [`crate::sampling`], lane by lane.
 
 use super::{bricks::Reader, lanes::Lanes};
 use crate::{Field, Frame, SampleBricks};
 
-/// Longest axis for which the accuracy of positions and the margin of a leap are sufficient for this kernel.
+/// Largest number of voxels on an axis for which the accuracy of positions and the margin of a leap are sufficient.
 const LONGEST_AXIS: f32 = 65_535.0;
 
-/// Volume whose voxels have 32-bit indices.
+/// Volume whose voxels have 32-bit indices, prepared for reads by packets.
 #[derive(Clone, Copy)]
 pub(super) struct Voxels<'a> {
     data: &'a [i16],
     last: [f32; 3],
     last_cell: [i32; 3],
     stride: [i32; 3],
-    /// Index of voxel (1, 1, 1) if its cell has neighbours on all sides.
+    /// Index of voxel (1, 1, 1); `None` if its cell does not have neighbours on all sides.
     inner: Option<i32>,
     samples: Option<Reader<'a, SampleBricks>>,
 }
 
-/// Cell of eight voxels and a position in it, for each lane.
+/// For each lane, a cell of eight voxels and a position in the cell.
 ///
-/// Every lane's cell is in the volume, also in lanes that are not active.
+/// The cell of every lane is in the volume, also in lanes that are not active.
 #[derive(Clone, Copy)]
 pub(super) struct Cells<L: Lanes> {
     ijk: [L::I; 3],
@@ -28,11 +28,11 @@ pub(super) struct Cells<L: Lanes> {
     t: [L::F; 3],
 }
 
-/// Numbers that a value and its gradient need.
+/// Voxels that an interpolated value and its gradient need, for each lane.
 struct Rows<L: Lanes> {
-    /// The four rows of the cell, four voxels each.
+    /// Four voxels on each of the four rows along x through the cell: its own two, and one on each side.
     own: [[L::I; 4]; 4],
-    /// Rows before and after the cell, two voxels each as a pair.
+    /// Pairs of voxels on the rows beside the cell, before and after it along y and z.
     ///
     /// The rows along y are at the lower and the upper z, the rows along z at the lower and the upper y.
     beside: [L::I; 8],
@@ -43,21 +43,22 @@ fn lerp<L: Lanes>(l: L, t: L::F, a: L::F, b: L::F) -> L::F {
     l.fma(t, l.sub(b, a), a)
 }
 
-/// Interpolate between the two voxels of a pair.
+/// Interpolate linearly between the two voxels of a pair.
 #[inline(always)]
 fn lerp_pair<L: Lanes>(l: L, t: L::F, pair: L::I) -> L::F {
     l.fma(t, l.to_f(l.rise(pair)), l.to_f(l.first(pair)))
 }
 
-/// Interpolate between integers.
+/// Interpolate linearly between two integers.
 #[inline(always)]
 fn lerp_ints<L: Lanes>(l: L, t: L::F, a: L::I, b: L::I) -> L::F {
     l.fma(t, l.to_f(l.sub_i(b, a)), l.to_f(a))
 }
 
 impl<'a> Voxels<'a> {
-    /// Prepare a volume; return `None` for a volume too large for 32-bit indices, or with one voxel along x, which has
-    /// no pairs.
+    /// Prepare a volume for packets.
+    ///
+    /// Return `None` for a volume too large for 32-bit indices, or with one voxel along x, which has no pairs.
     pub(super) fn of(field: &Field<'a>) -> Option<Self> {
         let [x, y, z, _] = field.last;
         let fits = field.data.len() >= 4
@@ -77,14 +78,14 @@ impl<'a> Voxels<'a> {
         })
     }
 
-    /// Read values and gradients from the bricks of the frame's volume, if it has any.
+    /// Return the volume with reads of values and gradients from the bricks of the frame's volume, if there are any.
     pub(super) fn reading(self, frame: &'a Frame<'a>) -> Self {
         let bricks = frame.samples.as_deref();
         let samples = bricks.map(|bricks| Reader::of(&frame.field, bricks));
         Self { samples, ..self }
     }
 
-    /// Clamp coordinates to `0 ..= last`; NaN becomes 0.
+    /// Clamp voxel coordinates to `0 ..= last`; NaN becomes 0.
     #[inline(always)]
     fn clamp<L: Lanes>(&self, l: L, p: [L::F; 3]) -> [L::F; 3] {
         let mut x = p;
@@ -117,7 +118,7 @@ impl<'a> Voxels<'a> {
         }
     }
 
-    /// Return the cells that contain points that need no clamping.
+    /// Return the cells that contain points which need no clamping.
     ///
     /// # Safety
     ///
@@ -136,17 +137,17 @@ impl<'a> Voxels<'a> {
         }
     }
 
-    /// Prefetch two of the four rows of the cells that contain points.
+    /// Prefetch two of the four rows of the cells that contain points `p`.
     ///
-    /// The prefetches of neighbouring pixels cover the other rows.
+    /// The prefetches for neighbouring pixels cover the other rows.
     #[inline(always)]
-    pub(super) fn ask_for<L: Lanes>(&self, l: L, p: [L::F; 3]) {
+    pub(super) fn prefetch_cells<L: Lanes>(&self, l: L, p: [L::F; 3]) {
         let base = l.store_i(self.cells(l, p).base);
         let across = (self.stride[1] + self.stride[2]) as isize;
         for n in 0..L::N {
             let first = self.data.as_ptr().wrapping_offset(base[n] as isize);
-            ask_for_line(first);
-            ask_for_line(first.wrapping_offset(across));
+            prefetch_line(first);
+            prefetch_line(first.wrapping_offset(across));
         }
     }
 
@@ -162,7 +163,7 @@ impl<'a> Voxels<'a> {
         (self.index(l, ijk), v)
     }
 
-    /// Return the cells that contain points, clamped to the volume; as in `Field::cell_of`.
+    /// Return the cells that contain points, clamped to the volume; the operations equal `Field::cell_of`.
     #[inline(always)]
     pub(super) fn cell_of<L: Lanes>(&self, l: L, p: [L::F; 3]) -> (L::I, [L::F; 3]) {
         let mut v = self.clamp(l, p);
@@ -174,7 +175,7 @@ impl<'a> Voxels<'a> {
         (self.index(l, ijk), v)
     }
 
-    /// Return the values of voxels given by their indices.
+    /// Return the values of voxels at indices in memory.
     #[inline(always)]
     pub(super) fn at<L: Lanes>(&self, l: L, index: L::I) -> L::I {
         // SAFETY: the index comes from `nearest`, which clamps to the volume in all lanes. Benchmark:
@@ -189,7 +190,7 @@ impl<'a> Voxels<'a> {
         [0, sy, sz, sy + sz]
     }
 
-    /// Return interpolated values.
+    /// Return the interpolated values in cells.
     #[inline(always)]
     pub(super) fn value<L: Lanes>(&self, l: L, cells: &Cells<L>) -> L::F {
         // SAFETY: `cells` clamps the lower corner to last_cell in all lanes, so that one step more on each axis is a
@@ -204,7 +205,8 @@ impl<'a> Voxels<'a> {
         lerp(l, tz, lerp(l, ty, r[0], r[1]), lerp(l, ty, r[2], r[3]))
     }
 
-    /// Return interpolated values and interpolated central differences per voxel, for the wanted lanes.
+    /// Return the interpolated values in cells and the interpolated central differences per voxel, for the wanted
+    /// lanes.
     ///
     /// The four rows of the cell are read once, with one more voxel on each side.
     #[inline(always)]
@@ -235,7 +237,7 @@ impl<'a> Voxels<'a> {
         interpolate(l, cells.t, &read)
     }
 
-    /// Read cells that have neighbours on all sides.
+    /// Read the rows of cells that have neighbours on all sides.
     #[inline(always)]
     fn read_inside<L: Lanes>(&self, l: L, base: L::I) -> Rows<L> {
         let [_, sy, sz] = self.stride;
@@ -274,7 +276,8 @@ impl<'a> Voxels<'a> {
         Rows { own, beside: pairs }
     }
 
-    /// Read cells of which some are at the edge, where the edge voxel itself replaces the missing neighbour.
+    /// Read the rows of cells of which some are at the edge, where the edge voxel itself replaces the missing
+    /// neighbour.
     #[inline(always)]
     fn read_at_edge<L: Lanes>(&self, l: L, cells: &Cells<L>) -> Rows<L> {
         let zero = l.splat_i(0);
@@ -326,7 +329,7 @@ impl<'a> Voxels<'a> {
 
 /// Prefetch the cache line at an address; any address is allowed.
 #[inline(always)]
-fn ask_for_line(at: *const i16) {
+fn prefetch_line(at: *const i16) {
     #[cfg(target_arch = "x86_64")]
     {
         use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
@@ -338,7 +341,7 @@ fn ask_for_line(at: *const i16) {
     let _ = at;
 }
 
-/// Interpolate value and gradient from the four rows of a cell; as in `Field::value_in` and `Field::gradient_in`.
+/// Interpolate value and gradient from the rows of a cell; see `Field::value_in` and `Field::gradient_in`.
 #[inline(always)]
 fn interpolate<L: Lanes>(l: L, t: [L::F; 3], read: &Rows<L>) -> (L::F, [L::F; 3]) {
     let beside = |n: usize| (l.first(read.beside[n]), l.second(read.beside[n]));
@@ -347,7 +350,7 @@ fn interpolate<L: Lanes>(l: L, t: [L::F; 3], read: &Rows<L>) -> (L::F, [L::F; 3]
     for n in 0..4 {
         let own = |n: usize| (read.own[n][1], read.own[n][2]);
         let [v0, v1, v2, v3] = read.own[n];
-        // The rows before and after along y and z: on one side a corner's neighbour is the other corner of the cell.
+        // The rows before and after along y and z: on one side, a corner's neighbour is the other corner of the cell.
         let (y, z) = (n & 1, n >> 1);
         let along_y = if y == 0 {
             less(own(n + 1), beside(2 * z))

@@ -5,7 +5,7 @@
 
 use crate::reference::{Matrix, Shares, View};
 
-/// Random number generator with the same sequence on every machine.
+/// Random number generator that gives the same sequence on every machine.
 pub(crate) struct Dice(u64);
 
 impl Dice {
@@ -37,17 +37,17 @@ impl Dice {
     }
 }
 
-/// Volume with its transform, and points in its airways.
+/// Volume of a small chest with its transform, and points in its airways.
 pub(crate) struct Chest {
     pub(crate) shape: [usize; 3],
     pub(crate) hu: Vec<i16>,
     pub(crate) lps_from_ijk: Matrix,
     pub(crate) spacing: [f64; 3],
-    /// Ends of tubes, LPS mm.
+    /// Ends of the tubes of air, LPS mm.
     pub(crate) lumen: Vec<([f64; 3], [f64; 3])>,
 }
 
-/// Return three perpendicular, right-handed axes.
+/// Return three perpendicular unit vectors, right-handed.
 fn frame(dice: &mut Dice) -> [[f64; 3]; 3] {
     let z = dice.unit();
     loop {
@@ -90,13 +90,13 @@ impl Chest {
     pub(crate) fn with_noise(dice: &mut Dice, noise: f64) -> Self {
         let mut shape: [usize; 3] = std::array::from_fn(|_| dice.between(24.0, 60.0) as usize);
         if dice.roll() < 0.2 {
-            // One long axis: rounding errors grow with the coordinate.
+            // One axis is long, because rounding errors grow with the coordinate.
             shape[(dice.roll() * 3.0) as usize] = dice.between(300.0, 500.0) as usize;
         }
         let spacing: [f64; 3] = std::array::from_fn(|_| dice.between(0.5, 1.6));
         let mut axes = frame(dice);
         if dice.roll() < 0.3 {
-            // Slices in reverse order.
+            // Slices are in reverse order.
             axes[2] = axes[2].map(|v| -v);
         }
         let offset: [f64; 3] = std::array::from_fn(|_| dice.between(-200.0, 200.0));
@@ -108,7 +108,7 @@ impl Chest {
                 offset[r],
             ]
         });
-        // In mm along the grid's own axes.
+        // The positions are in mm along the grid's own axes.
         let size: [f64; 3] = std::array::from_fn(|a| shape[a] as f64 * spacing[a]);
         let inside = |dice: &mut Dice| -> [f64; 3] {
             std::array::from_fn(|a| dice.between(0.1, 0.9) * size[a])
@@ -129,7 +129,7 @@ impl Chest {
                         j as f64 * spacing[1],
                         k as f64 * spacing[2],
                     ];
-                    // Edges blurred over about 1.5 mm, as by a scanner.
+                    // Edges are blurred over about 1.5 mm, as by a scanner.
                     let edge = |distance: f64| 1.0 / (1.0 + (distance / 0.35).exp());
                     let mut value = -860.0;
                     for (segment, radius) in &vessels {
@@ -149,7 +149,7 @@ impl Chest {
                 }
             }
         }
-        // Noise that is correlated along a row like a scan's: the mean of three random numbers.
+        // The noise is correlated along a row like a scan's: each value is the mean of three random numbers.
         let rolls: Vec<f64> = (0..hu.len() + 2).map(|_| dice.between(-1.0, 1.0)).collect();
         let hu = (0..hu.len())
             .map(|n| {
@@ -173,7 +173,7 @@ impl Chest {
         }
     }
 
-    /// Return the LPS point at fractions of the box.
+    /// Return the LPS point at given fractions of the volume's box along its axes.
     fn at(&self, share: [f64; 3]) -> [f64; 3] {
         std::array::from_fn(|r| {
             let row = self.lps_from_ijk[r];
@@ -184,7 +184,7 @@ impl Chest {
         })
     }
 
-    /// Return a random view.
+    /// Return a camera with a random pose and field of view.
     ///
     /// A third of the cameras are in the lumen, a third anywhere in the volume, and a third outside and looking at the
     /// volume. The field of view is 60 to 170 degrees.
@@ -220,7 +220,7 @@ impl Chest {
     }
 }
 
-/// Return transfer functions of the product with their lights: points `[hu, r, g, b, alpha]`.
+/// Return the transfer functions of the product, each with its name, its points `[hu, r, g, b, alpha]` and its light.
 pub(crate) fn looks() -> Vec<(&'static str, Vec<[f64; 5]>, Shares)> {
     vec![
         (

@@ -1,7 +1,7 @@
 //! Tests of the shading of first walls.
 //!
-//! The bits are the same from every caster, in strips and on every instruction set, and the texture stays on the
-//! tissue.
+//! The result is equal, bit for bit, from every caster, in strips and on every instruction set; the texture stays on
+//! the tissue.
 
 use crate::scene::{Scene, any_scene, options};
 use carina_grid::{Affine, Camera, Grid, VolumeView, cross, unit};
@@ -12,6 +12,7 @@ use carina_raycast::{
 };
 use proptest::prelude::*;
 
+/// Appearance of the test pictures.
 const LOOK: Appearance = Appearance {
     guides_mm: [[-1.9, -0.5, 0.0], [1.9, -0.5, 0.3]],
     exposure: None,
@@ -44,7 +45,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(200))]
 
     #[test]
-    fn lit_pictures_are_the_same_bits_from_every_caster_and_in_strips(
+    fn shaded_pictures_are_equal_for_every_caster_and_in_strips(
         mut scene in any_scene(), size in (1usize..36, 1usize..20), cut in 0.0f64..1.0,
         texture in 0.0f32..2.0, vessels in prop_oneof![Just(0.0f32), 0.0f32..2.0], silhouettes: bool,
         wet in prop_oneof![Just([0.0f32; 3]), prop::array::uniform3(0.0f32..1.0)],
@@ -72,7 +73,7 @@ proptest! {
 }
 
 #[test]
-fn a_volume_that_packets_cannot_read_is_lit_too() {
+fn walls_of_a_volume_without_packets_are_shaded() {
     // A volume with one voxel along x has no pairs of voxels, which packets need.
     let mut scene = Scene::fixed([0.0; 3], [0.0, 0.0, 1.0]);
     let shape = [9, 8, 1];
@@ -99,6 +100,7 @@ fn a_volume_that_packets_cannot_read_is_lit_too() {
     }
 }
 
+/// Number of voxels of the test volume along i, j, k.
 const SHAPE: [usize; 3] = [60, 64, 68];
 
 /// Return a volume with a ball of air of 14 mm in tissue.
@@ -142,7 +144,7 @@ fn the_texture_of_a_wall_stays_on_it_when_the_scope_moves_and_turns() {
     ];
     let transfer = Transfer::new(points, 1.0, 1).unwrap();
     let table = TransferTable::new(&transfer, 0.3, -1024, 100).unwrap();
-    // Difference that the texture or the vessels make, level by level, without highlights and under a light that hardly
+    // The difference that texture or vessels make, level by level, without highlights and under a light that hardly
     // depends on the pose.
     let look = Appearance {
         exposure: Some(12.0),
@@ -200,7 +202,7 @@ fn the_texture_of_a_wall_stays_on_it_when_the_scope_moves_and_turns() {
             if !(0.0..160.0).contains(&column) || !(0.0..160.0).contains(&row) {
                 continue;
             }
-            // Green, where vessels and mottling are most visible.
+            // The green channel is compared, because vessels and mottling are most visible in it.
             let (a, b) = (
                 first[3 * pixel + 1],
                 second[3 * (row as usize * 160 + column as usize) + 1],
@@ -219,7 +221,7 @@ fn the_texture_of_a_wall_stays_on_it_when_the_scope_moves_and_turns() {
             correlation(strengths, [0.0; 3]),
             correlation(strengths, [3.0, 0.0, 0.0]),
         );
-        // Displacement of half a pixel, and finer detail from a nearer camera, leave at least this correlation.
+        // A displacement of half a pixel, and finer detail from a nearer camera, leave at least this correlation.
         assert!(there > 0.7, "{strengths:?}: {there}");
         // A texture displaced by 3 mm would correlate much less.
         assert!(beside.abs() < 0.4, "{strengths:?}: {beside}");
@@ -227,7 +229,7 @@ fn the_texture_of_a_wall_stays_on_it_when_the_scope_moves_and_turns() {
 }
 
 #[test]
-fn values_out_of_range_are_refused() {
+fn appearance_values_out_of_range_are_rejected() {
     let bad = [
         Appearance {
             guides_mm: [[f32::NAN; 3]; 2],
@@ -287,7 +289,7 @@ fn values_out_of_range_are_refused() {
     for look in bad {
         assert_eq!(refused(lit(look)), "render.setting", "{look:?}");
     }
-    // Invalid options: two lights at once, or no gradient for the shading.
+    // The invalid options are two lights at once, and a shading without a gradient.
     let both = FrameOptions {
         appearance: Some(LOOK),
         ..options(true, false)

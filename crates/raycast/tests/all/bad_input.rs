@@ -18,7 +18,7 @@ fn pose(change: impl Fn(&mut [[f64; 4]; 3])) -> Affine {
 }
 
 #[test]
-fn poses_that_are_none_are_refused() {
+fn invalid_poses_are_rejected() {
     for bad in [
         pose(|m| m[0][0] = f64::NAN),
         pose(|m| m[2][3] = f64::NAN),
@@ -36,7 +36,7 @@ fn poses_that_are_none_are_refused() {
 }
 
 #[test]
-fn fields_of_view_and_sizes_out_of_range_are_refused_with_the_value_and_the_range() {
+fn fields_of_view_and_sizes_out_of_range_are_rejected_with_value_and_range() {
     for deg in [-1.0, 0.0, 0.99, 170.01, 180.0, 360.0] {
         let words = camera_refusal(Affine::IDENTITY, deg, 64, 64);
         assert!(
@@ -56,7 +56,7 @@ fn fields_of_view_and_sizes_out_of_range_are_refused_with_the_value_and_the_rang
 }
 
 #[test]
-fn transfer_functions_that_are_none_are_refused_with_what_was_found() {
+fn invalid_transfer_functions_are_rejected_with_the_value_found() {
     let flat = |hu: f64, alpha: f64| [hu, 0.5, 0.5, 0.5, alpha];
     for (points, found) in [
         (vec![], "no points"),
@@ -89,7 +89,7 @@ fn transfer_functions_that_are_none_are_refused_with_what_was_found() {
 }
 
 #[test]
-fn lights_out_of_range_are_refused_with_the_value_and_the_range() {
+fn lights_out_of_range_are_rejected_with_value_and_range() {
     let grid = Grid::new([3, 4, 5], Affine::IDENTITY).unwrap();
     let hu = vec![0i16; 60];
     let volume = VolumeView::new(&hu, &grid).unwrap();

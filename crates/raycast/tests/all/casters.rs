@@ -85,7 +85,7 @@ proptest! {
     }
 
     #[test]
-    fn strips_assembled_equal_the_whole_bit_for_bit(scene in any_scene(), cut in 0.0f64..1.0) {
+    fn assembled_strips_equal_the_whole_bit_for_bit(scene in any_scene(), cut in 0.0f64..1.0) {
         let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
         let table = scene.table(false);
         let frame = Frame::new(volume, &table, scene.camera.clone(), options(true, false)).unwrap();
@@ -109,7 +109,7 @@ proptest! {
     }
 
     #[test]
-    fn at_jumps_within_one_hu_brute_force_is_as_near_f64_as_rounding_can_be(scene in any_scene()) {
+    fn brute_force_at_jumps_within_one_hu_differs_from_f64_by_rounding_only(scene in any_scene()) {
         let (found, _) = cast(&scene, false, false, Method::Brute);
         let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
         let table = scene.table(false);
@@ -118,8 +118,9 @@ proptest! {
             let (column, row) = (n % width, n / width);
             let (reference, doubt) = f64_ray(&scene, volume, &table, column, row);
             for c in 0..3 {
-                // Half a level of rounding to 8 bits, half a level for colour behind the stop limit, 0.1 for sums in
-                // f32; and the possible effect of rounded positions where the transfer function is steep.
+                // The tolerance is half a level of rounding to 8 bits, half a level for colour behind the stop limit,
+                // 0.1 for sums in f32, and the possible effect of rounded positions where the transfer function is
+                // steep.
                 let error = (f64::from(pixel[c]) - reference[c]).abs();
                 prop_assert!(
                     error <= 1.1 + 255.0 * doubt,
@@ -132,8 +133,8 @@ proptest! {
 
 /// Cast one ray in f64, by the formulas of the design and without the crate's kernels.
 ///
-/// Return its colour, and a bound of the change (1 is white) that occurs because f32 rounds the position of a sample
-/// and reads a neighbouring entry of the table.
+/// Return the ray's colour, and a bound of the change of this colour (1 is white) by rounding. The change occurs
+/// because f32 rounds the position of a sample, which may then read a neighbouring entry of the table.
 fn f64_ray(
     scene: &Scene,
     volume: VolumeView<'_, i16>,
@@ -172,7 +173,7 @@ fn f64_ray(
             let mut hu = first;
             while hu <= last {
                 let other = table.entry(hu as i32).map(f64::from);
-                // A change of opacity also changes the visibility of everything behind, by at most the same amount.
+                // A change of opacity also changes the visibility of all later samples, by at most the same amount.
                 let colour = (0..3)
                     .map(|c| (other[c] - entry[c]).abs())
                     .fold(0.0, f64::max);
@@ -180,7 +181,7 @@ fn f64_ray(
                 hu += 1.0;
             }
             if t < t_in + off_mm || t > t_out - off_mm {
-                // At the face of the box the sample itself may be inside or outside.
+                // At the face of the box a sample may be inside or outside, so the whole sample may be missing.
                 let colour = entry[..3].iter().copied().fold(0.0, f64::max);
                 change = change.max(colour + entry[3]);
             }
@@ -212,8 +213,9 @@ fn trilinear(volume: VolumeView<'_, i16>, point: [f64; 3]) -> f64 {
     value
 }
 
-/// Return a bound of the change of the interpolated value per voxel near a point: the range of the 4x4x4 voxels round
-/// it.
+/// Return a bound of the change of the interpolated value per voxel near a point.
+///
+/// The bound is the range of the 4x4x4 voxels round the point.
 fn steepest(volume: VolumeView<'_, i16>, point: [f64; 3]) -> f64 {
     let (mut least, mut most) = (i16::MAX, i16::MIN);
     for n in 0..64isize {
@@ -234,7 +236,7 @@ fn a_ray_that_misses_the_volume_shows_the_background() {
 }
 
 #[test]
-fn shading_with_nearest_voxels_or_leaps_over_opaque_classes_is_refused() {
+fn shading_with_nearest_voxels_or_leaps_over_opaque_classes_is_rejected() {
     let scene = Scene::fixed([0.0; 3], [0.0, 0.0, 1.0]);
     let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
     let table = scene.table(false);

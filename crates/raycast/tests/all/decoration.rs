@@ -1,6 +1,6 @@
-//! Tests of the decoration that is fixed to anatomy.
+//! Tests of the decoration that depends on anatomy.
 //!
-//! The bits are the same from every caster, for any pixels in one register, and no wall moves.
+//! The result is equal, bit for bit, from every caster and for any pixels in one register; no wall moves.
 
 use crate::scene::{Scene, any_scene, options};
 use carina_grid::{Affine, Camera, Grid, VolumeView};
@@ -11,6 +11,7 @@ use carina_raycast::{
 };
 use proptest::prelude::*;
 
+/// Appearance of the test pictures.
 const LOOK: Appearance = Appearance {
     guides_mm: [[-1.9, -0.5, 0.0], [1.9, -0.5, 0.3]],
     exposure: None,
@@ -39,6 +40,7 @@ fn lit(look: Appearance) -> FrameOptions {
     }
 }
 
+/// Number of cells of the decoration's grid along z, y, x.
 const SHAPE: [usize; 3] = [4, 3, 5];
 
 /// Return a strategy for cells with random values in the range of an airway.
@@ -62,7 +64,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(150))]
 
     #[test]
-    fn decorated_pictures_are_the_same_bits_from_every_caster_and_in_strips(
+    fn decorated_pictures_are_equal_for_every_caster_and_in_strips(
         mut scene in any_scene(), cells in any_cells(), size in (1usize..36, 1usize..20), cut in 0.0f64..1.0,
         origin in proptest::array::uniform3(-12.0f32..4.0), cell_mm in 0.5f32..9.0,
         parts in proptest::array::uniform4(prop_oneof![Just(0.0f32), 0.0f32..1.0]), texture in prop_oneof![Just(0.0f32), 0.0f32..2.0],
@@ -97,7 +99,7 @@ fn decoration_changes_light_and_colour_and_moves_no_wall() {
     let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
     let table = scene.table(false);
     let middle = scene.camera.origin_lps().map(|v| v as f32 - 20.0);
-    // Rings along z everywhere; the position is the middle of a wall's circumference.
+    // Rings run along z everywhere; each cell is at the middle of a wall's circumference.
     let cells: Vec<f32> = (0..5 * 5 * 5)
         .flat_map(|n| {
             let phase = (n / 25) as f32 * 2.0;
@@ -131,9 +133,9 @@ fn decoration_changes_light_and_colour_and_moves_no_wall() {
 }
 
 #[test]
-fn folds_leave_a_wall_that_faces_sideways_in_the_light() {
-    // Two walls, to the left and right of a camera that looks along them. The decoration marks both as the back wall,
-    // as can happen in a trachea with corners.
+fn folds_do_not_darken_a_wall_that_faces_sideways() {
+    // The scene has two walls, to the left and right of a camera that looks along them. The decoration marks both as
+    // the back wall, as can happen in a trachea with corners.
     let grid = Grid::new([48, 24, 24], Affine::IDENTITY).unwrap();
     let hu: Vec<i16> = (0..grid.num_voxels())
         .map(|at| {
@@ -188,6 +190,7 @@ fn folds_leave_a_wall_that_faces_sideways_in_the_light() {
     assert!(darkest > 0.7, "{darkest}");
 }
 
+/// Appearance without the features that depend on anatomy.
 const LOOK_WITHOUT_ANATOMY: Appearance = Appearance {
     rings: 0.0,
     membrane: 0.0,
@@ -197,7 +200,7 @@ const LOOK_WITHOUT_ANATOMY: Appearance = Appearance {
 };
 
 #[test]
-fn what_is_no_decoration_is_refused() {
+fn invalid_decorations_are_rejected() {
     let cells = vec![0.0; 2 * 3 * 4 * DECORATION_CHANNELS];
     let made = |shape, origin, cell_mm| Decoration::new(&cells, shape, origin, cell_mm);
     assert!(made([2, 3, 4], [0.0; 3], 2.5).is_ok());

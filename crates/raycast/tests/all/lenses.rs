@@ -1,5 +1,4 @@
-//! Tests of pictures through lenses: they are the same from every caster, and each pixel shows what is in its
-//! direction.
+//! Tests of pictures through lenses: they are equal from every caster, and each pixel shows the scene in its direction.
 
 use std::sync::Arc;
 
@@ -48,7 +47,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(200))]
 
     #[test]
-    fn every_caster_takes_the_same_rays_from_a_lens(
+    fn pictures_through_a_lens_are_equal_for_every_caster(
         scene in any_scene(),
         (lens, fov) in any_lens(),
         (width, height) in (1usize..40, 1usize..24),
@@ -81,7 +80,7 @@ proptest! {
     }
 
     #[test]
-    fn a_pixel_shows_what_lies_in_its_direction(
+    fn a_pixel_of_a_lens_equals_that_of_a_pinhole_in_its_direction(
         scene in any_scene(),
         (lens, fov) in any_lens(),
         at in prop::array::uniform2(0.0f64..1.0),
@@ -97,8 +96,8 @@ proptest! {
         let pose = *scene.camera.lps_from_camera();
         let camera = Camera::with_lens(pose, Arc::new(rays)).unwrap();
         let (picture, _) = cast(&scene, &camera, Method::Brute, false, InstructionSet::Portable);
-        // A pinhole camera of one pixel with a narrow field that looks in the same direction, computed from the formula
-        // and not from the lens.
+        // The expected pixel is that of a pinhole camera of one pixel with a narrow field that looks in the same
+        // direction, computed from the formula and not from the lens.
         let aside = if forward[0].abs() < 0.7 { [1.0, 0.0, 0.0] } else { [0.0, 1.0, 0.0] };
         let right = unit(cross(aside, forward)).unwrap();
         let down = cross(forward, right);
@@ -107,8 +106,8 @@ proptest! {
         let (pixel, _) = cast(&scene, &single, Method::Brute, false, InstructionSet::Portable);
         let found = &picture[(row * 23 + column) * 3..][..3];
         for (a, b) in found.iter().zip(&pixel) {
-            // Directions are stored in f32, so samples move by some 1e-5 voxels. This changes a pixel by one level, and
-            // by more at a jump of the transfer function within one HU.
+            // Directions are stored in f32, so samples move by some 1e-5 voxels. Such a displacement changes a pixel by
+            // one level, and by more at a jump of the transfer function within one HU.
             prop_assert!(a.abs_diff(*b) <= 12, "{found:?} for {pixel:?}");
         }
     }

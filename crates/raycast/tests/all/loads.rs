@@ -7,11 +7,14 @@ use carina_raycast::{
     Transfer, TransferTable, cast_rows,
 };
 
+/// Number of voxels of a test volume along each axis.
 const N: usize = 96;
+/// Length of a ray step, mm.
 const STEP_MM: f64 = 0.5;
 
-/// Return a volume with air in a tube of 16 voxels along z, in tissue with an edge two voxels wide, with noise of
-/// `grain` HU.
+/// Return a volume with a tube of air of 16 voxels along z in tissue.
+///
+/// The edge of the tube is two voxels wide; the noise is `grain` HU.
 fn tube(grain: i16) -> Vec<i16> {
     fill(grain, |[x, y, _]| {
         let wall = ((x * x + y * y).sqrt() - 8.0).clamp(0.0, 2.0) / 2.0;
@@ -19,12 +22,12 @@ fn tube(grain: i16) -> Vec<i16> {
     })
 }
 
-/// Return a volume with one value everywhere, with noise.
+/// Return a volume with one value everywhere and noise of `grain` HU.
 fn flat(grain: i16, value: i16) -> Vec<i16> {
     fill(grain, |_| value)
 }
 
-/// Return single voxels of tissue in air: some regions are a few voxels wide, others do not exist.
+/// Return a volume of air in which one of `one_in` voxels is tissue: regions are a few voxels wide or do not exist.
 fn gravel(one_in: u64) -> Vec<i16> {
     let mut state = 11u64;
     fill(0, |_| {
@@ -66,9 +69,9 @@ fn wall(most: f64) -> Vec<[f64; 5]> {
     ]
 }
 
-/// Return a transfer function of many clear runs with thin faint ones between.
+/// Return a transfer function of many clear runs with thin, faintly visible runs between them.
 ///
-/// With it a noisy volume is clear nearly everywhere and has no region.
+/// With this function a noisy volume is clear nearly everywhere and has no region.
 fn stripes() -> Vec<[f64; 5]> {
     (0..40)
         .flat_map(|n| {
@@ -183,7 +186,7 @@ fn stats(view: &View, reading: Reading, classes: bool) -> (CastStats, CastStats)
         appearance: None,
         background: [0.0; 3],
     };
-    // The trial that disables leaps is off, because the rule for look-ups must satisfy the limit alone.
+    // The trial that may disable leaps is off, because the rule for look-ups must satisfy the limit without it.
     let frame = Frame::new(volume, &table, camera(view.at), options)
         .unwrap()
         .leaping_always();
@@ -244,7 +247,7 @@ fn leaping_reads_no_more_than_brute_force_in_any_view() {
 }
 
 #[test]
-fn leaps_are_spared_where_they_do_not_pay_in_every_strip_alike() {
+fn leaps_that_do_not_pay_are_disabled_equally_in_every_strip() {
     for (hu, leaps) in [(tube(20), true), (flat(200, -60), false)] {
         let grid = Grid::new([N; 3], Affine::IDENTITY).unwrap();
         let volume = VolumeView::new(&hu, &grid).unwrap();
@@ -274,7 +277,7 @@ fn leaps_are_spared_where_they_do_not_pay_in_every_strip_alike() {
 }
 
 #[test]
-fn reads_are_those_of_samples_gradients_and_look_ups() {
+fn the_number_of_reads_is_the_sum_over_samples_gradients_and_look_ups() {
     let view = &views()[0];
     let (brute, leap) = stats(view, Reading::Shaded, false);
     assert_eq!(

@@ -12,12 +12,12 @@ use carina_raycast::{
 };
 use proptest::prelude::*;
 
-/// Caster, and interpolation of its samples.
+/// Method of a cast, and interpolation of its samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Kind {
     Brute,
     Transparent,
-    /// Leaps over all classes; never shaded.
+    /// Leaps over all classes, which are never shaded.
     Classes,
 }
 
@@ -38,7 +38,9 @@ fn any_kind() -> impl Strategy<Value = (Kind, bool, bool)> {
     .prop_map(|(kind, shaded, nearest)| (kind, shaded, nearest && !shaded))
 }
 
-/// Radii (of cells, unless all classes are leaped) and labels of a volume, and a value of each class.
+/// Radii and labels of a volume, and one value of each class.
+///
+/// The radii are those of cells, unless all classes are leaped.
 struct Maps {
     radius: Vec<u8>,
     labels: Vec<u8>,
@@ -67,7 +69,7 @@ fn maps(scene: &Scene, case: &Case) -> Maps {
 
 type Cast = (Vec<u8>, CastStats);
 
-/// Cast with the scalar casters, and with packets on every instruction set.
+/// Cast a scene with the scalar casters, and with packets on every instruction set of this machine.
 fn cast(scene: &Scene, maps: &Maps, case: &Case) -> (Cast, Vec<(InstructionSet, Cast)>) {
     let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
     let table = scene.table(case.nearest);
@@ -129,7 +131,7 @@ proptest! {
         kind in any_kind(),
         cut in prop::array::uniform2(0.0f64..1.0),
     ) {
-        // Widths and heights that fill no packet, and strips that start and end inside a band.
+        // The widths and heights fill no packet, and strips start and end inside a band.
         scene.resize(size.0, size.1);
         let at = cut.map(|c| (c * (size.1 + 1) as f64) as usize);
         let rows = at[0].min(at[1])..at[0].max(at[1]);
@@ -142,8 +144,8 @@ proptest! {
     fn packets_read_extreme_values_as_the_scalar_casters_do(
         mut scene in any_scene(), kind in any_kind(), seed in any::<u64>(),
     ) {
-        // The whole int16 range, so that differences of voxels need 17 bits and values are beyond both ends of the
-        // table.
+        // The values span the whole int16 range, so that differences of voxels need 17 bits and values are beyond both
+        // ends of the table.
         let mut state = seed | 1;
         for hu in &mut scene.hu {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -168,8 +170,8 @@ proptest! {
     fn packets_read_every_byte_of_a_map_as_the_scalar_casters_do(
         scene in any_scene(), kind in any_kind(), seed in any::<u64>(),
     ) {
-        // Random maps that do not belong to the volume: a real map is 0 at the border, but the last bytes are those
-        // that are difficult to gather.
+        // The maps are random and do not belong to the volume: a real map is 0 at the border, but the last bytes are
+        // those that are difficult to gather.
         let mut state = seed | 1;
         let mut random = || {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -186,6 +188,7 @@ proptest! {
     }
 }
 
+/// Methods that are tested, each with shading and interpolation.
 const KINDS: [(Kind, bool, bool); 8] = [
     (Kind::Brute, true, false),
     (Kind::Transparent, true, false),
@@ -198,8 +201,8 @@ const KINDS: [(Kind, bool, bool); 8] = [
 ];
 
 #[test]
-fn rays_that_stand_still_on_an_axis_are_those_of_the_scalar_casters() {
-    // Unrotated grid and camera, and an odd size: the middle column and row have steps of exactly 0.
+fn rays_without_advance_on_an_axis_equal_the_scalar_casters() {
+    // Grid and camera are not rotated, and the size is odd: the middle column and row have steps of exactly 0.
     let shape = [9, 11, 13];
     let grid = Grid::new(shape, Affine::IDENTITY).unwrap();
     let hu = (0..grid.num_voxels())
@@ -207,7 +210,8 @@ fn rays_that_stand_still_on_an_axis_are_those_of_the_scalar_casters() {
         .collect();
     let mut scene = Scene::fixed([0.0; 3], [0.0; 3]);
     (scene.grid, scene.hu) = (grid, hu);
-    // Cameras in front of the volume, in it, behind it, and to the side, from where the middle column never meets it.
+    // The cameras are in front of the volume, in it, behind it, and to the side, from where the middle column never
+    // meets it.
     for at in [
         [6.0, 5.0, -9.0],
         [6.0, 5.0, 4.0],
@@ -232,7 +236,7 @@ fn rays_that_stand_still_on_an_axis_are_those_of_the_scalar_casters() {
 
 #[test]
 fn packets_equal_the_scalar_casters_over_a_whole_picture() {
-    // A picture of many bands, threads and refills, from inside a volume and from outside it.
+    // The picture has many bands, threads and refills; the camera is inside the volume and outside it.
     for offset in [[0.0, 0.5, -0.5], [30.0, -8.0, 4.0]] {
         let mut scene = Scene::fixed(offset, [0.2, -1.1, 0.4]);
         scene.resize(131, 97);

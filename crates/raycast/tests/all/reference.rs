@@ -3,20 +3,20 @@
 //! The reference has its own camera, box, interpolation, gradients, table and light. The pictures of the casters may
 //! differ from it only by rounding.
 
-/// Rows of a 3x4 matrix.
+/// Rows of a 3x4 matrix, the last column of which is the translation.
 pub(crate) type Matrix = [[f64; 4]; 3];
 
 /// Fractions and reach of the light at the camera, `[ambient, diffuse, specular, log2 of the exponent, reach in mm]`.
 pub(crate) type Shares = [f64; 5];
 
-/// Volume with its transfer function and its light.
+/// Volume with its transfer function and its light, for the reference ray caster.
 pub(crate) struct World<'a> {
-    /// Number of voxels along i, j, k.
+    /// Number of voxels of the volume along i, j, k.
     pub(crate) shape: [usize; 3],
-    /// Values `[k, j, i]`.
+    /// Values of the volume, `[k, j, i]`.
     pub(crate) hu: &'a [i16],
     pub(crate) lps_from_ijk: Matrix,
-    /// Points `[hu, r, g, b, alpha]` in ascending order, alpha per mm.
+    /// Points of the transfer function, `[hu, r, g, b, alpha]` in ascending order; alpha is per mm.
     pub(crate) points: &'a [[f64; 5]],
     pub(crate) light: Option<Shares>,
     pub(crate) step_mm: f64,
@@ -24,7 +24,7 @@ pub(crate) struct World<'a> {
     pub(crate) stop: f64,
 }
 
-/// Camera of a picture.
+/// Camera and size of a picture.
 pub(crate) struct View {
     pub(crate) lps_from_camera: Matrix,
     pub(crate) fov_rad: f64,
@@ -83,7 +83,7 @@ impl World<'_> {
         sum
     }
 
-    /// Return central differences per voxel; a missing neighbour is replaced by the edge voxel itself.
+    /// Return central differences per voxel at a voxel; the edge voxel itself replaces a missing neighbour.
     fn difference(&self, at: [i64; 3]) -> [f64; 3] {
         let at: [i64; 3] = std::array::from_fn(|a| at[a].clamp(0, self.shape[a] as i64 - 1));
         std::array::from_fn(|a| {
@@ -94,9 +94,9 @@ impl World<'_> {
         })
     }
 
-    /// Return colour and opacity per mm at a value.
+    /// Return colour and opacity per mm of the transfer function at a value.
     ///
-    /// Both are linear between points, those of the later of two points at one value, and constant beyond the ends.
+    /// Both are linear between points and constant beyond the ends. Of two points at one value, the later one applies.
     fn colour(&self, hu: f64) -> [f64; 4] {
         let part = |p: &[f64; 5]| [p[1], p[2], p[3], p[4]];
         let after = self.points.iter().position(|p| p[0] > hu);
@@ -111,7 +111,7 @@ impl World<'_> {
         }
     }
 
-    /// Return one pixel, 0 to 255 before rounding.
+    /// Return the colour of one pixel, 0 to 255 before rounding.
     fn pixel(&self, view: &View, x: usize, y: usize) -> [f64; 3] {
         let ijk_from_lps = inverse(&self.lps_from_ijk);
         let shorter = view.width.min(view.height) as f64;
@@ -136,7 +136,7 @@ impl World<'_> {
         let step = to_ijk(dir).map(|v| v * self.step_mm);
         let inside =
             |p: [f64; 3]| (0..3).all(|a| p[a] >= -0.5 && p[a] <= self.shape[a] as f64 - 0.5);
-        // Interval in which the ray may be inside, in steps: the ray is sampled there, but not in the space before it.
+        // Interval of the ray in the box, in steps; the ray is sampled only there.
         let (mut from, mut to) = (0.0f64, f64::INFINITY);
         for a in 0..3 {
             let (low, high) = (-0.5 - origin[a], self.shape[a] as f64 - 0.5 - origin[a]);
@@ -187,7 +187,7 @@ impl World<'_> {
     }
 }
 
-/// Return the fractions of the tissue's own colour and of white.
+/// Return the fractions of the tissue's own colour and of white in a shaded sample.
 fn lit(
     [ambient, diffuse, specular, log2, reach_mm]: Shares,
     gradient: [f64; 3],
@@ -195,7 +195,7 @@ fn lit(
     distance_mm: f64,
 ) -> (f64, f64) {
     let length = dot(gradient, gradient).sqrt();
-    // Flat tissue has no direction: only ambient light applies.
+    // Flat tissue has no direction, so only ambient light applies.
     let facing = if length < 1e-9 {
         0.0
     } else {
@@ -208,7 +208,7 @@ fn lit(
     )
 }
 
-/// Round to 8 bits as for a picture.
+/// Round a picture to 8 bits as the casters do.
 pub(crate) fn to_8_bit(picture: &[f64]) -> Vec<u8> {
     picture.iter().map(|v| (v + 0.5) as u8).collect()
 }

@@ -34,7 +34,8 @@ impl Scene {
         self.camera = Camera::new(pose, 1.5, width, height).unwrap();
     }
 
-    /// Create a scene with a ball of air in tissue and a camera at `offset_lps` from its centre.
+    /// Create a scene with a ball of air in tissue and a camera that looks along `look` from `offset_lps` off its
+    /// centre.
     pub(crate) fn fixed(offset_lps: [f64; 3], look: [f64; 3]) -> Self {
         build(
             [18, 20, 22],
@@ -77,7 +78,7 @@ fn wall(clear_hu: f64, opaque_hu: f64) -> Vec<[f64; 5]> {
     ]
 }
 
-/// Return a transfer function of two transparent runs with a thin opaque one between them, and constant sections on
+/// Return a transfer function of two transparent runs with a thin opaque run between them, and constant sections on
 /// either side.
 fn shell() -> Vec<[f64; 5]> {
     vec![
@@ -130,7 +131,8 @@ fn build(
             .wrapping_add(1_442_695_040_888_963_407);
         (state >> 33) as f64 / f64::from(1u32 << 31)
     };
-    // Air pockets in tissue, with noise of 20 HU and a few single voxels: regions are large, small or absent.
+    // The volume has air pockets in tissue, with noise of 20 HU and a few single voxels: regions are large, small or
+    // absent.
     let pockets: Vec<([f64; 3], f64)> = (0..5)
         .map(|_| (n.map(|n| random() * n as f64), 2.0 + 7.0 * random()))
         .collect();
@@ -163,7 +165,7 @@ pub(crate) fn any_scene() -> impl Strategy<Value = Scene> {
         prop::array::uniform3(1usize..26),
         prop::array::uniform3(-3.1f64..3.1),
         prop::array::uniform3(0.4f64..3.0),
-        // Half of the cameras inside, half around the volume.
+        // Half of the cameras are inside the volume, half around it.
         prop_oneof![
             prop::array::uniform3(-8.0f64..8.0),
             prop::array::uniform3(-90.0f64..90.0)

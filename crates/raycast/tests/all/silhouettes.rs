@@ -1,7 +1,8 @@
-//! Tests of the two rays at silhouettes.
+//! Tests of the two rays of a pixel on a silhouette.
 //!
-//! The result is nearer to a picture of many rays, and changes only where a wall ends in front of another one. The
-//! result is the same in strips, with leaps and from every caster. Depths stay those of the pixel's centre.
+//! With these rays a picture is nearer to one of many rays per pixel, and changes only where a wall ends in front of
+//! another one. The result is equal in strips, with leaps and from every caster. Depths stay those of the pixel's
+//! centre.
 
 use carina_grid::{
     Affine, Camera, FieldShape, Grid, ImageField, Lens, LensRays, Optics, VolumeView,
@@ -14,16 +15,19 @@ use carina_raycast::{
 
 use crate::scene::options;
 
+/// Spacing of the test volume along i, j, k, mm.
 const SPACING: [f64; 3] = [0.6, 0.7, 0.65];
+/// Number of voxels of the test volume along z, y, x.
 const SHAPE_ZYX: [usize; 3] = [70, 90, 100];
+/// Width and height of the test pictures, pixels.
 const SIZE: usize = 72;
 
-/// Plain matt walls, because the tests compare only the positions of their edges.
+/// Appearance of plain matt walls, because the tests compare only the positions of their edges.
 const MATT: Appearance = Appearance {
     guides_mm: [[0.0; 3]; 2],
     exposure: Some(120.0),
     ambient: 0.3,
-    // The value used at silhouettes, so that the brightness does not differ there.
+    // The wrap lighting is that of silhouettes, so that the brightness does not differ there.
     wrap: 0.6,
     gloss: 0.0,
     shininess_log2: 6,
@@ -48,8 +52,9 @@ struct Spur {
     radius: Vec<u8>,
 }
 
-/// Return a volume with a plate 9 mm in front of the camera that ends along a slanted line, and a wall 30 mm behind the
-/// plate.
+/// Return a volume with a plate 9 mm in front of the camera and a wall 30 mm behind the plate.
+///
+/// The plate ends along a slanted line.
 fn spur() -> Spur {
     let axes = [0, 1, 2].map(|a| std::array::from_fn(|b| if a == b { SPACING[a] } else { 0.0 }));
     let half = [0, 1].map(|a| -SPACING[a] * (SHAPE_ZYX[2 - a] as f64 - 1.0) / 2.0);
@@ -63,7 +68,7 @@ fn spur() -> Spur {
         .map(|index| {
             let voxel = grid.voxel(index).map(|v| v as f64);
             let [x, y, z] = grid.lps_from_ijk().point(voxel);
-            // Depths into the plate and the wall, mm; edges are blurred as by a scanner.
+            // The depths into the plate and into the wall, mm; edges are blurred as by a scanner.
             let plate = (z - 9.0).min(12.0 - z).min(0.4 * y - 0.9 * x + 0.7);
             let tissue = (plate.max(z - 39.0) / 0.9 + 0.5).clamp(0.0, 1.0);
             (-1000.0 + 1040.0 * tissue) as i16
@@ -118,13 +123,14 @@ fn scope(size: usize) -> Camera {
     Camera::with_lens(*pinhole(size).lps_from_camera(), rays.into()).unwrap()
 }
 
+/// Appearance in which every pixel has one ray.
 const ONE_RAY: Appearance = Appearance {
     silhouettes: false,
     ..MATT
 };
 
 #[test]
-fn two_rays_bring_an_edge_nearer_to_the_picture_of_many_and_touch_nothing_else() {
+fn two_rays_per_silhouette_pixel_reduce_the_error_and_change_no_other_pixel() {
     let spur = spur();
     for (name, camera, fine) in [
         ("pinhole", pinhole(SIZE), pinhole(8 * SIZE)),
@@ -153,13 +159,13 @@ fn two_rays_bring_an_edge_nearer_to_the_picture_of_many_and_touch_nothing_else()
             "{name}: {num_changed}"
         );
         // The two rays remove half of the error of a pixel that the line halves, and none of the error of a neighbour
-        // on the silhouette that the line only touches: measured 0.76 together.
+        // on the silhouette that the line only touches; the measured ratio for both together is 0.76.
         assert!(off[1] < 0.85 * off[0], "{name}: {off:?}");
     }
 }
 
 #[test]
-fn silhouettes_are_the_same_in_strips_by_leaps_and_by_every_caster() {
+fn silhouettes_are_equal_in_strips_with_leaps_and_for_every_caster() {
     let spur = spur();
     for camera in [pinhole(SIZE), scope(SIZE)] {
         let look = Appearance {
@@ -194,7 +200,7 @@ fn silhouettes_are_the_same_in_strips_by_leaps_and_by_every_caster() {
 }
 
 #[test]
-fn depth_is_that_of_the_middle_and_a_smooth_wall_has_no_silhouette() {
+fn depths_are_those_of_pixel_centres_and_a_smooth_wall_has_no_silhouette() {
     let spur = spur();
     let depths = |look| {
         let frame = spur.frame(pinhole(SIZE), look);
@@ -203,8 +209,8 @@ fn depth_is_that_of_the_middle_and_a_smooth_wall_has_no_silhouette() {
             .0
     };
     assert!(depths(MATT) == depths(ONE_RAY));
-    // A wall at normal incidence, and a wall so slanted that the depth doubles from one end of the picture to the
-    // other.
+    // The scenes are a wall at normal incidence, and a wall so slanted that the depth doubles from one end of the
+    // picture to the other.
     for (at, forward, down, fov_rad) in [
         ([-12.0, 0.0, 20.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0], 1.2),
         ([-12.0, -15.0, 34.0], [0.0, 0.8, 0.6], [0.0, 0.6, -0.8], 0.5),

@@ -22,7 +22,7 @@ fn cast(simd: InstructionSet, stop: Option<bool>) -> Option<(Vec<u8>, CastStats)
 }
 
 #[test]
-fn a_picture_that_nobody_stops_is_the_picture() {
+fn an_unused_stop_flag_does_not_change_the_picture() {
     for simd in InstructionSet::available() {
         assert!(
             cast(simd, Some(false)) == cast(simd, None),
@@ -33,7 +33,7 @@ fn a_picture_that_nobody_stops_is_the_picture() {
 }
 
 #[test]
-fn a_picture_that_was_stopped_is_none_and_not_a_black_one() {
+fn a_stopped_cast_returns_none() {
     for simd in InstructionSet::available() {
         assert!(cast(simd, Some(true)).is_none(), "{}", simd.name());
     }

@@ -1,6 +1,6 @@
-//! Tests of first walls on shapes with exactly known walls.
+//! Tests of first walls on shapes whose walls are known exactly.
 //!
-//! The result is the same from every caster, and for single pixels as for all pixels at once.
+//! The result is equal from every caster, and for single pixels as for all pixels at once.
 
 use crate::scene::{Scene, any_scene, options};
 use carina_grid::{Affine, Camera, Grid, VolumeView, dot, length, unit};
@@ -22,13 +22,13 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(200))]
 
     #[test]
-    fn first_walls_are_the_same_bits_from_every_caster_and_in_strips(
+    fn first_walls_are_equal_for_every_caster_and_in_strips(
         mut scene in any_scene(), size in (1usize..30, 1usize..20), cut in 0.0f64..1.0, shaded in any::<bool>(),
     ) {
         scene.resize(size.0, size.1);
         let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
         let table = scene.table(false);
-        // The light does not affect the result.
+        // The light must not affect the first walls.
         let frame = Frame::new(volume, &table, scene.camera.clone(), options(shaded, false)).unwrap();
         let radius = transparent_radius(&scene);
         let truth = cast_surface(&frame, Method::Brute, 0..size.1, InstructionSet::Portable).unwrap().0;
@@ -48,7 +48,7 @@ proptest! {
     }
 
     #[test]
-    fn first_walls_within_leaped_segments_are_those_of_single_samples(scene in any_scene()) {
+    fn first_walls_within_leaped_segments_equal_those_of_single_samples(scene in any_scene()) {
         let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
         let table = scene.table(false);
         let frame = Frame::new(volume, &table, scene.camera.clone(), options(false, false)).unwrap();
@@ -95,7 +95,7 @@ fn phantom(inside_mm: impl Fn([f64; 3]) -> f64) -> (Grid, Vec<i16>) {
             let at = grid
                 .lps_from_ijk()
                 .point(grid.voxel(index).map(|v| v as f64));
-            // Close to the error function of a blur of 0.6 mm, which soft kernels of scanners have.
+            // The edge is close to the error function of a blur of 0.6 mm, which soft kernels of scanners have.
             let tissue = (0.5 - inside_mm(at) / 2.6).clamp(0.0, 1.0);
             (-1000.0 + 1040.0 * tissue * tissue * (3.0 - 2.0 * tissue)) as i16
         })
@@ -103,15 +103,16 @@ fn phantom(inside_mm: impl Fn([f64; 3]) -> f64) -> (Grid, Vec<i16>) {
     (grid, hu)
 }
 
-/// Check depths and normals from a camera in the air against `true_hit`: the distance along a ray to the wall, and its
-/// normal.
+/// Check depths and normals of first walls, seen by a camera in the air, and return the number of walls checked.
+///
+/// `true_hit` returns the distance along a ray to the wall, and the wall's normal.
 fn check_against(
     (grid, hu): &(Grid, Vec<i16>),
     camera: &Camera,
     true_hit: impl Fn([f64; 3], [f64; 3]) -> Option<(f64, [f64; 3])>,
 ) -> usize {
     let volume = VolumeView::new(hu, grid).unwrap();
-    // Opaque at the half-maximum of the edge, -480 HU.
+    // The transfer function becomes opaque at the half-maximum of the edge, -480 HU.
     let points = vec![[-560.0, 0.9, 0.5, 0.4, 0.0], [-400.0, 0.9, 0.5, 0.4, 0.99]];
     let transfer = Transfer::new(points, 1.0, 1).unwrap();
     let table = TransferTable::new(&transfer, 0.25 * grid.min_spacing_mm(), -1024, 100).unwrap();
@@ -135,8 +136,8 @@ fn check_against(
             normal_lps,
         } = hit.expect("a wall");
         let slant = -dot(normal, ray.dir_lps);
-        // Half of the smallest voxel, across the wall; the caster finds the wall where half of the light is left,
-        // slightly behind the edge.
+        // The tolerance is half of the smallest voxel, across the wall; the caster finds the wall where half of the
+        // light is left, slightly behind the edge.
         let error = (f64::from(depth_mm) - depth) * slant;
         assert!(
             (-0.1..0.35).contains(&error),
@@ -172,7 +173,7 @@ fn camera(at: [f64; 3], forward: [f64; 3]) -> Camera {
 }
 
 #[test]
-fn the_wall_of_a_sphere_is_where_it_is_and_faces_its_middle() {
+fn the_first_wall_of_a_sphere_has_its_true_depth_and_normal() {
     let (middle, radius) = ([1.0, -2.0, 0.5], 13.0);
     let from = |p: [f64; 3]| std::array::from_fn::<f64, 3, _>(|a| p[a] - middle[a]);
     let volume = phantom(|p| radius - length(from(p)));
@@ -190,7 +191,7 @@ fn the_wall_of_a_sphere_is_where_it_is_and_faces_its_middle() {
 }
 
 #[test]
-fn the_wall_of_a_tube_is_where_it_is_and_faces_its_axis() {
+fn the_first_wall_of_a_tube_has_its_true_depth_and_normal() {
     let (axis, radius) = (unit([0.2, 0.5, 1.0]).unwrap(), 6.0);
     let off = |p: [f64; 3]| std::array::from_fn::<f64, 3, _>(|a| p[a] - dot(p, axis) * axis[a]);
     let volume = phantom(|p| radius - length(off(p)));

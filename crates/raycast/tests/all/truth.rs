@@ -16,7 +16,9 @@ use carina_raycast::{
 };
 use rayon::prelude::*;
 
+/// Lowest value of the transfer tables, HU.
 const LO: i32 = -1100;
+/// Highest value of the transfer tables, HU.
 const HI: i32 = 3100;
 
 fn light_of([ambient, diffuse, specular, log2, reach]: Shares) -> Light {
@@ -42,16 +44,16 @@ fn camera_of(view: &View) -> Camera {
     Camera::new(pose, view.fov_rad, view.width, view.height).unwrap()
 }
 
-/// Counts over many pictures.
+/// Counts of the differences between casters and reference over many pictures.
 #[derive(Debug, Clone, Copy, Default)]
 struct Tally {
     pictures: u64,
     pixels: u64,
-    /// Number of pixels with a channel that is off by one level.
+    /// Number of pixels with a channel that differs from the reference by one level.
     off_by_one: u64,
     off_by_more: u64,
     most: u8,
-    /// Number of black pictures for which the reference is not black.
+    /// Number of black pictures whose reference is not black.
     black: u64,
     /// Number of pixels that are not black in the reference.
     lit: u64,
@@ -87,7 +89,7 @@ fn compare(found: &[u8], expected: &[u8]) -> Tally {
     tally
 }
 
-/// Cast one view with every caster of this machine and compare all with the scalar caster.
+/// Cast one view with every caster of this machine and compare the pictures with that of the scalar caster.
 ///
 /// Return the scalar caster's picture.
 fn every_caster_agrees(frame: &Frame<'_>, radius: &[u8], height: usize) -> Vec<u8> {
@@ -109,7 +111,9 @@ fn every_caster_agrees(frame: &Frame<'_>, radius: &[u8], height: usize) -> Vec<u
     pictures.swap_remove(0)
 }
 
-/// Compare `num_poses` pictures, ten poses in each chest, with rays that stop when the transparency falls below `stop`.
+/// Compare `num_poses` pictures with the reference in f64, ten poses in each chest.
+///
+/// Rays stop when the transparency falls below `stop`.
 fn against_f64(num_poses: u64, seed: u64, (width, height): (usize, usize), stop: f64) -> Tally {
     (0..num_poses.div_ceil(10))
         .into_par_iter()
@@ -176,25 +180,25 @@ fn check(tally: Tally) {
 }
 
 #[test]
-fn hundreds_of_poses_show_what_a_ray_caster_in_f64_shows() {
+fn pictures_of_hundreds_of_poses_equal_a_ray_caster_in_f64() {
     check(against_f64(300, 1, (32, 24), 1.0 / 512.0));
 }
 
 #[test]
-fn another_stop_limit_is_kept_by_every_caster() {
+fn every_caster_stops_rays_at_another_stop_limit() {
     check(against_f64(100, 9_000, (32, 24), 1.0 / 64.0));
 }
 
 #[test]
 #[ignore = "a soak: minutes"]
-fn twenty_thousand_poses_show_what_a_ray_caster_in_f64_shows() {
+fn pictures_of_twenty_thousand_poses_equal_a_ray_caster_in_f64() {
     check(against_f64(20_000, 1_000_000, (48, 40), 1.0 / 512.0));
 }
 
 /// Return transfer functions with sections of constant colour, whose classes can be leaped also where they are opaque.
 fn stretches() -> Vec<Vec<[f64; 5]>> {
     vec![
-        // Nearly transparent lung, wall and tissue.
+        // A transfer function with nearly transparent lung, wall and tissue.
         vec![
             [-930.0, 0.2, 0.3, 0.9, 0.0],
             [-929.0, 0.2, 0.3, 0.9, 0.02],
@@ -204,13 +208,13 @@ fn stretches() -> Vec<Vec<[f64; 5]>> {
             [-199.0, 0.9, 0.8, 0.7, 0.08],
             [3000.0, 0.9, 0.8, 0.7, 0.08],
         ],
-        // Opaque tissue behind clear air.
+        // A transfer function with opaque tissue behind clear air.
         vec![
             [-500.0, 0.9, 0.6, 0.5, 0.0],
             [-499.0, 0.9, 0.6, 0.5, 0.8],
             [3000.0, 0.9, 0.6, 0.5, 0.8],
         ],
-        // Fog everywhere: rays end only after long leaps.
+        // A transfer function with fog everywhere, in which rays end only after long leaps.
         vec![
             [-800.0, 0.6, 0.6, 0.7, 0.01],
             [-799.0, 0.9, 0.9, 0.8, 0.03],
@@ -219,15 +223,15 @@ fn stretches() -> Vec<Vec<[f64; 5]>> {
     ]
 }
 
-/// Compare leaps over every class with brute force, without shading.
+/// Compare pictures with leaps over every class with brute force, without shading.
 ///
-/// Also return the number of samples that leaps skipped.
+/// Return the counts of the differences and the number of samples that leaps skipped.
 fn leaps_over_opaque_classes(num_poses: u64, seed: u64, nearest: bool) -> (Tally, u64) {
     (0..num_poses.div_ceil(10))
         .into_par_iter()
         .map(|n| {
             let mut dice = Dice::new(seed + n);
-            // Equal values side by side, as in the paper's data; a noisy CT has none.
+            // Neighbouring voxels must have equal values, as in the paper's data; in a noisy CT they have not.
             let chest = if nearest {
                 Chest::with_noise(&mut dice, 0.5)
             } else {
@@ -346,7 +350,7 @@ fn upright(seed: u64, spacing: [f64; 3]) -> Chest {
 }
 
 #[test]
-fn cameras_on_voxel_faces_and_along_axes_show_what_a_ray_caster_in_f64_shows() {
+fn pictures_on_voxel_faces_and_along_axes_equal_a_ray_caster_in_f64() {
     let mut tally = Tally::default();
     for (seed, spacing) in [(71, [1.0; 3]), (72, [0.5, 1.0, 2.0]), (73, [0.7, 0.9, 1.3])] {
         let chest = upright(seed, spacing);
@@ -354,7 +358,8 @@ fn cameras_on_voxel_faces_and_along_axes_show_what_a_ray_caster_in_f64_shows() {
         let volume = VolumeView::new(&chest.hu, &grid).unwrap();
         let half = chest.shape.map(|n| (n / 2) as f64);
         let n = chest.shape.map(|n| n as f64);
-        // A voxel's centre, a face, an edge, a corner; the box's own faces and corners; and positions outside.
+        // The positions are a voxel's centre, a face, an edge, a corner, the box's own faces and corners, and positions
+        // outside.
         let places = [
             half,
             [half[0] + 0.5, half[1], half[2]],
@@ -382,13 +387,14 @@ fn cameras_on_voxel_faces_and_along_axes_show_what_a_ray_caster_in_f64_shows() {
                         axes[2][axis] = sign;
                         axes[1][(axis + 2) % 3] = 1.0;
                         axes[0][(axis + 1) % 3] = sign;
-                        // Odd sizes have a middle pixel, whose ray runs along the axis; even ones have none.
+                        // A picture of odd size has a middle pixel, whose ray runs along the axis; a picture of even
+                        // size has none.
                         let (width, height) = if (at + axis) % 2 == 0 {
                             (15, 11)
                         } else {
                             (14, 12)
                         };
-                        // right = down x forward must hold for a camera.
+                        // A camera must satisfy right = down x forward.
                         let handed =
                             axes[1][(axis + 2) % 3] * axes[2][axis] * axes[0][(axis + 1) % 3];
                         assert!(handed > 0.0);

@@ -1,4 +1,6 @@
-//! `carina_haptics._force`: the force loop behind the Python package. It checks arrays, releases the GIL, maps errors.
+//! Compiled module `carina_haptics._force`: the force loop for the Python package.
+//!
+//! The functions check arrays, release the GIL and map errors.
 #![allow(
     clippy::needless_pass_by_value,
     reason = "PyO3 hands arrays over by value"
@@ -33,7 +35,7 @@ fn law(numbers: LawNumbers) -> PyResult<ForceLaw> {
     .map_err(|e| python_error(&e))
 }
 
-/// `carina.errors.UsageError` with a stable code.
+/// Create a `carina.errors.UsageError` with a stable error code.
 fn usage_error(code: &str, message: &str) -> PyErr {
     Python::attach(|py| {
         let build = || -> PyResult<PyErr> {
@@ -50,14 +52,14 @@ fn python_error(error: &ForceError) -> PyErr {
     usage_error(error.code(), &error.to_string())
 }
 
-/// The wall from the bytes of `carina.scopes.WallField.to_bytes`.
+/// Decode a wall field from the bytes of `carina.scopes.WallField.to_bytes`.
 fn wall(py: Python<'_>, bytes: &[u8]) -> PyResult<Arc<WallField>> {
     py.detach(|| WallField::from_bytes(bytes))
         .map(Arc::new)
         .map_err(|e| usage_error(e.code(), &e.to_string()))
 }
 
-/// A 4x4 matrix as an affine map.
+/// Convert a 4x4 matrix to an affine transform.
 fn affine(what: &'static str, matrix: &PyReadonlyArray2<'_, f64>) -> PyResult<Affine> {
     if matrix.shape() != [4, 4] {
         let reason = format!(
@@ -75,7 +77,7 @@ fn affine(what: &'static str, matrix: &PyReadonlyArray2<'_, f64>) -> PyResult<Af
     })
 }
 
-/// Points (n, 3).
+/// Convert an array of shape (n, 3) to points.
 fn points(array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<[f64; 3]>> {
     if array.shape()[1] != 3 {
         let reason = format!("expected points of shape (n, 3); found {:?}", array.shape());
@@ -89,7 +91,7 @@ fn points(array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<[f64; 3]>> {
         .collect())
 }
 
-/// The force law, evaluated 1,000 times a second on its own thread.
+/// Force loop: the force law, evaluated 1,000 times a second on its own thread.
 #[pyclass(name = "ForceLoop", frozen, module = "carina_haptics._force")]
 struct PyForceLoop(Mutex<ForceLoop>);
 
@@ -188,7 +190,9 @@ impl PyForceLoop {
     }
 }
 
-/// Forces (n, 3) of samples (n, 9), a millisecond each, without thread and clock. An invalid row is a missing sample.
+/// Return the forces (n, 3) for samples (n, 9) that are one millisecond apart, without thread and clock.
+///
+/// An invalid row counts as a missing sample.
 #[pyfunction]
 fn forces_along<'py>(
     py: Python<'py>,
@@ -224,7 +228,7 @@ fn forces_along<'py>(
     Ok(Array2::from_shape_fn((forces.len(), 3), |(n, a)| forces[n][a]).into_pyarray(py))
 }
 
-/// Limits of the law: N, N per ms, N per mm.
+/// Return the limits of the force law: largest force in N, largest change in N per ms, largest stiffness in N per mm.
 #[pyfunction]
 fn force_limits() -> (f64, f64, f64) {
     (LIMIT_N, SLEW_N_PER_MS, MAX_STIFFNESS_N_PER_MM)

@@ -1,4 +1,4 @@
-//! The coordinate space of a force device.
+//! Coordinate space of a force device.
 
 use carina_grid::{Affine, cross, dot, length};
 
@@ -12,7 +12,7 @@ pub(crate) struct DeviceSpace {
 }
 
 impl DeviceSpace {
-    /// The identity: samples are in LPS.
+    /// Identity, for samples that are in LPS.
     pub(crate) const LPS: Self = Self {
         lps_from_device: Affine::IDENTITY,
         scale: 1.0,
@@ -26,7 +26,7 @@ impl DeviceSpace {
             .all(|a| (length(*a) - scale).abs() <= 1e-6 * scale);
         let is_square =
             (0..3).all(|a| dot(axes[a], axes[(a + 1) % 3]).abs() <= 1e-6 * scale * scale);
-        // A larger scale would enlarge every tremor, and the stiffness for the hand grows with the scale.
+        // A scale above 1 would enlarge every tremor, and the stiffness for the hand grows with the scale.
         if !(is_even && is_square && (0.05..=1.0).contains(&scale)) {
             return Err(ForceError {
                 reason: "the device's space may only be rotated, shifted and scaled equally on all axes, by 0.05 to \

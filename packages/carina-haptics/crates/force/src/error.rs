@@ -1,15 +1,15 @@
-//! The error of the force law and of the force loop.
+//! Error of the force law and of the force loop.
 
-/// A parameter of the law is out of range, or the loop cannot run.
+/// Error for a parameter of the law that is out of range, or for a loop that cannot run.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("cannot compute the force: {reason}")]
 pub struct ForceError {
-    /// Cause in words.
+    /// Reason of the error as text.
     pub reason: String,
 }
 
 impl ForceError {
-    /// Stable error code, the same in Python.
+    /// Return the stable code of the error, which Python also uses.
     #[must_use]
     pub const fn code(&self) -> &'static str {
         "scope.force"

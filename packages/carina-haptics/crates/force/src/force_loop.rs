@@ -1,8 +1,8 @@
-//! The force law, evaluated 1,000 times a second on its own thread, without the interpreter.
+//! Force loop: evaluation of the force law 1,000 times a second on its own thread, without the Python interpreter.
 //!
-//! Samples arrive in process (`put`), over binary UDP on loopback, or from a simulated hand. The thread waits until
-//! absolute times of the system's clock, so that ticks do not drift; a tick that is not finished a millisecond after its
-//! due time is a missed deadline (decision 0125).
+//! Samples arrive from a call of `put`, over binary UDP on loopback, or from a simulated hand. The thread waits until
+//! absolute times of the system's clock, so that ticks do not drift; a tick that is not finished a millisecond after
+//! its due time is a missed deadline (decision 0125).
 
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -20,26 +20,27 @@ use crate::simulated_hand::SimulatedHand;
 use crate::tick_clock;
 use crate::tick_statistics::{LoopCounts, LoopFigures, TickTimes};
 
+/// Length of a tick, ns.
 const TICK_NS: u64 = 1_000_000;
-/// Largest number of packets in a tick: a bridge that floods the port does not delay the loop.
+/// Largest number of packets that one tick reads, so that a bridge that floods the port does not delay the loop.
 const MOST_PACKETS: usize = 16;
-/// Ticks between updates of the figures, whose histograms take some microseconds to read.
+/// Number of ticks between updates of the statistics, whose histograms take some microseconds to read.
 const UPDATE_TICKS: u64 = 50;
 
 struct Shared {
     stop: AtomicBool,
     socket: Option<UdpSocket>,
     device: DeviceSpace,
-    /// Latest sample from `put` and its time, until the loop takes it.
+    /// Latest sample from `put` and the time of that call; `None` after the loop has taken it.
     put: Mutex<Option<(HandSample, Instant)>>,
     felt: Mutex<(HandForce, Option<HandSample>)>,
-    /// Figures of at most [`UPDATE_TICKS`] ticks ago.
+    /// Timing statistics, at most [`UPDATE_TICKS`] ticks old.
     figures: Mutex<LoopFigures>,
     num_refused: AtomicU64,
     started: Instant,
 }
 
-/// State of the loop from tick to tick; only the loop's thread has it.
+/// State that the loop keeps from one tick to the next; only the loop's thread has access to it.
 struct Tick {
     model: ForceModel,
     simulated: Option<WanderingHand>,
@@ -48,11 +49,11 @@ struct Tick {
     counts: LoopCounts,
 }
 
-/// Input since the previous tick.
+/// Input that has arrived since the previous tick.
 #[derive(Default)]
-struct Heard {
+struct TickInput {
     sample: Option<(HandSample, Instant)>,
-    /// Sender and content of the latest UDP sample.
+    /// Sender and content of the latest UDP message with a sample.
     request: Option<(SocketAddr, SamplePacket)>,
 }
 
@@ -60,21 +61,21 @@ fn held<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A simulated hand that moves on a curve, for tests and benchmarks.
+/// Simulated hand that moves on a curve, for tests and benchmarks.
 #[derive(Debug, Clone, Copy)]
 pub struct WanderingHand {
-    /// Device and hand.
+    /// Simulated device and hand.
     pub hand: SimulatedHand,
-    /// Centre of the curve.
+    /// Centre of the curve, LPS mm.
     pub round_lps: [f64; 3],
-    /// Radius of the curve.
+    /// Radius of the curve, mm.
     pub reach_mm: f64,
-    /// Turns per second.
+    /// Number of turns on the curve per second.
     pub turns_hz: f64,
 }
 
 impl WanderingHand {
-    /// Advances by a millisecond under a force and returns the sample.
+    /// Advance the hand by a millisecond under a force, and return its sample.
     fn step(&mut self, felt: &HandForce, now_s: f64) -> HandSample {
         let turn = core::f64::consts::TAU * self.turns_hz * now_s;
         let wanted = [
@@ -87,26 +88,26 @@ impl WanderingHand {
     }
 }
 
-/// The running loop; dropping the value stops the thread.
+/// Running force loop; dropping the value stops the loop's thread.
 pub struct ForceLoop {
     shared: Arc<Shared>,
     thread: Option<JoinHandle<()>>,
     port: Option<u16>,
 }
 
-/// Sources of samples of a loop.
+/// Sources of the samples of a force loop.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct LoopOptions {
-    /// UDP port of 127.0.0.1 (0: any free port).
+    /// UDP port on 127.0.0.1 (0: any free port); `None` for no UDP.
     pub udp_port: Option<u16>,
-    /// Simulated hand in place of a device.
+    /// Simulated hand that replaces a device; `None` for none.
     pub simulated: Option<WanderingHand>,
     /// Transform from the space of the device to LPS; `None` if samples are in LPS.
     pub lps_from_device: Option<Affine>,
 }
 
 impl ForceLoop {
-    /// Starts the loop.
+    /// Start a force loop on a new thread.
     pub fn start(model: ForceModel, options: LoopOptions) -> Result<Self, ForceError> {
         let device = options.lps_from_device.map(DeviceSpace::new).transpose()?;
         let socket = options.udp_port.map(open_port).transpose()?;
@@ -134,7 +135,7 @@ impl ForceLoop {
         let of_thread = shared.clone();
         let thread = std::thread::Builder::new()
             .name("carina-force".to_owned())
-            .spawn(move || keep_time(&of_thread, tick))
+            .spawn(move || run_ticks(&of_thread, tick))
             .map_err(|e| ForceError {
                 reason: format!("its thread could not be started ({e})"),
             })?;
@@ -145,13 +146,13 @@ impl ForceLoop {
         })
     }
 
-    /// UDP port of the loop.
+    /// Return the UDP port of the loop; `None` without UDP.
     #[must_use]
     pub const fn port(&self) -> Option<u16> {
         self.port
     }
 
-    /// Passes a sample (LPS) to the loop; returns false, without a change, if the sample is not sane.
+    /// Pass a sample (LPS) to the loop; return false, without any effect, if the sample is not plausible.
     #[must_use]
     pub fn put(&self, sample: HandSample) -> bool {
         if !sample.is_sane() {
@@ -162,13 +163,13 @@ impl ForceLoop {
         true
     }
 
-    /// Returns the latest force, in LPS, and the sample that the force answers.
+    /// Return the latest force, in LPS, and the sample from which it was computed.
     #[must_use]
     pub fn felt(&self) -> (HandForce, Option<HandSample>) {
         *held(&self.shared.felt)
     }
 
-    /// Returns the timing statistics.
+    /// Return the timing statistics of the loop.
     #[must_use]
     pub fn figures(&self) -> LoopFigures {
         let mut figures = held(&self.shared.figures).clone();
@@ -176,11 +177,11 @@ impl ForceLoop {
         figures
     }
 
-    /// Stops the loop and waits for its thread.
+    /// Stop the loop and wait for its thread.
     pub fn stop(&mut self) {
         self.shared.stop.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
-            // A thread that panicked has ended as well.
+            // A thread that panicked has ended as well, so its error is ignored.
             let _ = thread.join();
         }
         *held(&self.shared.felt) = (HandForce::default(), None);
@@ -202,8 +203,8 @@ fn open_port(port: u16) -> Result<UdpSocket, ForceError> {
     Ok(socket)
 }
 
-/// Body of the loop's thread.
-fn keep_time(shared: &Shared, mut tick: Tick) {
+/// Run ticks at their due times until the loop is stopped (the body of the loop's thread).
+fn run_ticks(shared: &Shared, mut tick: Tick) {
     tick.counts.set_real_time(tick_clock::request_priority());
     let start_ns = tick_clock::now_ns() + TICK_NS;
     let (mut number, mut num_done) = (0_u64, 0_u64);
@@ -211,7 +212,7 @@ fn keep_time(shared: &Shared, mut tick: Tick) {
         let due_ns = start_ns + number * TICK_NS;
         tick_clock::sleep_until(due_ns);
         let began_ns = tick_clock::now_ns();
-        // A signal ended the wait early.
+        // A signal has ended the wait early.
         if began_ns < due_ns {
             continue;
         }
@@ -225,12 +226,12 @@ fn keep_time(shared: &Shared, mut tick: Tick) {
 }
 
 impl Shared {
-    /// Runs one tick; returns the number of ticks that were due by its end, including this one.
+    /// Run one tick; return the number of ticks that were due by the end of this one, including this one.
     fn tick(&self, tick: &mut Tick, due_ns: u64, began_ns: u64) -> u64 {
         let began = Instant::now();
-        let heard = self.listen(began);
-        if heard.sample.is_some() {
-            tick.newest = heard.sample;
+        let input = self.read_input(began);
+        if input.sample.is_some() {
+            tick.newest = input.sample;
         }
         if let Some(wander) = &mut tick.simulated {
             let sample = wander.step(&tick.last, began.duration_since(self.started).as_secs_f64());
@@ -243,7 +244,7 @@ impl Shared {
             .map(|(sample, _)| sample);
         let last = tick.last;
         tick.last = tick.model.step(fresh.as_ref(), 1.0);
-        // The loop never waits for a reader, which gets the next force a millisecond later.
+        // The loop never waits for a reader, which reads the next force a millisecond later.
         if let Ok(mut out) = self.felt.try_lock() {
             *out = (tick.last, fresh);
         }
@@ -253,14 +254,14 @@ impl Shared {
             num_due,
             late_us: began_ns.saturating_sub(due_ns) as f64 * 1e-3,
             work_us: done_ns.saturating_sub(began_ns) as f64 * 1e-3,
-            latency_us: heard.sample.map(|(_, at)| at.elapsed().as_secs_f64() * 1e6),
+            latency_us: input.sample.map(|(_, at)| at.elapsed().as_secs_f64() * 1e6),
         };
         tick.counts.add(&times, &tick.last, &last);
-        self.answer(heard.request, &tick.last);
+        self.send_force(input.request, &tick.last);
         num_due
     }
 
-    fn answer(&self, request: Option<(SocketAddr, SamplePacket)>, felt: &HandForce) {
+    fn send_force(&self, request: Option<(SocketAddr, SamplePacket)>, felt: &HandForce) {
         if let Some((socket, (to, packet))) = self.socket.as_ref().zip(request) {
             let answer = ForcePacket {
                 number: packet.number,
@@ -268,37 +269,37 @@ impl Shared {
                 felt: self.device.to_device(felt),
             };
             let bytes: [u8; FORCE_BYTES] = answer.to_bytes();
-            // The watchdog detects a bridge that has ended.
+            // Send errors are ignored, because the watchdog detects a bridge that has ended.
             let _ = socket.send_to(&bytes, to);
         }
     }
 
-    fn listen(&self, now: Instant) -> Heard {
-        let mut heard = Heard::default();
+    fn read_input(&self, now: Instant) -> TickInput {
+        let mut input = TickInput::default();
         if let Some(socket) = &self.socket {
-            // One byte more than a sample, so that a longer packet is detected.
+            // The buffer has one byte more than a sample, so that a longer packet is detected.
             let mut bytes = [0; SAMPLE_BYTES + 1];
             for _ in 0..MOST_PACKETS {
                 let Ok((num, from)) = socket.recv_from(&mut bytes) else {
                     break;
                 };
                 match SamplePacket::from_bytes(&bytes[..num]) {
-                    Some(packet) => heard.request = Some((from, packet)),
+                    Some(packet) => input.request = Some((from, packet)),
                     None => {
                         self.num_refused.fetch_add(1, Ordering::Relaxed);
                     }
                 }
             }
-            heard.sample = heard
+            input.sample = input
                 .request
                 .map(|(_, packet)| (self.device.to_lps(&packet.hand), now));
         }
         if let Ok(mut put) = self.put.try_lock()
             && let Some(sample) = put.take()
         {
-            heard.sample = Some(sample);
+            input.sample = Some(sample);
         }
-        heard
+        input
     }
 
     fn update_figures(&self, counts: &LoopCounts) {

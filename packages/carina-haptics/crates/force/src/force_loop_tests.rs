@@ -26,7 +26,7 @@ fn sample(number: u32, at: [f64; 3]) -> SamplePacket {
     }
 }
 
-/// Waits until something is so; a loaded machine may take its time.
+/// Wait until a condition is true; the timeout is long, because the machine may be loaded.
 fn until(what: &str, mut is_so: impl FnMut() -> bool) {
     let begin = Instant::now();
     while !is_so() {
@@ -36,7 +36,7 @@ fn until(what: &str, mut is_so: impl FnMut() -> bool) {
 }
 
 #[test]
-fn a_bridge_on_loopback_is_answered_in_its_own_axes_and_forgotten_when_silent() {
+fn a_bridge_gets_forces_in_its_axes_until_it_is_silent() {
     // The device's x is the patient's -y, and 1 mm of the hand is half a mm in the lumen.
     let lps_from_device = Affine::from_columns(
         [0.0, -0.5, 0.0],
@@ -61,7 +61,7 @@ fn a_bridge_on_loopback_is_answered_in_its_own_axes_and_forgotten_when_silent() 
         .set_read_timeout(Some(Duration::from_secs(20)))
         .unwrap();
     let mut number = 0;
-    let mut ask = |at: [f64; 3]| {
+    let mut felt_at = |at: [f64; 3]| {
         number += 1;
         bridge.send(&sample(number, at).to_bytes()).unwrap();
         let mut bytes = [0; 200];
@@ -73,12 +73,12 @@ fn a_bridge_on_loopback_is_answered_in_its_own_axes_and_forgotten_when_silent() 
         );
         answer.felt
     };
-    assert_eq!(ask([0.0, 0.0, 0.0]).force_n, [0.0; 3]);
-    let mut felt = ask([0.0, 16.0, 0.0]);
+    assert_eq!(felt_at([0.0, 0.0, 0.0]).force_n, [0.0; 3]);
+    let mut felt = felt_at([0.0, 16.0, 0.0]);
     for _ in 0..60 {
-        felt = ask([0.0, 16.0, 0.0]);
+        felt = felt_at([0.0, 16.0, 0.0]);
     }
-    // 8 mm to the patient's left is 1.45 mm into the wall; the push back is along the device's -y.
+    // 8 mm to the patient's left is 1.45 mm into the wall; the force is along the device's -y.
     assert!(felt.touches && felt.force_n[1] < -0.3, "{felt:?}");
     assert!(felt.force_n[0].abs() < 0.1, "{felt:?}");
     bridge.send(b"nonsense").unwrap();
@@ -93,7 +93,7 @@ fn a_bridge_on_loopback_is_answered_in_its_own_axes_and_forgotten_when_silent() 
 }
 
 #[test]
-fn a_simulated_hand_is_held_within_the_limits() {
+fn forces_on_a_simulated_hand_stay_within_the_limits() {
     let force = ForceLoop::start(
         model(),
         LoopOptions {
@@ -114,10 +114,10 @@ fn a_simulated_hand_is_held_within_the_limits() {
 }
 
 #[test]
-fn samples_in_process_are_felt_and_broken_ones_refused() {
+fn samples_in_process_give_forces_and_invalid_samples_are_rejected() {
     let force = ForceLoop::start(model(), LoopOptions::default()).unwrap();
     let hand = sample(0, [0.0, 0.0, 60.0]).hand;
-    // A sample is forgotten after 30 ms, so one sample may be gone before a loaded machine runs a tick.
+    // A sample expires after 30 ms, so one sample may be lost before a loaded machine runs a tick.
     until("it is heard", || {
         assert!(force.put(hand));
         force.felt().1 == Some(hand)
@@ -141,7 +141,7 @@ fn every_tick_is_counted_once() {
     until("it goes on", || force.figures().num_ticks >= 200);
     force.stop();
     let figures = force.figures();
-    // Due since the start.
+    // The number of ticks that were due since the start.
     assert!(
         figures.num_ticks as f64 <= 1000.0 * figures.wall_s + 1.0,
         "{figures:?}"
@@ -150,7 +150,7 @@ fn every_tick_is_counted_once() {
 }
 
 #[test]
-fn a_space_that_is_sheared_or_enlarges_is_refused() {
+fn a_sheared_or_enlarging_device_space_is_rejected() {
     for scale in [[1.0, 1.0, 0.9], [3.0, 3.0, 3.0], [f64::NAN; 3]] {
         let space = Affine::from_columns(
             [scale[0], 0.0, 0.0],
@@ -167,8 +167,8 @@ fn a_space_that_is_sheared_or_enlarges_is_refused() {
 }
 
 #[test]
-fn a_mirrored_space_is_refused_in_words() {
-    // The patient's right for the hand's left; and two axes changed for each other.
+fn a_mirrored_device_space_is_rejected_with_a_message() {
+    // The matrices are a mirror image (the patient's right for the hand's left), and an exchange of two axes.
     for [x, y] in [
         [[-0.5, 0.0, 0.0], [0.0, 0.5, 0.0]],
         [[0.0, 0.5, 0.0], [0.5, 0.0, 0.0]],

@@ -1,9 +1,10 @@
-//! The force law: position and velocity of the hand to force and torque.
+//! Force law: computation of force and torque from the position and velocity of the hand.
 //!
-//! A proxy (Zilles and Salisbury, "A constraint-based god-object method for haptic display", IROS 1995) stays in the lumen
-//! while the hand may be in the wall. Without contact it *is* the hand, so the force is exactly 0; in contact the force
-//! draws the hand to it. Friction lets the proxy stick (Ruspini, Kolarov and Khatib, "The haptic display of complex
-//! graphical environments", SIGGRAPH 1997).
+//! The *proxy* (Zilles and Salisbury, "A constraint-based god-object method for haptic display", IROS 1995) is a
+//! position of the tip that stays in the lumen while the hand may be in the wall. Without contact the proxy has the
+//! position of the hand, so the force is exactly 0; in contact the force pulls the hand towards the proxy. Friction
+//! lets the proxy stick (Ruspini, Kolarov and Khatib, "The haptic display of complex graphical environments", SIGGRAPH
+//! 1997).
 
 use std::sync::Arc;
 
@@ -13,17 +14,23 @@ use carina_scope::WallField;
 use crate::ForceError;
 use crate::vector::{Point, along, distance, sub};
 
-/// Largest force.
+/// Largest force on the hand, N.
 pub const LIMIT_N: f64 = 3.0;
-/// Largest change of the force in a millisecond.
+/// Largest change of the force in a millisecond, N.
 pub const SLEW_N_PER_MS: f64 = 0.1;
-/// Largest stiffness that is stable with a mass of at least 50 g and a damping of at least 2 N s/m (`law_tests.rs`).
+/// Largest stiffness of the wall, N per mm, that is stable with a device of at least 50 g.
+///
+/// The damping must be at least 2 N s/m (`law_tests.rs`).
 pub const MAX_STIFFNESS_N_PER_MM: f64 = 0.6;
-/// Largest force of guidance, so that a hand can leave the path.
+/// Largest force of guidance towards the path, N, so that a hand can leave the path.
 const GUIDANCE_LIMIT_N: f64 = 1.0;
+/// Largest torque about the grip, N mm.
 const TORQUE_LIMIT_N_MM: f64 = 60.0;
+/// Largest change of the torque in a millisecond, N mm.
 const TORQUE_SLEW_N_MM_PER_MS: f64 = 2.0;
+/// Largest step of the proxy towards the hand, mm.
 const PROXY_STEP_MM: f64 = 0.4;
+/// Largest number of steps of the proxy in one tick.
 const PROXY_STEPS: usize = 12;
 
 /// Parameters of the force law.
@@ -31,17 +38,17 @@ const PROXY_STEPS: usize = 12;
 pub struct ForceLaw {
     /// Radius of the tip that touches the wall.
     pub tip_radius_mm: f64,
-    /// Distance from the tip back to the hand: the lever of the torque.
+    /// Distance from the tip back to the hand, mm, which is the lever of the torque.
     pub grip_mm: f64,
     /// Stiffness of the wall, N per mm.
     pub stiffness_n_per_mm: f64,
     /// Damping of movement across the wall, N per mm/s.
     pub damping_ns_per_mm: f64,
-    /// Ratio of the force along the wall to the force across the wall.
+    /// Coefficient of friction: ratio of the force along the wall to the force across the wall.
     pub friction: f64,
     /// Stiffness of the pull towards the path, N per mm; 0 switches guidance off.
     pub guidance_n_per_mm: f64,
-    /// Time without a sample after which the force is released.
+    /// Time without a sample after which the force is set to 0, ms.
     pub watchdog_ms: f64,
 }
 
@@ -60,7 +67,11 @@ impl Default for ForceLaw {
 }
 
 impl ForceLaw {
-    /// Refuses parameters that are not finite or not stable.
+    /// Check the parameters and return them unchanged.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if a parameter is not finite or the law would not be stable.
     pub fn checked(self) -> Result<Self, ForceError> {
         for (what, value, low, high) in [
             ("tip radius (mm)", self.tip_radius_mm, 0.5, 3.9),
@@ -93,12 +104,12 @@ pub struct HandSample {
     pub at_lps: Point,
     /// Velocity of the tip, mm/s.
     pub velocity_mm_s: Point,
-    /// Direction of the tip, unit length.
+    /// Direction of the tip, a unit vector in LPS.
     pub forward_lps: Point,
 }
 
 impl HandSample {
-    /// Whether the numbers are possible for a hand: finite, within 10 km, slower than sound.
+    /// Return whether the numbers are possible for a hand: finite, within 10 km, slower than sound.
     #[must_use]
     pub fn is_sane(&self) -> bool {
         let within = |v: Point, most: f64| v.iter().all(|c| c.abs() <= most);
@@ -111,19 +122,21 @@ impl HandSample {
 /// Force and torque on the hand.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct HandForce {
-    /// Force, N.
+    /// Force on the hand, N, LPS.
     pub force_n: Point,
-    /// Torque about the grip, N mm.
+    /// Torque about the grip, N mm, LPS.
     pub torque_n_mm: Point,
     /// Whether the tip touches the wall.
     pub touches: bool,
-    /// Whether the force limit reduces the force of the wall.
+    /// Whether the force is smaller than that of the wall because of the force limit.
     pub limited: bool,
-    /// Whether the watchdog found no sample in time.
+    /// Whether the force is 0 because no sample arrived within the time of the watchdog.
     pub is_silent: bool,
 }
 
-/// State of the force law: the proxy and the previous force. A clone shares the wall.
+/// State of the force law: the proxy and the previous force.
+///
+/// A clone shares the wall field.
 #[derive(Debug, Clone)]
 pub struct ForceModel {
     field: Arc<WallField>,
@@ -135,7 +148,9 @@ pub struct ForceModel {
 }
 
 impl ForceModel {
-    /// Creates the state in a lumen, with guidance along a path (LPS mm) if the path has points.
+    /// Create the state of the force law in a lumen.
+    ///
+    /// `path` (LPS mm) is the path of the guidance; an empty path gives no guidance.
     pub fn new(field: Arc<WallField>, law: ForceLaw, path: Vec<Point>) -> Result<Self, ForceError> {
         if path.iter().flatten().any(|v| !v.is_finite()) {
             return Err(ForceError {
@@ -152,19 +167,21 @@ impl ForceModel {
         })
     }
 
-    /// Parameters of the law.
+    /// Return the parameters of the force law.
     #[must_use]
     pub const fn law(&self) -> &ForceLaw {
         &self.law
     }
 
-    /// Wall of the lumen.
+    /// Return the wall field of the lumen.
     #[must_use]
     pub const fn field(&self) -> &Arc<WallField> {
         &self.field
     }
 
-    /// Returns the force `dt_ms` (at most 1 ms) after the previous one; `None` means that no sample arrived in time.
+    /// Compute the force for a sample, `dt_ms` (at most 1 ms) after the previous force.
+    ///
+    /// `hand` is `None` if no sample arrived in time.
     pub fn step(&mut self, hand: Option<&HandSample>, dt_ms: f64) -> HandForce {
         let mut wanted = HandForce::default();
         if let Some(hand) = hand {
@@ -173,7 +190,8 @@ impl ForceModel {
             self.proxy = None;
             wanted.is_silent = true;
         }
-        // A late tick may not change the force by more: the user may have released the device.
+        // A late tick may not change the force by more than a tick in time, because the user may have released the
+        // device.
         let dt = dt_ms.clamp(0.0, 1.0);
         let force_n = towards(self.last.force_n, wanted.force_n, SLEW_N_PER_MS * dt);
         let torque_n_mm = towards(
@@ -196,7 +214,8 @@ impl ForceModel {
         if let Some(n) = normal {
             let lack = sub(proxy, hand.at_lps);
             force = lack.map(|v| self.law.stiffness_n_per_mm * v);
-            // Damping grows with depth, so that it does not jump where the wall begins; the wall never pulls.
+            // Damping grows with the depth, so that the force does not jump where the wall begins; the wall never
+            // pulls.
             let depth = dot(lack, n).max(0.0);
             let speed = dot(hand.velocity_mm_s, n);
             let damping = self.law.damping_ns_per_mm * (depth / 0.3).min(1.0) * -speed;
@@ -224,12 +243,12 @@ impl ForceModel {
         }
     }
 
-    /// Moves the proxy towards the hand; returns the normal of the wall if the wall holds the proxy.
+    /// Move the proxy towards the hand; return the normal of the wall if the wall stops the proxy, otherwise `None`.
     fn follow(&mut self, hand: Point) -> Option<Point> {
         let r = self.law.tip_radius_mm;
         let field = &self.field;
         let Some(mut proxy) = self.proxy.or_else(|| free_position(field, hand, r)) else {
-            // No free position nearby: a hand far outside the lumen feels no force.
+            // There is no free position nearby: a hand far outside the lumen feels no force.
             return None;
         };
         // A distance this large means that the user moved the device without a sample.
@@ -257,7 +276,7 @@ impl ForceModel {
                 next = along(next, lack, n);
             }
             if field.distance_mm(next) < r - 0.05 {
-                // The proxy has no space ahead and stays; the normal is that of the wall ahead.
+                // The proxy cannot move on and stays; the normal is that of the wall ahead.
                 normal = held.or_else(|| unit(sub(proxy, hand)));
                 break;
             }
@@ -269,7 +288,7 @@ impl ForceModel {
             }
         }
         if let Some(n) = normal {
-            // Friction: the proxy slides only beyond the friction cone.
+            // With friction, the proxy slides only as far as the hand is outside the friction cone.
             let depth = dot(sub(proxy, hand), n).max(0.0);
             let slid = sub(proxy, start);
             let across = along(slid, -dot(slid, n), n);
@@ -278,7 +297,7 @@ impl ForceModel {
             if far > 1e-9 && self.proxy.is_some() {
                 let back = (cone_mm / far).min(1.0);
                 let stuck = along(proxy, -back, across);
-                // The wall may curve away from the tangent.
+                // The wall may curve away from the tangent, so a free position is searched again.
                 proxy = free_position(field, stuck, r).unwrap_or(proxy);
             }
         }
@@ -316,7 +335,8 @@ impl ForceModel {
     }
 }
 
-/// Returns the position with at least `clearance_mm` to the wall to which steps away from the wall lead.
+/// Return the position with at least `clearance_mm` to the wall that steps away from the wall reach; `None` if they
+/// fail.
 fn free_position(field: &WallField, from_lps: Point, clearance_mm: f64) -> Option<Point> {
     let mut p = from_lps;
     for _ in 0..64 {
@@ -335,7 +355,7 @@ fn shortened(v: Point, most: f64) -> Point {
     if long <= most {
         return v;
     }
-    // Slightly less, so that rounding does not exceed the limit.
+    // The factor is slightly less than 1, so that rounding does not exceed the limit.
     v.map(|c| c * (most * (1.0 - 1e-12) / long))
 }
 

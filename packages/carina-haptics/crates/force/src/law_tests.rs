@@ -31,7 +31,7 @@ fn settled(model: &mut ForceModel, sample: &HandSample) -> HandForce {
 }
 
 #[test]
-fn there_is_no_force_outside_contact_however_fast_the_hand() {
+fn the_force_without_contact_is_0_at_any_speed() {
     let mut model = model(ForceLaw::default());
     for n in 0..500 {
         let turn = f64::from(n) * 0.1;
@@ -55,28 +55,28 @@ fn there_is_no_force_outside_contact_however_fast_the_hand() {
 }
 
 #[test]
-fn in_the_wall_the_force_is_the_depth_times_the_stiffness_and_points_back() {
+fn the_force_in_the_wall_is_depth_times_stiffness_towards_the_lumen() {
     let law = ForceLaw {
         friction: 0.0,
         ..ForceLaw::default()
     };
     let mut model = model(law);
     model.step(Some(&hand([0.0, 0.0, 60.0])), 1.0);
-    // The tube's radius is 9 and the tip's 2.45: the tip's centre is held at 6.55.
+    // The tube's radius is 9 mm and the tip's 2.45 mm, so the tip's centre is held at 6.55 mm.
     let felt = settled(&mut model, &hand([8.05, 0.0, 60.0]));
     assert!(felt.touches && !felt.limited);
-    // 0.02: the field's interpolation, times the stiffness.
+    // The tolerance of 0.02 is the field's interpolation error times the stiffness.
     assert!(
         (felt.force_n[0] + 1.5 * law.stiffness_n_per_mm).abs() < 0.02,
         "{felt:?}"
     );
     assert!(felt.force_n[1].abs() < 0.02 && felt.force_n[2].abs() < 0.02);
-    // About a grip 40 mm above: the push to -x turns about y.
+    // The grip is 40 mm above the tip, so the force to -x causes a torque about y.
     assert!(felt.torque_n_mm[1] > 0.0);
 }
 
 #[test]
-fn the_force_is_limited_and_changes_slowly_whatever_the_hand_does() {
+fn force_and_change_of_force_are_limited_for_any_movement() {
     let mut model = model(ForceLaw {
         guidance_n_per_mm: 0.2,
         ..ForceLaw::default()
@@ -107,7 +107,7 @@ fn the_force_is_limited_and_changes_slowly_whatever_the_hand_does() {
 }
 
 #[test]
-fn a_silent_hand_feels_nothing_after_30_ms() {
+fn the_force_is_0_after_30_ms_without_a_sample() {
     let mut model = model(ForceLaw::default());
     model.step(Some(&hand([0.0, 0.0, 60.0])), 1.0);
     let felt = settled(&mut model, &hand([14.0, 0.0, 60.0]));
@@ -121,25 +121,25 @@ fn a_silent_hand_feels_nothing_after_30_ms() {
 }
 
 #[test]
-fn friction_holds_the_tip_until_it_slides() {
+fn the_proxy_sticks_inside_the_friction_cone_and_slides_outside() {
     let mut model = model(ForceLaw {
         friction: 0.3,
         ..ForceLaw::default()
     });
     model.step(Some(&hand([0.0, 0.0, 60.0])), 1.0);
     settled(&mut model, &hand([8.55, 0.0, 60.0]));
-    // Drawn along by less than the cone of 0.3 * 2 mm it sticks, and is drawn back.
+    // The hand moves by less than the friction cone of 0.3 * 2 mm, so the proxy sticks, and the hand is pulled back.
     let stuck = settled(&mut model, &hand([8.55, 0.0, 59.7]));
     assert!(stuck.force_n[2] > 0.05, "{stuck:?}");
-    // Farther it slides, and what is left is the cone.
+    // Farther along, the proxy slides, and the force along the wall is that of the friction cone.
     let slides = settled(&mut model, &hand([8.55, 0.0, 50.0]));
     let share = slides.force_n[2] / -slides.force_n[0];
-    // 0.03: the wall is round, and the cone is laid on its tangent.
+    // The tolerance of 0.03 allows for the round wall, because the cone is on the wall's tangent.
     assert!((0.27..=0.33).contains(&share), "{share}");
 }
 
 #[test]
-fn guidance_draws_to_the_path_and_never_hard() {
+fn guidance_pulls_towards_the_path_with_limited_force() {
     let mut model = model(ForceLaw {
         guidance_n_per_mm: 0.1,
         ..ForceLaw::default()
@@ -152,7 +152,7 @@ fn guidance_draws_to_the_path_and_never_hard() {
 }
 
 #[test]
-fn a_law_that_would_not_be_stable_is_refused() {
+fn parameters_of_an_unstable_law_are_rejected() {
     let refused = |law: ForceLaw| law.checked().is_err();
     assert!(refused(ForceLaw {
         stiffness_n_per_mm: 5.0,
@@ -174,7 +174,7 @@ fn a_law_that_would_not_be_stable_is_refused() {
     assert!(!slow.is_sane());
 }
 
-/// Extreme distances from rest of a hand that was let go into the wall, in successive windows of 0.4 s.
+/// Return the largest distances from rest, in successive windows of 0.4 s, of a hand that was released into the wall.
 fn swings(stiffness: f64, mass_kg: f64, spring: f64, speed_mm_s: f64) -> Vec<f64> {
     let law = ForceLaw {
         stiffness_n_per_mm: stiffness,
@@ -191,7 +191,7 @@ fn swings(stiffness: f64, mass_kg: f64, spring: f64, speed_mm_s: f64) -> Vec<f64
     let mut felt = HandForce::default();
     let mut places = Vec::new();
     for _ in 0..4000 {
-        // A tick late: the force is that of the sample before.
+        // The force is that of the previous sample, one tick late.
         let sample = device.sample(0.01);
         device.step([8.5, 0.0, 60.0], &felt, 1e-3);
         felt = model.step(Some(&sample), 1.0);
@@ -205,7 +205,7 @@ fn swings(stiffness: f64, mass_kg: f64, spring: f64, speed_mm_s: f64) -> Vec<f64
 }
 
 #[test]
-fn up_to_the_stated_stiffness_no_swing_grows() {
+fn oscillations_do_not_grow_up_to_the_largest_stiffness() {
     for stiffness in [0.1, 0.3, MAX_STIFFNESS_N_PER_MM] {
         for mass_kg in [0.05, 0.1, 0.3] {
             for spring in [0.02, 0.2, 0.5] {
@@ -215,7 +215,7 @@ fn up_to_the_stated_stiffness_no_swing_grows() {
                         "{stiffness} N/mm, {mass_kg} kg, {spring} N/mm, {speed} mm/s: {swings:?}"
                     );
                     for pair in swings.windows(2).skip(1) {
-                        // 0.03 mm: the encoder's steps keep a small swing alive.
+                        // The tolerance of 0.03 mm allows for a small oscillation that the steps of the encoder cause.
                         assert!(pair[1] <= pair[0] + 0.03, "{case}");
                     }
                     assert!(swings[9] < 0.1, "{case}");

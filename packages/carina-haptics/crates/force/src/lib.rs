@@ -1,6 +1,6 @@
-//! Force feedback (paper 7): the position of a hand in the airways to a force, 1,000 times a second.
+//! Force feedback (paper 7): computation of a force from the position of a hand in the airways, 1,000 times a second.
 //!
-//! [`ForceModel`] is the law, [`ForceLoop`] evaluates the law on its own thread. The wall is a
+//! [`ForceModel`] is the force law, [`ForceLoop`] evaluates the law on its own thread. The wall is a
 //! [`WallField`](carina_scope::WallField) of Carina.
 
 mod device_space;

@@ -1,38 +1,42 @@
-//! The binary UDP messages between a device's bridge and the force loop: fixed size, little-endian (table in the guide).
+//! Binary UDP messages between a device's bridge and the force loop: fixed size, little-endian (table in the guide).
 
 use crate::law::{HandForce, HandSample};
 use crate::vector::Point;
 
+/// First bytes of every message.
 const MAGIC: [u8; 4] = *b"CARH";
+/// Version of the message format.
 const VERSION: u8 = 1;
+/// Kind of a message with a sample.
 const KIND_SAMPLE: u8 = 1;
+/// Kind of a message with a force.
 const KIND_FORCE: u8 = 2;
-/// Size of a sample in bytes.
+/// Size of a message with a sample, in bytes.
 pub const SAMPLE_BYTES: usize = 96;
-/// Size of a force in bytes.
+/// Size of a message with a force, in bytes.
 pub const FORCE_BYTES: usize = 72;
 
-/// A sample from a bridge.
+/// Message with a sample from a bridge.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SamplePacket {
-    /// Number of the sample; the force has the same number.
+    /// Number of the sample; the message with its force has the same number.
     pub number: u32,
-    /// Clock of the device; the force has the same value.
+    /// Time of the device's clock, us; the message with the force has the same value.
     pub device_us: u64,
-    /// Buttons, one bit each.
+    /// State of the device's buttons, one bit per button.
     pub buttons: u16,
-    /// The hand, in the space of the device.
+    /// Position, velocity and direction of the hand, in the space of the device.
     pub hand: HandSample,
 }
 
-/// A force to a bridge.
+/// Message with a force for a bridge.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ForcePacket {
-    /// Number of the sample that the force answers.
+    /// Number of the sample from which the force was computed.
     pub number: u32,
-    /// Clock of the device in the sample that the force answers.
+    /// Time of the device's clock in that sample, us.
     pub device_us: u64,
-    /// The force, in the axes of the device.
+    /// Force on the hand, in the axes of the device.
     pub felt: HandForce,
 }
 
@@ -66,7 +70,7 @@ fn is_ours(bytes: &[u8], kind: u8, size: usize) -> bool {
 }
 
 impl SamplePacket {
-    /// Encodes the message.
+    /// Encode the message as bytes.
     #[must_use]
     pub fn to_bytes(&self) -> [u8; SAMPLE_BYTES] {
         let mut bytes = [0; SAMPLE_BYTES];
@@ -83,7 +87,7 @@ impl SamplePacket {
         bytes
     }
 
-    /// Decodes a sample; returns `None` for bytes that are not a sane sample of this version.
+    /// Decode a message with a sample; return `None` for bytes that are not a plausible sample of this version.
     #[must_use]
     pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
         if !is_ours(bytes, KIND_SAMPLE, SAMPLE_BYTES) {
@@ -104,7 +108,7 @@ impl SamplePacket {
 }
 
 impl ForcePacket {
-    /// Encodes the message.
+    /// Encode the message as bytes.
     #[must_use]
     pub fn to_bytes(&self) -> [u8; FORCE_BYTES] {
         let mut bytes = [0; FORCE_BYTES];
@@ -117,7 +121,7 @@ impl ForcePacket {
         bytes
     }
 
-    /// Decodes a force; returns `None` for bytes that are not a force of this version.
+    /// Decode a message with a force; return `None` for bytes that are not a force of this version.
     #[must_use]
     pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
         if !is_ours(bytes, KIND_FORCE, FORCE_BYTES) {
@@ -157,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn packets_come_back_as_they_were() {
+    fn decoded_packets_equal_the_encoded_ones() {
         assert_eq!(
             SamplePacket::from_bytes(&sample().to_bytes()),
             Some(sample())
@@ -177,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn broken_packets_are_no_samples() {
+    fn invalid_packets_are_not_decoded_as_samples() {
         let good = sample().to_bytes();
         for at in 0..6 {
             let mut bad = good;
@@ -192,7 +196,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_bytes_bring_the_reader_down(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
+        fn decoding_any_bytes_does_not_panic(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
             let _ = SamplePacket::from_bytes(&bytes);
             let _ = ForcePacket::from_bytes(&bytes);
         }

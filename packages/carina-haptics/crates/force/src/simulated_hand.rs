@@ -1,14 +1,14 @@
-//! A simulated device with mass in a hand with a spring: for tests and for the timing benchmark.
+//! Simulated force device, moved by a hand that acts as a spring, for tests and for the timing benchmark.
 
 use crate::law::{HandForce, HandSample};
 use crate::vector::Point;
 
-/// A handle with mass that a hand moves by a spring.
+/// Handle of a device with mass, which a hand moves by a spring.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SimulatedHand {
     /// Mass of the handle, kg.
     pub mass_kg: f64,
-    /// Stiffness of the hand, N per mm.
+    /// Stiffness of the hand's spring, N per mm.
     pub spring_n_per_mm: f64,
     /// Damping of hand and device, N per mm/s.
     pub damping_ns_per_mm: f64,
@@ -19,7 +19,7 @@ pub struct SimulatedHand {
 }
 
 impl SimulatedHand {
-    /// Creates a light device in a soft hand.
+    /// Create a light device in a soft hand, at rest at a position (LPS mm).
     #[must_use]
     pub const fn new(at_lps: Point) -> Self {
         Self {
@@ -31,8 +31,9 @@ impl SimulatedHand {
         }
     }
 
-    /// Advances by `dt_s` towards `wanted_lps` under a force. The device holds the force between its ticks; the handle
-    /// moves in steps of 1/10 ms.
+    /// Advance the handle by `dt_s` towards `wanted_lps` under a force.
+    ///
+    /// The device holds the force constant between its ticks; the handle moves in steps of 1/10 ms.
     pub fn step(&mut self, wanted_lps: Point, felt: &HandForce, dt_s: f64) {
         let num = (dt_s / 1e-4).ceil().max(1.0);
         let dt = dt_s / num;
@@ -48,7 +49,7 @@ impl SimulatedHand {
         }
     }
 
-    /// Returns the sample of the device: the position in steps of its encoder, and the velocity.
+    /// Return the sample of the device: the position rounded to steps of its encoder, and the velocity.
     #[must_use]
     pub fn sample(&self, encoder_mm: f64) -> HandSample {
         HandSample {

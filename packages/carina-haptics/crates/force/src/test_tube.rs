@@ -1,12 +1,13 @@
-//! A wall for tests: a straight airway.
+//! Wall field of a straight airway, for tests.
 
 use std::sync::{Arc, OnceLock};
 
 use carina_grid::Affine;
 use carina_scope::WallField;
 
-/// An airway of 9 mm radius along z, from z = -20 to 130.
+/// Return the wall field of an airway of 9 mm radius along z, from z = -20 to 130 mm.
 pub(crate) fn tube() -> Arc<WallField> {
+    /// Wall field, computed on first use.
     static TUBE: OnceLock<Arc<WallField>> = OnceLock::new();
     TUBE.get_or_init(|| {
         let lps = Affine::from_columns(

@@ -4,8 +4,9 @@ pub(crate) use system::{cpu_ns_of_this_thread, now_ns, request_priority, sleep_u
 
 #[cfg(target_os = "linux")]
 mod system {
-    /// Requests exact wake-ups (otherwise the system groups wake-ups within 50 us) and real-time priority for this
-    /// thread; returns whether the user may have the priority.
+    /// Request exact wake-ups and real-time priority for this thread; return whether the user may have the priority.
+    ///
+    /// Without the request the system groups wake-ups within 50 us.
     pub(crate) fn request_priority() -> bool {
         // SAFETY: the calls take numbers and `param`, which outlives them, and change only this thread.
         unsafe {
@@ -16,7 +17,7 @@ mod system {
         }
     }
 
-    /// Returns the time of the clock of [`sleep_until`], ns.
+    /// Return the present time of the clock that [`sleep_until`] uses, ns.
     pub(crate) fn now_ns() -> u64 {
         clock_ns(libc::CLOCK_MONOTONIC)
     }
@@ -34,7 +35,7 @@ mod system {
         time.tv_sec as u64 * 1_000_000_000 + time.tv_nsec as u64
     }
 
-    /// Waits until a time of the clock. A signal may end the wait early.
+    /// Wait until a time of the clock of [`now_ns`], ns; a signal may end the wait early.
     pub(crate) fn sleep_until(ns: u64) {
         let time = libc::timespec {
             tv_sec: (ns / 1_000_000_000) as libc::time_t,
@@ -51,7 +52,7 @@ mod system {
         }
     }
 
-    /// Returns the processor time of this thread, ns.
+    /// Return the processor time that this thread has used, ns.
     pub(crate) fn cpu_ns_of_this_thread() -> u64 {
         clock_ns(libc::CLOCK_THREAD_CPUTIME_ID)
     }
@@ -62,6 +63,7 @@ mod system {
     use std::sync::LazyLock;
     use std::time::{Duration, Instant};
 
+    /// Origin of the clock.
     static BEGIN: LazyLock<Instant> = LazyLock::new(Instant::now);
 
     pub(crate) fn request_priority() -> bool {

@@ -4,13 +4,13 @@ use carina_grid::length;
 
 use crate::law::HandForce;
 
-/// Number of histogram bins of 1 us each.
+/// Number of bins of a histogram; each bin is 1 us wide.
 const LATE_BINS: usize = 5000;
 
-/// Timing statistics since the start of a loop.
+/// Timing statistics of a force loop since its start.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LoopFigures {
-    /// Number of ticks that were due.
+    /// Number of ticks that were due since the start.
     pub num_ticks: u64,
     /// Number of ticks that were not finished within their millisecond.
     pub num_missed: u64,
@@ -18,19 +18,19 @@ pub struct LoopFigures {
     pub late_us: [f64; 3],
     /// Duration of a tick: median, 99th percentile and maximum, us.
     pub work_us: [f64; 3],
-    /// Time from a sample (or its packet) to its force: median, 99th percentile and maximum, us.
+    /// Time from a sample (or the arrival of its packet) to its force: median, 99th percentile and maximum, us.
     pub latency_us: [f64; 3],
-    /// Processor time of the loop's thread.
+    /// Processor time of the loop's thread, s.
     pub cpu_s: f64,
-    /// Time since the start.
+    /// Time since the start of the loop, s.
     pub wall_s: f64,
-    /// Number of accepted samples.
+    /// Number of samples that the loop accepted.
     pub num_samples: u64,
-    /// Number of refused samples and packets.
+    /// Number of samples and packets that the loop rejected.
     pub num_refused: u64,
     /// Whether the loop's thread has real-time priority.
     pub is_real_time: bool,
-    /// Largest force, N.
+    /// Largest force since the start, N.
     pub max_force_n: f64,
     /// Largest change of the force in one tick, N.
     pub max_change_n: f64,
@@ -74,17 +74,17 @@ impl Histogram {
     }
 }
 
-/// Times of one tick.
+/// Times of one tick that the statistics need.
 pub(crate) struct TickTimes {
     /// Number of ticks that were due by the end of this one, including this one.
     pub(crate) num_due: u64,
     pub(crate) late_us: f64,
     pub(crate) work_us: f64,
-    /// Latency of the sample of this tick.
+    /// Time from the sample of this tick to its force, us; `None` for a tick without a new sample.
     pub(crate) latency_us: Option<f64>,
 }
 
-/// Histograms and counters of a running loop.
+/// Histograms and counters from which the timing statistics of a running loop are computed.
 pub(crate) struct LoopCounts {
     late: Histogram,
     work: Histogram,
@@ -121,7 +121,7 @@ impl LoopCounts {
 
     pub(crate) fn add(&mut self, tick: &TickTimes, felt: &HandForce, last: &HandForce) {
         let figures = &mut self.figures;
-        // Skipped ticks were due and count as missed.
+        // Ticks that were skipped were due, so they count as missed.
         figures.num_ticks += tick.num_due;
         figures.num_missed += tick.num_due - 1;
         self.late.add(tick.late_us);
@@ -135,7 +135,7 @@ impl LoopCounts {
         figures.max_change_n = figures.max_change_n.max(length(change));
     }
 
-    /// Returns the statistics; reading the histograms takes some microseconds.
+    /// Compute the timing statistics; reading the histograms takes some microseconds.
     pub(crate) fn figures(&self) -> LoopFigures {
         LoopFigures {
             late_us: self.late.summary(),

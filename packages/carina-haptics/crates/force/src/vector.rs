@@ -2,20 +2,20 @@
 
 use carina_grid::length;
 
-/// Coordinates in mm, or a vector.
+/// Point in LPS mm, or a vector.
 pub(crate) type Point = [f64; 3];
 
-/// `a - b`.
+/// Return the vector `a - b`.
 pub(crate) fn sub(a: Point, b: Point) -> Point {
     std::array::from_fn(|k| a[k] - b[k])
 }
 
-/// `a + f * b`.
+/// Return the vector `a + f * b`.
 pub(crate) fn along(a: Point, f: f64, b: Point) -> Point {
     std::array::from_fn(|k| a[k] + f * b[k])
 }
 
-/// Distance between two points.
+/// Return the distance between two points.
 pub(crate) fn distance(a: Point, b: Point) -> f64 {
     length(sub(a, b))
 }
