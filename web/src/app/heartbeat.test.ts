@@ -31,8 +31,8 @@ function heart() {
   return { around, beats, made, run };
 }
 
-describe("heartbeat", () => {
-  it("beats with every refresh for a while and dozes when nothing happens", () => {
+describe("Heartbeat", () => {
+  it("It runs at every display refresh for AWAKE_MS after the start, and every DOZE_MS at rest.", () => {
     const { beats, made, run } = heart();
     made.start();
     run(AWAKE_MS);
@@ -43,7 +43,7 @@ describe("heartbeat", () => {
     expect(beats.length - before).toBeGreaterThan(90);
   });
 
-  it("keeps awake while something goes on, and counts all time that passes", () => {
+  it("It runs at every display refresh during activity, and the elapsed times add up to the total time.", () => {
     const { around, beats, made, run } = heart();
     around.goesOn = true;
     made.start();
@@ -53,7 +53,7 @@ describe("heartbeat", () => {
     expect(told).toBeCloseTo((beats.at(-1)?.atMs ?? 0) / 1000, 6);
   });
 
-  it("wakes at once, and what nobody looked at is not counted as held", () => {
+  it("A wake-up at rest restarts it at the next refresh, and the time at rest is not part of the elapsed time.", () => {
     const { around, beats, made, run } = heart();
     made.start();
     run(10_090);
@@ -66,7 +66,7 @@ describe("heartbeat", () => {
     expect(around.dueMs - around.now).toBeLessThanOrEqual(REFRESH_MS);
   });
 
-  it("wakes by itself where a look finds that something has begun", () => {
+  it("It returns to every refresh by itself when a check at rest finds activity.", () => {
     const { around, beats, made, run } = heart();
     made.start();
     run(10_000);
@@ -76,7 +76,7 @@ describe("heartbeat", () => {
     expect(beats.length - before).toBeGreaterThan(50);
   });
 
-  it("stops, also from within, and a sign of a hand does not start it again", () => {
+  it("It stops on request, and a wake-up after the stop has no effect.", () => {
     const { beats, made, run } = heart();
     made.start();
     run(100);
@@ -87,7 +87,7 @@ describe("heartbeat", () => {
     expect(beats.length).toBe(before);
   });
 
-  it("hears every sign of a hand until told not to", () => {
+  it("wakeByHand reports every input event until its listener is removed.", () => {
     const target = new EventTarget();
     let heard = 0;
     const stop = wakeByHand(target, () => {

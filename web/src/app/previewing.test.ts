@@ -39,11 +39,11 @@ function station() {
   return { previewing, sent, state, shows: () => state.preview?.answer?.lps?.[0] ?? null };
 }
 
-describe("the preview under the cursor", () => {
+describe("preview of an edit under the cursor", () => {
   beforeEach(() => void vi.useFakeTimers());
   afterEach(() => void vi.useRealTimers());
 
-  it("says that it is looking until the first answer is there", () => {
+  it("The preview has no answer and is stale until the first answer arrives.", () => {
     const { previewing, state, shows } = station();
     previewing.ask(at(1));
     expect(state.preview).toEqual({ answer: null, stale: true });
@@ -52,7 +52,7 @@ describe("the preview under the cursor", () => {
     expect(state.preview?.stale).toBe(false);
   });
 
-  it("does not keep the way to where the cursor was: it is faint at once, and soon gone", () => {
+  it("After a cursor movement the old answer is stale at once and is hidden after STALE_MS.", () => {
     const { previewing, state, shows } = station();
     previewing.ask(at(1));
     previewing.receive(answer(1, 1));
@@ -66,7 +66,7 @@ describe("the preview under the cursor", () => {
     expect(state.preview?.stale).toBe(false);
   });
 
-  it("asks for the newest place only, and shows the answer to an older one as outdated", () => {
+  it("Only the latest cursor position is requested, and the answer to an older request is shown as stale.", () => {
     const { previewing, sent, state } = station();
     for (const x of [1, 2, 3]) previewing.ask(at(x));
     previewing.receive(answer(1, 1));
@@ -76,7 +76,7 @@ describe("the preview under the cursor", () => {
     expect(state.preview).toMatchObject({ stale: false, answer: { lps: [3, 0, 0] } });
   });
 
-  it("asks nothing anew for a cursor that rests, and asks again when the tree has changed", () => {
+  it("A resting cursor causes no second request, but a change of the tree does.", () => {
     const { previewing, sent, state } = station();
     previewing.ask(at(1));
     previewing.receive(answer(1, 1));
@@ -88,7 +88,7 @@ describe("the preview under the cursor", () => {
     expect(sent).toHaveLength(2);
   });
 
-  it("shows nothing once the tool is put away, whatever still comes", () => {
+  it("No preview is shown after the tool was deactivated, even if an answer arrives later.", () => {
     const { previewing, state } = station();
     previewing.ask(at(1));
     previewing.forget();

@@ -50,8 +50,8 @@ function player(keys: KeyFramesMessage | null = KEYS) {
 const asked = (sent: ClientMessage[]) =>
   sent.map((one) => (one.type === "fly_key_frames" ? [one.time_s, one.goes_on] : one));
 
-describe("the player of key frames", () => {
-  it("begins by asking for the tip, goes on at each refresh, and ends at the end", () => {
+describe("KeyPlayer with key frames", () => {
+  it("It first sends the current time, continues at each refresh, and stops at the end of the flight.", () => {
     const { made, sent, around } = player();
     expect(made.play()).toBe(true);
     for (let n = 0; n < 50; n += 1) made.tick(0.1);
@@ -66,7 +66,7 @@ describe("the player of key frames", () => {
     expect(asked(sent).at(-1)).toEqual([0, false]);
   });
 
-  it("flies half as fast, or twice", () => {
+  it("The position advances by the elapsed time multiplied by the playback rate.", () => {
     const { made, around } = player();
     made.setRate(0.5);
     made.play();
@@ -77,14 +77,14 @@ describe("the player of key frames", () => {
     expect(around.playing.atS).toBeCloseTo(0.25, 9);
   });
 
-  it("does not leap after a pause of the page", () => {
+  it("After a pause of the page the position advances by at most 0.1 s.", () => {
     const { made, around } = player();
     made.play();
     made.tick(60);
     expect(around.playing).toMatchObject({ on: true, atS: 0.1 });
   });
 
-  it("stands where it is paused and goes on from there; stopping leads back to the start", () => {
+  it("A paused flight continues at the same position, and stopping returns to the beginning.", () => {
     const { made, sent, around } = player();
     made.play();
     made.tick(0.1);
@@ -99,7 +99,7 @@ describe("the player of key frames", () => {
     expect(around.playing).toMatchObject({ on: false, atS: 0 });
   });
 
-  it("ends when a pose says that somebody took over, and not by one from before it began", () => {
+  it("A pose of another origin stops the playback, but not a pose that was sent before the playback began.", () => {
     const { made, around } = player();
     made.poseArrived(pose(null));
     made.play();
@@ -113,7 +113,7 @@ describe("the player of key frames", () => {
     expect(around.playing.on).toBe(false);
   });
 
-  it("stands at the key frame that the tip was sent to, and does not follow its own echo", () => {
+  it("It shows the time of a pose at rest, and ignores older poses of the flight during playback.", () => {
     const { made, around } = player();
     made.poseArrived(pose(2.5));
     expect(around.playing).toMatchObject({ on: false, atS: 2.5 });
@@ -123,7 +123,7 @@ describe("the player of key frames", () => {
     expect(around.playing.atS).toBeCloseTo(2.6, 9);
   });
 
-  it("scrubs within the flight, also while it plays", () => {
+  it("The slider is limited to the flight's duration and can be moved during playback.", () => {
     const { made, sent, around } = player();
     made.seek(99);
     expect(asked(sent)).toEqual([[4, false]]);
@@ -134,7 +134,7 @@ describe("the player of key frames", () => {
     expect(around.playing).toMatchObject({ on: true, atS: 3.1 });
   });
 
-  it("is at a key frame, or at the end, where a bar with steps comes near to it", () => {
+  it("A slider position within 0.02 s of a key frame or the end selects it exactly.", () => {
     const frames = [0, 1.2345, 4].map((time_s, n) => ({
       key_id: `key-${n}`,
       name: "",
@@ -150,7 +150,7 @@ describe("the player of key frames", () => {
     expect(asked(sent).map((one) => (Array.isArray(one) ? one[0] : one))).toEqual([1.2345, 4, 2]);
   });
 
-  it("has nothing to play without a flight or a connection, and stops when the list changes", () => {
+  it("Playback does not start without a flight or a connection, and stops when the list changes.", () => {
     expect(player(null).made.play()).toBe(false);
     expect(player({ ...KEYS, duration_s: 0 }).made.play()).toBe(false);
     const off = player();
@@ -165,8 +165,8 @@ describe("the player of key frames", () => {
   });
 });
 
-describe("the player of a recorded flight", () => {
-  it("begins its clock with the first answer, since the flight may be read first", () => {
+describe("KeyPlayer with a recorded flight", () => {
+  it("The playback clock starts when the first pose of the flight arrives, because the server may load the flight.", () => {
     const asked: [number, boolean][] = [];
     let playing: Playing = NOT_PLAYING;
     const made = new KeyPlayer({

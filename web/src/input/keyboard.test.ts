@@ -28,8 +28,8 @@ afterEach(() => {
   document.body.replaceChildren();
 });
 
-describe("the keyboard", () => {
-  it("flies on the page and takes the key from the browser", () => {
+describe("listenToKeys", () => {
+  it("A movement key on the page starts and ends a movement, and the browser does not receive the key.", () => {
     const keys = listening();
     stop = keys.stop;
     expect(type("w").defaultPrevented).toBe(true);
@@ -38,7 +38,7 @@ describe("the keyboard", () => {
     expect(keys.heard).toEqual(["advance 1 down", "advance 1 up"]);
   });
 
-  it("does not take a key while somebody types, nor a key that is not its own", () => {
+  it("The browser receives keys in a text field, keys without a binding, and keys with Ctrl.", () => {
     const keys = listening();
     stop = keys.stop;
     const input = document.createElement("input");
@@ -49,7 +49,7 @@ describe("the keyboard", () => {
     expect(keys.heard).toEqual([]);
   });
 
-  it("leaves arrows to a focused slider and space to a focused button", () => {
+  it("A focused slider receives the arrow keys, and a focused button the space bar.", () => {
     const keys = listening();
     stop = keys.stop;
     const slider = document.createElement("input");
@@ -62,7 +62,7 @@ describe("the keyboard", () => {
     expect(keys.heard).toEqual(["toggle_mode"]);
   });
 
-  it("chooses ways on a path and looks around without one", () => {
+  it("The left arrow selects a branch on a route, and turns the view without a route.", () => {
     const onPath = listening({ path: true });
     type("ArrowLeft");
     onPath.stop();
@@ -74,7 +74,7 @@ describe("the keyboard", () => {
     expect(free.heard).toEqual(["yaw -1 down", "yaw -1 up"]);
   });
 
-  it("lets go of held keys when the window loses the focus", () => {
+  it("A held key is released when the window loses the focus.", () => {
     const keys = listening();
     stop = keys.stop;
     type("w");
@@ -82,14 +82,14 @@ describe("the keyboard", () => {
     expect(keys.heard).toEqual(["advance 1 down", "advance 1 up"]);
   });
 
-  it("is silent where no case is open", () => {
+  it("Without an open case no key has an effect.", () => {
     const keys = listening({ enabled: false });
     stop = keys.stop;
     expect(type("w").defaultPrevented).toBe(false);
     expect(keys.heard).toEqual([]);
   });
 
-  it("takes the brush's keys only while there is a brush in the hand", () => {
+  it("The keys of the brush have an effect only while a brush is active.", () => {
     const without = listening();
     expect(type("]").defaultPrevented).toBe(false);
     without.stop();
@@ -99,7 +99,7 @@ describe("the keyboard", () => {
     expect([without.heard, keys.heard]).toEqual([[], ["brush_larger"]]);
   });
 
-  it("puts a tool down by Esc first, also from a list and a field, but closes first what lies over the page", () => {
+  it("Escape deactivates the tool, also from a list or a text field, but first closes an open dialog.", () => {
     const list = document.createElement("div");
     list.setAttribute("role", "treegrid");
     const row = document.createElement("button");
@@ -123,7 +123,7 @@ describe("the keyboard", () => {
     expect([without.heard, keys.heard]).toEqual([[], ["leave", "leave"]]);
   });
 
-  it("knows what has the focus", () => {
+  it("focusKind returns typing for a dialog and a text field, and page for the body.", () => {
     const dialog = document.createElement("div");
     dialog.setAttribute("role", "dialog");
     const inside = document.createElement("button");

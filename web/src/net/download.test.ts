@@ -12,8 +12,8 @@ const answer = (response: Response) => {
   return asked;
 };
 
-describe("a file to take away", () => {
-  it("comes with its name", async () => {
+describe("fetchAirways", () => {
+  it("A download returns the file's name and contents.", async () => {
     const asked = answer(new Response("solid"));
     const file = await fetchAirways(".stl", new AbortController().signal);
     expect(asked).toEqual(["./api/airways.stl"]);
@@ -21,13 +21,13 @@ describe("a file to take away", () => {
     expect(await file.blob.text()).toBe("solid");
   });
 
-  it("is refused in the server's words", async () => {
+  it("A refused download throws the server's code and message.", async () => {
     answer(Response.json({ code: "track.no-airways", message: "wait for them" }, { status: 409 }));
     const failed = fetchAirways(".stl", new AbortController().signal);
     await expect(failed).rejects.toEqual(new DownloadError("track.no-airways", "wait for them"));
   });
 
-  it("is refused in words though the answer holds none", async () => {
+  it("A refused download without a message throws an error that contains the HTTP status.", async () => {
     answer(new Response("<html>", { status: 500 }));
     await expect(fetchAirways(".stl", new AbortController().signal)).rejects.toThrow("could not be made (500)");
   });

@@ -81,8 +81,8 @@ beforeEach(() => {
   link.open();
 });
 
-describe("a phone's link", () => {
-  it("says its token first, and nothing else before it is let in", () => {
+describe("Link", () => {
+  it("It sends the token first, and no other message before the server has accepted the phone.", () => {
     newest().opens();
     expect(newest().sent.map((text) => JSON.parse(text).token)).toEqual(["secret"]);
     expect(link.send({ type: "phone_act", action: "recenter" })).toBe(false);
@@ -91,7 +91,7 @@ describe("a phone's link", () => {
     expect(link.send({ type: "phone_act", action: "recenter" })).toBe(true);
   });
 
-  it("comes back by itself, later each time, and soon again once it was in", () => {
+  it("It reconnects with doubled delays, and with the first delay after a successful connection.", () => {
     newest().ends(1006);
     expect(timers.map((timer) => timer.ms)).toEqual([500]);
     timers[0]?.call();
@@ -106,7 +106,7 @@ describe("a phone's link", () => {
     expect(statuses.at(-1)).toBe("lost");
   });
 
-  it("that is opened anew hears nothing more of the old socket", () => {
+  it("After a second open() the messages and the end of the first socket are ignored.", () => {
     const old = newest();
     old.opens();
     link.open();
@@ -121,7 +121,7 @@ describe("a phone's link", () => {
   });
 
   it.each(["protocol.not-authorised", "protocol.taken-over", "protocol.version", "protocol.malformed"] as const)(
-    "does not try again after %s",
+    "It does not reconnect after the close code %s.",
     (code) => {
       newest().opens();
       newest().ends(CLOSE_CODES[code]);
@@ -131,7 +131,7 @@ describe("a phone's link", () => {
     },
   );
 
-  it("throws samples away while the network does not keep up", () => {
+  it("A message is discarded while the browser holds too many unsent bytes.", () => {
     newest().opens();
     newest().says(STATE);
     newest().bufferedAmount = 5000;
@@ -140,7 +140,7 @@ describe("a phone's link", () => {
     expect(link.send({ type: "phone_act", action: "recenter" })).toBe(true);
   });
 
-  it("ends where the server speaks otherwise", () => {
+  it("An invalid message of the server closes the connection, and the status is refused.", () => {
     newest().opens();
     const socket = newest();
     socket.says({ type: "phone_state", case_open: "yes" });
@@ -149,8 +149,8 @@ describe("a phone's link", () => {
   });
 });
 
-describe("its words", () => {
-  it("say what the phone does", () => {
+describe("stateWords", () => {
+  it("The text states the movement mode, that a case must be opened, or the server's reason.", () => {
     expect(stateWords(STATE)).toBe("This phone moves the tip: path mode.");
     expect(stateWords({ ...STATE, case_open: false })).toContain("Open a case");
     expect(stateWords({ ...STATE, holds: false, scope_held: true })).toBe("Connected: scope mode.");

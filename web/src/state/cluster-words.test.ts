@@ -25,15 +25,15 @@ const cluster = (members: MemberStatus[], changes: Partial<ClusterMessage> = {})
   ...changes,
 });
 
-describe("the cluster in words", () => {
-  it("counts the machines that render", () => {
+describe("texts about the cluster", () => {
+  it("clusterWords states the number of computers that render.", () => {
     expect(clusterWords(cluster([member("ready"), member("ready")]))).toBe("cluster: 2 machines");
     expect(clusterWords(cluster([member("ready"), member("late")]))).toBe("cluster: 1 of 2 machines");
     expect(clusterWords(cluster([member("ready")], { mixed: true }))).toBe("cluster: 1 machine, mixed");
     expect(clusterWords(cluster([], { alone: true }))).toBe("cluster: this machine only");
   });
 
-  it("asks for a look where a machine is late or gone, and not while one is being sent the scan", () => {
+  it("needsLook is true for a late or lost computer, and false while one is loading the scan.", () => {
     expect(needsLook(cluster([member("ready"), member("loading")]))).toBe(false);
     expect(needsLook(cluster([member("ready"), member("late")]))).toBe(true);
     expect(needsLook(cluster([member("ready"), member("away")]))).toBe(true);

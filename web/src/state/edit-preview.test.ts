@@ -30,8 +30,8 @@ function answer(change: Partial<EditPreviewMessage> = {}): EditPreviewMessage {
 
 const NBSP = "\u202f";
 
-describe("a preview of an edit", () => {
-  it("is shown by the tools that add, bridge and move a fork", () => {
+describe("preview of an edit", () => {
+  it("Only the tools that add a branch, bridge, or move a selected fork have a preview.", () => {
     expect(previewTool("add", false)).toBe("add-branch");
     expect(previewTool("bridge", false)).toBe("bridge");
     expect([previewTool("fork", false), previewTool("fork", true)]).toEqual([null, "move-fork"]);
@@ -39,7 +39,7 @@ describe("a preview of an edit", () => {
     expect(previewTool(null, false)).toBeNull();
   });
 
-  it("is drawn in runs with and without evidence that share a point, every point where the edit would put it", () => {
+  it("runsOf splits a line into runs of airway and runs drawn by hand, and neighbouring runs share a point.", () => {
     expect(runsOf([LINE])).toEqual([
       { points: LINE.points_lps.slice(0, 3), drawn: false },
       { points: LINE.points_lps.slice(2), drawn: true },
@@ -48,7 +48,7 @@ describe("a preview of an edit", () => {
     expect(runsOf([LINE, LINE]).length).toBe(4);
   });
 
-  it("says how long it is, and along how much of it the CT shows no wall", () => {
+  it("The text states the length of the edit and the length without a visible airway wall.", () => {
     expect(previewWords({ answer: answer(), stale: false })).toEqual({
       lines: [`new branch, 41${NBSP}mm`, `no wall along 21${NBSP}mm`],
       warns: true,
@@ -58,7 +58,7 @@ describe("a preview of an edit", () => {
     expect(previewWords({ answer: answer({ tool: "bridge", doubtful_mm: 41 }), stale: false }).warns).toBe(true);
   });
 
-  it("says that it is looked for, and why it cannot be made", () => {
+  it("The text states that the search is running, or why the edit is impossible.", () => {
     expect(previewWords({ answer: null, stale: true }).lines).toEqual(["searching for the airway\u2026"]);
     const none = answer({
       lines: [],
@@ -72,7 +72,7 @@ describe("a preview of an edit", () => {
   });
 });
 
-describe("the question about a branch without evidence", () => {
+describe("doubtWords", () => {
   const doubt = (change: Partial<NoEvidenceMessage> = {}): NoEvidenceMessage => ({
     type: "no_evidence",
     job_id: "job-1",
@@ -85,7 +85,7 @@ describe("the question about a branch without evidence", () => {
     ...change,
   });
 
-  it("says how much of the way is meant", () => {
+  it("The question states along which length of the branch the CT shows no airway wall.", () => {
     expect(doubtWords(doubt())).toBe(
       `The CT shows no airway wall along the last 21${NBSP}mm of this branch. Draw the airway there anyway?`,
     );

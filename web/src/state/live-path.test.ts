@@ -38,8 +38,8 @@ function asking() {
   return { sent, clock, line, asker, places: () => sent.map((message) => message.lps?.[0]) };
 }
 
-describe("the live path", () => {
-  it("asks at once, and while an answer is due keeps only the newest question", () => {
+describe("LiveAsker", () => {
+  it("The first request is sent at once, and of those before its answer only the latest is sent.", () => {
     const { asker, places } = asking();
     for (const x of [1, 2, 3, 4]) asker.ask(at(x));
     expect(places()).toEqual([1]);
@@ -49,14 +49,14 @@ describe("the live path", () => {
     expect(places()).toEqual([1, 4]);
   });
 
-  it("says how long an answer took", () => {
+  it("An answer contains its response time.", () => {
     const { asker, clock } = asking();
     asker.ask(at(1));
     clock.ms = 17;
     expect(asker.receive(answer(1))?.tookMs).toBe(17);
   });
 
-  it("drops an answer for a cursor that has left, and one that a newer answer has overtaken", () => {
+  it("The answer to a forgotten request, or to one that a newer answer has overtaken, is discarded.", () => {
     const { asker, clock } = asking();
     asker.ask(at(1));
     asker.forget();
@@ -68,7 +68,7 @@ describe("the live path", () => {
     expect(asker.receive(answer(2))).toBeNull();
   });
 
-  it("asks again where an answer never came, and after a new connection", () => {
+  it("A new request is sent after an answer has not arrived for 10 s, and after a reset.", () => {
     const { asker, clock, places, line } = asking();
     asker.ask(at(1));
     clock.ms = 10_000;
@@ -83,8 +83,8 @@ describe("the live path", () => {
   });
 });
 
-describe("what is said beside the cursor", () => {
-  it("is length, narrowest place and certainty, and what is new or moved", () => {
+describe("livePathLines", () => {
+  it("The lines state length, narrowest diameter and confidence, and what is new or was moved.", () => {
     expect(livePathLines(answer(1)).lines).toEqual([
       "10\u202fmm from the tracheal entry",
       "fits up to 4.2\u202fmm",
@@ -94,14 +94,14 @@ describe("what is said beside the cursor", () => {
     expect(more.slice(2)).toEqual(["12.5\u202fmm beyond the tree", "moved 1.3\u202fmm into the lumen"]);
   });
 
-  it("is the reason, as a sentence, where there is no way", () => {
+  it("Without a path the line is the server's reason as a sentence, with a warning.", () => {
     const none = livePathLines(answer(1, { length_mm: null, problem: "the lumen ends 8 mm from here" }));
     expect(none).toEqual({ lines: ["The lumen ends 8 mm from here"], warns: true });
   });
 });
 
-describe("a long reason", () => {
-  it("is cut after a sentence, never within one or within a number", () => {
+describe("firstSentences", () => {
+  it("A long text is cut after a whole sentence, never within a number.", () => {
     const long = "This is soft tissue, not an airway. The nearest airway that was found is 12.5 mm away (up to 5 mm).";
     expect(firstSentences(`${long} Point at an airway; if one is missing here, paint its lumen.`)).toBe(
       "This is soft tissue, not an airway.",
@@ -111,9 +111,9 @@ describe("a long reason", () => {
   });
 });
 
-describe("where a way leaves the tree", () => {
+describe("leavesTreeAt", () => {
   const points = [0, 10, 20, 30].map((z) => [0, 0, z] as const);
-  it("is counted from its end", () => {
+  it("The index is found from the end of the path by the length of its new part.", () => {
     expect(leavesTreeAt(points, 0)).toBe(3);
     expect(leavesTreeAt(points, null)).toBe(3);
     expect(leavesTreeAt(points, 10)).toBe(2);

@@ -20,8 +20,8 @@ const TARGET: Target = {
 };
 const NOTHING = { targets: [], root_lps: null };
 
-describe("where a path begins", () => {
-  it("is the marked start, else that of the newest such path, else where the airways do", () => {
+describe("startOf", () => {
+  it("It returns the marked start, else the start of the latest target with this cost, else the root of the airways.", () => {
     const session = {
       targets: [TARGET, { ...TARGET, cost: "lumen" as const, root_lps: null }],
       root_lps: [7, 8, 9] as const,
@@ -33,13 +33,13 @@ describe("where a path begins", () => {
   });
 });
 
-describe("the command for a target", () => {
-  it("is as ever through the lumen", () => {
+describe("targetMessage", () => {
+  it("Through the lumen the command has neither a cost nor a start.", () => {
     const search = { pathCost: "lumen", pathStart: [0, 0, 1] } as const;
     expect(targetMessage([1, 2, 3], search, NOTHING)).toEqual({ type: "add_target", lps: [1, 2, 3] });
   });
 
-  it("names cost and start, and there is none without a start", () => {
+  it("With another cost the command contains cost and start, and is null without a start.", () => {
     const search = { pathCost: "paper", pathStart: [0, 0, 1] } as const;
     const asked = { type: "add_target", lps: [1, 2, 3], cost: "paper", root_lps: [0, 0, 1] };
     expect(targetMessage([1, 2, 3], search, NOTHING)).toEqual(asked);
@@ -47,8 +47,8 @@ describe("the command for a target", () => {
   });
 });
 
-describe("what the pen is to mark", () => {
-  it("is the tool in the hand, a target with its cost and start", () => {
+describe("penMessage", () => {
+  it("It names a tool that the pen can use, and for a target also its cost and start.", () => {
     const search = { pathCost: "walls", pathStart: [0, 0, 1] } as const;
     expect(penMessage({ ...search, armed: "start" }, NOTHING)).toEqual({ type: "arm_pen", tool: "start" });
     expect(penMessage({ ...search, armed: "cut" }, NOTHING)).toEqual({ type: "arm_pen", tool: null });
@@ -63,8 +63,8 @@ describe("what the pen is to mark", () => {
   });
 });
 
-describe("what is told of a path", () => {
-  it("says what is not known, and the values along it", () => {
+describe("pathWords", () => {
+  it("The text of a path with another cost states the values along it and the length outside the lumen.", () => {
     expect(pathWords(TARGET, false)).toBe(
       "139\u202fmm from the start, cost walls, not compared with a lumen, values 116 to 140",
     );
@@ -74,7 +74,7 @@ describe("what is told of a path", () => {
     expect(pathWords({ ...TARGET, outside_mm: 0 }, false)).toContain("all in the lumen");
   });
 
-  it("is as ever through the lumen", () => {
+  it("The text of a path through the lumen states its length from the tracheal entry, and is empty without a path.", () => {
     const target = { ...TARGET, cost: "lumen" as const, root_lps: null, snapped_mm: 1.25 };
     expect(pathWords(target, true)).toMatch(/^139\u202fmm from the tracheal entry, moved 1\.3\u202fmm into the lumen$/);
     expect(pathWords({ ...target, length_mm: null }, true)).toBe("");

@@ -13,8 +13,8 @@ const pen = (change: Partial<PenMessage> = {}): PenMessage => ({
   ...change,
 });
 
-describe("what a pen's button marks", () => {
-  it("is said: its own tip where it is registered, else the scope's, and why", () => {
+describe("point that the pen's button marks", () => {
+  it("The text names the pen's tip if the pen is registered, else the scope's tip and the reason.", () => {
     expect(penMarkWords(pen())).toContain("the pen tip");
     expect(penMarkWords(pen({ lps: null }))).toBe(
       "The pen is not registered: its button marks the position of the scope tip.",
@@ -22,7 +22,7 @@ describe("what a pen's button marks", () => {
     expect(penMarkWords(pen({ lps: null, tracked: false }))).toContain("is not tracked");
   });
 
-  it("is the pen's point, and nothing while no pen moves the tip", () => {
+  it("penPoint returns the pen's point, and null if no pen moves the tip.", () => {
     const told = reduce(INITIAL_STATE, { kind: "server", message: pen() });
     expect(penPoint(told)).toEqual([1, 2, 3]);
     const gone = reduce(told, { kind: "server", message: pen({ device: null, lps: null }) });
@@ -31,11 +31,11 @@ describe("what a pen's button marks", () => {
   });
 });
 
-describe("a tool that the pen's button has used", () => {
+describe("wasUsedByPen", () => {
   const told = (num: number, airways: StateMessage["airways"]) =>
     ({ targets: Array.from({ length: num }), airways }) as unknown as StateMessage;
 
-  it("is put down, and no other tool, and not before", () => {
+  it("It is true only for a pen tool whose target was added or whose search has started.", () => {
     expect(wasUsedByPen("target", told(0, "found"), told(1, "found"))).toBe(true);
     expect(wasUsedByPen("target", told(1, "found"), told(1, "found"))).toBe(false);
     expect(wasUsedByPen("add", told(0, "found"), told(1, "found"))).toBe(false);
@@ -45,8 +45,8 @@ describe("a tool that the pen's button has used", () => {
   });
 });
 
-describe("what is left between pen and tip", () => {
-  it("is said in absolute movement until it is nothing", () => {
+describe("penOffWords", () => {
+  it("The text states the offset between pen and tip, and is null below the displayed precision.", () => {
     expect(penOffWords(null)).toBeNull();
     expect(penOffWords(pen())).toBeNull();
     expect(penOffWords(pen({ off_mm: 56.21, off_deg: 12 }))).toMatch(/^56\.2.mm, 12\u00b0$/);

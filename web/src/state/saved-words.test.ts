@@ -6,14 +6,14 @@ import { NOTHING_SAVED } from "./saving.testing";
 const NOW_S = 1_800_000_000;
 const NOW_MS = 1000 * NOW_S;
 
-describe("what is saved", () => {
-  it("is said while a case is open", () => {
+describe("savedWords", () => {
+  it("The text states whether and when the open case was saved, and is null without a case.", () => {
     expect(savedWords(null, NOW_MS)).toBeNull();
     expect(savedWords(NOTHING_SAVED, NOW_MS)?.label).toBe("not changed");
     expect(savedWords({ ...NOTHING_SAVED, saved_s: NOW_S }, NOW_MS)?.label).toBe(`saved ${clock(NOW_S, NOW_MS)}`);
   });
 
-  it("tells of the copy and where it lies", () => {
+  it("The text states the named file and its folder, or why the file was not written.", () => {
     const copied = {
       ...NOTHING_SAVED,
       saved_s: NOW_S,
@@ -37,7 +37,7 @@ describe("what is saved", () => {
     });
   });
 
-  it("never hides that nothing can be written", () => {
+  it("A failed or disabled save is always shown as a warning.", () => {
     const told = savedWords({ ...NOTHING_SAVED, saved_s: NOW_S, problem: "the disk is full" }, NOW_MS);
     expect(told).toMatchObject({ warns: true, words: "the disk is full" });
     expect(told?.label).toContain(clock(NOW_S, NOW_MS));
@@ -51,7 +51,7 @@ describe("what is saved", () => {
     expect(savedWords({ ...NOTHING_SAVED, keeps: false }, NOW_MS)).toMatchObject({ warns: true, label: "not saved" });
   });
 
-  it("has a date where it was not today", () => {
+  it("A time on another day has a date.", () => {
     expect(clock(0, Date.UTC(2026, 0, 31))).toMatch(/^(1969-12-31|1970-01-01) \d\d:\d\d$/);
     expect(clock(NOW_S, NOW_MS)).toMatch(/^\d\d:\d\d$/);
   });

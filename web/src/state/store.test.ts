@@ -21,8 +21,8 @@ function heard() {
   return { store, told, refresh, leave };
 }
 
-describe("who listens to the state", () => {
-  test("a panel hears once a refresh of all that streamed in, others of each at once", () => {
+describe("Store", () => {
+  test("A panel is notified of streamed events once per display refresh, and other listeners of each event.", () => {
     const { store, told, refresh } = heard();
     for (const one of [1, 2, 3]) store.dispatch(speed(one));
     expect(store.get().speedMmS).toBe(3);
@@ -36,7 +36,7 @@ describe("who listens to the state", () => {
     expect(told.panels).toBe(2);
   });
 
-  test("of what a person does a panel hears at once, and with it of what streamed in before", () => {
+  test("A panel is notified of a user action at once, together with the streamed events before it.", () => {
     const { store, told, refresh } = heard();
     store.dispatch(speed(1));
     store.dispatch(advancing(true));
@@ -45,7 +45,7 @@ describe("who listens to the state", () => {
     expect(told.panels).toBe(1);
   });
 
-  test("what changes nothing is not told of, and who has left hears nothing", () => {
+  test("A panel that has unsubscribed is not notified.", () => {
     const { store, told, refresh, leave } = heard();
     store.dispatch(speed(1));
     refresh();

@@ -33,8 +33,8 @@ function page(refusals: string[]) {
   return { lock, element, asked, looked, changes, refused, move };
 }
 
-describe("pointer lock", () => {
-  it("turns the tip while it is locked, also where raw movement is not offered", async () => {
+describe("PointerLock", () => {
+  it("Mouse movement turns the tip while the pointer is locked, also without raw movement in the browser.", async () => {
     const { lock, element, asked, looked, changes, move } = page(["NotSupportedError"]);
     move(10, 10);
     await lock.request(element);
@@ -49,7 +49,7 @@ describe("pointer lock", () => {
     lock.stop();
   });
 
-  it("says why the browser refused", async () => {
+  it("The browser's reason is reported when it refuses the lock.", async () => {
     const { lock, element, refused } = page(["SecurityError"]);
     await lock.request(element);
     expect(refused).toEqual(["no"]);
