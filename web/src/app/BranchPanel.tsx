@@ -1,4 +1,7 @@
-/** Panel of one branch: its name with confidence, its measurements with errors, and the lumen along the branch. */
+/**
+ * Panel of the selected branch: its name with confidence, its measurements with errors, and a chart of the lumen
+ * diameter.
+ */
 
 import { useEffect, useId, useState } from "react";
 import { Input, TextField } from "react-aria-components";
@@ -102,7 +105,7 @@ function BranchName({ node }: { node: BranchNode }) {
   );
 }
 
-/** Render the name as an editable field: Enter saves the name, Escape restores it. */
+/** Render the name of a branch as an editable field: Enter saves the name, Escape restores the previous one. */
 function NameField({ node }: { node: BranchNode }) {
   const station = useStation();
   const [text, setText] = useState(node.branch.name ?? "");

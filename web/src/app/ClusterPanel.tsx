@@ -1,11 +1,11 @@
-/** The computers that render together with this one: a short status, and a panel with the share and delay of each. */
+/** Status of the cluster computers that render together with this one, and a panel with the share and delay of each. */
 
 import { Button, Dialog, DialogTrigger, Popover } from "react-aria-components";
 import { clusterWords, memberWords, needsLook } from "../state/cluster-words";
 import { fixed } from "../state/format";
 import { useApp } from "./context";
 
-/** Render the status of the rendering computers. */
+/** Render the status of the cluster computers; nothing without a cluster. */
 export function ClusterPanel() {
   const cluster = useApp((state) => state.cluster);
   if (cluster === null) return null;

@@ -4,7 +4,7 @@ import { continuedWords } from "../state/case-list";
 import { useApp, useStation } from "./context";
 import { Act } from "./controls";
 
-/** Render the notice about a continued case. */
+/** Render the notice that a saved case is continued; nothing once the user has closed it or has changed the case. */
 export function ContinuedBar() {
   const station = useStation();
   const saving = useApp((state) => state.session?.saving ?? null);

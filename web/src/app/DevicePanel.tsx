@@ -1,4 +1,4 @@
-/** Panel of input devices: their list and values, how they move the tip, and their calibration to the patient. */
+/** Panel of input devices: their list and values, their movement settings, and their calibration to the patient. */
 
 import { useState } from "react";
 import { Input, TextField } from "react-aria-components";
@@ -26,7 +26,7 @@ const MIN_PAIRS = 3;
 export function DevicePanel() {
   const station = useStation();
   const told = useApp((state) => state.devices);
-  // A calibration belongs to one case, so another case discards it.
+  // Discard the calibrations in progress when the case changes, because a calibration belongs to one case.
   const caseNumber = useApp((state) => state.session?.case?.number);
   const missing = station.devices.missing();
   return (
@@ -69,7 +69,7 @@ export function DevicePanel() {
 
 function Movement({ told }: { told: DevicesMessage }) {
   const station = useStation();
-  // The server sends every field, including those that a client may omit.
+  // Cast to the type with all fields, because the server sends every field, including those that a client may omit.
   const controls = told.controls as Required<DeviceControls>;
   const change = (changed: DeviceControls) =>
     station.send({ type: "set_controls", controls: { ...controls, ...changed } });
@@ -134,7 +134,7 @@ function Movement({ told }: { told: DevicesMessage }) {
   );
 }
 
-/** Render the offset between the pen and the tip in absolute movement. */
+/** Render the offset between the pen and the tip in absolute movement; nothing once the tip is at the pen. */
 function PenOffset() {
   const station = useStation();
   const words = useApp((state) => penOffWords(state.pen));
@@ -185,7 +185,7 @@ function HeadsetGroup() {
   );
 }
 
-/** A calibration in progress. */
+/** The calibration of one device while the user collects its point pairs. */
 interface Begun {
   readonly isOpen: boolean;
   readonly pairs: readonly CalibrationPair[];
@@ -193,7 +193,10 @@ interface Begun {
 
 const NOT_BEGUN: Begun = { isOpen: false, pairs: [] };
 
-/** Render the devices and the calibrations in progress; a tracker that sends nothing leaves the list and may return. */
+/**
+ * Render the devices and their calibrations in progress. A calibration is stored here, so that it survives a pause in
+ * which its tracker sends nothing and leaves the list.
+ */
 function Devices({ devices }: { devices: readonly DeviceInfo[] }) {
   const [begun, setBegun] = useState<ReadonlyMap<string, Begun>>(new Map());
   return devices.map((each) => (
@@ -230,8 +233,7 @@ function Device({ device, begun, onCalibrate }: DeviceProps) {
         />
       )}
       {device.position_mm === null ? null : <Calibration device={device} begun={begun} onCalibrate={onCalibrate} />}
-      {/* The values are last, because their lines grow with the samples and must not move the controls under the
-          cursor. */}
+      {/* The sample counts are last, because their lines grow and must not move the controls under the cursor. */}
       <p className="quiet numbers">
         filter delay {fixed(device.latency_ms, 1)} ms, {plural(device.num_used, "sample")}
         {device.num_ignored === 0 ? "" : `, ${device.num_ignored} ignored (${device.ignored_words})`}
@@ -250,7 +252,9 @@ function valueWords(device: DeviceInfo): string {
   return `${device.axes.map((v) => fixed(v, 2)).join("  ")}${buttons}`;
 }
 
-/** Render a calibration by point pairs: hold the pen at a place, move the crosshair there, add the pair. */
+/**
+ * Render a calibration by point pairs: the user holds the pen at a place, moves the crosshair there and adds the pair.
+ */
 function Calibration({ device, begun, onCalibrate }: DeviceProps) {
   const station = useStation();
   const { isOpen, pairs } = begun;

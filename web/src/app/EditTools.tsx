@@ -1,4 +1,4 @@
-/** Tools that edit the airway tree: one tool at a time is active, with its instruction and a way to deactivate it. */
+/** Tools that edit the airway tree: their buttons, and the instruction and settings of the active tool. */
 
 import { type Action, keyOf } from "../input/keymap";
 import { shownBranch } from "../state/app-state";
@@ -20,7 +20,7 @@ const ACTIONS: Readonly<Record<TreeTool, Action>> = {
   reroot: "tool_reroot",
 };
 
-/** Render the tools. */
+/** Render the buttons of the tools that edit the airway tree. */
 export function EditTools() {
   const station = useStation();
   const armed = useApp((state) => state.ui.armed);

@@ -10,7 +10,7 @@ import { useApp, useStation } from "./context";
 import { Tip } from "./controls";
 import { ListHead } from "./ListHead";
 
-/** Render the history. */
+/** Render the list of executed commands, with the undone commands marked. */
 export function HistoryList() {
   const station = useStation();
   const history = useApp((state) => state.history);

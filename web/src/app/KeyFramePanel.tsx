@@ -1,4 +1,7 @@
-/** Panel of key frames: the list, the flight through the key frames, and the file from which a film is rendered. */
+/**
+ * Panel of key frames: their list, the playback of the flight through them, and the download of the file from which a
+ * video is rendered.
+ */
 
 import { useState } from "react";
 import { Button, FileTrigger, Input, Slider, SliderThumb, SliderTrack, TextField } from "react-aria-components";
@@ -97,7 +100,7 @@ interface RowProps {
 function KeyRow({ frame, number, last, here, timed, open, onOpen }: RowProps) {
   const station = useStation();
   const id = frame.key_id;
-  // Use the label of the list of branches.
+  // Label of the key frame's branch in the list of branches; it replaces an automatic name of the key frame.
   const branch = useApp((state) =>
     frame.branch_id === null ? undefined : state.tree?.byId.get(frame.branch_id)?.label,
   );
@@ -227,11 +230,11 @@ function KeyTools({ frame, first, last }: { frame: ShownKeyFrame; first: boolean
   );
 }
 
-/** Render the playback buttons and the position slider. */
+/** Render the playback buttons and the position slider of the flight through the key frames. */
 function Player({ told }: { told: KeyFramesMessage }) {
   const station = useStation();
   const playing = useApp((state) => state.playing);
-  // While the tip is not on the flight, the slider keeps its last position and shows that state.
+  // After another input has moved the tip, the slider stays at its last position and is drawn as inactive.
   const on = useApp((state) => state.pose?.key_frames_s != null);
   if (told.duration_s <= 0) {
     return told.problem === null ? null : <p className="warning-text">{sentence(told.problem)}</p>;

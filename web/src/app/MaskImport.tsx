@@ -1,4 +1,4 @@
-/** Import of a mask of another program as the airways: file selection, drop, and the question about its contents. */
+/** Import of an external mask as the airways: file selection, drop, and the question about the contents of the mask. */
 
 import { type DragEvent, useEffect, useState } from "react";
 import {
@@ -19,7 +19,7 @@ import { useApp, useStation } from "./context";
 import { Tip } from "./controls";
 import { Icon } from "./icons";
 
-/** Render a button that selects a file with the system's dialog; the file can also be dropped on the window. */
+/** Render a button that selects a mask file with the system's dialog. The file can also be dropped on the window. */
 export function MaskPicker() {
   const station = useStation();
   return (
@@ -42,12 +42,12 @@ export function MaskPicker() {
   );
 }
 
-/** Render the choice of what to do with files that are dragged over the window. */
+/** Render the two drop areas while files are dragged over the window: open them as a case, or as the airways. */
 export function DropChoice() {
   const station = useStation();
   const [dragged, setDragged] = useState(false);
   const [over, setOver] = useState<"mask" | "case" | null>(null);
-  // A mask whose question is unanswered comes first, so that only one question is open.
+  // While the question about an earlier mask is open, no second mask is accepted.
   const asked = useApp((state) => state.session?.mask_question != null);
   useEffect(() => {
     const end = () => {
@@ -56,7 +56,7 @@ export function DropChoice() {
     };
     const drag = (event: globalThis.DragEvent) => {
       if (event.dataTransfer?.types.includes("Files") !== true) return;
-      // Without this call the browser would leave the page and show the file.
+      // Prevent the default action of the browser, which would leave the page and show the file.
       event.preventDefault();
       setDragged(true);
     };
@@ -107,7 +107,7 @@ export function DropChoice() {
   );
 }
 
-/** Render the question about a mask. */
+/** Render the question about the contents of an imported mask; nothing without a question. */
 export function MaskDialog() {
   const station = useStation();
   const question = useApp((state) => state.session?.mask_question ?? null);

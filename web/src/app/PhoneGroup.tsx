@@ -6,7 +6,7 @@ import type { DevicesMessage, PhoneInfo } from "../wire/messages";
 import { useStation } from "./context";
 import { SwitchKey } from "./controls";
 
-/** Render the settings of the phone page. */
+/** Render the settings of the phone page: its switch, its link as a QR code, and the certificate fingerprint. */
 export function PhoneGroup({ told }: { told: DevicesMessage }) {
   const station = useStation();
   const { phone } = told;

@@ -1,6 +1,6 @@
 /**
- * Chart of the lumen along a branch: a line with its error, grey sections at forks, and the values under the cursor as
- * text.
+ * Chart of the lumen diameter along a branch: a line with an error band, grey sections at forks, and the values under
+ * the cursor as text.
  */
 
 import { type PointerEvent, useState } from "react";
@@ -18,11 +18,11 @@ const RIGHT = 4;
 interface ProfileChartProps {
   points: readonly ProfilePoint[];
   title: string;
-  /** Text below the chart while the cursor is elsewhere. */
+  /** Text below the chart while the cursor is outside the chart. */
   words: string;
 }
 
-/** Render the chart. */
+/** Render the chart of the lumen diameter along a branch. */
 export function ProfileChart({ points, title, words }: ProfileChartProps) {
   const [at, setAt] = useState<ProfilePoint | null>(null);
   if (points.length < 2) return <p className="empty">Too short for a lumen profile.</p>;

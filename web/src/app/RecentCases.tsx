@@ -1,6 +1,6 @@
 /**
- * List of the recently used cases with picture, time and changes; a case that the user has not named has a neutral
- * alias.
+ * List of the recently used cases, each with its picture, last use and number of changes. A case that the user has not
+ * named has a neutral alias.
  */
 
 import { Button } from "react-aria-components";
@@ -60,7 +60,7 @@ export function RecentCases() {
   );
 }
 
-/** Render the picture, the title and the distinguishing facts of a case. */
+/** Render the picture, the title, and the facts that distinguish a case from the other cases. */
 export function CaseWords({ entry, all }: { entry: RecentCase; all: readonly RecentCase[] }) {
   return (
     <>
@@ -74,7 +74,7 @@ export function CaseWords({ entry, all }: { entry: RecentCase; all: readonly Rec
   );
 }
 
-/** Render the picture of a case. */
+/** Render the stored picture of a case, or a placeholder if it has none. */
 export function CasePicture({ entry }: { entry: RecentCase }) {
   return (
     <span className="case-picture">

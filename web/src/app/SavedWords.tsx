@@ -1,4 +1,4 @@
-/** Text about the saved state of the case. */
+/** Text of the top bar about the saved state of the case. */
 
 import { Button } from "react-aria-components";
 import { keyOf } from "../input/keymap";
@@ -6,7 +6,7 @@ import { savedWords } from "../state/saved-words";
 import { useApp, useStation } from "./context";
 import { Tip } from "./controls";
 
-/** Render the saved state. */
+/** Render the saved state of the case; nothing without a case. */
 export function SavedWords() {
   const station = useStation();
   const saving = useApp((state) => state.session?.saving ?? null);

@@ -9,16 +9,19 @@ import { Icon } from "./icons";
 
 const NO_SCOPE = "no scope";
 
-/** Return the sizes that distinguish instruments. */
+/** Return the tip diameter and the field of view of an instrument as text. */
 function sizeWords(scope: Scope): string {
   const fov = scope.fov_deg === null ? "" : `, ${fixed(scope.fov_deg)}\u00b0`;
   return `\u2300 ${fixed(scope.tip_mm, 1)} mm${fov}`;
 }
 
-/** Return the kind of an instrument, for which the toolbar has space; the list and the tooltip show the full title. */
+/**
+ * Return the first word of an instrument's title, because the toolbar is narrow; the list and the tooltip show the full
+ * title.
+ */
 const shortTitle = (title: string): string => title.split(/[ ,(]/)[0] ?? title;
 
-/** Render the selection. */
+/** Render the selection of the instrument; nothing until the server has sent its instruments. */
 export function ScopeSelect() {
   const station = useStation();
   const scopes = useApp((state) => state.start?.scopes ?? null);

@@ -1,4 +1,4 @@
-/** Status bar: performance of the rendering, and the permanent safety sentence. */
+/** Status bar: frame rate, latency and method of the rendering, and the permanent sentence *not a medical device*. */
 
 import { memo, useEffect, useState } from "react";
 import { Button, ListBox, ListBoxItem, Popover, Select, SelectValue } from "react-aria-components";
@@ -72,7 +72,10 @@ export function StatusBar() {
   );
 }
 
-/** Render the position and voxel value under the cursor. Both are from one answer, so that they always correspond. */
+/**
+ * Render the position and the voxel value under the cursor. Both are from one answer of the server, so that they belong
+ * together.
+ */
 function CursorWords() {
   const cursor = useApp((state) => state.ui.cursorLps);
   const probed = useApp((state) => state.probed);
@@ -91,7 +94,7 @@ function CursorWords() {
 
 const RATES_HZ = [15, 30, 60] as const;
 
-/** Render the requested frame rate beside the measured rate. */
+/** Render the selection of the target frame rate, beside the measured frame rate. */
 const AskedRate = memo(function AskedRate() {
   const station = useStation();
   const rate = useApp((state) => state.session?.frame_rate_hz ?? 60);
@@ -123,7 +126,7 @@ const AskedRate = memo(function AskedRate() {
   );
 });
 
-/** Render how the displayed airway picture was rendered, not the setting for the next one. */
+/** Render the method of the displayed airway picture, which may differ from the selected method. */
 function MethodWords() {
   const asked = useApp((state) => state.sight.method);
   const made = useApp((state) => state.frames[LEAD_VIEW]?.method ?? null);
@@ -138,7 +141,7 @@ function MethodWords() {
   );
 }
 
-/** Render the resolution of the displayed airway picture. */
+/** Render the resolution of the displayed airway picture, relative to the size of the view. */
 function FineWords() {
   const station = useStation();
   const frame = useApp((state) => state.frames[LEAD_VIEW] ?? null);
@@ -156,7 +159,7 @@ function FineWords() {
   );
 }
 
-/** Waiting time, ms, above which the picture is called late. */
+/** Waiting time for an airway picture, ms, above which the status bar warns. */
 const LATE_MS = 700;
 
 function PaceWords() {

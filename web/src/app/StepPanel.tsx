@@ -1,4 +1,4 @@
-/** Panel of the current step. Each step has one primary action. */
+/** Panel of the current workflow step. Each step has one primary action. */
 
 import { STEP_WORDS } from "../state/steps";
 import { Citation } from "./Citation";
@@ -12,7 +12,7 @@ import { RouteStep } from "./steps/RouteStep";
 import { ShareStep } from "./steps/ShareStep";
 import { TargetStep } from "./steps/TargetStep";
 
-/** Render the panel of the current step. */
+/** Render the panel of the current workflow step. */
 export function StepPanel() {
   const step = useApp((state) => state.ui.step);
   const citation = useApp((state) => state.session?.case?.citation ?? null);
@@ -20,7 +20,7 @@ export function StepPanel() {
     <section className="step-panel" aria-label={STEP_WORDS[step].title}>
       <Jobs />
       <h2>{STEP_WORDS[step].title}</h2>
-      {/* The key resets the scroll position when the step changes. */}
+      {/* The key gives each step a new element, so that the scroll position is reset when the step changes. */}
       <div key={step} className="step-body">
         {body(step)}
       </div>

@@ -11,14 +11,14 @@ import { CasePicture, CaseWords } from "./RecentCases";
 
 const NONE: readonly RecentCase[] = [];
 
-/** Render the dialog. */
+/** Render the dialog of all cases. */
 export function StorageDialog() {
   const station = useStation();
   const open = useApp((state) => state.ui.storageOpen);
   useEffect(() => {
     if (!open) return;
-    // A pressed button disappears with its row, so that for a moment no element of the dialog has the focus and
-    // receives keys.
+    // When a pressed button disappears with its row, no element of the dialog has the focus, and the page receives the
+    // Escape key.
     const closeFromPage = (event: KeyboardEvent) => {
       if (event.key === "Escape" && document.activeElement === document.body) station.ui({ storageOpen: false });
     };

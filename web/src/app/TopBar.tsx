@@ -1,4 +1,4 @@
-/** Top bar: product name, case title, and the steps of the workflow. */
+/** Top bar: product name, case title, steps of the workflow, and the saved state. */
 
 import { Fragment } from "react";
 import { Button } from "react-aria-components";
@@ -119,8 +119,8 @@ export function TopBar() {
 }
 
 /**
- * Render the case title. The name of the CT's file is shown only on this computer and on request, because it may
- * identify the patient.
+ * Render the case title. The file name of the CT is shown only on this computer and only on request, because the name
+ * may identify the patient.
  */
 function CaseTitle({ title, neutral, ctName }: { title: string; neutral: string; ctName: string | null }) {
   if (title === "") return null;

@@ -1,10 +1,10 @@
-/** React hooks that give panels the state and the workstation. */
+/** React hooks that give a component the state and the workstation. */
 
 import { createContext, use, useSyncExternalStore } from "react";
 import type { AppState } from "../state/app-state";
 import type { Workstation } from "./workstation";
 
-/** React context of the workstation. */
+/** React context that holds the workstation. */
 export const StationContext = createContext<Workstation | null>(null);
 
 /** Return the workstation; throw an Error outside its context. */
@@ -14,7 +14,10 @@ export function useStation(): Workstation {
   return station;
 }
 
-/** Return a part of the state; `select` must return the same object while its part has not changed. */
+/**
+ * Return a part of the state, and render the component again when the part changes. `select` must return the same
+ * object while its part has not changed.
+ */
 export function useApp<T>(select: (state: AppState) => T): T {
   const { store } = useStation();
   return useSyncExternalStore(store.subscribePanel, () => select(store.get()));

@@ -1,5 +1,6 @@
 /**
- * Input devices of the browser: detects them, reads them once per display refresh, and sends their values to Carina.
+ * Input devices of the browser: detects the devices, reads them once per display refresh, and sends their values to the
+ * server.
  */
 
 import { ContactSense } from "../input/devices/contact";
@@ -20,13 +21,13 @@ import type { Station } from "./station";
 
 const BUMP = { strength: 0.6, ms: 120 } as const;
 
-/** A position of the pen, and the corresponding point in the patient. */
+/** A pair of corresponding points for the calibration of a tracked pen: one in tracker space, one in patient space. */
 export interface CalibrationPair {
   readonly tracker: Vec3;
   readonly patient: Vec3;
 }
 
-/** All input devices of the browser. */
+/** All input devices of the browser, and their connection to the workstation. */
 export class BrowserDevices {
   readonly #station: Station;
   readonly #pointing: Pointing;
@@ -83,7 +84,7 @@ export class BrowserDevices {
     });
   }
 
-  /** Detect the headset now and whenever one is connected or disconnected. */
+  /** Update the availability of the headset now and whenever a headset is connected or disconnected. */
   watchHeadset(): void {
     const xr = xrOf(navigator);
     const look = () => {
@@ -94,9 +95,9 @@ export class BrowserDevices {
     xr?.addEventListener("devicechange", look);
   }
 
-  /** Enter the headset; browsers require a click. */
+  /** Enter the headset view. Browsers permit the entry only in response to a click. */
   async enterHeadset(): Promise<void> {
-    // The clutch setting of pens arrives with the messages about devices.
+    // Subscribe to the device messages, because they contain the clutch setting of pens, which the headset needs.
     this.#station.send({ type: "watch_devices", on: true });
     await this.#headset?.enter();
   }
@@ -130,7 +131,9 @@ export class BrowserDevices {
     });
   }
 
-  /** Return the picture that this page shows in the place of the airway view. */
+  /**
+   * Return the picture that the page shows in the airway view's place, for the headset's screen; null if there is none.
+   */
   #newestPicture(): NewestPicture | null {
     const viewport = this.#station.wall.find(LEAD_VIEW);
     if (viewport?.header == null) return null;
@@ -142,7 +145,7 @@ export class BrowserDevices {
     return this.#station.state.session?.case != null && this.#station.state.start?.notice_accepted !== false;
   }
 
-  /** Return the device interfaces that this browser lacks, as text. */
+  /** Return the names of the device interfaces that this browser lacks, as text for the user. */
   missing(): readonly string[] {
     const words: string[] = [];
     if (!("getGamepads" in navigator)) words.push("gamepads");
@@ -180,7 +183,7 @@ export class BrowserDevices {
     if (canvas !== null) void this.#lock.request(canvas);
   }
 
-  /** Show the browser's device selection; browsers require a click. */
+  /** Show the browser's selection of SpaceMouse devices. Browsers permit the selection only in response to a click. */
   askSpaceMouse(): void {
     void this.#mouse?.ask();
   }
@@ -197,7 +200,8 @@ export class BrowserDevices {
   }
 
   /**
-   * While the root or target tool is active, the pen's button marks the point, and the path to it is shown (paper 6.3).
+   * Report to the server whether the pen's button marks a point (root, start or target tool). While it does, request
+   * the path to the marked point (paper 6.3).
    */
   #armPen(): void {
     const { ui, session } = this.#station.state;
