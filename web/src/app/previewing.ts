@@ -1,4 +1,4 @@
-/** Requests and shows the preview of an edit while a tool with a preview is active. */
+/** Requests for the preview of an edit, while a tool with a preview is active. */
 
 import type { PreviewQuestion } from "../state/edit-preview";
 import { NewestAsker } from "../state/newest-asker";
@@ -6,12 +6,12 @@ import type { EditPreviewMessage } from "../wire/messages";
 import type { Station } from "./station";
 
 /**
- * Time, ms, for which the answer for an earlier cursor position stays visible (faint), so that the line follows the
- * hand. Afterwards it is hidden, because the click would give another result.
+ * Time, ms, for which the preview of an earlier cursor position stays visible (faint), so that the line follows the
+ * hand. Later it is hidden, because a click would give another result.
  */
 export const STALE_MS = 120;
 
-/** Preview of edits. */
+/** Requests the preview of an edit for the cursor position, and shows the answers. */
 export class Previewing {
   readonly #station: Station;
   readonly #asker: NewestAsker<PreviewQuestion, EditPreviewMessage>;
@@ -33,7 +33,7 @@ export class Previewing {
     this.#asker.ask(question);
   }
 
-  /** Request the preview again, because the tree has changed. */
+  /** Request the preview at the same position again, because the tree has changed. */
   again(): void {
     if (this.#last === null) return;
     this.#outdated();
@@ -48,7 +48,7 @@ export class Previewing {
     if (this.#station.state.preview !== null) this.#station.store.dispatch({ kind: "preview", preview: null });
   }
 
-  /** Forget all requests, for a new connection. */
+  /** Discard all requests without an answer, because a new connection does not answer them. */
   reset(): void {
     this.forget();
     this.#asker.reset();

@@ -25,7 +25,7 @@ const SLABS = [
 type SlabName = (typeof SLABS)[number]["value"];
 const NO_BADGES: readonly CaseNote[] = [];
 
-/** Render the Check step. */
+/** Render the panel of the Check step. */
 export function CheckStep() {
   const station = useStation();
   const info = useApp((state) => state.session?.case ?? null);
