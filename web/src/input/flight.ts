@@ -1,21 +1,24 @@
 /**
- * Steering by held keys, wheel and drags, sent once per display refresh; and the automatic flight to the next fork. The
- * caller passes the time, so that tests need not wait.
+ * Steering of the tip by held keys, wheel and drags, sent once per display refresh, and the automatic flight to the
+ * next fork. The caller passes the elapsed time, so that tests need not wait.
  */
 
 import { nextStopMm } from "../state/route";
 import type { ClientMessage, RouteInfo } from "../wire/messages";
 import type { HoldAxis } from "./keymap";
 
-/** Speed of a held key, mm/s; the trachea takes about four seconds. */
+/** Speed of the tip while a movement key is held, mm/s; the trachea takes about four seconds. */
 export const SPEED_MM_S = 25;
-/** Factor of the speed while Shift is held. */
+/** Factor that multiplies the speed while Shift is held. */
 export const SLOW = 0.3;
-/** Angular speed of a held key, rad/s. */
+/** Angular speed of the view while a turn key is held, rad/s. */
 export const TURN_RAD_S = 1.0;
-/** Advance per px of scrolling, mm; one notch of a common wheel is 100 px. */
+/** Advance of the tip per px of scrolling, mm; one notch of a common wheel is 100 px. */
 export const WHEEL_MM_PER_PX = 0.03;
-/** Longest time step, s, so that a late display refresh (another tab, a pause) does not move the tip through a wall. */
+/**
+ * Longest time step of the movement, s, so that a late display refresh (another tab, a pause) does not move the tip
+ * through a wall.
+ */
 export const MAX_TICK_S = 0.1;
 
 /** Page functions that {@link Flight} uses; tests supply fakes. */
@@ -56,7 +59,7 @@ export class Flight {
     this.#slow = on;
   }
 
-  /** Add mouse movement, which is sent at the next display refresh. */
+  /** Add a movement of mouse or wheel, which is sent at the next display refresh. */
   nudge(move: Partial<{ advance_mm: number; yaw_rad: number; pitch_rad: number; roll_rad: number }>): void {
     if (move.advance_mm !== undefined) this.stopAuto();
     this.#pending.advance_mm += move.advance_mm ?? 0;
@@ -75,7 +78,7 @@ export class Flight {
     return this.#auto !== null;
   }
 
-  /** Start the flight to the next fork of the route; return false if there is no route ahead. */
+  /** Start the automatic flight to the next fork of the route; return false if no route is ahead of the tip. */
   startAuto(): boolean {
     const route = this.#around.route();
     const at = this.#around.pathMm();

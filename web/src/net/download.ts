@@ -1,6 +1,6 @@
 /** Downloads of files that Carina generates from the open case. */
 
-/** The error of a failed download; its message is text for the user. */
+/** Error of a failed download; its message is text for the user. */
 export class DownloadError extends Error {
   constructor(
     readonly code: string,
@@ -38,7 +38,7 @@ export function fetchKeyFrames(signal: AbortSignal): Promise<{ name: string; blo
   return fetchFile(KEYS_FILE, signal);
 }
 
-/** Download a recorded flight of the case in the file format that `carina fly` reads. */
+/** Download a recorded flight of the case, by its number, in the file format that `carina fly` reads. */
 export function fetchFlight(number: number, signal: AbortSignal): Promise<{ name: string; blob: Blob }> {
   return fetchFile(`flight-${number}.jsonl`, signal, "flights/");
 }

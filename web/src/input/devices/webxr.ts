@@ -1,12 +1,10 @@
-/**
- * A VR headset connected by WebXR: its controllers act as tracked pens, and its frame loop draws the airway picture.
- */
+/** VR headset connected by WebXR: its controllers act as tracked pens, and its frame loop draws the airway picture. */
 
 import type { ClientMessage } from "../../wire/messages";
 import type { Action } from "../keymap";
 import { shaped } from "./gamepad";
 
-// The part of WebXR that is used; TypeScript's library does not declare it.
+// Types of the part of WebXR that Carina uses, because TypeScript's library does not declare WebXR.
 
 /** WebXR `DOMPointReadOnly`: a point or a quaternion. */
 export interface XrPoint {
@@ -65,7 +63,10 @@ export interface Xr extends EventTarget {
   requestSession(mode: string, options?: object): Promise<XrSession>;
 }
 
-/** The picture inside the headset. It always draws the latest picture and does not wait for the next one. */
+/**
+ * Virtual screen in the headset that draws the latest airway picture at each frame, without waiting for the next
+ * picture.
+ */
 export interface HeadsetScreen {
   open(session: XrSession): Promise<void>;
   draw(viewer: XrViewerPose): void;
@@ -81,16 +82,19 @@ export interface HeadsetSurroundings {
   act(action: Action): void;
   /** Return whether an open case allows movement of the tip. */
   enabled(): boolean;
-  /** Return whether pens move the tip while the clutch is held, instead of while it is released (`controls.clutch`). */
+  /**
+   * Return the clutch setting of pens (`controls.clutch`): true if a pen moves the tip while its clutch is held, false
+   * if while it is released.
+   */
   clutchHeldMoves(): boolean;
   changed(inside: boolean): void;
   failed(words: string): void;
 }
 
-/** Availability of a headset. */
+/** Availability of a headset in this browser. */
 export type HeadsetOffer = "no-webxr" | "no-headset" | "ready";
 
-/** Return the availability of a headset in this browser and computer. */
+/** Return the availability of a headset in this browser and on this computer. */
 export async function headsetOffer(xr: Xr | null): Promise<HeadsetOffer> {
   if (xr === null) return "no-webxr";
   try {
@@ -100,7 +104,7 @@ export async function headsetOffer(xr: Xr | null): Promise<HeadsetOffer> {
   }
 }
 
-/** Button indices of a controller in the "xr-standard" mapping. */
+/** Button indices of a controller in WebXR's "xr-standard" mapping. */
 const TRIGGER = 0;
 const SQUEEZE = 1;
 const LOWER = 4;
@@ -124,7 +128,7 @@ interface Controller {
   pressed: ReadonlySet<number>;
 }
 
-/** A session in a VR headset. */
+/** Session in a VR headset: frame loop, controllers and virtual screen. */
 export class Headset {
   readonly #xr: Xr;
   readonly #around: HeadsetSurroundings;
@@ -147,7 +151,7 @@ export class Headset {
     return [...this.#controllers.values()].map((controller) => controller.name);
   }
 
-  /** Start the session; browsers require a click. */
+  /** Start the session in the headset. Browsers permit the start only in response to a click. */
   async enter(): Promise<void> {
     if (this.#session !== null || this.#entering) return;
     this.#entering = true;
@@ -195,7 +199,7 @@ export class Headset {
     const session = this.#session;
     const space = this.#space;
     if (session === null || space === null) return;
-    // Request the next frame first, so that an error below does not stop the frame loop.
+    // Request the next frame before this frame is drawn, so that an error below does not stop the frame loop.
     session.requestAnimationFrame(this.#frame);
     try {
       this.#read(session, space, timeMs / 1000, frame);
@@ -226,7 +230,7 @@ export class Headset {
       const speaks = held || advance !== 0 || (listens && now.has(LOWER));
       const pose = speaks || controller.speaks ? frame.getPose(source.gripSpace ?? source.targetRaySpace, space) : null;
       if (pose == null) {
-        // Without tracking the tip stays; it follows the controller again once tracking returns.
+        // Without tracking the controller sends no sample, so the tip stays until tracking returns.
         continue;
       }
       controller.speaks = speaks;
@@ -238,7 +242,7 @@ export class Headset {
         position_mm: [position.x * MM_PER_M, position.y * MM_PER_M, position.z * MM_PER_M],
         orientation_wxyz: penFromGrip(orientation),
         axes: null,
-        // The tip moves while the trigger is held, whatever the clutch setting of pens is.
+        // Set the clutch bit so that the tip moves while the trigger is held, whatever the clutch setting of pens is.
         buttons: Number(now.has(LOWER)) + (held === this.#around.clutchHeldMoves() ? CLUTCH_BIT : 0),
         handle: null,
         advance,
