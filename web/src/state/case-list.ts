@@ -1,17 +1,17 @@
-/** Texts about a case in the list, and about the disk usage of the cases. */
+/** Texts about the recent cases and their disk usage. */
 
 import type { RecentCase, SavingInfo } from "../wire/messages";
 import { clock, plural } from "./format";
 
 /** Number of cases on the start page; the dialog *Cases and storage* lists all. */
 export const RECENT_SHOWN = 5;
-/** How long a forgotten case can be restored. */
+/** Time for which the user can restore a forgotten case, as text. */
 export const FORGOTTEN_FOR = "24 hours";
 
 const KILO = 1000;
 const UNITS = ["kB", "MB", "GB", "TB"] as const;
 
-/** Return a size as text, `1.8 MB`; sizes below one kilobyte count as one kilobyte. */
+/** Return a file size as text, `1.8 MB`; a size of 1 to 999 bytes is written as one kilobyte. */
 export function sizeWords(bytes: number): string {
   if (bytes <= 0) return "0\u202fMB";
   let value = Math.max(bytes / KILO, 1);
@@ -34,8 +34,8 @@ export function scanWords(isoDate: string): string {
 }
 
 /**
- * Return facts that distinguish a case from others: scan date, changes, last use, and a short code if another case has
- * the same title.
+ * Return the facts that distinguish a case from others: scan date, number of changes, last use, and a short code if
+ * another case has the same title.
  */
 export function caseFacts(entry: RecentCase, all: readonly RecentCase[], nowMs: number): string[] {
   const facts = entry.scanned_on === null ? [] : [scanWords(entry.scanned_on)];

@@ -1,4 +1,4 @@
-/** Texts of the question about an imported mask. */
+/** Texts of the question about an imported mask, which the server asks before it uses the mask. */
 
 import type { MaskLabel, MaskQuestion } from "../wire/messages";
 import { plural } from "./format";
@@ -13,24 +13,24 @@ export function volumeWords(ml: number): string {
 /** Return the title of a label, `2  Airway tree`, or its number if the file has no name. */
 export const labelTitle = (label: MaskLabel): string => label.name ?? `Label ${label.number}`;
 
-/** Return the label that is selected initially: the server's suggestion, or none. */
+/** Return the number of the label that is selected initially: the server's suggestion, or null. */
 export const firstChoice = (question: MaskQuestion): number | null => question.suggested;
 
-/** Return the title of the question. */
+/** Return the title of the question about a mask. */
 export function questionTitle(question: MaskQuestion): string {
   return question.problem === "label"
     ? `Which one is the airway lumen?`
     : `The segmentation is on a different grid from the scan`;
 }
 
-/** Return the text of the question. */
+/** Return the text of the question about a mask. */
 export function questionWords(question: MaskQuestion): string {
   return question.problem === "label"
     ? `${question.title} contains ${plural(question.labels.length, "structure")}.`
     : `${question.title} is on a different grid from this scan.`;
 }
 
-/** Return a warning if much of the mask is outside the scan; null if the lost part is only rounding. */
+/** Return a warning with the share of the mask outside the scan; null if the share is only rounding. */
 export function lostWords(question: MaskQuestion): string | null {
   const share = question.share_inside;
   if (share === null || share >= 0.995) return null;

@@ -1,4 +1,4 @@
-/** Tools that define the effect of the next click: mark a target or a root, or edit the airway tree. */
+/** Tools that define the effect of the next click: mark a point (target, root, start), or edit the airway tree. */
 
 import type { Target, ViewName } from "../wire/messages";
 import { VIEWS } from "../wire/views";
@@ -12,14 +12,14 @@ export type LesionTool = "lesion-add" | "lesion-cut";
 /** Name of a tool that can be active. */
 export type Armed = "target" | "root" | "start" | LesionTool | TreeTool;
 
-/** Texts of a tool. */
+/** Texts of a tool's button. */
 export interface ToolWords {
   readonly label: string;
-  /** The text below the icon. */
+  /** Short text below the icon of the button. */
   readonly short: string;
-  /** The tooltip. */
+  /** Tooltip of the button. */
   readonly words: string;
-  /** The instruction shown while the tool is active. */
+  /** Instruction that is shown while the tool is active. */
   readonly hint: string;
 }
 
@@ -75,7 +75,7 @@ export const TOOL_WORDS: Readonly<Record<TreeTool, ToolWords>> = {
   },
 };
 
-/** Texts of the other tools, which mark a point of the plan. */
+/** Texts of the tools that mark a point or edit the boundary of a target. */
 const MARK_WORDS: Readonly<Record<"target" | "root" | "start" | LesionTool, Pick<ToolWords, "label" | "hint">>> = {
   start: { label: "Mark start", hint: "Click where the path should start, in any view." },
   target: { label: "Mark target", hint: "Click a nodule, or a place in the airways, in any view." },
@@ -98,7 +98,7 @@ export function wordsOf(armed: Armed, forkHeld: boolean): { label: string; hint:
   return isTreeTool(armed) ? TOOL_WORDS[armed] : MARK_WORDS[armed];
 }
 
-/** Return the short text for a picture's corner, which must not cover an orientation letter. */
+/** Return the short text of the active tool in the corner of a view, where it must not cover an orientation letter. */
 export function shortOf(armed: Armed): string {
   switch (armed) {
     case "target":
@@ -118,7 +118,7 @@ export function shortOf(armed: Armed): string {
   }
 }
 
-/** Return whether the tool works in this view: an X-ray has no depth, and a brush needs a plane. */
+/** Return whether the tool works in a view: an X-ray has no depth, and a brush needs a plane. */
 export function worksIn(armed: Armed, view: ViewName): boolean {
   const { pick } = VIEWS[view];
   return isBrush(armed) ? pick === "plane" : pick !== null;
@@ -132,14 +132,14 @@ export const isTreeTool = (armed: Armed | null): armed is TreeTool =>
   armed !== null && (TREE_TOOLS as readonly string[]).includes(armed);
 
 /**
- * Return whether the path to the cursor is shown while the tool is active; tree tools show a preview of the edit
+ * Return whether the path to the cursor is shown while the tool is active. Tree tools show a preview of the edit
  * instead.
  */
 export function wantsPath(armed: Armed | null, cost: Target["cost"] = "lumen"): boolean {
   return armed === "target" && cost === "lumen";
 }
 
-/** Return whether the click selects a branch instead of a point. */
+/** Return whether a click with the tool selects a branch instead of a point. */
 export function wantsBranch(armed: Armed | null, forkHeld: boolean): boolean {
   return armed === "cut" || armed === "smooth" || (armed === "fork" && !forkHeld);
 }
@@ -157,15 +157,15 @@ const BRUSHES_MM = [0.5, 0.75, 1, 1.5, 2, 3, 4, 6, 8, 12] as const;
 /** Initial brush radius, mm. */
 export const FIRST_BRUSH_MM = 1.5;
 
-/** Return the next larger (+1) or smaller (-1) brush radius, mm. */
+/** Return the next larger (+1) or smaller (-1) brush radius, mm; the last one of the list at its ends. */
 export function nextBrush(radiusMm: number, step: -1 | 1): number {
   if (step > 0) return BRUSHES_MM.find((mm) => mm > radiusMm + 1e-6) ?? radiusMm;
   return BRUSHES_MM.findLast((mm) => mm < radiusMm - 1e-6) ?? radiusMm;
 }
 
 /**
- * Reduce the points of a brush stroke: the straight lines between them deviate by at most a quarter radius from the
- * drawn stroke.
+ * Reduce the number of points of a brush stroke. The straight lines between the remaining points deviate from the drawn
+ * stroke by at most a quarter of the brush radius.
  */
 export function strokePoints<P extends readonly [number, number, number]>(drawn: readonly P[], radiusMm: number): P[] {
   const limit = radiusMm / 4;
@@ -182,5 +182,5 @@ export function strokePoints<P extends readonly [number, number, number]>(drawn:
   return kept.slice(0, MAX_STROKE);
 }
 
-/** Largest number of stroke points that the wire accepts. */
+/** Largest number of points of a stroke that the protocol accepts. */
 const MAX_STROKE = 2000;

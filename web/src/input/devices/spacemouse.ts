@@ -39,8 +39,8 @@ export class SpaceMouse extends FieldReader {
   }
 
   /**
-   * Send the latest values while the cap is deflected or a button is held, and the rest position once; call it once per display
-   * refresh. The call rate limits the rate of samples, because the device sends more reports.
+   * Send the latest values while the cap is deflected or a button is held, and the rest position once; call it once per
+   * display refresh. The call rate limits the rate of samples, because the device sends more reports.
    */
   tick(): void {
     const axes = capAxes(this.#values);
