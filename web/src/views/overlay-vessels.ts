@@ -1,4 +1,7 @@
-/** Overlay of vessels around the airway tree, as lines; near vessels hide far vessels, and airways hide both. */
+/**
+ * Overlay of the vessels around the airway tree, as lines. Near vessels hide far vessels, and airways hide the vessels
+ * behind them.
+ */
 
 import { pixelFromLps, type SeenGeometry } from "../state/projection";
 import { asVec3, dot, sub, type Vec3 } from "../state/vec";
@@ -7,14 +10,14 @@ import { layerColour } from "./overlay-layers";
 import type { Scene, SceneLesion } from "./scene";
 import type { Viewport } from "./viewport";
 
-/** Number of depth levels of the strokes, from far to near; far strokes are fainter. */
+/** Number of depth levels into which the lines are sorted, from far to near; far lines are fainter. */
 const NUM_DEPTHS = 8;
 const ALPHAS = [0.22, 0.7] as const;
-/** Step of the line widths, px; vessels of similar width are stroked together. */
+/** Step of the line widths, px. Vessels whose widths round to the same step are stroked together. */
 const WIDTH_STEP_PX = 0.5;
 const LEAST_PX = 0.75;
 
-/** Lines of equal width and depth, which are stroked together. */
+/** Collection of lines by depth level and width; lines of the same level and width are stroked together. */
 class Strokes {
   readonly #paths = new Map<string, { path: Path2D; depth: number; width: number; sure: boolean }>();
 
@@ -38,10 +41,13 @@ interface Kept {
   readonly of: readonly unknown[];
 }
 
-/** The last strokes of each viewport, valid until its camera moves; the camera of this view does not follow the tip. */
+/**
+ * Drawing of the vessels for each viewport, valid until the camera of the view moves. This camera does not follow the
+ * tip.
+ */
 const KEPT = new WeakMap<Viewport, Kept>();
 
-/** Draw the centrelines of vessels in their width; uncertain vessels are dashed and fainter. */
+/** Draw the vessels as lines in their width; uncertain vessels are dashed and fainter. */
 export function paintVessels(ink: Ink, viewport: Viewport, geometry: SeenGeometry, scene: Scene): void {
   if (scene.vessels.length === 0) {
     KEPT.delete(viewport);
@@ -112,7 +118,7 @@ function strokeVessels(ink: Ink, viewport: Viewport, geometry: SeenGeometry, sce
       ink.setLineDash(sure ? [] : [2, 2.5]);
       ink.stroke(path);
     }
-    // Erase the lines over the airways, because the airway picture is beneath the overlay.
+    // Erase the lines over airways, because the airway picture is below the overlay.
     ink.globalCompositeOperation = "destination-out";
     ink.globalAlpha = 1;
     ink.setLineDash([]);
@@ -124,7 +130,7 @@ function strokeVessels(ink: Ink, viewport: Viewport, geometry: SeenGeometry, sce
   ink.restore();
 }
 
-/** Return whether a point is inside a target; lines inside a target are not drawn as vessels. */
+/** Return whether a patient point is inside a target; lines inside a target are not drawn. */
 function isInside({ centre, surface }: SceneLesion, point: Vec3): boolean {
   const [first] = surface.vertices;
   if (first === undefined) return false;
