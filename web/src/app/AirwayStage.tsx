@@ -400,13 +400,13 @@ function Readings() {
   const camera = cameraFromMatrix(pose.lps_from_camera);
   // At the viewpoint of a listed turn, the fork ahead is the fork of that turn, although the tip is not on the path.
   const turn = turnBefore(turns ?? [], camera.position);
-  const meant = turn === null ? null : (turns?.[turn]?.fork_branch_id ?? null);
+  const forkBranchId = turn === null ? null : (turns?.[turn]?.fork_branch_id ?? null);
   const forkFrom =
-    pose.mode === "path" || route === null || meant === null ? at : besideRouteMm(route, camera.position);
+    pose.mode === "path" || route === null || forkBranchId === null ? at : besideRouteMm(route, camera.position);
   const fork =
-    tree === null || route === null || forkFrom === null || (pose.mode !== "path" && meant === null)
+    tree === null || route === null || forkFrom === null || (pose.mode !== "path" && forkBranchId === null)
       ? null
-      : forkAhead(tree, route, forkFrom, lookingUp(camera, viewUpDeg), meant);
+      : forkAhead(tree, route, forkFrom, lookingUp(camera, viewUpDeg), forkBranchId);
   const toFork = route !== null && at !== null && nextStopMm(route, at) < route.length_mm;
   const atEnd = route !== null && at !== null && pose.mode === "path" && at > route.length_mm - AT_END_MM;
   const node = pose.branch_id === null ? undefined : tree?.byId.get(pose.branch_id);

@@ -25,7 +25,7 @@ const MIN_PAIRS = 3;
 /** Render the panel of input devices. */
 export function DevicePanel() {
   const station = useStation();
-  const told = useApp((state) => state.devices);
+  const message = useApp((state) => state.devices);
   // Discard the calibrations in progress when the case changes, because a calibration belongs to one case.
   const caseNumber = useApp((state) => state.session?.case?.number);
   const missing = station.devices.missing();
@@ -42,17 +42,17 @@ export function DevicePanel() {
         />
       </div>
       <div className="step-body">
-        {told === null ? (
+        {message === null ? (
           <p className="quiet">Open a case before you use a device.</p>
         ) : (
           <>
-            <Movement told={told} />
-            {told.devices.length === 0 ? (
+            <Movement message={message} />
+            {message.devices.length === 0 ? (
               <p className="quiet">No input yet. Move a stick on the gamepad, or connect a device below.</p>
             ) : null}
-            <Devices key={caseNumber} devices={told.devices} />
-            <Connections told={told} />
-            <PhoneGroup told={told} />
+            <Devices key={caseNumber} devices={message.devices} />
+            <Connections message={message} />
+            <PhoneGroup message={message} />
             <WatchGroup />
             <HeadsetGroup />
             <Recording />
@@ -67,10 +67,10 @@ export function DevicePanel() {
   );
 }
 
-function Movement({ told }: { told: DevicesMessage }) {
+function Movement({ message }: { message: DevicesMessage }) {
   const station = useStation();
   // Cast to the type with all fields, because the server sends every field, including those that a client may omit.
-  const controls = told.controls as Required<DeviceControls>;
+  const controls = message.controls as Required<DeviceControls>;
   const change = (changed: DeviceControls) =>
     station.send({ type: "set_controls", controls: { ...controls, ...changed } });
   return (
@@ -81,7 +81,7 @@ function Movement({ told }: { told: DevicesMessage }) {
             key={name}
             words={words}
             label={title}
-            on={told.control === name}
+            on={message.control === name}
             testId={`control-${name}`}
             onChange={() => station.send({ type: "set_control", control: name })}
           />
@@ -89,7 +89,7 @@ function Movement({ told }: { told: DevicesMessage }) {
       </fieldset>
       <PenOffset />
       <p className="numbers">
-        filter delay {fixed(told.filter_latency_ms, 1)} ms
+        filter delay {fixed(message.filter_latency_ms, 1)} ms
         <SwitchKey
           words="Smooth hand tremor (adds the delay shown)"
           label={controls.filter_on ? "on" : "off"}
@@ -319,7 +319,7 @@ function Calibration({ device, begun, onCalibrate }: DeviceProps) {
   );
 }
 
-function Connections({ told }: { told: DevicesMessage }) {
+function Connections({ message }: { message: DevicesMessage }) {
   const station = useStation();
   const [address, setAddress] = useState("");
   const connect = () => {
@@ -328,7 +328,7 @@ function Connections({ told }: { told: DevicesMessage }) {
   return (
     <div className="group">
       <h3>Connections</h3>
-      {told.sources.map((source) => (
+      {message.sources.map((source) => (
         <p key={source.address} data-testid="source">
           {source.title}, {source.address}: {source.state}
           {source.state === "live" ? `, ${fixed(source.rate_hz)} Hz` : ""}
@@ -363,13 +363,15 @@ function Connections({ told }: { told: DevicesMessage }) {
           onPress={() => station.devices.askHandle()}
         />
       </div>
-      {told.serial_problem === null ? null : <p className="quiet">{told.serial_problem}</p>}
-      {told.serial_ports.length === 0 ? null : <p className="quiet">Serial ports: {told.serial_ports.join(", ")}</p>}
+      {message.serial_problem === null ? null : <p className="quiet">{message.serial_problem}</p>}
+      {message.serial_ports.length === 0 ? null : (
+        <p className="quiet">Serial ports: {message.serial_ports.join(", ")}</p>
+      )}
       <SwitchKey
         words="Stream the tip pose to 3D Slicer over OpenIGTLink (port 18944 on this machine)"
-        label={told.published_port === null ? "Stream tip pose" : `Streaming on port ${told.published_port}`}
-        on={told.published_port !== null}
-        onChange={() => station.send({ type: "publish_tip", port: told.published_port === null ? 18944 : null })}
+        label={message.published_port === null ? "Stream tip pose" : `Streaming on port ${message.published_port}`}
+        on={message.published_port !== null}
+        onChange={() => station.send({ type: "publish_tip", port: message.published_port === null ? 18944 : null })}
       />
     </div>
   );

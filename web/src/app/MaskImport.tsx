@@ -48,7 +48,7 @@ export function DropChoice() {
   const [dragged, setDragged] = useState(false);
   const [over, setOver] = useState<"mask" | "case" | null>(null);
   // While the question about an earlier mask is open, no second mask is accepted.
-  const asked = useApp((state) => state.session?.mask_question != null);
+  const hasQuestion = useApp((state) => state.session?.mask_question != null);
   useEffect(() => {
     const end = () => {
       setDragged(false);
@@ -78,7 +78,7 @@ export function DropChoice() {
       window.removeEventListener("drop", drop);
     };
   }, []);
-  if (!dragged || asked) return null;
+  if (!dragged || hasQuestion) return null;
   const place = (use: "mask" | "case", title: string, words: string) => (
     // biome-ignore lint/a11y/noStaticElementInteractions: buttons in the panels do the same by keyboard
     <div

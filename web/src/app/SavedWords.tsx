@@ -10,16 +10,16 @@ import { Tip } from "./controls";
 export function SavedWords() {
   const station = useStation();
   const saving = useApp((state) => state.session?.saving ?? null);
-  const told = savedWords(saving, Date.now());
-  if (told === null) return null;
+  const saved = savedWords(saving, Date.now());
+  if (saved === null) return null;
   return (
-    <Tip words={told.words} keys={keyOf("save")}>
+    <Tip words={saved.words} keys={keyOf("save")}>
       <Button
-        className={told.warns ? "saved badge warning" : "saved plain-text quiet"}
+        className={saved.warns ? "saved badge warning" : "saved plain-text quiet"}
         data-testid="saved"
         onPress={() => station.ui({ saveOpen: true })}
       >
-        {told.label}
+        {saved.label}
       </Button>
     </Tip>
   );

@@ -128,13 +128,13 @@ const AskedRate = memo(function AskedRate() {
 
 /** Render the method of the displayed airway picture, which may differ from the selected method. */
 function MethodWords() {
-  const asked = useApp((state) => state.sight.method);
+  const requested = useApp((state) => state.sight.method);
   const made = useApp((state) => state.frames[LEAD_VIEW]?.method ?? null);
   const status = useApp((state) => state.status);
   const byCard = made?.startsWith("gpu-") === true;
   return (
     <span className="wide">
-      {methodWords(made, asked)}
+      {methodWords(made, requested)}
       {byCard ? ", graphics card" : status === null ? "" : `, ${plural(status.threads, "core")}`}
       <span className="spare">{byCard || status === null ? "" : `, ${simdWords(status.simd)}`}</span>
     </span>

@@ -49,8 +49,8 @@ describe("Heartbeat", () => {
     made.start();
     run(20_000);
     expect(beats.length).toBeGreaterThan(1150);
-    const told = beats.reduce((sum, beat) => sum + beat.elapsedS, 0);
-    expect(told).toBeCloseTo((beats.at(-1)?.atMs ?? 0) / 1000, 6);
+    const totalS = beats.reduce((sum, beat) => sum + beat.elapsedS, 0);
+    expect(totalS).toBeCloseTo((beats.at(-1)?.atMs ?? 0) / 1000, 6);
   });
 
   it("A wake-up at rest restarts it at the next refresh, and the time at rest is not part of the elapsed time.", () => {
@@ -89,13 +89,13 @@ describe("Heartbeat", () => {
 
   it("wakeByHand reports every input event until its listener is removed.", () => {
     const target = new EventTarget();
-    let heard = 0;
+    let numWakes = 0;
     const stop = wakeByHand(target, () => {
-      heard += 1;
+      numWakes += 1;
     });
     for (const sign of ["keydown", "pointermove", "wheel"]) target.dispatchEvent(new Event(sign));
     stop();
     target.dispatchEvent(new Event("keydown"));
-    expect(heard).toBe(3);
+    expect(numWakes).toBe(3);
   });
 });

@@ -49,12 +49,12 @@ export class Pointing {
    * answer.
    */
   #commitOn: number | null = null;
-  #lastAsked = 0;
+  #lastRequestId = 0;
   /** Last position of the cursor, with its view; null if the cursor is outside all views. */
   #hovered: { viewport: Viewport; at: PointerPlace } | null = null;
   #cursorMovedMs = Number.NEGATIVE_INFINITY;
   /** Pen position of the last path request to the pen, LPS mm. */
-  #penAsked: Vec3 | null = null;
+  #penRequested: Vec3 | null = null;
   /**
    * Action of a first click that cannot be undone (a new route or a flight). It is delayed until no second click can
    * follow.
@@ -70,7 +70,7 @@ export class Pointing {
     this.#previewing = previewing;
     this.#live = new LiveAsker(
       (message) => {
-        this.#lastAsked = message.request_id;
+        this.#lastRequestId = message.request_id;
         return station.send(message);
       },
       () => performance.now(),
@@ -86,7 +86,7 @@ export class Pointing {
     const hovered = pointed?.branchId == null ? null : { branchId: pointed.branchId, place: pointed.place };
     this.#cursorMovedMs = performance.now();
     this.#hovered = at === null ? null : { viewport, at };
-    if (at === null) this.#penAsked = null;
+    if (at === null) this.#penRequested = null;
     if (ui.penLeads) station.ui({ penLeads: false });
     if (cursor !== null || ui.cursor?.view === viewport.view || ui.cursor === null) {
       station.ui({ cursor, hovered, pointedLps: pointed?.lps ?? null });
@@ -110,7 +110,7 @@ export class Pointing {
    * the cursor position. Browsers report fractional positions for movements but whole pixels for clicks, and the hand
    * may shake.
    */
-  #meant(viewport: Viewport, at: PointerPlace): PointerPlace {
+  #clickPosition(viewport: Viewport, at: PointerPlace): PointerPlace {
     const last = this.#hovered;
     const near = last !== null && Math.max(Math.abs(last.at.x - at.x), Math.abs(last.at.y - at.y)) <= SHAKES_PX;
     return last !== null && near && last.viewport === viewport ? last.at : at;
@@ -127,7 +127,7 @@ export class Pointing {
   forget(): void {
     this.#forget();
     this.#commitOn = null;
-    this.#penAsked = null;
+    this.#penRequested = null;
     this.#station.ui({ stroke: [], penLeads: false });
   }
 
@@ -171,7 +171,7 @@ export class Pointing {
   click(viewport: Viewport, clicked: PointerPlace): boolean {
     const station = this.#station;
     const { armed, forkHeld } = station.state.ui;
-    const at = this.#meant(viewport, clicked);
+    const at = this.#clickPosition(viewport, clicked);
     const pointed = this.#under(viewport, at);
     if (armed !== null && !worksIn(armed, viewport.view)) {
       const { label, hint } = wordsOf(armed, false);
@@ -230,7 +230,7 @@ export class Pointing {
   commitInPicture(header: PictureHeader, pixel: PixelPoint): void {
     this.#live.reset();
     this.#live.ask({ lps: null, frame_id: header.frame_id, column: pixel.column, row: pixel.row });
-    this.#commitOn = this.#lastAsked;
+    this.#commitOn = this.#lastRequestId;
   }
 
   /** Request the path to the point that the pen's button marks, if the active tool shows paths and the cursor rests. */
@@ -239,8 +239,8 @@ export class Pointing {
     const at = penPoint(state);
     if (at === null || !wantsPath(state.ui.armed, state.ui.pathCost)) return;
     if (performance.now() - this.#cursorMovedMs < CURSOR_RESTS_MS) return;
-    if (this.#penAsked !== null && distance(at, this.#penAsked) < 0.1) return;
-    this.#penAsked = at;
+    if (this.#penRequested !== null && distance(at, this.#penRequested) < 0.1) return;
+    this.#penRequested = at;
     this.#station.ui({ penLeads: true });
     this.#ask({ lps: at, frame_id: null, column: null, row: null });
   }

@@ -164,7 +164,7 @@ export class Workstation implements Station {
           if (message.type === "live_path") this.pointing.receive(message);
           if (message.type === "edit_preview") this.previewing.receive(message);
           if (message.type === "tree") this.previewing.again();
-          if (message.type === "no_evidence") this.#asked();
+          if (message.type === "no_evidence") this.#showDoubtStep();
           if (message.type === "state" && wasUsedByPen(before.ui.armed, before.session, message)) this.disarm();
           // In another case the numbers of frames and poses may start again below those of the previous case, so the
           // queues are cleared.
@@ -561,7 +561,7 @@ export class Workstation implements Station {
   }
 
   /** Show the step whose panel contains the question whether to draw a branch without evidence. */
-  #asked(): void {
+  #showDoubtStep(): void {
     this.previewing.forget();
     if (this.state.ui.step !== "airways") this.ui({ step: "airways" });
   }

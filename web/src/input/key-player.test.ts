@@ -47,7 +47,7 @@ function player(keys: KeyFramesMessage | null = KEYS) {
   return { made, sent, around };
 }
 
-const asked = (sent: ClientMessage[]) =>
+const requested = (sent: ClientMessage[]) =>
   sent.map((one) => (one.type === "fly_key_frames" ? [one.time_s, one.goes_on] : one));
 
 describe("KeyPlayer with key frames", () => {
@@ -55,7 +55,7 @@ describe("KeyPlayer with key frames", () => {
     const { made, sent, around } = player();
     expect(made.play()).toBe(true);
     for (let n = 0; n < 50; n += 1) made.tick(0.1);
-    const times = asked(sent) as [number, boolean][];
+    const times = requested(sent) as [number, boolean][];
     expect(times[0]).toEqual([0, false]);
     expect(times.slice(1).every(([, goesOn]) => goesOn)).toBe(true);
     expect(times.map(([t]) => t)).toEqual([...times.map(([t]) => t)].sort((a, b) => a - b));
@@ -63,7 +63,7 @@ describe("KeyPlayer with key frames", () => {
     expect(times.length).toBeLessThan(44);
     expect(around.playing).toEqual({ on: false, atS: 4, rate: 1 });
     made.play();
-    expect(asked(sent).at(-1)).toEqual([0, false]);
+    expect(requested(sent).at(-1)).toEqual([0, false]);
   });
 
   it("The position advances by the elapsed time multiplied by the playback rate.", () => {
@@ -93,9 +93,9 @@ describe("KeyPlayer with key frames", () => {
     made.tick(0.1);
     expect(sent).toHaveLength(before);
     made.toggle();
-    expect(asked(sent).at(-1)).toEqual([0.1, false]);
+    expect(requested(sent).at(-1)).toEqual([0.1, false]);
     made.stop();
-    expect(asked(sent).at(-1)).toEqual([0, false]);
+    expect(requested(sent).at(-1)).toEqual([0, false]);
     expect(around.playing).toMatchObject({ on: false, atS: 0 });
   });
 
@@ -126,7 +126,7 @@ describe("KeyPlayer with key frames", () => {
   it("The slider is limited to the flight's duration and can be moved during playback.", () => {
     const { made, sent, around } = player();
     made.seek(99);
-    expect(asked(sent)).toEqual([[4, false]]);
+    expect(requested(sent)).toEqual([[4, false]]);
     made.seek(-1);
     made.play();
     made.seek(3);
@@ -147,7 +147,7 @@ describe("KeyPlayer with key frames", () => {
     }));
     const { made, sent } = player({ ...KEYS, frames });
     for (const at of [1.23, 3.99, 2]) made.seek(at);
-    expect(asked(sent).map((one) => (Array.isArray(one) ? one[0] : one))).toEqual([1.2345, 4, 2]);
+    expect(requested(sent).map((one) => (Array.isArray(one) ? one[0] : one))).toEqual([1.2345, 4, 2]);
   });
 
   it("Playback does not start without a flight or a connection, and stops when the list changes.", () => {
@@ -167,12 +167,12 @@ describe("KeyPlayer with key frames", () => {
 
 describe("KeyPlayer with a recorded flight", () => {
   it("The playback clock starts when the first pose of the flight arrives, because the server may load the flight.", () => {
-    const asked: [number, boolean][] = [];
+    const requested: [number, boolean][] = [];
     let playing: Playing = NOT_PLAYING;
     const made = new KeyPlayer({
       durationS: () => 4,
       stops: () => [],
-      fly: (timeS, goesOn) => asked.push([timeS, goesOn]) > 0,
+      fly: (timeS, goesOn) => requested.push([timeS, goesOn]) > 0,
       timeOf: (one) => one.flight?.time_s ?? null,
       waits: true,
       changed: (now) => {
@@ -187,10 +187,10 @@ describe("KeyPlayer with a recorded flight", () => {
     made.tick(0.1);
     made.poseArrived(flown(null));
     made.tick(0.1);
-    expect(asked).toEqual([[0, false]]);
+    expect(requested).toEqual([[0, false]]);
     made.poseArrived(flown(0));
     made.tick(0.1);
-    expect(asked).toEqual([
+    expect(requested).toEqual([
       [0, false],
       [0.1, true],
     ]);

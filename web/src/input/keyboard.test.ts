@@ -3,17 +3,17 @@ import { afterEach, describe, expect, it } from "vitest";
 import { focusKind, listenToKeys } from "./keyboard";
 
 function listening(options: { path?: boolean; enabled?: boolean; brush?: boolean; tool?: boolean } = {}) {
-  const heard: string[] = [];
+  const calls: string[] = [];
   const stop = listenToKeys(window, {
-    press: (action) => heard.push(action),
-    hold: (axis, sign, down) => heard.push(`${axis} ${sign} ${down ? "down" : "up"}`),
+    press: (action) => calls.push(action),
+    hold: (axis, sign, down) => calls.push(`${axis} ${sign} ${down ? "down" : "up"}`),
     slow: () => undefined,
     wants: (action) => options.brush ?? !action.startsWith("brush_"),
     holdsTool: () => options.tool ?? false,
     arrowsLook: () => !(options.path ?? true),
     enabled: () => options.enabled ?? true,
   });
-  return { heard, stop };
+  return { calls, stop };
 }
 
 function type(key: string, target: EventTarget = document.body, kind = "keydown", init: KeyboardEventInit = {}) {
@@ -35,7 +35,7 @@ describe("listenToKeys", () => {
     expect(type("w").defaultPrevented).toBe(true);
     type("w", document.body, "keydown", { repeat: true });
     type("w", document.body, "keyup");
-    expect(keys.heard).toEqual(["advance 1 down", "advance 1 up"]);
+    expect(keys.calls).toEqual(["advance 1 down", "advance 1 up"]);
   });
 
   it("The browser receives keys in a text field, keys without a binding, and keys with Ctrl.", () => {
@@ -46,7 +46,7 @@ describe("listenToKeys", () => {
     expect(type("w", input).defaultPrevented).toBe(false);
     expect(type("Tab").defaultPrevented).toBe(false);
     expect(type("r", document.body, "keydown", { ctrlKey: true }).defaultPrevented).toBe(false);
-    expect(keys.heard).toEqual([]);
+    expect(keys.calls).toEqual([]);
   });
 
   it("A focused slider receives the arrow keys, and a focused button the space bar.", () => {
@@ -59,19 +59,19 @@ describe("listenToKeys", () => {
     expect(type("ArrowUp", slider).defaultPrevented).toBe(false);
     expect(type(" ", button).defaultPrevented).toBe(false);
     type("m", button);
-    expect(keys.heard).toEqual(["toggle_mode"]);
+    expect(keys.calls).toEqual(["toggle_mode"]);
   });
 
   it("The left arrow selects a branch on a route, and turns the view without a route.", () => {
     const onPath = listening({ path: true });
     type("ArrowLeft");
     onPath.stop();
-    expect(onPath.heard).toEqual(["way_left"]);
+    expect(onPath.calls).toEqual(["way_left"]);
     const free = listening({ path: false });
     stop = free.stop;
     type("ArrowLeft");
     type("ArrowLeft", document.body, "keyup");
-    expect(free.heard).toEqual(["yaw -1 down", "yaw -1 up"]);
+    expect(free.calls).toEqual(["yaw -1 down", "yaw -1 up"]);
   });
 
   it("A held key is released when the window loses the focus.", () => {
@@ -79,14 +79,14 @@ describe("listenToKeys", () => {
     stop = keys.stop;
     type("w");
     window.dispatchEvent(new Event("blur"));
-    expect(keys.heard).toEqual(["advance 1 down", "advance 1 up"]);
+    expect(keys.calls).toEqual(["advance 1 down", "advance 1 up"]);
   });
 
   it("Without an open case no key has an effect.", () => {
     const keys = listening({ enabled: false });
     stop = keys.stop;
     expect(type("w").defaultPrevented).toBe(false);
-    expect(keys.heard).toEqual([]);
+    expect(keys.calls).toEqual([]);
   });
 
   it("The keys of the brush have an effect only while a brush is active.", () => {
@@ -96,7 +96,7 @@ describe("listenToKeys", () => {
     const keys = listening({ brush: true });
     stop = keys.stop;
     expect(type("]").defaultPrevented).toBe(true);
-    expect([without.heard, keys.heard]).toEqual([[], ["brush_larger"]]);
+    expect([without.calls, keys.calls]).toEqual([[], ["brush_larger"]]);
   });
 
   it("Escape deactivates the tool, also from a list or a text field, but first closes an open dialog.", () => {
@@ -117,10 +117,10 @@ describe("listenToKeys", () => {
     const keys = listening({ tool: true });
     stop = keys.stop;
     type("Escape", inside);
-    expect(keys.heard).toEqual([]);
+    expect(keys.calls).toEqual([]);
     type("Escape", input);
     type("Escape", row);
-    expect([without.heard, keys.heard]).toEqual([[], ["leave", "leave"]]);
+    expect([without.calls, keys.calls]).toEqual([[], ["leave", "leave"]]);
   });
 
   it("focusKind returns typing for a dialog and a text field, and page for the body.", () => {

@@ -21,8 +21,8 @@ describe("table of keys", () => {
   });
 
   it("No key has two bindings in places that can apply at once.", () => {
-    const said = clashes(KEYMAP).map(([a, b]) => `${a.label}: ${a.place}, ${a.words}; ${b.place}, ${b.words}`);
-    expect(said).toEqual([]);
+    const conflicts = clashes(KEYMAP).map(([a, b]) => `${a.label}: ${a.place}, ${a.words}; ${b.place}, ${b.words}`);
+    expect(conflicts).toEqual([]);
   });
 
   it("clashes() finds equal keys in overlapping places, but not in separate views, lists or Shift states.", () => {

@@ -4,19 +4,19 @@ import { DownloadError, fetchAirways } from "./download";
 afterEach(() => vi.unstubAllGlobals());
 
 const answer = (response: Response) => {
-  const asked: string[] = [];
+  const urls: string[] = [];
   vi.stubGlobal("fetch", async (url: string) => {
-    asked.push(url);
+    urls.push(url);
     return response;
   });
-  return asked;
+  return urls;
 };
 
 describe("fetchAirways", () => {
   it("A download returns the file's name and contents.", async () => {
-    const asked = answer(new Response("solid"));
+    const urls = answer(new Response("solid"));
     const file = await fetchAirways(".stl", new AbortController().signal);
-    expect(asked).toEqual(["./api/airways.stl"]);
+    expect(urls).toEqual(["./api/airways.stl"]);
     expect(file.name).toBe("airways.stl");
     expect(await file.blob.text()).toBe("solid");
   });

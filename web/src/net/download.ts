@@ -17,8 +17,8 @@ export function fetchAirways(suffix: string, signal: AbortSignal): Promise<{ nam
 
 /** Return the address of the printable report of a target's plan. */
 export function planAddress(targetId: string, suffix: ".html", kind: "report" | "tracing"): string {
-  const asked = kind === "tracing" ? "?kind=tracing" : "";
-  return `./api/plans/${encodeURIComponent(targetId)}${suffix}${asked}#print`;
+  const query = kind === "tracing" ? "?kind=tracing" : "";
+  return `./api/plans/${encodeURIComponent(targetId)}${suffix}${query}#print`;
 }
 
 /** Download the report of a target's plan in the format of this file suffix (".pdf"). */
@@ -29,8 +29,8 @@ export function fetchPlan(
   /** For a DICOM file: whether it contains the identity of the CT's patient. */
   named = false,
 ): Promise<{ name: string; blob: Blob }> {
-  const asked = named ? "?identity=ct" : "";
-  return fetchFile(`${encodeURIComponent(targetId)}${suffix}`, signal, "plans/", asked);
+  const query = named ? "?identity=ct" : "";
+  return fetchFile(`${encodeURIComponent(targetId)}${suffix}`, signal, "plans/", query);
 }
 
 /** Download the key frames and their paths in the file format that `carina fly` reads. */
@@ -50,9 +50,9 @@ async function fetchFile(
   name: string,
   signal: AbortSignal,
   folder = "",
-  asked = "",
+  query = "",
 ): Promise<{ name: string; blob: Blob }> {
-  const response = await fetch(`./api/${folder}${name}${asked}`, { signal });
+  const response = await fetch(`./api/${folder}${name}${query}`, { signal });
   if (!response.ok) {
     const body: unknown = await response.json().catch(() => null);
     const field = (name: string): string | null => {

@@ -22,7 +22,7 @@ export class Hand {
   readonly #held = new Set<Held>();
   #orientation: Wxyz | null = null;
   #isNew = false;
-  #saidS = Number.NEGATIVE_INFINITY;
+  #sentS = Number.NEGATIVE_INFINITY;
   #was = "false 0";
 
   constructor(send: (message: PhoneMessage) => boolean) {
@@ -60,19 +60,19 @@ export class Hand {
     const changed = is !== this.#was;
     if (!changed) {
       if (this.#held.size === 0) return;
-      const passedS = nowS - this.#saidS;
+      const passedS = nowS - this.#sentS;
       if (passedS < (this.#isNew && held ? LEAST_S : AGAIN_S)) return;
     }
-    const said = this.#send({
+    const wasSent = this.#send({
       type: "phone_sample",
       time_s: nowS,
       orientation_wxyz: this.#orientation,
       held,
       advance,
     });
-    if (!said) return;
+    if (!wasSent) return;
     this.#was = is;
-    this.#saidS = nowS;
+    this.#sentS = nowS;
     this.#isNew = false;
   }
 }

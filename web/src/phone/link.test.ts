@@ -33,7 +33,7 @@ class FakeSocket {
     this.readyState = 1;
     this.onopen?.(undefined as never);
   }
-  says(value: unknown): void {
+  receives(value: unknown): void {
     this.onmessage?.({ data: JSON.stringify(value) } as never);
   }
   ends(code: number): void {
@@ -64,9 +64,9 @@ beforeEach(() => {
     },
     "secret",
     {
-      status: (status, said) => {
+      status: (status, text) => {
         statuses.push(status);
-        words = said;
+        words = text;
       },
       state: () => undefined,
     },
@@ -86,7 +86,7 @@ describe("Link", () => {
     newest().opens();
     expect(newest().sent.map((text) => JSON.parse(text).token)).toEqual(["secret"]);
     expect(link.send({ type: "phone_act", action: "recenter" })).toBe(false);
-    newest().says(STATE);
+    newest().receives(STATE);
     expect(statuses.at(-1)).toBe("open");
     expect(link.send({ type: "phone_act", action: "recenter" })).toBe(true);
   });
@@ -100,7 +100,7 @@ describe("Link", () => {
     timers[0]?.call();
     expect(sockets.length).toBe(3);
     newest().opens();
-    newest().says(STATE);
+    newest().receives(STATE);
     newest().ends(1006);
     expect(timers.at(-1)?.ms).toBe(500);
     expect(statuses.at(-1)).toBe("lost");
@@ -111,12 +111,12 @@ describe("Link", () => {
     old.opens();
     link.open();
     expect([sockets.length, old.closed]).toEqual([2, true]);
-    old.says(STATE);
+    old.receives(STATE);
     expect(statuses.at(-1)).toBe("connecting");
     old.ends(1006);
     expect([statuses.at(-1), timers.length]).toEqual(["connecting", 0]);
     newest().opens();
-    newest().says(STATE);
+    newest().receives(STATE);
     expect(statuses.at(-1)).toBe("open");
   });
 
@@ -133,7 +133,7 @@ describe("Link", () => {
 
   it("A message is discarded while the browser holds too many unsent bytes.", () => {
     newest().opens();
-    newest().says(STATE);
+    newest().receives(STATE);
     newest().bufferedAmount = 5000;
     expect(link.send({ type: "phone_act", action: "recenter" })).toBe(false);
     newest().bufferedAmount = 0;
@@ -143,7 +143,7 @@ describe("Link", () => {
   it("An invalid message of the server closes the connection, and the status is refused.", () => {
     newest().opens();
     const socket = newest();
-    socket.says({ type: "phone_state", case_open: "yes" });
+    socket.receives({ type: "phone_state", case_open: "yes" });
     expect(statuses.at(-1)).toBe("refused");
     expect(socket.closed).toBe(true);
   });

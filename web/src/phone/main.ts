@@ -36,7 +36,7 @@ const link = new Link(
       // the reconnection.
       if (status !== "open") letGo();
     },
-    state: (told) => say(stateWords(told), "good"),
+    state: (received) => say(stateWords(received), "good"),
   },
   (ms, call) => {
     const timer = setTimeout(call, ms);

@@ -98,7 +98,7 @@ describe("poses", () => {
 
 const sent = (message: ClientMessage, number = 1): AppEvent => ({ kind: "sent", message, number });
 const handled = (number: number): AppEvent => from({ type: "handled", number });
-const told = (sight: Partial<Sight>): AppEvent => from({ ...OPEN, sight: { ...OPEN.sight, ...sight } });
+const sightReported = (sight: Partial<Sight>): AppEvent => from({ ...OPEN, sight: { ...OPEN.sight, ...sight } });
 
 describe("look and sight", () => {
   it("A sent setting is shown before the server answers.", () => {
@@ -126,12 +126,12 @@ describe("look and sight", () => {
   it("An older message of the server does not change a sent setting until the server has executed its command.", () => {
     const carm = (tone: "radiograph" | "fluoroscopy") => ({ ...FIRST_SIGHT.carm, tone });
     const first = sent({ type: "set_carm", ...carm("fluoroscopy") }, 3);
-    let state = following(INITIAL_STATE, from(OPEN), first, told({}), handled(2));
+    let state = following(INITIAL_STATE, from(OPEN), first, sightReported({}), handled(2));
     expect(state.sight.carm.tone).toBe("fluoroscopy");
-    state = following(state, told({ carm: carm("fluoroscopy") }), handled(3));
+    state = following(state, sightReported({ carm: carm("fluoroscopy") }), handled(3));
     expect(state.local.sight).toEqual({});
     // From here on the server's value applies immediately.
-    expect(following(state, told({ carm: carm("radiograph") })).sight.carm.tone).toBe("radiograph");
+    expect(following(state, sightReported({ carm: carm("radiograph") })).sight.carm.tone).toBe("radiograph");
   });
 
   it("After this window's command is done, the value that another window has set is shown.", () => {
@@ -153,9 +153,9 @@ describe("look and sight", () => {
   it("A setting that waits to be sent is shown until it is sent; a new connection restores the server's value.", () => {
     const soon = sent({ type: "set_shading", on: false }, NOT_SENT);
     const open = { kind: "connection", connection: { status: "open", reason: null, retryAtMs: null } } as const;
-    const state = following(INITIAL_STATE, from(OPEN), soon, told({}), handled(9));
+    const state = following(INITIAL_STATE, from(OPEN), soon, sightReported({}), handled(9));
     expect(state.sight.shading).toBe(false);
-    expect(following(state, open, told({})).sight.shading).toBe(true);
+    expect(following(state, open, sightReported({})).sight.shading).toBe(true);
   });
 
   it("After undo or a change of the scope the server's values replace the settings that were sent before.", () => {
@@ -177,9 +177,9 @@ describe("values that the user changes", () => {
     const drag = (x: number, number: number): AppEvent => sent({ type: "set_crosshair", lps: [x, 0, 0] }, number);
     let state = following(INITIAL_STATE, from(OPEN), drag(1, 1), drag(2, 2));
     expect(crosshairLps(state)).toEqual([2, 0, 0]);
-    state = following(state, told({ crosshair_lps: [1, 0, 0] }), handled(1));
+    state = following(state, sightReported({ crosshair_lps: [1, 0, 0] }), handled(1));
     expect(crosshairLps(state)).toEqual([2, 0, 0]);
-    state = following(state, told({ crosshair_lps: [2, 0, 0] }), handled(2));
+    state = following(state, sightReported({ crosshair_lps: [2, 0, 0] }), handled(2));
     expect(state.local.sight).toEqual({});
     expect(crosshairLps(state)).toEqual([2, 0, 0]);
   });

@@ -521,7 +521,7 @@ const numberOf = (values: object): number => Object.keys(values).length;
 
 /** Return the state with a new tree; IDs of branches that no longer exist are cleared. */
 function treeChanged(state: AppState, tree: BranchTree | null): AppState {
-  const kept = (id: number | null): number | null => (id !== null && tree?.byId.has(id) === true ? id : null);
+  const ifInTree = (id: number | null): number | null => (id !== null && tree?.byId.has(id) === true ? id : null);
   const { ui } = state;
   return {
     ...state,
@@ -530,9 +530,9 @@ function treeChanged(state: AppState, tree: BranchTree | null): AppState {
     ui: {
       ...ui,
       hovered: null,
-      selected: kept(ui.selected),
-      forkHeld: kept(ui.forkHeld),
-      renaming: kept(ui.renaming),
+      selected: ifInTree(ui.selected),
+      forkHeld: ifInTree(ui.forkHeld),
+      renaming: ifInTree(ui.renaming),
     },
   };
 }
@@ -583,9 +583,9 @@ type FieldSetting = Extract<ClientMessage, { type: keyof typeof SETS }>;
 function fieldSet(state: AppState, message: FieldSetting, number: number): AppState {
   const { of, field, from, by_view } = SETS[message.type];
   const { type: _, view, ...fields } = message as { type: string; view?: string } & Record<string, unknown>;
-  const said = from === null ? fields : fields[from];
+  const sentValue = from === null ? fields : fields[from];
   const before = state[of] as unknown as Record<string, object>;
-  const value = by_view && view !== undefined ? { ...before[field], [view]: said } : said;
+  const value = by_view && view !== undefined ? { ...before[field], [view]: sentValue } : sentValue;
   return {
     ...state,
     [of]: { ...before, [field]: value },

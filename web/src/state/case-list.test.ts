@@ -60,9 +60,9 @@ describe("sizeWords", () => {
 
 describe("continuedWords", () => {
   it("The notice is shown until the user closes it or changes the case.", () => {
-    const told = `Continued from ${clock(NOW_S, NOW_MS)}, 12 changes.`;
-    expect(continuedWords(SAVING, 12, null, NOW_MS)).toBe(told);
-    expect(continuedWords(SAVING, 12, NOW_S - 1, NOW_MS)).toBe(told);
+    const notice = `Continued from ${clock(NOW_S, NOW_MS)}, 12 changes.`;
+    expect(continuedWords(SAVING, 12, null, NOW_MS)).toBe(notice);
+    expect(continuedWords(SAVING, 12, NOW_S - 1, NOW_MS)).toBe(notice);
     expect(continuedWords(SAVING, 12, NOW_S, NOW_MS)).toBeNull();
     expect(continuedWords(SAVING, 13, null, NOW_MS)).toBeNull();
   });

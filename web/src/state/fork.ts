@@ -33,13 +33,13 @@ export function forkAhead(
    * ID of the branch that ends at the fork of a listed turn, while the tip is at the viewpoint of that turn; null
    * selects the next fork.
    */
-  meant: number | null = null,
+  forkBranchId: number | null = null,
 ): ForkAhead | null {
   // At the viewpoint of a fork that fork is selected, even if the previous fork is still near.
   const lookoutMm = route.lookouts_mm.findLast((at) => at <= pathMm + FORK_TOLERANCE_MM) ?? 0;
   const fromMm = Math.max(pathMm - STILL_HERE_MM, lookoutMm);
   for (const span of route.spans) {
-    if (meant === null ? span.to_mm < fromMm : span.branch_id !== meant) continue;
+    if (forkBranchId === null ? span.to_mm < fromMm : span.branch_id !== forkBranchId) continue;
     const node = tree.byId.get(span.branch_id);
     if (node === undefined || node.children.length < 2) continue;
     const distanceMm = span.to_mm - pathMm;

@@ -50,11 +50,11 @@ export function parseCoordinates(text: string): Vec3 | null {
  * ambiguous; return null otherwise.
  */
 function fromSides(text: string): Vec3 | null {
-  const said = [...text.toUpperCase().matchAll(/([LRPASI])\s*(\d+(?:\.\d+)?)/g)];
+  const matches = [...text.toUpperCase().matchAll(/([LRPASI])\s*(\d+(?:\.\d+)?)/g)];
   const rest = text.toUpperCase().replace(/([LRPASI])\s*(\d+(?:\.\d+)?)/g, "");
-  if (said.length !== 3 || /[^\s,;]/.test(rest)) return null;
+  if (matches.length !== 3 || /[^\s,;]/.test(rest)) return null;
   const found: (number | null)[] = [null, null, null];
-  for (const [, side, mm] of said) {
+  for (const [, side, mm] of matches) {
     const place = SIDES[side ?? ""];
     if (place === undefined) return null;
     found[place[0]] = place[1] * Number(mm);
@@ -107,11 +107,11 @@ export function finenessWords(picture: { width: number; step_vox: number | null 
  * Return the method that rendered the displayed picture, as text, compared with the requested method; `made` is null
  * before the first picture.
  */
-export function methodWords(made: string | null, asked: "leap" | "brute"): string {
-  const method = (made ?? asked).replace(/^gpu-/, "");
+export function methodWords(made: string | null, requested: "leap" | "brute"): string {
+  const method = (made ?? requested).replace(/^gpu-/, "");
   if (method.startsWith("leap")) return "fast rendering";
   if (method !== "brute") return "cut-plane";
-  return asked === "leap" ? "full sampling until fast rendering is ready" : "full sampling";
+  return requested === "leap" ? "full sampling until fast rendering is ready" : "full sampling";
 }
 
 /** Return a time (s since 1970) as time of day, with the date if it is not today. */

@@ -36,17 +36,17 @@ export function livePathLines(answer: LivePathMessage): { lines: readonly string
 }
 
 /** Largest number of characters of the text beside the cursor. */
-const ROOM = 90;
+const MAX_CHARS = 90;
 
 /** Return as many whole sentences of a text as fit beside the cursor, at least one. */
 export function firstSentences(text: string): string {
   const [first = "", ...more] = text.match(/[^.]+(?:\.\d+[^.]*)*\.?\s*/g) ?? [text];
-  let kept = first;
+  let cut = first;
   for (const next of more) {
-    if (kept.length + next.trimEnd().length > ROOM) break;
-    kept += next;
+    if (cut.length + next.trimEnd().length > MAX_CHARS) break;
+    cut += next;
   }
-  return kept.trimEnd();
+  return cut.trimEnd();
 }
 
 /**

@@ -35,7 +35,7 @@ describe("layers around the targets", () => {
 
   it("layerRows lists the available layers with their figures and limits.", () => {
     expect(layerRows(null)).toEqual([]);
-    expect(layerRows(LUNGS).map(({ layer, told, limits }) => [layer, told, limits])).toEqual([
+    expect(layerRows(LUNGS).map(({ layer, figures, limits }) => [layer, figures, limits])).toEqual([
       ["vessels", "143 ml in both lungs", ["No mediastinum."]],
       ["stations", "7", ["Airway landmarks only."]],
     ]);

@@ -68,7 +68,7 @@ export interface LayerRow {
   readonly title: string;
   readonly words: string;
   /** Contents of the layer in figures, as text. */
-  readonly told: string;
+  readonly figures: string;
   readonly limits: readonly string[];
   /** Names of the layer's parts that have separate colours, such as lobes. */
   readonly parts: readonly string[];
@@ -80,12 +80,12 @@ export function layerRows(lungs: LungsMessage | null): LayerRow[] {
   return LAYER_NAMES.flatMap((row) => {
     if (row.layer === "stations") {
       const placed = lungs.stations.filter(({ point_lps: point }) => point !== null);
-      const told = [...new Set(placed.map(({ station }) => station))].join(", ");
+      const figures = [...new Set(placed.map(({ station }) => station))].join(", ");
       return lungs.stations.length === 0
         ? []
-        : [{ ...row, told: told === "" ? "none placed" : told, limits: [lungs.station_limits], parts: [] }];
+        : [{ ...row, figures: figures === "" ? "none placed" : figures, limits: [lungs.station_limits], parts: [] }];
     }
     const found = lungs.layers.find(({ layer }) => layer === row.layer);
-    return found === undefined ? [] : [{ ...row, told: found.words, limits: found.limits, parts: found.parts }];
+    return found === undefined ? [] : [{ ...row, figures: found.words, limits: found.limits, parts: found.parts }];
   });
 }

@@ -23,12 +23,12 @@ export function underWay<T>(local: Optimistic<T> | null, handled: number): Optim
 
 /** Return the values whose commands the server has not executed yet. */
 export function allUnderWay<T extends object>(local: Local<T>, handled: number): Local<T> {
-  const kept: { [K in keyof T]?: Optimistic<T[K]> } = {};
+  const pending: { [K in keyof T]?: Optimistic<T[K]> } = {};
   for (const name of Object.keys(local) as (keyof T)[]) {
     const one = underWay(local[name] ?? null, handled);
-    if (one !== null) kept[name] = one;
+    if (one !== null) pending[name] = one;
   }
-  return kept;
+  return pending;
 }
 
 /** Return the values to show: the server's values, replaced by those that the user has changed. */

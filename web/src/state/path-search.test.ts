@@ -41,8 +41,8 @@ describe("targetMessage", () => {
 
   it("With another cost the command contains cost and start, and is null without a start.", () => {
     const search = { pathCost: "paper", pathStart: [0, 0, 1] } as const;
-    const asked = { type: "add_target", lps: [1, 2, 3], cost: "paper", root_lps: [0, 0, 1] };
-    expect(targetMessage([1, 2, 3], search, NOTHING)).toEqual(asked);
+    const expected = { type: "add_target", lps: [1, 2, 3], cost: "paper", root_lps: [0, 0, 1] };
+    expect(targetMessage([1, 2, 3], search, NOTHING)).toEqual(expected);
     expect(targetMessage([1, 2, 3], { ...search, pathStart: null }, NOTHING)).toBeNull();
   });
 });

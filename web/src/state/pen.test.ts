@@ -23,25 +23,25 @@ describe("point that the pen's button marks", () => {
   });
 
   it("penPoint returns the pen's point, and null if no pen moves the tip.", () => {
-    const told = reduce(INITIAL_STATE, { kind: "server", message: pen() });
-    expect(penPoint(told)).toEqual([1, 2, 3]);
-    const gone = reduce(told, { kind: "server", message: pen({ device: null, lps: null }) });
+    const reported = reduce(INITIAL_STATE, { kind: "server", message: pen() });
+    expect(penPoint(reported)).toEqual([1, 2, 3]);
+    const gone = reduce(reported, { kind: "server", message: pen({ device: null, lps: null }) });
     expect(gone.pen).toBeNull();
     expect(penPoint(gone)).toBeNull();
   });
 });
 
 describe("wasUsedByPen", () => {
-  const told = (num: number, airways: StateMessage["airways"]) =>
+  const reported = (num: number, airways: StateMessage["airways"]) =>
     ({ targets: Array.from({ length: num }), airways }) as unknown as StateMessage;
 
   it("It is true only for a pen tool whose target was added or whose search has started.", () => {
-    expect(wasUsedByPen("target", told(0, "found"), told(1, "found"))).toBe(true);
-    expect(wasUsedByPen("target", told(1, "found"), told(1, "found"))).toBe(false);
-    expect(wasUsedByPen("add", told(0, "found"), told(1, "found"))).toBe(false);
-    expect(wasUsedByPen("root", told(0, "found"), told(0, "finding"))).toBe(true);
-    expect(wasUsedByPen("root", told(0, "finding"), told(0, "finding"))).toBe(false);
-    expect(wasUsedByPen("target", null, told(1, "found"))).toBe(false);
+    expect(wasUsedByPen("target", reported(0, "found"), reported(1, "found"))).toBe(true);
+    expect(wasUsedByPen("target", reported(1, "found"), reported(1, "found"))).toBe(false);
+    expect(wasUsedByPen("add", reported(0, "found"), reported(1, "found"))).toBe(false);
+    expect(wasUsedByPen("root", reported(0, "found"), reported(0, "finding"))).toBe(true);
+    expect(wasUsedByPen("root", reported(0, "finding"), reported(0, "finding"))).toBe(false);
+    expect(wasUsedByPen("target", null, reported(1, "found"))).toBe(false);
   });
 });
 

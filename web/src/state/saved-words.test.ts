@@ -38,9 +38,9 @@ describe("savedWords", () => {
   });
 
   it("A failed or disabled save is always shown as a warning.", () => {
-    const told = savedWords({ ...NOTHING_SAVED, saved_s: NOW_S, problem: "the disk is full" }, NOW_MS);
-    expect(told).toMatchObject({ warns: true, words: "the disk is full" });
-    expect(told?.label).toContain(clock(NOW_S, NOW_MS));
+    const shown = savedWords({ ...NOTHING_SAVED, saved_s: NOW_S, problem: "the disk is full" }, NOW_MS);
+    expect(shown).toMatchObject({ warns: true, words: "the disk is full" });
+    expect(shown?.label).toContain(clock(NOW_S, NOW_MS));
     const elsewhere = { copied_s: NOW_S + 60, copy_name: "n.carina", copy_folder: "/media/stick" };
     expect(
       savedWords({ ...NOTHING_SAVED, saved_s: NOW_S, problem: "the disk is full", ...elsewhere }, NOW_MS),

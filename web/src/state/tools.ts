@@ -169,17 +169,17 @@ export function nextBrush(radiusMm: number, step: -1 | 1): number {
  */
 export function strokePoints<P extends readonly [number, number, number]>(drawn: readonly P[], radiusMm: number): P[] {
   const limit = radiusMm / 4;
-  const kept: P[] = [];
+  const reduced: P[] = [];
   for (const point of drawn) {
-    const last = kept.at(-1);
+    const last = reduced.at(-1);
     const far =
       last === undefined ||
       Math.hypot(point[0] - last[0], point[1] - last[1], point[2] - last[2]) >= Math.max(limit, 0.1);
-    if (far) kept.push(point);
+    if (far) reduced.push(point);
   }
   const end = drawn.at(-1);
-  if (end !== undefined && kept.at(-1) !== end && kept.length > 0) kept.push(end);
-  return kept.slice(0, MAX_STROKE);
+  if (end !== undefined && reduced.at(-1) !== end && reduced.length > 0) reduced.push(end);
+  return reduced.slice(0, MAX_STROKE);
 }
 
 /** Largest number of points of a stroke that the protocol accepts. */

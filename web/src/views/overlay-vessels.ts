@@ -36,7 +36,7 @@ class Strokes {
   }
 }
 
-interface Kept {
+interface CachedDrawing {
   readonly canvas: HTMLCanvasElement;
   readonly of: readonly unknown[];
 }
@@ -45,27 +45,27 @@ interface Kept {
  * Drawing of the vessels for each viewport, valid until the camera of the view moves. This camera does not follow the
  * tip.
  */
-const KEPT = new WeakMap<Viewport, Kept>();
+const DRAWINGS = new WeakMap<Viewport, CachedDrawing>();
 
 /** Draw the vessels as lines in their width; uncertain vessels are dashed and fainter. */
 export function paintVessels(ink: Ink, viewport: Viewport, geometry: SeenGeometry, scene: Scene): void {
   if (scene.vessels.length === 0) {
-    KEPT.delete(viewport);
+    DRAWINGS.delete(viewport);
     return;
   }
   const of = [viewport.version, scene.vessels, scene.tree, scene.lesions];
-  let kept = KEPT.get(viewport);
-  if (kept === undefined || kept.of.some((one, n) => one !== of[n])) {
+  let drawing = DRAWINGS.get(viewport);
+  if (drawing === undefined || drawing.of.some((one, n) => one !== of[n])) {
     const canvas = document.createElement("canvas");
     [canvas.width, canvas.height] = [viewport.overlay.width, viewport.overlay.height];
     const own = canvas.getContext("2d");
     if (own === null) return;
     own.setTransform(ink.getTransform());
     strokeVessels(own, viewport, geometry, scene);
-    kept = { canvas, of };
-    KEPT.set(viewport, kept);
+    drawing = { canvas, of };
+    DRAWINGS.set(viewport, drawing);
   }
-  ink.drawImage(kept.canvas, 0, 0, viewport.size.width, viewport.size.height);
+  ink.drawImage(drawing.canvas, 0, 0, viewport.size.width, viewport.size.height);
 }
 
 function strokeVessels(ink: Ink, viewport: Viewport, geometry: SeenGeometry, scene: Scene): void {

@@ -213,11 +213,11 @@ function pointedAt(
   const hovered = node === undefined || ui.hovered === null ? null : { node, place: ui.hovered.place };
   // The end of the route does not count as a selection, because the route line already shows it.
   const selected = ui.selected === null ? null : (tree?.byId.get(ui.selected) ?? null);
-  const meant =
+  const forkAtCursor =
     tree !== null && ui.armed === "fork" && hovered !== null
       ? forkOf(tree, hovered.node.branch.id, hovered.place?.alongMm ?? 0)
       : null;
-  const fork = ui.forkHeld ?? meant;
+  const fork = ui.forkHeld ?? forkAtCursor;
   const held = fork === null ? undefined : tree?.byId.get(fork)?.branch.points.at(-1);
   return {
     ...parts,

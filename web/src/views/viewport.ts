@@ -200,16 +200,16 @@ export class Viewport {
     if (this.picture.width === width && this.picture.height === height) return;
     // A change of a canvas's size clears the canvas. Copy the last picture and scale it, until the next picture
     // arrives.
-    const kept = this.header === null ? null : copyOf(this.picture);
+    const copy = this.header === null ? null : copyOf(this.picture);
     this.picture.width = width;
     this.picture.height = height;
-    if (kept !== null && this.header !== null) {
+    if (copy !== null && this.header !== null) {
       // Use the proportions of the picture, as the overlay does, not those of the old canvas.
-      const from = fitInside(this.header, kept.width, kept.height);
+      const from = fitInside(this.header, copy.width, copy.height);
       const to = fitInside(this.header, width, height);
       this.picture
         .getContext("2d")
-        ?.drawImage(kept, from.x, from.y, from.width, from.height, to.x, to.y, to.width, to.height);
+        ?.drawImage(copy, from.x, from.y, from.width, from.height, to.x, to.y, to.width, to.height);
     }
   }
 

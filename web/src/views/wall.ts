@@ -32,7 +32,7 @@ export class Wall {
   readonly #painted = new WeakMap<Viewport, Painting>();
   #repaintDue = false;
   #layoutDue = false;
-  #told = "";
+  #reported = "";
 
   constructor(hooks: WallHooks) {
     this.#hooks = hooks;
@@ -121,8 +121,8 @@ export class Wall {
       if (pixels !== null) views.push({ view: viewport.view, ...pixels });
     }
     const text = JSON.stringify(views);
-    if (text === this.#told && !again) return;
-    this.#told = text;
+    if (text === this.#reported && !again) return;
+    this.#reported = text;
     this.#hooks.layoutChanged(views);
   }
 }

@@ -36,7 +36,7 @@ export function CheckStep() {
   if (info === null) return null;
   const findings = findingsOf(badges, info.quality, info.warnings);
   const reason = info.not_hu_reason ?? "this volume is not in Hounsfield units";
-  const saidAbove = findings.some((words) => words.includes(reason));
+  const isListed = findings.some((words) => words.includes(reason));
   const chosen = PRESETS.find(({ value }) => WINDOWS[value].width_hu === width && WINDOWS[value].level_hu === level);
   return (
     <>
@@ -54,7 +54,7 @@ export function CheckStep() {
       )}
       {info.is_hu ? null : (
         <>
-          {saidAbove ? null : <p className="warning-text">{sentence(reason)}</p>}
+          {isListed ? null : <p className="warning-text">{sentence(reason)}</p>}
           <Threshold />
         </>
       )}

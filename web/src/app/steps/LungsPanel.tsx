@@ -53,7 +53,7 @@ export function LungsPanel({ scope, tool }: { scope: string; tool: string }) {
       />
       {rows.length === 0 ? null : (
         <ul className="layers">
-          {rows.map(({ layer, title: name, words, told, limits, parts }) => (
+          {rows.map(({ layer, title: name, words, figures, limits, parts }) => (
             <li key={layer} data-testid={`layer-${layer}`}>
               <SwitchKey
                 label={name}
@@ -65,7 +65,7 @@ export function LungsPanel({ scope, tool }: { scope: string; tool: string }) {
               <details>
                 <summary>
                   {parts.length === 0 ? <Swatch colour={layerColour(layer)} /> : null}
-                  <span className="numbers">{told}</span>
+                  <span className="numbers">{figures}</span>
                 </summary>
                 {limits.map((limit) => (
                   <p key={limit} className="quiet">

@@ -55,7 +55,7 @@ class FakeDevice extends EventTarget implements HidDevice {
 
 const SKETCH = collectionsOf(sketchDescriptor());
 let sent: ClientMessage[];
-let told: number;
+let numBadReports: number;
 let device: FakeDevice;
 let handle: Handle;
 const samples = () => sent.filter((message): message is DeviceSampleMessage => message.type === "device_sample");
@@ -68,13 +68,13 @@ const made = (of: HidDevice) =>
     },
     () => 99,
     () => {
-      told += 1;
+      numBadReports += 1;
     },
   );
 
 beforeEach(async () => {
   sent = [];
-  told = 0;
+  numBadReports = 0;
   device = new FakeDevice(SKETCH);
   handle = made(device);
   await handle.open();
@@ -135,7 +135,7 @@ describe("Handle", () => {
       Object.assign(new Event("inputreport"), { reportId: 7, data: new DataView(new ArrayBuffer(2)) }),
     );
     handle.tick();
-    expect([samples().length, handle.numBad, told]).toEqual([0, 4, 1]);
+    expect([samples().length, handle.numBad, numBadReports]).toEqual([0, 4, 1]);
     device.report(5, 100, 0, -1000, 0);
     handle.tick();
     expect(samples()[0]?.handle).toEqual([1, 0, -1]);
@@ -193,7 +193,7 @@ describe("Handle", () => {
       Object.assign(new Event("inputreport"), { reportId: 0, data: new DataView(new ArrayBuffer(3)) }),
     );
     still.tick();
-    expect([samples().length, still.numBad, told]).toEqual([0, 1, 1]);
+    expect([samples().length, still.numBad, numBadReports]).toEqual([0, 1, 1]);
   });
 
   it("A descriptor whose single report lacks insertion, roll or lever is rejected with a message.", () => {
@@ -340,9 +340,9 @@ describe("HidPort", () => {
   it("A device that is selected before the port stops is not opened afterwards.", async () => {
     const late = new FakeDevice(SKETCH);
     hid.offers = [late];
-    const asked = port.ask();
+    const request = port.ask();
     await port.stop();
-    await asked;
+    await request;
     await settled();
     expect([port.name, late.opened]).toEqual([null, false]);
   });

@@ -64,7 +64,7 @@ export class Handle extends FieldReader {
     });
   }
 
-  protected heard(fields: readonly HidField[], data: DataView): void {
+  protected received(fields: readonly HidField[], data: DataView): void {
     // Ignore reports without the insertion, because the device also sends reports that do not belong to the handle.
     if (!fields.some((field) => field.usage === INSERTION)) return;
     const values = this.#values(fields, data);

@@ -23,7 +23,7 @@ export abstract class FieldReader implements HidReader {
   abstract tick(): void;
 
   /** Handle the fields and the bytes of a received report whose ID the descriptor defines. */
-  protected abstract heard(fields: readonly HidField[], data: DataView): void;
+  protected abstract received(fields: readonly HidField[], data: DataView): void;
 
   async open(): Promise<void> {
     this.#device.addEventListener("inputreport", this.#report);
@@ -38,6 +38,6 @@ export abstract class FieldReader implements HidReader {
   readonly #report = (event: Event): void => {
     const { reportId, data } = event as InputReport;
     const fields = this.fields.get(reportId);
-    if (fields !== undefined) this.heard(fields, data);
+    if (fields !== undefined) this.received(fields, data);
   };
 }

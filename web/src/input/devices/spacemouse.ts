@@ -60,7 +60,7 @@ export class SpaceMouse extends FieldReader {
     });
   }
 
-  protected heard(fields: readonly HidField[], data: DataView): void {
+  protected received(fields: readonly HidField[], data: DataView): void {
     let buttons: number | null = null;
     for (const field of fields) {
       const value = readField(data, field);

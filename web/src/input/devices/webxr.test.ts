@@ -101,7 +101,7 @@ class FakeXr extends EventTarget implements Xr {
 let xr: FakeXr;
 let sent: ClientMessage[];
 let acts: Action[];
-let said: string[];
+let failures: string[];
 let changes: boolean[];
 let drawn: number;
 let recentred: number;
@@ -116,7 +116,7 @@ let right: FakeController;
 
 beforeEach(() => {
   xr = new FakeXr();
-  [sent, acts, said, changes] = [[], [], [], []];
+  [sent, acts, failures, changes] = [[], [], [], []];
   drawn = recentred = closed = 0;
   whileOpening = () => undefined;
   openFails = drawFails = null;
@@ -149,7 +149,7 @@ beforeEach(() => {
     enabled: () => enabled,
     clutchHeldMoves: () => clutchHeld,
     changed: (inside) => changes.push(inside),
-    failed: (words) => said.push(words),
+    failed: (words) => failures.push(words),
   });
 });
 
@@ -301,7 +301,7 @@ describe("controller of a headset", () => {
     right.shakes = false;
     headset.rumble(0.6, 120);
     await new Promise((done) => setTimeout(done, 0));
-    expect(said).toEqual([]);
+    expect(failures).toEqual([]);
   });
 });
 
@@ -322,7 +322,7 @@ describe("Headset", () => {
   it("It reports why it cannot be entered, and ends a session whose screen cannot be opened.", async () => {
     xr.refuses = new Error("the headset is in use");
     await headset.enter();
-    expect(said).toEqual(["The headset view could not be started: the headset is in use."]);
+    expect(failures).toEqual(["The headset view could not be started: the headset is in use."]);
     xr.refuses = null;
     openFails = new Error("no WebGL");
     await headset.enter();
@@ -333,7 +333,7 @@ describe("Headset", () => {
     whileOpening = () => void xr.session.end();
     await headset.enter();
     expect([headset.inside, closed, changes]).toEqual([false, 1, []]);
-    expect(said).toEqual(["The headset view could not be started: the headset was taken off meanwhile."]);
+    expect(failures).toEqual(["The headset view could not be started: the headset was taken off meanwhile."]);
     whileOpening = () => undefined;
     xr.session = new FakeSession();
     xr.session.inputSources = [right];
@@ -358,12 +358,12 @@ describe("Headset", () => {
     drawFails = new Error("the graphics context was lost");
     for (let n = 0; n < 20; n += 1) xr.session.refresh(n * 11);
     expect(drawn).toBe(20);
-    expect(said.length).toBe(1);
+    expect(failures.length).toBe(1);
     await headset.leave();
     xr.session = new FakeSession();
     await headset.enter();
     xr.session.refresh(0);
-    expect(said.length).toBe(2);
+    expect(failures.length).toBe(2);
   });
 
   it("Two simultaneous requests to enter start one session.", async () => {

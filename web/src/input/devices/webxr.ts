@@ -136,7 +136,7 @@ export class Headset {
   #space: XrSpace | null = null;
   #entering = false;
   readonly #controllers = new Map<XrInputSource, Controller>();
-  #faultSaid = false;
+  #faultReported = false;
 
   constructor(xr: Xr, around: HeadsetSurroundings) {
     this.#xr = xr;
@@ -170,7 +170,7 @@ export class Headset {
       if (isOver) throw new Error("the headset was taken off meanwhile");
       session.requestAnimationFrame(this.#frame);
       this.#session = session;
-      this.#faultSaid = false;
+      this.#faultReported = false;
       this.#around.changed(true);
     } catch (trouble) {
       this.#space = null;
@@ -206,8 +206,8 @@ export class Headset {
       const viewer = frame.getViewerPose(space);
       if (viewer != null) this.#around.screen.draw(viewer);
     } catch (trouble) {
-      if (!this.#faultSaid) this.#around.failed(`The headset image could not be drawn: ${wordsOf(trouble)}.`);
-      this.#faultSaid = true;
+      if (!this.#faultReported) this.#around.failed(`The headset image could not be drawn: ${wordsOf(trouble)}.`);
+      this.#faultReported = true;
     }
   };
 
@@ -281,6 +281,6 @@ export class Headset {
 
 function wordsOf(trouble: unknown): string {
   // In some environments a DOMException is not an Error.
-  const said = trouble instanceof DOMException || trouble instanceof Error ? trouble.message : "";
-  return said.replace(/\.$/, "") || "the browser refused access";
+  const reason = trouble instanceof DOMException || trouble instanceof Error ? trouble.message : "";
+  return reason.replace(/\.$/, "") || "the browser refused access";
 }
