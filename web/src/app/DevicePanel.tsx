@@ -353,14 +353,14 @@ function Connections({ message }: { message: DevicesMessage }) {
           label="SpaceMouse"
           words="Connect a SpaceMouse (the browser asks which one)"
           disabled={!station.devices.hasHid}
-          onPress={() => station.devices.askSpaceMouse()}
+          onPress={() => station.devices.selectSpaceMouse()}
         />
         <Act
           label="Handle"
           words="Connect a USB scope handle (HID; the browser asks which one)"
           disabled={!station.devices.hasHid}
           testId="ask-handle"
-          onPress={() => station.devices.askHandle()}
+          onPress={() => station.devices.selectHandle()}
         />
       </div>
       {message.serial_problem === null ? null : <p className="quiet">{message.serial_problem}</p>}

@@ -53,15 +53,13 @@ export class BrowserDevices {
     });
     this.#headset = this.#headsetOf(xrOf(navigator));
     const send = (message: ClientMessage) => void station.send(message);
-    const around = {
+    const hooks = {
       gone: (device: string) => send({ type: "device_gone", device }),
       failed: (words: string) => station.notice(words),
     };
     const hid = hidOf(navigator);
     this.#mouse =
-      hid === null
-        ? null
-        : new HidPort(hid, SPACEMOUSE_FILTERS, (device) => new SpaceMouse(device, send, nowS), around);
+      hid === null ? null : new HidPort(hid, SPACEMOUSE_FILTERS, (device) => new SpaceMouse(device, send, nowS), hooks);
     this.#handle =
       hid === null
         ? null
@@ -74,7 +72,7 @@ export class BrowserDevices {
                   `${device.productName} sends reports that do not match its HID descriptor; they are ignored.`,
                 ),
               ),
-            around,
+            hooks,
           );
     this.#lock = new PointerLock(document, {
       look: (yaw_rad, pitch_rad) => station.flight.nudge({ yaw_rad, pitch_rad }),
@@ -184,12 +182,12 @@ export class BrowserDevices {
   }
 
   /** Show the browser's selection of SpaceMouse devices. Browsers permit the selection only in response to a click. */
-  askSpaceMouse(): void {
-    void this.#mouse?.ask();
+  selectSpaceMouse(): void {
+    void this.#mouse?.selectDevice();
   }
 
-  askHandle(): void {
-    void this.#handle?.ask();
+  selectHandle(): void {
+    void this.#handle?.selectDevice();
   }
 
   stop(): void {

@@ -4,31 +4,31 @@ import { AWAKE_MS, DOZE_MS, Heartbeat, wakeByHand } from "./heartbeat";
 const REFRESH_MS = 1000 / 60;
 
 function heart() {
-  const around = { now: 0, goesOn: false, call: null as (() => void) | null, dueMs: 0 };
+  const environment = { now: 0, goesOn: false, call: null as (() => void) | null, dueMs: 0 };
   const beats: { atMs: number; elapsedS: number }[] = [];
   const ask = (ms: number, call: () => void) => {
-    around.call = call;
-    around.dueMs = around.now + ms;
+    environment.call = call;
+    environment.dueMs = environment.now + ms;
     return () => {
-      if (around.call === call) around.call = null;
+      if (environment.call === call) environment.call = null;
     };
   };
-  const made = new Heartbeat((elapsedS) => beats.push({ atMs: around.now, elapsedS }), {
-    nowMs: () => around.now,
+  const made = new Heartbeat((elapsedS) => beats.push({ atMs: environment.now, elapsedS }), {
+    nowMs: () => environment.now,
     nextRefresh: (call) => ask(REFRESH_MS, call),
     after: ask,
-    goesOn: () => around.goesOn,
+    goesOn: () => environment.goesOn,
   });
   const run = (untilMs: number) => {
-    while (around.call !== null && around.dueMs <= untilMs) {
-      const call = around.call;
-      around.call = null;
-      around.now = around.dueMs;
+    while (environment.call !== null && environment.dueMs <= untilMs) {
+      const call = environment.call;
+      environment.call = null;
+      environment.now = environment.dueMs;
       call();
     }
-    around.now = untilMs;
+    environment.now = untilMs;
   };
-  return { around, beats, made, run };
+  return { environment, beats, made, run };
 }
 
 describe("Heartbeat", () => {
@@ -44,8 +44,8 @@ describe("Heartbeat", () => {
   });
 
   it("It runs at every display refresh during activity, and the elapsed times add up to the total time.", () => {
-    const { around, beats, made, run } = heart();
-    around.goesOn = true;
+    const { environment, beats, made, run } = heart();
+    environment.goesOn = true;
     made.start();
     run(20_000);
     expect(beats.length).toBeGreaterThan(1150);
@@ -54,7 +54,7 @@ describe("Heartbeat", () => {
   });
 
   it("A wake-up at rest restarts it at the next refresh, and the time at rest is not part of the elapsed time.", () => {
-    const { around, beats, made, run } = heart();
+    const { environment, beats, made, run } = heart();
     made.start();
     run(10_090);
     const before = beats.length;
@@ -63,14 +63,14 @@ describe("Heartbeat", () => {
     const woken = beats.slice(before);
     expect(woken.length).toBe(2);
     expect(woken[0]?.elapsedS).toBeCloseTo(REFRESH_MS / 1000, 6);
-    expect(around.dueMs - around.now).toBeLessThanOrEqual(REFRESH_MS);
+    expect(environment.dueMs - environment.now).toBeLessThanOrEqual(REFRESH_MS);
   });
 
   it("It returns to every refresh by itself when a check at rest finds activity.", () => {
-    const { around, beats, made, run } = heart();
+    const { environment, beats, made, run } = heart();
     made.start();
     run(10_000);
-    around.goesOn = true;
+    environment.goesOn = true;
     const before = beats.length;
     run(11_000);
     expect(beats.length - before).toBeGreaterThan(50);

@@ -9,7 +9,7 @@ export const AWAKE_MS = 1500;
 export const DOZE_MS = 100;
 
 /** Clock, timers and activity test that {@link Heartbeat} uses; tests supply fakes. */
-export interface HeartbeatSurroundings {
+export interface HeartbeatHooks {
   nowMs(): number;
   /** Schedule a call at the next display refresh; return a function that cancels it. */
   nextRefresh(call: () => void): () => void;
@@ -21,19 +21,19 @@ export interface HeartbeatSurroundings {
 /** Scheduler of the page's periodic work. */
 export class Heartbeat {
   readonly #tick: (elapsedS: number) => void;
-  readonly #around: HeartbeatSurroundings;
+  readonly #hooks: HeartbeatHooks;
   #callOff: (() => void) | null = null;
   #dozes = false;
   #lastMs = 0;
   #wokenMs = 0;
 
-  constructor(tick: (elapsedS: number) => void, around: HeartbeatSurroundings) {
+  constructor(tick: (elapsedS: number) => void, hooks: HeartbeatHooks) {
     this.#tick = tick;
-    this.#around = around;
+    this.#hooks = hooks;
   }
 
   start(): void {
-    this.#lastMs = this.#wokenMs = this.#around.nowMs();
+    this.#lastMs = this.#wokenMs = this.#hooks.nowMs();
     this.#next();
   }
 
@@ -45,7 +45,7 @@ export class Heartbeat {
   /** Request every refresh from the next one on, because the user gave input or an activity began. */
   wake = (): void => {
     if (this.#callOff === null) return;
-    this.#wokenMs = this.#around.nowMs();
+    this.#wokenMs = this.#hooks.nowMs();
     if (!this.#dozes) return;
     // Restart the time measurement, because a key that is pressed now was not held during the rest.
     this.#lastMs = this.#wokenMs;
@@ -54,17 +54,17 @@ export class Heartbeat {
   };
 
   #next(): void {
-    this.#dozes = this.#around.nowMs() - this.#wokenMs >= AWAKE_MS;
-    this.#callOff = this.#dozes ? this.#around.after(DOZE_MS, this.#beat) : this.#around.nextRefresh(this.#beat);
+    this.#dozes = this.#hooks.nowMs() - this.#wokenMs >= AWAKE_MS;
+    this.#callOff = this.#dozes ? this.#hooks.after(DOZE_MS, this.#beat) : this.#hooks.nextRefresh(this.#beat);
   }
 
   #beat = (): void => {
-    const now = this.#around.nowMs();
+    const now = this.#hooks.nowMs();
     const elapsedMs = now - this.#lastMs;
     this.#lastMs = now;
     this.#tick(elapsedMs / 1000);
     if (this.#callOff === null) return;
-    if (this.#around.goesOn()) this.#wokenMs = now;
+    if (this.#hooks.goesOn()) this.#wokenMs = now;
     this.#next();
   };
 }

@@ -9,7 +9,7 @@ import { type AppState, crosshairLps, penPoint } from "../state/app-state";
 import { previewTool } from "../state/edit-preview";
 import { forkOf } from "../state/fork-choice";
 import { linesOf, lpsAt } from "../state/lines";
-import { LiveAsker, type LiveQuestion } from "../state/live-path";
+import { LivePathQueue, type LiveQuestion } from "../state/live-path";
 import { geometryOf, lpsFromPixel, type PixelPoint } from "../state/projection";
 import { isBrush, isLesionBrush, strokePoints, wantsBranch, wantsPath, wordsOf, worksIn } from "../state/tools";
 import { branchAhead, placeFromOutside, placeInLumen, type TreePlace } from "../state/tree-index";
@@ -43,7 +43,7 @@ const SHAKES_PX = 3;
 export class Pointing {
   readonly #station: Station;
   readonly #previewing: Previewing;
-  readonly #live: LiveAsker;
+  readonly #live: LivePathQueue;
   /**
    * Identifier of the path request whose answer applies the tool; null if no click in the airway view waits for an
    * answer.
@@ -68,7 +68,7 @@ export class Pointing {
   constructor(station: Station, previewing: Previewing) {
     this.#station = station;
     this.#previewing = previewing;
-    this.#live = new LiveAsker(
+    this.#live = new LivePathQueue(
       (message) => {
         this.#lastRequestId = message.request_id;
         return station.send(message);
@@ -91,7 +91,7 @@ export class Pointing {
     if (cursor !== null || ui.cursor?.view === viewport.view || ui.cursor === null) {
       station.ui({ cursor, hovered, pointedLps: pointed?.lps ?? null });
     }
-    this.#ask(pointed === null ? null : questionOf(viewport.header, pointed));
+    this.#request(pointed === null ? null : questionOf(viewport.header, pointed));
   }
 
   /** Update the point under a resting cursor after a new picture of its view was drawn. */
@@ -102,7 +102,7 @@ export class Pointing {
     const { viewport, at } = this.#hovered;
     const pointed = this.#under(viewport, at);
     this.#station.ui({ pointedLps: pointed?.lps ?? null });
-    this.#ask(pointed === null ? null : questionOf(viewport.header, pointed));
+    this.#request(pointed === null ? null : questionOf(viewport.header, pointed));
   }
 
   /**
@@ -134,14 +134,14 @@ export class Pointing {
   /**
    * Request what the active tool shows at a point: the path to the point, or the preview of an edit. Null clears both.
    */
-  #ask(question: LiveQuestion | null): void {
+  #request(question: LiveQuestion | null): void {
     const { ui, doubt } = this.#station.state;
     const tool = previewTool(ui.armed, ui.forkHeld !== null);
     if (question === null) {
       if (wantsPath(ui.armed, ui.pathCost) || tool !== null) this.#forget();
-    } else if (wantsPath(ui.armed, ui.pathCost)) this.#live.ask(question);
+    } else if (wantsPath(ui.armed, ui.pathCost)) this.#live.request(question);
     else if (tool !== null && doubt === null) {
-      this.#previewing.ask({ tool, branch_id: tool === "move-fork" ? ui.forkHeld : null, ...question });
+      this.#previewing.request({ tool, branch_id: tool === "move-fork" ? ui.forkHeld : null, ...question });
     }
   }
 
@@ -229,7 +229,7 @@ export class Pointing {
    */
   commitInPicture(header: PictureHeader, pixel: PixelPoint): void {
     this.#live.reset();
-    this.#live.ask({ lps: null, frame_id: header.frame_id, column: pixel.column, row: pixel.row });
+    this.#live.request({ lps: null, frame_id: header.frame_id, column: pixel.column, row: pixel.row });
     this.#commitOn = this.#lastRequestId;
   }
 
@@ -242,7 +242,7 @@ export class Pointing {
     if (this.#penRequested !== null && distance(at, this.#penRequested) < 0.1) return;
     this.#penRequested = at;
     this.#station.ui({ penLeads: true });
-    this.#ask({ lps: at, frame_id: null, column: null, row: null });
+    this.#request({ lps: at, frame_id: null, column: null, row: null });
   }
 
   /**

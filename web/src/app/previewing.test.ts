@@ -45,7 +45,7 @@ describe("preview of an edit under the cursor", () => {
 
   it("The preview has no answer and is stale until the first answer arrives.", () => {
     const { previewing, state, shows } = station();
-    previewing.ask(at(1));
+    previewing.request(at(1));
     expect(state.preview).toEqual({ answer: null, stale: true });
     previewing.receive(answer(1, 1));
     expect(shows()).toBe(1);
@@ -54,9 +54,9 @@ describe("preview of an edit under the cursor", () => {
 
   it("After a cursor movement the old answer is stale at once and is hidden after STALE_MS.", () => {
     const { previewing, state, shows } = station();
-    previewing.ask(at(1));
+    previewing.request(at(1));
     previewing.receive(answer(1, 1));
-    previewing.ask(at(2));
+    previewing.request(at(2));
     expect(state.preview?.stale).toBe(true);
     vi.advanceTimersByTime(STALE_MS + 1);
     expect(state.preview).toEqual({ answer: null, stale: true });
@@ -68,7 +68,7 @@ describe("preview of an edit under the cursor", () => {
 
   it("Only the latest cursor position is requested, and the answer to an older request is shown as stale.", () => {
     const { previewing, sent, state } = station();
-    for (const x of [1, 2, 3]) previewing.ask(at(x));
+    for (const x of [1, 2, 3]) previewing.request(at(x));
     previewing.receive(answer(1, 1));
     expect(state.preview?.stale).toBe(true);
     expect(sent.map((message) => message.lps?.[0])).toEqual([1, 3]);
@@ -78,9 +78,9 @@ describe("preview of an edit under the cursor", () => {
 
   it("A resting cursor causes no second request, but a change of the tree does.", () => {
     const { previewing, sent, state } = station();
-    previewing.ask(at(1));
+    previewing.request(at(1));
     previewing.receive(answer(1, 1));
-    previewing.ask(at(1));
+    previewing.request(at(1));
     expect(sent).toHaveLength(1);
     expect(state.preview?.stale).toBe(false);
     previewing.again();
@@ -90,7 +90,7 @@ describe("preview of an edit under the cursor", () => {
 
   it("No preview is shown after the tool was deactivated, even if an answer arrives later.", () => {
     const { previewing, state } = station();
-    previewing.ask(at(1));
+    previewing.request(at(1));
     previewing.forget();
     previewing.receive(answer(1, 1));
     vi.advanceTimersByTime(10 * STALE_MS);

@@ -1,7 +1,7 @@
 /** Requests for the preview of an edit, while a tool with a preview is active. */
 
 import type { PreviewQuestion } from "../state/edit-preview";
-import { NewestAsker } from "../state/newest-asker";
+import { LatestRequestQueue } from "../state/latest-request";
 import type { EditPreviewMessage } from "../wire/messages";
 import type { Station } from "./station";
 
@@ -14,36 +14,36 @@ export const STALE_MS = 120;
 /** Requests the preview of an edit for the cursor position, and shows the answers. */
 export class Previewing {
   readonly #station: Station;
-  readonly #asker: NewestAsker<PreviewQuestion, EditPreviewMessage>;
+  readonly #queue: LatestRequestQueue<PreviewQuestion, EditPreviewMessage>;
   #last: PreviewQuestion | null = null;
   #timer: ReturnType<typeof setTimeout> | null = null;
 
   constructor(station: Station) {
     this.#station = station;
-    this.#asker = new NewestAsker(
+    this.#queue = new LatestRequestQueue(
       (id, question) => station.send({ type: "preview_edit", request_id: id, ...question }),
       () => performance.now(),
     );
   }
 
-  ask(question: PreviewQuestion): void {
+  request(question: PreviewQuestion): void {
     if (this.#last !== null && sameQuestion(this.#last, question)) return;
     this.#last = question;
     this.#outdated();
-    this.#asker.ask(question);
+    this.#queue.request(question);
   }
 
   /** Request the preview at the same position again, because the tree has changed. */
   again(): void {
     if (this.#last === null) return;
     this.#outdated();
-    this.#asker.ask(this.#last);
+    this.#queue.request(this.#last);
   }
 
   /** Clear the preview, because the cursor has left or no tool is active. */
   forget(): void {
     this.#last = null;
-    this.#asker.forget();
+    this.#queue.forget();
     this.#stopTimer();
     if (this.#station.state.preview !== null) this.#station.store.dispatch({ kind: "preview", preview: null });
   }
@@ -51,11 +51,11 @@ export class Previewing {
   /** Discard all requests without an answer, because a new connection does not answer them. */
   reset(): void {
     this.forget();
-    this.#asker.reset();
+    this.#queue.reset();
   }
 
   receive(answer: EditPreviewMessage): void {
-    const fresh = this.#asker.receive(answer);
+    const fresh = this.#queue.receive(answer);
     if (fresh === null) return;
     this.#stopTimer();
     this.#station.store.dispatch({ kind: "preview", preview: { answer: fresh.answer, stale: fresh.overtaken } });

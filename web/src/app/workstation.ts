@@ -4,7 +4,7 @@
  */
 
 import { Flight } from "../input/flight";
-import { KeyPlayer, keyFramesAround } from "../input/key-player";
+import { KeyPlayer, keyFrameHooks } from "../input/key-player";
 import { listenToKeys } from "../input/keyboard";
 import { type Action, WINDOWS } from "../input/keymap";
 import { WATCHERS_ACTIONS } from "../input/watchers-actions";
@@ -129,7 +129,7 @@ export class Workstation implements Station {
       advancing: (on) => this.ui({ advancing: on }),
     });
     this.player = new KeyPlayer(
-      keyFramesAround(
+      keyFrameHooks(
         () => this.state.keyFrames,
         (message) => this.send(message),
         (playing) => this.store.dispatch({ kind: "playing", playing }),

@@ -26,18 +26,18 @@ const ROUTE: RouteInfo = {
 function flight(route: RouteInfo | null = ROUTE) {
   const sent: ClientMessage[] = [];
   const auto: boolean[] = [];
-  const around = { at: 10 as number | null, speed: AUTO_SPEED_MM_S };
+  const environment = { at: 10 as number | null, speed: AUTO_SPEED_MM_S };
   const made = new Flight({
     route: () => route,
-    pathMm: () => around.at,
-    speedMmS: () => around.speed,
+    pathMm: () => environment.at,
+    speedMmS: () => environment.speed,
     send: (message) => {
       sent.push(message);
-      if (message.type === "go_to") around.at = message.path_mm;
+      if (message.type === "go_to") environment.at = message.path_mm;
     },
     advancing: (on) => auto.push(on),
   });
-  return { made, sent, auto, around };
+  return { made, sent, auto, environment };
 }
 
 describe("Flight", () => {
@@ -114,8 +114,8 @@ describe("Flight", () => {
   });
 
   it("The automatic flight uses the selected speed, multiplied by SLOW while Shift is held.", () => {
-    const { made, sent, around } = flight();
-    around.speed = 7;
+    const { made, sent, environment } = flight();
+    environment.speed = 7;
     made.startAuto();
     made.tick(0.05);
     made.slow(true);
@@ -140,9 +140,9 @@ describe("Flight", () => {
   it("The automatic flight does not start without a route, off the route, or at the end of the route.", () => {
     expect(flight(null).made.startAuto()).toBe(false);
     const off = flight();
-    off.around.at = null;
+    off.environment.at = null;
     expect(off.made.startAuto()).toBe(false);
-    off.around.at = 60;
+    off.environment.at = 60;
     expect(off.made.startAuto()).toBe(false);
   });
 });

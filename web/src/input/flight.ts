@@ -22,7 +22,7 @@ export const WHEEL_MM_PER_PX = 0.03;
 export const MAX_TICK_S = 0.1;
 
 /** Page functions that {@link Flight} uses; tests supply fakes. */
-export interface FlightSurroundings {
+export interface FlightHooks {
   route(): RouteInfo | null;
   pathMm(): number | null;
   /** Return the speed of the automatic flight, mm/s. */
@@ -34,7 +34,7 @@ export interface FlightSurroundings {
 
 /** Steering of the tip by keys and mouse. */
 export class Flight {
-  readonly #around: FlightSurroundings;
+  readonly #hooks: FlightHooks;
   readonly #held: Record<HoldAxis, Set<1 | -1>> = {
     advance: new Set(),
     roll: new Set(),
@@ -45,8 +45,8 @@ export class Flight {
   #pending = { advance_mm: 0, yaw_rad: 0, pitch_rad: 0, roll_rad: 0 };
   #auto: { atMm: number; stopMm: number } | null = null;
 
-  constructor(around: FlightSurroundings) {
-    this.#around = around;
+  constructor(hooks: FlightHooks) {
+    this.#hooks = hooks;
   }
 
   hold(axis: HoldAxis, sign: 1 | -1, down: boolean): void {
@@ -80,20 +80,20 @@ export class Flight {
 
   /** Start the automatic flight to the next fork of the route; return false if no route is ahead of the tip. */
   startAuto(): boolean {
-    const route = this.#around.route();
-    const at = this.#around.pathMm();
+    const route = this.#hooks.route();
+    const at = this.#hooks.pathMm();
     if (route === null || at === null) return false;
     const stopMm = nextStopMm(route, at);
     if (stopMm - at < 0.05) return false;
     this.#auto = { atMm: at, stopMm };
-    this.#around.advancing(true);
+    this.#hooks.advancing(true);
     return true;
   }
 
   stopAuto(): void {
     if (this.#auto === null) return;
     this.#auto = null;
-    this.#around.advancing(false);
+    this.#hooks.advancing(false);
   }
 
   tick(elapsedS: number): void {
@@ -107,12 +107,12 @@ export class Flight {
     const move = this.#pending;
     if (move.advance_mm !== 0 || move.yaw_rad !== 0 || move.pitch_rad !== 0 || move.roll_rad !== 0) {
       this.#pending = { advance_mm: 0, yaw_rad: 0, pitch_rad: 0, roll_rad: 0 };
-      this.#around.send({ type: "steer", ...move });
+      this.#hooks.send({ type: "steer", ...move });
     }
     if (this.#auto !== null) {
-      this.#auto.atMm = Math.min(this.#auto.atMm + this.#around.speedMmS() * pace * dt, this.#auto.stopMm);
+      this.#auto.atMm = Math.min(this.#auto.atMm + this.#hooks.speedMmS() * pace * dt, this.#auto.stopMm);
       // Send positions, not speeds, so that the tip stops exactly at the fork whatever the latency is.
-      this.#around.send({ type: "go_to", path_mm: this.#auto.atMm });
+      this.#hooks.send({ type: "go_to", path_mm: this.#auto.atMm });
       if (this.#auto.atMm >= this.#auto.stopMm) this.stopAuto();
     }
   }

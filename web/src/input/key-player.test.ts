@@ -1,7 +1,7 @@
 import { describe, expect, it } from "vitest";
 import { NOT_PLAYING, type Playing } from "../state/playing";
 import type { ClientMessage, KeyFramesMessage, PoseMessage } from "../wire/messages";
-import { KeyPlayer, keyFramesAround } from "./key-player";
+import { KeyPlayer, keyFrameHooks } from "./key-player";
 
 const KEYS: KeyFramesMessage = {
   type: "key_frames",
@@ -31,20 +31,20 @@ const pose = (key_frames_s: number | null): PoseMessage => ({
 
 function player(keys: KeyFramesMessage | null = KEYS) {
   const sent: ClientMessage[] = [];
-  const around = { keys, playing: NOT_PLAYING as Playing, open: true };
+  const environment = { keys, playing: NOT_PLAYING as Playing, open: true };
   const made = new KeyPlayer(
-    keyFramesAround(
-      () => around.keys,
+    keyFrameHooks(
+      () => environment.keys,
       (message) => {
-        if (around.open) sent.push(message);
-        return around.open;
+        if (environment.open) sent.push(message);
+        return environment.open;
       },
       (playing) => {
-        around.playing = playing;
+        environment.playing = playing;
       },
     ),
   );
-  return { made, sent, around };
+  return { made, sent, environment };
 }
 
 const requested = (sent: ClientMessage[]) =>
@@ -52,7 +52,7 @@ const requested = (sent: ClientMessage[]) =>
 
 describe("KeyPlayer with key frames", () => {
   it("It first sends the current time, continues at each refresh, and stops at the end of the flight.", () => {
-    const { made, sent, around } = player();
+    const { made, sent, environment } = player();
     expect(made.play()).toBe(true);
     for (let n = 0; n < 50; n += 1) made.tick(0.1);
     const times = requested(sent) as [number, boolean][];
@@ -61,31 +61,31 @@ describe("KeyPlayer with key frames", () => {
     expect(times.map(([t]) => t)).toEqual([...times.map(([t]) => t)].sort((a, b) => a - b));
     expect(times.at(-1)).toEqual([4, true]);
     expect(times.length).toBeLessThan(44);
-    expect(around.playing).toEqual({ on: false, atS: 4, rate: 1 });
+    expect(environment.playing).toEqual({ on: false, atS: 4, rate: 1 });
     made.play();
     expect(requested(sent).at(-1)).toEqual([0, false]);
   });
 
   it("The position advances by the elapsed time multiplied by the playback rate.", () => {
-    const { made, around } = player();
+    const { made, environment } = player();
     made.setRate(0.5);
     made.play();
     made.tick(0.1);
-    expect(around.playing.atS).toBeCloseTo(0.05, 9);
+    expect(environment.playing.atS).toBeCloseTo(0.05, 9);
     made.setRate(2);
     made.tick(0.1);
-    expect(around.playing.atS).toBeCloseTo(0.25, 9);
+    expect(environment.playing.atS).toBeCloseTo(0.25, 9);
   });
 
   it("After a pause of the page the position advances by at most 0.1 s.", () => {
-    const { made, around } = player();
+    const { made, environment } = player();
     made.play();
     made.tick(60);
-    expect(around.playing).toMatchObject({ on: true, atS: 0.1 });
+    expect(environment.playing).toMatchObject({ on: true, atS: 0.1 });
   });
 
   it("A paused flight continues at the same position, and stopping returns to the beginning.", () => {
-    const { made, sent, around } = player();
+    const { made, sent, environment } = player();
     made.play();
     made.tick(0.1);
     made.toggle();
@@ -96,42 +96,42 @@ describe("KeyPlayer with key frames", () => {
     expect(requested(sent).at(-1)).toEqual([0.1, false]);
     made.stop();
     expect(requested(sent).at(-1)).toEqual([0, false]);
-    expect(around.playing).toMatchObject({ on: false, atS: 0 });
+    expect(environment.playing).toMatchObject({ on: false, atS: 0 });
   });
 
   it("A pose of another origin stops the playback, but not a pose that was sent before the playback began.", () => {
-    const { made, around } = player();
+    const { made, environment } = player();
     made.poseArrived(pose(null));
     made.play();
     made.poseArrived(pose(null));
-    expect(around.playing.on).toBe(true);
+    expect(environment.playing.on).toBe(true);
     made.tick(0.1);
     made.poseArrived(pose(0));
     made.poseArrived(pose(0.1));
-    expect(around.playing.on).toBe(true);
+    expect(environment.playing.on).toBe(true);
     made.poseArrived(pose(null));
-    expect(around.playing.on).toBe(false);
+    expect(environment.playing.on).toBe(false);
   });
 
   it("It shows the time of a pose at rest, and ignores older poses of the flight during playback.", () => {
-    const { made, around } = player();
+    const { made, environment } = player();
     made.poseArrived(pose(2.5));
-    expect(around.playing).toMatchObject({ on: false, atS: 2.5 });
+    expect(environment.playing).toMatchObject({ on: false, atS: 2.5 });
     made.play();
     made.tick(0.1);
     made.poseArrived(pose(2.5));
-    expect(around.playing.atS).toBeCloseTo(2.6, 9);
+    expect(environment.playing.atS).toBeCloseTo(2.6, 9);
   });
 
   it("The slider is limited to the flight's duration and can be moved during playback.", () => {
-    const { made, sent, around } = player();
+    const { made, sent, environment } = player();
     made.seek(99);
     expect(requested(sent)).toEqual([[4, false]]);
     made.seek(-1);
     made.play();
     made.seek(3);
     made.tick(0.1);
-    expect(around.playing).toMatchObject({ on: true, atS: 3.1 });
+    expect(environment.playing).toMatchObject({ on: true, atS: 3.1 });
   });
 
   it("A slider position within 0.02 s of a key frame or the end selects it exactly.", () => {
@@ -154,14 +154,14 @@ describe("KeyPlayer with key frames", () => {
     expect(player(null).made.play()).toBe(false);
     expect(player({ ...KEYS, duration_s: 0 }).made.play()).toBe(false);
     const off = player();
-    off.around.open = false;
+    off.environment.open = false;
     expect(off.made.play()).toBe(false);
-    expect(off.around.playing.on).toBe(false);
-    const { made, around } = player();
+    expect(off.environment.playing.on).toBe(false);
+    const { made, environment } = player();
     made.seek(3.5);
     made.play();
     made.reset(2);
-    expect(around.playing).toMatchObject({ on: false, atS: 2 });
+    expect(environment.playing).toMatchObject({ on: false, atS: 2 });
   });
 });
 

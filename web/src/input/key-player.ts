@@ -12,7 +12,7 @@ import { MAX_TICK_S } from "./flight";
 const AT_END_S = 0.02;
 
 /** Functions of the flight that a {@link KeyPlayer} plays. */
-export interface PlayerSurroundings {
+export interface PlayerHooks {
   /** Return the duration of the flight, s; 0 without a flight. */
   durationS(): number;
   /** Return the times, s, to which the position slider snaps. */
@@ -27,11 +27,11 @@ export interface PlayerSurroundings {
 }
 
 /** Return the functions that play the flight through the key frames. */
-export function keyFramesAround(
+export function keyFrameHooks(
   keyFrames: () => KeyFramesMessage | null,
   send: (message: ClientMessage) => boolean,
   changed: (playing: Playing) => void,
-): PlayerSurroundings {
+): PlayerHooks {
   return {
     durationS: () => keyFrames()?.duration_s ?? 0,
     stops: () => (keyFrames()?.frames ?? []).map((key) => key.time_s),
@@ -44,15 +44,15 @@ export function keyFramesAround(
 
 /** Player of one flight. */
 export class KeyPlayer {
-  readonly #around: PlayerSurroundings;
+  readonly #hooks: PlayerHooks;
   #playing = NOT_PLAYING;
   /**
    * Whether the server has answered the last command. After the answer, a pose of another origin stops the playback.
    */
   #answered = false;
 
-  constructor(around: PlayerSurroundings) {
-    this.#around = around;
+  constructor(hooks: PlayerHooks) {
+    this.#hooks = hooks;
   }
 
   get isPlaying(): boolean {
@@ -64,7 +64,7 @@ export class KeyPlayer {
    * a flight or a connection.
    */
   play(): boolean {
-    const lasts = this.#around.durationS();
+    const lasts = this.#hooks.durationS();
     if (lasts <= 0) return false;
     const from = this.#playing.atS >= lasts - AT_END_S ? 0 : this.#playing.atS;
     if (!this.#go(from)) return false;
@@ -99,8 +99,8 @@ export class KeyPlayer {
   }
 
   seek(toS: number): void {
-    const lasts = this.#around.durationS();
-    const stops = [lasts, ...this.#around.stops()];
+    const lasts = this.#hooks.durationS();
+    const stops = [lasts, ...this.#hooks.stops()];
     // The slider has discrete steps. A position near a key frame or near the end selects that time exactly.
     const atS = stops.find((stop) => Math.abs(stop - toS) < AT_END_S) ?? Math.min(Math.max(toS, 0), lasts);
     if (lasts > 0 && this.#go(atS)) this.#set({ atS });
@@ -111,16 +111,16 @@ export class KeyPlayer {
   }
 
   tick(elapsedS: number): void {
-    if (!this.#playing.on || (this.#around.waits && !this.#answered)) return;
-    const lasts = this.#around.durationS();
+    if (!this.#playing.on || (this.#hooks.waits && !this.#answered)) return;
+    const lasts = this.#hooks.durationS();
     const atS = Math.min(this.#playing.atS + Math.min(elapsedS, MAX_TICK_S) * this.#playing.rate, lasts);
-    this.#around.fly(atS, true);
+    this.#hooks.fly(atS, true);
     this.#set({ atS, on: atS < lasts });
   }
 
   /** Update the position from a pose of the flight; stop the playback after a pose of another origin. */
   poseArrived(pose: PoseMessage): void {
-    const timeS = this.#around.timeOf(pose);
+    const timeS = this.#hooks.timeOf(pose);
     if (timeS !== null) {
       this.#answered = true;
       if (!this.#playing.on && timeS !== this.#playing.atS) this.#set({ atS: timeS });
@@ -141,11 +141,11 @@ export class KeyPlayer {
 
   #go(time_s: number): boolean {
     this.#answered = false;
-    return this.#around.fly(time_s, false);
+    return this.#hooks.fly(time_s, false);
   }
 
   #set(change: Partial<Playing>): void {
     this.#playing = { ...this.#playing, ...change };
-    this.#around.changed(this.#playing);
+    this.#hooks.changed(this.#playing);
   }
 }

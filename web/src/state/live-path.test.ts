@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
 import type { AskLivePathMessage, LivePathMessage } from "../wire/messages";
-import { firstSentences, LiveAsker, type LiveQuestion, leavesTreeAt, livePathLines } from "./live-path";
+import { firstSentences, LivePathQueue, type LiveQuestion, leavesTreeAt, livePathLines } from "./live-path";
 
 const at = (x: number): LiveQuestion => ({ lps: [x, 0, 0], frame_id: null, column: null, row: null });
 
@@ -24,61 +24,61 @@ function answer(requestId: number, change: Partial<LivePathMessage> = {}): LiveP
   };
 }
 
-function asking() {
+function queueWithClock() {
   const sent: AskLivePathMessage[] = [];
   const clock = { ms: 0 };
   const line = { open: true };
-  const asker = new LiveAsker(
+  const queue = new LivePathQueue(
     (message) => {
       if (line.open) sent.push(message);
       return line.open;
     },
     () => clock.ms,
   );
-  return { sent, clock, line, asker, places: () => sent.map((message) => message.lps?.[0]) };
+  return { sent, clock, line, queue, places: () => sent.map((message) => message.lps?.[0]) };
 }
 
-describe("LiveAsker", () => {
+describe("LivePathQueue", () => {
   it("The first request is sent at once, and of those before its answer only the latest is sent.", () => {
-    const { asker, places } = asking();
-    for (const x of [1, 2, 3, 4]) asker.ask(at(x));
+    const { queue, places } = queueWithClock();
+    for (const x of [1, 2, 3, 4]) queue.request(at(x));
     expect(places()).toEqual([1]);
-    expect(asker.receive(answer(1))?.answer.request_id).toBe(1);
+    expect(queue.receive(answer(1))?.answer.request_id).toBe(1);
     expect(places()).toEqual([1, 4]);
-    asker.receive(answer(2));
+    queue.receive(answer(2));
     expect(places()).toEqual([1, 4]);
   });
 
   it("An answer contains its response time.", () => {
-    const { asker, clock } = asking();
-    asker.ask(at(1));
+    const { queue, clock } = queueWithClock();
+    queue.request(at(1));
     clock.ms = 17;
-    expect(asker.receive(answer(1))?.tookMs).toBe(17);
+    expect(queue.receive(answer(1))?.tookMs).toBe(17);
   });
 
   it("The answer to a forgotten request, or to one that a newer answer has overtaken, is discarded.", () => {
-    const { asker, clock } = asking();
-    asker.ask(at(1));
-    asker.forget();
-    expect(asker.receive(answer(1))).toBeNull();
-    asker.ask(at(2));
+    const { queue, clock } = queueWithClock();
+    queue.request(at(1));
+    queue.forget();
+    expect(queue.receive(answer(1))).toBeNull();
+    queue.request(at(2));
     clock.ms = 5000;
-    asker.ask(at(3));
-    expect(asker.receive(answer(3))).not.toBeNull();
-    expect(asker.receive(answer(2))).toBeNull();
+    queue.request(at(3));
+    expect(queue.receive(answer(3))).not.toBeNull();
+    expect(queue.receive(answer(2))).toBeNull();
   });
 
   it("A new request is sent after an answer has not arrived for 10 s, and after a reset.", () => {
-    const { asker, clock, places, line } = asking();
-    asker.ask(at(1));
+    const { queue, clock, places, line } = queueWithClock();
+    queue.request(at(1));
     clock.ms = 10_000;
-    asker.ask(at(2));
+    queue.request(at(2));
     expect(places()).toEqual([1, 2]);
-    asker.reset();
+    queue.reset();
     line.open = false;
-    asker.ask(at(3));
+    queue.request(at(3));
     line.open = true;
-    asker.ask(at(4));
+    queue.request(at(4));
     expect(places()).toEqual([1, 2, 4]);
   });
 });

@@ -2,7 +2,7 @@
 
 import type { AskLivePathMessage, LivePathMessage } from "../wire/messages";
 import { fixed, mm, sentence } from "./format";
-import { type Answered, NewestAsker } from "./newest-asker";
+import { type Answered, LatestRequestQueue } from "./latest-request";
 
 /** Point of a path request: a patient point, or a pixel of an airway picture. */
 export type LiveQuestion = Pick<AskLivePathMessage, "lps" | "frame_id" | "column" | "row">;
@@ -11,7 +11,7 @@ export type LiveQuestion = Pick<AskLivePathMessage, "lps" | "frame_id" | "column
 export type LiveAnswer = Answered<LivePathMessage>;
 
 /** Queue of the requests for the path to the cursor. */
-export class LiveAsker extends NewestAsker<LiveQuestion, LivePathMessage> {
+export class LivePathQueue extends LatestRequestQueue<LiveQuestion, LivePathMessage> {
   constructor(send: (message: AskLivePathMessage) => boolean, nowMs: () => number) {
     super((id, question) => send({ type: "live_path", request_id: id, ...question }), nowMs);
   }

@@ -25,7 +25,7 @@ export interface XrLayer {
 }
 
 /** Page functions that {@link PictureScreen} uses; tests supply fakes. */
-export interface ScreenSurroundings {
+export interface ScreenHooks {
   newest(): NewestPicture | null;
   canvas(): HTMLCanvasElement;
   layer(session: XrSession, gl: WebGL2RenderingContext): XrLayer;
@@ -63,7 +63,7 @@ export function inFrontOf(head: Pick<XrTransform, "matrix">, aspect: number): Fl
 
 /** Virtual screen that WebGL draws in the headset. */
 export class PictureScreen implements HeadsetScreen {
-  readonly #around: ScreenSurroundings;
+  readonly #hooks: ScreenHooks;
   #gl: WebGL2RenderingContext | null = null;
   #layer: XrLayer | null = null;
   #program: WebGLProgram | null = null;
@@ -72,12 +72,12 @@ export class PictureScreen implements HeadsetScreen {
   /** Pose of the head when the screen was last placed; null until the screen is placed. */
   #head: Pick<XrTransform, "matrix"> | null = null;
 
-  constructor(around: ScreenSurroundings) {
-    this.#around = around;
+  constructor(hooks: ScreenHooks) {
+    this.#hooks = hooks;
   }
 
   async open(session: XrSession): Promise<void> {
-    const canvas = this.#around.canvas();
+    const canvas = this.#hooks.canvas();
     const gl = canvas.getContext("webgl2", { xrCompatible: true, antialias: true, alpha: false });
     if (gl === null) throw new Error("this browser draws nothing by WebGL 2");
     await (gl as { makeXRCompatible?: () => Promise<void> }).makeXRCompatible?.();
@@ -93,7 +93,7 @@ export class PictureScreen implements HeadsetScreen {
     ] as const) {
       gl.texParameteri(gl.TEXTURE_2D, name, value);
     }
-    this.#layer = this.#around.layer(session, gl);
+    this.#layer = this.#hooks.layer(session, gl);
     session.updateRenderState({ baseLayer: this.#layer });
   }
 
@@ -104,7 +104,7 @@ export class PictureScreen implements HeadsetScreen {
     gl.bindFramebuffer(gl.FRAMEBUFFER, layer.framebuffer);
     gl.clearColor(0.055, 0.067, 0.075, 1);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-    const newest = this.#around.newest();
+    const newest = this.#hooks.newest();
     if (newest === null || newest.image.width === 0 || newest.image.height === 0) return;
     // biome-ignore lint/correctness/useHookAtTopLevel: WebGL's, no hook of React's
     gl.useProgram(this.#program);

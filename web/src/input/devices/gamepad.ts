@@ -21,7 +21,7 @@ export interface Pad {
 }
 
 /** Browser and page functions that {@link Gamepads} uses; tests supply fakes. */
-export interface PadSurroundings {
+export interface PadHooks {
   pads(): readonly (Pad | null)[];
   nowS(): number;
   send(message: ClientMessage): void;
@@ -68,13 +68,13 @@ export function padAxes(pad: Pad): SixAxes {
 
 /** All connected gamepads, with their last sent states. */
 export class Gamepads {
-  readonly #around: PadSurroundings;
+  readonly #hooks: PadHooks;
   readonly #moving = new Set<number>();
   readonly #pressed = new Map<number, ReadonlySet<number>>();
   readonly #names = new Map<number, string>();
 
-  constructor(around: PadSurroundings) {
-    this.#around = around;
+  constructor(hooks: PadHooks) {
+    this.#hooks = hooks;
   }
 
   /** Names of the connected gamepads, as shown in the panel of devices. */
@@ -87,24 +87,24 @@ export class Gamepads {
    * refresh.
    */
   tick(): void {
-    const pads = this.#around.pads().filter((pad): pad is Pad => pad?.connected === true);
+    const pads = this.#hooks.pads().filter((pad): pad is Pad => pad?.connected === true);
     for (const [index, name] of this.#names) {
       if (pads.some((pad) => pad.index === index)) continue;
       this.#names.delete(index);
       this.#moving.delete(index);
       this.#pressed.delete(index);
-      this.#around.send({ type: "device_gone", device: name });
+      this.#hooks.send({ type: "device_gone", device: name });
     }
     for (const pad of pads) {
       const name = `gamepad ${pad.index + 1}: ${pad.id}`.slice(0, 200);
       this.#names.set(pad.index, name);
-      if (this.#around.enabled()) this.#read(pad, name);
+      if (this.#hooks.enabled()) this.#read(pad, name);
     }
   }
 
   /** Vibrate every gamepad that supports it. */
   rumble(strength: number, ms: number): void {
-    for (const pad of this.#around.pads()) {
+    for (const pad of this.#hooks.pads()) {
       const effect = { duration: ms, strongMagnitude: strength, weakMagnitude: strength };
       pad?.vibrationActuator?.playEffect?.("dual-rumble", effect).catch(() => undefined);
     }
@@ -115,10 +115,10 @@ export class Gamepads {
     const rests = axes.every((value) => value === 0);
     // Send the rest position of a gamepad once, and nothing while it stays at rest.
     if (!rests || this.#moving.has(pad.index)) {
-      this.#around.send({
+      this.#hooks.send({
         type: "device_sample",
         device: name,
-        time_s: this.#around.nowS(),
+        time_s: this.#hooks.nowS(),
         position_mm: null,
         orientation_wxyz: null,
         axes,
@@ -137,7 +137,7 @@ export class Gamepads {
     if (before === undefined || pad.mapping !== "standard") return;
     for (const n of now) {
       const action = BUTTON_ACTIONS.get(n);
-      if (action !== undefined && !before.has(n)) this.#around.act(action);
+      if (action !== undefined && !before.has(n)) this.#hooks.act(action);
     }
   }
 }

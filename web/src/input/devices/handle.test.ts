@@ -243,10 +243,10 @@ describe("HidPort", () => {
   });
 
   it("The port has no device until the user selects one, and then sends its samples.", async () => {
-    await port.ask();
+    await port.selectDevice();
     expect(port.name).toBeNull();
     hid.offers = [device];
-    await port.ask();
+    await port.selectDevice();
     expect(port.name).toBe("scope handle Test handle");
     device.report(1, 100, 0, 0, 0);
     port.tick();
@@ -255,7 +255,7 @@ describe("HidPort", () => {
 
   it("An unplugged device leaves the port, and the port reopens it when it is plugged in again.", async () => {
     hid.offers = [device];
-    await port.ask();
+    await port.selectDevice();
     const another = new FakeDevice([]);
     hid.event("disconnect", another);
     expect(port.name).not.toBeNull();
@@ -281,13 +281,13 @@ describe("HidPort", () => {
 
   it("A second device that is plugged in does not replace the open device, but a selected one does.", async () => {
     hid.offers = [device];
-    await port.ask();
+    await port.selectDevice();
     const another = new FakeDevice(SKETCH);
     hid.event("connect", another);
     await settled();
     expect([device.opened, another.opened, gone]).toEqual([true, false, []]);
     hid.offers = [another];
-    await port.ask();
+    await port.selectDevice();
     expect([device.opened, another.opened, gone]).toEqual([false, true, ["scope handle Test handle"]]);
     device.report(1, 100, 0, 0, 0);
     port.tick();
@@ -296,11 +296,11 @@ describe("HidPort", () => {
 
   it("A failure message states why a device is unusable or cannot be opened.", async () => {
     hid.offers = [new FakeDevice([])];
-    await port.ask();
+    await port.selectDevice();
     device.refuses = true;
     device.opened = false;
     hid.offers = [device];
-    await port.ask();
+    await port.selectDevice();
     expect(failed[0]).toContain("Test handle cannot be used: it does not send insertion");
     expect(failed[1]).toBe("The device could not be opened: it is open in another program.");
     expect(port.name).toBeNull();
@@ -309,7 +309,7 @@ describe("HidPort", () => {
   it("Of several interfaces of a device the port opens the one with the controls, also after replugging.", async () => {
     const keys = new FakeDevice([]);
     hid.offers = [keys, device];
-    await port.ask();
+    await port.selectDevice();
     expect([port.name, failed]).toEqual(["scope handle Test handle", []]);
     hid.event("disconnect", device);
     await settled();
@@ -322,7 +322,7 @@ describe("HidPort", () => {
 
   it("If a second device connects while the first is being opened, only the second one stays open.", async () => {
     hid.offers = [device];
-    await port.ask();
+    await port.selectDevice();
     hid.event("disconnect", device);
     await settled();
     const [first, second] = [new FakeDevice(SKETCH), new FakeDevice(SKETCH)];
@@ -340,7 +340,7 @@ describe("HidPort", () => {
   it("A device that is selected before the port stops is not opened afterwards.", async () => {
     const late = new FakeDevice(SKETCH);
     hid.offers = [late];
-    const request = port.ask();
+    const request = port.selectDevice();
     await port.stop();
     await request;
     await settled();
@@ -349,7 +349,7 @@ describe("HidPort", () => {
 
   it("Stopping the port closes its device, and later connections are ignored.", async () => {
     hid.offers = [device];
-    await port.ask();
+    await port.selectDevice();
     await port.stop();
     expect([device.opened, gone.length]).toEqual([false, 1]);
     hid.event("connect", device);

@@ -39,7 +39,7 @@ export interface HidReader {
 }
 
 /** Callbacks of a {@link HidPort}. */
-export interface HidPortSurroundings {
+export interface HidPortHooks {
   gone(name: string): void;
   failed(words: string): void;
 }
@@ -49,23 +49,18 @@ export class HidPort {
   readonly #hid: Hid;
   readonly #filters: readonly object[];
   readonly #read: (device: HidDevice) => HidReader;
-  readonly #around: HidPortSurroundings;
+  readonly #hooks: HidPortHooks;
   #device: HidDevice | null = null;
   #reader: HidReader | null = null;
   /** The device that is being opened; null if none is. A device that is selected meanwhile replaces it. */
   #taking: { readonly device: HidDevice } | null = null;
   #stopped = false;
 
-  constructor(
-    hid: Hid,
-    filters: readonly object[],
-    read: (device: HidDevice) => HidReader,
-    around: HidPortSurroundings,
-  ) {
+  constructor(hid: Hid, filters: readonly object[], read: (device: HidDevice) => HidReader, hooks: HidPortHooks) {
     this.#hid = hid;
     this.#filters = filters;
     this.#read = read;
-    this.#around = around;
+    this.#hooks = hooks;
     hid.addEventListener("disconnect", this.#pulledOut);
     hid.addEventListener("connect", this.#pluggedIn);
   }
@@ -78,7 +73,7 @@ export class HidPort {
    * Show the browser's device selection, and open the selected device. Browsers permit the selection only in response
    * to a click.
    */
-  async ask(): Promise<void> {
+  async selectDevice(): Promise<void> {
     try {
       // Browsers list each interface of a device as a separate device; use the interface that the reader supports.
       const devices = await this.#hid.requestDevice({ filters: this.#filters });
@@ -106,7 +101,7 @@ export class HidPort {
     if (this.#stopped || this.#taking?.device === device) return;
     const reader = this.#read(device);
     if (reader.problem !== null) {
-      this.#around.failed(`${device.productName} cannot be used: ${reader.problem}.`);
+      this.#hooks.failed(`${device.productName} cannot be used: ${reader.problem}.`);
       return;
     }
     const taking = { device };
@@ -131,7 +126,7 @@ export class HidPort {
     const reader = this.#reader;
     this.#reader = null;
     if (reader === null) return;
-    this.#around.gone(reader.name);
+    this.#hooks.gone(reader.name);
     await reader.close().catch(() => undefined);
   }
 
@@ -153,6 +148,6 @@ export class HidPort {
   #fail(trouble: unknown): void {
     // In some environments a DOMException is not an Error.
     const why = trouble instanceof DOMException || trouble instanceof Error ? trouble.message : "";
-    this.#around.failed(`The device could not be opened: ${why.replace(/\.$/, "") || "access was denied"}.`);
+    this.#hooks.failed(`The device could not be opened: ${why.replace(/\.$/, "") || "access was denied"}.`);
   }
 }

@@ -76,7 +76,7 @@ export interface HeadsetScreen {
 }
 
 /** Page functions that {@link Headset} uses; tests supply fakes. */
-export interface HeadsetSurroundings {
+export interface HeadsetHooks {
   readonly screen: HeadsetScreen;
   send(message: ClientMessage): void;
   act(action: Action): void;
@@ -131,16 +131,16 @@ interface Controller {
 /** Session in a VR headset: frame loop, controllers and virtual screen. */
 export class Headset {
   readonly #xr: Xr;
-  readonly #around: HeadsetSurroundings;
+  readonly #hooks: HeadsetHooks;
   #session: XrSession | null = null;
   #space: XrSpace | null = null;
   #entering = false;
   readonly #controllers = new Map<XrInputSource, Controller>();
   #faultReported = false;
 
-  constructor(xr: Xr, around: HeadsetSurroundings) {
+  constructor(xr: Xr, hooks: HeadsetHooks) {
     this.#xr = xr;
-    this.#around = around;
+    this.#hooks = hooks;
   }
 
   get inside(): boolean {
@@ -166,16 +166,16 @@ export class Headset {
       });
       session.addEventListener("inputsourceschange", () => this.#forgetThoseGone(begun));
       this.#space = await session.requestReferenceSpace("local");
-      await this.#around.screen.open(session);
+      await this.#hooks.screen.open(session);
       if (isOver) throw new Error("the headset was taken off meanwhile");
       session.requestAnimationFrame(this.#frame);
       this.#session = session;
       this.#faultReported = false;
-      this.#around.changed(true);
+      this.#hooks.changed(true);
     } catch (trouble) {
       this.#space = null;
-      this.#around.screen.close();
-      this.#around.failed(`The headset view could not be started: ${wordsOf(trouble)}.`);
+      this.#hooks.screen.close();
+      this.#hooks.failed(`The headset view could not be started: ${wordsOf(trouble)}.`);
       await session?.end().catch(() => undefined);
     } finally {
       this.#entering = false;
@@ -204,16 +204,16 @@ export class Headset {
     try {
       this.#read(session, space, timeMs / 1000, frame);
       const viewer = frame.getViewerPose(space);
-      if (viewer != null) this.#around.screen.draw(viewer);
+      if (viewer != null) this.#hooks.screen.draw(viewer);
     } catch (trouble) {
-      if (!this.#faultReported) this.#around.failed(`The headset image could not be drawn: ${wordsOf(trouble)}.`);
+      if (!this.#faultReported) this.#hooks.failed(`The headset image could not be drawn: ${wordsOf(trouble)}.`);
       this.#faultReported = true;
     }
   };
 
   #read(session: XrSession, space: XrSpace, timeS: number, frame: XrFrame): void {
     // While the headset's system menu is open, the controllers do not move the tip.
-    const listens = this.#around.enabled() && (session.visibilityState ?? "visible") === "visible";
+    const listens = this.#hooks.enabled() && (session.visibilityState ?? "visible") === "visible";
     for (const source of session.inputSources) {
       if (source.gamepad == null) continue;
       const controller = this.#controllerOf(source);
@@ -221,8 +221,8 @@ export class Headset {
       const value = (n: number) => buttons[n]?.value ?? 0;
       const now = new Set([SQUEEZE, LOWER, UPPER].filter((n) => buttons[n]?.pressed === true));
       const fresh = (n: number) => now.has(n) && !controller.pressed.has(n);
-      if (fresh(SQUEEZE)) this.#around.screen.recenter();
-      if (listens && fresh(UPPER)) this.#around.act("reset_look");
+      if (fresh(SQUEEZE)) this.#hooks.screen.recenter();
+      if (listens && fresh(UPPER)) this.#hooks.act("reset_look");
       controller.pressed = now;
 
       const held = listens && value(TRIGGER) > HELD;
@@ -235,7 +235,7 @@ export class Headset {
       }
       controller.speaks = speaks;
       const { position, orientation } = pose.transform;
-      this.#around.send({
+      this.#hooks.send({
         type: "device_sample",
         device: controller.name,
         time_s: timeS,
@@ -243,7 +243,7 @@ export class Headset {
         orientation_wxyz: penFromGrip(orientation),
         axes: null,
         // Set the clutch bit so that the tip moves while the trigger is held, whatever the clutch setting of pens is.
-        buttons: Number(now.has(LOWER)) + (held === this.#around.clutchHeldMoves() ? CLUTCH_BIT : 0),
+        buttons: Number(now.has(LOWER)) + (held === this.#hooks.clutchHeldMoves() ? CLUTCH_BIT : 0),
         handle: null,
         advance,
       });
@@ -266,7 +266,7 @@ export class Headset {
   #forget(source: XrInputSource): void {
     const controller = this.#controllers.get(source);
     this.#controllers.delete(source);
-    if (controller !== undefined) this.#around.send({ type: "device_gone", device: controller.name });
+    if (controller !== undefined) this.#hooks.send({ type: "device_gone", device: controller.name });
   }
 
   #ended(session: XrSession): void {
@@ -274,8 +274,8 @@ export class Headset {
     this.#session = null;
     this.#space = null;
     for (const source of [...this.#controllers.keys()]) this.#forget(source);
-    this.#around.screen.close();
-    this.#around.changed(false);
+    this.#hooks.screen.close();
+    this.#hooks.changed(false);
   }
 }
 

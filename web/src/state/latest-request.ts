@@ -16,7 +16,7 @@ export interface Answered<Answer> {
  * Request queue that sends only the latest request, and only after the previous request was answered. A slow server
  * therefore never has a backlog.
  */
-export class NewestAsker<Question, Answer extends { readonly request_id: number }> {
+export class LatestRequestQueue<Question, Answer extends { readonly request_id: number }> {
   readonly #send: (id: number, question: Question) => boolean;
   readonly #nowMs: () => number;
   #nextId = 1;
@@ -31,7 +31,7 @@ export class NewestAsker<Question, Answer extends { readonly request_id: number 
     this.#nowMs = nowMs;
   }
 
-  ask(question: Question): void {
+  request(question: Question): void {
     const lost = this.#underWay !== null && this.#nowMs() - this.#underWay.atMs > LOST_MS;
     if (this.#underWay !== null && !lost) {
       this.#waiting = question;
