@@ -4,7 +4,7 @@ import type { BranchMeasures, RouteSpan } from "../wire/messages";
 import { type BranchNode, type BranchTree, headOf, rowChildren } from "./airways";
 import { fixed, mm, plural } from "./format";
 
-/** Confidence below which the list marks a name (`name`) or a branch (`airway`) as doubtful. */
+/** Confidence below which the list marks a branch's name (first value) or the branch itself (second value) as doubtful. */
 const DOUBTFUL = { name: 0.6, airway: 0.5 } as const;
 
 /** Sign after a branch name in the list, with its explanation. */
