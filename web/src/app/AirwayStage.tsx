@@ -15,10 +15,10 @@ import {
 } from "react-aria-components";
 import { keyOf } from "../input/keymap";
 import { pathMm, scopeOf } from "../state/app-state";
-import { kindWords } from "../state/branch-words";
+import { kindText } from "../state/branch-words";
 import { forkAhead } from "../state/fork";
 import { fixed, mm } from "../state/format";
-import { penOffWords } from "../state/pen";
+import { penOffText } from "../state/pen";
 import { besideRouteMm, turnBefore } from "../state/plan";
 import { nextStopMm } from "../state/route";
 import { worksIn } from "../state/tools";
@@ -266,7 +266,7 @@ function AirwayTools() {
   );
 }
 
-const TRANSFER_WORDS: Readonly<Record<string, string>> = {
+const TRANSFER_TEXTS: Readonly<Record<string, string>> = {
   endoscopic: "Endoscopic",
   paper: "Opaque tissue",
   "ct-grey": "CT greyscale",
@@ -274,7 +274,7 @@ const TRANSFER_WORDS: Readonly<Record<string, string>> = {
   "from histogram": "Histogram",
 };
 
-const transferWords = (name: string): string => TRANSFER_WORDS[name] ?? name;
+const transferText = (name: string): string => TRANSFER_TEXTS[name] ?? name;
 
 function TransferSelect() {
   const station = useStation();
@@ -294,15 +294,15 @@ function TransferSelect() {
     >
       <Tip words="Wall colours in the airway view">
         <Button className="button">
-          <SelectValue>{() => transferWords(transfer)}</SelectValue>
+          <SelectValue>{() => transferText(transfer)}</SelectValue>
           <Icon name="down" />
         </Button>
       </Tip>
       <Popover className="popover" offset={4}>
         <ListBox className="listbox">
           {names.map((name) => (
-            <ListBoxItem key={name} id={name} textValue={transferWords(name)} className="listbox-item">
-              {transferWords(name)}
+            <ListBoxItem key={name} id={name} textValue={transferText(name)} className="listbox-item">
+              {transferText(name)}
             </ListBoxItem>
           ))}
         </ListBox>
@@ -353,7 +353,7 @@ function SpeedReading() {
 
 /** Render the offset between the tip and the tracked pen that it follows; nothing once the tip is at the pen. */
 function PenReading() {
-  const words = useApp((state) => penOffWords(state.pen));
+  const words = useApp((state) => penOffText(state.pen));
   if (words === null) return null;
   return (
     <span className="warning-text" data-testid="pen-offset">
@@ -383,7 +383,7 @@ function WallReading() {
 /** Distance, mm, from the end of the route below which the tip counts as being at the end. */
 const AT_END_MM = 0.1;
 
-const hourWords = (hour: number | null): string => (hour === null ? "straight ahead" : `${hour} o\u2019clock`);
+const hourText = (hour: number | null): string => (hour === null ? "straight ahead" : `${hour} o\u2019clock`);
 
 /** Render the tip's branch, its position on the route and the fork ahead as text in the corners of the airway view. */
 function Readings() {
@@ -410,7 +410,7 @@ function Readings() {
   const toFork = route !== null && at !== null && nextStopMm(route, at) < route.length_mm;
   const atEnd = route !== null && at !== null && pose.mode === "path" && at > route.length_mm - AT_END_MM;
   const node = pose.branch_id === null ? undefined : tree?.byId.get(pose.branch_id);
-  const kind = node === undefined ? null : kindWords(node.branch.kind);
+  const kind = node === undefined ? null : kindText(node.branch.kind);
   return (
     <>
       <div className="reading top-left" data-testid="hud">
@@ -448,7 +448,7 @@ function Readings() {
             <span className="ways">
               {fork.ways.map((way) => (
                 <span key={way.node.branch.id} className={way.chosen ? "way chosen" : "way"}>
-                  {fork.near ? `${way.node.label}, ${hourWords(way.hour)}` : way.node.label}
+                  {fork.near ? `${way.node.label}, ${hourText(way.hour)}` : way.node.label}
                 </span>
               ))}
             </span>

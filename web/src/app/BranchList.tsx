@@ -10,7 +10,7 @@ import { keyOf } from "../input/keymap";
 import type { BranchNode, BranchTree } from "../state/airways";
 import { headOf, lineage, rowChildren } from "../state/airways";
 import { shownBranch } from "../state/app-state";
-import { calibreOf, filterTree, kindWords, marksOfRow, tooltipOf } from "../state/branch-words";
+import { calibreOf, filterTree, kindText, marksOfRow, tooltipOf } from "../state/branch-words";
 import { plural, sentence } from "../state/format";
 import { wantsBranch } from "../state/tools";
 import { below } from "../state/tree-index";
@@ -29,7 +29,7 @@ const OPEN_GENERATIONS = 2;
 export function BranchList() {
   const station = useStation();
   const tree = useApp((state) => state.tree);
-  const words = useApp((state) => emptyWords(state.session?.airways, state.session?.airways_words ?? null));
+  const words = useApp((state) => emptyText(state.session?.airways, state.session?.airways_words ?? null));
   const failed = useApp((state) => state.session?.airways === "failed");
   const arming = useApp((state) => state.ui.armed === "root");
   const routeEnd = useApp((state) => state.route?.spans.at(-1)?.branch_id ?? null);
@@ -251,7 +251,7 @@ function giveKeysBackAfterClick(): void {
 
 function Row({ node, only }: { node: BranchNode; only: ReadonlySet<number> | null }) {
   const { branch } = node;
-  const kind = kindWords(branch.kind);
+  const kind = kindText(branch.kind);
   const lumen = calibreOf(node);
   const onward = rowChildren(node);
   const children = only === null ? onward : onward.filter((child) => only.has(child.branch.id));
@@ -311,7 +311,7 @@ const lastPiece = (tree: BranchTree, id: number): number => tree.byId.get(id)?.r
 
 const numRows = (tree: BranchTree): number => [...tree.byId.values()].filter((node) => headOf(node) === node).length;
 
-function emptyWords(airways: string | undefined, words: string | null): string {
+function emptyText(airways: string | undefined, words: string | null): string {
   switch (airways) {
     case "finding":
       return "Segmenting the airways. Their branches will be listed here. You can fly freely in the meantime.";

@@ -1,7 +1,7 @@
 /** Status of the cluster computers that render together with this one, and a panel with the share and delay of each. */
 
 import { Button, Dialog, DialogTrigger, Popover } from "react-aria-components";
-import { clusterWords, memberWords, needsLook } from "../state/cluster-words";
+import { clusterText, memberText, needsLook } from "../state/cluster-words";
 import { fixed } from "../state/format";
 import { useApp } from "./context";
 
@@ -12,7 +12,7 @@ export function ClusterPanel() {
   return (
     <DialogTrigger>
       <Button className={`plain-text${needsLook(cluster) ? " warning-text" : ""}`} data-testid="cluster">
-        {clusterWords(cluster)}
+        {clusterText(cluster)}
       </Button>
       <Popover className="popover cluster" placement="top start" offset={6}>
         <Dialog aria-label="Rendering machines">
@@ -41,7 +41,7 @@ export function ClusterPanel() {
                   <td>{fixed(100 * member.share)} %</td>
                   <td>{member.latency_ms === null ? "–" : `${fixed(member.latency_ms)} ms`}</td>
                   <td>{member.num_late}</td>
-                  <td>{memberWords(member)}</td>
+                  <td>{memberText(member)}</td>
                 </tr>
               ))}
             </tbody>

@@ -1,6 +1,6 @@
 /** Notice that a saved case is continued, with a button that begins a new case (decision 0127). */
 
-import { continuedWords } from "../state/case-list";
+import { continuedText } from "../state/case-list";
 import { useApp, useStation } from "./context";
 import { Act } from "./controls";
 
@@ -10,7 +10,7 @@ export function ContinuedBar() {
   const saving = useApp((state) => state.session?.saving ?? null);
   const numChanges = useApp((state) => state.history?.step ?? 0);
   const readS = useApp((state) => state.ui.continuedReadS);
-  const words = continuedWords(saving, numChanges, readS, Date.now());
+  const words = continuedText(saving, numChanges, readS, Date.now());
   if (words === null) return null;
   return (
     <section className="continued" aria-label="Continued case" data-testid="continued">

@@ -4,7 +4,7 @@ import { useState } from "react";
 import { Input, TextField } from "react-aria-components";
 import { keyOf } from "../input/keymap";
 import { coordinates, fixed, plural } from "../state/format";
-import { penOffWords } from "../state/pen";
+import { penOffText } from "../state/pen";
 import { asVec3 } from "../state/vec";
 import type { DeviceControls, DeviceInfo, DevicesMessage } from "../wire/messages";
 import { useApp, useStation } from "./context";
@@ -137,7 +137,7 @@ function Movement({ message }: { message: DevicesMessage }) {
 /** Render the offset between the pen and the tip in absolute movement; nothing once the tip is at the pen. */
 function PenOffset() {
   const station = useStation();
-  const words = useApp((state) => penOffWords(state.pen));
+  const words = useApp((state) => penOffText(state.pen));
   if (words === null) return null;
   return (
     <p className="warning-text numbers">
@@ -222,7 +222,7 @@ function Device({ device, begun, onCalibrate }: DeviceProps) {
   return (
     <article className="group device" data-testid="device" data-holds={device.holds || undefined}>
       <h3>{device.device}</h3>
-      <p className="numbers">{valueWords(device)}</p>
+      <p className="numbers">{valueText(device)}</p>
       {device.holds ? (
         <p>This device moves the tip.</p>
       ) : (
@@ -242,7 +242,7 @@ function Device({ device, begun, onCalibrate }: DeviceProps) {
   );
 }
 
-function valueWords(device: DeviceInfo): string {
+function valueText(device: DeviceInfo): string {
   const buttons = device.buttons === 0 ? "" : `, buttons ${device.buttons.toString(2)}`;
   if (device.position_mm !== null) {
     return `${device.position_mm.map((v) => fixed(v, 1)).join("  ")} mm${buttons}`;

@@ -4,7 +4,7 @@
 
 import { useEffect } from "react";
 import { keyOf } from "../input/keymap";
-import { doubtWords } from "../state/edit-preview";
+import { doubtText } from "../state/edit-preview";
 import { useApp, useStation } from "./context";
 import { Act } from "./controls";
 
@@ -32,7 +32,7 @@ export function DoubtQuestion() {
   if (doubt === null) return null;
   return (
     <div className="doubt" role="alert" data-testid="doubt">
-      <p>{doubtWords(doubt)}</p>
+      <p>{doubtText(doubt)}</p>
       <div className="row">
         <Act
           label="Draw anyway"

@@ -3,7 +3,7 @@
 import { type Action, keyOf } from "../input/keymap";
 import { shownBranch } from "../state/app-state";
 import { mm } from "../state/format";
-import { isBrush, isTreeTool, nextBrush, TOOL_WORDS, TREE_TOOLS, type TreeTool, wordsOf } from "../state/tools";
+import { isBrush, isTreeTool, nextBrush, TOOL_TEXTS, TREE_TOOLS, type TreeTool, textsOf } from "../state/tools";
 import { useApp, useStation } from "./context";
 import { Act, SwitchKey } from "./controls";
 import { DoubtQuestion } from "./DoubtQuestion";
@@ -31,8 +31,8 @@ export function EditTools() {
         <SwitchKey
           key={tool}
           icon={TOOL_ICONS[tool]}
-          label={TOOL_WORDS[tool].short}
-          words={TOOL_WORDS[tool].words}
+          label={TOOL_TEXTS[tool].short}
+          words={TOOL_TEXTS[tool].words}
           keys={keyOf(ACTIONS[tool])}
           on={armed === tool}
           testId={`tool-${tool}`}
@@ -60,7 +60,7 @@ export function ToolInHand() {
   const ball = useApp((state) => state.ui.brushIsBall);
   const doubted = useApp((state) => state.doubt !== null);
   if (!isTreeTool(armed)) return <DoubtQuestion />;
-  const { label, hint } = wordsOf(armed, forkHeld !== null);
+  const { label, hint } = textsOf(armed, forkHeld !== null);
   return (
     <div className="in-hand" role="status" data-testid="in-hand">
       <header>

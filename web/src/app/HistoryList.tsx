@@ -5,7 +5,7 @@
 
 import { useEffect, useRef } from "react";
 import { Button } from "react-aria-components";
-import { agoWords, clock, sentence } from "../state/format";
+import { agoText, clock, sentence } from "../state/format";
 import { useApp, useStation } from "./context";
 import { Tip } from "./controls";
 import { ListHead } from "./ListHead";
@@ -48,7 +48,7 @@ export function HistoryList() {
                     {row.at_s === null
                       ? ""
                       : begunS === null
-                        ? agoWords(row.at_s)
+                        ? agoText(row.at_s)
                         : clock(begunS + row.at_s, Date.now())}
                   </span>
                 </Button>

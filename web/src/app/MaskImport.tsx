@@ -13,7 +13,7 @@ import {
   RadioGroup,
 } from "react-aria-components";
 import { filesOfDrop, filesOfPicker } from "../net/upload";
-import { firstChoice, labelTitle, lostWords, questionTitle, questionWords, volumeWords } from "../state/mask-question";
+import { firstChoice, labelTitle, lostText, questionText, questionTitle, volumeText } from "../state/mask-question";
 import type { MaskQuestion } from "../wire/messages";
 import { useApp, useStation } from "./context";
 import { Tip } from "./controls";
@@ -130,11 +130,11 @@ function Question({ question }: { question: MaskQuestion }) {
   const station = useStation();
   const [label, setLabel] = useState(firstChoice(question));
   const isLabel = question.problem === "label";
-  const lost = lostWords(question);
+  const lost = lostText(question);
   return (
     <Dialog data-testid="mask-question">
       <Heading slot="title">{questionTitle(question)}</Heading>
-      <p>{questionWords(question)}</p>
+      <p>{questionText(question)}</p>
       {isLabel ? (
         <RadioGroup
           className="mask-labels"
@@ -146,7 +146,7 @@ function Question({ question }: { question: MaskQuestion }) {
             <Radio key={one.number} value={String(one.number)} className="mask-label">
               <span>{labelTitle(one)}</span>
               <span className="quiet numbers">{one.name === null ? "" : one.number}</span>
-              <span className="numbers">{volumeWords(one.volume_ml)}</span>
+              <span className="numbers">{volumeText(one.volume_ml)}</span>
             </Radio>
           ))}
         </RadioGroup>

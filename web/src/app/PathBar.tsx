@@ -4,7 +4,7 @@ import { useLayoutEffect, useRef, useState } from "react";
 import { Slider, SliderThumb, SliderTrack } from "react-aria-components";
 import { keyOf, keyOfHold } from "../input/keymap";
 import { pathMm, tipLps } from "../state/app-state";
-import { kindWords } from "../state/branch-words";
+import { kindText } from "../state/branch-words";
 import { fixed, mm } from "../state/format";
 import { nearestMm } from "../state/route";
 import { AUTO_SPEEDS_MM_S } from "../state/speed";
@@ -159,7 +159,7 @@ function RulerSpans({ route, width }: { route: RouteInfo; width: number }) {
     <div className="ruler-spans" aria-hidden="true">
       {route.spans.map((span, n) => {
         const pixels = ((span.to_mm - span.from_mm) / length) * width;
-        const kind = kindWords(span.kind);
+        const kind = kindText(span.kind);
         const name = kind ?? span.name ?? "";
         const generation = String(span.generation);
         const full = name === "" ? `generation ${generation}` : `${name} \u00b7 ${generation}`;

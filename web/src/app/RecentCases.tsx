@@ -44,12 +44,12 @@ export function RecentCases() {
                     className="recent-case"
                     onPress={() => station.send({ type: "open_recent", recent_id: entry.recent_id })}
                   >
-                    <CaseWords entry={entry} all={recent} />
+                    <CaseText entry={entry} all={recent} />
                   </Button>
                 </Tip>
               ) : (
                 <div className="recent-case closed">
-                  <CaseWords entry={entry} all={recent} />
+                  <CaseText entry={entry} all={recent} />
                 </div>
               )}
             </li>
@@ -61,7 +61,7 @@ export function RecentCases() {
 }
 
 /** Render the picture, the title, and the facts that distinguish a case from the other cases. */
-export function CaseWords({ entry, all }: { entry: RecentCase; all: readonly RecentCase[] }) {
+export function CaseText({ entry, all }: { entry: RecentCase; all: readonly RecentCase[] }) {
   return (
     <>
       <CasePicture entry={entry} />

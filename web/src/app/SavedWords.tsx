@@ -2,15 +2,15 @@
 
 import { Button } from "react-aria-components";
 import { keyOf } from "../input/keymap";
-import { savedWords } from "../state/saved-words";
+import { savedText } from "../state/saved-words";
 import { useApp, useStation } from "./context";
 import { Tip } from "./controls";
 
 /** Render the saved state of the case; nothing without a case. */
-export function SavedWords() {
+export function SavedText() {
   const station = useStation();
   const saving = useApp((state) => state.session?.saving ?? null);
-  const saved = savedWords(saving, Date.now());
+  const saved = savedText(saving, Date.now());
   if (saved === null) return null;
   return (
     <Tip words={saved.words} keys={keyOf("save")}>

@@ -10,7 +10,7 @@ import { Icon } from "./icons";
 const NO_SCOPE = "no scope";
 
 /** Return the tip diameter and the field of view of an instrument as text. */
-function sizeWords(scope: Scope): string {
+function sizeText(scope: Scope): string {
   const fov = scope.fov_deg === null ? "" : `, ${fixed(scope.fov_deg)}\u00b0`;
   return `\u2300 ${fixed(scope.tip_mm, 1)} mm${fov}`;
 }
@@ -29,7 +29,7 @@ export function ScopeSelect() {
   if (scopes === null) return null;
   const chosen = scopes.find((scope) => scope.name === name);
   const words =
-    chosen === undefined ? "No scope: pinhole camera" : `Viewed through: ${chosen.title}, ${sizeWords(chosen)}`;
+    chosen === undefined ? "No scope: pinhole camera" : `Viewed through: ${chosen.title}, ${sizeText(chosen)}`;
   return (
     <Select
       aria-label="Scope"
@@ -52,7 +52,7 @@ export function ScopeSelect() {
             <ListBoxItem key={scope.name} id={scope.name} textValue={scope.title} className="listbox-item">
               <Text slot="label">{scope.title}</Text>
               <Text slot="description" className="numbers">
-                {sizeWords(scope)}
+                {sizeText(scope)}
               </Text>
             </ListBoxItem>
           ))}

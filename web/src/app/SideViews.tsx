@@ -52,7 +52,7 @@ function CellTools({ cell, view }: { cell: SideCell; view: ViewName }) {
 }
 
 /** Return the text for a view without a picture: what it will show and how to get it, or that it is being rendered. */
-function emptyWords(view: ViewName, there: Readonly<Record<Need, boolean>>): string {
+function emptyText(view: ViewName, there: Readonly<Record<Need, boolean>>): string {
   const { needs, empty } = VIEWS[view];
   return needs.length > 0 && needs.every((need) => there[need]) ? "Rendering this view…" : empty;
 }
@@ -92,7 +92,7 @@ function Cell({ cell }: { cell: SideCell }) {
       </header>
       <div className="cell-picture">
         <PictureView view={view} shape="fill" name={title} onDoubleClick={toggleFull} />
-        {shown ? null : <p className="empty centre">{emptyWords(view, { route, airways })}</p>}
+        {shown ? null : <p className="empty centre">{emptyText(view, { route, airways })}</p>}
         <ToolTag view={view} />
       </div>
     </section>
@@ -140,11 +140,11 @@ function Fit({ view }: { view: FlatView }) {
 
 /** Render the position of a slice along its normal as text: `S 12.1 mm`. */
 function SlicePlace({ view }: { view: ViewName }) {
-  const words = useApp((state) => placeWords(state.frames[view]));
+  const words = useApp((state) => placeText(state.frames[view]));
   return words === "" ? null : <span className="numbers quiet">{words}</span>;
 }
 
-function placeWords(header: PictureHeader | undefined): string {
+function placeText(header: PictureHeader | undefined): string {
   if (header === undefined) return "";
   const geometry = geometryOf(header);
   if (geometry === null || geometry.kind !== "flat") return "";

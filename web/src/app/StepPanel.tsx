@@ -1,6 +1,6 @@
 /** Panel of the current workflow step. Each step has one primary action. */
 
-import { STEP_WORDS } from "../state/steps";
+import { STEP_TEXTS } from "../state/steps";
 import { Citation } from "./Citation";
 import { useApp } from "./context";
 import { Jobs } from "./Jobs";
@@ -17,9 +17,9 @@ export function StepPanel() {
   const step = useApp((state) => state.ui.step);
   const citation = useApp((state) => state.session?.case?.citation ?? null);
   return (
-    <section className="step-panel" aria-label={STEP_WORDS[step].title}>
+    <section className="step-panel" aria-label={STEP_TEXTS[step].title}>
       <Jobs />
-      <h2>{STEP_WORDS[step].title}</h2>
+      <h2>{STEP_TEXTS[step].title}</h2>
       {/* The key gives each step a new element, so that the scroll position is reset when the step changes. */}
       <div key={step} className="step-body">
         {body(step)}
@@ -29,7 +29,7 @@ export function StepPanel() {
   );
 }
 
-function body(step: keyof typeof STEP_WORDS) {
+function body(step: keyof typeof STEP_TEXTS) {
   switch (step) {
     case "open":
       return <OpenStep />;

@@ -3,8 +3,8 @@
  */
 
 import { Button } from "react-aria-components";
-import { marksByPen, penMarkWords } from "../state/pen";
-import { type Armed, shortOf, takesAway, wantsBranch, wordsOf, worksIn } from "../state/tools";
+import { marksByPen, penMarkText } from "../state/pen";
+import { type Armed, shortOf, takesAway, textsOf, wantsBranch, worksIn } from "../state/tools";
 import { INK } from "../views/ink";
 import type { ViewName } from "../wire/messages";
 import { useApp, useStation } from "./context";
@@ -45,7 +45,7 @@ export function ListToolTag() {
 
 function Tag({ armed, works, where }: { armed: Armed; works: boolean; where: "picture" | "list" }) {
   const station = useStation();
-  const { label } = wordsOf(armed, false);
+  const { label } = textsOf(armed, false);
   return (
     <Button
       className={where === "picture" ? "tool-tag corner" : "tool-tag"}
@@ -73,8 +73,8 @@ export function ToolHint() {
   const forkHeld = useApp((state) => state.ui.forkHeld !== null);
   const pen = useApp((state) => state.pen);
   if (armed === null) return null;
-  const { label, hint } = wordsOf(armed, forkHeld);
-  const words = pen !== null && marksByPen(armed) ? penMarkWords(pen) : hint;
+  const { label, hint } = textsOf(armed, forkHeld);
+  const words = pen !== null && marksByPen(armed) ? penMarkText(pen) : hint;
   return (
     <span className="tool-hint" role="status" data-testid="tool-hint">
       <strong>{label}</strong> {words} <kbd>Esc</kbd> {forkHeld ? "releases the fork" : "cancels"}
@@ -83,12 +83,12 @@ export function ToolHint() {
 }
 
 /** Render the text which point the pen's button marks, if the active tool can use a pen. */
-export function PenWords() {
+export function PenText() {
   const pen = useApp((state) => (marksByPen(state.ui.armed) ? state.pen : null));
   if (pen === null) return null;
   return (
     <p className={pen.lps === null ? "warning-text" : "quiet"} role="status" data-testid="pen-words">
-      {penMarkWords(pen)}
+      {penMarkText(pen)}
     </p>
   );
 }

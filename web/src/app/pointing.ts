@@ -11,7 +11,7 @@ import { forkOf } from "../state/fork-choice";
 import { linesOf, lpsAt } from "../state/lines";
 import { LivePathQueue, type LiveQuestion } from "../state/live-path";
 import { geometryOf, lpsFromPixel, type PixelPoint } from "../state/projection";
-import { isBrush, isLesionBrush, strokePoints, wantsBranch, wantsPath, wordsOf, worksIn } from "../state/tools";
+import { isBrush, isLesionBrush, strokePoints, textsOf, wantsBranch, wantsPath, worksIn } from "../state/tools";
 import { branchAhead, placeFromOutside, placeInLumen, type TreePlace } from "../state/tree-index";
 import { planeUnder } from "../state/tri-plane";
 import { asVec3, distance, type Vec3 } from "../state/vec";
@@ -174,7 +174,7 @@ export class Pointing {
     const at = this.#clickPosition(viewport, clicked);
     const pointed = this.#under(viewport, at);
     if (armed !== null && !worksIn(armed, viewport.view)) {
-      const { label, hint } = wordsOf(armed, false);
+      const { label, hint } = textsOf(armed, false);
       station.notice(`\u201c${label}\u201d does not work in this view. ${hint}`);
       return true;
     }

@@ -2,7 +2,7 @@ import { beforeEach, describe, expect, it } from "vitest";
 import { CLOSE_CODES, type PhoneStateMessage } from "../wire/messages";
 import { checkPhoneMessage } from "../wire/parse";
 import { Link, type LinkStatus } from "./link";
-import { stateWords } from "./words";
+import { stateText } from "./words";
 
 const STATE: PhoneStateMessage = {
   type: "phone_state",
@@ -149,11 +149,11 @@ describe("Link", () => {
   });
 });
 
-describe("stateWords", () => {
+describe("stateText", () => {
   it("The text states the movement mode, that a case must be opened, or the server's reason.", () => {
-    expect(stateWords(STATE)).toBe("This phone moves the tip: path mode.");
-    expect(stateWords({ ...STATE, case_open: false })).toContain("Open a case");
-    expect(stateWords({ ...STATE, holds: false, scope_held: true })).toBe("Connected: scope mode.");
-    expect(stateWords({ ...STATE, words: "no path yet" })).toBe("no path yet");
+    expect(stateText(STATE)).toBe("This phone moves the tip: path mode.");
+    expect(stateText({ ...STATE, case_open: false })).toContain("Open a case");
+    expect(stateText({ ...STATE, holds: false, scope_held: true })).toBe("Connected: scope mode.");
+    expect(stateText({ ...STATE, words: "no path yet" })).toBe("no path yet");
   });
 });

@@ -4,7 +4,7 @@ import "./phone.css";
 import { Hand, type Held } from "./hand";
 import { Link } from "./link";
 import { penOrientation } from "./orientation";
-import { NO_SENSOR, SENSOR_REFUSED, SENSOR_WITHIN_MS, stateWords } from "./words";
+import { NO_SENSOR, SENSOR_REFUSED, SENSOR_WITHIN_MS, stateText } from "./words";
 
 function element<T extends HTMLElement>(id: string): T {
   const found = document.getElementById(id);
@@ -36,7 +36,7 @@ const link = new Link(
       // the reconnection.
       if (status !== "open") letGo();
     },
-    state: (received) => say(stateWords(received), "good"),
+    state: (received) => say(stateText(received), "good"),
   },
   (ms, call) => {
     const timer = setTimeout(call, ms);

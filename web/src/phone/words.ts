@@ -2,17 +2,17 @@
 
 import type { PhoneStateMessage } from "../wire/messages";
 
-const CONTROL_WORDS = {
+const CONTROL_TEXTS = {
   absolute: "absolute mode",
   relative: "relative mode",
   path: "path mode",
 } as const;
 
 /** Return the text that the phone page shows for a state message of the server. */
-export function stateWords(state: PhoneStateMessage): string {
+export function stateText(state: PhoneStateMessage): string {
   if (state.words !== "") return state.words;
   if (!state.case_open) return "Connected. Open a case on the workstation.";
-  const how = state.scope_held ? "scope mode" : CONTROL_WORDS[state.control];
+  const how = state.scope_held ? "scope mode" : CONTROL_TEXTS[state.control];
   return `${state.holds ? "This phone moves the tip" : "Connected"}: ${how}.`;
 }
 

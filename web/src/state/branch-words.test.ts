@@ -4,12 +4,12 @@ import { type BranchTree, buildTree, headOf, rowChildren, type TreeExtras } from
 import {
   calibreOf,
   drawnShare,
-  drawnWords,
+  drawnText,
   factsOf,
   filterTree,
   marksOf,
   marksOfRow,
-  nameWords,
+  nameText,
   routeDoubts,
   rowLengthMm,
   tooltipOf,
@@ -131,10 +131,10 @@ describe("texts about a branch", () => {
     expect(marksOf(node(tree, 2)).map((mark) => mark.sign)).toEqual(["~"]);
   });
 
-  it("nameWords states the source and the confidence of the name.", () => {
-    expect(nameWords(node(tree, 1))).toBe("automatic name, 42 % confidence");
-    expect(nameWords(node(tree, 2))).toBe("named by hand");
-    expect(nameWords(node(tree, 3))).toBeNull();
+  it("nameText states the source and the confidence of the name.", () => {
+    expect(nameText(node(tree, 1))).toBe("automatic name, 42 % confidence");
+    expect(nameText(node(tree, 2))).toBe("named by hand");
+    expect(nameText(node(tree, 3))).toBeNull();
   });
 
   it("The tooltip contains the long name, the measurements and the doubts.", () => {
@@ -234,9 +234,9 @@ describe("branch drawn by hand", () => {
     expect(drawn.label).toBe("Branch 4");
     expect(drawn.longName).toBeNull();
     expect(drawn.lobe).toBeNull();
-    expect(nameWords(drawn)).toBeNull();
+    expect(nameText(drawn)).toBeNull();
     expect(marksOf(drawn)).toEqual([]);
-    expect(drawnWords(drawn)).toBe(`Drawn by hand. The CT shows no wall along 21${NBSP}mm of it.`);
+    expect(drawnText(drawn)).toBe(`Drawn by hand. The CT shows no wall along 21${NBSP}mm of it.`);
     expect(tooltipOf(drawn)).not.toContain("lumen");
     const facts = factsOf(drawn);
     expect(facts.map((fact) => fact.term)).toEqual(["Generation", "Length", "Lumen"]);

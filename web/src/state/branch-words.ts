@@ -44,11 +44,11 @@ export const isDoubtful = ({ branch }: BranchNode): boolean =>
   branch.doubtful_mm > 0 || (branch.confidence !== null && branch.confidence < DOUBTFUL.airway);
 
 /** Return the origin of a branch that the CT does not show, as text; null for a branch that the CT shows. */
-export const kindWords = (kind: BranchNode["branch"]["kind"]): string | null =>
+export const kindText = (kind: BranchNode["branch"]["kind"]): string | null =>
   kind === "tracked" ? null : kind === "bridge" ? "bridge" : "drawn by hand";
 
 /** Return the sentences that state the origin of a branch that the CT does not show; null for other branches. */
-export function drawnWords(node: BranchNode): string | null {
+export function drawnText(node: BranchNode): string | null {
   const { kind } = node.branch;
   if (kind === "tracked") return null;
   if (kind === "bridge") return "Bridge across an obstruction. The CT shows no airway here.";
@@ -66,7 +66,7 @@ export function tooltipOf(head: BranchNode): string {
     `generation ${branch.generation}, ${mm(rowLengthMm(head), 0)} long${lumen === null ? "" : `, lumen ${lumen}\u202fmm`}`,
   ];
   if (pieces > 1) facts.push(`${plural(pieces, "piece", "pieces")} between side branches`);
-  const drawn = drawnWords(head);
+  const drawn = drawnText(head);
   if (drawn !== null) facts.push(drawn);
   return [...facts, ...marksOfRow(head).map((mark) => mark.words)].join("\n");
 }
@@ -91,7 +91,7 @@ export const lumenMm = (node: BranchNode): number | null =>
   node.branch.kind === "manual" ? null : (node.measures?.lumen_mm ?? null);
 
 /** Return the source of the branch's name as text. */
-export function nameWords(node: BranchNode): string | null {
+export function nameText(node: BranchNode): string | null {
   const { name_from: from, name_confidence: sure } = node.branch;
   if (from === "person") return "named by hand";
   if (from === null) return null;
@@ -187,7 +187,7 @@ export function filterTree(tree: BranchTree, text: string): Filtered | null {
   const matches = (node: BranchNode): boolean => {
     if (generation !== null) return node.branch.generation === Number(generation[1]);
     if (wanted === "?") return marksOf(node).length > 0;
-    const words = [node.label, node.longName ?? "", node.lobe ?? "", kindWords(node.branch.kind) ?? ""];
+    const words = [node.label, node.longName ?? "", node.lobe ?? "", kindText(node.branch.kind) ?? ""];
     return words.some((part) => part.toLowerCase().includes(wanted));
   };
   const shown = new Set<number>();
@@ -208,7 +208,7 @@ type Spans = readonly Pick<RouteSpan, "kind" | "from_mm" | "to_mm">[];
 
 /** Return the warnings about parts of a route that the CT does not show, as text; null if there are none. */
 export function routeDoubts(spans: Spans): string | null {
-  const parts = [drawnShare(spans), bridgeWords(spans)].filter((part) => part !== null);
+  const parts = [drawnShare(spans), bridgeText(spans)].filter((part) => part !== null);
   return parts.length === 0 ? null : parts.map((part) => `${part}.`).join(" ");
 }
 
@@ -223,7 +223,7 @@ export function drawnShare(spans: Spans): string | null {
 }
 
 /** Return the length of a route that is a bridge, as text; null if none is. */
-function bridgeWords(spans: Spans): string | null {
+function bridgeText(spans: Spans): string | null {
   const bridges = spans.filter((span) => span.kind === "bridge");
   if (bridges.length === 0) return null;
   const total = bridges.reduce((sum, span) => sum + span.to_mm - span.from_mm, 0);

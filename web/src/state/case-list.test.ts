@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
 import type { RecentCase, SavingInfo } from "../wire/messages";
-import { caseFacts, changesWords, continuedWords, sizeWords } from "./case-list";
+import { caseFacts, changesText, continuedText, sizeText } from "./case-list";
 import { clock } from "./format";
 import { NOTHING_SAVED } from "./saving.testing";
 
@@ -24,8 +24,8 @@ const SAVING: SavingInfo = { ...NOTHING_SAVED, continued_s: NOW_S, continued_cha
 describe("caseFacts", () => {
   it("The facts contain the number of changes and the last use.", () => {
     expect(caseFacts(ENTRY, [ENTRY], NOW_MS)).toEqual(["12 changes", `last used ${clock(NOW_S, NOW_MS)}`]);
-    expect(changesWords(0)).toBe("no changes");
-    expect(changesWords(1)).toBe("1 change");
+    expect(changesText(0)).toBe("no changes");
+    expect(changesText(1)).toBe("1 change");
   });
 
   it("The scan date is the same day in every time zone.", () => {
@@ -44,7 +44,7 @@ describe("caseFacts", () => {
   });
 });
 
-describe("sizeWords", () => {
+describe("sizeText", () => {
   it.each([
     [0, "0\u202fMB"],
     [3, "1\u202fkB"],
@@ -54,22 +54,22 @@ describe("sizeWords", () => {
     [314_572_800, "315\u202fMB"],
     [2_147_483_648, "2.1\u202fGB"],
   ])("%d bytes are written as %s", (bytes, words) => {
-    expect(sizeWords(bytes)).toBe(words);
+    expect(sizeText(bytes)).toBe(words);
   });
 });
 
-describe("continuedWords", () => {
+describe("continuedText", () => {
   it("The notice is shown until the user closes it or changes the case.", () => {
     const notice = `Continued from ${clock(NOW_S, NOW_MS)}, 12 changes.`;
-    expect(continuedWords(SAVING, 12, null, NOW_MS)).toBe(notice);
-    expect(continuedWords(SAVING, 12, NOW_S - 1, NOW_MS)).toBe(notice);
-    expect(continuedWords(SAVING, 12, NOW_S, NOW_MS)).toBeNull();
-    expect(continuedWords(SAVING, 13, null, NOW_MS)).toBeNull();
+    expect(continuedText(SAVING, 12, null, NOW_MS)).toBe(notice);
+    expect(continuedText(SAVING, 12, NOW_S - 1, NOW_MS)).toBe(notice);
+    expect(continuedText(SAVING, 12, NOW_S, NOW_MS)).toBeNull();
+    expect(continuedText(SAVING, 13, null, NOW_MS)).toBeNull();
   });
 
   it("The notice is null for a new case and for a case without changes.", () => {
-    expect(continuedWords(null, 0, null, NOW_MS)).toBeNull();
-    expect(continuedWords({ ...SAVING, continued_s: null }, 12, null, NOW_MS)).toBeNull();
-    expect(continuedWords({ ...SAVING, continued_changes: 0 }, 0, null, NOW_MS)).toBeNull();
+    expect(continuedText(null, 0, null, NOW_MS)).toBeNull();
+    expect(continuedText({ ...SAVING, continued_s: null }, 12, null, NOW_MS)).toBeNull();
+    expect(continuedText({ ...SAVING, continued_changes: 0 }, 0, null, NOW_MS)).toBeNull();
   });
 });

@@ -4,7 +4,7 @@ import type { ClusterMessage, MemberStatus } from "../wire/messages";
 import { plural } from "./format";
 
 /** Return the text of the status bar about the cluster. */
-export function clusterWords(cluster: ClusterMessage): string {
+export function clusterText(cluster: ClusterMessage): string {
   const ready = cluster.members.filter((member) => member.state === "ready").length;
   const all = cluster.members.length;
   const mixed = cluster.mixed ? ", mixed" : "";
@@ -13,7 +13,7 @@ export function clusterWords(cluster: ClusterMessage): string {
 }
 
 /** Return the current activity of a cluster computer as text. */
-export function memberWords(member: MemberStatus): string {
+export function memberText(member: MemberStatus): string {
   switch (member.state) {
     case "ready":
       return "rendering";

@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
 import type { EditPreviewMessage, NoEvidenceMessage } from "../wire/messages";
-import { doubtWords, previewTool, previewWords, runsOf } from "./edit-preview";
+import { doubtText, previewText, previewTool, runsOf } from "./edit-preview";
 
 const LINE = {
   points_lps: [
@@ -49,30 +49,30 @@ describe("preview of an edit", () => {
   });
 
   it("The text states the length of the edit and the length without a visible airway wall.", () => {
-    expect(previewWords({ answer: answer(), stale: false })).toEqual({
+    expect(previewText({ answer: answer(), stale: false })).toEqual({
       lines: [`new branch, 41${NBSP}mm`, `no wall along 21${NBSP}mm`],
       warns: true,
     });
     const seen = answer({ has_evidence: true, doubtful_mm: 0 });
-    expect(previewWords({ answer: seen, stale: false })).toEqual({ lines: [`new branch, 41${NBSP}mm`], warns: false });
-    expect(previewWords({ answer: answer({ tool: "bridge", doubtful_mm: 41 }), stale: false }).warns).toBe(true);
+    expect(previewText({ answer: seen, stale: false })).toEqual({ lines: [`new branch, 41${NBSP}mm`], warns: false });
+    expect(previewText({ answer: answer({ tool: "bridge", doubtful_mm: 41 }), stale: false }).warns).toBe(true);
   });
 
   it("The text states that the search is running, or why the edit is impossible.", () => {
-    expect(previewWords({ answer: null, stale: true }).lines).toEqual(["searching for the airway\u2026"]);
+    expect(previewText({ answer: null, stale: true }).lines).toEqual(["searching for the airway\u2026"]);
     const none = answer({
       lines: [],
       length_mm: null,
       problem: "no airway leads from the tree to the point: there is tissue.",
     });
-    expect(previewWords({ answer: none, stale: false })).toEqual({
+    expect(previewText({ answer: none, stale: false })).toEqual({
       lines: ["No airway leads from the tree to the point: there is tissue."],
       warns: true,
     });
   });
 });
 
-describe("doubtWords", () => {
+describe("doubtText", () => {
   const doubt = (change: Partial<NoEvidenceMessage> = {}): NoEvidenceMessage => ({
     type: "no_evidence",
     job_id: "job-1",
@@ -86,11 +86,11 @@ describe("doubtWords", () => {
   });
 
   it("The question states along which length of the branch the CT shows no airway wall.", () => {
-    expect(doubtWords(doubt())).toBe(
+    expect(doubtText(doubt())).toBe(
       `The CT shows no airway wall along the last 21${NBSP}mm of this branch. Draw the airway there anyway?`,
     );
     const middle = doubt({ line: { ...LINE, doubtful: [false, true, false] }, doubtful_mm: 10 });
-    expect(doubtWords(middle)).toContain(`along 10${NBSP}mm of this branch.`);
-    expect(doubtWords(doubt({ length_mm: 21.3 }))).toContain("along this branch.");
+    expect(doubtText(middle)).toContain(`along 10${NBSP}mm of this branch.`);
+    expect(doubtText(doubt({ length_mm: 21.3 }))).toContain("along this branch.");
   });
 });

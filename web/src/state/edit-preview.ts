@@ -54,7 +54,7 @@ export function runsOf(lines: readonly EditLine[]): readonly PreviewRun[] {
  * Return the text lines beside the cursor. `warns` is true if the CT does not show the new branch, or if the edit is
  * impossible.
  */
-export function previewWords({ answer }: Preview): { lines: readonly string[]; warns: boolean } {
+export function previewText({ answer }: Preview): { lines: readonly string[]; warns: boolean } {
   if (answer === null) return { lines: ["searching for the airway\u2026"], warns: false };
   if (answer.problem !== null || answer.length_mm === null) {
     return { lines: [firstSentences(sentence(answer.problem ?? "no branch can be added here"))], warns: true };
@@ -76,7 +76,7 @@ export function previewWords({ answer }: Preview): { lines: readonly string[]; w
 }
 
 /** Return the question whether to draw by hand a branch that the CT does not show. */
-export function doubtWords({ line, doubtful_mm, length_mm }: NoEvidenceMessage): string {
+export function doubtText({ line, doubtful_mm, length_mm }: NoEvidenceMessage): string {
   const last = line.doubtful.indexOf(true);
   const tail = last >= 0 && line.doubtful.slice(last).every((doubtful) => doubtful);
   const all = length_mm - doubtful_mm < 1;

@@ -72,10 +72,10 @@ export function timeLeft(seconds: number): string {
 }
 
 /** Return window width and level as text, `W 1500  L -600`. */
-export const windowWords = (widthHu: number, levelHu: number): string => `W ${fixed(widthHu)}  L ${fixed(levelHu)}`;
+export const windowText = (widthHu: number, levelHu: number): string => `W ${fixed(widthHu)}  L ${fixed(levelHu)}`;
 
 /** Return the angles of a C-arm as text: `LAO 30\u00b0`, `CRAN 15\u00b0`. */
-export function carmWords(carm: { primary_deg: number; secondary_deg: number }): string[] {
+export function carmText(carm: { primary_deg: number; secondary_deg: number }): string[] {
   const primary = Math.round(carm.primary_deg);
   const secondary = Math.round(carm.secondary_deg);
   const first = primary === 0 ? "AP 0\u00b0" : `${primary > 0 ? "LAO" : "RAO"} ${Math.abs(primary)}\u00b0`;
@@ -95,19 +95,19 @@ const FINE_STEP_VOX = 0.5;
  * Return the resolution of an airway picture as text: `reduced: 40 %`, with the ray step if it is longer than the
  * finest one.
  */
-export function finenessWords(picture: { width: number; step_vox: number | null }, wantedWidth: number): string {
+export function finenessText(picture: { width: number; step_vox: number | null }, wantedWidth: number): string {
   const percent = Math.min(Math.round((100 * picture.width) / Math.max(wantedWidth, 1)), 100);
   const step = picture.step_vox ?? FINE_STEP_VOX;
   if (percent >= 100 && step <= FINE_STEP_VOX) return "full resolution";
-  const stepWords = step > FINE_STEP_VOX ? `, step ${fixed(step, 1)} voxels` : "";
-  return `reduced: ${percent} %${stepWords}`;
+  const stepText = step > FINE_STEP_VOX ? `, step ${fixed(step, 1)} voxels` : "";
+  return `reduced: ${percent} %${stepText}`;
 }
 
 /**
  * Return the method that rendered the displayed picture, as text, compared with the requested method; `made` is null
  * before the first picture.
  */
-export function methodWords(made: string | null, requested: "leap" | "brute"): string {
+export function methodText(made: string | null, requested: "leap" | "brute"): string {
   const method = (made ?? requested).replace(/^gpu-/, "");
   if (method.startsWith("leap")) return "fast rendering";
   if (method !== "brute") return "cut-plane";
@@ -124,7 +124,7 @@ export function clock(sinceEpochS: number, nowMs: number): string {
 }
 
 /** Return a duration as text: `12:05 min`. */
-export function agoWords(seconds: number): string {
+export function agoText(seconds: number): string {
   const whole = Math.round(seconds);
   return `${Math.floor(whole / 60)}:${String(whole % 60).padStart(2, "0")} min`;
 }

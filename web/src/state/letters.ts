@@ -16,7 +16,7 @@ export const DIRECTION_LPS: Readonly<Record<Letter, Vec3>> = {
 };
 
 /** Word for each letter's patient direction. */
-export const LETTER_WORDS: Readonly<Record<Letter, string>> = {
+export const LETTER_TEXTS: Readonly<Record<Letter, string>> = {
   R: "right",
   L: "left",
   A: "anterior",

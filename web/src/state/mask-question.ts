@@ -4,7 +4,7 @@ import type { MaskLabel, MaskQuestion } from "../wire/messages";
 import { plural } from "./format";
 
 /** Return a volume as text, `61 ml`, with enough digits to tell a bronchus from a lung. */
-export function volumeWords(ml: number): string {
+export function volumeText(ml: number): string {
   const THIN = "\u202f";
   if (ml > 0 && ml < 0.1) return `under 0.1${THIN}ml`;
   return `${ml >= 10 ? Math.round(ml).toLocaleString("en-US") : ml.toFixed(1)}${THIN}ml`;
@@ -24,14 +24,14 @@ export function questionTitle(question: MaskQuestion): string {
 }
 
 /** Return the text of the question about a mask. */
-export function questionWords(question: MaskQuestion): string {
+export function questionText(question: MaskQuestion): string {
   return question.problem === "label"
     ? `${question.title} contains ${plural(question.labels.length, "structure")}.`
     : `${question.title} is on a different grid from this scan.`;
 }
 
 /** Return a warning with the share of the mask outside the scan; null if the share is only rounding. */
-export function lostWords(question: MaskQuestion): string | null {
+export function lostText(question: MaskQuestion): string | null {
   const share = question.share_inside;
   if (share === null || share >= 0.995) return null;
   const percent = Math.min(99, Math.max(1, Math.round(100 * (1 - share))));

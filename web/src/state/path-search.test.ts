@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
 import type { Target } from "../wire/messages";
-import { isSamePen, pathWords, penMessage, startOf, targetMessage } from "./path-search";
+import { isSamePen, pathText, penMessage, startOf, targetMessage } from "./path-search";
 
 const TARGET: Target = {
   target_id: "target-1",
@@ -63,20 +63,20 @@ describe("penMessage", () => {
   });
 });
 
-describe("pathWords", () => {
+describe("pathText", () => {
   it("The text of a path with another cost states the values along it and the length outside the lumen.", () => {
-    expect(pathWords(TARGET, false)).toBe(
+    expect(pathText(TARGET, false)).toBe(
       "139\u202fmm from the start, cost walls, not compared with a lumen, values 116 to 140",
     );
-    expect(pathWords({ ...TARGET, outside_mm: 12.4, value_range: [-990, 40] }, true)).toBe(
+    expect(pathText({ ...TARGET, outside_mm: 12.4, value_range: [-990, 40] }, true)).toBe(
       "139\u202fmm from the start, cost walls, 12\u202fmm outside the lumen, values -990 to 40 HU",
     );
-    expect(pathWords({ ...TARGET, outside_mm: 0 }, false)).toContain("all in the lumen");
+    expect(pathText({ ...TARGET, outside_mm: 0 }, false)).toContain("all in the lumen");
   });
 
   it("The text of a path through the lumen states its length from the tracheal entry, and is empty without a path.", () => {
     const target = { ...TARGET, cost: "lumen" as const, root_lps: null, snapped_mm: 1.25 };
-    expect(pathWords(target, true)).toMatch(/^139\u202fmm from the tracheal entry, moved 1\.3\u202fmm into the lumen$/);
-    expect(pathWords({ ...target, length_mm: null }, true)).toBe("");
+    expect(pathText(target, true)).toMatch(/^139\u202fmm from the tracheal entry, moved 1\.3\u202fmm into the lumen$/);
+    expect(pathText({ ...target, length_mm: null }, true)).toBe("");
   });
 });

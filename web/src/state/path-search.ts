@@ -10,7 +10,7 @@ import { asVec3, type Vec3 } from "./vec";
 export type PathCost = Target["cost"];
 
 /** Label and explanation of each cost function. */
-export const COST_WORDS: Readonly<Record<PathCost, { readonly label: string; readonly words: string }>> = {
+export const COST_TEXTS: Readonly<Record<PathCost, { readonly label: string; readonly words: string }>> = {
   lumen: { label: "Lumen", words: "Follow the middle of the segmented airways" },
   walls: {
     label: "Walls",
@@ -67,7 +67,7 @@ export function isSamePen(one: ArmPenMessage, other: ArmPenMessage): boolean {
 }
 
 /** Return the facts about a target's path as text. */
-export function pathWords(target: Target, isHu: boolean): string {
+export function pathText(target: Target, isHu: boolean): string {
   if (target.length_mm === null) return "";
   if (target.cost === "lumen") {
     const moved =

@@ -1,7 +1,7 @@
 import { describe, expect, it } from "vitest";
 import type { PenMessage, StateMessage } from "../wire/messages";
 import { INITIAL_STATE, penPoint, reduce } from "./app-state";
-import { penMarkWords, penOffWords, wasUsedByPen } from "./pen";
+import { penMarkText, penOffText, wasUsedByPen } from "./pen";
 
 const pen = (change: Partial<PenMessage> = {}): PenMessage => ({
   type: "pen",
@@ -15,11 +15,11 @@ const pen = (change: Partial<PenMessage> = {}): PenMessage => ({
 
 describe("point that the pen's button marks", () => {
   it("The text names the pen's tip if the pen is registered, else the scope's tip and the reason.", () => {
-    expect(penMarkWords(pen())).toContain("the pen tip");
-    expect(penMarkWords(pen({ lps: null }))).toBe(
+    expect(penMarkText(pen())).toContain("the pen tip");
+    expect(penMarkText(pen({ lps: null }))).toBe(
       "The pen is not registered: its button marks the position of the scope tip.",
     );
-    expect(penMarkWords(pen({ lps: null, tracked: false }))).toContain("is not tracked");
+    expect(penMarkText(pen({ lps: null, tracked: false }))).toContain("is not tracked");
   });
 
   it("penPoint returns the pen's point, and null if no pen moves the tip.", () => {
@@ -45,13 +45,13 @@ describe("wasUsedByPen", () => {
   });
 });
 
-describe("penOffWords", () => {
+describe("penOffText", () => {
   it("The text states the offset between pen and tip, and is null below the displayed precision.", () => {
-    expect(penOffWords(null)).toBeNull();
-    expect(penOffWords(pen())).toBeNull();
-    expect(penOffWords(pen({ off_mm: 56.21, off_deg: 12 }))).toMatch(/^56\.2.mm, 12\u00b0$/);
-    expect(penOffWords(pen({ off_mm: 0.2, off_deg: 0 }))).toMatch(/^0\.2.mm$/);
-    expect(penOffWords(pen({ off_mm: 0, off_deg: 3 }))).toMatch(/^0\.0.mm, 3\u00b0$/);
-    expect(penOffWords(pen({ off_mm: 0.04, off_deg: 0.4 }))).toBeNull();
+    expect(penOffText(null)).toBeNull();
+    expect(penOffText(pen())).toBeNull();
+    expect(penOffText(pen({ off_mm: 56.21, off_deg: 12 }))).toMatch(/^56\.2.mm, 12\u00b0$/);
+    expect(penOffText(pen({ off_mm: 0.2, off_deg: 0 }))).toMatch(/^0\.2.mm$/);
+    expect(penOffText(pen({ off_mm: 0, off_deg: 3 }))).toMatch(/^0\.0.mm, 3\u00b0$/);
+    expect(penOffText(pen({ off_mm: 0.04, off_deg: 0.4 }))).toBeNull();
   });
 });

@@ -9,7 +9,7 @@ export const marksByPen = (armed: Armed | null): armed is "root" | "start" | "ta
   armed === "root" || armed === "start" || armed === "target";
 
 /** Return which point the pen's button marks, as text. */
-export function penMarkWords(pen: PenMessage): string {
+export function penMarkText(pen: PenMessage): string {
   if (pen.lps !== null) return "The pen\u2019s button marks the position of the pen tip.";
   return pen.tracked
     ? "The pen is not registered: its button marks the position of the scope tip."
@@ -24,7 +24,7 @@ const JOINED_DEG = 0.5;
  * Return the offset between pen and tip as text; null if the tip is at the pen, or does not follow the position of the
  * pen.
  */
-export function penOffWords(pen: PenMessage | null): string | null {
+export function penOffText(pen: PenMessage | null): string | null {
   if (pen === null || pen.off_mm === null) return null;
   const deg = pen.off_deg ?? 0;
   if (pen.off_mm < JOINED_MM && deg < JOINED_DEG) return null;

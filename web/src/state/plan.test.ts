@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
 import type { PlannedTurn, RouteInfo } from "../wire/messages";
-import { besideRouteMm, turnBefore, turnWords } from "./plan";
+import { besideRouteMm, turnBefore, turnText } from "./plan";
 
 const turn = (at: [number, number, number] | null): PlannedTurn => ({
   head: "3 o'clock",
@@ -11,9 +11,9 @@ const turn = (at: [number, number, number] | null): PlannedTurn => ({
 });
 
 describe("list of turns", () => {
-  it("turnWords returns the text for the operator's position.", () => {
-    expect(turnWords(turn(null), "head")).toBe("3 o'clock");
-    expect(turnWords(turn(null), "facing")).toBe("9 o'clock");
+  it("turnText returns the text for the operator's position.", () => {
+    expect(turnText(turn(null), "head")).toBe("3 o'clock");
+    expect(turnText(turn(null), "facing")).toBe("9 o'clock");
   });
 
   it("turnBefore returns the turn at whose viewpoint the tip is, and null elsewhere.", () => {

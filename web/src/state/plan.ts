@@ -24,7 +24,7 @@ const SIGNS: Readonly<Record<string, string>> = {
 };
 
 /** Return the explanation of a bronchus sign: the relation of the nearest airway to the target. */
-export const signWords = (sign: string): string => SIGNS[sign] ?? sign;
+export const signText = (sign: string): string => SIGNS[sign] ?? sign;
 
 /** Return a fraction as a percentage. */
 export const share = (part: number): string => `${fixed(100 * part)}\u202f%`;
@@ -78,7 +78,7 @@ const ORDER = ["reaches", "may reach", "cannot say", "does not reach"];
 const rank = ({ outcome }: ScopeVerdict): number => (ORDER.indexOf(outcome) + ORDER.length + 1) % (ORDER.length + 1);
 
 /** Return the text of a turn for the selected operator position. */
-export const turnWords = (turn: PlannedTurn, operator: Look["operator"]): string =>
+export const turnText = (turn: PlannedTurn, operator: Look["operator"]): string =>
   operator === "head" ? turn.head : turn.facing;
 
 /**

@@ -1,16 +1,16 @@
 import { describe, expect, it } from "vitest";
 import { clock } from "./format";
-import { savedWords } from "./saved-words";
+import { savedText } from "./saved-words";
 import { NOTHING_SAVED } from "./saving.testing";
 
 const NOW_S = 1_800_000_000;
 const NOW_MS = 1000 * NOW_S;
 
-describe("savedWords", () => {
+describe("savedText", () => {
   it("The text states whether and when the open case was saved, and is null without a case.", () => {
-    expect(savedWords(null, NOW_MS)).toBeNull();
-    expect(savedWords(NOTHING_SAVED, NOW_MS)?.label).toBe("not changed");
-    expect(savedWords({ ...NOTHING_SAVED, saved_s: NOW_S }, NOW_MS)?.label).toBe(`saved ${clock(NOW_S, NOW_MS)}`);
+    expect(savedText(null, NOW_MS)).toBeNull();
+    expect(savedText(NOTHING_SAVED, NOW_MS)?.label).toBe("not changed");
+    expect(savedText({ ...NOTHING_SAVED, saved_s: NOW_S }, NOW_MS)?.label).toBe(`saved ${clock(NOW_S, NOW_MS)}`);
   });
 
   it("The text states the named file and its folder, or why the file was not written.", () => {
@@ -21,34 +21,34 @@ describe("savedWords", () => {
       copy_name: "n.carina",
       copy_folder: "/data/Cases",
     };
-    expect(savedWords(copied, NOW_MS)?.label).toBe(
+    expect(savedText(copied, NOW_MS)?.label).toBe(
       `saved ${clock(NOW_S, NOW_MS)} \u00b7 copy from ${clock(NOW_S, NOW_MS)} in Cases`,
     );
     expect(
-      savedWords({ ...copied, copy_conflict: "changed", copy_problem: "n.carina was changed elsewhere" }, NOW_MS),
+      savedText({ ...copied, copy_conflict: "changed", copy_problem: "n.carina was changed elsewhere" }, NOW_MS),
     ).toEqual({
       label: `saved ${clock(NOW_S, NOW_MS)}, not in n.carina`,
       words: "n.carina was changed elsewhere",
       warns: true,
     });
-    expect(savedWords({ ...copied, copy_problem: "the stick was removed" }, NOW_MS)).toMatchObject({
+    expect(savedText({ ...copied, copy_problem: "the stick was removed" }, NOW_MS)).toMatchObject({
       warns: true,
       words: "the stick was removed",
     });
   });
 
   it("A failed or disabled save is always shown as a warning.", () => {
-    const shown = savedWords({ ...NOTHING_SAVED, saved_s: NOW_S, problem: "the disk is full" }, NOW_MS);
+    const shown = savedText({ ...NOTHING_SAVED, saved_s: NOW_S, problem: "the disk is full" }, NOW_MS);
     expect(shown).toMatchObject({ warns: true, words: "the disk is full" });
     expect(shown?.label).toContain(clock(NOW_S, NOW_MS));
     const elsewhere = { copied_s: NOW_S + 60, copy_name: "n.carina", copy_folder: "/media/stick" };
     expect(
-      savedWords({ ...NOTHING_SAVED, saved_s: NOW_S, problem: "the disk is full", ...elsewhere }, NOW_MS),
+      savedText({ ...NOTHING_SAVED, saved_s: NOW_S, problem: "the disk is full", ...elsewhere }, NOW_MS),
     ).toMatchObject({
       warns: true,
       label: `cannot save on this machine \u00b7 copy from ${clock(NOW_S + 60, NOW_MS)} in stick`,
     });
-    expect(savedWords({ ...NOTHING_SAVED, keeps: false }, NOW_MS)).toMatchObject({ warns: true, label: "not saved" });
+    expect(savedText({ ...NOTHING_SAVED, keeps: false }, NOW_MS)).toMatchObject({ warns: true, label: "not saved" });
   });
 
   it("A time on another day has a date.", () => {

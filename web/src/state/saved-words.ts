@@ -4,7 +4,7 @@ import type { SavingInfo } from "../wire/messages";
 import { clock } from "./format";
 
 /** A text about the saved state, with its tooltip. */
-export interface SavedWords {
+export interface SavedText {
   readonly label: string;
   /** Tooltip of the text. */
   readonly words: string;
@@ -12,7 +12,7 @@ export interface SavedWords {
 }
 
 /** Return the text about the saved state of the case; null while no case is open. */
-export function savedWords(saving: SavingInfo | null, nowMs: number): SavedWords | null {
+export function savedText(saving: SavingInfo | null, nowMs: number): SavedText | null {
   if (saving === null) return null;
   if (!saving.keeps) {
     return {

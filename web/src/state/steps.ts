@@ -6,14 +6,14 @@ export const STEPS = ["open", "check", "airways", "target", "route", "rehearse",
 export type Step = (typeof STEPS)[number];
 
 /** Title and tooltip of a workflow step. */
-export interface StepWords {
+export interface StepTexts {
   title: string;
   /** Purpose of the step, shown as its tooltip. */
   words: string;
 }
 
 /** Title and tooltip of each workflow step. */
-export const STEP_WORDS: Readonly<Record<Step, StepWords>> = {
+export const STEP_TEXTS: Readonly<Record<Step, StepTexts>> = {
   open: { title: "Open", words: "Details of the open case; open another case here" },
   check: { title: "Check", words: "Is this CT good enough? Findings, other series, window / level" },
   airways: { title: "Airways", words: "The segmented airway tree, its start point and threshold" },

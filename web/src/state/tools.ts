@@ -13,7 +13,7 @@ export type LesionTool = "lesion-add" | "lesion-cut";
 export type Armed = "target" | "root" | "start" | LesionTool | TreeTool;
 
 /** Texts of a tool's button. */
-export interface ToolWords {
+export interface ToolTexts {
   readonly label: string;
   /** Short text below the icon of the button. */
   readonly short: string;
@@ -24,7 +24,7 @@ export interface ToolWords {
 }
 
 /** Texts of each tree tool. */
-export const TOOL_WORDS: Readonly<Record<TreeTool, ToolWords>> = {
+export const TOOL_TEXTS: Readonly<Record<TreeTool, ToolTexts>> = {
   add: {
     label: "Add branch",
     short: "Add",
@@ -76,7 +76,7 @@ export const TOOL_WORDS: Readonly<Record<TreeTool, ToolWords>> = {
 };
 
 /** Texts of the tools that mark a point or edit the boundary of a target. */
-const MARK_WORDS: Readonly<Record<"target" | "root" | "start" | LesionTool, Pick<ToolWords, "label" | "hint">>> = {
+const MARK_TEXTS: Readonly<Record<"target" | "root" | "start" | LesionTool, Pick<ToolTexts, "label" | "hint">>> = {
   start: { label: "Mark start", hint: "Click where the path should start, in any view." },
   target: { label: "Mark target", hint: "Click a nodule, or a place in the airways, in any view." },
   "lesion-add": { label: "Paint target", hint: "Draw in a slice where the target is larger." },
@@ -88,14 +88,14 @@ const MARK_WORDS: Readonly<Record<"target" | "root" | "start" | LesionTool, Pick
 };
 
 /** Return the label and the instruction of the active tool. */
-export function wordsOf(armed: Armed, forkHeld: boolean): { label: string; hint: string } {
+export function textsOf(armed: Armed, forkHeld: boolean): { label: string; hint: string } {
   if (armed === "fork" && forkHeld) {
     return {
-      label: TOOL_WORDS.fork.label,
+      label: TOOL_TEXTS.fork.label,
       hint: "Now click where the fork belongs. The lines show what moves with it.",
     };
   }
-  return isTreeTool(armed) ? TOOL_WORDS[armed] : MARK_WORDS[armed];
+  return isTreeTool(armed) ? TOOL_TEXTS[armed] : MARK_TEXTS[armed];
 }
 
 /** Return the short text of the active tool in the corner of a view, where it must not cover an orientation letter. */
@@ -114,7 +114,7 @@ export function shortOf(armed: Armed): string {
     case "lesion-cut":
       return "Erase target";
     default:
-      return TOOL_WORDS[armed].short;
+      return TOOL_TEXTS[armed].short;
   }
 }
 

@@ -13,7 +13,7 @@ export function mayWatcherSend(message: ClientMessage): boolean {
 }
 
 /** Return the text of the top bar about the watchers of this workstation. */
-export function watchingWords(page: WatchPage): string {
+export function watchingText(page: WatchPage): string {
   const num = page.watchers.length;
   return num === 0 ? "on the network" : `${plural(num, "person", "people")} watching`;
 }

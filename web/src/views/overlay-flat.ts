@@ -231,14 +231,14 @@ export function paintLetters(
   label(ink, letters.right, { x: sides?.right ?? width - 6, y: sideY }, { ...style, align: "right" });
 }
 
-const SLAB_WORDS = { min: "min", max: "max", mean: "mean" } as const;
+const SLAB_TEXTS = { min: "min", max: "max", mean: "mean" } as const;
 
 /** Draw the thickness and the projection of a thick slice as text. */
 export function paintSlab(ink: Ink, viewport: Viewport, scene: Scene): void {
   if (scene.slab.thickness_mm <= 0) return;
   const { width, height } = viewport.size;
   const outlined = scene.outlineVisible && viewport.outline !== null ? ", outline of the central plane" : "";
-  const words = `${SLAB_WORDS[scene.slab.kind]} ${scene.slab.thickness_mm} mm${outlined}`;
+  const words = `${SLAB_TEXTS[scene.slab.kind]} ${scene.slab.thickness_mm} mm${outlined}`;
   label(ink, words, { x: width - 8, y: height - 12 }, { size: 11, align: "right" });
 }
 

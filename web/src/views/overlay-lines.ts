@@ -1,6 +1,6 @@
 /** Overlay of the curved pictures along the route: distance axis, names, lumen, targets, tip, letters and scale bar. */
 
-import { kindWords } from "../state/branch-words";
+import { kindText } from "../state/branch-words";
 import { fixed } from "../state/format";
 import { axesAt, type LinesGeometry, linesOf, nearestPixel, pixelOfPath } from "../state/lines";
 import { radiusAt } from "../state/route";
@@ -213,7 +213,7 @@ function paintAxis(
     }
     const y = (Math.max(a, 0) + Math.min(b, height)) / 2;
     if (y - taken < NAMES_APART_PX || y < 26 || y > height - 26) continue;
-    const kind = kindWords(span.kind);
+    const kind = kindText(span.kind);
     if (!route.lumen_known && kind === null) continue;
     label(
       ink,

@@ -3,7 +3,7 @@
  * view.
  */
 
-import { carmWords } from "../state/format";
+import { carmText } from "../state/format";
 import { axesOf, geometryOf, pixelFromLps, projectLine, type SeenGeometry } from "../state/projection";
 import { outlineOf } from "../state/tri-plane";
 import { add, scale } from "../state/vec";
@@ -122,7 +122,7 @@ function paintPlanes(ink: Ink, viewport: Viewport, geometry: SeenGeometry, scene
 
 /** Draw the angles of the C-arm as text, in the notation of fluoroscopy. */
 function paintAngles(ink: Ink, scene: Scene): void {
-  carmWords(scene.carm).forEach((words, index) => {
+  carmText(scene.carm).forEach((words, index) => {
     label(ink, words, { x: 7, y: 13 + 15 * index }, { size: 11, align: "left" });
   });
 }

@@ -4,7 +4,7 @@
  */
 
 import type { BranchNode } from "../state/airways";
-import { kindWords } from "../state/branch-words";
+import { kindText } from "../state/branch-words";
 import { type Geometry, pixelFromLps, projectLine, type SeenPoint } from "../state/projection";
 import { openingOf } from "../state/tree-index";
 import { asVec3, type Vec3 } from "../state/vec";
@@ -228,7 +228,7 @@ function paintDrawnBranch(
   // In a small slice the label would cover the branch that it names.
   const hasRoom = geometry.kind === "seen" || viewport.size.width >= NAMED_FROM_PX;
   if (middle !== undefined && hasRoom)
-    names.name(ink, kindWords(node.branch.kind) ?? "", middle, INK.warning, viewport.size);
+    names.name(ink, kindText(node.branch.kind) ?? "", middle, INK.warning, viewport.size);
 }
 
 /**

@@ -2,8 +2,8 @@
 
 import type { BranchNode, BranchTree } from "../state/airways";
 import { type AppState, type Cursor, crosshairLps, pathMm } from "../state/app-state";
-import { kindWords, lumenMm } from "../state/branch-words";
-import { type PreviewRun, previewTool, previewWords, runsOf } from "../state/edit-preview";
+import { kindText, lumenMm } from "../state/branch-words";
+import { type PreviewRun, previewText, previewTool, runsOf } from "../state/edit-preview";
 import { forkOf } from "../state/fork-choice";
 import { mm, plural } from "../state/format";
 import { type LiveAnswer, leavesTreeAt, livePathLines } from "../state/live-path";
@@ -245,7 +245,7 @@ function noteOf(state: AppState, hovered: BranchNode | null): Scene["note"] {
   if (doubt !== null) return null;
   // While the path leads to the pen, its text is shown at the pen.
   if (ui.penLeads) return null;
-  if (previewTool(ui.armed, ui.forkHeld !== null) !== null) return preview === null ? null : previewWords(preview);
+  if (previewTool(ui.armed, ui.forkHeld !== null) !== null) return preview === null ? null : previewText(preview);
   if (wantsPath(ui.armed)) return livePath === null ? null : livePathLines(livePath.answer);
   if (hovered === null) return null;
   const name = branchLine(hovered);
@@ -261,7 +261,7 @@ function noteOf(state: AppState, hovered: BranchNode | null): Scene["note"] {
 }
 
 function branchLine(node: BranchNode): string {
-  const kind = kindWords(node.branch.kind);
+  const kind = kindText(node.branch.kind);
   const lumen = lumenMm(node);
   if (kind !== null) return `${node.label} (${kind})`;
   return lumen === null ? node.label : `${node.label}, ${mm(lumen)}`;

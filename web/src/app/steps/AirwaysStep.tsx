@@ -6,7 +6,7 @@ import { useApp, useStation } from "../context";
 import { Act, SwitchKey } from "../controls";
 import { EditTools, ToolInHand } from "../EditTools";
 import { MaskPicker } from "../MaskImport";
-import { PenWords } from "../ToolTag";
+import { PenText } from "../ToolTag";
 import { Threshold } from "./Threshold";
 
 /** Render the panel of the Airways step. */
@@ -86,7 +86,7 @@ function Root() {
         on={armed}
         onChange={() => station.act("arm_root")}
       />
-      <PenWords />
+      <PenText />
       <Threshold />
     </div>
   );

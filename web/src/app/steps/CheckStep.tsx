@@ -1,7 +1,7 @@
 import { keyOf, WINDOWS } from "../../input/keymap";
 import { greyWindow } from "../../state/app-state";
 import { findingsOf } from "../../state/badges";
-import { sentence, windowWords } from "../../state/format";
+import { sentence, windowText } from "../../state/format";
 import type { CaseNote } from "../../wire/messages";
 import { useApp, useStation } from "../context";
 import { Act, Choice } from "../controls";
@@ -75,14 +75,14 @@ export function CheckStep() {
           choices={PRESETS.map(({ value, label }) => ({
             value,
             label,
-            words: `${windowWords(WINDOWS[value].width_hu, WINDOWS[value].level_hu)} HU`,
+            words: `${windowText(WINDOWS[value].width_hu, WINDOWS[value].level_hu)} HU`,
             keys: keyOf(value),
           }))}
           onChange={(value) => value !== "own" && station.act(value)}
         />
       ) : null}
       <p className="quiet numbers">
-        {windowWords(width, level)}
+        {windowText(width, level)}
         {info.is_hu ? " HU" : ""}; drag with the right mouse button in a slice to change it
       </p>
       <h3>Slab thickness</h3>

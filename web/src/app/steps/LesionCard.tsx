@@ -5,7 +5,7 @@
 import { useId, useState } from "react";
 import { Input, Label, TextArea, TextField } from "react-aria-components";
 import { sentence } from "../../state/format";
-import { planOf, signWords } from "../../state/plan";
+import { planOf, signText } from "../../state/plan";
 import { asVec3 } from "../../state/vec";
 import type { Target, TargetPlan } from "../../wire/messages";
 import { useApp, useStation } from "../context";
@@ -48,7 +48,7 @@ export function LesionCard({ target }: { target: Target }) {
         )}
         {target.note === "" || editing ? null : <span className="quiet lesion-note">{target.note}</span>}
         {plan?.bronchus_sign == null ? null : (
-          <span className="quiet">Bronchus sign: {signWords(plan.bronchus_sign)}</span>
+          <span className="quiet">Bronchus sign: {signText(plan.bronchus_sign)}</span>
         )}
         {plan !== null && plan.problem !== null ? (
           <span className="warning-text" data-testid="lesion-problem">

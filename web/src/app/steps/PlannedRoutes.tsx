@@ -7,7 +7,7 @@ import { useState } from "react";
 import { Button } from "react-aria-components";
 import { tipLps } from "../../state/app-state";
 import { sentence } from "../../state/format";
-import { ROUTE_ROWS, turnBefore, turnWords, verdictsInOrder } from "../../state/plan";
+import { ROUTE_ROWS, turnBefore, turnText, verdictsInOrder } from "../../state/plan";
 import type { PlansMessage, ScopeVerdict, Target, TargetPlan } from "../../wire/messages";
 import { useApp, useStation } from "../context";
 import { Act } from "../controls";
@@ -332,7 +332,7 @@ function Turns({ plans }: { plans: PlansMessage }) {
                 station.send({ type: "see_turn", number: index + 1 });
               }}
             >
-              {turnWords(turn, operator)}
+              {turnText(turn, operator)}
             </Button>
           </li>
         ))}

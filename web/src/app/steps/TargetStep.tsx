@@ -3,13 +3,13 @@ import { Button, FieldError, FileTrigger, Form, Input, Label, TextField } from "
 import { keyOf } from "../../input/keymap";
 import { filesOfPicker } from "../../net/upload";
 import { coordinates, parseCoordinates, sentence } from "../../state/format";
-import { COST_WORDS, type PathCost, pathWords, startOf } from "../../state/path-search";
+import { COST_TEXTS, type PathCost, pathText, startOf } from "../../state/path-search";
 import { asVec3, type Vec3 } from "../../state/vec";
 import type { Target } from "../../wire/messages";
 import { useApp, useStation } from "../context";
 import { Act, Choice, SwitchKey, Tip } from "../controls";
 import { Icon } from "../icons";
-import { PenWords } from "../ToolTag";
+import { PenText } from "../ToolTag";
 import { LesionCard } from "./LesionCard";
 import { LungsPanel } from "./LungsPanel";
 import { useReachOf } from "./reach-of";
@@ -32,7 +32,7 @@ export function TargetStep() {
         testId="arm-target"
         onPress={() => station.act("arm_target")}
       />
-      <PenWords />
+      <PenText />
       <Coordinates />
       <FromFile />
       <LungsPanel scope={reach.scope} tool={reach.tool} />
@@ -75,7 +75,7 @@ function PathSearch() {
       <Choice<PathCost>
         name="Path search"
         value={cost}
-        choices={COSTS.map((value) => ({ value, ...COST_WORDS[value] }))}
+        choices={COSTS.map((value) => ({ value, ...COST_TEXTS[value] }))}
         onChange={(chosen) => station.choosePathCost(chosen)}
       />
       {cost === "lumen" ? (
@@ -117,7 +117,7 @@ export function TargetRow({ target }: { target: Target }) {
         <strong>{target.name}</strong>
         {target.problem === null ? (
           <span className="quiet numbers" data-testid="target-words">
-            {pathWords(target, isHu)}
+            {pathText(target, isHu)}
           </span>
         ) : (
           <span className="warning-text">{sentence(target.problem)}</span>

@@ -175,7 +175,7 @@ export class Headset {
     } catch (trouble) {
       this.#space = null;
       this.#hooks.screen.close();
-      this.#hooks.failed(`The headset view could not be started: ${wordsOf(trouble)}.`);
+      this.#hooks.failed(`The headset view could not be started: ${textsOf(trouble)}.`);
       await session?.end().catch(() => undefined);
     } finally {
       this.#entering = false;
@@ -206,7 +206,7 @@ export class Headset {
       const viewer = frame.getViewerPose(space);
       if (viewer != null) this.#hooks.screen.draw(viewer);
     } catch (trouble) {
-      if (!this.#faultReported) this.#hooks.failed(`The headset image could not be drawn: ${wordsOf(trouble)}.`);
+      if (!this.#faultReported) this.#hooks.failed(`The headset image could not be drawn: ${textsOf(trouble)}.`);
       this.#faultReported = true;
     }
   };
@@ -279,7 +279,7 @@ export class Headset {
   }
 }
 
-function wordsOf(trouble: unknown): string {
+function textsOf(trouble: unknown): string {
   // In some environments a DOMException is not an Error.
   const reason = trouble instanceof DOMException || trouble instanceof Error ? trouble.message : "";
   return reason.replace(/\.$/, "") || "the browser refused access";
