@@ -4,7 +4,7 @@ import type { SetZoomMessage } from "../wire/messages";
 import { flatPlacing } from "./gestures-flat";
 import type { Workstation } from "./workstation";
 
-/** Return a viewport with an axial picture of 200 x 100 pixels of 1 mm, whose middle is at this x. */
+/** Return the header of an axial picture of 200 x 100 pixels of 1 mm, whose middle is at this x (LPS mm). */
 function pictureAt(x: number) {
   return {
     lps_from_camera: null,

@@ -130,7 +130,7 @@ describe("look and sight", () => {
     expect(state.sight.carm.tone).toBe("fluoroscopy");
     state = following(state, sightReported({ carm: carm("fluoroscopy") }), handled(3));
     expect(state.local.sight).toEqual({});
-    // From here on the server's value applies immediately.
+    // After the command is done, the server's values apply immediately.
     expect(following(state, sightReported({ carm: carm("radiograph") })).sight.carm.tone).toBe("radiograph");
   });
 
@@ -190,7 +190,7 @@ describe("values that the user changes", () => {
     const held = following(INITIAL_STATE, from(OPEN), { kind: "ui", change: { selected: 3 } });
     expect(following(held, from({ ...OPEN, case: { ...open, warnings: ["one"] } })).ui.selected).toBe(3);
     expect(following(held, from({ ...OPEN, case: { ...open, shape_zyx: [14, 51, 52] } })).ui.selected).toBeNull();
-    // Another case of the same CT.
+    // The message belongs to another case of the same CT.
     expect(following(held, from({ ...OPEN, case: { ...open, number: 2 } })).ui.selected).toBeNull();
   });
 

@@ -1,4 +1,4 @@
-/** Branches for tests, in which only the position in the tree is given. */
+/** Branches for tests, for which a test states only the position in the tree and the fields that matter. */
 
 import type { TreeBranch } from "../wire/messages";
 

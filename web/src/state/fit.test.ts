@@ -31,7 +31,7 @@ describe("fit of an instrument on a route", () => {
   });
 
   it("The needed diameter is that of fit_mm and not the nominal tip diameter.", () => {
-    // The narrowest place has 3.2 mm.
+    // The lumen of this route is 3.2 mm wide at its narrowest place.
     const nominal = scope("nominal", 3.2);
     const thickTube = scope("thick tube", 2, 3.6);
     expect(thatPass(ROUTE, [nominal, thickTube])).toEqual([]);

@@ -5,7 +5,7 @@ import { add, scale, type Vec3 } from "./vec";
 const AXES = { right: [0, 1, 0], down: [0, 0, -1] } as const;
 const PLACE: FlatPlace = { mmPerPx: 0.5, middle: [10, 20, 30] };
 
-/** Return the patient point at a place of the picture, in pixels from its middle. */
+/** Return the patient point (LPS mm) of a picture position, which is given in pixels from the picture's middle. */
 const pointAt = (place: FlatPlace, right: number, down: number): Vec3 =>
   add(
     place.middle,

@@ -53,7 +53,7 @@ const TREE = buildTree({
   ],
 }); // biome-ignore format: points in one line each
 
-/** A camera that looks from the head, anterior up: the patient's right is at the right of the picture. */
+/** Camera that looks from the head, with anterior up: the patient's right is at the right of the picture. */
 const FROM_HEAD: Camera = { right: [-1, 0, 0], down: [0, 1, 0], forward: [0, 0, -1], position: [0, 0, 0] };
 
 describe("positions along the route", () => {
@@ -209,7 +209,7 @@ describe("airway tree", () => {
     ).toBe(false);
     expect(forkAhead(TREE, ROUTE, 30, FROM_HEAD)?.distanceMm).toBe(0);
     expect(forkAhead(TREE, ROUTE, 38, FROM_HEAD)).toBeNull();
-    // At the look-out of a fork that follows within millimetres, that fork is selected.
+    // At the viewpoint of the second of two forks a few millimetres apart, the second fork is selected.
     const short: RouteInfo = {
       ...ROUTE,
       forks_mm: [30, 33],

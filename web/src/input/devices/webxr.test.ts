@@ -268,7 +268,7 @@ describe("controller of a headset", () => {
     enabled = false;
     right.press(5, 1);
     xr.session.refresh(22);
-    // The trigger was held before the headset was enabled, which does not count as a press.
+    // The button was pressed before the headset was enabled, so that it does not count as a new press.
     enabled = true;
     xr.session.refresh(33);
     expect(acts).toEqual([]);
