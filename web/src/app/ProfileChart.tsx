@@ -7,12 +7,17 @@ import { type PointerEvent, useState } from "react";
 import { fixed, mm } from "../state/format";
 import { chartScale, nearestSection, type ProfilePoint, runsOf } from "../state/profile";
 
+/** Width of the chart, px. */
 const WIDTH = 216;
+/** Height of the chart, px. */
 const HEIGHT = 92;
-/** Space for the numbers at the left and below, px. */
+/** Space for the diameters at the left of the chart, px. */
 const LEFT = 24;
+/** Space for the distances below the chart, px. */
 const BELOW = 14;
+/** Space above the chart, px. */
 const ABOVE = 5;
+/** Space at the right of the chart, px. */
 const RIGHT = 4;
 
 interface ProfileChartProps {

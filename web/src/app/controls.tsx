@@ -5,6 +5,7 @@ import { Button, ToggleButton, ToggleButtonGroup, Tooltip, TooltipTrigger } from
 import type { IconName } from "./icons";
 import { Icon } from "./icons";
 
+/** Time, ms, that the cursor rests on a control before its tooltip appears. */
 const TOOLTIP_DELAY_MS = 450;
 
 /** Render a tooltip on a control, with the key that has the same effect as the control. */

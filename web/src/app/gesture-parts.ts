@@ -13,6 +13,7 @@ export const ORBIT_KEY_DEG = 5;
 export const ZOOM_PER_PX = 0.0015;
 /** Scrolling, px, that zooms by as much as one press of a zoom key. */
 export const ZOOM_KEY_PX = 120;
+/** Change of the window's width or level per px of drag, HU. */
 const WINDOW_HU_PER_PX = 3;
 
 /** Handlers of the pointer and of the keys in one view. */

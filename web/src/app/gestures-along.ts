@@ -10,6 +10,7 @@ import { type Carm, FIRST_SIGHT, type Reformation } from "../wire/messages";
 import { dragWindow, type Gestures, ORBIT_DEG_PER_PX, ORBIT_KEY_DEG, ZOOM_KEY_PX, ZOOM_PER_PX } from "./gesture-parts";
 import type { Workstation } from "./workstation";
 
+/** Movement along the route by one press of an arrow key, mm. */
 const STEP_MM = 2;
 const MM_PER_PX = { least: 0.02, most: 10 } as const;
 

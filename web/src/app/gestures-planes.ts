@@ -12,6 +12,7 @@ import { clampToVolume } from "../state/volume";
 import type { Viewport } from "../views/viewport";
 import type { Workstation } from "./workstation";
 
+/** Movement of a plane by one key press, mm. */
 const KEY_MM = 1;
 
 /**

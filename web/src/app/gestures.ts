@@ -18,6 +18,7 @@ import { fitPicture, flatPlacing, PAN_KEY_PX } from "./gestures-flat";
 import { planeDrag } from "./gestures-planes";
 import type { Workstation } from "./workstation";
 
+/** Movement of the crosshair by one key press, mm. */
 const CROSSHAIR_KEY_MM = 1;
 /** Slices per px of scrolling: one wheel notch (100 px) scrolls one slice. */
 const SCROLL_SLICES_PER_PX = 0.01;

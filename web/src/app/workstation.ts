@@ -54,7 +54,9 @@ import { asConnection, SLABS, saveAs } from "./station-parts";
 
 /** Movement along the route by one press of an arrow key on the ruler, mm. */
 const STEP_MM = 2;
+/** Interval at which frame rate and latency are shown, ms. */
 const PACE_MS = 500;
+/** Interval at which the speed of the tip is shown, ms. */
 const SPEED_MS = 250;
 
 /** Controller of the page that connects the stream, the views, the state and the input. */

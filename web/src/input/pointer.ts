@@ -28,6 +28,7 @@ export interface PointerHandlers {
 
 /** Movement of the pointer, px, up to which a press counts as a click and not as a drag. */
 const CLICK_PX = 3;
+/** Scrolling by one line of a wheel that counts in lines, px. */
 const LINE_PX = 16;
 
 function buttonOf(event: PointerEvent, pans: boolean): DragButton | null {

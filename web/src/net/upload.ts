@@ -26,8 +26,11 @@ export interface UploadProgress {
   numFiles: number;
 }
 
+/** Largest number of files in an upload. */
 const MAX_FILES = 4096;
+/** Largest total size of an upload, bytes. */
 const MAX_BYTES = 4 * 2 ** 30;
+/** Largest size of one uploaded file, bytes. */
 const MAX_FILE_BYTES = 2 * 2 ** 30;
 
 /**

@@ -16,6 +16,7 @@ export interface LinkHandlers {
   state(state: PhoneStateMessage): void;
 }
 
+/** `WebSocket.OPEN`, the state of a socket that can send. */
 const OPEN = 1;
 /**
  * Number of unsent bytes in the browser from which messages are discarded: the network is too slow, and an outdated

@@ -8,6 +8,7 @@ export const RECENT_SHOWN = 5;
 /** Time for which the user can restore a forgotten case, as text. */
 export const FORGOTTEN_FOR = "24 hours";
 
+/** Factor between two units of file size, such as kB and MB. */
 const KILO = 1000;
 const UNITS = ["kB", "MB", "GB", "TB"] as const;
 

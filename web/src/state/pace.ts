@@ -20,6 +20,7 @@ export const NO_PACE: Pace = { fps: null, ageMs: null, waitingMs: 0 };
 
 /** Interval between two pictures, ms, above which they do not belong to the same movement. */
 const PAUSE_MS = 400;
+/** Weight of the latest interval in the exponential average of the intervals between pictures. */
 const SMOOTHING = 0.15;
 /** Largest number of stored poses without a picture; it bounds the memory. */
 const MAX_POSES = 256;

@@ -18,6 +18,7 @@ export function penMarkText(pen: PenMessage): string {
 
 /** Offset between pen and tip, mm, below which no offset is shown: half of the last displayed digit. */
 const JOINED_MM = 0.05;
+/** Angle between pen and tip, degrees, below which no angle is shown. */
 const JOINED_DEG = 0.5;
 
 /**

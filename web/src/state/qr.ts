@@ -9,6 +9,7 @@ export function qrPath(rows: readonly string[]): string {
     .join("");
 }
 
+/** Number of byte pairs in a line of the fingerprint. */
 const PAIRS_PER_LINE = 8;
 
 /** Return a SHA-256 fingerprint in lines of eight byte pairs, similar to the layout on a phone. */

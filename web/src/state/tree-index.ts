@@ -153,6 +153,7 @@ export function placeFromOutside(
 
 /** Distance ahead of the camera, mm, up to which an opening is distinguishable from the wall. */
 const AHEAD_MM = 90;
+/** Number of generations beyond the tip's branch whose openings are searched. */
 const GENERATIONS_AHEAD = 3;
 
 /**

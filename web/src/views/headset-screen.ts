@@ -7,8 +7,9 @@ import type { HeadsetScreen, XrSession, XrTransform, XrView, XrViewerPose } from
 import fragmentText from "./shaders/screen.frag?raw";
 import vertexText from "./shaders/screen.vert?raw";
 
-/** Distance of the screen and half its height, m: about 55 degrees, as a monitor viewed from near. */
+/** Distance of the screen from the head, m. The screen has a visual angle of about 55 degrees, as a near monitor. */
 const AWAY_M = 1.5;
+/** Half the height of the screen, m. */
 const HALF_M = 0.8;
 
 /** The latest airway picture; `frameId` changes with each new picture. */

@@ -19,16 +19,15 @@ import type { Scene } from "./scene";
 import { RING_PX, type Viewport } from "./viewport";
 import { paintWallMarks } from "./wall-marks";
 
-/**
- * Distances ahead of the tip, mm, between which the route line is drawn. Nearer parts would cover the region at the
- * tip, farther parts would show through walls.
- */
+/** Distance ahead of the tip, mm, at which the route line begins, because nearer parts would cover the tip. */
 const LINE_FROM_MM = 6;
+/** Distance ahead of the tip, mm, at which the route line ends, because farther parts would show through walls. */
 const LINE_TO_MM = 45;
 /** Distance from the lens, mm, up to which a target behind the wall is shown. */
 const TARGET_TO_MM = 80;
 /** Step along the route of the test whether the lens sees the route, mm. */
 const LOOK_APART_MM = 1;
+/** Number of ticks on the clock dial. */
 const HOURS = 12;
 /** Space around a letter of the ring without the lines of the dial, px. */
 const LETTER_PX = 16;

@@ -112,7 +112,9 @@ export function paintBrush(
   }
 }
 
+/** Height of a line of the text at the cursor, CSS px. */
 const LINE_PX = 15;
+/** Largest number of characters in a line of the text at the cursor. */
 const MAX_CHARS = 36;
 
 /** Draw the text at the cursor in the view under the cursor; nothing in other views. */

@@ -40,6 +40,7 @@ import { paintWallMarks } from "./wall-marks";
 
 /** Distance of an object from a slice, mm, up to which the object counts as in the slice. */
 const IN_PLANE_MM = 2.5;
+/** Half the gap in the middle of the crosshair, CSS px. */
 const GAP_PX = 9;
 
 /** Draw the overlay of a planar picture. */

@@ -10,12 +10,17 @@ import { INK, type Ink, label, line, type ScreenPoint } from "./ink";
 import type { Scene, SceneLesion } from "./scene";
 import type { Viewport } from "./viewport";
 
+/** Width of a target's outline, CSS px. */
 const OUTLINE_PX = 1.75;
+/** Width of the needle path, CSS px. */
 const NEEDLE_PX = 2.5;
+/** Dash pattern of the needle path, CSS px. */
 const DASH: readonly number[] = [6, 3];
 /** Opacity of a target's silhouette behind a wall, low enough that the wall stays visible. */
 const BEHIND_ALPHA = 0.22;
+/** Number of parts into which the needle path is divided for its projection. */
 const PARTS = 24;
+/** Distance of a target's label above the target's middle, CSS px. */
 const LABEL_PX = 24;
 /** Distance of the tip from the parking position, mm, up to which the airway view shows the needle path. */
 const NEEDLE_FROM_MM = 25;

@@ -14,7 +14,9 @@ import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
 
 const DASH: readonly number[] = [5, 4];
+/** Opacity of parts that are off the slice. */
 const FAINT = 0.3;
+/** Width of a planar view, CSS px, from which hand-drawn branches are labelled. */
 const NAMED_FROM_PX = 300;
 
 /**

@@ -11,6 +11,7 @@ import type { Viewport } from "./viewport";
  * Distance of a wall point from the lens, mm, beyond which another wall most likely hides the point in the airway view.
  */
 const FAR_MM = 60;
+/** Opacity of the marks of points that are not near. */
 const FAINT = 0.35;
 const ARM_PX = 6;
 /** Distance between two marks, px, below which no label is drawn, because it would cover the marks. */

@@ -41,7 +41,9 @@ const BUTTON_ACTIONS: ReadonlyMap<number, Action> = new Map([
   [14, "way_left"],
   [15, "way_right"],
 ]);
+/** Index of the trigger that withdraws the tip. */
 const WITHDRAW = 6;
+/** Index of the trigger that advances the tip. */
 const ADVANCE = 7;
 
 /**

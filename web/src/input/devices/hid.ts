@@ -5,6 +5,7 @@
 
 /** Usages of the Generic Desktop page (HID Usage Tables 1.4, page 0x01): X, Y, Z, Rx, Ry, Rz. */
 export const AXIS_USAGES = [0x10030, 0x10031, 0x10032, 0x10033, 0x10034, 0x10035] as const;
+/** Usage page of buttons (HID Usage Tables 1.4). */
 const BUTTON_PAGE = 0x09;
 
 /** The part of WebHID's `HIDReportItem` that Carina uses. */

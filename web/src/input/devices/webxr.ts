@@ -104,14 +104,21 @@ export async function headsetOffer(xr: Xr | null): Promise<HeadsetOffer> {
   }
 }
 
-/** Button indices of a controller in WebXR's "xr-standard" mapping. */
+/** Index of the trigger among the buttons, in WebXR's "xr-standard" mapping. */
 const TRIGGER = 0;
+/** Index of the grip button in the same mapping. */
 const SQUEEZE = 1;
+/** Index of the lower button in the same mapping. */
 const LOWER = 4;
+/** Index of the upper button in the same mapping. */
 const UPPER = 5;
+/** Index of the vertical axis of the stick, among the axes of the same mapping. */
 const STICK_Y = 3;
+/** Value of a trigger or button, 0 to 1, above which it counts as held. */
 const HELD = 0.5;
+/** Millimetres per metre, because WebXR uses metres. */
 const MM_PER_M = 1000;
+/** Bit of the clutch in the buttons of a sample. */
 const CLUTCH_BIT = 2;
 
 /**
