@@ -14,7 +14,7 @@ interface ThinProgressProps {
   onCancel: () => void;
 }
 
-/** Render the progress of one job. */
+/** Render the title, progress bar and cancel button of one job. */
 export function ThinProgress({ title, what, fraction, secondsLeft, onCancel }: ThinProgressProps) {
   // A cancelled job may first finish its current step. The bar stays until then and states that the job is being
   // cancelled.

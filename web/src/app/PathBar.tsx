@@ -13,7 +13,7 @@ import { useApp, useStation } from "./context";
 import { Act } from "./controls";
 import { Figure } from "./Figure";
 
-/** Estimated width of a letter of the names, px, generous so that only names that fit are shown. */
+/** Estimated width of a letter in the branch names, px; slightly too large, so that only names that fit are shown. */
 const LETTER_PX = 6.6;
 
 /** Render the ruler of the route, or a text if there is no route. */

@@ -12,7 +12,7 @@ import { Icon } from "./icons";
 
 const NONE: readonly RecentCase[] = [];
 
-/** Render the list of recent cases. */
+/** Render the most recent cases on the start page, with a button that opens the list of all. */
 export function RecentCases() {
   const station = useStation();
   const recent = useApp((state) => state.start?.recent ?? NONE);

@@ -7,7 +7,7 @@ import type { Workstation } from "./workstation";
 /** React context that holds the workstation. */
 export const StationContext = createContext<Workstation | null>(null);
 
-/** Return the workstation; throw an Error outside its context. */
+/** Return the workstation; throw an Error in a component outside the workstation's context. */
 export function useStation(): Workstation {
   const station = use(StationContext);
   if (station === null) throw new Error("a panel needs a workstation around it");

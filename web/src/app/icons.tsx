@@ -54,7 +54,7 @@ export type IconName = keyof typeof PATHS;
 /** Return the SVG path of an icon in a square of side 16, for drawings outside React. */
 export const outlineOfIcon = (name: IconName): string => PATHS[name];
 
-/** Render an icon. */
+/** Render a line icon of 16 px. */
 export function Icon({ name }: { name: IconName }) {
   return (
     <svg className="icon" viewBox="0 0 16 16" aria-hidden="true">

@@ -341,7 +341,7 @@ export class Workstation implements Station {
     await this.#take(() => fetchKeyFrames(AbortSignal.timeout(DOWNLOAD_WITHIN_MS)));
   }
 
-  /** Download a recorded flight. */
+  /** Download a recorded flight of the case, by its number. */
   async takeFlight(number: number): Promise<void> {
     await this.#take(() => fetchFlight(number, AbortSignal.timeout(DOWNLOAD_WITHIN_MS)));
   }

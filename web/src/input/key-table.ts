@@ -63,7 +63,7 @@ export type PictureGesture =
   | { readonly gesture: "zoom" | "scroll"; readonly sign: 1 | -1 }
   | { readonly gesture: "move" | "pan"; readonly right: number; readonly down: number };
 
-/** Effect of a key. */
+/** Effect of a key: a movement, an action, or a gesture in the focused view. */
 export type Command =
   | { readonly kind: "hold"; readonly axis: HoldAxis; readonly sign: 1 | -1 }
   | { readonly kind: "press"; readonly action: Action }
@@ -93,10 +93,10 @@ export const PLACES = {
 /** Name of a place where a key is valid. */
 export type KeyPlace = keyof typeof PLACES;
 
-/** Group of keys on the key card. */
+/** Title of a group of keys on the key card. */
 export type KeyGroup = "Fly" | "Look" | "Plan" | "Airways" | "Views" | "Help";
 
-/** A key with its place and effect. */
+/** A key with the place where it is valid, its effect and its text. */
 export interface Binding {
   readonly place: KeyPlace;
   /** `KeyboardEvent.key` with letters in lower case: the printed letter on any keyboard layout. */

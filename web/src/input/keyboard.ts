@@ -11,7 +11,7 @@ export interface KeyboardHandlers {
   slow(on: boolean): void;
   /** Return whether an action is possible now. If it is not, the browser receives its key. */
   wants(action: Action): boolean;
-  /** Return whether a tool is active. */
+  /** Return whether a tool is active, which Escape then deactivates. */
   holdsTool(): boolean;
   /**
    * Return whether the left and right arrows turn the view, because the tip is not on a route whose branches they could

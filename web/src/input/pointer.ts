@@ -16,7 +16,7 @@ export interface PointerHandlers {
   /** Handle a press of the right button without movement. */
   secondaryClick?(at: PointerPlace): void;
   drag?(at: PointerPlace, moved: { dx: number; dy: number }, button: DragButton): void;
-  /** Handle the end of a drag. */
+  /** Handle the release of the button at the end of a drag. */
   release?(): void;
   /**
    * Handle movement without a pressed button; a null `at` means that the pointer has left the picture. With `shift` the

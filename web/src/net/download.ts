@@ -26,7 +26,7 @@ export function fetchPlan(
   targetId: string,
   suffix: string,
   signal: AbortSignal,
-  /** For a DICOM file: whether it contains the identity of the CT's patient. */
+  /** Whether a DICOM file contains the identity of the CT's patient; without effect on other formats. */
   named = false,
 ): Promise<{ name: string; blob: Blob }> {
   const query = named ? "?identity=ct" : "";

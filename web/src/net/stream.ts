@@ -6,7 +6,7 @@
 import { CLOSE_CODES, type ClientMessage, NO_COMMANDS, type ServerMessage, WIRE_VERSION } from "../wire/messages";
 import { parsePicture, parseServerMessage, WireError, type WirePicture } from "../wire/parse";
 
-/** Status of the connection. */
+/** Status of the connection to the server. */
 export type StreamStatus =
   | { status: "connecting" }
   | { status: "open" }

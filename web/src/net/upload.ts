@@ -1,6 +1,6 @@
 /** Upload of dropped files to the Carina server, one file after the other, with progress. */
 
-/** A file to upload. */
+/** A file to upload, with its path. */
 export interface UploadFile {
   /** Path of the file relative to the dropped item, with forward slashes. */
   readonly name: string;

@@ -92,9 +92,9 @@ export interface Upload {
 export interface Ui {
   readonly step: Step;
   readonly full: CellName | null;
-  /** The view that each place of the window shows. */
+  /** The view that each cell of the window shows. */
   readonly shown: ShownViews;
-  /** The plane of the tri-plane view that a drag would move. */
+  /** The plane under the cursor in the tri-plane view, which a drag would move; null without one. */
   readonly overPlane: PlaneName | null;
   readonly armed: Armed | null;
   /** Cost function of the path search to the next target. `pathStart` is the start point that the user has marked. */
@@ -103,7 +103,7 @@ export interface Ui {
   /** The branch whose end (a fork) the user is moving; null if none. */
   readonly forkHeld: number | null;
   readonly brushMm: number;
-  /** The target whose boundary the brush changes. */
+  /** ID of the target whose boundary the brush changes; null if the brush edits no target. */
   readonly brushedTarget: string | null;
   readonly brushIsBall: boolean;
   /** Points of the current brush stroke, LPS mm. */
@@ -111,10 +111,10 @@ export interface Ui {
   readonly hovered: Hovered | null;
   /** The branch whose measurements the user has selected; null shows the last branch of the route. */
   readonly selected: number | null;
-  /** The branch that the user is renaming. */
+  /** ID of the branch that the user is renaming; null if none. */
   readonly renaming: number | null;
   readonly cursor: Cursor | null;
-  /** The patient point under the cursor (LPS mm), if the view provides one. */
+  /** The patient point under the cursor, LPS mm; null if the view cannot provide one. */
   readonly pointedLps: Vec3 | null;
   readonly keyCardOpen: boolean;
   /** Whether the dialog that saves the case as a named file is open. */

@@ -86,11 +86,11 @@ export function calibreOf(head: BranchNode): string | null {
   return least === most ? least : `${least}\u2013${most}`;
 }
 
-/** Return the branch's lumen diameter, mm; null until it is measured, and for a branch drawn by hand. */
+/** Return the measured lumen diameter of a branch, mm; null before the measurement, and for a branch drawn by hand. */
 export const lumenMm = (node: BranchNode): number | null =>
   node.branch.kind === "manual" ? null : (node.measures?.lumen_mm ?? null);
 
-/** Return the source of the branch's name as text. */
+/** Return the source of a branch's name as text; null for a branch without a name. */
 export function nameText(node: BranchNode): string | null {
   const { name_from: from, name_confidence: sure } = node.branch;
   if (from === "person") return "named by hand";

@@ -14,7 +14,7 @@ const STILL_HERE_MM = 4;
  */
 const HOURS_MM = 30;
 
-/** The fork ahead on the route. */
+/** The fork ahead of the tip on the route. */
 export interface ForkAhead {
   /** Distance from the tip to the fork, mm; 0 at the fork or past it. */
   distanceMm: number;

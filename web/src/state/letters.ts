@@ -69,9 +69,9 @@ export function edgeLetters(right: Vec3, down: Vec3): EdgeLetters {
 export interface RingMark {
   /** One letter, or two (dominant first) if two directions have the same place on the ring. */
   text: string;
-  /** Angle clockwise from 12 o'clock, in (-pi, pi]. */
+  /** Angle of the mark, rad, clockwise from 12 o'clock, in (-pi, pi]. */
   angleRad: number;
-  /** Component of the direction in the image plane, 0..1. */
+  /** Length of the direction's component in the image plane, 0..1. */
   strength: number;
 }
 
@@ -105,13 +105,13 @@ export function ringMarks(camera: Pick<Camera, "right" | "down">): RingMark[] {
   return marks;
 }
 
-/** Return the absolute angle between two angles, in [0, pi]. */
+/** Return the absolute difference of two angles, rad, in [0, pi]. */
 export function angleBetween(a: number, b: number): number {
   const d = Math.abs(a - b) % (2 * Math.PI);
   return d > Math.PI ? 2 * Math.PI - d : d;
 }
 
-/** Return the clock hour (1..12) of an angle clockwise from 12 o'clock. */
+/** Return the clock hour (1..12) of an angle, rad, clockwise from 12 o'clock. */
 export function clockHour(angleRad: number): number {
   const hour = Math.round((angleRad / (2 * Math.PI)) * 12);
   return ((hour + 11) % 12) + 1;

@@ -2,14 +2,14 @@
 
 import { add, dot, scale, sub, type Vec3 } from "./vec";
 
-/** A triangle surface. */
+/** A surface of triangles: vertices (LPS mm) and vertex indices. */
 export interface Surface {
   readonly vertices: readonly Vec3[];
   /** Indices of the vertices, three per triangle. */
   readonly triangles: readonly number[];
 }
 
-/** Return the lines in which a surface intersects the plane through `origin` with the unit vector `normal`. */
+/** Return the line pieces in which a surface intersects the plane through `origin` with the unit vector `normal`. */
 export function sectionOf(surface: Surface, origin: Vec3, normal: Vec3): [Vec3, Vec3][] {
   const height = surface.vertices.map((vertex) => dot(sub(vertex, origin), normal));
   const lines: [Vec3, Vec3][] = [];

@@ -91,7 +91,7 @@ export class Viewport {
     this.#place();
   }
 
-  /** Position of the picture in the host element, CSS px. */
+  /** Rectangle of the picture in the host element, CSS px. */
   get frame(): Rect {
     const { width, height } = this.#hostSize;
     if (this.#shape === "fill") return { x: 0, y: 0, width, height };
