@@ -12,7 +12,7 @@ import { showPlace } from "./gestures-flat";
 
 const NONE: readonly AbsentAirway[] = [];
 
-/** Render the lobes and segments without a detected bronchus. */
+/** Render the list of the lobes and segments without a detected bronchus; nothing if there are none. */
 export function AbsentAirways() {
   const station = useStation();
   const absent = useApp((state) => state.tree?.absent ?? NONE);
@@ -47,7 +47,7 @@ export function AbsentAirways() {
   );
 }
 
-/** Group the airways that are missing behind the same closed bronchus, so that their common reason is shown once. */
+/** Group missing airways that have the same reason and place, so that the list shows the reason once. */
 function togetherLost(absent: readonly AbsentAirway[]) {
   const groups = new Map<string, { names: string[]; reason: string; lps: AbsentAirway["lps"] }>();
   for (const { name, reason, lps } of absent) {

@@ -1,4 +1,4 @@
-/** The airway view with its tools above and its readings in the corners, outside the lumen. */
+/** The airway view with its toolbar above the picture and its text readings in the corners, outside the lumen. */
 
 import {
   Button,
@@ -15,10 +15,10 @@ import {
 } from "react-aria-components";
 import { keyOf } from "../input/keymap";
 import { pathMm, scopeOf } from "../state/app-state";
-import { kindWords } from "../state/branch-words";
+import { kindText } from "../state/branch-words";
 import { forkAhead } from "../state/fork";
 import { fixed, mm } from "../state/format";
-import { penOffWords } from "../state/pen";
+import { penOffText } from "../state/pen";
 import { besideRouteMm, turnBefore } from "../state/plan";
 import { nextStopMm } from "../state/route";
 import { worksIn } from "../state/tools";
@@ -34,7 +34,7 @@ import { PictureView } from "./PictureView";
 import { ScopeSelect } from "./ScopeSelect";
 import { ToolTag } from "./ToolTag";
 
-/** Render the airway view with its tools and readings. */
+/** Render the airway view with its toolbar and text readings. */
 export function AirwayStage() {
   const outline = useApp((state) => state.look.outline);
   const shown = useApp((state) => state.frames[LEAD_VIEW] !== undefined);
@@ -67,7 +67,7 @@ export function AirwayStage() {
   );
 }
 
-/** Render a red overlay on the picture, without ring and letters, while the lens touches the wall. */
+/** Render a red overlay on the airway picture while the lens touches the wall; the ring of letters stays uncovered. */
 function RedOut() {
   const red = useApp((state) => state.pose?.scope?.red_out ?? 0);
   const shape = shapeOf(useApp((state) => state.look.outline));
@@ -76,7 +76,9 @@ function RedOut() {
   return <div className="red-out" data-shape={shape} style={style} data-testid="red-out" aria-hidden="true" />;
 }
 
-/** Render the state of the simulated scope, and the reason why it does not advance. */
+/**
+ * Render the state of the simulated scope (insertion, bend, roll, wall contacts), and the reason if it cannot move on.
+ */
 function ScopeReading() {
   const scope = useApp((state) => state.pose?.scope ?? null);
   if (scope === null) return null;
@@ -122,7 +124,7 @@ function scopeStop(scope: HeldScope): string | null {
   }
 }
 
-/** Render a label that the picture is the view finder and not the airway view. */
+/** Render a label while a cut-plane (the viewfinder) replaces the airway view, because the view is too slow. */
 function FinderLabel() {
   const standsIn = useApp((state) => state.frames[LEAD_VIEW]?.stands_for === LEAD_VIEW);
   if (!standsIn) return null;
@@ -134,7 +136,7 @@ function FinderLabel() {
   );
 }
 
-/** Render a label that the picture is black because the tip looks out of the CT. */
+/** Render a label while the airway picture is black, because the tip looks out of the CT. */
 function EmptyLabel() {
   const station = useStation();
   const empty = useApp((state) => state.frames[LEAD_VIEW]?.empty ?? false);
@@ -264,7 +266,7 @@ function AirwayTools() {
   );
 }
 
-const TRANSFER_WORDS: Readonly<Record<string, string>> = {
+const TRANSFER_TEXTS: Readonly<Record<string, string>> = {
   endoscopic: "Endoscopic",
   paper: "Opaque tissue",
   "ct-grey": "CT greyscale",
@@ -272,7 +274,7 @@ const TRANSFER_WORDS: Readonly<Record<string, string>> = {
   "from histogram": "Histogram",
 };
 
-const transferWords = (name: string): string => TRANSFER_WORDS[name] ?? name;
+const transferText = (name: string): string => TRANSFER_TEXTS[name] ?? name;
 
 function TransferSelect() {
   const station = useStation();
@@ -292,15 +294,15 @@ function TransferSelect() {
     >
       <Tip words="Wall colours in the airway view">
         <Button className="button">
-          <SelectValue>{() => transferWords(transfer)}</SelectValue>
+          <SelectValue>{() => transferText(transfer)}</SelectValue>
           <Icon name="down" />
         </Button>
       </Tip>
       <Popover className="popover" offset={4}>
         <ListBox className="listbox">
           {names.map((name) => (
-            <ListBoxItem key={name} id={name} textValue={transferWords(name)} className="listbox-item">
-              {transferWords(name)}
+            <ListBoxItem key={name} id={name} textValue={transferText(name)} className="listbox-item">
+              {transferText(name)}
             </ListBoxItem>
           ))}
         </ListBox>
@@ -334,7 +336,7 @@ function Fov() {
   );
 }
 
-/** Render the speed of the tip for every input device; nothing at rest. */
+/** Render the measured speed of the tip, whatever device moves it; nothing at rest. */
 function SpeedReading() {
   const speed = useApp((state) => state.speedMmS);
   if (speed === null) return null;
@@ -349,9 +351,9 @@ function SpeedReading() {
   );
 }
 
-/** Render the distance between the tip and the pen that it follows. */
+/** Render the offset between the tip and the tracked pen that it follows; nothing once the tip is at the pen. */
 function PenReading() {
-  const words = useApp((state) => penOffWords(state.pen));
+  const words = useApp((state) => penOffText(state.pen));
   if (words === null) return null;
   return (
     <span className="warning-text" data-testid="pen-offset">
@@ -360,7 +362,7 @@ function PenReading() {
   );
 }
 
-/** Render the facts about the last clicked wall point. */
+/** Render position, airway, distance and voxel value of the last clicked wall point. */
 function WallReading() {
   const picks = useApp((state) => state.picks);
   const tree = useApp((state) => state.tree);
@@ -381,9 +383,9 @@ function WallReading() {
 /** Distance, mm, from the end of the route below which the tip counts as being at the end. */
 const AT_END_MM = 0.1;
 
-const hourWords = (hour: number | null): string => (hour === null ? "straight ahead" : `${hour} o\u2019clock`);
+const hourText = (hour: number | null): string => (hour === null ? "straight ahead" : `${hour} o\u2019clock`);
 
-/** Render the position of the tip in the corners outside the round picture. */
+/** Render the tip's branch, its position on the route and the fork ahead as text in the corners of the airway view. */
 function Readings() {
   const watches = useApp((state) => state.watches);
   const pose = useApp((state) => state.pose);
@@ -396,26 +398,27 @@ function Readings() {
   const turns = useApp((state) => state.plans?.turns ?? null);
   if (pose === null) return null;
   const camera = cameraFromMatrix(pose.lps_from_camera);
-  // Before a fork of the list of turns the tip moves freely; the fork ahead is then the fork of the list.
+  // At the viewpoint of a listed turn, the fork ahead is the fork of that turn, although the tip is not on the path.
   const turn = turnBefore(turns ?? [], camera.position);
-  const meant = turn === null ? null : (turns?.[turn]?.fork_branch_id ?? null);
+  const forkBranchId = turn === null ? null : (turns?.[turn]?.fork_branch_id ?? null);
   const forkFrom =
-    pose.mode === "path" || route === null || meant === null ? at : besideRouteMm(route, camera.position);
+    pose.mode === "path" || route === null || forkBranchId === null ? at : besideRouteMm(route, camera.position);
   const fork =
-    tree === null || route === null || forkFrom === null || (pose.mode !== "path" && meant === null)
+    tree === null || route === null || forkFrom === null || (pose.mode !== "path" && forkBranchId === null)
       ? null
-      : forkAhead(tree, route, forkFrom, lookingUp(camera, viewUpDeg), meant);
+      : forkAhead(tree, route, forkFrom, lookingUp(camera, viewUpDeg), forkBranchId);
   const toFork = route !== null && at !== null && nextStopMm(route, at) < route.length_mm;
   const atEnd = route !== null && at !== null && pose.mode === "path" && at > route.length_mm - AT_END_MM;
   const node = pose.branch_id === null ? undefined : tree?.byId.get(pose.branch_id);
-  const kind = node === undefined ? null : kindWords(node.branch.kind);
+  const kind = node === undefined ? null : kindText(node.branch.kind);
   return (
     <>
       <div className="reading top-left" data-testid="hud">
         {pose.inside ? (
           <strong>{pose.branch_name ?? node?.label ?? (tree === null ? "In the volume" : "Airway")}</strong>
         ) : (
-          // A simulated scope does not leave the lumen: its lens touches the wall, in a voxel that is half wall.
+          // In scope mode the tip cannot leave the lumen. A tip that touches the wall may be in a voxel outside the
+          // lumen.
           <strong className="warning-text">{pose.scope === null ? "Outside the airway" : "Touching the wall"}</strong>
         )}
         {pose.generation === null ? null : <span>generation {pose.generation}</span>}
@@ -445,7 +448,7 @@ function Readings() {
             <span className="ways">
               {fork.ways.map((way) => (
                 <span key={way.node.branch.id} className={way.chosen ? "way chosen" : "way"}>
-                  {fork.near ? `${way.node.label}, ${hourWords(way.hour)}` : way.node.label}
+                  {fork.near ? `${way.node.label}, ${hourText(way.hour)}` : way.node.label}
                 </span>
               ))}
             </span>

@@ -12,7 +12,7 @@ export function App() {
   const hasCase = useApp((state) => state.session?.case != null);
   const greeted = useApp((state) => state.start !== null && state.session !== null);
   const connection = useApp((state) => state.connection);
-  // Clear all patient data from the screen of a watcher whose access has ended.
+  // When the access of a watcher ends, remove all patient data from the watcher's screen.
   const sentAway = useApp((state) => state.watches && state.connection.status === "refused");
   return (
     <>

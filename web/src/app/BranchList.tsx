@@ -1,5 +1,6 @@
 /**
- * The airway tree as a list. A click on a branch selects it as the route; hovering highlights the branch in all views.
+ * The airway tree as a list. A click on a branch selects the route to the branch; hovering highlights the branch in all
+ * views.
  */
 
 import { useEffect, useMemo, useRef, useState } from "react";
@@ -9,7 +10,7 @@ import { keyOf } from "../input/keymap";
 import type { BranchNode, BranchTree } from "../state/airways";
 import { headOf, lineage, rowChildren } from "../state/airways";
 import { shownBranch } from "../state/app-state";
-import { calibreOf, filterTree, kindWords, marksOfRow, tooltipOf } from "../state/branch-words";
+import { calibreOf, filterTree, kindText, marksOfRow, tooltipOf } from "../state/branch-words";
 import { plural, sentence } from "../state/format";
 import { wantsBranch } from "../state/tools";
 import { below } from "../state/tree-index";
@@ -21,14 +22,14 @@ import { ListHead } from "./ListHead";
 import { ListToolTag } from "./ToolTag";
 import { UncertainPlaces } from "./UncertainPlaces";
 
-/** Number of generations that are expanded at first: those whose names every bronchoscopist knows. */
+/** Number of generations that are expanded when a tree is first shown. */
 const OPEN_GENERATIONS = 2;
 
-/** Render the list of branches. */
+/** Render the list of branches with its search field, or a text while there are no airways. */
 export function BranchList() {
   const station = useStation();
   const tree = useApp((state) => state.tree);
-  const words = useApp((state) => emptyWords(state.session?.airways, state.session?.airways_words ?? null));
+  const words = useApp((state) => emptyText(state.session?.airways, state.session?.airways_words ?? null));
   const failed = useApp((state) => state.session?.airways === "failed");
   const arming = useApp((state) => state.ui.armed === "root");
   const routeEnd = useApp((state) => state.route?.spans.at(-1)?.branch_id ?? null);
@@ -37,15 +38,18 @@ export function BranchList() {
   /** Whether a click on a row applies the active tool to a branch (cut, smooth, or move its fork). */
   const forTool = useApp((state) => wantsBranch(state.ui.armed, state.ui.forkHeld !== null));
   /**
-   * Counts clicks by place, because rows move up after a cut and the second click of a double click must not apply to
-   * the next row.
+   * Counter of clicks by cursor position. Rows move up after a cut, and the second click of a double click must not
+   * apply the tool to the row that has moved there.
    */
   const clicks = useRef(new ClickCounter());
   const isRepeated = useRef(false);
   const [expanded, setExpanded] = useState<Set<Key>>(new Set());
   const [search, setSearch] = useState("");
   const list = useRef<HTMLDivElement>(null);
-  /** The tree whose rows are expanded: the expansion stays after an edit and restarts with another case. */
+  /**
+   * The tree for which the rows were expanded. The expansion stays after an edit, and is reset for a tree with another
+   * root.
+   */
   const known = useRef<BranchTree | null>(null);
 
   useEffect(() => {
@@ -62,7 +66,7 @@ export function BranchList() {
       .slice(0, -1)
       .map((node) => String(headOf(node).branch.id));
     setExpanded((old) => (open.every((id) => old.has(id)) ? old : new Set([...old, ...open])));
-    // Scroll after the rows above have been rendered.
+    // Wait for the next frame, so that the row has been rendered before the list scrolls to it.
     requestAnimationFrame(() => list.current !== null && bringIntoList(list.current, shown));
   }, [tree, shown]);
 
@@ -133,7 +137,7 @@ export function BranchList() {
             selectedKeys={chosen === null ? [] : [String(chosen)]}
             onSelectionChange={(keys) => {
               const [key] = [...keys];
-              // The route leads to the end of the bronchus, past its side branches.
+              // Select the last branch of the row: the route leads to the end of the bronchus, past its side branches.
               const last = key === undefined ? null : lastPiece(tree, Number(key));
               if (last !== null && last !== routeEnd) station.chooseBranch(last);
               else if (last !== null) station.ui({ selected: last });
@@ -180,7 +184,8 @@ function BranchSearch({ value, onChange }: { value: string; onChange: (text: str
 }
 
 /**
- * Highlight the branches of the tip, the cursor and the panel by style rules, without rendering hundreds of rows again.
+ * Render style rules that highlight the branches of the tip, the cursor and the panel; without them hundreds of rows
+ * would render again.
  */
 function RowStyles({ tree }: { tree: BranchTree }) {
   const here = useApp((state) => rowOf(tree, state.pose?.branch_id ?? null));
@@ -208,7 +213,7 @@ function RowStyles({ tree }: { tree: BranchTree }) {
   return rules.length === 0 ? null : <style>{rules.join("\n")}</style>;
 }
 
-/** Scroll only the list, because the page must not scroll on a tablet. */
+/** Scroll the list to the row of a branch without scrolling the page, which must not move on a tablet. */
 function bringIntoList(list: HTMLElement, branchId: number): void {
   const row = list.querySelector(`[data-branch="${branchId}"]`)?.getBoundingClientRect();
   const box = list.querySelector(".branch-tree");
@@ -234,7 +239,8 @@ if (typeof window !== "undefined") {
 }
 
 /**
- * Return the focus to the flight after a click; a user who moves through the list by keys keeps the focus in the list.
+ * Remove the focus from the list after a click, so that the keys move the tip again. A user who moves through the list
+ * by keys keeps the focus in the list.
  */
 function giveKeysBackAfterClick(): void {
   if (lastInput !== "pointer") return;
@@ -245,7 +251,7 @@ function giveKeysBackAfterClick(): void {
 
 function Row({ node, only }: { node: BranchNode; only: ReadonlySet<number> | null }) {
   const { branch } = node;
-  const kind = kindWords(branch.kind);
+  const kind = kindText(branch.kind);
   const lumen = calibreOf(node);
   const onward = rowChildren(node);
   const children = only === null ? onward : onward.filter((child) => only.has(child.branch.id));
@@ -292,7 +298,10 @@ function Row({ node, only }: { node: BranchNode; only: ReadonlySet<number> | nul
   );
 }
 
-/** Return the first branch of a branch's row, which represents it in the list; null if there is none. */
+/**
+ * Return the ID of the first branch in a branch's row, which represents the row in the list; null if the branch does
+ * not exist.
+ */
 function rowOf(tree: BranchTree | null, id: number | null): number | null {
   const node = id === null ? undefined : tree?.byId.get(id);
   return node === undefined ? null : headOf(node).branch.id;
@@ -302,7 +311,7 @@ const lastPiece = (tree: BranchTree, id: number): number => tree.byId.get(id)?.r
 
 const numRows = (tree: BranchTree): number => [...tree.byId.values()].filter((node) => headOf(node) === node).length;
 
-function emptyWords(airways: string | undefined, words: string | null): string {
+function emptyText(airways: string | undefined, words: string | null): string {
   switch (airways) {
     case "finding":
       return "Segmenting the airways. Their branches will be listed here. You can fly freely in the meantime.";

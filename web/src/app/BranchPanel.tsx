@@ -1,11 +1,14 @@
-/** Panel of one branch: its name with confidence, its measurements with errors, and the lumen along the branch. */
+/**
+ * Panel of the selected branch: its name with confidence, its measurements with errors, and a chart of the lumen
+ * diameter.
+ */
 
 import { useEffect, useId, useState } from "react";
 import { Input, TextField } from "react-aria-components";
 import { keyOf } from "../input/keymap";
 import type { BranchNode } from "../state/airways";
 import { shownBranch } from "../state/app-state";
-import { drawnWords, factsOf, nameWords } from "../state/branch-words";
+import { drawnText, factsOf, nameText } from "../state/branch-words";
 import { sentence } from "../state/format";
 import { measuredPoints } from "../state/profile";
 import { useApp, useStation } from "./context";
@@ -32,7 +35,7 @@ export function BranchPanel() {
   if (node === undefined) {
     return <p className="empty">Choose a branch in the list or in a view to see its measurements.</p>;
   }
-  const drawn = drawnWords(node);
+  const drawn = drawnText(node);
   return (
     <section className="branch-panel" aria-label={`Branch ${node.label}`} data-testid="branch-panel">
       <BranchName node={node} />
@@ -74,7 +77,7 @@ function Chart({ node }: { node: BranchNode }) {
 function BranchName({ node }: { node: BranchNode }) {
   const station = useStation();
   const renaming = useApp((state) => state.ui.renaming === node.branch.id);
-  const words = nameWords(node);
+  const words = nameText(node);
   if (renaming) return <NameField key={node.branch.id} node={node} />;
   return (
     <header className="branch-name">
@@ -102,7 +105,7 @@ function BranchName({ node }: { node: BranchNode }) {
   );
 }
 
-/** Render the name as an editable field: Enter saves the name, Escape restores it. */
+/** Render the name of a branch as an editable field: Enter saves the name, Escape restores the previous one. */
 function NameField({ node }: { node: BranchNode }) {
   const station = useStation();
   const [text, setText] = useState(node.branch.name ?? "");

@@ -1,11 +1,11 @@
-/** Source and licence of a bundled case: a short text that is never cut off, and a button for the full text. */
+/** Source and licence of a bundled case: a short line that is never cut off, and a button for the full citation. */
 
 import { Button, Dialog, DialogTrigger, Popover } from "react-aria-components";
 import { citationLine } from "../state/citation";
 import type { Citation as CitationFields } from "../wire/messages";
 import { Tip } from "./controls";
 
-/** Render a citation. */
+/** Render the short source line of a bundled case, and the button for its full citation. */
 export function Citation({ from }: { from: CitationFields }) {
   return (
     <DialogTrigger>

@@ -1,18 +1,18 @@
-/** The computers that render together with this one: a short status, and a panel with the share and delay of each. */
+/** Status of the cluster computers that render together with this one, and a panel with the share and delay of each. */
 
 import { Button, Dialog, DialogTrigger, Popover } from "react-aria-components";
-import { clusterWords, memberWords, needsLook } from "../state/cluster-words";
+import { clusterText, memberText, needsLook } from "../state/cluster-words";
 import { fixed } from "../state/format";
 import { useApp } from "./context";
 
-/** Render the status of the rendering computers. */
+/** Render the status of the cluster computers; nothing without a cluster. */
 export function ClusterPanel() {
   const cluster = useApp((state) => state.cluster);
   if (cluster === null) return null;
   return (
     <DialogTrigger>
       <Button className={`plain-text${needsLook(cluster) ? " warning-text" : ""}`} data-testid="cluster">
-        {clusterWords(cluster)}
+        {clusterText(cluster)}
       </Button>
       <Popover className="popover cluster" placement="top start" offset={6}>
         <Dialog aria-label="Rendering machines">
@@ -41,7 +41,7 @@ export function ClusterPanel() {
                   <td>{fixed(100 * member.share)} %</td>
                   <td>{member.latency_ms === null ? "–" : `${fixed(member.latency_ms)} ms`}</td>
                   <td>{member.num_late}</td>
-                  <td>{memberWords(member)}</td>
+                  <td>{memberText(member)}</td>
                 </tr>
               ))}
             </tbody>

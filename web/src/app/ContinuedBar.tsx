@@ -1,16 +1,16 @@
 /** Notice that a saved case is continued, with a button that begins a new case (decision 0127). */
 
-import { continuedWords } from "../state/case-list";
+import { continuedText } from "../state/case-list";
 import { useApp, useStation } from "./context";
 import { Act } from "./controls";
 
-/** Render the notice about a continued case. */
+/** Render the notice that a saved case is continued; nothing once the user has closed it or has changed the case. */
 export function ContinuedBar() {
   const station = useStation();
   const saving = useApp((state) => state.session?.saving ?? null);
   const numChanges = useApp((state) => state.history?.step ?? 0);
   const readS = useApp((state) => state.ui.continuedReadS);
-  const words = continuedWords(saving, numChanges, readS, Date.now());
+  const words = continuedText(saving, numChanges, readS, Date.now());
   if (words === null) return null;
   return (
     <section className="continued" aria-label="Continued case" data-testid="continued">

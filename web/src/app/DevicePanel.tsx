@@ -1,10 +1,10 @@
-/** Panel of input devices: their list and values, how they move the tip, and their calibration to the patient. */
+/** Panel of input devices: their list and values, their movement settings, and their calibration to the patient. */
 
 import { useState } from "react";
 import { Input, TextField } from "react-aria-components";
 import { keyOf } from "../input/keymap";
 import { coordinates, fixed, plural } from "../state/format";
-import { penOffWords } from "../state/pen";
+import { penOffText } from "../state/pen";
 import { asVec3 } from "../state/vec";
 import type { DeviceControls, DeviceInfo, DevicesMessage } from "../wire/messages";
 import { useApp, useStation } from "./context";
@@ -20,13 +20,14 @@ const CONTROLS = [
   ["relative", "Relative", "The tip follows the hand's movement"],
   ["path", "Path", "The tip moves forward and back along the path; turning the device turns the view"],
 ] as const;
+/** Smallest number of point pairs for the registration of a tracker to the patient. */
 const MIN_PAIRS = 3;
 
 /** Render the panel of input devices. */
 export function DevicePanel() {
   const station = useStation();
-  const told = useApp((state) => state.devices);
-  // A calibration belongs to one case, so another case discards it.
+  const message = useApp((state) => state.devices);
+  // Discard the calibrations in progress when the case changes, because a calibration belongs to one case.
   const caseNumber = useApp((state) => state.session?.case?.number);
   const missing = station.devices.missing();
   return (
@@ -42,17 +43,17 @@ export function DevicePanel() {
         />
       </div>
       <div className="step-body">
-        {told === null ? (
+        {message === null ? (
           <p className="quiet">Open a case before you use a device.</p>
         ) : (
           <>
-            <Movement told={told} />
-            {told.devices.length === 0 ? (
+            <Movement message={message} />
+            {message.devices.length === 0 ? (
               <p className="quiet">No input yet. Move a stick on the gamepad, or connect a device below.</p>
             ) : null}
-            <Devices key={caseNumber} devices={told.devices} />
-            <Connections told={told} />
-            <PhoneGroup told={told} />
+            <Devices key={caseNumber} devices={message.devices} />
+            <Connections message={message} />
+            <PhoneGroup message={message} />
             <WatchGroup />
             <HeadsetGroup />
             <Recording />
@@ -67,10 +68,10 @@ export function DevicePanel() {
   );
 }
 
-function Movement({ told }: { told: DevicesMessage }) {
+function Movement({ message }: { message: DevicesMessage }) {
   const station = useStation();
-  // The server sends every field, including those that a client may omit.
-  const controls = told.controls as Required<DeviceControls>;
+  // Cast to the type with all fields, because the server sends every field, including those that a client may omit.
+  const controls = message.controls as Required<DeviceControls>;
   const change = (changed: DeviceControls) =>
     station.send({ type: "set_controls", controls: { ...controls, ...changed } });
   return (
@@ -81,7 +82,7 @@ function Movement({ told }: { told: DevicesMessage }) {
             key={name}
             words={words}
             label={title}
-            on={told.control === name}
+            on={message.control === name}
             testId={`control-${name}`}
             onChange={() => station.send({ type: "set_control", control: name })}
           />
@@ -89,7 +90,7 @@ function Movement({ told }: { told: DevicesMessage }) {
       </fieldset>
       <PenOffset />
       <p className="numbers">
-        filter delay {fixed(told.filter_latency_ms, 1)} ms
+        filter delay {fixed(message.filter_latency_ms, 1)} ms
         <SwitchKey
           words="Smooth hand tremor (adds the delay shown)"
           label={controls.filter_on ? "on" : "off"}
@@ -134,10 +135,10 @@ function Movement({ told }: { told: DevicesMessage }) {
   );
 }
 
-/** Render the offset between the pen and the tip in absolute movement. */
+/** Render the offset between the pen and the tip in absolute movement; nothing once the tip is at the pen. */
 function PenOffset() {
   const station = useStation();
-  const words = useApp((state) => penOffWords(state.pen));
+  const words = useApp((state) => penOffText(state.pen));
   if (words === null) return null;
   return (
     <p className="warning-text numbers">
@@ -185,7 +186,7 @@ function HeadsetGroup() {
   );
 }
 
-/** A calibration in progress. */
+/** The calibration of one device while the user collects its point pairs. */
 interface Begun {
   readonly isOpen: boolean;
   readonly pairs: readonly CalibrationPair[];
@@ -193,7 +194,10 @@ interface Begun {
 
 const NOT_BEGUN: Begun = { isOpen: false, pairs: [] };
 
-/** Render the devices and the calibrations in progress; a tracker that sends nothing leaves the list and may return. */
+/**
+ * Render the devices and their calibrations in progress. A calibration is stored here, so that it survives a pause in
+ * which its tracker sends nothing and leaves the list.
+ */
 function Devices({ devices }: { devices: readonly DeviceInfo[] }) {
   const [begun, setBegun] = useState<ReadonlyMap<string, Begun>>(new Map());
   return devices.map((each) => (
@@ -219,7 +223,7 @@ function Device({ device, begun, onCalibrate }: DeviceProps) {
   return (
     <article className="group device" data-testid="device" data-holds={device.holds || undefined}>
       <h3>{device.device}</h3>
-      <p className="numbers">{valueWords(device)}</p>
+      <p className="numbers">{valueText(device)}</p>
       {device.holds ? (
         <p>This device moves the tip.</p>
       ) : (
@@ -230,8 +234,7 @@ function Device({ device, begun, onCalibrate }: DeviceProps) {
         />
       )}
       {device.position_mm === null ? null : <Calibration device={device} begun={begun} onCalibrate={onCalibrate} />}
-      {/* The values are last, because their lines grow with the samples and must not move the controls under the
-          cursor. */}
+      {/* The sample counts are last, because their lines grow and must not move the controls under the cursor. */}
       <p className="quiet numbers">
         filter delay {fixed(device.latency_ms, 1)} ms, {plural(device.num_used, "sample")}
         {device.num_ignored === 0 ? "" : `, ${device.num_ignored} ignored (${device.ignored_words})`}
@@ -240,7 +243,7 @@ function Device({ device, begun, onCalibrate }: DeviceProps) {
   );
 }
 
-function valueWords(device: DeviceInfo): string {
+function valueText(device: DeviceInfo): string {
   const buttons = device.buttons === 0 ? "" : `, buttons ${device.buttons.toString(2)}`;
   if (device.position_mm !== null) {
     return `${device.position_mm.map((v) => fixed(v, 1)).join("  ")} mm${buttons}`;
@@ -250,7 +253,9 @@ function valueWords(device: DeviceInfo): string {
   return `${device.axes.map((v) => fixed(v, 2)).join("  ")}${buttons}`;
 }
 
-/** Render a calibration by point pairs: hold the pen at a place, move the crosshair there, add the pair. */
+/**
+ * Render a calibration by point pairs: the user holds the pen at a place, moves the crosshair there and adds the pair.
+ */
 function Calibration({ device, begun, onCalibrate }: DeviceProps) {
   const station = useStation();
   const { isOpen, pairs } = begun;
@@ -315,7 +320,7 @@ function Calibration({ device, begun, onCalibrate }: DeviceProps) {
   );
 }
 
-function Connections({ told }: { told: DevicesMessage }) {
+function Connections({ message }: { message: DevicesMessage }) {
   const station = useStation();
   const [address, setAddress] = useState("");
   const connect = () => {
@@ -324,7 +329,7 @@ function Connections({ told }: { told: DevicesMessage }) {
   return (
     <div className="group">
       <h3>Connections</h3>
-      {told.sources.map((source) => (
+      {message.sources.map((source) => (
         <p key={source.address} data-testid="source">
           {source.title}, {source.address}: {source.state}
           {source.state === "live" ? `, ${fixed(source.rate_hz)} Hz` : ""}
@@ -349,23 +354,25 @@ function Connections({ told }: { told: DevicesMessage }) {
           label="SpaceMouse"
           words="Connect a SpaceMouse (the browser asks which one)"
           disabled={!station.devices.hasHid}
-          onPress={() => station.devices.askSpaceMouse()}
+          onPress={() => station.devices.selectSpaceMouse()}
         />
         <Act
           label="Handle"
           words="Connect a USB scope handle (HID; the browser asks which one)"
           disabled={!station.devices.hasHid}
           testId="ask-handle"
-          onPress={() => station.devices.askHandle()}
+          onPress={() => station.devices.selectHandle()}
         />
       </div>
-      {told.serial_problem === null ? null : <p className="quiet">{told.serial_problem}</p>}
-      {told.serial_ports.length === 0 ? null : <p className="quiet">Serial ports: {told.serial_ports.join(", ")}</p>}
+      {message.serial_problem === null ? null : <p className="quiet">{message.serial_problem}</p>}
+      {message.serial_ports.length === 0 ? null : (
+        <p className="quiet">Serial ports: {message.serial_ports.join(", ")}</p>
+      )}
       <SwitchKey
         words="Stream the tip pose to 3D Slicer over OpenIGTLink (port 18944 on this machine)"
-        label={told.published_port === null ? "Stream tip pose" : `Streaming on port ${told.published_port}`}
-        on={told.published_port !== null}
-        onChange={() => station.send({ type: "publish_tip", port: told.published_port === null ? 18944 : null })}
+        label={message.published_port === null ? "Stream tip pose" : `Streaming on port ${message.published_port}`}
+        on={message.published_port !== null}
+        onChange={() => station.send({ type: "publish_tip", port: message.published_port === null ? 18944 : null })}
       />
     </div>
   );

@@ -1,4 +1,4 @@
-/** The safety notice at the first start, and the card of keys. */
+/** Dialogs of the page: the safety notice at the first start, and the card of keys. */
 
 import { Button, Dialog, Heading, Modal, ModalOverlay } from "react-aria-components";
 import { MOUSE } from "../input/key-table";
@@ -6,7 +6,7 @@ import { keyOf, keySections } from "../input/keymap";
 import { useApp, useStation } from "./context";
 import { Act } from "./controls";
 
-/** Render the safety notice. */
+/** Render the safety notice until the user has accepted it. */
 export function NoticeDialog() {
   const station = useStation();
   const due = useApp((state) => state.start?.notice_accepted === false);
@@ -53,7 +53,7 @@ export function NoticeDialog() {
   );
 }
 
-/** Render the card of keys. */
+/** Render the card of keys and mouse gestures. */
 export function KeyCard() {
   const station = useStation();
   const open = useApp((state) => state.ui.keyCardOpen);

@@ -4,11 +4,11 @@
 
 import { useEffect } from "react";
 import { keyOf } from "../input/keymap";
-import { doubtWords } from "../state/edit-preview";
+import { doubtText } from "../state/edit-preview";
 import { useApp, useStation } from "./context";
 import { Act } from "./controls";
 
-/** Render the question. */
+/** Render the question whether to draw the branch that the CT does not show; nothing without such a branch. */
 export function DoubtQuestion() {
   const station = useStation();
   const doubt = useApp((state) => state.doubt);
@@ -17,22 +17,22 @@ export function DoubtQuestion() {
     const onKey = (event: KeyboardEvent) => {
       const typing = event.target instanceof HTMLInputElement || event.target instanceof HTMLTextAreaElement;
       if (event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey || typing) return;
-      // Enter on a focused button presses that button.
+      // Do not handle Enter on a focused button, link or row, which Enter activates.
       const onButton = event.target instanceof HTMLElement && event.target.closest("button, a, [role=row]") !== null;
       if (event.key !== "Enter" || onButton) return;
-      // A repeated key event is from the Enter key that applied the tool, and not an answer.
+      // Ignore a repeated key event: it comes from the Enter key that applied the tool and is still held.
       if (!event.repeat) station.answerDoubt(true);
       event.preventDefault();
       event.stopImmediatePropagation();
     };
-    // Capture Enter before the views, where Enter applies the tool. The keymap handles Escape.
+    // Listen in the capture phase, because Enter in a view applies the tool. The table of keys handles Escape.
     window.addEventListener("keydown", onKey, { capture: true });
     return () => window.removeEventListener("keydown", onKey, { capture: true });
   }, [doubt, station]);
   if (doubt === null) return null;
   return (
     <div className="doubt" role="alert" data-testid="doubt">
-      <p>{doubtWords(doubt)}</p>
+      <p>{doubtText(doubt)}</p>
       <div className="row">
         <Act
           label="Draw anyway"

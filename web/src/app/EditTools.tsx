@@ -1,9 +1,9 @@
-/** Tools that edit the airway tree: one tool at a time is active, with its instruction and a way to deactivate it. */
+/** Tools that edit the airway tree: their buttons, and the instruction and settings of the active tool. */
 
 import { type Action, keyOf } from "../input/keymap";
 import { shownBranch } from "../state/app-state";
 import { mm } from "../state/format";
-import { isBrush, isTreeTool, nextBrush, TOOL_WORDS, TREE_TOOLS, type TreeTool, wordsOf } from "../state/tools";
+import { isBrush, isTreeTool, nextBrush, TOOL_TEXTS, TREE_TOOLS, type TreeTool, textsOf } from "../state/tools";
 import { useApp, useStation } from "./context";
 import { Act, SwitchKey } from "./controls";
 import { DoubtQuestion } from "./DoubtQuestion";
@@ -20,7 +20,7 @@ const ACTIONS: Readonly<Record<TreeTool, Action>> = {
   reroot: "tool_reroot",
 };
 
-/** Render the tools. */
+/** Render the buttons of the tools that edit the airway tree. */
 export function EditTools() {
   const station = useStation();
   const armed = useApp((state) => state.ui.armed);
@@ -31,8 +31,8 @@ export function EditTools() {
         <SwitchKey
           key={tool}
           icon={TOOL_ICONS[tool]}
-          label={TOOL_WORDS[tool].short}
-          words={TOOL_WORDS[tool].words}
+          label={TOOL_TEXTS[tool].short}
+          words={TOOL_TEXTS[tool].words}
           keys={keyOf(ACTIONS[tool])}
           on={armed === tool}
           testId={`tool-${tool}`}
@@ -60,7 +60,7 @@ export function ToolInHand() {
   const ball = useApp((state) => state.ui.brushIsBall);
   const doubted = useApp((state) => state.doubt !== null);
   if (!isTreeTool(armed)) return <DoubtQuestion />;
-  const { label, hint } = wordsOf(armed, forkHeld !== null);
+  const { label, hint } = textsOf(armed, forkHeld !== null);
   return (
     <div className="in-hand" role="status" data-testid="in-hand">
       <header>

@@ -1,4 +1,4 @@
-/** A number selected from a list of values, with its unit. */
+/** Control for a number with a unit that the user selects from a list of values. */
 
 import { useRef } from "react";
 import { Button, Label, ListBox, ListBoxItem, Popover, Select, SelectValue } from "react-aria-components";
@@ -7,16 +7,16 @@ import { Tip } from "./controls";
 import { Icon } from "./icons";
 
 interface FigureProps {
-  /** The label, visible or for screen readers only. */
+  /** Label of the control, visible or for screen readers only. */
   label: string;
   quiet?: boolean;
-  /** The tooltip. */
+  /** Tooltip of the control. */
   words?: string;
   unit: string;
-  /** The value; null is shown as `none`. */
+  /** Selected value; null is shown as the text `none`. */
   value: number | null;
   choices: readonly number[];
-  /** The text for null; without it the value is always a number. */
+  /** Text of the choice null; without it the list has no choice null. */
   none?: string;
   testId?: string;
   onChange: (value: number | null) => void;
@@ -24,10 +24,10 @@ interface FigureProps {
 
 const NONE = "none";
 
-/** Time, ms, after which the closed list has returned the focus to its button. */
+/** Time, ms, to wait after the list was closed, until it has returned the focus to its button. */
 const GONE_MS = 100;
 
-/** Render a number with its list of values. */
+/** Render the selected number as a button that opens the list of values. */
 export function Figure({ label, quiet = false, words, unit, value, choices, none, testId, onChange }: FigureProps) {
   const known = value === null || choices.includes(value) ? choices : [...choices, value].sort((a, b) => a - b);
   const text = (choice: number | null): string =>
@@ -35,7 +35,7 @@ export function Figure({ label, quiet = false, words, unit, value, choices, none
   const all: readonly (number | null)[] = none === undefined ? known : [null, ...known];
   const keyOf = (choice: number | null): string => (choice === null ? NONE : String(choice));
   const byPointer = useRef(false);
-  /** Return the focus to the flight after a choice by mouse; otherwise the space bar would open the list again. */
+  /** Remove the focus from the button after a choice by mouse; otherwise the space bar would open the list again. */
   const giveKeysBack = (open: boolean) => {
     if (open || !byPointer.current) return;
     byPointer.current = false;

@@ -1,4 +1,4 @@
-/** Recording of flights: its switch, and the flights recorded in the case. */
+/** Recorded flights: the switch that starts and stops a recording, and the flights recorded in the case. */
 
 import { useState } from "react";
 import { Button, Input, Slider, SliderThumb, SliderTrack, TextArea, TextField } from "react-aria-components";
@@ -9,7 +9,7 @@ import { useApp, useStation } from "./context";
 import { Act, SwitchKey, Tip } from "./controls";
 import { Icon } from "./icons";
 
-/** Render the switch of the recording. */
+/** Render the switch that starts and stops the recording of a flight. */
 export function RecordSwitch() {
   const station = useStation();
   const recording = useApp((state) => state.devices?.recording ?? null);
@@ -29,7 +29,7 @@ export function RecordSwitch() {
   );
 }
 
-/** Render the current recording, or the flights of the case. */
+/** Render the flight being recorded, or the list of the flights recorded in the case. */
 export function FlightList() {
   const recording = useApp((state) => state.devices?.recording ?? null);
   const keeps = useApp((state) => state.session?.saving.keeps ?? false);
@@ -109,11 +109,11 @@ function FlightRow({ flight, first, last, open, onOpen }: RowProps) {
   );
 }
 
-/** Render the position slider of a replayed flight. */
+/** Render the position slider of the flight that is replayed; nothing for other flights. */
 function Bar({ flight }: { flight: FlightInfo }) {
   const station = useStation();
   const atS = useApp((state) => (state.flownFlight === flight.number ? state.replaying.atS : null));
-  // While the tip is not on the flight, the slider keeps its last position and shows that state.
+  // After another input has moved the tip, the slider stays at its last position and is drawn as inactive.
   const on = useApp((state) => state.pose?.flight?.number === flight.number);
   if (atS === null || flight.length_s <= 0) return null;
   return (
@@ -222,16 +222,16 @@ interface WrittenProps {
   maxLength: number;
   long?: boolean;
   value: string;
-  /** Handle a changed text; return false to restore the previous text. */
+  /** Handle a changed text; return false to restore the previous text in the field. */
   onChange: (value: string) => boolean;
 }
 
-/** Render a text field: the text is sent when the field loses focus or on Enter, and restored on Escape. */
+/** Render a text field. Its text is sent when the field loses focus or on Enter, and is restored on Escape. */
 function Written({ label, testId, maxLength, long = false, value, onChange }: WrittenProps) {
   const [typed, setTyped] = useState<string | null>(null);
   const [before, setBefore] = useState(value);
   if (before !== value) {
-    // The server has answered, or another window has changed the text.
+    // The stored text differs from the last known one: the server has answered, or another window has changed it.
     setBefore(value);
     setTyped(null);
   }

@@ -5,12 +5,12 @@
 
 import { useEffect, useRef } from "react";
 import { Button } from "react-aria-components";
-import { agoWords, clock, sentence } from "../state/format";
+import { agoText, clock, sentence } from "../state/format";
 import { useApp, useStation } from "./context";
 import { Tip } from "./controls";
 import { ListHead } from "./ListHead";
 
-/** Render the history. */
+/** Render the list of executed commands, with the undone commands marked. */
 export function HistoryList() {
   const station = useStation();
   const history = useApp((state) => state.history);
@@ -48,7 +48,7 @@ export function HistoryList() {
                     {row.at_s === null
                       ? ""
                       : begunS === null
-                        ? agoWords(row.at_s)
+                        ? agoText(row.at_s)
                         : clock(begunS + row.at_s, Date.now())}
                   </span>
                 </Button>

@@ -1,4 +1,4 @@
-/** Progress of long jobs: a thin bar with title, fraction, remaining time and a cancel button. */
+/** Progress of long jobs of the server: a thin bar with title, fraction, remaining time and a cancel button. */
 
 import { useState } from "react";
 import { ProgressBar } from "react-aria-components";
@@ -14,9 +14,10 @@ interface ThinProgressProps {
   onCancel: () => void;
 }
 
-/** Render the progress of one job. */
+/** Render the title, progress bar and cancel button of one job. */
 export function ThinProgress({ title, what, fraction, secondsLeft, onCancel }: ThinProgressProps) {
-  // A step of the job may have to finish first; the bar disappears after the cancellation.
+  // A cancelled job may first finish its current step. The bar stays until then and states that the job is being
+  // cancelled.
   const [isCancelling, setCancelling] = useState(false);
   return (
     <ProgressBar
@@ -53,7 +54,7 @@ export function ThinProgress({ title, what, fraction, secondsLeft, onCancel }: T
   );
 }
 
-/** Render the progress of all jobs. */
+/** Render a progress bar for each running job. */
 export function Jobs() {
   const station = useStation();
   const jobs = useApp((state) => state.jobs);

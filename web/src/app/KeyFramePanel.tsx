@@ -1,4 +1,7 @@
-/** Panel of key frames: the list, the flight through the key frames, and the file from which a film is rendered. */
+/**
+ * Panel of key frames: their list, the playback of the flight through them, and the download of the file from which a
+ * video is rendered.
+ */
 
 import { useState } from "react";
 import { Button, FileTrigger, Input, Slider, SliderThumb, SliderTrack, TextField } from "react-aria-components";
@@ -16,7 +19,7 @@ import { Icon } from "./icons";
 /** Render the panel of key frames. */
 export function KeyFramePanel() {
   const station = useStation();
-  const told = useApp((state) => state.keyFrames);
+  const keyFrames = useApp((state) => state.keyFrames);
   return (
     <section className="step-panel key-panel" aria-label="Key frames" data-testid="key-panel">
       <div className="panel-head">
@@ -30,7 +33,7 @@ export function KeyFramePanel() {
         />
       </div>
       <div className="step-body">
-        {told === null ? (
+        {keyFrames === null ? (
           <p className="empty">Open a case before you add key frames.</p>
         ) : (
           <>
@@ -43,17 +46,17 @@ export function KeyFramePanel() {
               testId="add-key"
               onPress={() => station.addKey()}
             />
-            {told.frames.length === 0 ? (
+            {keyFrames.frames.length === 0 ? (
               <p className="empty">
                 Fly to a view and add it as a key frame, then fly to the next. Carina flies smoothly from one to the
                 next, and can save the flight as a video.
               </p>
             ) : (
-              <KeyList told={told} />
+              <KeyList keyFrames={keyFrames} />
             )}
-            {told.frames.length > 1 ? <Player told={told} /> : null}
-            {told.frames.length > 0 ? <Flight told={told} /> : null}
-            <KeyFrameFile told={told} />
+            {keyFrames.frames.length > 1 ? <Player keyFrames={keyFrames} /> : null}
+            {keyFrames.frames.length > 0 ? <Flight keyFrames={keyFrames} /> : null}
+            <KeyFrameFile keyFrames={keyFrames} />
           </>
         )}
       </div>
@@ -61,21 +64,21 @@ export function KeyFramePanel() {
   );
 }
 
-function KeyList({ told }: { told: KeyFramesMessage }) {
+function KeyList({ keyFrames }: { keyFrames: KeyFramesMessage }) {
   const [open, setOpen] = useState<string | null>(null);
   const here = useApp((state) =>
-    state.pose?.key_frames_s == null ? -1 : passedKey(told.frames, state.pose.key_frames_s),
+    state.pose?.key_frames_s == null ? -1 : passedKey(keyFrames.frames, state.pose.key_frames_s),
   );
   return (
     <ol className="key-list">
-      {told.frames.map((key, n) => (
+      {keyFrames.frames.map((key, n) => (
         <KeyRow
           key={key.key_id}
           frame={key}
           number={n + 1}
-          last={n === told.frames.length - 1}
+          last={n === keyFrames.frames.length - 1}
           here={n === here}
-          timed={told.duration_s > 0}
+          timed={keyFrames.duration_s > 0}
           open={open === key.key_id}
           onOpen={() => setOpen(open === key.key_id ? null : key.key_id)}
         />
@@ -97,7 +100,7 @@ interface RowProps {
 function KeyRow({ frame, number, last, here, timed, open, onOpen }: RowProps) {
   const station = useStation();
   const id = frame.key_id;
-  // Use the label of the list of branches.
+  // Label of the key frame's branch in the list of branches; it replaces an automatic name of the key frame.
   const branch = useApp((state) =>
     frame.branch_id === null ? undefined : state.tree?.byId.get(frame.branch_id)?.label,
   );
@@ -227,14 +230,14 @@ function KeyTools({ frame, first, last }: { frame: ShownKeyFrame; first: boolean
   );
 }
 
-/** Render the playback buttons and the position slider. */
-function Player({ told }: { told: KeyFramesMessage }) {
+/** Render the playback buttons and the position slider of the flight through the key frames. */
+function Player({ keyFrames }: { keyFrames: KeyFramesMessage }) {
   const station = useStation();
   const playing = useApp((state) => state.playing);
-  // While the tip is not on the flight, the slider keeps its last position and shows that state.
+  // After another input has moved the tip, the slider stays at its last position and is drawn as inactive.
   const on = useApp((state) => state.pose?.key_frames_s != null);
-  if (told.duration_s <= 0) {
-    return told.problem === null ? null : <p className="warning-text">{sentence(told.problem)}</p>;
+  if (keyFrames.duration_s <= 0) {
+    return keyFrames.problem === null ? null : <p className="warning-text">{sentence(keyFrames.problem)}</p>;
   }
   return (
     <div className="group player">
@@ -271,22 +274,22 @@ function Player({ told }: { told: KeyFramesMessage }) {
         className={on ? "path-slider" : "path-slider off-flight"}
         aria-label="Time in the flight (seconds)"
         minValue={0}
-        maxValue={told.duration_s}
+        maxValue={keyFrames.duration_s}
         step={0.01}
-        value={Math.min(playing.atS, told.duration_s)}
+        value={Math.min(playing.atS, keyFrames.duration_s)}
         onChange={(value) => station.player.seek(value)}
       >
         <SliderTrack className="path-track">
           <div className="path-line" />
-          <div className="path-done" style={{ width: share(playing.atS, told.duration_s) }} />
-          {told.frames.map((key) => (
-            <span key={key.key_id} className="fork" style={{ left: share(key.time_s, told.duration_s) }} />
+          <div className="path-done" style={{ width: share(playing.atS, keyFrames.duration_s) }} />
+          {keyFrames.frames.map((key) => (
+            <span key={key.key_id} className="fork" style={{ left: share(key.time_s, keyFrames.duration_s) }} />
           ))}
           <SliderThumb className="path-thumb" />
         </SliderTrack>
       </Slider>
       <p className="numbers" data-testid="keys-clock">
-        {clock(playing.atS)} <span className="quiet">of {clock(told.duration_s)}</span>
+        {clock(playing.atS)} <span className="quiet">of {clock(keyFrames.duration_s)}</span>
       </p>
     </div>
   );
@@ -295,7 +298,7 @@ function Player({ told }: { told: KeyFramesMessage }) {
 const share = (seconds: number, of: number): string =>
   `${(100 * Math.min(Math.max(seconds / Math.max(of, 1e-6), 0), 1)).toFixed(2)}%`;
 
-function Flight({ told }: { told: KeyFramesMessage }) {
+function Flight({ keyFrames }: { keyFrames: KeyFramesMessage }) {
   const station = useStation();
   return (
     <div className="group">
@@ -303,14 +306,14 @@ function Flight({ told }: { told: KeyFramesMessage }) {
         label="Speed"
         words="Speed for every leg without its own"
         unit="mm/s"
-        value={told.speed_mm_s}
+        value={keyFrames.speed_mm_s}
         choices={KEY_SPEEDS_MM_S}
         testId="keys-speed"
         onChange={(speed_mm_s) => station.send({ type: "set_key_frame_flight", speed_mm_s, through: null })}
       />
       <Choice<KeyFramesMessage["through"]>
         name="Path between key frames"
-        value={told.through}
+        value={keyFrames.through}
         choices={[
           {
             value: "airways",
@@ -329,7 +332,7 @@ function Flight({ told }: { told: KeyFramesMessage }) {
   );
 }
 
-function KeyFrameFile({ told }: { told: KeyFramesMessage }) {
+function KeyFrameFile({ keyFrames }: { keyFrames: KeyFramesMessage }) {
   const station = useStation();
   return (
     <div className="group">
@@ -338,7 +341,7 @@ function KeyFrameFile({ told }: { told: KeyFramesMessage }) {
           icon="file"
           label="Save"
           words="Save to a file. Open it again in this case, or render it as a video with carina fly."
-          disabled={told.frames.length === 0}
+          disabled={keyFrames.frames.length === 0}
           testId="save-keys"
           onPress={() => void station.takeKeys()}
         />
@@ -356,7 +359,7 @@ function KeyFrameFile({ told }: { told: KeyFramesMessage }) {
           </Tip>
         </FileTrigger>
       </div>
-      {told.frames.length > 1 ? (
+      {keyFrames.frames.length > 1 ? (
         <p className="quiet film">
           Save as video: <code>carina fly SCAN --keys {KEYS_FILE} -o film.mp4</code>
         </p>

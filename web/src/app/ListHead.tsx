@@ -1,4 +1,4 @@
-/** Head of the list in the left column, with the selection of the list. */
+/** Head of the list in the left column, with the tabs that switch between airways and history. */
 
 import type { ReactNode } from "react";
 import { Button } from "react-aria-components";
@@ -11,7 +11,7 @@ const LISTS = [
   { list: "history", title: "History", words: "Edit history: return to any step" },
 ] as const;
 
-/** Render the head of the list. */
+/** Render the head of the list in the left column; `children` are its further buttons. */
 export function ListHead({ children }: { children?: ReactNode }) {
   const station = useStation();
   const shown = useApp((state) => state.ui.list);

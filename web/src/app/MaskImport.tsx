@@ -1,4 +1,4 @@
-/** Import of a mask of another program as the airways: file selection, drop, and the question about its contents. */
+/** Import of an external mask as the airways: file selection, drop, and the question about the contents of the mask. */
 
 import { type DragEvent, useEffect, useState } from "react";
 import {
@@ -13,13 +13,13 @@ import {
   RadioGroup,
 } from "react-aria-components";
 import { filesOfDrop, filesOfPicker } from "../net/upload";
-import { firstChoice, labelTitle, lostWords, questionTitle, questionWords, volumeWords } from "../state/mask-question";
+import { firstChoice, labelTitle, lostText, questionText, questionTitle, volumeText } from "../state/mask-question";
 import type { MaskQuestion } from "../wire/messages";
 import { useApp, useStation } from "./context";
 import { Tip } from "./controls";
 import { Icon } from "./icons";
 
-/** Render a button that selects a file with the system's dialog; the file can also be dropped on the window. */
+/** Render a button that selects a mask file with the system's dialog. The file can also be dropped on the window. */
 export function MaskPicker() {
   const station = useStation();
   return (
@@ -42,13 +42,13 @@ export function MaskPicker() {
   );
 }
 
-/** Render the choice of what to do with files that are dragged over the window. */
+/** Render the two drop areas while files are dragged over the window: open them as a case, or as the airways. */
 export function DropChoice() {
   const station = useStation();
   const [dragged, setDragged] = useState(false);
   const [over, setOver] = useState<"mask" | "case" | null>(null);
-  // A mask whose question is unanswered comes first, so that only one question is open.
-  const asked = useApp((state) => state.session?.mask_question != null);
+  // While the question about an earlier mask is open, no second mask is accepted.
+  const hasQuestion = useApp((state) => state.session?.mask_question != null);
   useEffect(() => {
     const end = () => {
       setDragged(false);
@@ -56,7 +56,7 @@ export function DropChoice() {
     };
     const drag = (event: globalThis.DragEvent) => {
       if (event.dataTransfer?.types.includes("Files") !== true) return;
-      // Without this call the browser would leave the page and show the file.
+      // Prevent the default action of the browser, which would leave the page and show the file.
       event.preventDefault();
       setDragged(true);
     };
@@ -78,7 +78,7 @@ export function DropChoice() {
       window.removeEventListener("drop", drop);
     };
   }, []);
-  if (!dragged || asked) return null;
+  if (!dragged || hasQuestion) return null;
   const place = (use: "mask" | "case", title: string, words: string) => (
     // biome-ignore lint/a11y/noStaticElementInteractions: buttons in the panels do the same by keyboard
     <div
@@ -107,7 +107,7 @@ export function DropChoice() {
   );
 }
 
-/** Render the question about a mask. */
+/** Render the question about the contents of an imported mask; nothing without a question. */
 export function MaskDialog() {
   const station = useStation();
   const question = useApp((state) => state.session?.mask_question ?? null);
@@ -130,11 +130,11 @@ function Question({ question }: { question: MaskQuestion }) {
   const station = useStation();
   const [label, setLabel] = useState(firstChoice(question));
   const isLabel = question.problem === "label";
-  const lost = lostWords(question);
+  const lost = lostText(question);
   return (
     <Dialog data-testid="mask-question">
       <Heading slot="title">{questionTitle(question)}</Heading>
-      <p>{questionWords(question)}</p>
+      <p>{questionText(question)}</p>
       {isLabel ? (
         <RadioGroup
           className="mask-labels"
@@ -146,7 +146,7 @@ function Question({ question }: { question: MaskQuestion }) {
             <Radio key={one.number} value={String(one.number)} className="mask-label">
               <span>{labelTitle(one)}</span>
               <span className="quiet numbers">{one.name === null ? "" : one.number}</span>
-              <span className="numbers">{volumeWords(one.volume_ml)}</span>
+              <span className="numbers">{volumeText(one.volume_ml)}</span>
             </Radio>
           ))}
         </RadioGroup>

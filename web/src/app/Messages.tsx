@@ -1,6 +1,6 @@
 /**
- * Errors and notices in one place, latest first. Errors stay until the user closes them; notices disappear after a
- * time.
+ * Errors and notices in one place, latest first. An error stays until the user closes it; a notice disappears after
+ * {@link NOTICE_MS}.
  */
 
 import { useEffect } from "react";
@@ -10,12 +10,12 @@ import { useApp, useStation } from "./context";
 import { Act } from "./controls";
 import { Icon } from "./icons";
 
-/** Time, ms, for which a notice is shown: enough to read two lines twice. */
+/** Display time of a notice, ms: enough to read two lines twice. */
 const NOTICE_MS = 8000;
 /** Number of messages from which one button closes all of them. */
 const MANY = 3;
 
-/** Render the messages. */
+/** Render the errors and notices. */
 export function Messages() {
   const { store } = useStation();
   const messages = useApp((state) => state.messages);

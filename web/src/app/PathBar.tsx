@@ -1,10 +1,10 @@
-/** The route as a ruler: position of the tip, forks, and the branches' names and generations. */
+/** Ruler of the route: the position of the tip, the forks, and the names and generations of the branches. */
 
 import { useLayoutEffect, useRef, useState } from "react";
 import { Slider, SliderThumb, SliderTrack } from "react-aria-components";
 import { keyOf, keyOfHold } from "../input/keymap";
 import { pathMm, tipLps } from "../state/app-state";
-import { kindWords } from "../state/branch-words";
+import { kindText } from "../state/branch-words";
 import { fixed, mm } from "../state/format";
 import { nearestMm } from "../state/route";
 import { AUTO_SPEEDS_MM_S } from "../state/speed";
@@ -13,10 +13,10 @@ import { useApp, useStation } from "./context";
 import { Act } from "./controls";
 import { Figure } from "./Figure";
 
-/** Estimated width of a letter of the names, px, generous so that only names that fit are shown. */
+/** Estimated width of a letter in the branch names, px; slightly too large, so that only names that fit are shown. */
 const LETTER_PX = 6.6;
 
-/** Render the ruler of the route. */
+/** Render the ruler of the route, or a text if there is no route. */
 export function PathBar() {
   const station = useStation();
   const route = useApp((state) => state.route);
@@ -33,7 +33,8 @@ export function PathBar() {
       </section>
     );
   }
-  // The elements that follow the tip are separate components, so that a new pose does not render the rest again.
+  // Each element that follows the tip is a separate component, so that a new pose does not render the whole ruler
+  // again.
   return (
     <section className="path-bar" aria-label="Route" inert={watches}>
       <Act
@@ -158,7 +159,7 @@ function RulerSpans({ route, width }: { route: RouteInfo; width: number }) {
     <div className="ruler-spans" aria-hidden="true">
       {route.spans.map((span, n) => {
         const pixels = ((span.to_mm - span.from_mm) / length) * width;
-        const kind = kindWords(span.kind);
+        const kind = kindText(span.kind);
         const name = kind ?? span.name ?? "";
         const generation = String(span.generation);
         const full = name === "" ? `generation ${generation}` : `${name} \u00b7 ${generation}`;
@@ -215,7 +216,7 @@ function RulerSlider({ route }: { route: RouteInfo }) {
   );
 }
 
-/** Render the position on the route nearest to a freely moved tip. */
+/** Render a mark at the route position nearest to a tip that moves freely. */
 function Shadow({ route, percent }: { route: RouteInfo; percent: (value: number) => string }) {
   const tip = useApp((state) => (state.pose === null ? null : tipKey(tipLps(state))));
   if (tip === null) return null;
@@ -224,14 +225,17 @@ function Shadow({ route, percent }: { route: RouteInfo; percent: (value: number)
 
 let lastTip: readonly [number, number, number] | null = null;
 
-/** Return the same object for the same position, as a selector must. */
+/**
+ * Return the previous array if the position is equal to it, because a selector must return the same object for the same
+ * value.
+ */
 function tipKey(tip: readonly [number, number, number] | null): readonly [number, number, number] | null {
   if (tip !== null && lastTip !== null && tip.every((value, index) => value === lastTip?.[index])) return lastTip;
   lastTip = tip;
   return tip;
 }
 
-/** Return round distances with enough space between their labels. */
+/** Return the labelled distances of the ruler, mm: multiples of a round step, far enough apart for their labels. */
 function marks(lengthMm: number, widthPx: number): number[] {
   if (widthPx < 50) return [];
   const step = [5, 10, 20, 25, 50, 100, 200].find((value) => (value / lengthMm) * widthPx >= 44) ?? 500;

@@ -6,10 +6,10 @@ import type { DevicesMessage, PhoneInfo } from "../wire/messages";
 import { useStation } from "./context";
 import { SwitchKey } from "./controls";
 
-/** Render the settings of the phone page. */
-export function PhoneGroup({ told }: { told: DevicesMessage }) {
+/** Render the settings of the phone page: its switch, its link as a QR code, and the certificate fingerprint. */
+export function PhoneGroup({ message }: { message: DevicesMessage }) {
   const station = useStation();
-  const { phone } = told;
+  const { phone } = message;
   return (
     <div className="group phone">
       <h3>Phone</h3>
@@ -21,13 +21,13 @@ export function PhoneGroup({ told }: { told: DevicesMessage }) {
         }
         label={phone === null ? "Use a phone" : "Close the phone page"}
         on={phone !== null}
-        disabled={phone === null && told.phone_problem !== null}
+        disabled={phone === null && message.phone_problem !== null}
         testId="phone-switch"
         onChange={() => station.send({ type: "set_phone", on: phone === null })}
       />
       {phone === null ? (
         <p className="quiet">
-          {told.phone_problem ?? "A phone turns the tip and moves it forward and back, but not sideways."}
+          {message.phone_problem ?? "A phone turns the tip and moves it forward and back, but not sideways."}
         </p>
       ) : (
         <Open phone={phone} />

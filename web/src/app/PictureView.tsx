@@ -1,5 +1,6 @@
 /**
- * Host element of one view. The view itself does not use React; this component only attaches it and reports its size.
+ * Host element of one view's canvases. The {@link Viewport} does not use React; this component only attaches it and
+ * reports its size.
  */
 
 import { useEffect, useRef } from "react";
@@ -16,7 +17,7 @@ interface PictureViewProps {
   onDoubleClick: () => void;
 }
 
-/** Render the host element of a view. */
+/** Render the host element of a view's canvases. */
 export function PictureView({ view, shape, name, onDoubleClick }: PictureViewProps) {
   const station = useStation();
   const host = useRef<HTMLDivElement>(null);

@@ -1,28 +1,33 @@
 /**
- * Chart of the lumen along a branch: a line with its error, grey sections at forks, and the values under the cursor as
- * text.
+ * Chart of the lumen diameter along a branch: a line with an error band, grey sections at forks, and the values under
+ * the cursor as text.
  */
 
 import { type PointerEvent, useState } from "react";
 import { fixed, mm } from "../state/format";
 import { chartScale, nearestSection, type ProfilePoint, runsOf } from "../state/profile";
 
+/** Width of the chart, px. */
 const WIDTH = 216;
+/** Height of the chart, px. */
 const HEIGHT = 92;
-/** Space for the numbers at the left and below, px. */
+/** Space for the diameters at the left of the chart, px. */
 const LEFT = 24;
+/** Space for the distances below the chart, px. */
 const BELOW = 14;
+/** Space above the chart, px. */
 const ABOVE = 5;
+/** Space at the right of the chart, px. */
 const RIGHT = 4;
 
 interface ProfileChartProps {
   points: readonly ProfilePoint[];
   title: string;
-  /** Text below the chart while the cursor is elsewhere. */
+  /** Text below the chart while the cursor is outside the chart. */
   words: string;
 }
 
-/** Render the chart. */
+/** Render the chart of the lumen diameter along a branch. */
 export function ProfileChart({ points, title, words }: ProfileChartProps) {
   const [at, setAt] = useState<ProfilePoint | null>(null);
   if (points.length < 2) return <p className="empty">Too short for a lumen profile.</p>;

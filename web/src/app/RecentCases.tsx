@@ -1,6 +1,6 @@
 /**
- * List of the recently used cases with picture, time and changes; a case that the user has not named has a neutral
- * alias.
+ * List of the recently used cases, each with its picture, last use and number of changes. A case that the user has not
+ * named has a neutral alias.
  */
 
 import { Button } from "react-aria-components";
@@ -12,7 +12,7 @@ import { Icon } from "./icons";
 
 const NONE: readonly RecentCase[] = [];
 
-/** Render the list of recent cases. */
+/** Render the most recent cases on the start page, with a button that opens the list of all. */
 export function RecentCases() {
   const station = useStation();
   const recent = useApp((state) => state.start?.recent ?? NONE);
@@ -44,12 +44,12 @@ export function RecentCases() {
                     className="recent-case"
                     onPress={() => station.send({ type: "open_recent", recent_id: entry.recent_id })}
                   >
-                    <CaseWords entry={entry} all={recent} />
+                    <CaseText entry={entry} all={recent} />
                   </Button>
                 </Tip>
               ) : (
                 <div className="recent-case closed">
-                  <CaseWords entry={entry} all={recent} />
+                  <CaseText entry={entry} all={recent} />
                 </div>
               )}
             </li>
@@ -60,8 +60,8 @@ export function RecentCases() {
   );
 }
 
-/** Render the picture, the title and the distinguishing facts of a case. */
-export function CaseWords({ entry, all }: { entry: RecentCase; all: readonly RecentCase[] }) {
+/** Render the picture, the title, and the facts that distinguish a case from the other cases. */
+export function CaseText({ entry, all }: { entry: RecentCase; all: readonly RecentCase[] }) {
   return (
     <>
       <CasePicture entry={entry} />
@@ -74,7 +74,7 @@ export function CaseWords({ entry, all }: { entry: RecentCase; all: readonly Rec
   );
 }
 
-/** Render the picture of a case. */
+/** Render the stored picture of a case, or a placeholder if it has none. */
 export function CasePicture({ entry }: { entry: RecentCase }) {
   return (
     <span className="case-picture">

@@ -1,4 +1,7 @@
-/** Dialog that saves the case as a file under a name, and asks which content to keep if another process has changed the file. */
+/**
+ * Dialog that saves the case as a named file. If another process has changed that file, the dialog asks which content
+ * to keep.
+ */
 
 import { useState } from "react";
 import { Button, Dialog, Form, Heading, Input, Label, Modal, ModalOverlay, TextField } from "react-aria-components";
@@ -8,7 +11,7 @@ import type { ClientMessage, SavingInfo } from "../wire/messages";
 import { useApp, useStation } from "./context";
 import { Act } from "./controls";
 
-/** Render the dialog. */
+/** Render the dialog that saves the case as a named file. */
 export function SaveDialog() {
   const station = useStation();
   const open = useApp((state) => state.ui.saveOpen);
@@ -46,7 +49,10 @@ export function SaveDialog() {
   );
 }
 
-/** The choices for a named file that this window did not write; nothing is written until the user chooses. */
+/**
+ * Render the choices for a named file whose content this window did not write. Nothing is written until the user
+ * chooses.
+ */
 function Conflict({ saving }: { saving: SavingInfo }) {
   const station = useStation();
   const path = namedPath(saving);

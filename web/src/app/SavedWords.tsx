@@ -1,25 +1,25 @@
-/** Text about the saved state of the case. */
+/** Text of the top bar about the saved state of the case. */
 
 import { Button } from "react-aria-components";
 import { keyOf } from "../input/keymap";
-import { savedWords } from "../state/saved-words";
+import { savedText } from "../state/saved-words";
 import { useApp, useStation } from "./context";
 import { Tip } from "./controls";
 
-/** Render the saved state. */
-export function SavedWords() {
+/** Render the saved state of the case; nothing without a case. */
+export function SavedText() {
   const station = useStation();
   const saving = useApp((state) => state.session?.saving ?? null);
-  const told = savedWords(saving, Date.now());
-  if (told === null) return null;
+  const saved = savedText(saving, Date.now());
+  if (saved === null) return null;
   return (
-    <Tip words={told.words} keys={keyOf("save")}>
+    <Tip words={saved.words} keys={keyOf("save")}>
       <Button
-        className={told.warns ? "saved badge warning" : "saved plain-text quiet"}
+        className={saved.warns ? "saved badge warning" : "saved plain-text quiet"}
         data-testid="saved"
         onPress={() => station.ui({ saveOpen: true })}
       >
-        {told.label}
+        {saved.label}
       </Button>
     </Tip>
   );

@@ -9,16 +9,19 @@ import { Icon } from "./icons";
 
 const NO_SCOPE = "no scope";
 
-/** Return the sizes that distinguish instruments. */
-function sizeWords(scope: Scope): string {
+/** Return the tip diameter and the field of view of an instrument as text. */
+function sizeText(scope: Scope): string {
   const fov = scope.fov_deg === null ? "" : `, ${fixed(scope.fov_deg)}\u00b0`;
   return `\u2300 ${fixed(scope.tip_mm, 1)} mm${fov}`;
 }
 
-/** Return the kind of an instrument, for which the toolbar has space; the list and the tooltip show the full title. */
+/**
+ * Return the first word of an instrument's title, because the toolbar is narrow; the list and the tooltip show the full
+ * title.
+ */
 const shortTitle = (title: string): string => title.split(/[ ,(]/)[0] ?? title;
 
-/** Render the selection. */
+/** Render the selection of the instrument; nothing until the server has sent its instruments. */
 export function ScopeSelect() {
   const station = useStation();
   const scopes = useApp((state) => state.start?.scopes ?? null);
@@ -26,7 +29,7 @@ export function ScopeSelect() {
   if (scopes === null) return null;
   const chosen = scopes.find((scope) => scope.name === name);
   const words =
-    chosen === undefined ? "No scope: pinhole camera" : `Viewed through: ${chosen.title}, ${sizeWords(chosen)}`;
+    chosen === undefined ? "No scope: pinhole camera" : `Viewed through: ${chosen.title}, ${sizeText(chosen)}`;
   return (
     <Select
       aria-label="Scope"
@@ -49,7 +52,7 @@ export function ScopeSelect() {
             <ListBoxItem key={scope.name} id={scope.name} textValue={scope.title} className="listbox-item">
               <Text slot="label">{scope.title}</Text>
               <Text slot="description" className="numbers">
-                {sizeWords(scope)}
+                {sizeText(scope)}
               </Text>
             </ListBoxItem>
           ))}

@@ -1,4 +1,4 @@
-/** The views at the right: three slices, the cut-plane, the X-ray and the outside view. */
+/** The views at the right of the airway view: three slices, the cut-plane, the X-ray and the outside view. */
 
 import { keyOf } from "../input/keymap";
 import { fixed } from "../state/format";
@@ -14,7 +14,7 @@ import { fitPicture } from "./gestures-flat";
 import { PictureView } from "./PictureView";
 import { ToolTag } from "./ToolTag";
 
-/** Render the side views. */
+/** Render the views at the right of the airway view. */
 export function SideViews() {
   return (
     <section className="side-views" aria-label="Slices and overviews">
@@ -25,7 +25,7 @@ export function SideViews() {
   );
 }
 
-/** Render the buttons that switch a place to another of its views; nothing if it has one view. */
+/** Render the buttons that switch a cell of the window to another of its views; nothing if the cell has one view. */
 function CellTools({ cell, view }: { cell: SideCell; view: ViewName }) {
   const station = useStation();
   const { chosen_by: chosenBy, next_action: action, list_name: name } = CELLS[cell];
@@ -51,8 +51,8 @@ function CellTools({ cell, view }: { cell: SideCell; view: ViewName }) {
   return <Choice<ViewName> name={name} value={view} choices={choices} onChange={station.show} />;
 }
 
-/** Return the text in an empty view: its future contents, and how to create them. */
-function emptyWords(view: ViewName, there: Readonly<Record<Need, boolean>>): string {
+/** Return the text for a view without a picture: what it will show and how to get it, or that it is being rendered. */
+function emptyText(view: ViewName, there: Readonly<Record<Need, boolean>>): string {
   const { needs, empty } = VIEWS[view];
   return needs.length > 0 && needs.every((need) => there[need]) ? "Rendering this view…" : empty;
 }
@@ -92,14 +92,14 @@ function Cell({ cell }: { cell: SideCell }) {
       </header>
       <div className="cell-picture">
         <PictureView view={view} shape="fill" name={title} onDoubleClick={toggleFull} />
-        {shown ? null : <p className="empty centre">{emptyWords(view, { route, airways })}</p>}
+        {shown ? null : <p className="empty centre">{emptyText(view, { route, airways })}</p>}
         <ToolTag view={view} />
       </div>
     </section>
   );
 }
 
-/** Render the switch of the lumen outline in all slices and the cut-plane. */
+/** Render the switch of the lumen outline in all slices and in the cut-plane. */
 function OutlineSwitch() {
   const station = useStation();
   const on = useApp((state) => state.ui.outlineVisible);
@@ -117,7 +117,7 @@ function OutlineSwitch() {
   );
 }
 
-/** Render the button that resets zoom and pan. */
+/** Render the button that resets zoom and pan of a planar view. */
 function Fit({ view }: { view: FlatView }) {
   const station = useStation();
   const zoomed = useApp((state) => {
@@ -138,13 +138,13 @@ function Fit({ view }: { view: FlatView }) {
   );
 }
 
-/** Render the position of a slice along its normal: `S 12.1 mm`. */
+/** Render the position of a slice along its normal as text: `S 12.1 mm`. */
 function SlicePlace({ view }: { view: ViewName }) {
-  const words = useApp((state) => placeWords(state.frames[view]));
+  const words = useApp((state) => placeText(state.frames[view]));
   return words === "" ? null : <span className="numbers quiet">{words}</span>;
 }
 
-function placeWords(header: PictureHeader | undefined): string {
+function placeText(header: PictureHeader | undefined): string {
   if (header === undefined) return "";
   const geometry = geometryOf(header);
   if (geometry === null || geometry.kind !== "flat") return "";

@@ -95,7 +95,7 @@ export function Pickers() {
   );
 }
 
-/** Render the form that opens a path. */
+/** Render the form that opens a case from a path on the server's computer. */
 export function PathForm() {
   const station = useStation();
   const [path, setPath] = useState("");

@@ -1,10 +1,10 @@
-/** Status bar: performance of the rendering, and the permanent safety sentence. */
+/** Status bar: frame rate, latency and method of the rendering, and the permanent sentence *not a medical device*. */
 
 import { memo, useEffect, useState } from "react";
 import { Button, ListBox, ListBoxItem, Popover, Select, SelectValue } from "react-aria-components";
 import { keyOf } from "../input/keymap";
 import { greyWindow } from "../state/app-state";
-import { coordinates, finenessWords, fixed, methodWords, plural, windowWords } from "../state/format";
+import { coordinates, finenessText, fixed, methodText, plural, windowText } from "../state/format";
 import { asVec3 } from "../state/vec";
 import { LEAD_VIEW } from "../wire/views";
 import { ClusterPanel } from "./ClusterPanel";
@@ -31,15 +31,15 @@ export function StatusBar() {
   const watches = useApp((state) => state.watches);
   return (
     <footer className="status-bar numbers">
-      <ConnectionWords />
-      <PaceWords />
-      {armed ? null : <FineWords />}
-      {armed ? null : <MethodWords />}
+      <ConnectionText />
+      <PaceText />
+      {armed ? null : <FineText />}
+      {armed ? null : <MethodText />}
       <ClusterPanel />
       <span data-testid="mode">mode: {control ?? mode} [M]</span>
       {recording === null ? null : <span className="warning-text">recording</span>}
       <span className="wide spare" hidden={armed}>
-        {windowWords(width, level)}
+        {windowText(width, level)}
         {isHu ? " HU" : ""}
       </span>
       <span className="undo" hidden={watches}>
@@ -66,14 +66,17 @@ export function StatusBar() {
       </span>
       <ToolHint />
       <span className="space" />
-      <CursorWords />
+      <CursorText />
       <strong className="not-device">not a medical device</strong>
     </footer>
   );
 }
 
-/** Render the position and voxel value under the cursor. Both are from one answer, so that they always correspond. */
-function CursorWords() {
+/**
+ * Render the position and the voxel value under the cursor. Both are from one answer of the server, so that they belong
+ * together.
+ */
+function CursorText() {
   const cursor = useApp((state) => state.ui.cursorLps);
   const probed = useApp((state) => state.probed);
   const isHu = useApp((state) => state.session?.case?.is_hu ?? true);
@@ -91,7 +94,7 @@ function CursorWords() {
 
 const RATES_HZ = [15, 30, 60] as const;
 
-/** Render the requested frame rate beside the measured rate. */
+/** Render the selection of the target frame rate, beside the measured frame rate. */
 const AskedRate = memo(function AskedRate() {
   const station = useStation();
   const rate = useApp((state) => state.session?.frame_rate_hz ?? 60);
@@ -123,29 +126,29 @@ const AskedRate = memo(function AskedRate() {
   );
 });
 
-/** Render how the displayed airway picture was rendered, not the setting for the next one. */
-function MethodWords() {
-  const asked = useApp((state) => state.sight.method);
+/** Render the method of the displayed airway picture, which may differ from the selected method. */
+function MethodText() {
+  const requested = useApp((state) => state.sight.method);
   const made = useApp((state) => state.frames[LEAD_VIEW]?.method ?? null);
   const status = useApp((state) => state.status);
   const byCard = made?.startsWith("gpu-") === true;
   return (
     <span className="wide">
-      {methodWords(made, asked)}
+      {methodText(made, requested)}
       {byCard ? ", graphics card" : status === null ? "" : `, ${plural(status.threads, "core")}`}
-      <span className="spare">{byCard || status === null ? "" : `, ${simdWords(status.simd)}`}</span>
+      <span className="spare">{byCard || status === null ? "" : `, ${simdText(status.simd)}`}</span>
     </span>
   );
 }
 
-/** Render the resolution of the displayed airway picture. */
-function FineWords() {
+/** Render the resolution of the displayed airway picture, relative to the size of the view. */
+function FineText() {
   const station = useStation();
   const frame = useApp((state) => state.frames[LEAD_VIEW] ?? null);
   if (frame === null) return null;
   if (frame.stands_for !== null) return <span className="warning-text">viewfinder</span>;
   const wanted = station.wall.find(LEAD_VIEW)?.wantedPixels?.width ?? frame.width;
-  const words = finenessWords(frame, wanted);
+  const words = finenessText(frame, wanted);
   return (
     <span
       className={frame.full ? "wide" : undefined}
@@ -156,10 +159,10 @@ function FineWords() {
   );
 }
 
-/** Waiting time, ms, above which the picture is called late. */
+/** Waiting time for an airway picture, ms, above which the status bar warns. */
 const LATE_MS = 700;
 
-function PaceWords() {
+function PaceText() {
   const { fps, ageMs, waitingMs } = useApp((state) => state.pace);
   return (
     <>
@@ -177,15 +180,15 @@ function PaceWords() {
   );
 }
 
-const SIMD_WORDS: Readonly<Record<string, string>> = {
+const SIMD_TEXTS: Readonly<Record<string, string>> = {
   avx512: "AVX-512",
   avx2: "AVX2",
   neon: "NEON",
   portable: "portable",
 };
-const simdWords = (name: string): string => SIMD_WORDS[name] ?? name;
+const simdText = (name: string): string => SIMD_TEXTS[name] ?? name;
 
-function ConnectionWords() {
+function ConnectionText() {
   const station = useStation();
   const connection = useApp((state) => state.connection);
   const [now, setNow] = useState(() => performance.now());

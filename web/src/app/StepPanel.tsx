@@ -1,6 +1,6 @@
-/** Panel of the current step. Each step has one primary action. */
+/** Panel of the current workflow step. Each step has one primary action. */
 
-import { STEP_WORDS } from "../state/steps";
+import { STEP_TEXTS } from "../state/steps";
 import { Citation } from "./Citation";
 import { useApp } from "./context";
 import { Jobs } from "./Jobs";
@@ -12,15 +12,15 @@ import { RouteStep } from "./steps/RouteStep";
 import { ShareStep } from "./steps/ShareStep";
 import { TargetStep } from "./steps/TargetStep";
 
-/** Render the panel of the current step. */
+/** Render the panel of the current workflow step. */
 export function StepPanel() {
   const step = useApp((state) => state.ui.step);
   const citation = useApp((state) => state.session?.case?.citation ?? null);
   return (
-    <section className="step-panel" aria-label={STEP_WORDS[step].title}>
+    <section className="step-panel" aria-label={STEP_TEXTS[step].title}>
       <Jobs />
-      <h2>{STEP_WORDS[step].title}</h2>
-      {/* The key resets the scroll position when the step changes. */}
+      <h2>{STEP_TEXTS[step].title}</h2>
+      {/* The key gives each step a new element, so that the scroll position is reset when the step changes. */}
       <div key={step} className="step-body">
         {body(step)}
       </div>
@@ -29,7 +29,7 @@ export function StepPanel() {
   );
 }
 
-function body(step: keyof typeof STEP_WORDS) {
+function body(step: keyof typeof STEP_TEXTS) {
   switch (step) {
     case "open":
       return <OpenStep />;

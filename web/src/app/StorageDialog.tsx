@@ -3,22 +3,22 @@
 import { useEffect, useState } from "react";
 import { Button, Dialog, Form, Heading, Input, Modal, ModalOverlay, TextField } from "react-aria-components";
 import { keyOf } from "../input/keymap";
-import { caseFacts, FORGOTTEN_FOR, sizeWords } from "../state/case-list";
+import { caseFacts, FORGOTTEN_FOR, sizeText } from "../state/case-list";
 import type { RecentCase, Storage } from "../wire/messages";
 import { useApp, useStation } from "./context";
 import { Act } from "./controls";
-import { CasePicture, CaseWords } from "./RecentCases";
+import { CasePicture, CaseText } from "./RecentCases";
 
 const NONE: readonly RecentCase[] = [];
 
-/** Render the dialog. */
+/** Render the dialog of all cases. */
 export function StorageDialog() {
   const station = useStation();
   const open = useApp((state) => state.ui.storageOpen);
   useEffect(() => {
     if (!open) return;
-    // A pressed button disappears with its row, so that for a moment no element of the dialog has the focus and
-    // receives keys.
+    // When a pressed button disappears with its row, no element of the dialog has the focus, and the page receives the
+    // Escape key.
     const closeFromPage = (event: KeyboardEvent) => {
       if (event.key === "Escape" && document.activeElement === document.body) station.ui({ storageOpen: false });
     };
@@ -60,7 +60,7 @@ function Cases() {
     <section aria-labelledby="cases-heading">
       <div className="recent-head">
         <h3 id="cases-heading">Cases</h3>
-        <span className="numbers quiet">{sizeWords(total)}</span>
+        <span className="numbers quiet">{sizeText(total)}</span>
       </div>
       {recent.length === 0 ? (
         <p className="empty">The cases you open appear here.</p>
@@ -89,8 +89,8 @@ function Row({ entry, all, onRename }: { entry: RecentCase; all: readonly Recent
   const station = useStation();
   return (
     <>
-      <CaseWords entry={entry} all={all} />
-      <span className="numbers quiet">{entry.num_changes === null ? "" : sizeWords(entry.num_bytes)}</span>
+      <CaseText entry={entry} all={all} />
+      <span className="numbers quiet">{entry.num_changes === null ? "" : sizeText(entry.num_bytes)}</span>
       {entry.num_changes === null ? (
         <span />
       ) : (
@@ -183,7 +183,7 @@ function Forgotten({ forgotten }: { forgotten: readonly RecentCase[] }) {
               <span className="case-name">{entry.title}</span>
               <span className="numbers quiet">{caseFacts(entry, forgotten, Date.now()).join(" \u00b7 ")}</span>
             </span>
-            <span className="numbers quiet">{sizeWords(entry.num_bytes)}</span>
+            <span className="numbers quiet">{sizeText(entry.num_bytes)}</span>
             <span />
             <Act
               label="Restore"
@@ -206,7 +206,7 @@ function CachedCts({ storage }: { storage: Storage }) {
     <section aria-labelledby="cached-heading">
       <div className="recent-head">
         <h3 id="cached-heading">Cached CTs</h3>
-        <span className="numbers quiet">{sizeWords(storage.ct_bytes)}</span>
+        <span className="numbers quiet">{sizeText(storage.ct_bytes)}</span>
       </div>
       <p className="quiet">
         {on

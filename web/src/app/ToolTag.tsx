@@ -1,8 +1,10 @@
-/** Indicators of the active tool: in every view, at the list, and in the line at the bottom of the window. */
+/**
+ * Indicators of the active tool: in every view, at the list of branches, and in the line at the bottom of the window.
+ */
 
 import { Button } from "react-aria-components";
-import { marksByPen, penMarkWords } from "../state/pen";
-import { type Armed, shortOf, takesAway, wantsBranch, wordsOf, worksIn } from "../state/tools";
+import { marksByPen, penMarkText } from "../state/pen";
+import { type Armed, shortOf, takesAway, textsOf, wantsBranch, worksIn } from "../state/tools";
 import { INK } from "../views/ink";
 import type { ViewName } from "../wire/messages";
 import { useApp, useStation } from "./context";
@@ -26,8 +28,8 @@ export const TOOL_ICONS: Readonly<Record<Armed, IconName>> = {
 };
 
 /**
- * Render the effect of a click in the corner of a view. The indicator is also a button, because a touch screen has no
- * Escape key.
+ * Render the effect of a click with the active tool in the corner of a view. The indicator is a button that deactivates
+ * the tool, because a touch screen has no Escape key.
  */
 export function ToolTag({ view }: { view: ViewName }) {
   const armed = useApp((state) => state.ui.armed);
@@ -35,7 +37,7 @@ export function ToolTag({ view }: { view: ViewName }) {
   return <Tag armed={armed} works={worksIn(armed, view)} where="picture" />;
 }
 
-/** Render the active tool at the list, while the tool applies to rows. */
+/** Render the indicator of the active tool at the list of branches, if a click on a row applies the tool. */
 export function ListToolTag() {
   const armed = useApp((state) => (wantsBranch(state.ui.armed, state.ui.forkHeld !== null) ? state.ui.armed : null));
   return armed === null ? null : <Tag armed={armed} works where="list" />;
@@ -43,7 +45,7 @@ export function ListToolTag() {
 
 function Tag({ armed, works, where }: { armed: Armed; works: boolean; where: "picture" | "list" }) {
   const station = useStation();
-  const { label } = wordsOf(armed, false);
+  const { label } = textsOf(armed, false);
   return (
     <Button
       className={where === "picture" ? "tool-tag corner" : "tool-tag"}
@@ -62,14 +64,17 @@ function Tag({ armed, works, where }: { armed: Armed; works: boolean; where: "pi
   );
 }
 
-/** Render the instruction at the bottom of the window, also with an enlarged view, and how to deactivate the tool. */
+/**
+ * Render the instruction of the active tool and the key that deactivates it at the bottom of the window, also below an
+ * enlarged view.
+ */
 export function ToolHint() {
   const armed = useApp((state) => state.ui.armed);
   const forkHeld = useApp((state) => state.ui.forkHeld !== null);
   const pen = useApp((state) => state.pen);
   if (armed === null) return null;
-  const { label, hint } = wordsOf(armed, forkHeld);
-  const words = pen !== null && marksByPen(armed) ? penMarkWords(pen) : hint;
+  const { label, hint } = textsOf(armed, forkHeld);
+  const words = pen !== null && marksByPen(armed) ? penMarkText(pen) : hint;
   return (
     <span className="tool-hint" role="status" data-testid="tool-hint">
       <strong>{label}</strong> {words} <kbd>Esc</kbd> {forkHeld ? "releases the fork" : "cancels"}
@@ -77,18 +82,18 @@ export function ToolHint() {
   );
 }
 
-/** Render what the pen's button marks, in the panel of a tool that a pen can use. */
-export function PenWords() {
+/** Render the text which point the pen's button marks, if the active tool can use a pen. */
+export function PenText() {
   const pen = useApp((state) => (marksByPen(state.ui.armed) ? state.pen : null));
   if (pen === null) return null;
   return (
     <p className={pen.lps === null ? "warning-text" : "quiet"} role="status" data-testid="pen-words">
-      {penMarkWords(pen)}
+      {penMarkText(pen)}
     </p>
   );
 }
 
-/** Return a CSS cursor: a cross with a free middle, and the tool's icon beside it. */
+/** Return the CSS cursor for an active tool: a cross with a free middle, and the tool's icon beside the cross. */
 export function cursorOf(armed: Armed): string {
   const colour = takesAway(armed) ? INK.warning : INK.text;
   const cross = "M11 1v7M11 14v7M1 11h7M14 11h7";

@@ -1,16 +1,16 @@
-/** Top bar: product name, case title, and the steps of the workflow. */
+/** Top bar: product name, case title, steps of the workflow, and the saved state. */
 
 import { Fragment } from "react";
 import { Button } from "react-aria-components";
 import { keyOf } from "../input/keymap";
 import { besideNotHu } from "../state/badges";
 import { plural, sentence } from "../state/format";
-import { STEP_WORDS, STEPS } from "../state/steps";
-import { watchingWords } from "../state/watching";
+import { STEP_TEXTS, STEPS } from "../state/steps";
+import { watchingText } from "../state/watching";
 import type { CaseNote } from "../wire/messages";
 import { useApp, useStation } from "./context";
 import { Act, Tip } from "./controls";
-import { SavedWords } from "./SavedWords";
+import { SavedText } from "./SavedWords";
 
 const NONE: readonly CaseNote[] = [];
 
@@ -47,7 +47,7 @@ export function TopBar() {
     <header className="top-bar">
       <h1>Carina</h1>
       <CaseTitle title={title} neutral={neutral} ctName={ctName} />
-      <SavedWords />
+      <SavedText />
       {page === null ? null : (
         <Tip words="Your patient's images are on the network. Open Devices to see who is watching, or to stop sharing.">
           <Button
@@ -55,7 +55,7 @@ export function TopBar() {
             data-testid="on-network"
             onPress={() => (station.state.ui.devicesOpen ? undefined : station.act("devices"))}
           >
-            {watchingWords(page)}
+            {watchingText(page)}
           </Button>
         </Tip>
       )}
@@ -76,7 +76,7 @@ export function TopBar() {
       <nav aria-label="Steps">
         <ol className="steps">
           {STEPS.map((name, index) => {
-            const { title: words, words: tip } = STEP_WORDS[name];
+            const { title: words, words: tip } = STEP_TEXTS[name];
             return (
               <Fragment key={name}>
                 {index === 0 ? null : (
@@ -119,8 +119,8 @@ export function TopBar() {
 }
 
 /**
- * Render the case title. The name of the CT's file is shown only on this computer and on request, because it may
- * identify the patient.
+ * Render the case title. The file name of the CT is shown only on this computer and only on request, because the name
+ * may identify the patient.
  */
 function CaseTitle({ title, neutral, ctName }: { title: string; neutral: string; ctName: string | null }) {
   if (title === "") return null;

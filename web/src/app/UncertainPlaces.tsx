@@ -1,5 +1,6 @@
 /**
- * Places where an airway continues but the search could not follow it, each with its reason and a button that shows it.
+ * List of the places where an airway continues but the search could not follow it, each with its reason and a button
+ * that shows the place.
  */
 
 import { Button } from "react-aria-components";
@@ -12,7 +13,10 @@ import { showPlace } from "./gestures-flat";
 
 const NONE: readonly UncertainPlace[] = [];
 
-/** Render a button that adds the bridge suggested for a place. The edit and its undo are those of the bridge tool. */
+/**
+ * Render a button that adds the suggested bridge at a place. The edit is the same as with the bridge tool, and can be
+ * undone in the same way.
+ */
 function BridgeButton({ beyond }: { beyond: Vec3 }) {
   const station = useStation();
   return (
@@ -25,7 +29,7 @@ function BridgeButton({ beyond }: { beyond: Vec3 }) {
   );
 }
 
-/** Render the uncertain places. */
+/** Render the list of places that the search could not follow; nothing if there are none. */
 export function UncertainPlaces() {
   const station = useStation();
   const places = useApp((state) => state.tree?.uncertain ?? NONE);

@@ -8,7 +8,7 @@ import type { WatchPage } from "../wire/messages";
 import { useApp, useStation } from "./context";
 import { Act, SwitchKey } from "./controls";
 
-/** Render the settings of the watcher page. */
+/** Render the settings of the watcher page: its switch, its link, the certificate fingerprint, and the watchers. */
 export function WatchGroup() {
   const station = useStation();
   const watching = useApp((state) => state.watching);

@@ -1,6 +1,6 @@
 /** Panel that replaces the step's panel in a window that only watches. */
 
-/** Render the panel of a watcher. */
+/** Render the text that replaces the panel of the step in a window that only watches. */
 export function WatcherPanel() {
   return (
     <section className="step-panel" aria-label="You are watching" data-testid="watcher-panel">

@@ -19,7 +19,7 @@ import { cursorOf } from "./ToolTag";
 import { TopBar } from "./TopBar";
 import { WatcherPanel } from "./WatcherPanel";
 
-/** Render the workstation. */
+/** Render the page of an open case. */
 export function WorkstationPage() {
   const full = useApp((state) => state.ui.full);
   const devicesOpen = useApp((state) => state.ui.devicesOpen);

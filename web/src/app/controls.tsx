@@ -1,13 +1,14 @@
-/** Basic controls of all panels. */
+/** Basic controls of all panels: tooltip, button, toggle button, and choice. */
 
 import type { ReactElement, ReactNode } from "react";
 import { Button, ToggleButton, ToggleButtonGroup, Tooltip, TooltipTrigger } from "react-aria-components";
 import type { IconName } from "./icons";
 import { Icon } from "./icons";
 
+/** Time, ms, that the cursor rests on a control before its tooltip appears. */
 const TOOLTIP_DELAY_MS = 450;
 
-/** Render a tooltip with the key that has the same effect. */
+/** Render a tooltip on a control, with the key that has the same effect as the control. */
 export function Tip({ words, keys, children }: { words: string; keys?: string; children: ReactElement }) {
   return (
     <TooltipTrigger delay={TOOLTIP_DELAY_MS} closeDelay={80}>
@@ -20,7 +21,10 @@ export function Tip({ words, keys, children }: { words: string; keys?: string; c
   );
 }
 
-/** Return the focus to the flight after a click; a button that was reached by Tab keeps the focus. */
+/**
+ * Remove the focus from a button after a click by mouse, so that the keys move the tip; a button reached by Tab keeps
+ * the focus.
+ */
 function giveKeysBack(pointerType: string): void {
   if (pointerType === "keyboard" || pointerType === "virtual") return;
   if (document.activeElement instanceof HTMLElement) document.activeElement.blur();
@@ -37,7 +41,7 @@ interface ActProps {
   onPress: () => void;
 }
 
-/** Render a button. */
+/** Render a button with a tooltip. */
 export function Act({ words, keys, icon, label, kind = "plain", disabled = false, testId, onPress }: ActProps) {
   const name = typeof label === "string" ? {} : { "aria-label": words };
   return (
@@ -70,7 +74,7 @@ interface SwitchProps {
   onChange: () => void;
 }
 
-/** Render a toggle button. */
+/** Render a toggle button with a tooltip. */
 export function SwitchKey({ words, keys, icon, label, on, disabled = false, testId, onChange }: SwitchProps) {
   return (
     <Tip words={words} keys={keys}>
@@ -97,7 +101,7 @@ interface ChoiceProps<T extends string> {
   onChange: (value: T) => void;
 }
 
-/** Render a choice of one value from a few. */
+/** Render a row of buttons of which exactly one is selected. */
 export function Choice<T extends string>({ name, value, choices, onChange }: ChoiceProps<T>) {
   return (
     <ToggleButtonGroup

@@ -1,5 +1,6 @@
 /**
- * Input devices of the browser: detects them, reads them once per display refresh, and sends their values to Carina.
+ * Input devices of the browser: detects the devices, reads them once per display refresh, and sends their values to the
+ * server.
  */
 
 import { ContactSense } from "../input/devices/contact";
@@ -20,13 +21,13 @@ import type { Station } from "./station";
 
 const BUMP = { strength: 0.6, ms: 120 } as const;
 
-/** A position of the pen, and the corresponding point in the patient. */
+/** A pair of corresponding points for the calibration of a tracked pen: one in tracker space, one in patient space. */
 export interface CalibrationPair {
   readonly tracker: Vec3;
   readonly patient: Vec3;
 }
 
-/** All input devices of the browser. */
+/** All input devices of the browser, and their connection to the workstation. */
 export class BrowserDevices {
   readonly #station: Station;
   readonly #pointing: Pointing;
@@ -52,15 +53,13 @@ export class BrowserDevices {
     });
     this.#headset = this.#headsetOf(xrOf(navigator));
     const send = (message: ClientMessage) => void station.send(message);
-    const around = {
+    const hooks = {
       gone: (device: string) => send({ type: "device_gone", device }),
       failed: (words: string) => station.notice(words),
     };
     const hid = hidOf(navigator);
     this.#mouse =
-      hid === null
-        ? null
-        : new HidPort(hid, SPACEMOUSE_FILTERS, (device) => new SpaceMouse(device, send, nowS), around);
+      hid === null ? null : new HidPort(hid, SPACEMOUSE_FILTERS, (device) => new SpaceMouse(device, send, nowS), hooks);
     this.#handle =
       hid === null
         ? null
@@ -73,7 +72,7 @@ export class BrowserDevices {
                   `${device.productName} sends reports that do not match its HID descriptor; they are ignored.`,
                 ),
               ),
-            around,
+            hooks,
           );
     this.#lock = new PointerLock(document, {
       look: (yaw_rad, pitch_rad) => station.flight.nudge({ yaw_rad, pitch_rad }),
@@ -83,7 +82,7 @@ export class BrowserDevices {
     });
   }
 
-  /** Detect the headset now and whenever one is connected or disconnected. */
+  /** Update the availability of the headset now and whenever a headset is connected or disconnected. */
   watchHeadset(): void {
     const xr = xrOf(navigator);
     const look = () => {
@@ -94,9 +93,9 @@ export class BrowserDevices {
     xr?.addEventListener("devicechange", look);
   }
 
-  /** Enter the headset; browsers require a click. */
+  /** Enter the headset view. Browsers permit the entry only in response to a click. */
   async enterHeadset(): Promise<void> {
-    // The clutch setting of pens arrives with the messages about devices.
+    // Subscribe to the device messages, because they contain the clutch setting of pens, which the headset needs.
     this.#station.send({ type: "watch_devices", on: true });
     await this.#headset?.enter();
   }
@@ -130,7 +129,9 @@ export class BrowserDevices {
     });
   }
 
-  /** Return the picture that this page shows in the place of the airway view. */
+  /**
+   * Return the picture that the page shows in the airway view's place, for the headset's screen; null if there is none.
+   */
   #newestPicture(): NewestPicture | null {
     const viewport = this.#station.wall.find(LEAD_VIEW);
     if (viewport?.header == null) return null;
@@ -142,7 +143,7 @@ export class BrowserDevices {
     return this.#station.state.session?.case != null && this.#station.state.start?.notice_accepted !== false;
   }
 
-  /** Return the device interfaces that this browser lacks, as text. */
+  /** Return the names of the device interfaces that this browser lacks, as text for the user. */
   missing(): readonly string[] {
     const words: string[] = [];
     if (!("getGamepads" in navigator)) words.push("gamepads");
@@ -180,13 +181,13 @@ export class BrowserDevices {
     if (canvas !== null) void this.#lock.request(canvas);
   }
 
-  /** Show the browser's device selection; browsers require a click. */
-  askSpaceMouse(): void {
-    void this.#mouse?.ask();
+  /** Show the browser's selection of SpaceMouse devices. Browsers permit the selection only in response to a click. */
+  selectSpaceMouse(): void {
+    void this.#mouse?.selectDevice();
   }
 
-  askHandle(): void {
-    void this.#handle?.ask();
+  selectHandle(): void {
+    void this.#handle?.selectDevice();
   }
 
   stop(): void {
@@ -197,7 +198,8 @@ export class BrowserDevices {
   }
 
   /**
-   * While the root or target tool is active, the pen's button marks the point, and the path to it is shown (paper 6.3).
+   * Report to the server whether the pen's button marks a point (root, start or target tool). While it does, request
+   * the path to the marked point (paper 6.3).
    */
   #armPen(): void {
     const { ui, session } = this.#station.state;

@@ -11,21 +11,25 @@ export const ORBIT_DEG_PER_PX = 0.5;
 export const ORBIT_KEY_DEG = 5;
 /** Natural logarithm of the zoom factor per px of scrolling. */
 export const ZOOM_PER_PX = 0.0015;
-/** Scrolling, px, that one press of a zoom key corresponds to. */
+/** Scrolling, px, that zooms by as much as one press of a zoom key. */
 export const ZOOM_KEY_PX = 120;
+/** Change of the window's width or level per px of drag, HU. */
 const WINDOW_HU_PER_PX = 3;
 
-/** Gestures of a view. */
+/** Handlers of the pointer and of the keys in one view. */
 export interface Gestures {
   pointer: PointerHandlers;
-  /** Handle a key; return false if it has no effect in this view, which leaves the key to the browser. */
+  /**
+   * Handle a key of a focused view. Return false if the key has no effect in this view, so that the browser receives
+   * the key.
+   */
   key?(does: PictureGesture): boolean;
 }
 
-/** Change the grey-value window by a drag. */
+/** Change the grey-value window by a drag: its width by the horizontal movement, its level by the vertical movement. */
 export function dragWindow(station: Workstation, moved: { dx: number; dy: number }): void {
   const window = greyWindow(station.state);
-  // The drag is finer for volumes that are not in HU and span few grey levels.
+  // Change the window in finer steps for volumes with few grey levels, which are usually not in HU.
   const range = station.state.session?.case?.value_range;
   const perPx =
     range === undefined ? WINDOW_HU_PER_PX : Math.min(WINDOW_HU_PER_PX, ((range[1] ?? 0) - (range[0] ?? 0)) / 500);

@@ -10,13 +10,14 @@ import { type Carm, FIRST_SIGHT, type Reformation } from "../wire/messages";
 import { dragWindow, type Gestures, ORBIT_DEG_PER_PX, ORBIT_KEY_DEG, ZOOM_KEY_PX, ZOOM_PER_PX } from "./gesture-parts";
 import type { Workstation } from "./workstation";
 
+/** Movement along the route by one press of an arrow key, mm. */
 const STEP_MM = 2;
 const MM_PER_PX = { least: 0.02, most: 10 } as const;
 
 const clampScale = (mmPerPx: number): number => Math.min(Math.max(mmPerPx, MM_PER_PX.least), MM_PER_PX.most);
 const halfTurn = (deg: number): number => ((((deg + 180) % 360) + 360) % 360) - 180;
 
-/** Return the gestures of a picture along the route. */
+/** Return the gestures of a curved or straightened picture along the route. */
 export function pathGestures(station: Workstation, viewport: Viewport): Gestures {
   const shown = (): Reformation => station.state.sight.reformation;
   const change = (next: Reformation) => station.sendSoon({ type: "set_reformation", ...next });
@@ -85,7 +86,7 @@ export function carmGestures(station: Workstation, viewport: Viewport): Gestures
     if (header === null || wantedPixels === null || info == null) return;
     const geometry = geometryOf(header);
     if (geometry === null || geometry.kind !== "seen") return;
-    // The C-arm rotates about the volume's middle, so its scale refers to the distance of that point.
+    // The C-arm rotates about the middle of the volume, so the scale (mm per px) is that at the distance of the middle.
     const mmPerPx = distance(geometry.camera.position, middleOf(info)) / geometry.focalPx;
     const scaleNow = shown().mm_per_px ?? (mmPerPx * header.width) / wantedPixels.width;
     change({ ...shown(), mm_per_px: clampScale(scaleNow * Math.exp(deltaPx * ZOOM_PER_PX)) });

@@ -4,7 +4,7 @@ import type { SetZoomMessage } from "../wire/messages";
 import { flatPlacing } from "./gestures-flat";
 import type { Workstation } from "./workstation";
 
-/** Return a viewport with an axial picture of 200 x 100 pixels of 1 mm, whose middle is at this x. */
+/** Return the header of an axial picture of 200 x 100 pixels of 1 mm, whose middle is at this x (LPS mm). */
 function pictureAt(x: number) {
   return {
     lps_from_camera: null,
@@ -32,11 +32,11 @@ function rig() {
   return { placing: flatPlacing(station, viewport), show, middle: () => sent.at(-1)?.centre_lps?.[0] };
 }
 
-describe("a picture that is panned", () => {
+describe("pan of a planar view", () => {
   beforeEach(() => void vi.useFakeTimers());
   afterEach(() => void vi.useRealTimers());
 
-  it("goes the whole way of a drag while a busy server sends no picture", () => {
+  it("A drag pans by its whole distance while no new picture arrives.", () => {
     const { placing, middle } = rig();
     for (let move = 0; move < 6; move += 1) {
       placing.pan({ dx: 10, dy: 0 }, true);
@@ -45,7 +45,7 @@ describe("a picture that is panned", () => {
     expect(middle()).toBeCloseTo(-60, 9);
   });
 
-  it("goes the whole way of a drag while older pictures come", () => {
+  it("A drag pans by its whole distance while pictures of older positions arrive.", () => {
     const { placing, show, middle } = rig();
     for (let move = 0; move < 6; move += 1) {
       placing.pan({ dx: 10, dy: 0 }, true);
@@ -55,7 +55,7 @@ describe("a picture that is panned", () => {
     expect(middle()).toBeCloseTo(-60, 9);
   });
 
-  it("begins where the picture is once that has come to rest elsewhere", () => {
+  it("A drag starts at the displayed position if the picture came to rest elsewhere after the last drag.", () => {
     const { placing, show, middle } = rig();
     placing.pan({ dx: 10, dy: 0 }, true);
     placing.release();
@@ -65,7 +65,7 @@ describe("a picture that is panned", () => {
     expect(middle()).toBeCloseTo(20, 9);
   });
 
-  it("keeps every press of a key for which no picture has come yet", () => {
+  it("Each press of an arrow key pans further although no picture has arrived since the first press.", () => {
     const { placing, middle } = rig();
     for (let press = 0; press < 3; press += 1) {
       placing.pan({ dx: -40, dy: 0 });

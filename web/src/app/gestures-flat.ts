@@ -1,4 +1,4 @@
-/** Zoom, pan and reset of slices and the cut-plane. */
+/** Zoom, pan and reset of the slices and of the cut-plane. */
 
 import type { PointerPlace } from "../input/pointer";
 import { type FlatAxes, type FlatPlace, panned, zoomedAbout } from "../state/flat-place";
@@ -13,36 +13,40 @@ import { ZOOM_PER_PX } from "./gesture-parts";
 import type { Workstation } from "./workstation";
 
 const MM_PER_PX = { least: 0.02, most: 10 } as const;
-/** Limits of the cut-plane's width, mm, slightly within those of the wire. */
+/** Limits of the width that the cut-plane shows, mm; slightly narrower than the limits of the protocol. */
 const EXTENT_MM = { least: 5, most: 500 } as const;
-/** Pan by one press of an arrow key, CSS px. */
+/** Distance of the pan by one press of an arrow key, CSS px. */
 export const PAN_KEY_PX = 40;
 /**
- * Time, ms, for which a wheel turn builds on the last requested position, because wheel turns are faster than pictures.
+ * Time, ms, for which a gesture starts from the last requested position instead of the displayed one, because gestures
+ * follow each other faster than pictures arrive.
  */
 const MEMORY_MS = 400;
 
-/** Position of a planar view that gestures change. */
+/** Handlers that change the centre and the scale of a planar view. */
 export interface FlatPlacing {
-  /** Zoom about the cursor, or about the middle of the picture for keys. */
+  /** Zoom about the point under the cursor; a null `at` (zoom by key) zooms about the middle of the picture. */
   zoom(deltaPx: number, at: PointerPlace | null): void;
   /**
-   * Pan by a movement of the hand; with `drags` the position of the drag counts until {@link release}, whatever
-   * pictures arrive.
+   * Pan by a movement of the hand. With `drags`, further movements start from the last requested position until {@link
+   * release}, whatever pictures arrive.
    */
   pan(moved: { dx: number; dy: number }, drags?: boolean): void;
-  /** End a drag. */
+  /** End the drag that `pan` with `drags` began. */
   release(): void;
 }
 
-/** Return the position of a planar view. */
+/** Return the handlers that zoom and pan a planar view. */
 export function flatPlacing(station: Workstation, viewport: Viewport): FlatPlacing {
-  /** The last requested position, and the picture at that time. */
+  /**
+   * The last requested position, with its time and the picture that was displayed at that time; null before the first
+   * request.
+   */
   let last: { view: ViewName; place: FlatPlace; atMs: number; header: Viewport["header"] } | null = null;
   let dragged = false;
   /**
-   * Return whether the displayed picture is older than the last request. A busy server may need a second for the next
-   * picture.
+   * Return whether the next gesture starts from the last requested position, because its picture may not have arrived;
+   * a busy server may need a second for a picture.
    */
   const isAhead = (): boolean =>
     last !== null &&
@@ -53,7 +57,10 @@ export function flatPlacing(station: Workstation, viewport: Viewport): FlatPlaci
     const found = viewport.header === null ? null : geometryOf(viewport.header);
     return found?.kind === "flat" ? found : null;
   };
-  /** Return the current or requested position, and the number of picture pixels per CSS px. */
+  /**
+   * Return the position from which the next gesture starts, the picture's axes, and the scale of the picture; null if
+   * the view has no planar picture.
+   */
   const now = (): { place: FlatPlace; axes: FlatAxes; pxPerCss: number; wantedWidth: number } | null => {
     const { header, wantedPixels } = viewport;
     const flat = geometry();
@@ -115,10 +122,12 @@ export function flatPlacing(station: Workstation, viewport: Viewport): FlatPlaci
   };
 }
 
-/** Shorter side of a slice that shows a place, mm: the airway with its surroundings. */
+/** Shorter side of a slice that {@link showPlace} zooms to, mm: an airway with its surroundings. */
 const PLACE_MM = 40;
 
-/** Move the airway view, the crosshair and all slices to a place of the airways, zoomed in enough to assess it. */
+/**
+ * Move the airway view, the crosshair and all slices to a place of the airways, and zoom the slices in on the place.
+ */
 export function showPlace(station: Workstation, lps: Vec3, branchId: number | null): void {
   station.flight.stopAuto();
   station.pausePlaying();
@@ -138,7 +147,7 @@ export function showPlace(station: Workstation, lps: Vec3, branchId: number | nu
   }
 }
 
-/** Show the whole slice, or the default width of the cut-plane. */
+/** Reset a planar view: a slice shows its whole plane, the cut-plane its default width. */
 export function fitPicture(station: Workstation, view: ViewName): void {
   if (isFlatView(view)) {
     station.sendSoon({ type: "set_zoom", view, mm_per_px: null, extent_mm: null, centre_lps: null });

@@ -1,6 +1,6 @@
 /**
- * Movement of the planes in the tri-plane view, by a drag along the normal or by keys. A drag elsewhere rotates the
- * camera.
+ * Movement of the planes in the tri-plane view: by a drag along a plane's normal, or by keys. A drag on the background
+ * rotates the camera.
  */
 
 import type { PictureGesture } from "../input/keymap";
@@ -12,11 +12,12 @@ import { clampToVolume } from "../state/volume";
 import type { Viewport } from "../views/viewport";
 import type { Workstation } from "./workstation";
 
+/** Movement of a plane by one key press, mm. */
 const KEY_MM = 1;
 
 /**
- * Return the plane that a key moves: up and down the axial plane, left and right the sagittal one, forward and back the
- * coronal one.
+ * Return the axis of the plane that a key moves, and the direction of the movement: up and down move the axial plane,
+ * left and right the sagittal plane, forward and back the coronal plane. Null for other keys.
  */
 function movedBy(does: PictureGesture): { axis: 0 | 1 | 2; sign: number } | null {
   if (does.gesture === "scroll") return { axis: 2, sign: does.sign };
@@ -24,18 +25,21 @@ function movedBy(does: PictureGesture): { axis: 0 | 1 | 2; sign: number } | null
   return does.right === 0 ? { axis: 1, sign: -does.down } : { axis: 0, sign: does.right };
 }
 
-/** Drag of a plane. */
+/** Handlers that move the planes of a tri-plane view. */
 export interface PlaneDrag {
-  /** Handle a drag; return true if it moves a plane. */
+  /** Handle a movement of the pointer during a drag; return true if the drag moves a plane. */
   drag(at: PointerPlace, moved: { dx: number; dy: number }): boolean;
   release(): void;
   hover(at: PointerPlace | null): void;
   key(does: PictureGesture): boolean;
 }
 
-/** Return the drag handler of a tri-plane view. */
+/** Return the handlers that move the planes of a tri-plane view. */
 export function planeDrag(station: Workstation, viewport: Viewport): PlaneDrag {
-  /** The plane that the current drag moves; "orbit" if the drag began on the background. */
+  /**
+   * The grabbed plane with the picture's geometry at the start of the drag; "orbit" if the drag began on the
+   * background; null without a drag.
+   */
   let held: { hit: PlaneHit; geometry: SeenGeometry; centre: Vec3 } | "orbit" | null = null;
 
   const seen = (): SeenGeometry | null => {
@@ -60,7 +64,7 @@ export function planeDrag(station: Workstation, viewport: Viewport): PlaneDrag {
 
   return {
     drag: (at, moved) => {
-      // Use the start of the drag, before its first movement.
+      // Find the plane under the start point of the drag, which is the current point minus the first movement.
       held ??= under({ x: at.x - moved.dx, y: at.y - moved.dy }) ?? "orbit";
       if (held === "orbit") return false;
       const perPx = viewport.magnification;
@@ -78,7 +82,7 @@ export function planeDrag(station: Workstation, viewport: Viewport): PlaneDrag {
     },
     hover: (at) => {
       const plane = at === null ? null : (under(at)?.hit.plane ?? null);
-      // The active tool defines the cursor's shape.
+      // While a tool is active, the tool sets the shape of the cursor.
       viewport.host.style.cursor = plane === null || station.state.ui.armed !== null ? "" : "move";
       if (station.state.ui.overPlane !== plane) station.ui({ overPlane: plane });
     },

@@ -1,4 +1,4 @@
-/** Gestures of mouse, wheel and keys in a view, by kind of view. */
+/** Gestures of mouse, wheel and keys in a view, selected by the kind of the view. */
 
 import { clickAction } from "../input/clicks";
 import { WHEEL_MM_PER_PX } from "../input/flight";
@@ -18,13 +18,14 @@ import { fitPicture, flatPlacing, PAN_KEY_PX } from "./gestures-flat";
 import { planeDrag } from "./gestures-planes";
 import type { Workstation } from "./workstation";
 
+/** Movement of the crosshair by one key press, mm. */
 const CROSSHAIR_KEY_MM = 1;
 /** Slices per px of scrolling: one wheel notch (100 px) scrolls one slice. */
 const SCROLL_SLICES_PER_PX = 0.01;
 
 /**
- * Attach the gestures to a view; return a function that detaches them. `doubleClick` enlarges the view or restores its
- * size.
+ * Attach the gestures to a view, and return a function that detaches them. `doubleClick` enlarges the view or restores
+ * its size.
  */
 export function gesturesOf(station: Workstation, viewport: Viewport, doubleClick: () => void): () => void {
   const gestures = (): Gestures => {
@@ -43,7 +44,7 @@ export function gesturesOf(station: Workstation, viewport: Viewport, doubleClick
         return { pointer: {} };
     }
   };
-  // The gestures stay the same object during a drag, because they store its start.
+  // Keep the same gestures object while the view shows the same kind of picture, because it stores the start of a drag.
   let current = gestures();
   let view = viewport.view;
   const now = (): Gestures => {
@@ -55,7 +56,7 @@ export function gesturesOf(station: Workstation, viewport: Viewport, doubleClick
   };
   const enter = () => {
     if (station.state.ui.armed === null) return doubleClick();
-    // For keys, the crosshair or the middle of the airway view replaces the cursor.
+    // A key has no cursor position. It applies at the middle of the airway view, and at the crosshair in other views.
     const centre = station.centre();
     if (viewport.view === LEAD_VIEW) station.act("wall_point");
     else if (centre !== null) station.pointing.commitHere(centre);
@@ -65,13 +66,13 @@ export function gesturesOf(station: Workstation, viewport: Viewport, doubleClick
     const command = bindingOf(event, placesOf(viewport.view))?.command;
     if (command?.kind !== "picture") return;
     if (command.does.gesture === "enter") {
-      // A held key counts as one gesture.
+      // A held key repeats the event, but counts as one gesture.
       if (!event.repeat) enter();
     } else if (now().key?.(command.does) !== true) return;
     event.preventDefault();
   };
   viewport.host.addEventListener("keydown", key);
-  /** Whether the first click of a series applied a tool; the other clicks then do nothing. */
+  /** Whether the first click of the current series applied a tool; the later clicks of such a series do nothing. */
   let forTool = false;
   const stopPointer = listenToPointer(viewport.host, {
     pans: () => now().pointer.pans?.() ?? false,
@@ -114,7 +115,8 @@ function airwayGestures(station: Workstation, viewport: Viewport): Gestures {
         if (header === null || pixel === null) return;
         const geometry = geometryOf(header);
         if (geometry?.kind === "flat") {
-          // The view finder is a cut-plane, and a click selects a point of its plane.
+          // The viewfinder, which may replace the airway view, is a cut-plane. A click on it selects a point of that
+          // plane.
           station.pick(lpsFromPixel(geometry, pixel));
           return;
         }
@@ -134,7 +136,10 @@ function airwayGestures(station: Workstation, viewport: Viewport): Gestures {
 }
 
 function flatGestures(station: Workstation, viewport: Viewport): Gestures {
-  /** Geometry of the picture when the drag began; zoom may move the picture under the pointer. */
+  /**
+   * Geometry and header of the picture at the start of the drag, because a zoom may move the picture under the pointer;
+   * null without a drag.
+   */
   let held: { geometry: FlatGeometry; viewport: Viewport["header"] } | null = null;
   const placing = flatPlacing(station, viewport);
   const flat = (): FlatGeometry | null => {
@@ -146,8 +151,8 @@ function flatGestures(station: Workstation, viewport: Viewport): Gestures {
     const geometry = held?.geometry ?? flat();
     const pixel = viewport.pixelAt(at);
     if (geometry === null || pixel === null || viewport.header === null) return null;
-    // A picture rendered during movement has fewer pixels for the same field, so coordinates use the stored picture's
-    // size.
+    // The current picture may have fewer pixels than the picture at the start of the drag, because the resolution is
+    // reduced during movement. Scale its coordinates to the stored geometry.
     const of = held?.viewport ?? viewport.header;
     const factor = of.width / viewport.header.width;
     return lpsFromPixel(geometry, { column: pixel.column * factor, row: pixel.row * factor });
@@ -161,7 +166,7 @@ function flatGestures(station: Workstation, viewport: Viewport): Gestures {
     const centre = station.centre();
     if (geometry === null || centre === null) return;
     const { plane } = VIEWS[viewport.view];
-    // Scrolling down shows the next picture of the stack.
+    // A scroll down shows the next slice of the stack, in the order of radiology.
     const way = sliceStepMm(station, plane) * (plane === null ? 1 : PLANES[plane].next_slice);
     moveCrosshair(add(centre, scale(normalOf(geometry), slices * way)));
   };
@@ -220,7 +225,7 @@ function flatGestures(station: Workstation, viewport: Viewport): Gestures {
     },
     key: (does) => {
       if (does.gesture === "scroll") scroll(-does.sign);
-      // The arrow moves the visible region, so the picture moves in the opposite direction.
+      // An arrow key moves the visible region, so the picture moves in the opposite direction.
       else if (does.gesture === "pan") placing.pan({ dx: -does.right * PAN_KEY_PX, dy: -does.down * PAN_KEY_PX });
       else if (does.gesture === "zoom") placing.zoom(-does.sign * ZOOM_KEY_PX, null);
       else if (does.gesture === "fit") fitPicture(station, viewport.view);
@@ -231,7 +236,7 @@ function flatGestures(station: Workstation, viewport: Viewport): Gestures {
   };
 }
 
-/** Return the distance between slices of a plane, mm: the spacing of the voxel axis nearest to the plane's normal. */
+/** Return the distance, mm, between the slices of a plane: the voxel spacing across the plane. */
 function sliceStepMm(station: Workstation, plane: PlaneName | null): number {
   const spacing = station.state.session?.case?.spacing_mm;
   return Math.max(spacing?.[plane === null ? 0 : PLANES[plane].axis] ?? 1, 0.2);
@@ -281,8 +286,8 @@ function orbitGestures(station: Workstation, viewport: Viewport, view: OrbitView
 }
 
 /**
- * Return the distance, mm, of the outside camera from the point that it looks at, while the server selects the
- * distance.
+ * Return the distance, mm, between the camera of an outside view and the point that it looks at, computed from the
+ * displayed picture. Needed while the server selects the distance. Null without a picture or tree.
  */
 function seenDistanceMm(station: Workstation, viewport: Viewport, view: OrbitView): number | null {
   const matrix = viewport.header?.lps_from_camera ?? null;

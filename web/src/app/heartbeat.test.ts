@@ -4,35 +4,35 @@ import { AWAKE_MS, DOZE_MS, Heartbeat, wakeByHand } from "./heartbeat";
 const REFRESH_MS = 1000 / 60;
 
 function heart() {
-  const around = { now: 0, goesOn: false, call: null as (() => void) | null, dueMs: 0 };
+  const environment = { now: 0, goesOn: false, call: null as (() => void) | null, dueMs: 0 };
   const beats: { atMs: number; elapsedS: number }[] = [];
   const ask = (ms: number, call: () => void) => {
-    around.call = call;
-    around.dueMs = around.now + ms;
+    environment.call = call;
+    environment.dueMs = environment.now + ms;
     return () => {
-      if (around.call === call) around.call = null;
+      if (environment.call === call) environment.call = null;
     };
   };
-  const made = new Heartbeat((elapsedS) => beats.push({ atMs: around.now, elapsedS }), {
-    nowMs: () => around.now,
+  const made = new Heartbeat((elapsedS) => beats.push({ atMs: environment.now, elapsedS }), {
+    nowMs: () => environment.now,
     nextRefresh: (call) => ask(REFRESH_MS, call),
     after: ask,
-    goesOn: () => around.goesOn,
+    goesOn: () => environment.goesOn,
   });
   const run = (untilMs: number) => {
-    while (around.call !== null && around.dueMs <= untilMs) {
-      const call = around.call;
-      around.call = null;
-      around.now = around.dueMs;
+    while (environment.call !== null && environment.dueMs <= untilMs) {
+      const call = environment.call;
+      environment.call = null;
+      environment.now = environment.dueMs;
       call();
     }
-    around.now = untilMs;
+    environment.now = untilMs;
   };
-  return { around, beats, made, run };
+  return { environment, beats, made, run };
 }
 
-describe("heartbeat", () => {
-  it("beats with every refresh for a while and dozes when nothing happens", () => {
+describe("Heartbeat", () => {
+  it("It runs at every display refresh for AWAKE_MS after the start, and every DOZE_MS at rest.", () => {
     const { beats, made, run } = heart();
     made.start();
     run(AWAKE_MS);
@@ -43,18 +43,18 @@ describe("heartbeat", () => {
     expect(beats.length - before).toBeGreaterThan(90);
   });
 
-  it("keeps awake while something goes on, and counts all time that passes", () => {
-    const { around, beats, made, run } = heart();
-    around.goesOn = true;
+  it("It runs at every display refresh during activity, and the elapsed times add up to the total time.", () => {
+    const { environment, beats, made, run } = heart();
+    environment.goesOn = true;
     made.start();
     run(20_000);
     expect(beats.length).toBeGreaterThan(1150);
-    const told = beats.reduce((sum, beat) => sum + beat.elapsedS, 0);
-    expect(told).toBeCloseTo((beats.at(-1)?.atMs ?? 0) / 1000, 6);
+    const totalS = beats.reduce((sum, beat) => sum + beat.elapsedS, 0);
+    expect(totalS).toBeCloseTo((beats.at(-1)?.atMs ?? 0) / 1000, 6);
   });
 
-  it("wakes at once, and what nobody looked at is not counted as held", () => {
-    const { around, beats, made, run } = heart();
+  it("A wake-up at rest restarts it at the next refresh, and the time at rest is not part of the elapsed time.", () => {
+    const { environment, beats, made, run } = heart();
     made.start();
     run(10_090);
     const before = beats.length;
@@ -63,20 +63,20 @@ describe("heartbeat", () => {
     const woken = beats.slice(before);
     expect(woken.length).toBe(2);
     expect(woken[0]?.elapsedS).toBeCloseTo(REFRESH_MS / 1000, 6);
-    expect(around.dueMs - around.now).toBeLessThanOrEqual(REFRESH_MS);
+    expect(environment.dueMs - environment.now).toBeLessThanOrEqual(REFRESH_MS);
   });
 
-  it("wakes by itself where a look finds that something has begun", () => {
-    const { around, beats, made, run } = heart();
+  it("It returns to every refresh by itself when a check at rest finds activity.", () => {
+    const { environment, beats, made, run } = heart();
     made.start();
     run(10_000);
-    around.goesOn = true;
+    environment.goesOn = true;
     const before = beats.length;
     run(11_000);
     expect(beats.length - before).toBeGreaterThan(50);
   });
 
-  it("stops, also from within, and a sign of a hand does not start it again", () => {
+  it("It stops on request, and a wake-up after the stop has no effect.", () => {
     const { beats, made, run } = heart();
     made.start();
     run(100);
@@ -87,15 +87,15 @@ describe("heartbeat", () => {
     expect(beats.length).toBe(before);
   });
 
-  it("hears every sign of a hand until told not to", () => {
+  it("wakeByHand reports every input event until its listener is removed.", () => {
     const target = new EventTarget();
-    let heard = 0;
+    let numWakes = 0;
     const stop = wakeByHand(target, () => {
-      heard += 1;
+      numWakes += 1;
     });
     for (const sign of ["keydown", "pointermove", "wheel"]) target.dispatchEvent(new Event(sign));
     stop();
     target.dispatchEvent(new Event("keydown"));
-    expect(heard).toBe(3);
+    expect(numWakes).toBe(3);
   });
 });

@@ -1,4 +1,4 @@
-/** Line icons of 16 px, stored in the source so that the page loads no further files. */
+/** Line icons of 16 px as SVG paths in the source, so that the page loads no icon files. */
 
 const PATHS = {
   previousFork: "M3 3v10M13 3.5 6.5 8l6.5 4.5",
@@ -51,10 +51,10 @@ const PATHS = {
 /** Name of an icon. */
 export type IconName = keyof typeof PATHS;
 
-/** Return an icon as an SVG path in a square of side 16, for drawings outside React. */
+/** Return the SVG path of an icon in a square of side 16, for drawings outside React. */
 export const outlineOfIcon = (name: IconName): string => PATHS[name];
 
-/** Render an icon. */
+/** Render a line icon of 16 px. */
 export function Icon({ name }: { name: IconName }) {
   return (
     <svg className="icon" viewBox="0 0 16 16" aria-hidden="true">

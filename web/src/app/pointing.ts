@@ -1,6 +1,6 @@
 /**
- * Interpretation of the cursor and of clicks in a view, with or without an active tool: a branch, a point in the lumen,
- * or a stroke.
+ * Interpretation of the cursor and of clicks in a view. A position in a picture becomes a branch, a point in the lumen
+ * or a brush stroke; a click applies the active tool, or selects.
  */
 
 import { DelayedAction } from "../input/clicks";
@@ -9,9 +9,9 @@ import { type AppState, crosshairLps, penPoint } from "../state/app-state";
 import { previewTool } from "../state/edit-preview";
 import { forkOf } from "../state/fork-choice";
 import { linesOf, lpsAt } from "../state/lines";
-import { LiveAsker, type LiveQuestion } from "../state/live-path";
+import { LivePathQueue, type LiveQuestion } from "../state/live-path";
 import { geometryOf, lpsFromPixel, type PixelPoint } from "../state/projection";
-import { isBrush, isLesionBrush, strokePoints, wantsBranch, wantsPath, wordsOf, worksIn } from "../state/tools";
+import { isBrush, isLesionBrush, strokePoints, textsOf, wantsBranch, wantsPath, worksIn } from "../state/tools";
 import { branchAhead, placeFromOutside, placeInLumen, type TreePlace } from "../state/tree-index";
 import { planeUnder } from "../state/tri-plane";
 import { asVec3, distance, type Vec3 } from "../state/vec";
@@ -23,44 +23,55 @@ import { VIEWS } from "../wire/views";
 import type { Previewing } from "./previewing";
 import type { Station } from "./station";
 
-/** The contents at a place of a picture. */
+/** The branch and the patient point at a position in a picture. */
 interface Pointed {
-  /** Patient point, LPS mm; null in the airway view, where only the server knows the wall. */
+  /**
+   * Patient point at the position, LPS mm; null in the airway view, where only the server can compute the wall point.
+   */
   readonly lps: Vec3 | null;
   readonly branchId: number | null;
   readonly place: TreePlace | null;
-  /** Place in the airway picture; null in other views. */
+  /** Position in the airway picture, picture px; null in other views. */
   readonly pixel: PixelPoint | null;
 }
 
-/** Time, ms, after which a resting cursor requests no more paths. */
+/** Time, ms, after the last cursor movement from which the path leads to the pen instead of the cursor. */
 const CURSOR_RESTS_MS = 1000;
+/** Largest distance between the last cursor position and a click, CSS px, at which the cursor position is used. */
 const SHAKES_PX = 3;
 
-/** Cursor and clicks in the views. */
+/** Handler of the cursor and of clicks in all views. */
 export class Pointing {
   readonly #station: Station;
   readonly #previewing: Previewing;
-  readonly #live: LiveAsker;
-  /** Identifier of the request for a clicked point of the airway view; the tool is applied when the answer arrives. */
+  readonly #live: LivePathQueue;
+  /**
+   * Identifier of the path request whose answer applies the tool; null if no click in the airway view waits for an
+   * answer.
+   */
   #commitOn: number | null = null;
-  #lastAsked = 0;
-  /** Last place of the cursor. */
+  #lastRequestId = 0;
+  /** Last position of the cursor, with its view; null if the cursor is outside all views. */
   #hovered: { viewport: Viewport; at: PointerPlace } | null = null;
   #cursorMovedMs = Number.NEGATIVE_INFINITY;
-  /** Pen position of the last path request. */
-  #penAsked: Vec3 | null = null;
-  /** Action of a first click that a second click could not undo: a new route or a flight. */
+  /** Pen position of the last path request to the pen, LPS mm. */
+  #penRequested: Vec3 | null = null;
+  /**
+   * Action of a first click that cannot be undone (a new route or a flight). It is delayed until no second click can
+   * follow.
+   */
   readonly #delayed = new DelayedAction();
-  /** State before a click that may become the first half of a double click. */
+  /**
+   * Crosshair, wall points and selection before a click, which are restored if a second click makes it a double click.
+   */
   #before: { crosshair: Vec3 | null; picks: AppState["picks"]; selected: number | null } | null = null;
 
   constructor(station: Station, previewing: Previewing) {
     this.#station = station;
     this.#previewing = previewing;
-    this.#live = new LiveAsker(
+    this.#live = new LivePathQueue(
       (message) => {
-        this.#lastAsked = message.request_id;
+        this.#lastRequestId = message.request_id;
         return station.send(message);
       },
       () => performance.now(),
@@ -76,15 +87,15 @@ export class Pointing {
     const hovered = pointed?.branchId == null ? null : { branchId: pointed.branchId, place: pointed.place };
     this.#cursorMovedMs = performance.now();
     this.#hovered = at === null ? null : { viewport, at };
-    if (at === null) this.#penAsked = null;
+    if (at === null) this.#penRequested = null;
     if (ui.penLeads) station.ui({ penLeads: false });
     if (cursor !== null || ui.cursor?.view === viewport.view || ui.cursor === null) {
       station.ui({ cursor, hovered, pointedLps: pointed?.lps ?? null });
     }
-    this.#ask(pointed === null ? null : questionOf(viewport.header, pointed));
+    this.#request(pointed === null ? null : questionOf(viewport.header, pointed));
   }
 
-  /** Update the place under a resting cursor after a new picture was drawn. */
+  /** Update the point under a resting cursor after a new picture of its view was drawn. */
   pictureDrawn(view: string): void {
     if (this.#hovered?.viewport.view !== view || this.#station.state.ui.penLeads) return;
     const { armed, forkHeld, pathCost } = this.#station.state.ui;
@@ -92,43 +103,46 @@ export class Pointing {
     const { viewport, at } = this.#hovered;
     const pointed = this.#under(viewport, at);
     this.#station.ui({ pointedLps: pointed?.lps ?? null });
-    this.#ask(pointed === null ? null : questionOf(viewport.header, pointed));
+    this.#request(pointed === null ? null : questionOf(viewport.header, pointed));
   }
 
   /**
-   * Return the place of a click: the last cursor place, whose preview was shown. Browsers report fractional positions
-   * for movement but whole pixels for clicks, and the hand may shake.
+   * Return the last cursor position instead of the click position if both are close, because the preview was shown for
+   * the cursor position. Browsers report fractional positions for movements but whole pixels for clicks, and the hand
+   * may shake.
    */
-  #meant(viewport: Viewport, at: PointerPlace): PointerPlace {
+  #clickPosition(viewport: Viewport, at: PointerPlace): PointerPlace {
     const last = this.#hovered;
     const near = last !== null && Math.max(Math.abs(last.at.x - at.x), Math.abs(last.at.y - at.y)) <= SHAKES_PX;
     return last !== null && near && last.viewport === viewport ? last.at : at;
   }
 
-  /** Handle the cursor on a row of a list. */
+  /** Highlight the branch of a list row under the cursor; null if the cursor has left the rows. */
   hoverBranch(branchId: number | null): void {
     const { hovered } = this.#station.state.ui;
     if (hovered?.branchId === branchId || (hovered === null && branchId === null)) return;
     this.#station.ui({ cursor: null, hovered: branchId === null ? null : { branchId, place: null } });
   }
 
-  /** Clear the hovered object, because the cursor has left or another tool is active. */
+  /** Clear the path, the preview and the brush stroke, because the cursor has left or another tool is active. */
   forget(): void {
     this.#forget();
     this.#commitOn = null;
-    this.#penAsked = null;
+    this.#penRequested = null;
     this.#station.ui({ stroke: [], penLeads: false });
   }
 
-  /** Request the path to a place or the preview of an edit; null clears both. */
-  #ask(question: LiveQuestion | null): void {
+  /**
+   * Request what the active tool shows at a point: the path to the point, or the preview of an edit. Null clears both.
+   */
+  #request(question: LiveQuestion | null): void {
     const { ui, doubt } = this.#station.state;
     const tool = previewTool(ui.armed, ui.forkHeld !== null);
     if (question === null) {
       if (wantsPath(ui.armed, ui.pathCost) || tool !== null) this.#forget();
-    } else if (wantsPath(ui.armed, ui.pathCost)) this.#live.ask(question);
+    } else if (wantsPath(ui.armed, ui.pathCost)) this.#live.request(question);
     else if (tool !== null && doubt === null) {
-      this.#previewing.ask({ tool, branch_id: tool === "move-fork" ? ui.forkHeld : null, ...question });
+      this.#previewing.request({ tool, branch_id: tool === "move-fork" ? ui.forkHeld : null, ...question });
     }
   }
 
@@ -158,10 +172,10 @@ export class Pointing {
   click(viewport: Viewport, clicked: PointerPlace): boolean {
     const station = this.#station;
     const { armed, forkHeld } = station.state.ui;
-    const at = this.#meant(viewport, clicked);
+    const at = this.#clickPosition(viewport, clicked);
     const pointed = this.#under(viewport, at);
     if (armed !== null && !worksIn(armed, viewport.view)) {
-      const { label, hint } = wordsOf(armed, false);
+      const { label, hint } = textsOf(armed, false);
       station.notice(`\u201c${label}\u201d does not work in this view. ${hint}`);
       return true;
     }
@@ -186,19 +200,22 @@ export class Pointing {
     return true;
   }
 
-  /** Store the state before a click without a tool, because a second click may make it a double click. */
+  /**
+   * Store the state before a click without a tool, which is restored if the click becomes the first half of a double
+   * click.
+   */
   beginClick(): void {
     const { state } = this.#station;
     this.#delayed.renew();
     this.#before = { crosshair: crosshairLps(state), picks: state.picks, selected: state.ui.selected };
   }
 
-  /** Run an action once a second click can no longer follow. */
+  /** Run an action after the time for a second click has passed; a double click cancels the action. */
   unlessDouble(action: () => void): void {
     this.#delayed.begin(action);
   }
 
-  /** Undo the first click of a double click; return false if its action has already run. */
+  /** Restore the state before the first click of a double click; return false if the delayed action has already run. */
   takeBackClick(): boolean {
     const before = this.#before;
     this.#before = null;
@@ -208,28 +225,31 @@ export class Pointing {
   }
 
   /**
-   * Apply the tool in the airway view: the server first returns the wall point, then the tool uses the lumen in front
-   * of it.
+   * Apply the active tool at a pixel of the airway view. The tool is applied when the server has returned the point in
+   * the lumen in front of the wall at that pixel.
    */
   commitInPicture(header: PictureHeader, pixel: PixelPoint): void {
     this.#live.reset();
-    this.#live.ask({ lps: null, frame_id: header.frame_id, column: pixel.column, row: pixel.row });
-    this.#commitOn = this.#lastAsked;
+    this.#live.request({ lps: null, frame_id: header.frame_id, column: pixel.column, row: pixel.row });
+    this.#commitOn = this.#lastRequestId;
   }
 
-  /** While a tool uses the pen, request the path to the point that its button marks, unless the cursor moves. */
+  /** Request the path to the point that the pen's button marks, if the active tool shows paths and the cursor rests. */
   penAt(): void {
     const { state } = this.#station;
     const at = penPoint(state);
     if (at === null || !wantsPath(state.ui.armed, state.ui.pathCost)) return;
     if (performance.now() - this.#cursorMovedMs < CURSOR_RESTS_MS) return;
-    if (this.#penAsked !== null && distance(at, this.#penAsked) < 0.1) return;
-    this.#penAsked = at;
+    if (this.#penRequested !== null && distance(at, this.#penRequested) < 0.1) return;
+    this.#penRequested = at;
     this.#station.ui({ penLeads: true });
-    this.#ask({ lps: at, frame_id: null, column: null, row: null });
+    this.#request({ lps: at, frame_id: null, column: null, row: null });
   }
 
-  /** Apply the active tool by key at a point, or to the branch at the point. */
+  /**
+   * Apply the active tool at a patient point without a click: to the branch that contains the point, or to the point
+   * itself.
+   */
   commitHere(lps: Vec3): void {
     const { tree, ui } = this.#station.state;
     if (!wantsBranch(ui.armed, ui.forkHeld !== null)) {
@@ -240,7 +260,7 @@ export class Pointing {
     this.#onBranch(place?.branchId ?? null, place);
   }
 
-  /** Apply the active tool at a point. */
+  /** Apply the active tool at a patient point; branch tools and brushes do nothing. */
   commit(lps: Vec3): void {
     const station = this.#station;
     const { armed, forkHeld } = station.state.ui;
@@ -286,7 +306,7 @@ export class Pointing {
     }
   }
 
-  /** Draw with the brush on a slice; return true if a brush is active. */
+  /** Add a point to the brush stroke in a planar view; return false if no brush is active. */
   stroke(viewport: Viewport, at: PointerPlace): boolean {
     const station = this.#station;
     const { armed, stroke } = station.state.ui;
@@ -330,7 +350,7 @@ export class Pointing {
     station.ui({ stroke: [] });
   }
 
-  /** Apply a branch tool to the whole branch of a clicked row. */
+  /** Apply the active branch tool to the whole branch of a clicked list row. */
   clickRow(branchId: number): void {
     this.#onBranch(branchId, null);
   }
@@ -391,7 +411,7 @@ export class Pointing {
         if (!isInside(viewport.shape, viewport.frame, at)) return null;
         const here = pose?.branch_id ?? null;
         const ahead = tree === null || here === null ? null : branchAhead(tree, here, geometry, pixel);
-        // The branch that contains the tip surrounds the view, so only a tool can select it.
+        // The branch of the tip fills the view around the openings. Only an active branch tool selects that branch.
         const means = ahead !== here || wantsBranch(ui.armed, ui.forkHeld !== null);
         return { lps: null, branchId: means ? ahead : null, place: null, pixel };
       }
@@ -401,7 +421,7 @@ export class Pointing {
   }
 }
 
-/** Distance, mm, from a branch's beginning within which the whole branch is selected. */
+/** Distance, mm, from the beginning of a branch within which a cut removes the whole branch. */
 const WHOLE_MM = 2;
 const cutMm = (alongMm: number): number => (alongMm < WHOLE_MM ? 0 : alongMm);
 
@@ -413,7 +433,10 @@ function questionOf(header: PictureHeader | null, pointed: Pointed): LiveQuestio
   return { lps: null, frame_id: header.frame_id, column, row };
 }
 
-/** Return the point of a slice, the cut-plane or a view along the route; null in camera views. */
+/**
+ * Return the patient point under a position in a slice, the cut-plane or a picture along the route; null in camera
+ * views.
+ */
 function flatPoint(viewport: Viewport, at: PointerPlace): Vec3 | null {
   const { header } = viewport;
   const pixel = viewport.pixelAt(at);

@@ -39,24 +39,24 @@ function station() {
   return { previewing, sent, state, shows: () => state.preview?.answer?.lps?.[0] ?? null };
 }
 
-describe("the preview under the cursor", () => {
+describe("preview of an edit under the cursor", () => {
   beforeEach(() => void vi.useFakeTimers());
   afterEach(() => void vi.useRealTimers());
 
-  it("says that it is looking until the first answer is there", () => {
+  it("The preview has no answer and is stale until the first answer arrives.", () => {
     const { previewing, state, shows } = station();
-    previewing.ask(at(1));
+    previewing.request(at(1));
     expect(state.preview).toEqual({ answer: null, stale: true });
     previewing.receive(answer(1, 1));
     expect(shows()).toBe(1);
     expect(state.preview?.stale).toBe(false);
   });
 
-  it("does not keep the way to where the cursor was: it is faint at once, and soon gone", () => {
+  it("After a cursor movement the old answer is stale at once and is hidden after STALE_MS.", () => {
     const { previewing, state, shows } = station();
-    previewing.ask(at(1));
+    previewing.request(at(1));
     previewing.receive(answer(1, 1));
-    previewing.ask(at(2));
+    previewing.request(at(2));
     expect(state.preview?.stale).toBe(true);
     vi.advanceTimersByTime(STALE_MS + 1);
     expect(state.preview).toEqual({ answer: null, stale: true });
@@ -66,9 +66,9 @@ describe("the preview under the cursor", () => {
     expect(state.preview?.stale).toBe(false);
   });
 
-  it("asks for the newest place only, and shows the answer to an older one as outdated", () => {
+  it("Only the latest cursor position is requested, and the answer to an older request is shown as stale.", () => {
     const { previewing, sent, state } = station();
-    for (const x of [1, 2, 3]) previewing.ask(at(x));
+    for (const x of [1, 2, 3]) previewing.request(at(x));
     previewing.receive(answer(1, 1));
     expect(state.preview?.stale).toBe(true);
     expect(sent.map((message) => message.lps?.[0])).toEqual([1, 3]);
@@ -76,11 +76,11 @@ describe("the preview under the cursor", () => {
     expect(state.preview).toMatchObject({ stale: false, answer: { lps: [3, 0, 0] } });
   });
 
-  it("asks nothing anew for a cursor that rests, and asks again when the tree has changed", () => {
+  it("A resting cursor causes no second request, but a change of the tree does.", () => {
     const { previewing, sent, state } = station();
-    previewing.ask(at(1));
+    previewing.request(at(1));
     previewing.receive(answer(1, 1));
-    previewing.ask(at(1));
+    previewing.request(at(1));
     expect(sent).toHaveLength(1);
     expect(state.preview?.stale).toBe(false);
     previewing.again();
@@ -88,9 +88,9 @@ describe("the preview under the cursor", () => {
     expect(sent).toHaveLength(2);
   });
 
-  it("shows nothing once the tool is put away, whatever still comes", () => {
+  it("No preview is shown after the tool was deactivated, even if an answer arrives later.", () => {
     const { previewing, state } = station();
-    previewing.ask(at(1));
+    previewing.request(at(1));
     previewing.forget();
     previewing.receive(answer(1, 1));
     vi.advanceTimersByTime(10 * STALE_MS);

@@ -1,61 +1,61 @@
-/** Requests and shows the preview of an edit while a tool with a preview is active. */
+/** Requests for the preview of an edit, while a tool with a preview is active. */
 
 import type { PreviewQuestion } from "../state/edit-preview";
-import { NewestAsker } from "../state/newest-asker";
+import { LatestRequestQueue } from "../state/newest-asker";
 import type { EditPreviewMessage } from "../wire/messages";
 import type { Station } from "./station";
 
 /**
- * Time, ms, for which the answer for an earlier cursor position stays visible (faint), so that the line follows the
- * hand. Afterwards it is hidden, because the click would give another result.
+ * Time, ms, for which the preview of an earlier cursor position stays visible (faint), so that the line follows the
+ * hand. Later it is hidden, because a click would give another result.
  */
 export const STALE_MS = 120;
 
-/** Preview of edits. */
+/** Requests the preview of an edit for the cursor position, and shows the answers. */
 export class Previewing {
   readonly #station: Station;
-  readonly #asker: NewestAsker<PreviewQuestion, EditPreviewMessage>;
+  readonly #queue: LatestRequestQueue<PreviewQuestion, EditPreviewMessage>;
   #last: PreviewQuestion | null = null;
   #timer: ReturnType<typeof setTimeout> | null = null;
 
   constructor(station: Station) {
     this.#station = station;
-    this.#asker = new NewestAsker(
+    this.#queue = new LatestRequestQueue(
       (id, question) => station.send({ type: "preview_edit", request_id: id, ...question }),
       () => performance.now(),
     );
   }
 
-  ask(question: PreviewQuestion): void {
+  request(question: PreviewQuestion): void {
     if (this.#last !== null && sameQuestion(this.#last, question)) return;
     this.#last = question;
     this.#outdated();
-    this.#asker.ask(question);
+    this.#queue.request(question);
   }
 
-  /** Request the preview again, because the tree has changed. */
+  /** Request the preview at the same position again, because the tree has changed. */
   again(): void {
     if (this.#last === null) return;
     this.#outdated();
-    this.#asker.ask(this.#last);
+    this.#queue.request(this.#last);
   }
 
   /** Clear the preview, because the cursor has left or no tool is active. */
   forget(): void {
     this.#last = null;
-    this.#asker.forget();
+    this.#queue.forget();
     this.#stopTimer();
     if (this.#station.state.preview !== null) this.#station.store.dispatch({ kind: "preview", preview: null });
   }
 
-  /** Forget all requests, for a new connection. */
+  /** Discard all requests without an answer, because a new connection does not answer them. */
   reset(): void {
     this.forget();
-    this.#asker.reset();
+    this.#queue.reset();
   }
 
   receive(answer: EditPreviewMessage): void {
-    const fresh = this.#asker.receive(answer);
+    const fresh = this.#queue.receive(answer);
     if (fresh === null) return;
     this.#stopTimer();
     this.#station.store.dispatch({ kind: "preview", preview: { answer: fresh.answer, stale: fresh.overtaken } });

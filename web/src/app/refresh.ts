@@ -1,6 +1,6 @@
-/** Scheduling at the next display refresh, or after a short time in a hidden window. */
+/** Scheduling of a task at the next display refresh, or after a short time in a hidden window. */
 
-/** Longest delay, ms: a hidden window has no display refresh, but messages must still be sent. */
+/** Longest delay of a task, ms. A hidden window has no display refresh, but its messages must still be sent. */
 const HIDDEN_MS = 250;
 
 /** Run a task once at the next display refresh. */

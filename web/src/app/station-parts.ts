@@ -1,9 +1,9 @@
-/** Functions of the workstation without state. */
+/** Constants and functions of the workstation that need no state. */
 
 import type { StreamStatus } from "../net/stream";
 import type { Connection } from "../state/app-state";
 
-/** Slab thicknesses that the key cycles through. */
+/** Slab thicknesses and projections that the slab key cycles through. */
 export const SLABS = [
   { thickness_mm: 0, kind: "min" },
   { thickness_mm: 10, kind: "min" },
@@ -17,11 +17,11 @@ export function saveAs(name: string, blob: Blob): void {
   link.href = URL.createObjectURL(blob);
   link.download = name;
   link.click();
-  // The browser has read the file by then, so its memory can be released.
+  // The browser has read the file after one second, so its memory can be released.
   setTimeout(() => URL.revokeObjectURL(link.href), 1000);
 }
 
-/** Return the connection status for the state. */
+/** Convert the status of the stream to the connection status of the state. */
 export function asConnection(status: StreamStatus): Connection {
   switch (status.status) {
     case "connecting":

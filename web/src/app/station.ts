@@ -1,5 +1,6 @@
 /**
- * Interface of the workstation for its parts. The workstation creates the parts, so they depend on this interface only.
+ * Interface of the workstation for its parts. The parts depend on this interface and not on the workstation, which
+ * creates the parts.
  */
 
 import type { Flight } from "../input/flight";
@@ -11,11 +12,11 @@ import type { WallPoint } from "../state/wall-point";
 import type { Wall } from "../views/wall";
 import type { ClientMessage } from "../wire/messages";
 
-/** Interface of the workstation for its parts. */
+/** Methods and values of the workstation that its parts use. */
 export interface Station {
   readonly state: AppState;
   readonly store: Store;
-  /** Send a message; return false without a connection. */
+  /** Send a message to the server; return false without a connection. */
   send(message: ClientMessage): boolean;
   ui(change: Partial<Ui>): void;
   notice(message: string): void;
@@ -23,12 +24,12 @@ export interface Station {
   readonly flight: Flight;
   act(action: Action): void;
   chooseBranch(branchId: number): void;
-  /** Add a target with the selected path search. */
+  /** Add a target at a point, with the selected cost function of the path search. */
   addTarget(lps: Vec3): void;
   /** Deactivate the active tool. */
   disarm(): void;
   /** Restore the state before the first click of a double click. */
   takeBack(before: { picks: readonly WallPoint[]; crosshair: Vec3 | null; selected: number | null }): void;
-  /** Return the crosshair, or the position of the tip. */
+  /** Return the crosshair, or the position of the tip if the slices follow it, LPS mm; null without a pose. */
   centre(): Vec3 | null;
 }

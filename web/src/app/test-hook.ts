@@ -1,6 +1,6 @@
 /**
- * Data for browser tests: `window.__carina.state`, and on every view's canvas `data-view`, `data-frame-id`, `data-pose-
- * id`, `data-full` and `data-shows`. The product itself reads none of it.
+ * Data for browser tests: the object `window.__carina.state`, and the attributes `data-view`, `data-frame-id`, `data-
+ * pose-id`, `data-full` and `data-shows` of every view's canvas. Only tests read these data.
  */
 
 import type { AppState } from "../state/app-state";
@@ -8,8 +8,8 @@ import type { StateMessage } from "../wire/messages";
 import type { Workstation } from "./workstation";
 
 /**
- * The fields of the server's latest `state` message together with the client's state (`pose`, `route`, `tree`, `ui`,
- * ...).
+ * State of the client (`pose`, `route`, `tree`, `ui`, ...) together with the fields of the server's latest `state`
+ * message.
  */
 export type TestState = AppState & Partial<StateMessage>;
 
@@ -19,7 +19,7 @@ declare global {
   }
 }
 
-/** Publish the state for browser tests. */
+/** Publish the state as `window.__carina.state` for browser tests. */
 export function exposeForTests(station: Workstation): void {
   window.__carina = {
     get state() {

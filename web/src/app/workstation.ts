@@ -1,10 +1,10 @@
 /**
- * The workstation: connects stream, views, state, flight and keys. Panels call its methods; it does not depend on
- * panels.
+ * The workstation: connects stream, views, state, flight and keys. Panels call its methods; the workstation does not
+ * depend on panels.
  */
 
 import { Flight } from "../input/flight";
-import { KeyPlayer, keyFramesAround } from "../input/key-player";
+import { KeyPlayer, keyFrameHooks } from "../input/key-player";
 import { listenToKeys } from "../input/keyboard";
 import { type Action, WINDOWS } from "../input/keymap";
 import { WATCHERS_ACTIONS } from "../input/watchers-actions";
@@ -52,12 +52,14 @@ import { atNextRefresh } from "./refresh";
 import type { Station } from "./station";
 import { asConnection, SLABS, saveAs } from "./station-parts";
 
-/** Movement by one press of the path bar's arrow keys, mm. */
+/** Movement along the route by one press of an arrow key on the ruler, mm. */
 const STEP_MM = 2;
+/** Interval at which frame rate and latency are shown, ms. */
 const PACE_MS = 500;
+/** Interval at which the speed of the tip is shown, ms. */
 const SPEED_MS = 250;
 
-/** The workstation. */
+/** Controller of the page that connects the stream, the views, the state and the input. */
 export class Workstation implements Station {
   readonly store = new Store(INITIAL_STATE, atNextRefresh);
   readonly wall: Wall;
@@ -71,7 +73,9 @@ export class Workstation implements Station {
   readonly devices: BrowserDevices;
   readonly #stream: Stream;
   readonly #board: PictureBoard<ImageBitmap>;
-  /** Latest message of each kind whose earlier values are obsolete; sent at the next display refresh. */
+  /**
+   * Latest message of each kind whose earlier values are obsolete. The messages are sent at the next display refresh.
+   */
   readonly #soon = new Map<string, ClientMessage>();
   #uploadStop: AbortController | null = null;
   #autoWanted = false;
@@ -97,10 +101,10 @@ export class Workstation implements Station {
     this.#board = new PictureBoard<ImageBitmap>({
       decode: ({ header, payload }) => createImageBitmap(new Blob([payload], { type: `image/${header.codec}` })),
       draw: (header, image, outline, layers) => {
-        // A picture of a view that has just left the screen is not recorded, because it would be outdated when the view
-        // returns.
+        // A picture of a view that has left the screen is not stored in the state, because the picture would be
+        // outdated when the view returns.
         if (!this.wall.draw(header, image, outline, layers)) return;
-        // A replacement picture does not count for the picture rate of the airway view.
+        // Only pictures of the airway view count for its frame rate, not those of the viewfinder that replaces it.
         if (header.view === LEAD_VIEW) this.#pace.pictureDrawn(header.pose_id, performance.now());
         else if (header.stands_for === LEAD_VIEW) this.#pace.standInDrawn(header.pose_id);
         this.store.dispatch({ kind: "picture", header });
@@ -127,7 +131,7 @@ export class Workstation implements Station {
       advancing: (on) => this.ui({ advancing: on }),
     });
     this.player = new KeyPlayer(
-      keyFramesAround(
+      keyFrameHooks(
         () => this.state.keyFrames,
         (message) => this.send(message),
         (playing) => this.store.dispatch({ kind: "playing", playing }),
@@ -162,9 +166,10 @@ export class Workstation implements Station {
           if (message.type === "live_path") this.pointing.receive(message);
           if (message.type === "edit_preview") this.previewing.receive(message);
           if (message.type === "tree") this.previewing.again();
-          if (message.type === "no_evidence") this.#asked();
+          if (message.type === "no_evidence") this.#showDoubtStep();
           if (message.type === "state" && wasUsedByPen(before.ui.armed, before.session, message)) this.disarm();
-          // In another case the first picture may have a lower number than the last picture of the previous case.
+          // In another case the numbers of frames and poses may start again below those of the previous case, so the
+          // queues are cleared.
           if (message.type === "state" && caseKey(before.session) !== caseKey(message)) {
             this.#board.reset();
             this.#pace.reset();
@@ -192,7 +197,7 @@ export class Workstation implements Station {
     return this.store.get();
   }
 
-  /** Start all periodic work; return a function that stops it. */
+  /** Start the heartbeat, the connection and all listeners; return a function that stops them. */
   start(): () => void {
     const stopKeys = listenToKeys(window, {
       press: (action) => this.act(action),
@@ -231,7 +236,7 @@ export class Workstation implements Station {
 
   reconnect = (): void => this.#stream.open();
 
-  /** Send a message now, and show its expected result immediately. */
+  /** Send a message now, and show its expected result before the server answers. */
   send = (message: ClientMessage): boolean => {
     if (this.state.watches && !mayWatcherSend(message)) return false;
     if (!this.#stream.send(message)) return false;
@@ -239,7 +244,10 @@ export class Workstation implements Station {
     return true;
   };
 
-  /** Send the latest message of its kind at the next display refresh, and show its expected result immediately. */
+  /**
+   * Send the latest message of its kind at the next display refresh, and show its expected result before the server
+   * answers.
+   */
   sendSoon(message: ClientMessage): void {
     if (this.state.watches && !mayWatcherSend(message)) return;
     const kind = "view" in message ? `${message.type} ${message.view}` : message.type;
@@ -261,7 +269,7 @@ export class Workstation implements Station {
   openPath = (path: string): void => void this.send({ type: "open_path", path });
   openDemo = (name: Demo["name"]): void => void this.send({ type: "open_demo", name });
 
-  /** Upload files and open them: as another case, or as the airways or key frames of this case. */
+  /** Upload files and open them: as another case, or as the airways or the key frames of the open case. */
   async upload(
     files: readonly UploadFile[],
     use: keyof typeof UPLOADED = "case",
@@ -275,8 +283,8 @@ export class Workstation implements Station {
     try {
       const id = await sendUpload(files, (upload) => this.store.dispatch({ kind: "upload", upload }), stop.signal);
       if (use !== "case" && caseKey(this.state.session) !== of) {
-        // Large files take time. If the user has changed the case meanwhile, the mask must not be applied to another
-        // patient's scan.
+        // The upload of a large file takes time. If the user has opened another case in the meantime, the mask must not
+        // be applied to the other patient's scan.
         this.#sayError(
           "upload.other-case",
           "Another case was opened during the upload, so the file was not used.",
@@ -302,7 +310,10 @@ export class Workstation implements Station {
 
   cancelUpload = (): void => this.#uploadStop?.abort();
 
-  /** Download the airways in the format of this suffix. One download at a time, because a surface takes seconds. */
+  /**
+   * Download the airways in the format of this file suffix. Only one download runs at a time, because the server needs
+   * seconds for a surface.
+   */
   async takeAirways(suffix: string): Promise<void> {
     if (this.state.ui.making !== null) return;
     this.ui({ making: suffix });
@@ -325,17 +336,17 @@ export class Workstation implements Station {
     }
   }
 
-  /** Download the key frames as a file from which `carina fly` renders a film. */
+  /** Download the key frames as a file from which `carina fly` renders a video. */
   async takeKeys(): Promise<void> {
     await this.#take(() => fetchKeyFrames(AbortSignal.timeout(DOWNLOAD_WITHIN_MS)));
   }
 
-  /** Download a recorded flight. */
+  /** Download a recorded flight of the case, by its number. */
   async takeFlight(number: number): Promise<void> {
     await this.#take(() => fetchFlight(number, AbortSignal.timeout(DOWNLOAD_WITHIN_MS)));
   }
 
-  /** Update the named file; a case without one opens the save dialog. */
+  /** Write the named file of the case; open the save dialog if the case has no named file. */
   save(): void {
     const saving = this.state.session?.saving;
     if (saving?.keeps !== true)
@@ -364,7 +375,7 @@ export class Workstation implements Station {
     this.#showKeys(true);
   }
 
-  /** Show or hide the key frame panel, which replaces the panel of the step or the devices. */
+  /** Show or hide the panel of key frames, which replaces the panel of the step or of the devices. */
   #showKeys(keysOpen: boolean): void {
     if (keysOpen && this.state.ui.devicesOpen) this.toggleDevices();
     this.ui({ keysOpen });
@@ -392,7 +403,7 @@ export class Workstation implements Station {
     return this.state.flights.find((flight) => flight.number === this.#flownFlight) ?? null;
   }
 
-  /** Pause immediately, without waiting for the server's answer, because the user moves the tip. */
+  /** Pause the playback now, without waiting for the server's answer, because the user moves the tip. */
   pausePlaying(): void {
     this.player.pause();
     this.replayer.pause();
@@ -403,7 +414,7 @@ export class Workstation implements Station {
     if (tip !== null) this.#speed.poseArrived(tip, performance.now());
     this.player.poseArrived(pose);
     this.replayer.poseArrived(pose);
-    // Input from a device stops the automatic flight.
+    // Movement by an input device stops the automatic flight.
     if (pose.by_device) this.flight.stopAuto();
   }
 
@@ -416,13 +427,13 @@ export class Workstation implements Station {
     this.ui({ selected: branchId });
     this.send({ type: "choose_route", target_id: null, branch_id: branchId });
   };
-  /** Select a planned route, and go to the Route step. */
+  /** Select a planned route of a target, and go to the Route step. */
   takePlannedRoute = (targetId: string, number: number): void => {
     this.send({ type: "choose_planned_route", target_id: targetId, number });
     this.ui({ step: "route" });
   };
 
-  /** Show or hide a layer around the targets; pictures arrive without hidden layers. */
+  /** Show or hide a layer around the targets. The server sends no data of hidden layers with the pictures. */
   toggleLayer(layer: ShownLayer): void {
     this.ui({ hiddenLayers: toggled(this.state.ui.hiddenLayers, layer) });
     this.#tellLayers();
@@ -433,12 +444,12 @@ export class Workstation implements Station {
       this.#stream.send({ type: "set_layers", layers: wantedLayers(this.state.ui.hiddenLayers) });
   }
 
-  /** Open the report of a plan in a new tab, which opens the browser's print dialog; a job shows the progress. */
+  /** Open the printable report of a plan in a new tab, which opens the print dialog; a job shows the progress. */
   printPlan(targetId: string, kind: "report" | "tracing"): void {
     window.open(planAddress(targetId, ".html", kind), "_blank", "noopener");
   }
 
-  /** Download the report of a plan. */
+  /** Download the report of a target's plan in the format of this file suffix. */
   async takePlan(targetId: string, suffix: PlanSuffix, named = false): Promise<void> {
     if (this.state.ui.making !== null) return;
     this.ui({ making: `plan${suffix}` });
@@ -449,7 +460,7 @@ export class Workstation implements Station {
   chooseTarget = (targetId: string): void =>
     void this.send({ type: "choose_route", target_id: targetId, branch_id: null });
 
-  /** Request the wall point at a place in the displayed airway picture. */
+  /** Request the wall point at a pixel of the displayed airway picture. */
   pickWall(header: PictureHeader, at: PixelPoint): void {
     if (at.column < 0 || at.row < 0 || at.column > header.width || at.row > header.height) return;
     this.#pickId += 1;
@@ -480,13 +491,13 @@ export class Workstation implements Station {
     this.pick(lps);
   }
 
-  /** Handle a click at a point: apply the active tool, or else move the crosshair. */
+  /** Handle a click at a patient point: apply the active tool, or move the crosshair if no tool is active. */
   pick(lps: Vec3): void {
     if (this.state.ui.armed === null) this.sendSoon({ type: "set_crosshair", lps });
     else this.pointing.commit(lps);
   }
 
-  /** Activate a tool; the same tool again is deactivated. */
+  /** Activate a tool, or deactivate it if it is already active. */
   arm(tool: Armed): void {
     const { armed } = this.state.ui;
     this.pointing.forget();
@@ -502,7 +513,8 @@ export class Workstation implements Station {
   }
 
   /**
-   * Select the cost function for the paths to the next targets; if it needs a start, activate the tool that marks one.
+   * Select the cost function for the paths to further targets. If the function needs a start point, activate the tool
+   * that marks one.
    */
   choosePathCost(cost: PathCost): void {
     this.ui({ pathCost: cost });
@@ -512,7 +524,7 @@ export class Workstation implements Station {
     else if (cost === "lumen" && this.state.ui.armed === "start") this.disarm();
   }
 
-  /** Add a target with the selected path search; show an error without a start. */
+  /** Add a target with the selected cost function; show an error if the function needs a start point and has none. */
   addTarget(lps: Vec3): void {
     const message = targetMessage(lps, this.state.ui, this.state.session);
     if (message === null) this.notice("Mark the start point first: there are no airways to begin in.");
@@ -532,8 +544,8 @@ export class Workstation implements Station {
   }
 
   /**
-   * Cancel the open question, else the fork that is being moved, else the active tool; return false if there is none of
-   * them.
+   * Cancel the first of these that exists: the open question, the fork that is being moved, the active tool. Return
+   * false if none exists.
    */
   putAway(): boolean {
     const { armed, forkHeld } = this.state.ui;
@@ -550,13 +562,13 @@ export class Workstation implements Station {
     return true;
   }
 
-  /** Show the step whose panel contains the question about a branch without evidence. */
-  #asked(): void {
+  /** Show the step whose panel contains the question whether to draw a branch without evidence. */
+  #showDoubtStep(): void {
     this.previewing.forget();
     if (this.state.ui.step !== "airways") this.ui({ step: "airways" });
   }
 
-  /** Draw the branch without evidence by hand, or discard it. */
+  /** Answer the question about a branch without evidence: draw the branch by hand, or discard it. */
   answerDoubt(draw: boolean): void {
     const { doubt } = this.state;
     if (doubt === null) return;
@@ -565,7 +577,7 @@ export class Workstation implements Station {
     this.send({ type: "edit_tree", edit: { kind: "add-branch", lps: doubt.lps, even_without_evidence: true } });
   }
 
-  /** Begin to rename a branch. */
+  /** Show the name of a branch as an editable field; null (no branch selected) shows a notice. */
   rename(branchId: number | null): void {
     if (branchId === null) this.notice("Choose a branch first: click it in the list or in a view.");
     else {
@@ -574,7 +586,7 @@ export class Workstation implements Station {
     }
   }
 
-  /** Return whether an action is possible now; brush keys require an active brush. */
+  /** Return whether an action is possible now; the brush actions need an active brush. */
   #wants(action: Action): boolean {
     return action !== "brush_smaller" && action !== "brush_larger" ? true : isBrush(this.state.ui.armed);
   }
@@ -586,7 +598,7 @@ export class Workstation implements Station {
     this.send({ type: "watch_devices", on: devicesOpen });
   }
 
-  /** Show a view in its place in the window. */
+  /** Show a view in the cell of the window to which it belongs. */
   show = (view: ViewName): void => this.ui({ shown: showing(view, this.state.ui.shown) });
 
   #showNext(cell: CellName): void {
@@ -605,7 +617,7 @@ export class Workstation implements Station {
     else this.pointing.click(viewport, viewport.middle);
   }
 
-  /** Toggle between the full frame and the last used outline of the scope's picture. */
+  /** Switch between the full frame and the last selected outline of the scope's picture. */
   #toggleOutline(): void {
     const outline = this.state.look.outline;
     if (outline !== "none") this.#outline = outline;
@@ -705,14 +717,14 @@ export class Workstation implements Station {
     if (route === null) {
       this.notice("There is no route yet. Choose a branch in the list on the left, or mark a target.");
     } else if (session?.mode === "free") {
-      // The flight starts when the answer contains the position on the path.
+      // Start the automatic flight when the answer contains the position on the path.
       this.#autoWanted = this.send({ type: "set_mode", mode: "path" });
     } else if (!this.flight.startAuto()) {
       this.notice("This is the end of the route.");
     }
   }
 
-  /** Warn once per selected route about its parts that the CT does not show. */
+  /** Show a warning, once per selected route, about the parts of the route that the CT does not show. */
   #warnOfDoubts(): void {
     const { route } = this.state;
     const words = route === null ? null : routeDoubts(route.spans);
@@ -733,7 +745,9 @@ export class Workstation implements Station {
     else this.chooseBranch(mainLeaf(way.node).branch.id);
   }
 
-  /** Return whether anything moves, is held, waits to be sent, or must be read at every display refresh. */
+  /**
+   * Return whether the page needs every display refresh: something moves, is held, waits to be sent, or must be read.
+   */
   #goesOn(): boolean {
     const { playing, replaying } = this.state;
     const waits = this.#soon.size > 0 || this.#autoWanted;
@@ -762,7 +776,7 @@ export class Workstation implements Station {
     return pathMm(this.state);
   }
 
-  /** Return the intersection of the slices. */
+  /** Return the point where the slices intersect, LPS mm: the crosshair, or the tip. */
   centre(): Vec3 | null {
     return crosshairLps(this.state) ?? tipLps(this.state);
   }
@@ -793,7 +807,7 @@ export class Workstation implements Station {
 /** File suffix of an exported plan. */
 export type PlanSuffix = ".pdf" | ".json" | ".mrk.json" | ".seg.nrrd" | ".seg.dcm" | ".sr.dcm" | ".pdf.dcm";
 
-/** Effects of uploaded files. */
+/** Type of the message that opens uploaded files, by their purpose. */
 const UPLOADED = {
   case: "open_upload",
   mask: "import_mask",

@@ -1,8 +1,8 @@
 import { afterEach, beforeEach, describe, expect, it, vi } from "vitest";
 import { ClickCounter, clickAction, DelayedAction } from "./clicks";
 
-describe("clicks that follow each other", () => {
-  it("are counted while they come at one place and without a pause", () => {
+describe("ClickCounter", () => {
+  it("Clicks at one place without a pause are counted as one series; a pause or a distance starts a new one.", () => {
     const clicks = new ClickCounter();
     expect(clicks.count({ x: 10, y: 10 }, 0, "mouse")).toBe(1);
     expect(clicks.count({ x: 12, y: 10 }, 200, "mouse")).toBe(2);
@@ -11,7 +11,7 @@ describe("clicks that follow each other", () => {
     expect(clicks.count({ x: 40, y: 10 }, 1100, "mouse")).toBe(1);
   });
 
-  it("may lie farther apart under a finger than under a mouse", () => {
+  it("Two clicks 20 px apart belong to one series for a finger, but not for a mouse.", () => {
     const clicks = new ClickCounter();
     clicks.count({ x: 10, y: 10 }, 0, "finger");
     expect(clicks.count({ x: 30, y: 10 }, 100, "finger")).toBe(2);
@@ -19,7 +19,7 @@ describe("clicks that follow each other", () => {
     expect(clicks.count({ x: 120, y: 10 }, 5100, "mouse")).toBe(1);
   });
 
-  it("begin anew after a drag", () => {
+  it("The count restarts at 1 after a drag.", () => {
     const clicks = new ClickCounter();
     clicks.count({ x: 10, y: 10 }, 0, "mouse");
     clicks.forget();
@@ -27,21 +27,21 @@ describe("clicks that follow each other", () => {
   });
 });
 
-describe("what a click is for", () => {
-  it("is the tool once, and never a larger picture, however often it is clicked", () => {
+describe("clickAction", () => {
+  it("With a tool the first click of a series applies the tool, and later clicks do nothing.", () => {
     expect([1, 2, 3, 4].map((count) => clickAction(count, true))).toEqual(["click", "nothing", "nothing", "nothing"]);
   });
 
-  it("without a tool is one choice, and each double click makes the picture large or small", () => {
+  it("Without a tool the first click selects, and every second click enlarges or restores the picture.", () => {
     expect([1, 2, 3, 4].map((count) => clickAction(count, false))).toEqual(["click", "enlarge", "nothing", "enlarge"]);
   });
 });
 
-describe("an action that cannot be undone", () => {
+describe("DelayedAction", () => {
   beforeEach(() => void vi.useFakeTimers());
   afterEach(() => void vi.useRealTimers());
 
-  it("is done when no second click has come", () => {
+  it("The action runs when no second click has followed within the delay.", () => {
     const action = new DelayedAction(300);
     const done = vi.fn();
     action.begin(done);
@@ -51,7 +51,7 @@ describe("an action that cannot be undone", () => {
     expect(done).toHaveBeenCalledOnce();
   });
 
-  it("is not done after a double click, which may tell that it came in time", () => {
+  it("A second click within the delay cancels the action, and cancel() returns true.", () => {
     const action = new DelayedAction(300);
     const done = vi.fn();
     action.begin(done);
@@ -60,7 +60,7 @@ describe("an action that cannot be undone", () => {
     expect(done).not.toHaveBeenCalled();
   });
 
-  it("tells that a second click came too late, until another series begins", () => {
+  it("cancel() returns false after the action has run, and true again in a new series.", () => {
     const action = new DelayedAction(300);
     action.begin(() => undefined);
     vi.advanceTimersByTime(400);

@@ -1,20 +1,22 @@
-/** Counting of clicks in a series (double click), and the action of a series. */
+/** Counting of clicks in a series (double click), and the action of each click in a series. */
 
 /** Position of a pointer in a picture. */
 export interface PointerPlace {
-  /** CSS pixels from the picture's top-left corner. */
+  /** Horizontal position from the picture's left edge, CSS px; `y` is measured from the top edge. */
   x: number;
   y: number;
 }
 
-/** Longest time between two clicks of a series, ms: the browsers' default. */
+/** Longest time between two clicks of a series, ms: the browsers' default for a double click. */
 const SERIES_MS = 500;
-/** Largest distance, CSS px, between two clicks of a series; larger for a finger, which is less exact than a mouse. */
+/**
+ * Largest distance between two clicks of a series, CSS px. It is larger for a finger, which is less exact than a mouse.
+ */
 const NEAR_PX = { mouse: 6, finger: 24 } as const;
 
 /**
- * Counter of successive clicks at the same place, for touch and pen input, whose clicks browsers do not count, and for
- * list rows that move.
+ * Counter of successive clicks at the same place. Needed for touch and pen input, whose clicks some browsers do not
+ * count, and for list rows, which may move between two clicks.
  */
 export class ClickCounter {
   #last: { at: PointerPlace; atMs: number; count: number } | null = null;
@@ -29,7 +31,7 @@ export class ClickCounter {
     return count;
   }
 
-  /** Begin a new series, because another input such as a drag or a key occurred. */
+  /** Begin a new series with the next click, because a drag, a key or another input occurred. */
   forget(): void {
     this.#last = null;
   }
@@ -38,7 +40,7 @@ export class ClickCounter {
 /**
  * Return the action of a click by its number in the series.
  *
- * The first click uses the active tool, or selects. Later clicks of the series do nothing with a tool; without a tool
+ * The first click applies the active tool, or selects. Later clicks of a series with a tool do nothing. Without a tool
  * every second click enlarges the picture or restores its size.
  */
 export function clickAction(count: number, forTool: boolean): "click" | "enlarge" | "nothing" {
@@ -46,7 +48,7 @@ export function clickAction(count: number, forTool: boolean): "click" | "enlarge
   return forTool || count % 2 === 1 ? "nothing" : "enlarge";
 }
 
-/** A delayed action that cannot be undone, such as a flight. It runs once a second click can no longer follow. */
+/** An action that cannot be undone, such as a flight, delayed until no second click can follow. */
 export class DelayedAction {
   #waiting: ReturnType<typeof setTimeout> | null = null;
   #done = false;
@@ -63,12 +65,12 @@ export class DelayedAction {
     }, this.waitMs);
   }
 
-  /** Begin a new series of clicks: the action of the previous series can no longer be cancelled. */
+  /** Begin a new series of clicks, in which the action of the previous series can no longer be cancelled. */
   renew(): void {
     this.#done = false;
   }
 
-  /** Cancel the action; return false if it has already run. */
+  /** Cancel the delayed action; return false if the action has already run. */
   cancel(): boolean {
     if (this.#waiting !== null) clearTimeout(this.#waiting);
     this.#waiting = null;

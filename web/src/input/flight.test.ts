@@ -26,22 +26,22 @@ const ROUTE: RouteInfo = {
 function flight(route: RouteInfo | null = ROUTE) {
   const sent: ClientMessage[] = [];
   const auto: boolean[] = [];
-  const around = { at: 10 as number | null, speed: AUTO_SPEED_MM_S };
+  const environment = { at: 10 as number | null, speed: AUTO_SPEED_MM_S };
   const made = new Flight({
     route: () => route,
-    pathMm: () => around.at,
-    speedMmS: () => around.speed,
+    pathMm: () => environment.at,
+    speedMmS: () => environment.speed,
     send: (message) => {
       sent.push(message);
-      if (message.type === "go_to") around.at = message.path_mm;
+      if (message.type === "go_to") environment.at = message.path_mm;
     },
     advancing: (on) => auto.push(on),
   });
-  return { made, sent, auto, around };
+  return { made, sent, auto, environment };
 }
 
-describe("the flight", () => {
-  it("is moving while a key is held or a wheel has turned, and else at rest", () => {
+describe("Flight", () => {
+  it("isMoving is true while a key is held or movement waits to be sent, and false at rest.", () => {
     const { made } = flight();
     expect(made.isMoving).toBe(false);
     made.hold("yaw", 1, true);
@@ -54,7 +54,7 @@ describe("the flight", () => {
     expect(made.isMoving).toBe(false);
   });
 
-  it("steers once per refresh while a key is held, and stands still without one", () => {
+  it("One steer message is sent per refresh while a key is held, and none without a key.", () => {
     const { made, sent } = flight();
     made.tick(0.016);
     expect(sent).toEqual([]);
@@ -65,7 +65,7 @@ describe("the flight", () => {
     expect(sent).toEqual([{ type: "steer", advance_mm: SPEED_MM_S * 0.02, yaw_rad: 0, pitch_rad: 0, roll_rad: 0 }]);
   });
 
-  it("goes as far in many short refreshes as in few long ones", () => {
+  it("The distance in a given time does not depend on the number of refreshes.", () => {
     const far = (steps: number) => {
       const { made, sent } = flight();
       made.hold("advance", 1, true);
@@ -75,7 +75,7 @@ describe("the flight", () => {
     expect(far(30)).toBeCloseTo(far(3), 9);
   });
 
-  it("is slow with Shift, and both directions at once cancel", () => {
+  it("Shift reduces the speed by the factor SLOW, and two opposite keys cancel each other.", () => {
     const { made, sent } = flight();
     made.slow(true);
     made.hold("advance", 1, true);
@@ -86,7 +86,7 @@ describe("the flight", () => {
     expect(sent).toHaveLength(1);
   });
 
-  it("adds up the mouse between two refreshes", () => {
+  it("Mouse movements between two refreshes are sent as one sum.", () => {
     const { made, sent } = flight();
     made.nudge({ yaw_rad: 0.1 });
     made.nudge({ yaw_rad: 0.1, pitch_rad: -0.2 });
@@ -94,14 +94,14 @@ describe("the flight", () => {
     expect(sent).toEqual([{ type: "steer", advance_mm: 0, yaw_rad: 0.2, pitch_rad: -0.2, roll_rad: 0 }]);
   });
 
-  it("does not leap after a pause of the page", () => {
+  it("After a pause of the page the tip moves by at most MAX_TICK_S of movement.", () => {
     const { made, sent } = flight();
     made.hold("advance", 1, true);
     made.tick(30);
     expect(sent[0]).toMatchObject({ advance_mm: SPEED_MM_S * 0.1 });
   });
 
-  it("flies by itself to the next fork and stops exactly there", () => {
+  it("The automatic flight stops exactly at the viewpoint before the next fork and can be started again.", () => {
     const { made, sent, auto } = flight();
     expect(made.startAuto()).toBe(true);
     const needed = Math.ceil(20 / AUTO_SPEED_MM_S / 0.05) + 1;
@@ -113,9 +113,9 @@ describe("the flight", () => {
     expect(made.startAuto()).toBe(true);
   });
 
-  it("flies by itself at the speed that was chosen, and slowly with Shift", () => {
-    const { made, sent, around } = flight();
-    around.speed = 7;
+  it("The automatic flight uses the selected speed, multiplied by SLOW while Shift is held.", () => {
+    const { made, sent, environment } = flight();
+    environment.speed = 7;
     made.startAuto();
     made.tick(0.05);
     made.slow(true);
@@ -125,7 +125,7 @@ describe("the flight", () => {
     expect(places[1]).toBeCloseTo(10 + 7 * 0.05 * (1 + SLOW), 9);
   });
 
-  it("stops flying by itself when a hand moves the scope", () => {
+  it("The automatic flight stops when the user advances the tip, but not when the user turns the view.", () => {
     const { made, auto } = flight();
     made.startAuto();
     made.nudge({ yaw_rad: 0.1 });
@@ -137,12 +137,12 @@ describe("the flight", () => {
     expect(auto).toEqual([true, false, true, false]);
   });
 
-  it("has nowhere to go without a route, off the path, or at its end", () => {
+  it("The automatic flight does not start without a route, off the route, or at the end of the route.", () => {
     expect(flight(null).made.startAuto()).toBe(false);
     const off = flight();
-    off.around.at = null;
+    off.environment.at = null;
     expect(off.made.startAuto()).toBe(false);
-    off.around.at = 60;
+    off.environment.at = 60;
     expect(off.made.startAuto()).toBe(false);
   });
 });

@@ -1,25 +1,28 @@
 /**
- * Steering by held keys, wheel and drags, sent once per display refresh; and the automatic flight to the next fork. The
- * caller passes the time, so that tests need not wait.
+ * Steering of the tip by held keys, wheel and drags, sent once per display refresh, and the automatic flight to the
+ * next fork. The caller passes the elapsed time, so that tests need not wait.
  */
 
 import { nextStopMm } from "../state/route";
 import type { ClientMessage, RouteInfo } from "../wire/messages";
 import type { HoldAxis } from "./keymap";
 
-/** Speed of a held key, mm/s; the trachea takes about four seconds. */
+/** Speed of the tip while a movement key is held, mm/s; the trachea takes about four seconds. */
 export const SPEED_MM_S = 25;
-/** Factor of the speed while Shift is held. */
+/** Factor that multiplies the speed while Shift is held. */
 export const SLOW = 0.3;
-/** Angular speed of a held key, rad/s. */
+/** Angular speed of the view while a turn key is held, rad/s. */
 export const TURN_RAD_S = 1.0;
-/** Advance per px of scrolling, mm; one notch of a common wheel is 100 px. */
+/** Advance of the tip per px of scrolling, mm; one notch of a common wheel is 100 px. */
 export const WHEEL_MM_PER_PX = 0.03;
-/** Longest time step, s, so that a late display refresh (another tab, a pause) does not move the tip through a wall. */
+/**
+ * Longest time step of the movement, s, so that a late display refresh (another tab, a pause) does not move the tip
+ * through a wall.
+ */
 export const MAX_TICK_S = 0.1;
 
 /** Page functions that {@link Flight} uses; tests supply fakes. */
-export interface FlightSurroundings {
+export interface FlightHooks {
   route(): RouteInfo | null;
   pathMm(): number | null;
   /** Return the speed of the automatic flight, mm/s. */
@@ -31,7 +34,7 @@ export interface FlightSurroundings {
 
 /** Steering of the tip by keys and mouse. */
 export class Flight {
-  readonly #around: FlightSurroundings;
+  readonly #hooks: FlightHooks;
   readonly #held: Record<HoldAxis, Set<1 | -1>> = {
     advance: new Set(),
     roll: new Set(),
@@ -42,8 +45,8 @@ export class Flight {
   #pending = { advance_mm: 0, yaw_rad: 0, pitch_rad: 0, roll_rad: 0 };
   #auto: { atMm: number; stopMm: number } | null = null;
 
-  constructor(around: FlightSurroundings) {
-    this.#around = around;
+  constructor(hooks: FlightHooks) {
+    this.#hooks = hooks;
   }
 
   hold(axis: HoldAxis, sign: 1 | -1, down: boolean): void {
@@ -56,7 +59,7 @@ export class Flight {
     this.#slow = on;
   }
 
-  /** Add mouse movement, which is sent at the next display refresh. */
+  /** Add a movement of mouse or wheel, which is sent at the next display refresh. */
   nudge(move: Partial<{ advance_mm: number; yaw_rad: number; pitch_rad: number; roll_rad: number }>): void {
     if (move.advance_mm !== undefined) this.stopAuto();
     this.#pending.advance_mm += move.advance_mm ?? 0;
@@ -75,22 +78,22 @@ export class Flight {
     return this.#auto !== null;
   }
 
-  /** Start the flight to the next fork of the route; return false if there is no route ahead. */
+  /** Start the automatic flight to the next fork of the route; return false if no route is ahead of the tip. */
   startAuto(): boolean {
-    const route = this.#around.route();
-    const at = this.#around.pathMm();
+    const route = this.#hooks.route();
+    const at = this.#hooks.pathMm();
     if (route === null || at === null) return false;
     const stopMm = nextStopMm(route, at);
     if (stopMm - at < 0.05) return false;
     this.#auto = { atMm: at, stopMm };
-    this.#around.advancing(true);
+    this.#hooks.advancing(true);
     return true;
   }
 
   stopAuto(): void {
     if (this.#auto === null) return;
     this.#auto = null;
-    this.#around.advancing(false);
+    this.#hooks.advancing(false);
   }
 
   tick(elapsedS: number): void {
@@ -104,12 +107,12 @@ export class Flight {
     const move = this.#pending;
     if (move.advance_mm !== 0 || move.yaw_rad !== 0 || move.pitch_rad !== 0 || move.roll_rad !== 0) {
       this.#pending = { advance_mm: 0, yaw_rad: 0, pitch_rad: 0, roll_rad: 0 };
-      this.#around.send({ type: "steer", ...move });
+      this.#hooks.send({ type: "steer", ...move });
     }
     if (this.#auto !== null) {
-      this.#auto.atMm = Math.min(this.#auto.atMm + this.#around.speedMmS() * pace * dt, this.#auto.stopMm);
+      this.#auto.atMm = Math.min(this.#auto.atMm + this.#hooks.speedMmS() * pace * dt, this.#auto.stopMm);
       // Send positions, not speeds, so that the tip stops exactly at the fork whatever the latency is.
-      this.#around.send({ type: "go_to", path_mm: this.#auto.atMm });
+      this.#hooks.send({ type: "go_to", path_mm: this.#auto.atMm });
       if (this.#auto.atMm >= this.#auto.stopMm) this.stopAuto();
     }
   }

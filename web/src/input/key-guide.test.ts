@@ -26,8 +26,8 @@ function guide(): string {
     .concat("\n");
 }
 
-describe("what the documents say about keys", () => {
-  it("is the table, in the guide", async () => {
+describe("keys in the documentation", () => {
+  it("docs/keys.md equals the table of keys.", async () => {
     await expect(guide()).toMatchFileSnapshot(`${REPOSITORY}docs/keys.md`);
   });
 
@@ -35,7 +35,7 @@ describe("what the documents say about keys", () => {
     ["README.md", /\b(W|S|Space|M|\?) (?:and S move|move|flies to the next fork|leaves and enters|shows all)/g],
     ["docs/devices.md", /\((?:key |mouse lock \()?`([^`]{1,12})`\)/g],
     ["docs/key-frames.md", /`([.,]|Ctrl\+Z)`/g],
-  ])("are keys of the table, in %s", (file, pattern) => {
+  ])("Every key that %s names is a key of the table.", (file, pattern) => {
     const labels = new Set(KEYMAP.map((binding) => binding.label));
     const named = [...readFileSync(`${REPOSITORY}${file}`, "utf8").matchAll(pattern)].map((found) => found[1]);
     expect(named.length).toBeGreaterThan(1);

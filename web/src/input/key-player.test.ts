@@ -1,7 +1,7 @@
 import { describe, expect, it } from "vitest";
 import { NOT_PLAYING, type Playing } from "../state/playing";
 import type { ClientMessage, KeyFramesMessage, PoseMessage } from "../wire/messages";
-import { KeyPlayer, keyFramesAround } from "./key-player";
+import { KeyPlayer, keyFrameHooks } from "./key-player";
 
 const KEYS: KeyFramesMessage = {
   type: "key_frames",
@@ -31,61 +31,61 @@ const pose = (key_frames_s: number | null): PoseMessage => ({
 
 function player(keys: KeyFramesMessage | null = KEYS) {
   const sent: ClientMessage[] = [];
-  const around = { keys, playing: NOT_PLAYING as Playing, open: true };
+  const environment = { keys, playing: NOT_PLAYING as Playing, open: true };
   const made = new KeyPlayer(
-    keyFramesAround(
-      () => around.keys,
+    keyFrameHooks(
+      () => environment.keys,
       (message) => {
-        if (around.open) sent.push(message);
-        return around.open;
+        if (environment.open) sent.push(message);
+        return environment.open;
       },
       (playing) => {
-        around.playing = playing;
+        environment.playing = playing;
       },
     ),
   );
-  return { made, sent, around };
+  return { made, sent, environment };
 }
 
-const asked = (sent: ClientMessage[]) =>
+const requested = (sent: ClientMessage[]) =>
   sent.map((one) => (one.type === "fly_key_frames" ? [one.time_s, one.goes_on] : one));
 
-describe("the player of key frames", () => {
-  it("begins by asking for the tip, goes on at each refresh, and ends at the end", () => {
-    const { made, sent, around } = player();
+describe("KeyPlayer with key frames", () => {
+  it("It first sends the current time, continues at each refresh, and stops at the end of the flight.", () => {
+    const { made, sent, environment } = player();
     expect(made.play()).toBe(true);
     for (let n = 0; n < 50; n += 1) made.tick(0.1);
-    const times = asked(sent) as [number, boolean][];
+    const times = requested(sent) as [number, boolean][];
     expect(times[0]).toEqual([0, false]);
     expect(times.slice(1).every(([, goesOn]) => goesOn)).toBe(true);
     expect(times.map(([t]) => t)).toEqual([...times.map(([t]) => t)].sort((a, b) => a - b));
     expect(times.at(-1)).toEqual([4, true]);
     expect(times.length).toBeLessThan(44);
-    expect(around.playing).toEqual({ on: false, atS: 4, rate: 1 });
+    expect(environment.playing).toEqual({ on: false, atS: 4, rate: 1 });
     made.play();
-    expect(asked(sent).at(-1)).toEqual([0, false]);
+    expect(requested(sent).at(-1)).toEqual([0, false]);
   });
 
-  it("flies half as fast, or twice", () => {
-    const { made, around } = player();
+  it("The position advances by the elapsed time multiplied by the playback rate.", () => {
+    const { made, environment } = player();
     made.setRate(0.5);
     made.play();
     made.tick(0.1);
-    expect(around.playing.atS).toBeCloseTo(0.05, 9);
+    expect(environment.playing.atS).toBeCloseTo(0.05, 9);
     made.setRate(2);
     made.tick(0.1);
-    expect(around.playing.atS).toBeCloseTo(0.25, 9);
+    expect(environment.playing.atS).toBeCloseTo(0.25, 9);
   });
 
-  it("does not leap after a pause of the page", () => {
-    const { made, around } = player();
+  it("After a pause of the page the position advances by at most 0.1 s.", () => {
+    const { made, environment } = player();
     made.play();
     made.tick(60);
-    expect(around.playing).toMatchObject({ on: true, atS: 0.1 });
+    expect(environment.playing).toMatchObject({ on: true, atS: 0.1 });
   });
 
-  it("stands where it is paused and goes on from there; stopping leads back to the start", () => {
-    const { made, sent, around } = player();
+  it("A paused flight continues at the same position, and stopping returns to the beginning.", () => {
+    const { made, sent, environment } = player();
     made.play();
     made.tick(0.1);
     made.toggle();
@@ -93,48 +93,48 @@ describe("the player of key frames", () => {
     made.tick(0.1);
     expect(sent).toHaveLength(before);
     made.toggle();
-    expect(asked(sent).at(-1)).toEqual([0.1, false]);
+    expect(requested(sent).at(-1)).toEqual([0.1, false]);
     made.stop();
-    expect(asked(sent).at(-1)).toEqual([0, false]);
-    expect(around.playing).toMatchObject({ on: false, atS: 0 });
+    expect(requested(sent).at(-1)).toEqual([0, false]);
+    expect(environment.playing).toMatchObject({ on: false, atS: 0 });
   });
 
-  it("ends when a pose says that somebody took over, and not by one from before it began", () => {
-    const { made, around } = player();
+  it("A pose of another origin stops the playback, but not a pose that was sent before the playback began.", () => {
+    const { made, environment } = player();
     made.poseArrived(pose(null));
     made.play();
     made.poseArrived(pose(null));
-    expect(around.playing.on).toBe(true);
+    expect(environment.playing.on).toBe(true);
     made.tick(0.1);
     made.poseArrived(pose(0));
     made.poseArrived(pose(0.1));
-    expect(around.playing.on).toBe(true);
+    expect(environment.playing.on).toBe(true);
     made.poseArrived(pose(null));
-    expect(around.playing.on).toBe(false);
+    expect(environment.playing.on).toBe(false);
   });
 
-  it("stands at the key frame that the tip was sent to, and does not follow its own echo", () => {
-    const { made, around } = player();
+  it("It shows the time of a pose at rest, and ignores older poses of the flight during playback.", () => {
+    const { made, environment } = player();
     made.poseArrived(pose(2.5));
-    expect(around.playing).toMatchObject({ on: false, atS: 2.5 });
+    expect(environment.playing).toMatchObject({ on: false, atS: 2.5 });
     made.play();
     made.tick(0.1);
     made.poseArrived(pose(2.5));
-    expect(around.playing.atS).toBeCloseTo(2.6, 9);
+    expect(environment.playing.atS).toBeCloseTo(2.6, 9);
   });
 
-  it("scrubs within the flight, also while it plays", () => {
-    const { made, sent, around } = player();
+  it("The slider is limited to the flight's duration and can be moved during playback.", () => {
+    const { made, sent, environment } = player();
     made.seek(99);
-    expect(asked(sent)).toEqual([[4, false]]);
+    expect(requested(sent)).toEqual([[4, false]]);
     made.seek(-1);
     made.play();
     made.seek(3);
     made.tick(0.1);
-    expect(around.playing).toMatchObject({ on: true, atS: 3.1 });
+    expect(environment.playing).toMatchObject({ on: true, atS: 3.1 });
   });
 
-  it("is at a key frame, or at the end, where a bar with steps comes near to it", () => {
+  it("A slider position within 0.02 s of a key frame or the end selects it exactly.", () => {
     const frames = [0, 1.2345, 4].map((time_s, n) => ({
       key_id: `key-${n}`,
       name: "",
@@ -147,32 +147,32 @@ describe("the player of key frames", () => {
     }));
     const { made, sent } = player({ ...KEYS, frames });
     for (const at of [1.23, 3.99, 2]) made.seek(at);
-    expect(asked(sent).map((one) => (Array.isArray(one) ? one[0] : one))).toEqual([1.2345, 4, 2]);
+    expect(requested(sent).map((one) => (Array.isArray(one) ? one[0] : one))).toEqual([1.2345, 4, 2]);
   });
 
-  it("has nothing to play without a flight or a connection, and stops when the list changes", () => {
+  it("Playback does not start without a flight or a connection, and stops when the list changes.", () => {
     expect(player(null).made.play()).toBe(false);
     expect(player({ ...KEYS, duration_s: 0 }).made.play()).toBe(false);
     const off = player();
-    off.around.open = false;
+    off.environment.open = false;
     expect(off.made.play()).toBe(false);
-    expect(off.around.playing.on).toBe(false);
-    const { made, around } = player();
+    expect(off.environment.playing.on).toBe(false);
+    const { made, environment } = player();
     made.seek(3.5);
     made.play();
     made.reset(2);
-    expect(around.playing).toMatchObject({ on: false, atS: 2 });
+    expect(environment.playing).toMatchObject({ on: false, atS: 2 });
   });
 });
 
-describe("the player of a recorded flight", () => {
-  it("begins its clock with the first answer, since the flight may be read first", () => {
-    const asked: [number, boolean][] = [];
+describe("KeyPlayer with a recorded flight", () => {
+  it("The playback clock starts when the first pose of the flight arrives, because the server may load the flight.", () => {
+    const requested: [number, boolean][] = [];
     let playing: Playing = NOT_PLAYING;
     const made = new KeyPlayer({
       durationS: () => 4,
       stops: () => [],
-      fly: (timeS, goesOn) => asked.push([timeS, goesOn]) > 0,
+      fly: (timeS, goesOn) => requested.push([timeS, goesOn]) > 0,
       timeOf: (one) => one.flight?.time_s ?? null,
       waits: true,
       changed: (now) => {
@@ -187,10 +187,10 @@ describe("the player of a recorded flight", () => {
     made.tick(0.1);
     made.poseArrived(flown(null));
     made.tick(0.1);
-    expect(asked).toEqual([[0, false]]);
+    expect(requested).toEqual([[0, false]]);
     made.poseArrived(flown(0));
     made.tick(0.1);
-    expect(asked).toEqual([
+    expect(requested).toEqual([
       [0, false],
       [0.1, true],
     ]);

@@ -1,37 +1,37 @@
 /**
- * Playback of the flight through the key frames, or of a recorded flight, by positions in time once per display
- * refresh. Any other input that moves the tip stops the playback; the server reports the origin of each pose. The
- * caller passes the time.
+ * Playback of the flight through the key frames, or of a recorded flight: sends a position in time once per display
+ * refresh. Movement of the tip by any other input stops the playback; the server reports the origin of each pose. The
+ * caller passes the elapsed time.
  */
 
 import { NOT_PLAYING, type Playing } from "../state/playing";
 import type { ClientMessage, KeyFramesMessage, PoseMessage } from "../wire/messages";
 import { MAX_TICK_S } from "./flight";
 
-/** Distance in time, s, below which a position counts as a key frame or as the end. */
+/** Distance in time, s, below which a slider position counts as a key frame or as the end of the flight. */
 const AT_END_S = 0.02;
 
 /** Functions of the flight that a {@link KeyPlayer} plays. */
-export interface PlayerSurroundings {
-  /** Return the duration, s; 0 without a flight. */
+export interface PlayerHooks {
+  /** Return the duration of the flight, s; 0 without a flight. */
   durationS(): number;
-  /** Return the times, s, at which the position slider snaps. */
+  /** Return the times, s, to which the position slider snaps. */
   stops(): readonly number[];
-  /** Move the tip to a time; return false without a connection. */
+  /** Move the tip to the flight's position at a time; return false without a connection. */
   fly(timeS: number, goesOn: boolean): boolean;
-  /** Return the pose's time in this flight, s; null if another input moved the tip. */
+  /** Return the time of a pose in this flight, s; null if another input moved the tip. */
   timeOf(pose: PoseMessage): number | null;
-  /** Whether the playback clock waits for the first answer, because the server may have to load the flight. */
+  /** Whether the playback clock waits for the first answer of the server, which may have to load the flight. */
   readonly waits: boolean;
   changed(playing: Playing): void;
 }
 
 /** Return the functions that play the flight through the key frames. */
-export function keyFramesAround(
+export function keyFrameHooks(
   keyFrames: () => KeyFramesMessage | null,
   send: (message: ClientMessage) => boolean,
   changed: (playing: Playing) => void,
-): PlayerSurroundings {
+): PlayerHooks {
   return {
     durationS: () => keyFrames()?.duration_s ?? 0,
     stops: () => (keyFrames()?.frames ?? []).map((key) => key.time_s),
@@ -44,13 +44,15 @@ export function keyFramesAround(
 
 /** Player of one flight. */
 export class KeyPlayer {
-  readonly #around: PlayerSurroundings;
+  readonly #hooks: PlayerHooks;
   #playing = NOT_PLAYING;
-  /** Whether the server has answered the last command; afterwards a pose of another origin stops the playback. */
+  /**
+   * Whether the server has answered the last command. After the answer, a pose of another origin stops the playback.
+   */
   #answered = false;
 
-  constructor(around: PlayerSurroundings) {
-    this.#around = around;
+  constructor(hooks: PlayerHooks) {
+    this.#hooks = hooks;
   }
 
   get isPlaying(): boolean {
@@ -58,10 +60,11 @@ export class KeyPlayer {
   }
 
   /**
-   * Start at the current position, or at the beginning if the position is at the end; return false without a flight.
+   * Start the playback at the current position, or at the beginning if the position is at the end. Return false without
+   * a flight or a connection.
    */
   play(): boolean {
-    const lasts = this.#around.durationS();
+    const lasts = this.#hooks.durationS();
     if (lasts <= 0) return false;
     const from = this.#playing.atS >= lasts - AT_END_S ? 0 : this.#playing.atS;
     if (!this.#go(from)) return false;
@@ -79,26 +82,26 @@ export class KeyPlayer {
     return true;
   }
 
-  /** Stop the playback if the server refused a command before its first answer, because the flight may never start. */
+  /** Stop the playback if the server reports an error before its first answer, because the flight may never start. */
   refused(): void {
     if (!this.#answered) this.pause();
   }
 
-  /** Replace the flight: the position is reset to the beginning. */
+  /** Select another flight: stop the playback and reset the position to the beginning. */
   begin(): void {
     this.#set({ on: false, atS: 0 });
   }
 
-  /** Stop and move the tip to the beginning. */
+  /** Stop the playback and move the tip to the beginning of the flight. */
   stop(): void {
     this.pause();
     this.seek(0);
   }
 
   seek(toS: number): void {
-    const lasts = this.#around.durationS();
-    const stops = [lasts, ...this.#around.stops()];
-    // The slider has discrete steps, so a position near a key frame or the end selects it exactly.
+    const lasts = this.#hooks.durationS();
+    const stops = [lasts, ...this.#hooks.stops()];
+    // The slider has discrete steps. A position near a key frame or near the end selects that time exactly.
     const atS = stops.find((stop) => Math.abs(stop - toS) < AT_END_S) ?? Math.min(Math.max(toS, 0), lasts);
     if (lasts > 0 && this.#go(atS)) this.#set({ atS });
   }
@@ -108,16 +111,16 @@ export class KeyPlayer {
   }
 
   tick(elapsedS: number): void {
-    if (!this.#playing.on || (this.#around.waits && !this.#answered)) return;
-    const lasts = this.#around.durationS();
+    if (!this.#playing.on || (this.#hooks.waits && !this.#answered)) return;
+    const lasts = this.#hooks.durationS();
     const atS = Math.min(this.#playing.atS + Math.min(elapsedS, MAX_TICK_S) * this.#playing.rate, lasts);
-    this.#around.fly(atS, true);
+    this.#hooks.fly(atS, true);
     this.#set({ atS, on: atS < lasts });
   }
 
   /** Update the position from a pose of the flight; stop the playback after a pose of another origin. */
   poseArrived(pose: PoseMessage): void {
-    const timeS = this.#around.timeOf(pose);
+    const timeS = this.#hooks.timeOf(pose);
     if (timeS !== null) {
       this.#answered = true;
       if (!this.#playing.on && timeS !== this.#playing.atS) this.#set({ atS: timeS });
@@ -126,7 +129,10 @@ export class KeyPlayer {
     }
   }
 
-  /** Limit the position to the new duration after a change of the flight or case, or the loss of the connection. */
+  /**
+   * Stop the playback and limit its position to the new duration, after a change of the flight or the case, or after
+   * the loss of the connection.
+   */
   reset(lasts: number): void {
     if (this.#playing.on || this.#playing.atS > lasts) {
       this.#set({ on: false, atS: Math.min(this.#playing.atS, lasts) });
@@ -135,11 +141,11 @@ export class KeyPlayer {
 
   #go(time_s: number): boolean {
     this.#answered = false;
-    return this.#around.fly(time_s, false);
+    return this.#hooks.fly(time_s, false);
   }
 
   #set(change: Partial<Playing>): void {
     this.#playing = { ...this.#playing, ...change };
-    this.#around.changed(this.#playing);
+    this.#hooks.changed(this.#playing);
   }
 }

@@ -1,12 +1,12 @@
 /**
- * The table of keys and mouse gestures: the effect of each, the place where it is valid, and its text. The listeners,
- * the key card, the tooltips and the guide's list (docs/keys.md) read it; see docs/decisions/0102.
+ * Table of keys and mouse gestures: the effect of each, the place where it is valid, and its text. The listeners, the
+ * key card, the tooltips and the list in docs/keys.md read the table (decision 0102).
  */
 
-/** Movement axis of a held key. */
+/** Movement of the tip by a held key. */
 export type HoldAxis = "advance" | "roll" | "pitch" | "yaw";
 
-/** Action of a pressed key. */
+/** Action that a pressed key runs. */
 export type Action =
   | "auto_advance"
   | "previous_fork"
@@ -63,15 +63,18 @@ export type PictureGesture =
   | { readonly gesture: "zoom" | "scroll"; readonly sign: 1 | -1 }
   | { readonly gesture: "move" | "pan"; readonly right: number; readonly down: number };
 
-/** Effect of a key. */
+/** Effect of a key: a movement, an action, or a gesture in the focused view. */
 export type Command =
   | { readonly kind: "hold"; readonly axis: HoldAxis; readonly sign: 1 | -1 }
   | { readonly kind: "press"; readonly action: Action }
   | { readonly kind: "picture"; readonly does: PictureGesture }
-  /** The focused element (list, field, dialog) handles the key itself. */
+  /** Marks a key that the focused element (list, field, dialog) handles itself; the table only contains its text. */
   | { readonly kind: "own" };
 
-/** Places where a key is valid. Several places can apply at once: an active brush, the focused slice, and the page. */
+/**
+ * Places where a key is valid, with their titles. Several places can apply at once: an active brush, the focused slice,
+ * and the page.
+ */
 export const PLACES = {
   page: { title: "Anywhere", within: null, over: [] },
   brush: { title: "With a brush selected", within: null, over: [] },
@@ -87,23 +90,26 @@ export const PLACES = {
   field: { title: "Text fields", within: null, over: ["page", "brush", "question"] },
   dialog: { title: "Dialogs", within: null, over: ["page", "brush", "question"] },
 } as const satisfies Record<string, { title: string; within: string | null; over: readonly string[] }>;
-/** Name of a place. */
+/** Name of a place where a key is valid. */
 export type KeyPlace = keyof typeof PLACES;
 
-/** Group of keys on the key card. */
+/** Title of a group of keys on the key card. */
 export type KeyGroup = "Fly" | "Look" | "Plan" | "Airways" | "Views" | "Help";
 
-/** A key with its place and effect. */
+/** A key with the place where it is valid, its effect and its text. */
 export interface Binding {
   readonly place: KeyPlace;
   /** `KeyboardEvent.key` with letters in lower case: the printed letter on any keyboard layout. */
   readonly key: string;
   readonly ctrl?: boolean;
-  /** Set only if the binding depends on Shift; Shift with a held key selects the slow speed. */
+  /**
+   * State of Shift that the binding requires; absent if the binding does not depend on Shift. With a held movement key,
+   * Shift selects the slow speed.
+   */
   readonly shift?: boolean;
   readonly label: string;
   readonly words: string;
-  /** Group of a key that is valid anywhere. */
+  /** Group on the key card of a key that is valid anywhere. */
   readonly group?: KeyGroup;
   readonly command: Command;
 }
@@ -112,7 +118,7 @@ const hold = (axis: HoldAxis, sign: 1 | -1): Command => ({ kind: "hold", axis, s
 const press = (action: Action): Command => ({ kind: "press", action });
 const OWN: Command = { kind: "own" };
 
-/** Keys with the same effect in different directions. */
+/** Keys with the same effect in different directions, which become one line of the key card. */
 interface Keys {
   readonly ctrl?: boolean;
   readonly shift?: boolean;
@@ -127,7 +133,7 @@ const arrows = (gesture: "move" | "pan"): Keys["does"] => ({
   ArrowDown: { gesture, right: 0, down: 1 },
 });
 
-/** Keys that all views share; each kind of view has its own text for them. */
+/** The Enter key, which is valid in every view; each kind of view has its own text for it. */
 const ENTER: Keys = { label: "Enter", ctrl: false, does: { Enter: { gesture: "enter" } } };
 const FIT: Keys = { label: "Home", ctrl: false, does: { Home: { gesture: "fit" } } };
 const ZOOM: Keys = {
@@ -580,10 +586,10 @@ const IN_PLACES: readonly Binding[] = [
   ...own("dialog", "Esc", "Close the dialog", "Escape"),
 ];
 
-/** All key bindings. */
+/** All key bindings: those of the page first, then those of single places. */
 export const KEYMAP: readonly Binding[] = [...PAGE, ...IN_PLACES];
 
-/** Texts about the mouse for the key card; the gestures of the views define the effects. */
+/** Texts about the mouse for the key card. The gestures of the views implement the effects. */
 export const MOUSE: readonly { readonly where: string; readonly what: readonly (readonly [string, string])[] }[] = [
   {
     where: "Airway view",

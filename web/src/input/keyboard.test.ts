@@ -3,17 +3,17 @@ import { afterEach, describe, expect, it } from "vitest";
 import { focusKind, listenToKeys } from "./keyboard";
 
 function listening(options: { path?: boolean; enabled?: boolean; brush?: boolean; tool?: boolean } = {}) {
-  const heard: string[] = [];
+  const calls: string[] = [];
   const stop = listenToKeys(window, {
-    press: (action) => heard.push(action),
-    hold: (axis, sign, down) => heard.push(`${axis} ${sign} ${down ? "down" : "up"}`),
+    press: (action) => calls.push(action),
+    hold: (axis, sign, down) => calls.push(`${axis} ${sign} ${down ? "down" : "up"}`),
     slow: () => undefined,
     wants: (action) => options.brush ?? !action.startsWith("brush_"),
     holdsTool: () => options.tool ?? false,
     arrowsLook: () => !(options.path ?? true),
     enabled: () => options.enabled ?? true,
   });
-  return { heard, stop };
+  return { calls, stop };
 }
 
 function type(key: string, target: EventTarget = document.body, kind = "keydown", init: KeyboardEventInit = {}) {
@@ -28,17 +28,17 @@ afterEach(() => {
   document.body.replaceChildren();
 });
 
-describe("the keyboard", () => {
-  it("flies on the page and takes the key from the browser", () => {
+describe("listenToKeys", () => {
+  it("A movement key on the page starts and ends a movement, and the browser does not receive the key.", () => {
     const keys = listening();
     stop = keys.stop;
     expect(type("w").defaultPrevented).toBe(true);
     type("w", document.body, "keydown", { repeat: true });
     type("w", document.body, "keyup");
-    expect(keys.heard).toEqual(["advance 1 down", "advance 1 up"]);
+    expect(keys.calls).toEqual(["advance 1 down", "advance 1 up"]);
   });
 
-  it("does not take a key while somebody types, nor a key that is not its own", () => {
+  it("The browser receives keys in a text field, keys without a binding, and keys with Ctrl.", () => {
     const keys = listening();
     stop = keys.stop;
     const input = document.createElement("input");
@@ -46,10 +46,10 @@ describe("the keyboard", () => {
     expect(type("w", input).defaultPrevented).toBe(false);
     expect(type("Tab").defaultPrevented).toBe(false);
     expect(type("r", document.body, "keydown", { ctrlKey: true }).defaultPrevented).toBe(false);
-    expect(keys.heard).toEqual([]);
+    expect(keys.calls).toEqual([]);
   });
 
-  it("leaves arrows to a focused slider and space to a focused button", () => {
+  it("A focused slider receives the arrow keys, and a focused button the space bar.", () => {
     const keys = listening();
     stop = keys.stop;
     const slider = document.createElement("input");
@@ -59,47 +59,47 @@ describe("the keyboard", () => {
     expect(type("ArrowUp", slider).defaultPrevented).toBe(false);
     expect(type(" ", button).defaultPrevented).toBe(false);
     type("m", button);
-    expect(keys.heard).toEqual(["toggle_mode"]);
+    expect(keys.calls).toEqual(["toggle_mode"]);
   });
 
-  it("chooses ways on a path and looks around without one", () => {
+  it("The left arrow selects a branch on a route, and turns the view without a route.", () => {
     const onPath = listening({ path: true });
     type("ArrowLeft");
     onPath.stop();
-    expect(onPath.heard).toEqual(["way_left"]);
+    expect(onPath.calls).toEqual(["way_left"]);
     const free = listening({ path: false });
     stop = free.stop;
     type("ArrowLeft");
     type("ArrowLeft", document.body, "keyup");
-    expect(free.heard).toEqual(["yaw -1 down", "yaw -1 up"]);
+    expect(free.calls).toEqual(["yaw -1 down", "yaw -1 up"]);
   });
 
-  it("lets go of held keys when the window loses the focus", () => {
+  it("A held key is released when the window loses the focus.", () => {
     const keys = listening();
     stop = keys.stop;
     type("w");
     window.dispatchEvent(new Event("blur"));
-    expect(keys.heard).toEqual(["advance 1 down", "advance 1 up"]);
+    expect(keys.calls).toEqual(["advance 1 down", "advance 1 up"]);
   });
 
-  it("is silent where no case is open", () => {
+  it("Without an open case no key has an effect.", () => {
     const keys = listening({ enabled: false });
     stop = keys.stop;
     expect(type("w").defaultPrevented).toBe(false);
-    expect(keys.heard).toEqual([]);
+    expect(keys.calls).toEqual([]);
   });
 
-  it("takes the brush's keys only while there is a brush in the hand", () => {
+  it("The keys of the brush have an effect only while a brush is active.", () => {
     const without = listening();
     expect(type("]").defaultPrevented).toBe(false);
     without.stop();
     const keys = listening({ brush: true });
     stop = keys.stop;
     expect(type("]").defaultPrevented).toBe(true);
-    expect([without.heard, keys.heard]).toEqual([[], ["brush_larger"]]);
+    expect([without.calls, keys.calls]).toEqual([[], ["brush_larger"]]);
   });
 
-  it("puts a tool down by Esc first, also from a list and a field, but closes first what lies over the page", () => {
+  it("Escape deactivates the tool, also from a list or a text field, but first closes an open dialog.", () => {
     const list = document.createElement("div");
     list.setAttribute("role", "treegrid");
     const row = document.createElement("button");
@@ -117,13 +117,13 @@ describe("the keyboard", () => {
     const keys = listening({ tool: true });
     stop = keys.stop;
     type("Escape", inside);
-    expect(keys.heard).toEqual([]);
+    expect(keys.calls).toEqual([]);
     type("Escape", input);
     type("Escape", row);
-    expect([without.heard, keys.heard]).toEqual([[], ["leave", "leave"]]);
+    expect([without.calls, keys.calls]).toEqual([[], ["leave", "leave"]]);
   });
 
-  it("knows what has the focus", () => {
+  it("focusKind returns typing for a dialog and a text field, and page for the body.", () => {
     const dialog = document.createElement("div");
     dialog.setAttribute("role", "dialog");
     const inside = document.createElement("button");

@@ -1,4 +1,6 @@
-/** Listener for the keyboard of the whole page. It runs before the panels and ignores keys without a binding. */
+/**
+ * Keyboard listener of the whole page. It runs before the listeners of the panels, and ignores keys without a binding.
+ */
 
 import { type Action, bindingOf, type FocusKind, type HoldAxis, takesKey } from "./keymap";
 
@@ -7,11 +9,14 @@ export interface KeyboardHandlers {
   press(action: Action): void;
   hold(axis: HoldAxis, sign: 1 | -1, down: boolean): void;
   slow(on: boolean): void;
-  /** Return whether an action is possible now; otherwise its key is not consumed. */
+  /** Return whether an action is possible now. If it is not, the browser receives its key. */
   wants(action: Action): boolean;
-  /** Return whether a tool is active. */
+  /** Return whether a tool is active, which Escape then deactivates. */
   holdsTool(): boolean;
-  /** Return whether the left and right arrows turn the view, because there is no route with branches to choose. */
+  /**
+   * Return whether the left and right arrows turn the view, because the tip is not on a route whose branches they could
+   * select.
+   */
   arrowsLook(): boolean;
   enabled(): boolean;
 }
@@ -20,7 +25,7 @@ const TYPING_INPUTS = new Set(["text", "search", "number", "email", "url", "pass
 const ARROW_ROLES =
   "[aria-haspopup],[role=tree],[role=treegrid],[role=grid],[role=listbox],[role=menu],[role=slider],[role=radiogroup],[role=tablist],[role=toolbar]";
 
-/** Return the kind of the focused element with regard to keys. */
+/** Return which keys the focused element uses itself. */
 export function focusKind(target: EventTarget | null): FocusKind {
   if (!(target instanceof HTMLElement)) return "page";
   if (target.isContentEditable || target instanceof HTMLTextAreaElement || target instanceof HTMLSelectElement) {
@@ -32,16 +37,16 @@ export function focusKind(target: EventTarget | null): FocusKind {
   return target.closest("button,a,summary") === null ? "page" : "button";
 }
 
-/** Elements over the page, which Escape closes first. */
+/** Selector of elements over the page (dialogs, lists, menus), which Escape closes first. */
 const OVER_THE_PAGE = "[role=dialog],[role=alertdialog],[role=listbox],[role=menu]";
 
 function closesFirst(target: EventTarget | null): boolean {
   return target instanceof HTMLElement && target.closest(OVER_THE_PAGE) !== null;
 }
 
-/** Start to listen; return a function that stops. */
+/** Add the keyboard listener to a page; return a function that removes it. */
 export function listenToKeys(page: Window, handlers: KeyboardHandlers): () => void {
-  /** Held keys by physical key, because the letter changes with Shift. */
+  /** Movements of the held keys by physical key, because the letter of a key changes with Shift. */
   const held = new Map<string, { axis: HoldAxis; sign: 1 | -1 }>();
 
   const begin = (code: string, axis: HoldAxis, sign: 1 | -1) => {
@@ -61,7 +66,8 @@ export function listenToKeys(page: Window, handlers: KeyboardHandlers): () => vo
     const binding = bindingOf(event);
     if (binding === null) return;
     const focus = focusKind(event.target);
-    // Escape first deactivates a tool, whatever has the focus: a field keeps its text, and the enlarged view stays.
+    // Escape first deactivates the tool, whatever has the focus. The text of a focused field and the enlarged view do
+    // not change.
     const putsDown = event.key === "Escape" && handlers.holdsTool() && !closesFirst(event.target);
     if (!takesKey(focus, event) && !putsDown) return;
     if (binding.command.kind === "press" && !handlers.wants(binding.command.action)) return;
@@ -82,7 +88,7 @@ export function listenToKeys(page: Window, handlers: KeyboardHandlers): () => vo
     handlers.slow(event.shiftKey);
     end(event.code);
   };
-  // A window without focus receives no keyup event; without this release the scope would continue to move.
+  // A window without focus receives no keyup event. Release the held keys, or the tip would continue to move.
   const release = () => {
     for (const code of [...held.keys()]) end(code);
   };

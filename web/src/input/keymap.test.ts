@@ -11,8 +11,8 @@ const press = (key: string, change: Partial<KeyPress> = {}): KeyPress => ({
   ...change,
 });
 
-describe("the keys", () => {
-  it("each find their own binding, with Shift or Caps Lock held too", () => {
+describe("table of keys", () => {
+  it("bindingOf finds each binding by its key, also while Shift or Caps Lock is active.", () => {
     for (const binding of KEYMAP) {
       const event = press(binding.key, { ctrlKey: binding.ctrl ?? false, shiftKey: binding.shift ?? false });
       expect(bindingOf(event, [binding.place])).toBe(binding);
@@ -20,12 +20,12 @@ describe("the keys", () => {
     expect(bindingOf(press("W", { shiftKey: true }))?.label).toBe("W");
   });
 
-  it("never mean two things where both hold at once", () => {
-    const said = clashes(KEYMAP).map(([a, b]) => `${a.label}: ${a.place}, ${a.words}; ${b.place}, ${b.words}`);
-    expect(said).toEqual([]);
+  it("No key has two bindings in places that can apply at once.", () => {
+    const conflicts = clashes(KEYMAP).map(([a, b]) => `${a.label}: ${a.place}, ${a.words}; ${b.place}, ${b.words}`);
+    expect(conflicts).toEqual([]);
   });
 
-  it("that clash are found: with Shift or without, in a kind of picture and in all, but not in two lists", () => {
+  it("clashes() finds equal keys in overlapping places, but not in separate views, lists or Shift states.", () => {
     const taken = KEYMAP.find((binding) => binding.label === ".");
     if (taken === undefined) throw new Error("no key adds a key frame");
     // Regression: on the tri-plane the full stop also moved a plane.
@@ -58,14 +58,14 @@ describe("the keys", () => {
     ).toEqual([]);
   });
 
-  it("hold in places that each picture is", () => {
+  it("Every view is a place of keys, and every place of a view binding belongs to a view.", () => {
     expect(VIEW_NAMES.map((view) => placesOf(view).at(-1))).toEqual(VIEW_NAMES.map(() => "picture"));
     const places = new Set(VIEW_NAMES.flatMap(placesOf));
     const ofPictures = KEYMAP.filter((binding) => binding.command.kind === "picture").map((binding) => binding.place);
     expect(new Set(ofPictures)).toEqual(places);
   });
 
-  it("that are not Carina's stay with the browser", () => {
+  it("A key without a binding has no effect in Carina and remains with the browser.", () => {
     for (const key of ["5", "Tab", "F5", "PageDown", "Home", "Enter", "9"]) expect(bindingOf(press(key))).toBeNull();
     // The browser's Ctrl+S would save the web page, which does not contain the case, so Carina handles the key.
     for (const key of ["w", "s", "d", "f", "n", "p", "t"]) {
@@ -74,7 +74,7 @@ describe("the keys", () => {
     }
   });
 
-  it("tell undo from redo, on both kinds of keyboards", () => {
+  it("Ctrl+Z and Cmd+Z are undo, and Ctrl+Shift+Z is redo.", () => {
     const action = (change: Partial<KeyPress>) => {
       const command = bindingOf(press("z", change))?.command;
       return command?.kind === "press" ? command.action : null;
@@ -85,7 +85,7 @@ describe("the keys", () => {
     expect(action({})).toBeNull();
   });
 
-  it("are the ones that people know from the README and the key card", () => {
+  it("The main actions have the keys that the README and the key card name.", () => {
     const label = (words: string) => KEYMAP.find((binding) => binding.words.startsWith(words))?.label;
     expect(label("Advance (hold")).toBe("W");
     expect(label("Withdraw")).toBe("S");
@@ -99,12 +99,12 @@ describe("the keys", () => {
   });
 });
 
-describe("focus", () => {
-  it("keeps every key while typing", () => {
+describe("takesKey", () => {
+  it("A text field receives every key.", () => {
     for (const binding of KEYMAP) expect(takesKey("typing", press(binding.key))).toBe(false);
   });
 
-  it("leaves the arrows to lists and sliders, and the space bar to buttons", () => {
+  it("Lists and sliders receive the arrow keys, and buttons receive the space bar.", () => {
     expect(takesKey("arrows", press("ArrowUp"))).toBe(false);
     expect(takesKey("arrows", press("w"))).toBe(true);
     expect(takesKey("button", press(" "))).toBe(false);

@@ -1,4 +1,4 @@
-/** Queries of the table of keys. */
+/** Queries of the table of keys: label, binding, valid places, and conflicts. */
 
 import type { ViewName } from "../wire/messages";
 import { VIEWS } from "../wire/views";
@@ -19,7 +19,7 @@ export function keyOfHold(axis: HoldAxis, sign: 1 | -1): string {
   );
 }
 
-/** The part of a keyboard event that selects a binding. */
+/** The fields of a keyboard event that select a binding. */
 export interface KeyPress {
   readonly key: string;
   readonly ctrlKey: boolean;
@@ -28,7 +28,10 @@ export interface KeyPress {
   readonly shiftKey: boolean;
 }
 
-/** Return the binding of a key press in these places, or null; a key without a binding is left to the browser. */
+/**
+ * Return the binding of a key press in the given places, tried in order; null for a key without a binding, which the
+ * browser receives.
+ */
 export function bindingOf(event: KeyPress, places: readonly KeyPlace[] = PAGE_PLACES): Binding | null {
   if (event.altKey) return null;
   const ctrl = event.ctrlKey || event.metaKey;
@@ -44,7 +47,7 @@ export function bindingOf(event: KeyPress, places: readonly KeyPlace[] = PAGE_PL
   );
 }
 
-/** Places whose keys the whole page listens to. */
+/** Places whose keys the listener of the whole page handles. */
 const PAGE_PLACES: readonly KeyPlace[] = ["page", "brush"];
 
 /** Return the place of a view and the more general places that contain it. */
@@ -65,12 +68,12 @@ export function placesOf(view: ViewName): readonly KeyPlace[] {
   }
 }
 
-/** Kind of the focused element with regard to keys. */
+/** Kind of the focused element, by the keys that the element uses itself. */
 export type FocusKind = "page" | "typing" | "arrows" | "button";
 
 /**
- * Return whether the page handles a key while an element has the focus. Text fields keep every key; other elements keep
- * the keys that they use.
+ * Return whether the page handles a key while an element has the focus. A text field uses every key; other elements use
+ * some keys.
  */
 export function takesKey(focus: FocusKind, event: KeyPress): boolean {
   switch (focus) {
@@ -85,7 +88,7 @@ export function takesKey(focus: FocusKind, event: KeyPress): boolean {
   }
 }
 
-/** Return whether two places can apply at once; only one view, list, button or field can have the focus. */
+/** Return whether two places can apply at once. Only one view, list, button or field can have the focus. */
 export function holdTogether(a: KeyPlace, b: KeyPlace): boolean {
   if (a === b || isWithin(a, b) || isWithin(b, a)) return true;
   return !(takesFocus(a) && takesFocus(b));
@@ -123,7 +126,7 @@ export function clashes(table: readonly Binding[]): [Binding, Binding][] {
 
 const GROUPS: readonly KeyGroup[] = ["Fly", "Look", "Plan", "Airways", "Views", "Help"];
 
-/** Keep the first of the bindings with the same label, as one line of the display. */
+/** Keep the first binding of those with the same label, so that the display has one line per label. */
 const lines = (bindings: readonly Binding[]): readonly Binding[] =>
   bindings.filter(({ label }, index) => bindings.findIndex((other) => other.label === label) === index);
 

@@ -4,27 +4,31 @@ import { ClickCounter, type PointerPlace } from "./clicks";
 
 export type { PointerPlace } from "./clicks";
 
-/** Kind of a drag. */
+/** Kind of a drag, by its mouse button and Shift. */
 export type DragButton = "main" | "window" | "pan";
 
-/** Callbacks of the pointer listener. */
+/** Callbacks of the pointer listener of a view. */
 export interface PointerHandlers {
   /** Return whether drags with the middle button, or with Shift, pan; in other views Shift has no effect. */
   pans?(): boolean;
-  /** Handle a press without movement; `count` is 2 for the second click of a double click. */
+  /** Handle a press of the main button without movement; `count` is 2 for the second click of a double click. */
   click?(at: PointerPlace, count: number): void;
   /** Handle a press of the right button without movement. */
   secondaryClick?(at: PointerPlace): void;
   drag?(at: PointerPlace, moved: { dx: number; dy: number }, button: DragButton): void;
-  /** Handle the end of a drag. */
+  /** Handle the release of the button at the end of a drag. */
   release?(): void;
-  /** Handle movement without a pressed button; with `shift` the crosshair follows. */
+  /**
+   * Handle movement without a pressed button; a null `at` means that the pointer has left the picture. With `shift` the
+   * crosshair follows the pointer.
+   */
   hover?(at: PointerPlace | null, shift: boolean): void;
   wheel?(deltaPx: number, zoom: boolean, at: PointerPlace): void;
 }
 
-/** Movement, px, up to which a press is a click. */
+/** Movement of the pointer, px, up to which a press counts as a click and not as a drag. */
 const CLICK_PX = 3;
+/** Scrolling by one line of a wheel that counts in lines, px. */
 const LINE_PX = 16;
 
 function buttonOf(event: PointerEvent, pans: boolean): DragButton | null {
@@ -34,12 +38,12 @@ function buttonOf(event: PointerEvent, pans: boolean): DragButton | null {
   return pans && event.shiftKey ? "pan" : "main";
 }
 
-/** Start to listen; return a function that stops. */
+/** Add the pointer listener to the element of a picture; return a function that removes it. */
 export function listenToPointer(element: HTMLElement, handlers: PointerHandlers): () => void {
   let drag: { id: number; x: number; y: number; button: DragButton; clicks: boolean; moved: boolean } | null = null;
   /**
-   * Whether the browser's click event follows a mouse release; the event contains the number of the click in its
-   * series.
+   * Whether a click event of the browser follows the release of the mouse button; the event has the number of the click
+   * in its series.
    */
   let clickFollows = false;
   const clicks = new ClickCounter();
@@ -84,7 +88,8 @@ export function listenToPointer(element: HTMLElement, handlers: PointerHandlers)
       handlers.release?.();
       if (wasClick && held.button === "window") handlers.secondaryClick?.(place(event));
     } else if (event.pointerType === "mouse") clickFollows = true;
-    // Browsers count mouse clicks by the system's settings; not all browsers count touch and pen clicks.
+    // Count the clicks of touch and pen here, because some browsers do not. Mouse clicks are counted by the browser
+    // with the settings of the system.
     else handlers.click?.(place(event), clicks.count(place(event), event.timeStamp, "finger"));
   };
   const click = (event: MouseEvent) => {
@@ -100,7 +105,7 @@ export function listenToPointer(element: HTMLElement, handlers: PointerHandlers)
     handlers.wheel(event.deltaY * unit, event.ctrlKey || event.metaKey, place(event));
   };
   const nothing = (event: Event) => event.preventDefault();
-  // Suppress the browser's automatic scrolling.
+  // Prevent the browser's automatic scrolling, which the middle button starts.
   const middle = (event: MouseEvent) => {
     if (event.button === 1) event.preventDefault();
   };

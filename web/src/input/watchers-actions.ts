@@ -1,8 +1,8 @@
-/** Actions of keys in a window that only watches. */
+/** Actions of keys that a window may use if it only watches another workstation. */
 
 import type { Action } from "./keymap";
 
-/** Actions that change only what this window shows. */
+/** Actions that change only what their window shows, and not the case. */
 export const WATCHERS_ACTIONS: ReadonlySet<Action> = new Set<Action>([
   "crosshair_to_tip",
   "find_branch",

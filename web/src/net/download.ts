@@ -1,6 +1,6 @@
 /** Downloads of files that Carina generates from the open case. */
 
-/** The error of a failed download; its message is text for the user. */
+/** Error of a failed download; its message is text for the user. */
 export class DownloadError extends Error {
   constructor(
     readonly code: string,
@@ -17,8 +17,8 @@ export function fetchAirways(suffix: string, signal: AbortSignal): Promise<{ nam
 
 /** Return the address of the printable report of a target's plan. */
 export function planAddress(targetId: string, suffix: ".html", kind: "report" | "tracing"): string {
-  const asked = kind === "tracing" ? "?kind=tracing" : "";
-  return `./api/plans/${encodeURIComponent(targetId)}${suffix}${asked}#print`;
+  const query = kind === "tracing" ? "?kind=tracing" : "";
+  return `./api/plans/${encodeURIComponent(targetId)}${suffix}${query}#print`;
 }
 
 /** Download the report of a target's plan in the format of this file suffix (".pdf"). */
@@ -26,11 +26,11 @@ export function fetchPlan(
   targetId: string,
   suffix: string,
   signal: AbortSignal,
-  /** For a DICOM file: whether it contains the identity of the CT's patient. */
+  /** Whether a DICOM file contains the identity of the CT's patient; without effect on other formats. */
   named = false,
 ): Promise<{ name: string; blob: Blob }> {
-  const asked = named ? "?identity=ct" : "";
-  return fetchFile(`${encodeURIComponent(targetId)}${suffix}`, signal, "plans/", asked);
+  const query = named ? "?identity=ct" : "";
+  return fetchFile(`${encodeURIComponent(targetId)}${suffix}`, signal, "plans/", query);
 }
 
 /** Download the key frames and their paths in the file format that `carina fly` reads. */
@@ -38,7 +38,7 @@ export function fetchKeyFrames(signal: AbortSignal): Promise<{ name: string; blo
   return fetchFile(KEYS_FILE, signal);
 }
 
-/** Download a recorded flight of the case in the file format that `carina fly` reads. */
+/** Download a recorded flight of the case, by its number, in the file format that `carina fly` reads. */
 export function fetchFlight(number: number, signal: AbortSignal): Promise<{ name: string; blob: Blob }> {
   return fetchFile(`flight-${number}.jsonl`, signal, "flights/");
 }
@@ -50,9 +50,9 @@ async function fetchFile(
   name: string,
   signal: AbortSignal,
   folder = "",
-  asked = "",
+  query = "",
 ): Promise<{ name: string; blob: Blob }> {
-  const response = await fetch(`./api/${folder}${name}${asked}`, { signal });
+  const response = await fetch(`./api/${folder}${name}${query}`, { signal });
   if (!response.ok) {
     const body: unknown = await response.json().catch(() => null);
     const field = (name: string): string | null => {

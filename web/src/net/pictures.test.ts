@@ -75,8 +75,8 @@ function board() {
   return { made, drawn, acknowledged, failures, decodes };
 }
 
-describe("pictures", () => {
-  it("are drawn in order and acknowledged after they were drawn", async () => {
+describe("PictureBoard", () => {
+  it("Pictures are drawn in order, and each is acknowledged after it was drawn.", async () => {
     const { made, drawn, acknowledged, decodes } = board();
     made.receive(picture(1, 1));
     expect(acknowledged).toEqual([]);
@@ -87,7 +87,7 @@ describe("pictures", () => {
     expect(acknowledged).toEqual([1, 2]);
   });
 
-  it("skip what was overtaken while decoding, and acknowledge it with the decode", async () => {
+  it("Of the pictures received during a decode only the latest is drawn, and all are acknowledged.", async () => {
     const { made, drawn, acknowledged, decodes } = board();
     made.receive(picture(1, 1));
     made.receive(picture(2, 2));
@@ -99,7 +99,7 @@ describe("pictures", () => {
     expect(acknowledged).toEqual([1, 2, 3]);
   });
 
-  it("never go back to an older pose, and take the still picture of the same pose", async () => {
+  it("A picture of an older pose is not drawn, but a later picture of the same pose is.", async () => {
     const { made, drawn, acknowledged, decodes } = board();
     made.receive(picture(5, 9));
     await decodes[0]?.end();
@@ -110,7 +110,7 @@ describe("pictures", () => {
     expect(acknowledged).toEqual([5, 6, 7]);
   });
 
-  it("of one view do not hold up another", async () => {
+  it("A decode in one view does not delay the pictures of another view.", async () => {
     const { made, drawn, decodes } = board();
     made.receive(picture(1, 5, "airway"));
     made.receive(picture(2, 3, "axial"));
@@ -118,7 +118,7 @@ describe("pictures", () => {
     expect(drawn.map((header) => header.view)).toEqual(["axial"]);
   });
 
-  it("that stand in for a view take part in its order, and not in that of what they show", async () => {
+  it("A picture that replaces another view's picture is ordered among the pictures of that view.", async () => {
     const { made, drawn, decodes } = board();
     made.receive(picture(1, 4, "airway"));
     await decodes[0]?.end();
@@ -132,7 +132,7 @@ describe("pictures", () => {
     expect(drawn.map((header) => header.frame_id)).toEqual([1, 2, 3, 5]);
   });
 
-  it("that cannot be decoded are acknowledged and reported, and the next one is drawn", async () => {
+  it("A picture that cannot be decoded is acknowledged and reported, and the next one is drawn.", async () => {
     const { made, drawn, acknowledged, failures, decodes } = board();
     made.receive(picture(1, 1));
     await decodes[0]?.end(true);
@@ -143,7 +143,7 @@ describe("pictures", () => {
     expect(acknowledged).toEqual([1, 2]);
   });
 
-  it("of a lost connection are not drawn into the new one", async () => {
+  it("A picture received before a reset is not drawn after the reset.", async () => {
     const { made, drawn, decodes } = board();
     made.receive(picture(90, 90));
     made.reset();
@@ -153,7 +153,7 @@ describe("pictures", () => {
     expect(drawn.map((header) => header.frame_id)).toEqual([1]);
   });
 
-  it("stay in order whatever the network and the decoder do, with the view finder between them", async () => {
+  it("Poses are drawn in ascending order for random delays of network and decoder, with view finder pictures between.", async () => {
     const random = randomOf(7);
     for (let round = 0; round < 60; round += 1) {
       const { made, drawn, acknowledged, decodes } = board();

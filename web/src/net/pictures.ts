@@ -1,8 +1,9 @@
 /**
- * Display of received pictures in order. In each view a picture of an older pose never replaces a picture of a newer
- * pose, in whatever order the decoders finish. The client acknowledges each picture after it was drawn or dropped,
- * because the server adapts its rate to the acknowledgements. A picture that is dropped during a decode is acknowledged
- * when that decode ends.
+ * Display of received pictures in order.
+ *
+ * In each view a picture of an older pose never replaces a picture of a newer pose, in whatever order the decoders
+ * finish. The client acknowledges each picture after the picture was drawn or dropped, because the server adapts its
+ * rate to the acknowledgements. A picture that is dropped during a decode is acknowledged when that decode ends.
  */
 
 import type { PictureHeader, ViewName } from "../wire/messages";
@@ -28,13 +29,15 @@ interface ViewQueue {
   waiting: WirePicture | null;
   decoding: boolean;
   /**
-   * Frames that were dropped during the current decode. They are acknowledged when the decode ends, so that the server
-   * sends fewer pictures to a slow client.
+   * IDs of the frames that were dropped during the current decode. They are acknowledged when the decode ends, so that
+   * the server sends fewer pictures to a slow client.
    */
   overtaken: number[];
 }
 
-/** Return the view whose place on the screen shows the picture: its own view, or the view that it replaces. */
+/**
+ * Return the view in whose place the picture is displayed: the picture's view, or the view that the picture replaces.
+ */
 export const placeOf = (header: Pick<PictureHeader, "view" | "stands_for">): ViewName =>
   header.stands_for ?? header.view;
 
@@ -43,7 +46,7 @@ export function isOlder(a: Pick<PictureHeader, "pose_id" | "frame_id">, b: typeo
   return a.pose_id < b.pose_id || (a.pose_id === b.pose_id && a.frame_id < b.frame_id);
 }
 
-/** Queue of received pictures, one per view, that draws the latest picture of each view. */
+/** Queues of received pictures, one per view, which draw the latest picture of each view. */
 export class PictureBoard<T extends Decoded> {
   readonly #sink: PictureSink<T>;
   #views = new Map<ViewName, ViewQueue>();
@@ -53,7 +56,7 @@ export class PictureBoard<T extends Decoded> {
   }
 
   /**
-   * Clear all queues for a new connection or case, in which pose numbers start again. Pictures whose decode is running
+   * Clear all queues for a new connection or case, in which pose numbers start again. Pictures that are being decoded
    * are not drawn.
    */
   reset(): void {
@@ -93,7 +96,7 @@ export class PictureBoard<T extends Decoded> {
     const { header } = picture;
     try {
       const image = await this.#sink.decode(picture);
-      // The view may have been reset while this picture was decoded.
+      // Draw the picture only if its queue was not reset during the decode, and no newer picture was drawn.
       if (this.#views.get(view) === queue && (queue.shown === null || !isOlder(header, queue.shown))) {
         queue.shown = header;
         this.#sink.draw(header, image, picture.outline, picture.layers);

@@ -60,8 +60,8 @@ function stream() {
 
 const HELLO = JSON.stringify({ type: "hello", wire_version: WIRE_VERSION, carina_version: "0.1.0", watches: false });
 
-describe("the stream", () => {
-  it("says hello first and is open when the server answers", () => {
+describe("Stream", () => {
+  it("It sends hello first, and its status is open after the server's hello.", () => {
     const { made, sockets, statuses } = stream();
     made.open();
     sockets[0]?.open();
@@ -71,7 +71,7 @@ describe("the stream", () => {
     expect(statuses.at(-1)?.status).toBe("open");
   });
 
-  it("comes back by itself, waiting longer each time, and at once after it worked", () => {
+  it("It reconnects with doubled delays up to a maximum, and with the first delay after a successful connection.", () => {
     const { made, sockets, due } = stream();
     made.open();
     const waits: number[] = [];
@@ -88,7 +88,7 @@ describe("the stream", () => {
     expect(due.pop()?.ms).toBe(retryDelayMs(0));
   });
 
-  it("does not try again where only a person can help", () => {
+  it("It does not reconnect after a close code that only the user can resolve.", () => {
     for (const name of ["protocol.too-many-windows", "protocol.not-authorised", "protocol.version"] as const) {
       const { made, sockets, statuses, due } = stream();
       made.open();
@@ -100,7 +100,7 @@ describe("the stream", () => {
     }
   });
 
-  it("does not hear a socket that it has left", () => {
+  it("Messages and the end of a socket that was replaced are ignored.", () => {
     const { made, sockets, messages, statuses } = stream();
     made.open();
     made.open();
@@ -110,7 +110,7 @@ describe("the stream", () => {
     expect(statuses.every((entry) => entry.status === "connecting")).toBe(true);
   });
 
-  it("does not keep what cannot be sent", () => {
+  it("A message without a connection is discarded, and send() returns false.", () => {
     const { made, sockets } = stream();
     made.open();
     expect(made.send({ type: "undo" })).toBe(false);
@@ -119,7 +119,7 @@ describe("the stream", () => {
     expect(sockets[0]?.sent).toHaveLength(2);
   });
 
-  it("counts the commands of each connection", () => {
+  it("numCommands counts the commands of the current connection only.", () => {
     const { made, sockets } = stream();
     made.open();
     made.send({ type: "undo" });
@@ -132,7 +132,7 @@ describe("the stream", () => {
     expect(made.numCommands).toBe(0);
   });
 
-  it("reports what it cannot read and goes on", () => {
+  it("An invalid message is reported, and the next valid message is handled.", () => {
     const { made, sockets, faults, messages } = stream();
     made.open();
     sockets[0]?.open();

@@ -6,12 +6,12 @@
 import { CLOSE_CODES, type ClientMessage, NO_COMMANDS, type ServerMessage, WIRE_VERSION } from "../wire/messages";
 import { parsePicture, parseServerMessage, WireError, type WirePicture } from "../wire/parse";
 
-/** Status of the connection. */
+/** Status of the connection to the server. */
 export type StreamStatus =
   | { status: "connecting" }
   | { status: "open" }
   | { status: "lost"; retryAtMs: number; reason: string | null }
-  /** The client does not reconnect, because only the user can resolve the reason. */
+  /** The server refused the connection. The client does not reconnect, because only the user can resolve the reason. */
   | { status: "refused"; reason: string };
 
 /** Callbacks of a {@link Stream}. */
@@ -41,8 +41,11 @@ export interface StreamClock {
   after(ms: number, call: () => void): () => void;
 }
 
+/** `WebSocket.OPEN`, the state of a socket that can send. */
 const OPEN = 1;
+/** Delay before the first retry, ms. */
 const FIRST_RETRY_MS = 500;
+/** Largest delay before a retry, ms. */
 const LAST_RETRY_MS = 8000;
 
 /** Return the delay before the n-th retry (0 is the first) in ms; the delay doubles up to a maximum. */
@@ -69,7 +72,7 @@ const NO_USE_TRYING = new Map<number, string>([
   ],
 ]);
 
-/** The client's connection to the server. */
+/** The client's connection to the server, which reconnects after a loss. */
 export class Stream {
   readonly #connect: () => Socket;
   readonly #handlers: StreamHandlers;
@@ -81,7 +84,7 @@ export class Stream {
   #numCommands = 0;
   readonly #token: string | null;
 
-  /** `token` is the access token in the link of a watcher. */
+  /** `token` is the access token from a watcher's link; null for the user of the workstation. */
   constructor(connect: () => Socket, handlers: StreamHandlers, clock: StreamClock, token: string | null = null) {
     this.#token = token;
     this.#connect = connect;
@@ -89,7 +92,7 @@ export class Stream {
     this.#clock = clock;
   }
 
-  /** Connect immediately. The "Try now" button also calls this method. */
+  /** Connect now, without waiting for the next retry; the "Try now" button calls this method. */
   open = (): void => {
     this.#callOff?.();
     this.#callOff = null;
@@ -127,8 +130,8 @@ export class Stream {
   };
 
   /**
-   * Send a message; return false if there is no connection. The message is not queued, because it would be outdated
-   * after the reconnection.
+   * Send a message; return false without a connection. The message is not queued, because it would be outdated after
+   * the reconnection.
    */
   send = (message: ClientMessage): boolean => {
     if (this.#socket === null || this.#socket.readyState !== OPEN) return false;

@@ -3,8 +3,8 @@ import { uploadProblem } from "./upload";
 
 const file = (name: string, size: number) => ({ name, file: { size } });
 
-describe("an upload", () => {
-  it("is refused before anything is sent where it cannot be taken", () => {
+describe("uploadProblem", () => {
+  it("It returns an error for no files, too many files, a file that is too large, and a total that is too large.", () => {
     expect(uploadProblem([])?.code).toBe("upload.empty");
     expect(uploadProblem(Array.from({ length: 4097 }, (_, n) => file(`${n}`, 1)))?.code).toBe("upload.too-many");
     expect(uploadProblem([file("a", 3 * 2 ** 30)])?.message).toContain("a is 3.0 GiB");
@@ -13,7 +13,7 @@ describe("an upload", () => {
     );
   });
 
-  it("goes ahead with an ordinary series", () => {
+  it("It returns null for a CT series of 500 files.", () => {
     expect(uploadProblem(Array.from({ length: 500 }, (_, n) => file(`${n}`, 525_000)))).toBeNull();
   });
 });

@@ -1,13 +1,13 @@
 /** Upload of dropped files to the Carina server, one file after the other, with progress. */
 
-/** A file to upload. */
+/** A file to upload, with its path. */
 export interface UploadFile {
-  /** Path relative to the dropped item, with forward slashes. */
+  /** Path of the file relative to the dropped item, with forward slashes. */
   readonly name: string;
   readonly file: File;
 }
 
-/** The error of a failed upload; its message is text for the user. */
+/** Error of a failed upload; its message is text for the user. */
 export class UploadError extends Error {
   readonly code: string;
   readonly action: string | null;
@@ -26,13 +26,16 @@ export interface UploadProgress {
   numFiles: number;
 }
 
+/** Largest number of files in an upload. */
 const MAX_FILES = 4096;
+/** Largest total size of an upload, bytes. */
 const MAX_BYTES = 4 * 2 ** 30;
+/** Largest size of one uploaded file, bytes. */
 const MAX_FILE_BYTES = 2 * 2 ** 30;
 
 /**
- * Return the error that prevents the upload of these files, or null. Checked before the first file is sent, because a
- * partial folder is useless.
+ * Return the error that prevents the upload of these files; null if they can be uploaded. The check precedes the upload
+ * of the first file, because a partial folder is useless.
  */
 export function uploadProblem(files: readonly { name: string; file: { size: number } }[]): UploadError | null {
   const giB = (bytes: number) => `${(bytes / 2 ** 30).toFixed(1)} GiB`;
@@ -69,8 +72,8 @@ async function refusal(response: Response): Promise<UploadError> {
 }
 
 /**
- * Upload files; return the upload's identifier for `open_upload`. The server's copy is deleted if the upload fails or
- * is cancelled.
+ * Upload files one after the other; return the identifier of the upload for `open_upload`. If the upload fails or is
+ * cancelled, the server's copy is deleted.
  */
 export async function sendUpload(
   files: readonly UploadFile[],
@@ -108,7 +111,7 @@ export async function sendUpload(
 
 /** Return all files of a drop, including the files in nested folders. */
 export async function filesOfDrop(items: DataTransferItemList): Promise<UploadFile[]> {
-  // The entries must be read before the first await, because the browser clears the list when the drop event ends.
+  // Read the entries before the first await, because the browser clears the list when the drop event ends.
   const entries = [...items].map((item) => item.webkitGetAsEntry()).filter((entry) => entry !== null);
   const files: UploadFile[] = [];
   for (const entry of entries) await walk(entry, files);
@@ -130,7 +133,7 @@ async function walk(entry: FileSystemEntry, files: UploadFile[]): Promise<void> 
   }
 }
 
-/** Return the files of a file or folder picker. */
+/** Return the files that the user selected in a file or folder dialog. */
 export function filesOfPicker(list: FileList): UploadFile[] {
   return [...list].map((file) => ({ name: file.webkitRelativePath || file.name, file }));
 }

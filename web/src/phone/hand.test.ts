@@ -18,8 +18,8 @@ beforeEach(() => {
   });
 });
 
-describe("the hand on a phone", () => {
-  it("says nothing while nothing is held, however the phone is turned", () => {
+describe("Hand", () => {
+  it("A turn of the phone sends nothing while no button is held.", () => {
     for (let n = 0; n < 100; n += 1) {
       hand.turned([Math.cos(n), Math.sin(n), 0, 0]);
       hand.tick(n / 60);
@@ -27,7 +27,7 @@ describe("the hand on a phone", () => {
     expect(sent).toEqual([]);
   });
 
-  it("says each new turn while it is held, 65 times a second at most, and once more when it is let go", () => {
+  it("While the turn button is held each new orientation is sent, at most 65 per second; its release is sent once.", () => {
     hand.hold("turn", true);
     for (let n = 0; n < 240; n += 1) {
       hand.turned([1, n / 1000, 0, 0]);
@@ -44,7 +44,7 @@ describe("the hand on a phone", () => {
     expect(sent.length).toBe(number);
   });
 
-  it("repeats what is held ten times a second where the phone lies still or has no sensor", () => {
+  it("A held button without an orientation is sent about ten times per second.", () => {
     hand.hold("forward", true);
     for (let n = 0; n <= 60; n += 1) hand.tick(n / 60);
     expect(sent.length).toBeGreaterThanOrEqual(9);
@@ -52,7 +52,7 @@ describe("the hand on a phone", () => {
     expect(sent[0]).toMatchObject({ orientation_wxyz: null, held: false, advance: 1 });
   });
 
-  it("goes nowhere while forward and back are both held", () => {
+  it("The advance is 0 while forward and back are both held.", () => {
     hand.hold("forward", true);
     hand.tick(0);
     hand.hold("back", true);
@@ -60,7 +60,7 @@ describe("the hand on a phone", () => {
     expect(sent.map((m) => (m.type === "phone_sample" ? m.advance : null))).toEqual([1, 0]);
   });
 
-  it("that is still is said again ten times a second, and a turn at once", () => {
+  it("An unchanged orientation is sent about ten times per second, and a changed one at once.", () => {
     hand.hold("turn", true);
     hand.turned([1, 0, 0, 0]);
     for (let n = 0; n < 60; n += 1) hand.tick(n / 60);
@@ -71,7 +71,7 @@ describe("the hand on a phone", () => {
     expect(sent.at(-1)).toMatchObject({ orientation_wxyz: [0, 1, 0, 0] });
   });
 
-  it("lets go of everything when the page is left", () => {
+  it("letGo() releases all buttons, and the release is sent.", () => {
     hand.hold("turn", true);
     hand.hold("back", true);
     hand.tick(0);
@@ -80,7 +80,7 @@ describe("the hand on a phone", () => {
     expect(sent.at(-1)).toMatchObject({ held: false, advance: 0 });
   });
 
-  it("says it again once the connection is back", () => {
+  it("Input that was not sent without a connection is sent after the reconnection.", () => {
     hand.hold("turn", true);
     open = false;
     hand.tick(0);
@@ -89,7 +89,7 @@ describe("the hand on a phone", () => {
     expect(sent.length).toBe(1);
   });
 
-  it("keeps its last turn when the sensor says nonsense in between", () => {
+  it("The latest valid orientation is used after the sensor has reported no orientation.", () => {
     hand.turned([0, 1, 0, 0]);
     hand.turned(null);
     hand.hold("turn", true);

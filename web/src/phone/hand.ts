@@ -1,26 +1,28 @@
-/** The user's input on the phone page, and the schedule on which it is sent. */
+/** The user's input on the phone page (held buttons and orientation), and the times at which it is sent. */
 
 import type { PhoneMessage } from "../wire/messages";
 import type { Wxyz } from "./orientation";
 
-/** Shortest interval between two messages, s: a 120 Hz display adds no useful messages. */
+/** Shortest interval between two messages, s: further messages for a 120 Hz display would be useless. */
 const LEAST_S = 1 / 65;
-/** Interval, s, at which held input is sent again, because Carina releases the input of a silent phone. */
+/**
+ * Interval, s, at which held input is sent again, because the server releases the input of a phone that sends nothing.
+ */
 const AGAIN_S = 0.1;
 
-/** A button that the user can hold. */
+/** Name of a button on the phone page that the user can hold. */
 export type Held = "turn" | "forward" | "back";
 
 /**
- * State of the held buttons and the phone's orientation. Has no clock: the caller passes the time, and `send` receives
- * the messages.
+ * State of the held buttons and of the phone's orientation. The object has no clock: the caller passes the time, and
+ * `send` receives the messages.
  */
 export class Hand {
   readonly #send: (message: PhoneMessage) => boolean;
   readonly #held = new Set<Held>();
   #orientation: Wxyz | null = null;
   #isNew = false;
-  #saidS = Number.NEGATIVE_INFINITY;
+  #sentS = Number.NEGATIVE_INFINITY;
   #was = "false 0";
 
   constructor(send: (message: PhoneMessage) => boolean) {
@@ -42,14 +44,14 @@ export class Hand {
     else this.#held.delete(what);
   }
 
-  /** Release all buttons: the user has switched to another app, another page or the lock screen. */
+  /** Release all buttons, because the user has switched to another app, another page or the lock screen. */
   letGo(): void {
     this.#held.clear();
   }
 
   /**
-   * Send the input if necessary; call it once per display refresh. A phone without held buttons sends nothing, so that
-   * other devices can move the tip.
+   * Send the input if it has changed or must be repeated; call it once per display refresh. A phone without held
+   * buttons sends nothing, so that other devices can move the tip.
    */
   tick(nowS: number): void {
     const held = this.#held.has("turn");
@@ -58,19 +60,19 @@ export class Hand {
     const changed = is !== this.#was;
     if (!changed) {
       if (this.#held.size === 0) return;
-      const passedS = nowS - this.#saidS;
+      const passedS = nowS - this.#sentS;
       if (passedS < (this.#isNew && held ? LEAST_S : AGAIN_S)) return;
     }
-    const said = this.#send({
+    const wasSent = this.#send({
       type: "phone_sample",
       time_s: nowS,
       orientation_wxyz: this.#orientation,
       held,
       advance,
     });
-    if (!said) return;
+    if (!wasSent) return;
     this.#was = is;
-    this.#saidS = nowS;
+    this.#sentS = nowS;
     this.#isNew = false;
   }
 }

@@ -2,7 +2,7 @@ import { beforeEach, describe, expect, it } from "vitest";
 import { CLOSE_CODES, type PhoneStateMessage } from "../wire/messages";
 import { checkPhoneMessage } from "../wire/parse";
 import { Link, type LinkStatus } from "./link";
-import { stateWords } from "./words";
+import { stateText } from "./words";
 
 const STATE: PhoneStateMessage = {
   type: "phone_state",
@@ -33,7 +33,7 @@ class FakeSocket {
     this.readyState = 1;
     this.onopen?.(undefined as never);
   }
-  says(value: unknown): void {
+  receives(value: unknown): void {
     this.onmessage?.({ data: JSON.stringify(value) } as never);
   }
   ends(code: number): void {
@@ -64,9 +64,9 @@ beforeEach(() => {
     },
     "secret",
     {
-      status: (status, said) => {
+      status: (status, text) => {
         statuses.push(status);
-        words = said;
+        words = text;
       },
       state: () => undefined,
     },
@@ -81,17 +81,17 @@ beforeEach(() => {
   link.open();
 });
 
-describe("a phone's link", () => {
-  it("says its token first, and nothing else before it is let in", () => {
+describe("Link", () => {
+  it("It sends the token first, and no other message before the server has accepted the phone.", () => {
     newest().opens();
     expect(newest().sent.map((text) => JSON.parse(text).token)).toEqual(["secret"]);
     expect(link.send({ type: "phone_act", action: "recenter" })).toBe(false);
-    newest().says(STATE);
+    newest().receives(STATE);
     expect(statuses.at(-1)).toBe("open");
     expect(link.send({ type: "phone_act", action: "recenter" })).toBe(true);
   });
 
-  it("comes back by itself, later each time, and soon again once it was in", () => {
+  it("It reconnects with doubled delays, and with the first delay after a successful connection.", () => {
     newest().ends(1006);
     expect(timers.map((timer) => timer.ms)).toEqual([500]);
     timers[0]?.call();
@@ -100,28 +100,28 @@ describe("a phone's link", () => {
     timers[0]?.call();
     expect(sockets.length).toBe(3);
     newest().opens();
-    newest().says(STATE);
+    newest().receives(STATE);
     newest().ends(1006);
     expect(timers.at(-1)?.ms).toBe(500);
     expect(statuses.at(-1)).toBe("lost");
   });
 
-  it("that is opened anew hears nothing more of the old socket", () => {
+  it("After a second open() the messages and the end of the first socket are ignored.", () => {
     const old = newest();
     old.opens();
     link.open();
     expect([sockets.length, old.closed]).toEqual([2, true]);
-    old.says(STATE);
+    old.receives(STATE);
     expect(statuses.at(-1)).toBe("connecting");
     old.ends(1006);
     expect([statuses.at(-1), timers.length]).toEqual(["connecting", 0]);
     newest().opens();
-    newest().says(STATE);
+    newest().receives(STATE);
     expect(statuses.at(-1)).toBe("open");
   });
 
   it.each(["protocol.not-authorised", "protocol.taken-over", "protocol.version", "protocol.malformed"] as const)(
-    "does not try again after %s",
+    "It does not reconnect after the close code %s.",
     (code) => {
       newest().opens();
       newest().ends(CLOSE_CODES[code]);
@@ -131,29 +131,29 @@ describe("a phone's link", () => {
     },
   );
 
-  it("throws samples away while the network does not keep up", () => {
+  it("A message is discarded while the browser holds too many unsent bytes.", () => {
     newest().opens();
-    newest().says(STATE);
+    newest().receives(STATE);
     newest().bufferedAmount = 5000;
     expect(link.send({ type: "phone_act", action: "recenter" })).toBe(false);
     newest().bufferedAmount = 0;
     expect(link.send({ type: "phone_act", action: "recenter" })).toBe(true);
   });
 
-  it("ends where the server speaks otherwise", () => {
+  it("An invalid message of the server closes the connection, and the status is refused.", () => {
     newest().opens();
     const socket = newest();
-    socket.says({ type: "phone_state", case_open: "yes" });
+    socket.receives({ type: "phone_state", case_open: "yes" });
     expect(statuses.at(-1)).toBe("refused");
     expect(socket.closed).toBe(true);
   });
 });
 
-describe("its words", () => {
-  it("say what the phone does", () => {
-    expect(stateWords(STATE)).toBe("This phone moves the tip: path mode.");
-    expect(stateWords({ ...STATE, case_open: false })).toContain("Open a case");
-    expect(stateWords({ ...STATE, holds: false, scope_held: true })).toBe("Connected: scope mode.");
-    expect(stateWords({ ...STATE, words: "no path yet" })).toBe("no path yet");
+describe("stateText", () => {
+  it("The text states the movement mode, that a case must be opened, or the server's reason.", () => {
+    expect(stateText(STATE)).toBe("This phone moves the tip: path mode.");
+    expect(stateText({ ...STATE, case_open: false })).toContain("Open a case");
+    expect(stateText({ ...STATE, holds: false, scope_held: true })).toBe("Connected: scope mode.");
+    expect(stateText({ ...STATE, words: "no path yet" })).toBe("no path yet");
   });
 });

@@ -1,10 +1,13 @@
-/** WebSocket of the phone page: sends the link's token, reconnects after a loss and stops if a retry cannot succeed. */
+/**
+ * WebSocket connection of the phone page: sends the link's token, reconnects after a loss, and stops if no retry can
+ * succeed.
+ */
 
 import { retryDelayMs, type Socket, type StreamClock } from "../net/stream";
 import { CLOSE_CODES, type PhoneMessage, type PhoneStateMessage, WIRE_VERSION } from "../wire/messages";
 import { parseToPhone, WireError } from "../wire/parse";
 
-/** Status of the phone's connection. */
+/** Status of the phone's connection to the server. */
 export type LinkStatus = "connecting" | "open" | "lost" | "refused";
 
 /** Callbacks of a {@link Link}. */
@@ -13,10 +16,11 @@ export interface LinkHandlers {
   state(state: PhoneStateMessage): void;
 }
 
+/** `WebSocket.OPEN`, the state of a socket that can send. */
 const OPEN = 1;
 /**
- * Largest number of unsent bytes in the browser. Above it the network is too slow, and an outdated orientation is
- * useless.
+ * Number of unsent bytes in the browser from which messages are discarded: the network is too slow, and an outdated
+ * orientation is useless.
  */
 const FULL_BYTES = 4096;
 const USELESS = new Map<number, string>([
@@ -26,7 +30,7 @@ const USELESS = new Map<number, string>([
   [CLOSE_CODES["protocol.malformed"], "Carina could not read a message from this page. Reload the page."],
 ]);
 
-/** The phone's connection to Carina. */
+/** The phone's connection to the server, which reconnects after a loss. */
 export class Link {
   readonly #connect: () => Socket & { readonly bufferedAmount: number };
   readonly #token: string;
@@ -79,7 +83,7 @@ export class Link {
     };
   };
 
-  /** Send a message; return whether it was sent. A message that cannot be sent now is discarded. */
+  /** Send a message; return false if the message was discarded because it could not be sent now. */
   send = (message: PhoneMessage): boolean => {
     const socket = this.#socket;
     if (socket === null || !this.#isOpen || socket.readyState !== OPEN || socket.bufferedAmount > FULL_BYTES) {

@@ -1,10 +1,10 @@
-/** Entry point of the phone page: connects the orientation sensor and the buttons to Carina. */
+/** Entry point of the phone page: connects the orientation sensor and the buttons of the phone to the server. */
 
 import "./phone.css";
 import { Hand, type Held } from "./hand";
 import { Link } from "./link";
 import { penOrientation } from "./orientation";
-import { NO_SENSOR, SENSOR_REFUSED, SENSOR_WITHIN_MS, stateWords } from "./words";
+import { NO_SENSOR, SENSOR_REFUSED, SENSOR_WITHIN_MS, stateText } from "./words";
 
 function element<T extends HTMLElement>(id: string): T {
   const found = document.getElementById(id);
@@ -32,10 +32,11 @@ const link = new Link(
   {
     status: (status, words) => {
       if (status !== "open") say(words, status === "refused" ? "bad" : "wait");
-      // A button that was held when the connection was lost must not move the tip after the reconnection.
+      // Release all buttons when the connection is lost, so that a button held at that time does not move the tip after
+      // the reconnection.
       if (status !== "open") letGo();
     },
-    state: (told) => say(stateWords(told), "good"),
+    state: (received) => say(stateText(received), "good"),
   },
   (ms, call) => {
     const timer = setTimeout(call, ms);
@@ -67,7 +68,8 @@ for (const [button, what] of holders) {
   for (const name of ["pointerup", "pointercancel", "lostpointercapture"]) {
     button.addEventListener(name, () => set(false));
   }
-  // The keyboard state is separate from the touch state, because a second finger takes the focus from the held button.
+  // Whether a key holds the button. It is separate from touch, because the touch of a second button takes the focus
+  // from the first one.
   let byKey = false;
   const key = (down: boolean) => {
     if (down || byKey) set(down);
@@ -80,14 +82,17 @@ for (const [button, what] of holders) {
   });
   button.addEventListener("keyup", () => key(false));
   button.addEventListener("blur", () => key(false));
-  // Suppress the context menu, because the user operates this button by a long press.
+  // Prevent the context menu, which a long press would open.
   button.addEventListener("contextmenu", (event) => event.preventDefault());
 }
 
 element("recenter").addEventListener("click", () => link.send({ type: "phone_act", action: "recenter" }));
 element("mode").addEventListener("click", () => link.send({ type: "phone_act", action: "next_control" }));
 
-/** Request permission for the sensor. iOS requires it, and only in response to a tap. */
+/**
+ * Request permission to read the orientation sensor. iOS requires the request, and permits it only in response to a
+ * tap.
+ */
 async function mayRead(): Promise<boolean> {
   const events = globalThis.DeviceOrientationEvent as
     | (typeof DeviceOrientationEvent & { requestPermission?: () => Promise<string> })
@@ -105,7 +110,7 @@ async function stayAwake(): Promise<void> {
   try {
     await navigator.wakeLock?.request("screen");
   } catch {
-    // Without a wake lock the screen may switch off; a tap switches it on again.
+    // Continue without a wake lock: the screen may switch off, and a tap switches it on again.
   }
 }
 

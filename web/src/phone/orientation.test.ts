@@ -34,24 +34,24 @@ function w3c({ alpha, beta, gamma }: { alpha: number; beta: number; gamma: numbe
   ];
 }
 
-describe("a phone as a pen", () => {
-  it("lies flat with its upper edge to the north: forward is north, down is down", () => {
+describe("penOrientation", () => {
+  it("For a phone that lies flat with its upper edge to the north, forward is north and down is down.", () => {
     close(rotate(of(0, 0, 0), FORWARD), [0, 1, 0]);
     close(rotate(of(0, 0, 0), RIGHT), [1, 0, 0]);
     close(rotate(of(0, 0, 0), DOWN), [0, 0, -1]);
   });
 
-  it("points up when its upper edge is lifted (beta 90), and to the west after a quarter turn to the left", () => {
+  it("Forward is up at beta 90, and west at alpha 90.", () => {
     close(rotate(of(0, 90, 0), FORWARD), [0, 0, 1]);
     close(rotate(of(90, 0, 0), FORWARD), [-1, 0, 0]);
   });
 
-  it("rolls clockwise, as its owner sees it, when its right edge goes down (gamma 90)", () => {
+  it("At gamma 90 the pen's right points down, and forward does not change.", () => {
     close(rotate(of(0, 0, 90), FORWARD), [0, 1, 0]);
     close(rotate(of(0, 0, 90), RIGHT), [0, 0, -1]);
   });
 
-  it("equals the matrix of the standard at any angles", () => {
+  it("The rotation equals the matrix of the W3C specification for several sets of angles.", () => {
     for (const [alpha, beta, gamma] of [
       [12, 34, 56],
       [359.9, -179.5, 89.9],
@@ -72,14 +72,14 @@ describe("a phone as a pen", () => {
     }
   });
 
-  it("has unit length everywhere", () => {
+  it("The quaternion has unit length for all angles.", () => {
     for (let n = 0; n < 200; n += 1) {
       const q = of((n * 37) % 360, ((n * 53) % 360) - 180, ((n * 29) % 180) - 90);
       expect(Math.hypot(...q)).toBeCloseTo(1, 12);
     }
   });
 
-  it("says nothing where the phone says nothing or nonsense", () => {
+  it("It returns null for a missing or non-finite angle.", () => {
     const bad: Turned[] = [
       { alpha: null, beta: 0, gamma: 0 },
       { alpha: 0, beta: Number.NaN, gamma: 0 },

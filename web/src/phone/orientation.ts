@@ -1,16 +1,16 @@
-/** Conversion of the phone's orientation angles to the pen orientation that Carina expects. */
+/** Conversion of the phone's orientation angles to the pen orientation that the server expects. */
 
 /** Unit quaternion (w, x, y, z). */
 export type Wxyz = readonly [number, number, number, number];
 
-/** The fields of the browser's `DeviceOrientationEvent` that are read, in degrees. */
+/** The fields of the browser's `DeviceOrientationEvent` that Carina reads, in degrees. */
 export interface Turned {
   readonly alpha: number | null;
   readonly beta: number | null;
   readonly gamma: number | null;
 }
 
-/** Return the quaternion product a b. */
+/** Return the quaternion product a b (rotation b first, then a). */
 export function multiply(a: Wxyz, b: Wxyz): Wxyz {
   return [
     a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
@@ -34,10 +34,10 @@ const about = (axis: 1 | 2 | 3, deg: number): Wxyz => {
 const DEVICE_FROM_PEN: Wxyz = [Math.SQRT1_2, -Math.SQRT1_2, 0, 0];
 
 /**
- * Return the rotation `earth_from_pen`, or null if the phone reports no or invalid angles.
+ * Return the rotation `earth_from_pen` for the angles of a phone; null if an angle is missing or not finite.
  *
- * W3C Device Orientation: the device is rotated by alpha about z, then by beta about its x, then by gamma about its y;
- * the axes of the earth frame are x east, y north, z up. The angles do not depend on the orientation of the screen
+ * W3C Device Orientation: the device is rotated by alpha about z, then by beta about its x, then by gamma about its y.
+ * The axes of the earth frame are x east, y north, z up. The angles do not depend on the orientation of the screen
  * (portrait or landscape).
  */
 export function penOrientation(turned: Turned): Wxyz | null {

@@ -1,4 +1,4 @@
-/** The airway tree for display: rows of the list, body sides, and the branches at a fork. */
+/** Airway tree for display: rows of the list, body side of each branch, and the branches that continue from a fork. */
 
 import type {
   AbsentAirway,
@@ -16,7 +16,7 @@ import { asVec3, type Camera, distance, dot, sub, type Vec3 } from "./vec";
 
 export type { BranchNode, BranchTree, Side } from "./branch-tree";
 
-/** Optional data that the server sends with a tree. */
+/** Optional data that the server sends together with a tree. */
 export interface TreeExtras {
   readonly titles?: readonly BranchTitle[];
   readonly measures?: readonly BranchMeasures[] | null;
@@ -59,7 +59,8 @@ export function buildTree(given: TreeDocument, extras: TreeExtras = {}): BranchT
   if (rootBranch === undefined) return null;
   const byId = new Map<number, BranchNode>();
   const build = (branch: TreeBranch): BranchNode => {
-    // A branch drawn by hand is not an anatomical bronchus: only the user can name it.
+    // Ignore an anatomical name on a branch drawn by hand, which is not an anatomical bronchus; only the user can name
+    // it.
     const unnamed = branch.kind === "manual" && branch.name_from !== "person";
     const title = unnamed ? undefined : titles.get(branch.id);
     const node: BranchNode = {
@@ -74,7 +75,7 @@ export function buildTree(given: TreeDocument, extras: TreeExtras = {}): BranchT
       longName: title?.long ?? null,
       lobe: title?.lobe ?? null,
     };
-    // Set before the recursion, so that a malformed tree with a cycle ends the recursion.
+    // Store the node before the recursion, so that a malformed tree with a cycle does not recurse without end.
     byId.set(branch.id, node);
     for (const id of branch.children) {
       const child = branches.get(id);
@@ -89,8 +90,8 @@ export function buildTree(given: TreeDocument, extras: TreeExtras = {}): BranchT
     const sides = node.children.map((child) => ({ child, ...leaning(node, child) }));
     const right = Math.max(0, ...sides.map(({ meanX, tips }) => (meanX < 0 ? -meanX * tips : 0)));
     const left = Math.max(0, ...sides.map(({ meanX, tips }) => (meanX > 0 ? meanX * tips : 0)));
-    // The smaller of both sides: a fork within one lung has few tips on one side, and their distance from the fork is
-    // small.
+    // Use the smaller of the two sides: at a fork within one lung, one side has few tips, and they are close to the
+    // fork.
     const worth = Math.min(right, left);
     if (worth > best.worth) {
       best = { worth, sides: sides.map(({ child, meanX }) => [child, meanX < 0 ? "right" : "left"]) };
@@ -100,7 +101,10 @@ export function buildTree(given: TreeDocument, extras: TreeExtras = {}): BranchT
   return { root, byId, index: indexOf(byId.values()), uncertain: extras.uncertain ?? [], absent: extras.absent ?? [] };
 }
 
-/** Assign rows: a branch continues its parent's row if it is the only child of the same name, name source and kind. */
+/**
+ * Assign branches to rows. A branch continues its parent's row if no other child of the parent has the same name, name
+ * source and kind.
+ */
 function giveRows(node: BranchNode, row: BranchNode[]): void {
   node.row = row;
   const onward = node.children.filter((child) => goesOn(node, child));
@@ -118,14 +122,17 @@ const goesOn = ({ branch: above }: BranchNode, { branch }: BranchNode): boolean 
   branch.name_from === above.name_from &&
   branch.kind === above.kind;
 
-/** Return the branch that represents a row in the list: the first branch of the row. */
+/** Return the first branch of a branch's row, which represents the row in the list. */
 export const headOf = (node: BranchNode): BranchNode => node.row[0] ?? node;
 
-/** Return the child rows of a row: all child branches of its branches that begin a row of their own. */
+/** Return the first branches of the child rows of a row: the children of its branches that do not continue the row. */
 export const rowChildren = (head: BranchNode): BranchNode[] =>
   head.row.flatMap((piece) => piece.children.filter((child) => headOf(child) === child));
 
-/** Return the number of tips below a child and their mean distance to the patient's left of the fork (mm). */
+/**
+ * Return the number of tips below a child of a fork, and their mean distance from the fork towards the patient's left,
+ * mm.
+ */
 function leaning(node: BranchNode, child: BranchNode): { meanX: number; tips: number } {
   const fork = tip(node.branch);
   const tips = tipsBelow(child);
@@ -155,28 +162,34 @@ export function mainLeaf(node: BranchNode): BranchNode {
   return leaf;
 }
 
-/** A branch that continues from a fork, with its position in the airway view. */
+/** A branch that continues from a fork, with the position of its opening in the airway view. */
 export interface WayOn {
   node: BranchNode;
-  /** Whether the branch is on the current route. */
+  /** Whether the branch is on the selected route. */
   chosen: boolean;
-  /** Clock hour of the branch's opening, seen from the middle of the view; null if the opening is in the middle. */
+  /** Clock hour of the branch's opening around the middle of the view; null if the opening is in the middle. */
   hour: number | null;
-  /** Horizontal position of the opening in the view (tangent of the angle, positive to the right); the sort key. */
+  /**
+   * Horizontal position of the opening in the view, by which the branches are sorted: tangent of the angle, positive to
+   * the right.
+   */
   across: number;
 }
 
 /**
- * Distance into a child (mm) at which its opening is located: one diameter of the child, within these limits, so that
- * the place is past the spur and before the next bend.
+ * Limits, mm, of the distance from a child's beginning to the point that represents its opening. The distance is one
+ * diameter of the child, so that the point is past the spur and before the next bend.
  */
 const OPENING_MM = { least: 4, most: 10 };
 /**
- * Limits for an opening that is straight ahead and has no clock hour: its angle to the line of sight is below 7 degrees
- * (`tangent`), and the other openings are at least `times` farther from the line of sight.
+ * Limits for an opening that counts as straight ahead and has no clock hour: the tangent of its angle to the line of
+ * sight is below `tangent` (7 degrees), and the other openings are at least `times` farther from the line of sight.
  */
 const MIDDLE = { tangent: 0.12, times: 4 };
-/** Smallest depth, mm: an opening beside or behind the lens is projected far from the middle. */
+/**
+ * Smallest depth, mm, used in the projection of an opening, because an opening beside or behind the lens would be
+ * projected far from the middle.
+ */
 const LEAST_DEPTH_MM = 1;
 
 /** Return the branches that continue from the end of a branch, from left to right in the view of the camera. */
@@ -189,7 +202,7 @@ export function waysOn(node: BranchNode, camera: Camera, route: Pick<RouteInfo, 
     const inside = child.branch.points.map((point) => asVec3(point)).find((point) => distance(point, fork) >= far);
     const seen = sub(inside ?? tip(child.branch) ?? fork, camera.position);
     const depth = Math.max(dot(seen, camera.forward), LEAST_DEPTH_MM);
-    // Position of the opening in the view, as tangents of the angles to the line of sight.
+    // Position of the opening in the view, as tangents of its horizontal and vertical angle to the line of sight.
     return { child, x: dot(seen, camera.right) / depth, y: dot(seen, camera.down) / depth };
   });
   const hours = openings.map(({ x, y }) => clockHour(Math.atan2(x, -y)));
@@ -198,7 +211,7 @@ export function waysOn(node: BranchNode, camera: Camera, route: Pick<RouteInfo, 
   const middle = offsets.indexOf(nearest);
   const others = offsets.filter((_, index) => index !== middle);
   const inMiddle = nearest < MIDDLE.tangent && Math.min(...others) > MIDDLE.times * nearest;
-  // If two openings have the same clock hour, the one nearer to the middle is straight ahead.
+  // If two openings have the same clock hour, the opening nearer to the middle counts as straight ahead.
   const shared = hours.some((hour, index) => index !== middle && hour === hours[middle]);
   const ahead = others.length > 0 && (inMiddle || shared);
   return openings
@@ -211,7 +224,9 @@ export function waysOn(node: BranchNode, camera: Camera, route: Pick<RouteInfo, 
     .sort((a, b) => a.across - b.across);
 }
 
-/** Return the branch to the left (-1) or right (+1) of the chosen branch; null at the outermost branch. */
+/**
+ * Return the branch to the left (-1) or right (+1) of the branch on the route; null if that branch is the outermost.
+ */
 export function neighbourWay(ways: readonly WayOn[], step: -1 | 1): WayOn | null {
   const chosen = ways.findIndex((way) => way.chosen);
   if (chosen < 0) return (step < 0 ? ways[0] : ways.at(-1)) ?? null;

@@ -84,13 +84,13 @@ const from = (message: ServerMessage): AppEvent => ({ kind: "server", message })
 const following = (state: AppState, ...events: AppEvent[]): AppState => events.reduce(reduce, state);
 
 describe("poses", () => {
-  it("never go back to an older one", () => {
+  it("A pose with a lower number than the current one is ignored.", () => {
     const state = following(INITIAL_STATE, from(pose(5, 10)), from(pose(4, 99)));
     expect(state.pose?.pose_id).toBe(5);
     expect(pathMm(state)).toBe(10);
   });
 
-  it("begin anew with a new connection", () => {
+  it("After a new connection a pose with a lower number is accepted.", () => {
     const open = { kind: "connection", connection: { status: "open", reason: null, retryAtMs: null } } as const;
     expect(following(INITIAL_STATE, from(pose(50)), open, from(pose(1))).pose?.pose_id).toBe(1);
   });
@@ -98,10 +98,10 @@ describe("poses", () => {
 
 const sent = (message: ClientMessage, number = 1): AppEvent => ({ kind: "sent", message, number });
 const handled = (number: number): AppEvent => from({ type: "handled", number });
-const told = (sight: Partial<Sight>): AppEvent => from({ ...OPEN, sight: { ...OPEN.sight, ...sight } });
+const sightReported = (sight: Partial<Sight>): AppEvent => from({ ...OPEN, sight: { ...OPEN.sight, ...sight } });
 
 describe("look and sight", () => {
-  it("hold as soon as they are sent", () => {
+  it("A sent setting is shown before the server answers.", () => {
     const carm = { primary_deg: 12, secondary_deg: -3, mm_per_px: null, tone: "fluoroscopy" } as const;
     const state = following(
       INITIAL_STATE,
@@ -123,18 +123,18 @@ describe("look and sight", () => {
     expect(state.look).toEqual({ ...OPEN.look, operator: "facing" });
   });
 
-  it("hold against older news, so that a second press goes on from the first", () => {
+  it("An older message of the server does not change a sent setting until the server has executed its command.", () => {
     const carm = (tone: "radiograph" | "fluoroscopy") => ({ ...FIRST_SIGHT.carm, tone });
     const first = sent({ type: "set_carm", ...carm("fluoroscopy") }, 3);
-    let state = following(INITIAL_STATE, from(OPEN), first, told({}), handled(2));
+    let state = following(INITIAL_STATE, from(OPEN), first, sightReported({}), handled(2));
     expect(state.sight.carm.tone).toBe("fluoroscopy");
-    state = following(state, told({ carm: carm("fluoroscopy") }), handled(3));
+    state = following(state, sightReported({ carm: carm("fluoroscopy") }), handled(3));
     expect(state.local.sight).toEqual({});
-    // From here on the server's value applies immediately.
-    expect(following(state, told({ carm: carm("radiograph") })).sight.carm.tone).toBe("radiograph");
+    // After the command is done, the server's values apply immediately.
+    expect(following(state, sightReported({ carm: carm("radiograph") })).sight.carm.tone).toBe("radiograph");
   });
 
-  it("are what another window made of them, once this window's own command is done", () => {
+  it("After this window's command is done, the value that another window has set is shown.", () => {
     const look = (fov_deg: number): AppEvent => from({ ...OPEN, look: { ...OPEN.look, fov_deg } });
     // The other window's command came first, so the server's message is older than this window's change.
     let state = following(INITIAL_STATE, from(OPEN), sent({ type: "set_fov", fov_deg: 100 }, 4), look(80));
@@ -145,56 +145,56 @@ describe("look and sight", () => {
     expect(state.look.fov_deg).toBe(70);
   });
 
-  it("are as they were where the server refused", () => {
+  it("A setting that the server refused returns to the server's value.", () => {
     const refused = [sent({ type: "set_fov", fov_deg: 100 }, 4), handled(4)];
     expect(following(INITIAL_STATE, from(OPEN), ...refused).look.fov_deg).toBe(OPEN.look.fov_deg);
   });
 
-  it("hold until they were sent, and are the server's on a new connection", () => {
+  it("A setting that waits to be sent is shown until it is sent; a new connection restores the server's value.", () => {
     const soon = sent({ type: "set_shading", on: false }, NOT_SENT);
     const open = { kind: "connection", connection: { status: "open", reason: null, retryAtMs: null } } as const;
-    const state = following(INITIAL_STATE, from(OPEN), soon, told({}), handled(9));
+    const state = following(INITIAL_STATE, from(OPEN), soon, sightReported({}), handled(9));
     expect(state.sight.shading).toBe(false);
-    expect(following(state, open, told({})).sight.shading).toBe(true);
+    expect(following(state, open, sightReported({})).sight.shading).toBe(true);
   });
 
-  it("are what a scope or an undo brings, whatever was sent before", () => {
+  it("After undo or a change of the scope the server's values replace the settings that were sent before.", () => {
     for (const then of [{ type: "undo" }, { type: "set_scope", scope: "ebus" }] as const) {
       const state = following(INITIAL_STATE, from(OPEN), sent({ type: "set_fov", fov_deg: 100 }), sent(then));
       expect(following(state, from({ ...OPEN, look: { ...OPEN.look, fov_deg: 80 } })).look.fov_deg).toBe(80);
     }
   });
 
-  it("have the fields that commands set", () => {
+  it("Every settable field exists in the initial look or sight.", () => {
     for (const { of, field } of Object.values(SETS)) {
       expect(Object.keys(of === "look" ? FIRST_LOOK : FIRST_SIGHT)).toContain(field);
     }
   });
 });
 
-describe("what a person moves", () => {
-  it("shows at once and is not thrown back by an answer to an older drag", () => {
+describe("values that the user changes", () => {
+  it("A dragged crosshair is shown at once, and an answer to an older drag does not move it back.", () => {
     const drag = (x: number, number: number): AppEvent => sent({ type: "set_crosshair", lps: [x, 0, 0] }, number);
     let state = following(INITIAL_STATE, from(OPEN), drag(1, 1), drag(2, 2));
     expect(crosshairLps(state)).toEqual([2, 0, 0]);
-    state = following(state, told({ crosshair_lps: [1, 0, 0] }), handled(1));
+    state = following(state, sightReported({ crosshair_lps: [1, 0, 0] }), handled(1));
     expect(crosshairLps(state)).toEqual([2, 0, 0]);
-    state = following(state, told({ crosshair_lps: [2, 0, 0] }), handled(2));
+    state = following(state, sightReported({ crosshair_lps: [2, 0, 0] }), handled(2));
     expect(state.local.sight).toEqual({});
     expect(crosshairLps(state)).toEqual([2, 0, 0]);
   });
 
-  it("forgets what was chosen when another case of the same name opens, and nothing when the same one opens again", () => {
+  it("The selection is cleared when another case opens, also of the same CT, but not when the case is updated.", () => {
     const [open] = [OPEN.case];
     if (open === null) throw new Error("no case");
     const held = following(INITIAL_STATE, from(OPEN), { kind: "ui", change: { selected: 3 } });
     expect(following(held, from({ ...OPEN, case: { ...open, warnings: ["one"] } })).ui.selected).toBe(3);
     expect(following(held, from({ ...OPEN, case: { ...open, shape_zyx: [14, 51, 52] } })).ui.selected).toBeNull();
-    // Another case of the same CT.
+    // The message belongs to another case of the same CT.
     expect(following(held, from({ ...OPEN, case: { ...open, number: 2 } })).ui.selected).toBeNull();
   });
 
-  it("moves the path slider until the pose has come", () => {
+  it("The path slider shows the requested position until the server has executed the command.", () => {
     let state = following(INITIAL_STATE, from(OPEN), from(pose(1, 10)), sent({ type: "go_to", path_mm: 42 }, 2));
     expect(pathMm(state)).toBe(42);
     state = following(state, from(pose(2, 30)), handled(1));
@@ -204,7 +204,7 @@ describe("what a person moves", () => {
     expect(pathMm(state)).toBe(42);
   });
 
-  it("follows steering again after the slider was let go", () => {
+  it("The path slider shows the pose again after the user has steered.", () => {
     const slide = sent({ type: "go_to", path_mm: 42 });
     const steer = sent({ type: "steer", advance_mm: 1, yaw_rad: 0, pitch_rad: 0, roll_rad: 0 }, 2);
     expect(pathMm(following(INITIAL_STATE, from(pose(1, 10)), slide, steer))).toBe(10);
@@ -215,12 +215,12 @@ describe("messages", () => {
   const error = (message: string): AppEvent => from({ type: "error", code: "x", message, action: null });
   const notice = (message: string): AppEvent => from({ type: "notice", message });
 
-  it("stand newest first and say nothing twice", () => {
+  it("The latest message is first, and a repeated message is shown once.", () => {
     const state = following(INITIAL_STATE, error("a"), error("b"), error("a"));
     expect(state.messages.map((message) => message.message)).toEqual(["a", "b"]);
   });
 
-  it("keep every error until it is read, but only a few news", () => {
+  it("An error stays until it is dismissed, but only the latest three notices stay.", () => {
     const many = Array.from({ length: 6 }, (_, index) => notice(`news ${index}`));
     let state = following(INITIAL_STATE, error("lost"), ...many);
     expect(state.messages.filter((message) => message.kind === "error")).toHaveLength(1);
@@ -232,13 +232,13 @@ describe("messages", () => {
 });
 
 describe("cases and jobs", () => {
-  it("opens at the findings where there are any, else at the airways", () => {
+  it("A new case opens at the Check step if it has findings, else at the Airways step.", () => {
     expect(following(INITIAL_STATE, from(OPEN)).ui.step).toBe("airways");
     const found = { ...OPEN, case: OPEN.case && { ...OPEN.case, quality: ["slices are 3.0 mm apart"] } };
     expect(following(INITIAL_STATE, from(found)).ui.step).toBe("check");
   });
 
-  it("leaves nothing of a closed case on the screen", () => {
+  it("Closing a case clears its pose, tree, route, pictures and enlarged view.", () => {
     const tree = from({ type: "tree", tree: null, titles: [], measures: null, uncertain: [], absent: [] });
     const state = following(INITIAL_STATE, from(OPEN), tree, from(pose(3)), { kind: "ui", change: { full: "axial" } });
     const closed = following(state, from(EMPTY));
@@ -246,7 +246,7 @@ describe("cases and jobs", () => {
     expect(closed.ui.full).toBeNull();
   });
 
-  it("shows a job until it is done", () => {
+  it("A job is shown until it is done.", () => {
     const job = (fraction: number): AppEvent =>
       from({ type: "progress", job_id: "j", title: "opening", what: "", fraction, seconds_left: null });
     const running = following(INITIAL_STATE, job(0.1), job(0.7));
@@ -255,7 +255,7 @@ describe("cases and jobs", () => {
     expect(following(running, from({ type: "done", job_id: "j", outcome: "done" })).jobs).toEqual([]);
   });
 
-  it("takes the safety sentence away as soon as it was read", () => {
+  it("The safety notice disappears when its acceptance is sent.", () => {
     const start = from({ type: "start", notice_accepted: false, recent: [], demos: [], scopes: [], storage: null });
     expect(following(INITIAL_STATE, start, sent({ type: "accept_notice" })).start?.notice_accepted).toBe(true);
   });

@@ -1,4 +1,4 @@
-/** State of the workstation page, and the reducer that changes it. */
+/** State of the workstation page, and the reducer that computes the state after an event. */
 
 import {
   type BranchDetailMessage,
@@ -50,13 +50,13 @@ import { asVec3, type Vec3 } from "./vec";
 import { FIRST_SHOWN, type ShownViews } from "./view-table";
 import { addPick, type WallPoint } from "./wall-point";
 
-/** The branch under the cursor in a view or list, with the place on the branch if it is known. */
+/** The branch under the cursor in a view or list, with the position on the branch if it is known. */
 export interface Hovered {
   readonly branchId: number;
   readonly place: TreePlace | null;
 }
 
-/** Position of the cursor: the view that contains it, and its coordinates in the view in CSS px. */
+/** Position of the cursor: the view under the cursor, and the coordinates in that view, CSS px. */
 export interface Cursor {
   readonly view: ViewName;
   readonly x: number;
@@ -66,7 +66,7 @@ export interface Cursor {
 /** Status of the connection to the server. */
 export interface Connection {
   readonly status: "connecting" | "open" | "lost" | "refused";
-  /** The server's reason, as text for the user; null if it gave none. */
+  /** Reason of a refused connection, as text for the user; null if there is none. */
   readonly reason: string | null;
   /** Time of the next connection attempt on the page's clock, ms; null if an attempt is running or none is planned. */
   readonly retryAtMs: number | null;
@@ -92,38 +92,41 @@ export interface Upload {
 export interface Ui {
   readonly step: Step;
   readonly full: CellName | null;
-  /** The view that each place of the window shows. */
+  /** The view that each cell of the window shows. */
   readonly shown: ShownViews;
-  /** The plane of the tri-plane view that a drag would move. */
+  /** The plane under the cursor in the tri-plane view, which a drag would move; null without one. */
   readonly overPlane: PlaneName | null;
   readonly armed: Armed | null;
-  /** Cost function of the path search to the next target, and the start of the path if the user has marked one. */
+  /** Cost function of the path search to the next target. `pathStart` is the start point that the user has marked. */
   readonly pathCost: PathCost;
   readonly pathStart: Vec3 | null;
-  /** The branch whose end the user is moving. */
+  /** The branch whose end (a fork) the user is moving; null if none. */
   readonly forkHeld: number | null;
   readonly brushMm: number;
-  /** The target whose boundary the brush changes. */
+  /** ID of the target whose boundary the brush changes; null if the brush edits no target. */
   readonly brushedTarget: string | null;
   readonly brushIsBall: boolean;
   /** Points of the current brush stroke, LPS mm. */
   readonly stroke: readonly Vec3[];
   readonly hovered: Hovered | null;
-  /** The branch whose measurements are shown; null selects the branch of the route. */
+  /** The branch whose measurements the user has selected; null shows the last branch of the route. */
   readonly selected: number | null;
-  /** The branch that the user is renaming. */
+  /** ID of the branch that the user is renaming; null if none. */
   readonly renaming: number | null;
   readonly cursor: Cursor | null;
-  /** The patient point under the cursor (LPS mm), if the view provides one. */
+  /** The patient point under the cursor, LPS mm; null if the view cannot provide one. */
   readonly pointedLps: Vec3 | null;
   readonly keyCardOpen: boolean;
-  /** Whether the dialog that saves the case under a name is open. */
+  /** Whether the dialog that saves the case as a named file is open. */
   readonly saveOpen: boolean;
   /** Whether the dialog with all cases and their disk usage is open. */
   readonly storageOpen: boolean;
-  /** Time of the previous use of the continued case whose notice the user has closed; null if none was closed. */
+  /**
+   * Time of the previous use, s, in the notice about a continued case that the user has closed; null if none was
+   * closed.
+   */
   readonly continuedReadS: number | null;
-  /** The list at the top of the left column. */
+  /** The list that the left column shows. */
   readonly list: "airways" | "history";
   /** Whether the panel of input devices replaces the panel of the step. */
   readonly devicesOpen: boolean;
@@ -131,7 +134,7 @@ export interface Ui {
   readonly keysOpen: boolean;
   /** Speed of the automatic flight, mm/s. */
   readonly autoSpeedMmS: number;
-  /** Suffix of the airway file that is being generated; null if none is. */
+  /** File suffix of the airway file that the server is generating for a download; null if none. */
   readonly making: string | null;
   /** Whether the airway view has locked the mouse pointer. */
   readonly mouseLocked: boolean;
@@ -144,7 +147,7 @@ export interface Ui {
   readonly hiddenLayers: readonly ShownLayer[];
   readonly advancing: boolean;
   readonly cursorLps: Vec3 | null;
-  /** Whether the live path leads to the pen, which has moved later than the cursor. */
+  /** Whether the live path leads to the pen, because the cursor rests while the pen moves. */
   readonly penLeads: boolean;
 }
 
@@ -154,7 +157,7 @@ export interface AppState {
   readonly version: string | null;
   /** Whether this window only watches another user's workstation. */
   readonly watches: boolean;
-  /** Permission to watch this workstation, and its watchers; null in a window that itself watches. */
+  /** State of the watcher page and its current watchers; null in a window that itself watches. */
   readonly watching: WatchingMessage | null;
   readonly start: StartMessage | null;
   readonly session: StateMessage | null;
@@ -165,40 +168,45 @@ export interface AppState {
   readonly messages: readonly Message[];
   readonly nextMessageId: number;
   readonly status: StatusMessage | null;
-  /** The computers that render together with this one; null if there are none. */
+  /** The cluster computers that render together with this one; null without a cluster. */
   readonly cluster: ClusterMessage | null;
   /** Points of the airway wall that the user has clicked in the airway view, oldest first. */
   readonly picks: readonly WallPoint[];
   /**
-   * Header of the picture that each place shows; the header of the replacement if another picture replaces a view's
-   * picture.
+   * Header of the picture that each view's place shows. If another picture replaces a view's picture, its header is
+   * stored at the replaced view.
    */
   readonly frames: Readonly<Partial<Record<ViewName, PictureHeader>>>;
   readonly pace: Pace;
-  /** Value of the voxel under the cursor from the latest answer; null while the cursor is not over a slice. */
+  /**
+   * Value of the voxel under the cursor from the server's latest answer; null while the cursor is outside the slices.
+   */
   readonly probed: ValueMessage | null;
-  /** The path to the cursor. */
+  /** The path to the cursor from the latest answer; null if no path is shown. */
   readonly livePath: LiveAnswer | null;
-  /** Result of a click at the cursor, while a tool with a preview is active. */
+  /** Preview of the edit that a click at the cursor would make; null without a tool with a preview. */
   readonly preview: Preview | null;
-  /** A branch that was not added for lack of evidence; the page asks the user whether to draw it by hand. */
+  /**
+   * A branch that was not added because the CT shows no evidence; the page asks whether to draw it by hand. Null
+   * without a question.
+   */
   readonly doubt: NoEvidenceMessage | null;
-  /** Measurements along a branch from the latest answer. */
+  /** Measurements along a branch from the server's latest answer; null before the first answer. */
   readonly detail: BranchDetailMessage | null;
   readonly upload: Upload | null;
-  /** Input devices from the latest message of the server. */
+  /** Input devices from the server's latest message; null before the first message. */
   readonly devices: DevicesMessage | null;
   /** The tracked pen that moves the tip; null if no pen does. */
   readonly pen: PenMessage | null;
-  /** The key frames and the flight through them. */
+  /** The key frames, with the settings of the flight through them. */
   readonly keyFrames: KeyFramesMessage | null;
-  /** Targets with a size, their routes, and the instruments that can reach them. */
+  /** Plans: targets with a size, their routes, and the instruments that can reach the targets. */
   readonly plans: PlansMessage | null;
-  /** Structures of the lungs that were mapped around the targets. */
+  /** Lung structures that were mapped around the targets. */
   readonly lungs: LungsMessage | null;
   /** Flights that were recorded in the case. */
   readonly flights: readonly FlightInfo[];
-  /** Commands executed on the case, and how many of them are not undone. */
+  /** Commands executed on the case, and the number of those that are not undone. */
   readonly history: HistoryMessage | null;
   /** Playback of the flight through the key frames. */
   readonly playing: Playing;
@@ -206,10 +214,10 @@ export interface AppState {
   readonly flownFlight: number | null;
   /** Playback of the recorded flight. */
   readonly replaying: Playing;
-  /** Speed of the tip, mm/s; null at rest. */
+  /** Measured speed of the tip, mm/s; null at rest. */
   readonly speedMmS: number | null;
   readonly ui: Ui;
-  /** The latest value from the server, combined with the changes that this page has sent since. */
+  /** Look of the case: the server's latest value, with the changes that this page has sent since. */
   readonly look: Look;
   readonly sight: Sight;
   readonly local: {
@@ -298,10 +306,10 @@ export const INITIAL_STATE: AppState = {
   local: NOTHING_LOCAL,
 };
 
-/** An event that changes the state. */
+/** An event that changes the state of the page. */
 export type AppEvent =
   | { kind: "server"; message: ServerMessage }
-  /** A command that was sent, with its number on this connection. */
+  /** A command was sent; `number` is its number on this connection. */
   | { kind: "sent"; message: ClientMessage; number: number }
   | { kind: "connection"; connection: Connection }
   | { kind: "picture"; header: PictureHeader }
@@ -319,10 +327,10 @@ export type AppEvent =
   | { kind: "dismiss"; id: number }
   | { kind: "ui"; change: Partial<Ui> };
 
-/** Answers that are valid for one case and one connection only. */
+/** Initial values of the answers that are valid only for one case and one connection. */
 const NOTHING_SHOWN = { livePath: null, preview: null, doubt: null, detail: null } as const;
 
-/** Interface state without an active tool and without anything under the cursor. */
+/** Interface state with no active tool and nothing under the cursor. */
 const NOTHING_HELD = {
   armed: null,
   forkHeld: null,
@@ -336,10 +344,10 @@ const NOTHING_HELD = {
   penLeads: false,
 } as const;
 
-/** Path search of a new case: through the lumen, without a marked start. */
+/** Path search of a new case: cost function lumen, and no marked start point. */
 const FIRST_SEARCH = { pathCost: "lumen", pathStart: null } as const;
 
-/** Return the state after an event. */
+/** Return the state after an event; the given state is not changed. */
 export function reduce(state: AppState, event: AppEvent): AppState {
   switch (event.kind) {
     case "server":
@@ -378,7 +386,7 @@ export function reduce(state: AppState, event: AppEvent): AppState {
       return {
         ...state,
         probed: event.change.cursorLps === null ? null : state.probed,
-        // A change of the step also closes the panel of key frames, so that the step's panel is visible.
+        // A change of the step closes the panel of key frames, so that the panel of the step is visible.
         ui: { ...state.ui, keysOpen: event.change.step === undefined && state.ui.keysOpen, ...event.change },
       };
   }
@@ -401,12 +409,12 @@ function receive(state: AppState, message: ServerMessage): AppState {
     case "handled":
       return handled(state, message.number);
     case "value":
-      // An answer that arrives after the cursor has left is discarded.
+      // Discard an answer that arrives after the cursor has left the slices.
       return state.ui.cursorLps === null ? state : { ...state, probed: message };
     case "picked":
     case "live_path":
     case "edit_preview":
-      // The workstation first decides whether the answer is still wanted.
+      // Leave the state unchanged: the workstation decides whether the answer is still needed, and then dispatches it.
       return state;
     case "branch_detail":
       return { ...state, detail: message };
@@ -511,9 +519,9 @@ function handled(state: AppState, number: number): AppState {
 
 const numberOf = (values: object): number => Object.keys(values).length;
 
-/** Return the state with a new tree; references to branches that no longer exist are cleared. */
+/** Return the state with a new tree; IDs of branches that no longer exist are cleared. */
 function treeChanged(state: AppState, tree: BranchTree | null): AppState {
-  const kept = (id: number | null): number | null => (id !== null && tree?.byId.has(id) === true ? id : null);
+  const ifInTree = (id: number | null): number | null => (id !== null && tree?.byId.has(id) === true ? id : null);
   const { ui } = state;
   return {
     ...state,
@@ -522,14 +530,16 @@ function treeChanged(state: AppState, tree: BranchTree | null): AppState {
     ui: {
       ...ui,
       hovered: null,
-      selected: kept(ui.selected),
-      forkHeld: kept(ui.forkHeld),
-      renaming: kept(ui.renaming),
+      selected: ifInTree(ui.selected),
+      forkHeld: ifInTree(ui.forkHeld),
+      renaming: ifInTree(ui.renaming),
     },
   };
 }
 
-/** Return the branch whose measurements are shown. */
+/**
+ * Return the ID of the branch whose measurements are shown: the selected branch, else that of the route; null if none.
+ */
 export function shownBranch(state: AppState): number | null {
   return state.ui.selected ?? state.route?.spans.at(-1)?.branch_id ?? null;
 }
@@ -543,14 +553,15 @@ function foresee(state: AppState, message: ClientMessage, number: number): AppSt
   switch (message.type) {
     case "undo":
     case "redo":
-      // The command restores another look than the one that was sent.
+      // The command restores an earlier look, so the sent settings of the look no longer apply.
       return { ...state, doubt: null, local: { ...state.local, look: {} } };
     case "set_scope":
-      // The command sets its own field of view and outline.
+      // The command sets the field of view and the outline of the scope, so the sent settings of the look no longer
+      // apply.
       return { ...state, local: { ...state.local, look: {} } };
     case "edit_tree":
     case "set_root":
-      // The question concerned another tree, or this command answers it.
+      // The question concerned the tree before this command, or this command answers the question.
       return { ...state, doubt: null };
     case "go_to":
       return { ...state, local: { ...state.local, pathMm: { value: message.path_mm, number } } };
@@ -568,13 +579,13 @@ function foresee(state: AppState, message: ClientMessage, number: number): AppSt
 
 type FieldSetting = Extract<ClientMessage, { type: keyof typeof SETS }>;
 
-/** Apply look and sight settings when they are sent; they stay until the server has sent the result. */
+/** Return the state with a setting of look or sight at the sent value, until the server has executed the command. */
 function fieldSet(state: AppState, message: FieldSetting, number: number): AppState {
   const { of, field, from, by_view } = SETS[message.type];
   const { type: _, view, ...fields } = message as { type: string; view?: string } & Record<string, unknown>;
-  const said = from === null ? fields : fields[from];
+  const sentValue = from === null ? fields : fields[from];
   const before = state[of] as unknown as Record<string, object>;
-  const value = by_view && view !== undefined ? { ...before[field], [view]: said } : said;
+  const value = by_view && view !== undefined ? { ...before[field], [view]: sentValue } : sentValue;
   return {
     ...state,
     [of]: { ...before, [field]: value },
@@ -583,14 +594,14 @@ function fieldSet(state: AppState, message: FieldSetting, number: number): AppSt
 }
 
 function connectionChanged(state: AppState, connection: Connection): AppState {
-  // Jobs of a lost connection receive no more updates; the new connection reports its own jobs.
+  // Clear the jobs of a lost connection, which receives no further updates; the new connection reports its own jobs.
   const jobs = connection.status === "open" || connection.status === "connecting" ? state.jobs : [];
-  // A restarted server numbers poses from the start, so the first pose of a connection always counts as the latest.
+  // Clear the pose for a new connection: a restarted server numbers poses from the start, and its first pose must be accepted.
   const pose = connection.status === "open" ? null : state.pose;
   return { ...state, connection, jobs, pose, pen: null, local: NOTHING_LOCAL, ui: { ...state.ui, advancing: false } };
 }
 
-/** Largest number of notices: older notices are removed, errors stay until the user closes them. */
+/** Largest number of notices in the list; older notices are removed. Errors stay until the user closes them. */
 const MAX_NOTICES = 3;
 
 function say(state: AppState, message: Omit<Message, "id">): AppState {
@@ -608,15 +619,15 @@ const asPoint = (point: readonly number[] | null): Vec3 | null => (point === nul
 
 const samePace = (a: Pace, b: Pace): boolean => a.fps === b.fps && a.ageMs === b.ageMs && a.waitingMs === b.waitingMs;
 
-/** Return the position of the tip (LPS mm) from the latest pose. */
+/** Return the position of the tip in the latest pose, LPS mm; null without a pose. */
 export function tipLps(state: AppState): Vec3 | null {
   const m = state.pose?.lps_from_camera;
   return m === undefined ? null : [m[3] ?? 0, m[7] ?? 0, m[11] ?? 0];
 }
 
 /**
- * Return the point (LPS mm) that the button of the active pen marks: the pen's tip, or the scope's tip if the pen's is
- * unknown.
+ * Return the point that the button of the active pen marks, LPS mm: the tip of the pen, or the tip of the scope if the
+ * pen's is unknown. Null if no pen moves the tip.
  */
 export function penPoint(state: AppState): Vec3 | null {
   if (state.pen === null) return null;
@@ -624,14 +635,13 @@ export function penPoint(state: AppState): Vec3 | null {
 }
 
 /**
- * Return the point (LPS mm) where the slices intersect, including a drag that is in progress; null if it follows the
- * tip.
+ * Return the point where the slices intersect, LPS mm, including a drag in progress; null if the slices follow the tip.
  */
 export function crosshairLps(state: AppState): Vec3 | null {
   return asPoint(state.sight.crosshair_lps);
 }
 
-/** Return the instrument whose optics the airway view uses, or null. */
+/** Return the instrument whose optics the airway view uses; null for a pinhole camera. */
 export function scopeOf(state: AppState): Scope | null {
   return state.start?.scopes.find((scope) => scope.name === state.look.scope) ?? null;
 }
@@ -643,7 +653,7 @@ export function greyWindow(state: AppState): GreyWindow {
   return state.sight.window ?? LUNG_WINDOW;
 }
 
-/** Return the position along the route, mm, including a drag that is in progress. */
+/** Return the tip's position along the route, mm, including a drag of the slider in progress; null off the route. */
 export function pathMm(state: AppState): number | null {
   return state.local.pathMm?.value ?? state.pose?.path_mm ?? null;
 }

@@ -2,12 +2,12 @@
 
 import type { CaseNote } from "../wire/messages";
 
-/** Return the notes except "not HU", which has its own badge and text. */
+/** Return the notes except "not HU", which has a separate badge and text. */
 export function besideNotHu(badges: readonly CaseNote[]): readonly CaseNote[] {
   return badges.filter(({ code }) => code !== "import.not-hu");
 }
 
-/** Return the findings of the Check step: doubts first, without duplicates. */
+/** Return the texts of the Check step: doubts about the case and the airways first, without duplicates. */
 export function findingsOf(
   badges: readonly CaseNote[],
   quality: readonly string[],

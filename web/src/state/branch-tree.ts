@@ -12,21 +12,24 @@ export interface BranchNode {
   side: Side;
   lengthMm: number;
   /**
-   * Diameter of the lumen found by the search, mm, used to sort and draw branches. The measured diameter is in
+   * Diameter of the lumen that the search found, mm. It is used to sort and draw branches; the measured diameter is in
    * `measures`.
    */
   diameterMm: number;
   children: BranchNode[];
-  /** The branches of the same bronchus, which side branches divide, from the trachea outwards: one row of the list. */
+  /**
+   * The branches of one bronchus, which its side branches divide, from the trachea outwards. The list shows them as one
+   * row.
+   */
   row: readonly BranchNode[];
-  /** Measurements; null until the branch is measured. */
+  /** Measurements of the branch; null until it is measured. */
   measures: BranchMeasures | null;
-  /** The full name, such as "apical segment, RUL". */
+  /** Full anatomical name, such as "apical segment, RUL"; null without one. */
   longName: string | null;
   lobe: BranchTitle["lobe"];
 }
 
-/** All centreline points in flat arrays, for searches on each mouse movement. */
+/** All centreline points of the tree in flat arrays, for fast searches at each cursor movement. */
 export interface TreeIndex {
   readonly x: Float64Array;
   readonly y: Float64Array;
@@ -36,13 +39,13 @@ export interface TreeIndex {
   readonly branch: Int32Array;
 }
 
-/** The airway tree with its index. */
+/** The airway tree with the search index of its centrelines. */
 export interface BranchTree {
   root: BranchNode;
   byId: ReadonlyMap<number, BranchNode>;
   index: TreeIndex;
   /** Places where the search could not follow an airway. */
   uncertain: readonly UncertainPlace[];
-  /** Lobes and segments that were not found. */
+  /** Lobes and segments without a detected bronchus. */
   absent: readonly AbsentAirway[];
 }

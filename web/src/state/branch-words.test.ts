@@ -4,12 +4,12 @@ import { type BranchTree, buildTree, headOf, rowChildren, type TreeExtras } from
 import {
   calibreOf,
   drawnShare,
-  drawnWords,
+  drawnText,
   factsOf,
   filterTree,
   marksOf,
   marksOfRow,
-  nameWords,
+  nameText,
   routeDoubts,
   rowLengthMm,
   tooltipOf,
@@ -73,7 +73,7 @@ const node = (tree: BranchTree, id: number) => {
 };
 const NBSP = "\u202f";
 
-describe("a bronchus that a side branch cuts in two", () => {
+describe("bronchus that a side branch divides", () => {
   const name = { name: "RB6", name_from: "anatomy", name_confidence: 0.9 } as const;
   const given = (change: Partial<TreeBranch> = {}): BranchTree => {
     const document: TreeDocument = {
@@ -101,7 +101,7 @@ describe("a bronchus that a side branch cuts in two", () => {
     return tree;
   };
 
-  it("is one row with all its pieces, the total length and the calibre range", () => {
+  it("Its branches form one row with the total length and the range of diameters.", () => {
     const tree = given();
     const head = node(tree, 1);
     expect(head.row.map((piece) => piece.branch.id)).toEqual([1, 3]);
@@ -115,29 +115,29 @@ describe("a bronchus that a side branch cuts in two", () => {
     expect(factsOf(node(tree, 3)).map((fact) => fact.term)).toContain("All pieces");
   });
 
-  it("is two rows where a person named one of them, or drew one", () => {
+  it("A branch with another name, a user's name or another kind begins a separate row.", () => {
     for (const change of [{ name_from: "person" }, { kind: "bridge" }, { name: "RB7" }] as const) {
       expect(node(given(change), 1).row.map((piece) => piece.branch.id)).toEqual([1]);
     }
   });
 });
 
-describe("a branch in words", () => {
+describe("texts about a branch", () => {
   const tree = made({ titles: [{ branch_id: 1, long: "apical segment, RUL", lobe: "RUL" }], measures: [MEASURES] });
 
-  it("is marked where its name or itself is doubtful, and where the anatomy is uncommon", () => {
+  it("A branch is marked for a doubtful name, a doubtful airway and an anatomical variant.", () => {
     expect(marksOf(node(tree, 0))).toEqual([]);
     expect(marksOf(node(tree, 1)).map((mark) => mark.sign)).toEqual(["?", "v"]);
     expect(marksOf(node(tree, 2)).map((mark) => mark.sign)).toEqual(["~"]);
   });
 
-  it("says where its name comes from", () => {
-    expect(nameWords(node(tree, 1))).toBe("automatic name, 42 % confidence");
-    expect(nameWords(node(tree, 2))).toBe("named by hand");
-    expect(nameWords(node(tree, 3))).toBeNull();
+  it("nameText states the source and the confidence of the name.", () => {
+    expect(nameText(node(tree, 1))).toBe("automatic name, 42 % confidence");
+    expect(nameText(node(tree, 2))).toBe("named by hand");
+    expect(nameText(node(tree, 3))).toBeNull();
   });
 
-  it("has its long name, figures and doubts in the tooltip", () => {
+  it("The tooltip contains the long name, the measurements and the doubts.", () => {
     expect(tooltipOf(node(tree, 1))).toBe(
       `RB1, apical segment, RUL\ngeneration 1, 30${NBSP}mm long, lumen 6.1${NBSP}mm\n` +
         "only 42 % confidence in this name\nuncommon anatomy: RB1 and RB2 share a stem",
@@ -145,7 +145,7 @@ describe("a branch in words", () => {
     expect(tooltipOf(node(tree, 3))).toContain("Bridge across an obstruction. The CT shows no airway here.");
   });
 
-  it("has its figures with their errors, and leaves out what was not measured", () => {
+  it("Measurements are listed with their errors, and missing measurements are left out.", () => {
     const facts = new Map(factsOf(node(tree, 1)).map((fact) => [fact.term, fact]));
     expect(facts.get("Lumen")?.value).toBe(`6.1 \u00b1 0.2${NBSP}mm`);
     expect(facts.get("Narrowest")?.value).toBe(`4.0${NBSP}mm at 12${NBSP}mm`);
@@ -155,7 +155,7 @@ describe("a branch in words", () => {
     expect(factsOf(node(tree, 2)).map((fact) => fact.term)).toEqual(["Generation", "Length", "Lumen"]);
   });
 
-  it("has no diameter until it is measured, and states where an earlier version measured it", () => {
+  it("Without a measurement the diameter is not measured yet; an earlier method is stated with a warning.", () => {
     const lumenOf = (made: BranchTree, id: number) => factsOf(node(made, id)).find((fact) => fact.term === "Lumen");
     expect(lumenOf(tree, 2)?.value).toBe("not measured yet");
     expect(calibreOf(node(tree, 2))).toBeNull();
@@ -164,7 +164,7 @@ describe("a branch in words", () => {
     expect(factsOf(node(tree, 1)).some((fact) => fact.term === "Measured by")).toBe(false);
   });
 
-  it("has a narrowing wherever the server reports a stenosis", () => {
+  it("Narrowing is listed whenever the server reports a stenosis.", () => {
     const narrowing = (stenosis_percent: number | null) => {
       const measured = made({ measures: [{ ...MEASURES, stenosis_percent, stenosis_error_percent: 0.3 }] });
       return factsOf(node(measured, 1)).find((fact) => fact.term === "Narrowing")?.value;
@@ -174,11 +174,11 @@ describe("a branch in words", () => {
   });
 });
 
-describe("the search", () => {
+describe("filterTree", () => {
   const tree = made({ titles: [{ branch_id: 1, long: "apical segment, RUL", lobe: "RUL" }] });
   const hits = (text: string) => filterTree(tree, text)?.hits;
 
-  it("finds names, long names, lobes, generations, doubts and bridges, with what leads there", () => {
+  it("It finds names, long names, lobes, generations, doubtful branches and bridges, and shows their ancestors.", () => {
     expect(filterTree(tree, "  ")).toBeNull();
     expect(hits("rb1")).toEqual([1]);
     expect(hits("apical")).toEqual([1]);
@@ -190,8 +190,8 @@ describe("the search", () => {
   });
 });
 
-describe("a route over a bridge", () => {
-  it("says so, how long and where", () => {
+describe("routeDoubts", () => {
+  it("The text states the length and the start of a bridge on the route, and is null without a bridge.", () => {
     const spans = [
       { kind: "tracked", from_mm: 0, to_mm: 30 },
       { kind: "bridge", from_mm: 30, to_mm: 38.5 },
@@ -203,7 +203,7 @@ describe("a route over a bridge", () => {
   });
 });
 
-describe("a branch that a person drew", () => {
+describe("branch drawn by hand", () => {
   const measured = { ...MEASURES, branch_id: 4 };
   const tree = buildTree(
     {
@@ -230,13 +230,13 @@ describe("a branch that a person drew", () => {
   if (tree === null) throw new Error("no tree");
   const drawn = node(tree, 4);
 
-  it("is called so, and has no name from the anatomy, no confidence and no lumen", () => {
+  it("It is labelled as drawn by hand and has no anatomical name, confidence or diameter.", () => {
     expect(drawn.label).toBe("Branch 4");
     expect(drawn.longName).toBeNull();
     expect(drawn.lobe).toBeNull();
-    expect(nameWords(drawn)).toBeNull();
+    expect(nameText(drawn)).toBeNull();
     expect(marksOf(drawn)).toEqual([]);
-    expect(drawnWords(drawn)).toBe(`Drawn by hand. The CT shows no wall along 21${NBSP}mm of it.`);
+    expect(drawnText(drawn)).toBe(`Drawn by hand. The CT shows no wall along 21${NBSP}mm of it.`);
     expect(tooltipOf(drawn)).not.toContain("lumen");
     const facts = factsOf(drawn);
     expect(facts.map((fact) => fact.term)).toEqual(["Generation", "Length", "Lumen"]);
@@ -244,7 +244,7 @@ describe("a branch that a person drew", () => {
     expect(filterTree(tree, "by hand")?.hits).toEqual([4]);
   });
 
-  it("keeps the name that a person gave it", () => {
+  it("It keeps a name that the user has given.", () => {
     const named = branch(1, 0, [], { kind: "manual", name: "Mine", name_from: "person" });
     const own = buildTree({
       format: "carina-tree",
@@ -257,7 +257,7 @@ describe("a branch that a person drew", () => {
     expect(own === null ? null : node(own, 1).label).toBe("Mine");
   });
 
-  it("counts as drawn in a route", () => {
+  it("drawnShare states its length and its start on a route.", () => {
     const spans = [
       { kind: "tracked", from_mm: 0, to_mm: 159 },
       { kind: "manual", from_mm: 159, to_mm: 180 },

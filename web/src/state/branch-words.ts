@@ -4,10 +4,10 @@ import type { BranchMeasures, RouteSpan } from "../wire/messages";
 import { type BranchNode, type BranchTree, headOf, rowChildren } from "./airways";
 import { fixed, mm, plural } from "./format";
 
-/** Confidence below which the list marks a name or a branch as doubtful. */
+/** Confidence below which the list marks a branch's name (first value) or the branch itself (second value) as doubtful. */
 const DOUBTFUL = { name: 0.6, airway: 0.5 } as const;
 
-/** A mark behind a branch name in the list, with its explanation. */
+/** Sign after a branch name in the list, with its explanation. */
 export interface Mark {
   readonly sign: string;
   readonly words: string;
@@ -15,7 +15,7 @@ export interface Mark {
 
 const percent = (part: number): string => `${fixed(100 * part)} %`;
 
-/** Return the marks of a branch. */
+/** Return the marks of one branch for its doubts and anatomical variants. */
 export function marksOf(node: BranchNode): readonly Mark[] {
   const { branch } = node;
   const marks: Mark[] = [];
@@ -29,7 +29,7 @@ export function marksOf(node: BranchNode): readonly Mark[] {
   return marks;
 }
 
-/** Return the marks of a row: for each kind of mark, that of the branch with the lowest confidence. */
+/** Return the marks of a row: for each kind of mark, the mark of the branch with the lowest confidence. */
 export function marksOfRow(head: BranchNode): readonly Mark[] {
   const least = (of: (piece: BranchNode) => number | null): BranchNode =>
     head.row.reduce((a, b) => ((of(b) ?? 1) < (of(a) ?? 1) ? b : a), head);
@@ -39,16 +39,16 @@ export function marksOfRow(head: BranchNode): readonly Mark[] {
   return [...name, ...airway, ...variants.filter(({ words }, n) => variants.findIndex((v) => v.words === words) === n)];
 }
 
-/** Return whether the evidence for a part of a branch is weak. */
+/** Return whether the evidence for any part of a branch is weak. */
 export const isDoubtful = ({ branch }: BranchNode): boolean =>
   branch.doubtful_mm > 0 || (branch.confidence !== null && branch.confidence < DOUBTFUL.airway);
 
 /** Return the origin of a branch that the CT does not show, as text; null for a branch that the CT shows. */
-export const kindWords = (kind: BranchNode["branch"]["kind"]): string | null =>
+export const kindText = (kind: BranchNode["branch"]["kind"]): string | null =>
   kind === "tracked" ? null : kind === "bridge" ? "bridge" : "drawn by hand";
 
-/** Return the sentences about a branch that the CT does not show; null for a branch that the CT shows. */
-export function drawnWords(node: BranchNode): string | null {
+/** Return the sentences that state the origin of a branch that the CT does not show; null for other branches. */
+export function drawnText(node: BranchNode): string | null {
   const { kind } = node.branch;
   if (kind === "tracked") return null;
   if (kind === "bridge") return "Bridge across an obstruction. The CT shows no airway here.";
@@ -56,7 +56,7 @@ export function drawnWords(node: BranchNode): string | null {
   return doubtful > 0 ? `Drawn by hand. The CT shows no wall along ${mm(doubtful, 0)} of it.` : "Drawn by hand.";
 }
 
-/** Return the tooltip of a row, with all its information. */
+/** Return the tooltip of a list row: names, measurements and doubts. */
 export function tooltipOf(head: BranchNode): string {
   const { branch } = head;
   const lumen = calibreOf(head);
@@ -66,7 +66,7 @@ export function tooltipOf(head: BranchNode): string {
     `generation ${branch.generation}, ${mm(rowLengthMm(head), 0)} long${lumen === null ? "" : `, lumen ${lumen}\u202fmm`}`,
   ];
   if (pieces > 1) facts.push(`${plural(pieces, "piece", "pieces")} between side branches`);
-  const drawn = drawnWords(head);
+  const drawn = drawnText(head);
   if (drawn !== null) facts.push(drawn);
   return [...facts, ...marksOfRow(head).map((mark) => mark.words)].join("\n");
 }
@@ -75,8 +75,8 @@ export function tooltipOf(head: BranchNode): string {
 export const rowLengthMm = (head: BranchNode): number => head.row.reduce((sum, piece) => sum + piece.lengthMm, 0);
 
 /**
- * Return the range of lumen diameters in a row, "3.1\u20134.0", or one number if both ends read the same; null if none
- * is measured.
+ * Return the range of lumen diameters in a row, "3.1\u20134.0" (mm), or one number if both ends have the same text;
+ * null if no branch is measured.
  */
 export function calibreOf(head: BranchNode): string | null {
   const lumens = head.row.map(lumenMm).filter((lumen) => lumen !== null);
@@ -86,19 +86,19 @@ export function calibreOf(head: BranchNode): string | null {
   return least === most ? least : `${least}\u2013${most}`;
 }
 
-/** Return the branch's lumen diameter, mm; null until it is measured, and for a branch drawn by hand. */
+/** Return the measured lumen diameter of a branch, mm; null before the measurement, and for a branch drawn by hand. */
 export const lumenMm = (node: BranchNode): number | null =>
   node.branch.kind === "manual" ? null : (node.measures?.lumen_mm ?? null);
 
-/** Return the source of the branch's name as text. */
-export function nameWords(node: BranchNode): string | null {
+/** Return the source of a branch's name as text; null for a branch without a name. */
+export function nameText(node: BranchNode): string | null {
   const { name_from: from, name_confidence: sure } = node.branch;
   if (from === "person") return "named by hand";
   if (from === null) return null;
   return sure === null ? "automatic name" : `automatic name, ${percent(sure)} confidence`;
 }
 
-/** Return a value with its error as text; null without a value. */
+/** Return a value with its error as text, "6.1 ± 0.2"; null without a value. */
 export const withError = (value: number | null, error: number | null, digits = 1): string | null =>
   value === null ? null : error === null ? mm(value, digits) : `${fixed(value, digits)} \u00b1 ${mm(error, digits)}`;
 
@@ -115,7 +115,7 @@ export interface Fact {
 const EARLIER_METHOD =
   "an earlier version, which reads small airways too wide; any edit of the tree measures them again";
 
-/** Return the measurements of a branch. */
+/** Return the measurements of a branch as texts, in the order of the panel. */
 export function factsOf(node: BranchNode): readonly Fact[] {
   const measures = node.branch.kind === "manual" ? null : node.measures;
   const facts: (Fact | null)[] = [
@@ -168,17 +168,17 @@ function measuredFacts(measures: BranchMeasures): (Fact | null)[] {
   ];
 }
 
-/** Result of a filter of the airway list. */
+/** Result of the search in the airway list. */
 export interface Filtered {
-  /** Rows that match, and their ancestors. */
+  /** IDs of the rows that match, and of their ancestors. */
   readonly shown: ReadonlySet<number>;
   readonly hits: readonly number[];
 }
 
 /**
- * Return the rows that match a text, identified by their first branches; null for an empty text. Words are searched in
- * names, long names and lobes; `g3` selects a generation, `?` doubtful branches, `bridge` and `by hand` the branches
- * drawn by the user.
+ * Return the rows that match a search text, by the IDs of their first branches; null for an empty text. Words are
+ * searched in names, long names and lobes. `g3` selects a generation, `?` doubtful branches, `bridge` and `by hand` the
+ * branches drawn by the user.
  */
 export function filterTree(tree: BranchTree, text: string): Filtered | null {
   const wanted = text.trim().toLowerCase();
@@ -187,7 +187,7 @@ export function filterTree(tree: BranchTree, text: string): Filtered | null {
   const matches = (node: BranchNode): boolean => {
     if (generation !== null) return node.branch.generation === Number(generation[1]);
     if (wanted === "?") return marksOf(node).length > 0;
-    const words = [node.label, node.longName ?? "", node.lobe ?? "", kindWords(node.branch.kind) ?? ""];
+    const words = [node.label, node.longName ?? "", node.lobe ?? "", kindText(node.branch.kind) ?? ""];
     return words.some((part) => part.toLowerCase().includes(wanted));
   };
   const shown = new Set<number>();
@@ -206,13 +206,13 @@ export function filterTree(tree: BranchTree, text: string): Filtered | null {
 
 type Spans = readonly Pick<RouteSpan, "kind" | "from_mm" | "to_mm">[];
 
-/** Return warnings about the parts of a route that the CT does not show; null if there are none. */
+/** Return the warnings about parts of a route that the CT does not show, as text; null if there are none. */
 export function routeDoubts(spans: Spans): string | null {
-  const parts = [drawnShare(spans), bridgeWords(spans)].filter((part) => part !== null);
+  const parts = [drawnShare(spans), bridgeText(spans)].filter((part) => part !== null);
   return parts.length === 0 ? null : parts.map((part) => `${part}.`).join(" ");
 }
 
-/** Return the share of a route that was drawn by hand, as text; null if none was. */
+/** Return the length of a route that was drawn by hand, as text; null if none was. */
 export function drawnShare(spans: Spans): string | null {
   const drawn = spans.filter((span) => span.kind === "manual");
   const total = drawn.reduce((sum, span) => sum + span.to_mm - span.from_mm, 0);
@@ -222,8 +222,8 @@ export function drawnShare(spans: Spans): string | null {
   return `${fixed(total)} of ${mm(last.to_mm, 0)} drawn by hand, starting ${mm(first.from_mm, 0)} along the route`;
 }
 
-/** Return the part of a route that is a bridge, as text; null if none is. */
-function bridgeWords(spans: Spans): string | null {
+/** Return the length of a route that is a bridge, as text; null if none is. */
+function bridgeText(spans: Spans): string | null {
   const bridges = spans.filter((span) => span.kind === "bridge");
   if (bridges.length === 0) return null;
   const total = bridges.reduce((sum, span) => sum + span.to_mm - span.from_mm, 0);

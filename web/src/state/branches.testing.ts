@@ -1,8 +1,8 @@
-/** Branches for tests, with only their position in the tree. */
+/** Branches for tests, for which a test states only the position in the tree and the fields that matter. */
 
 import type { TreeBranch } from "../wire/messages";
 
-/** Return a branch for tests. */
+/** Return a branch with default values for the fields that `change` does not set. */
 export function testBranch(
   id: number,
   parent: number | null,

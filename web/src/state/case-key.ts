@@ -1,4 +1,4 @@
-/** Identity of the open case. All code that discards state on a change of case uses this rule. */
+/** Key that identifies the open case. All code that discards state when the case changes uses this key. */
 
 import type { StateMessage } from "../wire/messages";
 

@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
 import type { RecentCase, SavingInfo } from "../wire/messages";
-import { caseFacts, changesWords, continuedWords, sizeWords } from "./case-list";
+import { caseFacts, changesText, continuedText, sizeText } from "./case-list";
 import { clock } from "./format";
 import { NOTHING_SAVED } from "./saving.testing";
 
@@ -21,30 +21,30 @@ const ENTRY: RecentCase = {
 };
 const SAVING: SavingInfo = { ...NOTHING_SAVED, continued_s: NOW_S, continued_changes: 12 };
 
-describe("a case in the list", () => {
-  it("says its changes and when it was used", () => {
+describe("caseFacts", () => {
+  it("The facts contain the number of changes and the last use.", () => {
     expect(caseFacts(ENTRY, [ENTRY], NOW_MS)).toEqual(["12 changes", `last used ${clock(NOW_S, NOW_MS)}`]);
-    expect(changesWords(0)).toBe("no changes");
-    expect(changesWords(1)).toBe("1 change");
+    expect(changesText(0)).toBe("no changes");
+    expect(changesText(1)).toBe("1 change");
   });
 
-  it("says when the scan was made, on the same day in every time zone", () => {
+  it("The scan date is the same day in every time zone.", () => {
     const dated = { ...ENTRY, scanned_on: "2021-05-03" };
     expect(caseFacts(dated, [dated], NOW_MS).slice(0, 2)).toEqual(["scan of 3 May 2021", "12 changes"]);
   });
 
-  it("has a code of its own where another has its title", () => {
+  it("Two cases with the same title have a code that distinguishes them.", () => {
     const other = { ...ENTRY, recent_id: "77aa00ff00ff00ff" };
     expect(caseFacts(ENTRY, [ENTRY, other], NOW_MS).at(-1)).toBe("case 3f2a");
     expect(caseFacts(other, [ENTRY, other], NOW_MS).at(-1)).toBe("case 77aa");
   });
 
-  it("of which only the place is known says the day", () => {
+  it("A case without a record has only the day of its last use.", () => {
     expect(caseFacts({ ...ENTRY, num_changes: null, used_s: null }, [], NOW_MS)).toEqual(["last used 2027-01-15"]);
   });
 });
 
-describe("a size on the disk", () => {
+describe("sizeText", () => {
   it.each([
     [0, "0\u202fMB"],
     [3, "1\u202fkB"],
@@ -53,23 +53,23 @@ describe("a size on the disk", () => {
     [1_830_912, "1.8\u202fMB"],
     [314_572_800, "315\u202fMB"],
     [2_147_483_648, "2.1\u202fGB"],
-  ])("of %d bytes is %s", (bytes, words) => {
-    expect(sizeWords(bytes)).toBe(words);
+  ])("%d bytes are written as %s", (bytes, words) => {
+    expect(sizeText(bytes)).toBe(words);
   });
 });
 
-describe("a continued case", () => {
-  it("is told until it is read or changed", () => {
-    const told = `Continued from ${clock(NOW_S, NOW_MS)}, 12 changes.`;
-    expect(continuedWords(SAVING, 12, null, NOW_MS)).toBe(told);
-    expect(continuedWords(SAVING, 12, NOW_S - 1, NOW_MS)).toBe(told);
-    expect(continuedWords(SAVING, 12, NOW_S, NOW_MS)).toBeNull();
-    expect(continuedWords(SAVING, 13, null, NOW_MS)).toBeNull();
+describe("continuedText", () => {
+  it("The notice is shown until the user closes it or changes the case.", () => {
+    const notice = `Continued from ${clock(NOW_S, NOW_MS)}, 12 changes.`;
+    expect(continuedText(SAVING, 12, null, NOW_MS)).toBe(notice);
+    expect(continuedText(SAVING, 12, NOW_S - 1, NOW_MS)).toBe(notice);
+    expect(continuedText(SAVING, 12, NOW_S, NOW_MS)).toBeNull();
+    expect(continuedText(SAVING, 13, null, NOW_MS)).toBeNull();
   });
 
-  it("is not told where there is nothing to continue", () => {
-    expect(continuedWords(null, 0, null, NOW_MS)).toBeNull();
-    expect(continuedWords({ ...SAVING, continued_s: null }, 12, null, NOW_MS)).toBeNull();
-    expect(continuedWords({ ...SAVING, continued_changes: 0 }, 0, null, NOW_MS)).toBeNull();
+  it("The notice is null for a new case and for a case without changes.", () => {
+    expect(continuedText(null, 0, null, NOW_MS)).toBeNull();
+    expect(continuedText({ ...SAVING, continued_s: null }, 12, null, NOW_MS)).toBeNull();
+    expect(continuedText({ ...SAVING, continued_changes: 0 }, 0, null, NOW_MS)).toBeNull();
   });
 });

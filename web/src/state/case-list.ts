@@ -1,18 +1,19 @@
-/** Texts about a case in the list, and about the disk usage of the cases. */
+/** Texts about the recent cases and their disk usage. */
 
 import type { RecentCase, SavingInfo } from "../wire/messages";
 import { clock, plural } from "./format";
 
 /** Number of cases on the start page; the dialog *Cases and storage* lists all. */
 export const RECENT_SHOWN = 5;
-/** How long a forgotten case can be restored. */
+/** Time for which the user can restore a forgotten case, as text. */
 export const FORGOTTEN_FOR = "24 hours";
 
+/** Factor between two units of file size, such as kB and MB. */
 const KILO = 1000;
 const UNITS = ["kB", "MB", "GB", "TB"] as const;
 
-/** Return a size as text, `1.8 MB`; sizes below one kilobyte count as one kilobyte. */
-export function sizeWords(bytes: number): string {
+/** Return a file size as text, `1.8 MB`; a size of 1 to 999 bytes is written as one kilobyte. */
+export function sizeText(bytes: number): string {
   if (bytes <= 0) return "0\u202fMB";
   let value = Math.max(bytes / KILO, 1);
   let unit = 0;
@@ -24,22 +25,22 @@ export function sizeWords(bytes: number): string {
 }
 
 /** Return the number of changes as text. */
-export const changesWords = (count: number): string => (count === 0 ? "no changes" : plural(count, "change"));
+export const changesText = (count: number): string => (count === 0 ? "no changes" : plural(count, "change"));
 
 /** Return the scan date as text, `scan of 3 May 2021`. The date has no time, so that no time zone shifts it. */
-export function scanWords(isoDate: string): string {
+export function scanText(isoDate: string): string {
   const day = new Date(`${isoDate}T00:00:00Z`);
   const format = { day: "numeric", month: "long", year: "numeric", timeZone: "UTC" } as const;
   return `scan of ${day.toLocaleDateString("en-GB", format)}`;
 }
 
 /**
- * Return facts that distinguish a case from others: scan date, changes, last use, and a short code if another case has
- * the same title.
+ * Return the facts that distinguish a case from others: scan date, number of changes, last use, and a short code if
+ * another case has the same title.
  */
 export function caseFacts(entry: RecentCase, all: readonly RecentCase[], nowMs: number): string[] {
-  const facts = entry.scanned_on === null ? [] : [scanWords(entry.scanned_on)];
-  if (entry.num_changes !== null) facts.push(changesWords(entry.num_changes));
+  const facts = entry.scanned_on === null ? [] : [scanText(entry.scanned_on)];
+  if (entry.num_changes !== null) facts.push(changesText(entry.num_changes));
   facts.push(`last used ${entry.used_s === null ? entry.date.slice(0, 10) : clock(entry.used_s, nowMs)}`);
   if (all.some(({ recent_id, title }) => recent_id !== entry.recent_id && title === entry.title))
     facts.push(`case ${entry.recent_id.slice(0, 4)}`);
@@ -50,7 +51,7 @@ export function caseFacts(entry: RecentCase, all: readonly RecentCase[], nowMs: 
  * Return the notice about a continued case; null if the case is new, was not changed before, has been changed since, or
  * the user has closed the notice.
  */
-export function continuedWords(
+export function continuedText(
   saving: SavingInfo | null,
   numChanges: number,
   readS: number | null,
@@ -58,5 +59,5 @@ export function continuedWords(
 ): string | null {
   if (saving === null || saving.continued_s === null || saving.continued_changes === 0) return null;
   if (saving.continued_s === readS || numChanges !== saving.continued_changes) return null;
-  return `Continued from ${clock(saving.continued_s, nowMs)}, ${changesWords(saving.continued_changes)}.`;
+  return `Continued from ${clock(saving.continued_s, nowMs)}, ${changesText(saving.continued_changes)}.`;
 }

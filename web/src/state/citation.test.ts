@@ -1,7 +1,7 @@
 import { expect, it } from "vitest";
 import { citationLine } from "./citation";
 
-it("a citation is one line with all that its licence asks for", () => {
+it("citationLine contains authors, year, title, publisher, DOI, licence and changes in one line.", () => {
   const from = {
     authors: "Goldgof D, et al.",
     year: 2015,

@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
 import type { ClusterMessage, MemberStatus } from "../wire/messages";
-import { clusterWords, memberWords, needsLook } from "./cluster-words";
+import { clusterText, memberText, needsLook } from "./cluster-words";
 
 const member = (state: MemberStatus["state"]): MemberStatus => ({
   name: "10.0.0.6",
@@ -25,19 +25,19 @@ const cluster = (members: MemberStatus[], changes: Partial<ClusterMessage> = {})
   ...changes,
 });
 
-describe("the cluster in words", () => {
-  it("counts the machines that render", () => {
-    expect(clusterWords(cluster([member("ready"), member("ready")]))).toBe("cluster: 2 machines");
-    expect(clusterWords(cluster([member("ready"), member("late")]))).toBe("cluster: 1 of 2 machines");
-    expect(clusterWords(cluster([member("ready")], { mixed: true }))).toBe("cluster: 1 machine, mixed");
-    expect(clusterWords(cluster([], { alone: true }))).toBe("cluster: this machine only");
+describe("texts about the cluster", () => {
+  it("clusterText states the number of computers that render.", () => {
+    expect(clusterText(cluster([member("ready"), member("ready")]))).toBe("cluster: 2 machines");
+    expect(clusterText(cluster([member("ready"), member("late")]))).toBe("cluster: 1 of 2 machines");
+    expect(clusterText(cluster([member("ready")], { mixed: true }))).toBe("cluster: 1 machine, mixed");
+    expect(clusterText(cluster([], { alone: true }))).toBe("cluster: this machine only");
   });
 
-  it("asks for a look where a machine is late or gone, and not while one is being sent the scan", () => {
+  it("needsLook is true for a late or lost computer, and false while one is loading the scan.", () => {
     expect(needsLook(cluster([member("ready"), member("loading")]))).toBe(false);
     expect(needsLook(cluster([member("ready"), member("late")]))).toBe(true);
     expect(needsLook(cluster([member("ready"), member("away")]))).toBe(true);
     expect(needsLook(cluster([], { alone: true }))).toBe(true);
-    expect(memberWords(member("late"))).toContain("other machines");
+    expect(memberText(member("late"))).toContain("other machines");
   });
 });

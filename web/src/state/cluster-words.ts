@@ -1,10 +1,10 @@
-/** Texts about the status of the computers that render together with this one. */
+/** Texts about the cluster computers that render together with this one. */
 
 import type { ClusterMessage, MemberStatus } from "../wire/messages";
 import { plural } from "./format";
 
-/** Return the short text of the status bar. */
-export function clusterWords(cluster: ClusterMessage): string {
+/** Return the text of the status bar about the cluster. */
+export function clusterText(cluster: ClusterMessage): string {
   const ready = cluster.members.filter((member) => member.state === "ready").length;
   const all = cluster.members.length;
   const mixed = cluster.mixed ? ", mixed" : "";
@@ -12,8 +12,8 @@ export function clusterWords(cluster: ClusterMessage): string {
   return `cluster: ${ready === all ? plural(all, "machine") : `${ready} of ${plural(all, "machine")}`}${mixed}`;
 }
 
-/** Return the current activity of a computer as text. */
-export function memberWords(member: MemberStatus): string {
+/** Return the current activity of a cluster computer as text. */
+export function memberText(member: MemberStatus): string {
   switch (member.state) {
     case "ready":
       return "rendering";
@@ -26,7 +26,7 @@ export function memberWords(member: MemberStatus): string {
   }
 }
 
-/** Return whether the status needs the user's attention. */
+/** Return whether the status of the cluster needs the user's attention. */
 export function needsLook(cluster: ClusterMessage): boolean {
   return cluster.alone || cluster.members.some((member) => member.state === "late" || member.state === "away");
 }

@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
 import type { EditPreviewMessage, NoEvidenceMessage } from "../wire/messages";
-import { doubtWords, previewTool, previewWords, runsOf } from "./edit-preview";
+import { doubtText, previewText, previewTool, runsOf } from "./edit-preview";
 
 const LINE = {
   points_lps: [
@@ -30,8 +30,8 @@ function answer(change: Partial<EditPreviewMessage> = {}): EditPreviewMessage {
 
 const NBSP = "\u202f";
 
-describe("a preview of an edit", () => {
-  it("is shown by the tools that add, bridge and move a fork", () => {
+describe("preview of an edit", () => {
+  it("Only the tools that add a branch, bridge, or move a selected fork have a preview.", () => {
     expect(previewTool("add", false)).toBe("add-branch");
     expect(previewTool("bridge", false)).toBe("bridge");
     expect([previewTool("fork", false), previewTool("fork", true)]).toEqual([null, "move-fork"]);
@@ -39,7 +39,7 @@ describe("a preview of an edit", () => {
     expect(previewTool(null, false)).toBeNull();
   });
 
-  it("is drawn in runs with and without evidence that share a point, every point where the edit would put it", () => {
+  it("runsOf splits a line into runs of airway and runs drawn by hand, and neighbouring runs share a point.", () => {
     expect(runsOf([LINE])).toEqual([
       { points: LINE.points_lps.slice(0, 3), drawn: false },
       { points: LINE.points_lps.slice(2), drawn: true },
@@ -48,31 +48,31 @@ describe("a preview of an edit", () => {
     expect(runsOf([LINE, LINE]).length).toBe(4);
   });
 
-  it("says how long it is, and along how much of it the CT shows no wall", () => {
-    expect(previewWords({ answer: answer(), stale: false })).toEqual({
+  it("The text states the length of the edit and the length without a visible airway wall.", () => {
+    expect(previewText({ answer: answer(), stale: false })).toEqual({
       lines: [`new branch, 41${NBSP}mm`, `no wall along 21${NBSP}mm`],
       warns: true,
     });
     const seen = answer({ has_evidence: true, doubtful_mm: 0 });
-    expect(previewWords({ answer: seen, stale: false })).toEqual({ lines: [`new branch, 41${NBSP}mm`], warns: false });
-    expect(previewWords({ answer: answer({ tool: "bridge", doubtful_mm: 41 }), stale: false }).warns).toBe(true);
+    expect(previewText({ answer: seen, stale: false })).toEqual({ lines: [`new branch, 41${NBSP}mm`], warns: false });
+    expect(previewText({ answer: answer({ tool: "bridge", doubtful_mm: 41 }), stale: false }).warns).toBe(true);
   });
 
-  it("says that it is looked for, and why it cannot be made", () => {
-    expect(previewWords({ answer: null, stale: true }).lines).toEqual(["searching for the airway\u2026"]);
+  it("The text states that the search is running, or why the edit is impossible.", () => {
+    expect(previewText({ answer: null, stale: true }).lines).toEqual(["searching for the airway\u2026"]);
     const none = answer({
       lines: [],
       length_mm: null,
       problem: "no airway leads from the tree to the point: there is tissue.",
     });
-    expect(previewWords({ answer: none, stale: false })).toEqual({
+    expect(previewText({ answer: none, stale: false })).toEqual({
       lines: ["No airway leads from the tree to the point: there is tissue."],
       warns: true,
     });
   });
 });
 
-describe("the question about a branch without evidence", () => {
+describe("doubtText", () => {
   const doubt = (change: Partial<NoEvidenceMessage> = {}): NoEvidenceMessage => ({
     type: "no_evidence",
     job_id: "job-1",
@@ -85,12 +85,12 @@ describe("the question about a branch without evidence", () => {
     ...change,
   });
 
-  it("says how much of the way is meant", () => {
-    expect(doubtWords(doubt())).toBe(
+  it("The question states along which length of the branch the CT shows no airway wall.", () => {
+    expect(doubtText(doubt())).toBe(
       `The CT shows no airway wall along the last 21${NBSP}mm of this branch. Draw the airway there anyway?`,
     );
     const middle = doubt({ line: { ...LINE, doubtful: [false, true, false] }, doubtful_mm: 10 });
-    expect(doubtWords(middle)).toContain(`along 10${NBSP}mm of this branch.`);
-    expect(doubtWords(doubt({ length_mm: 21.3 }))).toContain("along this branch.");
+    expect(doubtText(middle)).toContain(`along 10${NBSP}mm of this branch.`);
+    expect(doubtText(doubt({ length_mm: 21.3 }))).toContain("along this branch.");
   });
 });

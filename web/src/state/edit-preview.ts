@@ -1,4 +1,4 @@
-/** Preview of an edit before the click: its lines, and the text beside the cursor. */
+/** Preview of an edit before the click: its lines in the views, and the text beside the cursor. */
 
 import type { AskEditPreviewMessage, EditLine, EditPreviewMessage, NoEvidenceMessage } from "../wire/messages";
 import { mm, sentence } from "./format";
@@ -6,33 +6,33 @@ import { firstSentences } from "./live-path";
 import type { Armed } from "./tools";
 import { asVec3, type Vec3 } from "./vec";
 
-/** Name on the wire of a tool with a preview. */
+/** Name in the protocol of a tool with a preview. */
 export type PreviewTool = AskEditPreviewMessage["tool"];
 /** A preview request: a tool, and a point or a place in an airway view. */
 export type PreviewQuestion = Omit<AskEditPreviewMessage, "type" | "request_id">;
 
-/** The preview at the cursor. */
+/** The preview of the edit that a click at the cursor would make. */
 export interface Preview {
-  /** The latest answer; null until the first answer arrives. */
+  /** The server's latest answer; null until the first answer arrives. */
   readonly answer: EditPreviewMessage | null;
-  /** Whether the cursor has moved since, so that another answer is expected. */
+  /** Whether the cursor has moved since the answer's request, so that another answer is expected. */
   readonly stale: boolean;
 }
 
-/** Return the wire name of the active tool that previews its edit; null if there is none. */
+/** Return the protocol's name of the active tool if it has a preview; null for other tools. */
 export function previewTool(armed: Armed | null, forkHeld: boolean): PreviewTool | null {
   if (armed === "add") return "add-branch";
   if (armed === "bridge") return "bridge";
   return armed === "fork" && forkHeld ? "move-fork" : null;
 }
 
-/** A part of a line that is either all airway or all drawn by hand. */
+/** A part of a preview line that either is all airway or is all drawn by hand. */
 export interface PreviewRun {
   readonly points: readonly Vec3[];
   readonly drawn: boolean;
 }
 
-/** Split the lines into solid and dashed runs; neighbouring runs share a point. */
+/** Split preview lines into solid runs (airway) and dashed runs (drawn by hand); neighbouring runs share a point. */
 export function runsOf(lines: readonly EditLine[]): readonly PreviewRun[] {
   const runs: { points: Vec3[]; drawn: boolean }[] = [];
   for (const line of lines) {
@@ -51,9 +51,10 @@ export function runsOf(lines: readonly EditLine[]): readonly PreviewRun[] {
 }
 
 /**
- * Return the text lines beside the cursor; `warns` is true if the CT does not show the edit or the edit is impossible.
+ * Return the text lines beside the cursor. `warns` is true if the CT does not show the new branch, or if the edit is
+ * impossible.
  */
-export function previewWords({ answer }: Preview): { lines: readonly string[]; warns: boolean } {
+export function previewText({ answer }: Preview): { lines: readonly string[]; warns: boolean } {
   if (answer === null) return { lines: ["searching for the airway\u2026"], warns: false };
   if (answer.problem !== null || answer.length_mm === null) {
     return { lines: [firstSentences(sentence(answer.problem ?? "no branch can be added here"))], warns: true };
@@ -74,8 +75,8 @@ export function previewWords({ answer }: Preview): { lines: readonly string[]; w
   }
 }
 
-/** Return the question whether to draw a branch by hand that the CT does not show. */
-export function doubtWords({ line, doubtful_mm, length_mm }: NoEvidenceMessage): string {
+/** Return the question whether to draw by hand a branch that the CT does not show. */
+export function doubtText({ line, doubtful_mm, length_mm }: NoEvidenceMessage): string {
   const last = line.doubtful.indexOf(true);
   const tail = last >= 0 && line.doubtful.slice(last).every((doubtful) => doubtful);
   const all = length_mm - doubtful_mm < 1;

@@ -1,5 +1,5 @@
 /**
- * How far along a route an instrument fits: the largest sphere in the lumen compared with the lumen that the instrument
+ * Fit of an instrument on a route: the largest sphere in the lumen is compared with the diameter that the instrument
  * needs.
  */
 
@@ -8,8 +8,8 @@ import type { RouteInfo, Scope } from "../wire/messages";
 type Widths = Pick<RouteInfo, "wall_mm" | "cumulative_mm">;
 
 /**
- * Return the first place of the route that is narrower than the needed lumen (`Scope.fit_mm`); null if the instrument
- * passes to the end.
+ * Return the first place of the route where the lumen is narrower than needed (`Scope.fit_mm`); null if the instrument
+ * reaches the end.
  */
 export function firstTooNarrow(route: Widths, neededMm: number): { pathMm: number; diameterMm: number } | null {
   const index = route.wall_mm.findIndex((ball) => 2 * ball < neededMm);

@@ -1,15 +1,15 @@
-/** Position of a planar view in its plane, and its change by zoom and pan. */
+/** Position of a planar view in its plane, and the change of the position by zoom and pan. */
 
 import { add, scale, type Vec3 } from "./vec";
 
-/** Centre and scale of a planar view. */
+/** Centre (LPS mm) and scale of a planar view. */
 export interface FlatPlace {
-  /** Millimetres per pixel of the requested picture. */
+  /** Scale: millimetres per pixel of the requested picture. */
   readonly mmPerPx: number;
   readonly middle: Vec3;
 }
 
-/** Unit vectors of the screen axes in patient space. */
+/** Unit vectors of the picture's axes (right, down) in patient space, LPS. */
 export interface FlatAxes {
   readonly right: Vec3;
   readonly down: Vec3;
@@ -18,7 +18,7 @@ export interface FlatAxes {
 const moved = (place: FlatPlace, axes: FlatAxes, rightMm: number, downMm: number): Vec3 =>
   add(place.middle, add(scale(axes.right, rightMm), scale(axes.down, downMm)));
 
-/** Zoom about a fixed place of the picture, given in pixels from its middle. */
+/** Return the position after a zoom that keeps one picture point fixed, given in px from the middle of the picture. */
 export function zoomedAbout(
   place: FlatPlace,
   axes: FlatAxes,
@@ -29,7 +29,7 @@ export function zoomedAbout(
   return { mmPerPx, middle: moved(place, axes, about.right * change, about.down * change) };
 }
 
-/** Pan by a number of pixels, so that the picture follows the hand. */
+/** Return the position after a pan by a number of px; the picture moves with the hand. */
 export function panned(place: FlatPlace, axes: FlatAxes, px: { right: number; down: number }): FlatPlace {
   return { ...place, middle: moved(place, axes, -px.right * place.mmPerPx, -px.down * place.mmPerPx) };
 }

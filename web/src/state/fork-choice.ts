@@ -1,9 +1,10 @@
-/** Choice of the fork for a place on the tree. */
+/** Selection of the fork that the fork tool moves. */
 
 import type { BranchTree } from "./airways";
 
 /**
- * Return the branch whose end is the nearest fork: the branch itself or its parent; null if the tree has no fork there.
+ * Return the ID of the branch that ends at the fork nearest to a position: the branch itself, or its parent. Null if
+ * neither ends at a fork.
  */
 export function forkOf(tree: BranchTree, branchId: number, alongMm: number): number | null {
   const node = tree.byId.get(branchId);

@@ -13,12 +13,12 @@ interface Case {
   hours: Record<string, number | null>;
 }
 
-describe("the list of turns", () => {
+describe("clock hours of branch openings", () => {
   const file = fileURLToPath(new URL("../../../tests/golden/fork-hours.json", import.meta.url));
   const cases = JSON.parse(readFileSync(file, "utf-8")) as Case[];
 
   it.each(cases.map((made) => [made.name, made] as const))(
-    "tells the hours that the window tells: %s",
+    "They equal the hours in the server's list of turns: %s",
     (_name, made) => {
       const tree = buildTree({
         format: "carina-tree",

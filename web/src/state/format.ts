@@ -1,20 +1,20 @@
-/** Numbers as text: every value with its unit, and minus signs that align. */
+/** Numbers as text for the user, with units and with minus signs that align. */
 
 import { asVec3, type Vec3 } from "./vec";
 
 const MINUS = "\u2212";
 const THIN = "\u202f";
 
-/** Return a number with a fixed number of digits and a true minus sign. */
+/** Return a number as text with a fixed number of decimals and a true minus sign. */
 export function fixed(value: number, digits = 0): string {
   const text = Math.abs(value).toFixed(digits);
   return value < 0 && Number(text) !== 0 ? `${MINUS}${text}` : text;
 }
 
-/** Return a length in mm with its unit. */
+/** Return a length as text in mm, with its unit. */
 export const mm = (value: number, digits = 1): string => `${fixed(value, digits)}${THIN}mm`;
 
-/** Return coordinates with side letters: `R 17.6  P 35.3  S 12.1 mm`. */
+/** Return patient coordinates as text with side letters: `R 17.6  P 35.3  S 12.1 mm`. */
 export function coordinates(lps: Vec3): string {
   const part = (value: number, plus: string, minus: string) =>
     `${value >= 0 ? plus : minus}${THIN}${Math.abs(value).toFixed(1)}`;
@@ -31,8 +31,8 @@ const SIDES: Readonly<Record<string, readonly [axis: 0 | 1 | 2, sign: 1 | -1]>> 
 };
 
 /**
- * Parse coordinates: `x, y, z` in LPS mm (commas, semicolons or spaces; hyphen or true minus) or with side letters, `R
- * 17.6 P 35.3 S 12.1`; return null for other text.
+ * Parse coordinates in the form `x, y, z` in LPS mm (separators: comma, semicolon, space; hyphen or true minus) or with
+ * side letters, `R 17.6 P 35.3 S 12.1`. Return null for any other text.
  */
 export function parseCoordinates(text: string): Vec3 | null {
   const plain = text
@@ -46,71 +46,75 @@ export function parseCoordinates(text: string): Vec3 | null {
 }
 
 /**
- * Parse coordinates with side letters: each axis exactly once and no sign, because a sign beside a letter is ambiguous.
+ * Parse coordinates with side letters. Each axis must occur once and without a sign, because a sign beside a letter is
+ * ambiguous; return null otherwise.
  */
 function fromSides(text: string): Vec3 | null {
-  const said = [...text.toUpperCase().matchAll(/([LRPASI])\s*(\d+(?:\.\d+)?)/g)];
+  const matches = [...text.toUpperCase().matchAll(/([LRPASI])\s*(\d+(?:\.\d+)?)/g)];
   const rest = text.toUpperCase().replace(/([LRPASI])\s*(\d+(?:\.\d+)?)/g, "");
-  if (said.length !== 3 || /[^\s,;]/.test(rest)) return null;
+  if (matches.length !== 3 || /[^\s,;]/.test(rest)) return null;
   const found: (number | null)[] = [null, null, null];
-  for (const [, side, mm] of said) {
+  for (const [, side, mm] of matches) {
     const place = SIDES[side ?? ""];
     if (place === undefined) return null;
     found[place[0]] = place[1] * Number(mm);
   }
-  // If one of three axes occurs twice, another has no number.
+  // If an axis occurs twice, another axis has no number, and the text is rejected.
   const [x, y, z] = found;
   return x == null || y == null || z == null ? null : [x, y, z];
 }
 
-/** Return the remaining time as text, `about 40 s left`, rounded to the accuracy of the estimate. */
+/** Return the remaining time of a job as text, `about 40 s left`, rounded to the accuracy of the estimate. */
 export function timeLeft(seconds: number): string {
   if (seconds < 2) return "almost done";
   if (seconds < 60) return `about ${Math.ceil(seconds / 5) * 5} s left`;
   return `about ${Math.ceil(seconds / 60)} min left`;
 }
 
-/** Return window width and level as text. */
-export const windowWords = (widthHu: number, levelHu: number): string => `W ${fixed(widthHu)}  L ${fixed(levelHu)}`;
+/** Return window width and level as text, `W 1500  L -600`. */
+export const windowText = (widthHu: number, levelHu: number): string => `W ${fixed(widthHu)}  L ${fixed(levelHu)}`;
 
 /** Return the angles of a C-arm as text: `LAO 30\u00b0`, `CRAN 15\u00b0`. */
-export function carmWords(carm: { primary_deg: number; secondary_deg: number }): string[] {
+export function carmText(carm: { primary_deg: number; secondary_deg: number }): string[] {
   const primary = Math.round(carm.primary_deg);
   const secondary = Math.round(carm.secondary_deg);
   const first = primary === 0 ? "AP 0\u00b0" : `${primary > 0 ? "LAO" : "RAO"} ${Math.abs(primary)}\u00b0`;
   return secondary === 0 ? [first] : [first, `${secondary > 0 ? "CRAN" : "CAUD"} ${Math.abs(secondary)}\u00b0`];
 }
 
-/** Return a text of the server with a capital first letter. */
+/** Return a text of the server with a capital first letter, as a sentence. */
 export const sentence = (words: string): string => words.charAt(0).toUpperCase() + words.slice(1);
 
 /** Return a count with its noun in the singular or plural. */
 export const plural = (count: number, one: string, many = `${one}s`): string => `${count} ${count === 1 ? one : many}`;
 
-/** The finest ray step, in units of the smallest voxel spacing. */
+/** The finest ray step of the airway view, in units of the smallest voxel spacing. */
 const FINE_STEP_VOX = 0.5;
 
 /**
- * Return the resolution of an airway picture as text: `coarse: 42 %`, with its ray step if that is longer than the
- * finest.
+ * Return the resolution of an airway picture as text: `reduced: 40 %`, with the ray step if it is longer than the
+ * finest one.
  */
-export function finenessWords(picture: { width: number; step_vox: number | null }, wantedWidth: number): string {
+export function finenessText(picture: { width: number; step_vox: number | null }, wantedWidth: number): string {
   const percent = Math.min(Math.round((100 * picture.width) / Math.max(wantedWidth, 1)), 100);
   const step = picture.step_vox ?? FINE_STEP_VOX;
   if (percent >= 100 && step <= FINE_STEP_VOX) return "full resolution";
-  const stepWords = step > FINE_STEP_VOX ? `, step ${fixed(step, 1)} voxels` : "";
-  return `reduced: ${percent} %${stepWords}`;
+  const stepText = step > FINE_STEP_VOX ? `, step ${fixed(step, 1)} voxels` : "";
+  return `reduced: ${percent} %${stepText}`;
 }
 
-/** Return how a picture was rendered (`null`: there is none yet), compared with the requested method. */
-export function methodWords(made: string | null, asked: "leap" | "brute"): string {
-  const method = (made ?? asked).replace(/^gpu-/, "");
+/**
+ * Return the method that rendered the displayed picture, as text, compared with the requested method; `made` is null
+ * before the first picture.
+ */
+export function methodText(made: string | null, requested: "leap" | "brute"): string {
+  const method = (made ?? requested).replace(/^gpu-/, "");
   if (method.startsWith("leap")) return "fast rendering";
   if (method !== "brute") return "cut-plane";
-  return asked === "leap" ? "full sampling until fast rendering is ready" : "full sampling";
+  return requested === "leap" ? "full sampling until fast rendering is ready" : "full sampling";
 }
 
-/** Return the time of day of a moment (seconds since 1970), with the date if it is not today. */
+/** Return a time (s since 1970) as time of day, with the date if it is not today. */
 export function clock(sinceEpochS: number, nowMs: number): string {
   const then = new Date(1000 * sinceEpochS);
   const time = `${String(then.getHours()).padStart(2, "0")}:${String(then.getMinutes()).padStart(2, "0")}`;
@@ -119,8 +123,8 @@ export function clock(sinceEpochS: number, nowMs: number): string {
   return day(then) === day(new Date(nowMs)) ? time : `${day(then)} ${time}`;
 }
 
-/** Return an elapsed time as text: `12:05 min`. */
-export function agoWords(seconds: number): string {
+/** Return a duration as text: `12:05 min`. */
+export function agoText(seconds: number): string {
   const whole = Math.round(seconds);
   return `${Math.floor(whole / 60)}:${String(whole % 60).padStart(2, "0")} min`;
 }

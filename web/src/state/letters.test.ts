@@ -6,8 +6,8 @@ import { dot, type Vec3 } from "./vec";
 const opposite: Record<string, string> = { R: "L", L: "R", A: "P", P: "A", S: "I", I: "S" };
 const mirrored = (text: string) => [...text].map((letter) => opposite[letter]).join("");
 
-describe("letters", () => {
-  it("name the six axes of the patient", () => {
+describe("lettersOf and edgeLetters", () => {
+  it("The six patient axes have the letters L, R, P, A, S and I.", () => {
     expect(lettersOf([1, 0, 0])).toBe("L");
     expect(lettersOf([-1, 0, 0])).toBe("R");
     expect(lettersOf([0, 1, 0])).toBe("P");
@@ -16,14 +16,14 @@ describe("letters", () => {
     expect(lettersOf([0, 0, -1])).toBe("I");
   });
 
-  it("put the dominant direction first and a small tilt nowhere", () => {
+  it("The dominant direction comes first, and a tilt of 5 degrees adds no letter.", () => {
     expect(lettersOf([0.5, -0.8, 0])).toBe("AL");
     // A tilt of 5 degrees adds no letter; a tilt of 20 degrees does.
     expect(lettersOf([Math.sin(0.087), 0, Math.cos(0.087)])).toBe("S");
     expect(lettersOf([Math.sin(0.35), 0, Math.cos(0.35)])).toBe("SL");
   });
 
-  it("are opposite on opposite edges for any rotation", () => {
+  it("Opposite edges have opposite letters for any rotation.", () => {
     const random = randomOf(1);
     for (let round = 0; round < 500; round += 1) {
       const { right, down } = randomAxes(random);
@@ -33,7 +33,7 @@ describe("letters", () => {
     }
   });
 
-  it("do not depend on the length of the direction", () => {
+  it("The letters do not depend on the length of the direction.", () => {
     const random = randomOf(2);
     for (let round = 0; round < 200; round += 1) {
       const { right } = randomAxes(random);
@@ -41,13 +41,13 @@ describe("letters", () => {
     }
   });
 
-  it("follow the radiological convention in an axial slice", () => {
+  it("An axial slice has the patient's right at the left edge, as in radiology.", () => {
     expect(edgeLetters([1, 0, 0], [0, 1, 0])).toEqual({ left: "R", right: "L", top: "A", bottom: "P" });
   });
 });
 
-describe("the ring", () => {
-  it("has the patient's right on the right when the scope comes from the head with anterior up", () => {
+describe("ringMarks", () => {
+  it("The patient's right is on the right for a camera that looks from the head with anterior up.", () => {
     // The camera looks inferior with anterior up: right = forward x up = patient right (reference: features, section 4).
     const marks = ringMarks({ right: [-1, 0, 0], down: [0, 1, 0] });
     const angle = (text: string) => marks.find((mark) => mark.text === text)?.angleRad;
@@ -58,7 +58,7 @@ describe("the ring", () => {
     expect(marks).toHaveLength(4);
   });
 
-  it("turns with the camera: a roll clockwise turns the letters counterclockwise by the same angle", () => {
+  it("A clockwise roll of the camera turns the letters counterclockwise by the same angle.", () => {
     const roll = 0.6;
     const right: Vec3 = [-Math.cos(roll), Math.sin(roll), 0];
     const down: Vec3 = [Math.sin(roll), Math.cos(roll), 0];
@@ -67,7 +67,7 @@ describe("the ring", () => {
     expect(anterior?.angleRad).toBeCloseTo(-roll);
   });
 
-  it("puts opposite letters opposite each other, for any rotation", () => {
+  it("Opposite letters are at opposite angles for any rotation.", () => {
     const random = randomOf(3);
     for (let round = 0; round < 500; round += 1) {
       const marks = ringMarks(randomAxes(random));
@@ -81,7 +81,7 @@ describe("the ring", () => {
     }
   });
 
-  it("shows a direction where it really lies: towards it in the picture is towards it in the patient", () => {
+  it("The picture direction of a letter corresponds to its patient direction for any rotation.", () => {
     const random = randomOf(4);
     for (let round = 0; round < 300; round += 1) {
       const { right, down } = randomAxes(random);
@@ -97,7 +97,7 @@ describe("the ring", () => {
     }
   });
 
-  it("keeps letters apart: where two directions coincide they share one place", () => {
+  it("Two directions that coincide in the picture share one mark.", () => {
     // With a view half down and half back, anterior and superior coincide at the top.
     const half = Math.SQRT1_2;
     const marks = ringMarks({ right: [-1, 0, 0], down: [0, half, -half] });
@@ -105,8 +105,8 @@ describe("the ring", () => {
   });
 });
 
-describe("the clock", () => {
-  it("counts hours from 12 at the top, clockwise", () => {
+describe("clockHour", () => {
+  it("Hours are counted clockwise from 12 at the top.", () => {
     expect(clockHour(0)).toBe(12);
     expect(clockHour(Math.PI / 2)).toBe(3);
     expect(clockHour(Math.PI)).toBe(6);

@@ -5,7 +5,7 @@ import { type Camera, dot, scale, unit, type Vec3 } from "./vec";
 /** Letter of a patient direction. */
 export type Letter = "R" | "L" | "A" | "P" | "S" | "I";
 
-/** Unit vector of each letter, LPS. */
+/** Unit vector of each letter's patient direction, LPS. */
 export const DIRECTION_LPS: Readonly<Record<Letter, Vec3>> = {
   L: [1, 0, 0],
   R: [-1, 0, 0],
@@ -15,8 +15,8 @@ export const DIRECTION_LPS: Readonly<Record<Letter, Vec3>> = {
   I: [0, 0, -1],
 };
 
-/** Word of each letter. */
-export const LETTER_WORDS: Readonly<Record<Letter, string>> = {
+/** Word for each letter's patient direction. */
+export const LETTER_TEXTS: Readonly<Record<Letter, string>> = {
   R: "right",
   L: "left",
   A: "anterior",
@@ -25,10 +25,13 @@ export const LETTER_WORDS: Readonly<Record<Letter, string>> = {
   I: "inferior",
 };
 
-/** Smallest second component that adds a letter, sin 12 degrees: a smaller tilt is not visible. */
+/**
+ * Smallest second component of a direction that adds a second letter: sin 12 degrees, because a smaller tilt is not
+ * visible.
+ */
 const SECOND_LETTER = 0.2;
 
-/** Return the letters of a direction, dominant letter first; two letters for an oblique direction. */
+/** Return the letters of a patient direction, dominant letter first; an oblique direction has two letters. */
 export function lettersOf(dirLps: Vec3): string {
   const dir = unit(dirLps);
   const parts: { letter: Letter; size: number }[] = [
@@ -44,7 +47,7 @@ export function lettersOf(dirLps: Vec3): string {
     .join("");
 }
 
-/** Letters of the four edges of a picture. */
+/** Orientation letters at the four edges of a picture. */
 export interface EdgeLetters {
   left: string;
   right: string;
@@ -52,7 +55,7 @@ export interface EdgeLetters {
   bottom: string;
 }
 
-/** Return the letters of the edges of a picture whose columns run along `right` and rows along `down`. */
+/** Return the orientation letters of a picture whose columns run along `right` and whose rows run along `down`. */
 export function edgeLetters(right: Vec3, down: Vec3): EdgeLetters {
   return {
     right: lettersOf(right),
@@ -66,21 +69,23 @@ export function edgeLetters(right: Vec3, down: Vec3): EdgeLetters {
 export interface RingMark {
   /** One letter, or two (dominant first) if two directions have the same place on the ring. */
   text: string;
-  /** Angle clockwise from 12 o'clock, in (-pi, pi]. */
+  /** Angle of the mark, rad, clockwise from 12 o'clock, in (-pi, pi]. */
   angleRad: number;
-  /** Component of the direction in the image plane, 0..1. */
+  /** Length of the direction's component in the image plane, 0..1. */
   strength: number;
 }
 
 /**
- * Smallest component in the image plane: a weaker direction points mainly into or out of the picture (30 degrees from
- * the axis).
+ * Smallest component in the image plane of a direction on the ring. A direction within 30 degrees of the viewing axis
+ * points mainly into or out of the picture.
  */
 const RING_MIN_STRENGTH = 0.5;
-/** Angle between two marks below which they would overlap. */
+/** Angle between two marks of the ring, rad, below which their letters would overlap. */
 const RING_MERGE_RAD = (20 * Math.PI) / 180;
 
-/** Return the marks of the patient directions around an airway view. Opposite letters always occur in pairs. */
+/**
+ * Return the marks of the patient directions on the ring around an airway view. Opposite letters always occur in pairs.
+ */
 export function ringMarks(camera: Pick<Camera, "right" | "down">): RingMark[] {
   const marks: RingMark[] = [];
   const letters: Letter[] = ["A", "P", "R", "L", "S", "I"];
@@ -100,13 +105,13 @@ export function ringMarks(camera: Pick<Camera, "right" | "down">): RingMark[] {
   return marks;
 }
 
-/** Return the absolute angle between two angles, in [0, pi]. */
+/** Return the absolute difference of two angles, rad, in [0, pi]. */
 export function angleBetween(a: number, b: number): number {
   const d = Math.abs(a - b) % (2 * Math.PI);
   return d > Math.PI ? 2 * Math.PI - d : d;
 }
 
-/** Return the clock hour (1..12) of an angle clockwise from 12 o'clock. */
+/** Return the clock hour (1..12) of an angle, rad, clockwise from 12 o'clock. */
 export function clockHour(angleRad: number): number {
   const hour = Math.round((angleRad / (2 * Math.PI)) * 12);
   return ((hour + 11) % 12) + 1;

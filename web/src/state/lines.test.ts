@@ -21,11 +21,11 @@ const LINES: PictureLines = {
   mm_per_px: 0.5,
 };
 
-describe("pictures along a route", () => {
+describe("geometry of pictures along a route", () => {
   const geometry = linesOf(LINES);
   if (geometry === null) throw new Error("no geometry");
 
-  it("know the point of a pixel", () => {
+  it("lpsAt returns the patient point of a pixel, and clamps rows outside the picture to its edge.", () => {
     expect(lpsAt(geometry, { column: 0, row: 30.5 })).toEqual([-25, 0, -10]);
     expect(lpsAt(geometry, { column: 100, row: 30.5 })).toEqual([25, 0, -10]);
     expect(lpsAt(geometry, { column: 50, row: 70.5 })).toEqual([10, 0, -20]);
@@ -33,7 +33,7 @@ describe("pictures along a route", () => {
     expect(lpsAt(geometry, { column: 50, row: -40 })).toEqual([0, 0, 5]);
   });
 
-  it("know the place of a row and the row of a place", () => {
+  it("pathMmAt and pixelOfPath convert between rows and route positions; a position beyond the route has no pixel.", () => {
     expect(pathMmAt(geometry, 30.5)).toBe(10);
     expect(pathMmAt(geometry, 3)).toBe(0);
     expect(pathMmAt(geometry, 99)).toBe(40);
@@ -44,14 +44,14 @@ describe("pictures along a route", () => {
     expect(pixelOfPath(geometry, -1)).toBeNull();
   });
 
-  it("find the pixel of a point", () => {
+  it("nearestPixel returns the nearest pixel of a point and the point's distance from the surface.", () => {
     const found = nearestPixel(geometry, [6, 3, -10]);
     expect(found.column).toBeCloseTo(62, 6);
     expect(found.row).toBeCloseTo(30.5, 6);
     expect(found.awayMm).toBeCloseTo(3, 6);
   });
 
-  it("name their directions", () => {
+  it("axesAt returns the directions to the right, at the start of the route and at its end.", () => {
     const { right, up, down } = axesAt(geometry);
     expect(right[0]).toBeGreaterThan(0);
     // The route begins towards the feet and ends towards the patient's left.
@@ -59,7 +59,7 @@ describe("pictures along a route", () => {
     expect(down).toEqual([6, 0, 0]);
   });
 
-  it("are none where the header names none", () => {
+  it("linesOf returns null for a header without lines or with one row.", () => {
     expect(linesOf(null)).toBeNull();
     expect(linesOf({ ...LINES, row: [0.5] })).toBeNull();
   });

@@ -4,7 +4,7 @@ import type { PictureLines } from "../wire/messages";
 import type { PixelPoint } from "./projection";
 import { add, asVec3, distance, dot, lerp, scale, sub, type Vec3 } from "./vec";
 
-/** Geometry of a curved picture. */
+/** Geometry of a curved picture, in which each row is a straight line in patient space. */
 export interface LinesGeometry {
   readonly rows: readonly number[];
   readonly start: readonly Vec3[];
@@ -14,7 +14,7 @@ export interface LinesGeometry {
   readonly mmPerPx: number;
 }
 
-/** Return the geometry from a picture's header; null if it has none or too few rows. */
+/** Return the geometry of a curved picture from its header; null if the header has no lines or too few rows. */
 export function linesOf(lines: PictureLines | null): LinesGeometry | null {
   if (lines === null || lines.row.length < 2) return null;
   return {
@@ -27,7 +27,10 @@ export function linesOf(lines: PictureLines | null): LinesGeometry | null {
   };
 }
 
-/** Find a value in an ascending list: the index before it and the fraction to the next element, both clamped. */
+/**
+ * Return the position of a value in an ascending list: the index of the element before it, and the fraction to the next
+ * element. Both are clamped to the list.
+ */
 function placeIn(ascending: readonly number[], value: number): { index: number; t: number } {
   let low = 0;
   let high = ascending.length - 1;
@@ -51,18 +54,18 @@ const mixPoints = (list: readonly Vec3[], { index, t }: { index: number; t: numb
   return lerp(from, list[index + 1] ?? from, t);
 };
 
-/** Return the patient point (LPS mm) of a picture place. */
+/** Return the patient point (LPS mm) of a pixel in a curved picture. */
 export function lpsAt(geometry: LinesGeometry, pixel: PixelPoint): Vec3 {
   const place = placeIn(geometry.rows, pixel.row);
   return add(mixPoints(geometry.start, place), scale(mixPoints(geometry.step, place), pixel.column));
 }
 
-/** Number of rows over which the direction of the route is computed. */
+/** Number of picture rows over which the direction of the route is computed. */
 const LOCAL_ROWS = 12;
 
 /**
- * Return the patient directions at the ends of the route in the picture. The route may bend, so each letter holds at
- * its own place only: `right` and `up` at the beginning, `down` at the end.
+ * Return the patient directions of a curved picture: `right` and `up` at the beginning of the route, `down` at its end.
+ * The route may bend, so that each direction is valid only at its end.
  */
 export function axesAt(geometry: LinesGeometry): { right: Vec3; up: Vec3; down: Vec3 } {
   const first = pixelOfPath(geometry, geometry.pathMm[0] ?? 0)?.row ?? 0;
@@ -76,19 +79,19 @@ export function axesAt(geometry: LinesGeometry): { right: Vec3; up: Vec3; down: 
   };
 }
 
-/** Return the position along the route (mm) of a row. */
+/** Return the position along the route, mm, that a picture row shows. */
 export function pathMmAt(geometry: LinesGeometry, row: number): number {
   return mix(geometry.pathMm, placeIn(geometry.rows, row));
 }
 
-/** Return the picture place of a position along the route; null outside the picture. */
+/** Return the pixel of a position along the route; null for a position outside the picture. */
 export function pixelOfPath(geometry: LinesGeometry, pathMm: number): PixelPoint | null {
   const first = geometry.pathMm[0] ?? 0;
   const last = geometry.pathMm.at(-1) ?? 0;
   // Tolerance of 0.01 mm, because the wire rounds positions.
   if (pathMm < first - 0.01 || pathMm > last + 0.01) return null;
-  // Rows beyond an end of the route have the position of that end: use the last of them at the top and the first at the
-  // bottom.
+  // Straight rows beyond an end of the route have the position of that end. Of the rows with the same position, select
+  // the last one at the top and the first one at the bottom.
   let index = 0;
   while (index < geometry.pathMm.length - 2 && (geometry.pathMm[index + 1] ?? 0) <= pathMm) index += 1;
   if (pathMm >= last) index = Math.max(geometry.pathMm.findIndex((mm) => mm >= last) - 1, 0);
@@ -98,7 +101,7 @@ export function pixelOfPath(geometry: LinesGeometry, pathMm: number): PixelPoint
   return { column: mix(geometry.pathColumn, place), row: mix(geometry.rows, place) };
 }
 
-/** Return the picture place nearest to a point, and its distance from the point (mm). */
+/** Return the pixel nearest to a patient point, and the distance of the point from that pixel's point, mm. */
 export function nearestPixel(geometry: LinesGeometry, lps: Vec3): PixelPoint & { awayMm: number } {
   let best = { column: 0, row: 0, awayMm: Number.POSITIVE_INFINITY };
   const first = geometry.rows[0] ?? 0;

@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
 import type { AskLivePathMessage, LivePathMessage } from "../wire/messages";
-import { firstSentences, LiveAsker, type LiveQuestion, leavesTreeAt, livePathLines } from "./live-path";
+import { firstSentences, LivePathQueue, type LiveQuestion, leavesTreeAt, livePathLines } from "./live-path";
 
 const at = (x: number): LiveQuestion => ({ lps: [x, 0, 0], frame_id: null, column: null, row: null });
 
@@ -24,67 +24,67 @@ function answer(requestId: number, change: Partial<LivePathMessage> = {}): LiveP
   };
 }
 
-function asking() {
+function queueWithClock() {
   const sent: AskLivePathMessage[] = [];
   const clock = { ms: 0 };
   const line = { open: true };
-  const asker = new LiveAsker(
+  const queue = new LivePathQueue(
     (message) => {
       if (line.open) sent.push(message);
       return line.open;
     },
     () => clock.ms,
   );
-  return { sent, clock, line, asker, places: () => sent.map((message) => message.lps?.[0]) };
+  return { sent, clock, line, queue, places: () => sent.map((message) => message.lps?.[0]) };
 }
 
-describe("the live path", () => {
-  it("asks at once, and while an answer is due keeps only the newest question", () => {
-    const { asker, places } = asking();
-    for (const x of [1, 2, 3, 4]) asker.ask(at(x));
+describe("LivePathQueue", () => {
+  it("The first request is sent at once, and of those before its answer only the latest is sent.", () => {
+    const { queue, places } = queueWithClock();
+    for (const x of [1, 2, 3, 4]) queue.request(at(x));
     expect(places()).toEqual([1]);
-    expect(asker.receive(answer(1))?.answer.request_id).toBe(1);
+    expect(queue.receive(answer(1))?.answer.request_id).toBe(1);
     expect(places()).toEqual([1, 4]);
-    asker.receive(answer(2));
+    queue.receive(answer(2));
     expect(places()).toEqual([1, 4]);
   });
 
-  it("says how long an answer took", () => {
-    const { asker, clock } = asking();
-    asker.ask(at(1));
+  it("An answer contains its response time.", () => {
+    const { queue, clock } = queueWithClock();
+    queue.request(at(1));
     clock.ms = 17;
-    expect(asker.receive(answer(1))?.tookMs).toBe(17);
+    expect(queue.receive(answer(1))?.tookMs).toBe(17);
   });
 
-  it("drops an answer for a cursor that has left, and one that a newer answer has overtaken", () => {
-    const { asker, clock } = asking();
-    asker.ask(at(1));
-    asker.forget();
-    expect(asker.receive(answer(1))).toBeNull();
-    asker.ask(at(2));
+  it("The answer to a forgotten request, or to one that a newer answer has overtaken, is discarded.", () => {
+    const { queue, clock } = queueWithClock();
+    queue.request(at(1));
+    queue.forget();
+    expect(queue.receive(answer(1))).toBeNull();
+    queue.request(at(2));
     clock.ms = 5000;
-    asker.ask(at(3));
-    expect(asker.receive(answer(3))).not.toBeNull();
-    expect(asker.receive(answer(2))).toBeNull();
+    queue.request(at(3));
+    expect(queue.receive(answer(3))).not.toBeNull();
+    expect(queue.receive(answer(2))).toBeNull();
   });
 
-  it("asks again where an answer never came, and after a new connection", () => {
-    const { asker, clock, places, line } = asking();
-    asker.ask(at(1));
+  it("A new request is sent after an answer has not arrived for 10 s, and after a reset.", () => {
+    const { queue, clock, places, line } = queueWithClock();
+    queue.request(at(1));
     clock.ms = 10_000;
-    asker.ask(at(2));
+    queue.request(at(2));
     expect(places()).toEqual([1, 2]);
-    asker.reset();
+    queue.reset();
     line.open = false;
-    asker.ask(at(3));
+    queue.request(at(3));
     line.open = true;
-    asker.ask(at(4));
+    queue.request(at(4));
     expect(places()).toEqual([1, 2, 4]);
   });
 });
 
-describe("what is said beside the cursor", () => {
-  it("is length, narrowest place and certainty, and what is new or moved", () => {
+describe("livePathLines", () => {
+  it("The lines state length, narrowest diameter and confidence, and what is new or was moved.", () => {
     expect(livePathLines(answer(1)).lines).toEqual([
       "10\u202fmm from the tracheal entry",
       "fits up to 4.2\u202fmm",
@@ -94,14 +94,14 @@ describe("what is said beside the cursor", () => {
     expect(more.slice(2)).toEqual(["12.5\u202fmm beyond the tree", "moved 1.3\u202fmm into the lumen"]);
   });
 
-  it("is the reason, as a sentence, where there is no way", () => {
+  it("Without a path the line is the server's reason as a sentence, with a warning.", () => {
     const none = livePathLines(answer(1, { length_mm: null, problem: "the lumen ends 8 mm from here" }));
     expect(none).toEqual({ lines: ["The lumen ends 8 mm from here"], warns: true });
   });
 });
 
-describe("a long reason", () => {
-  it("is cut after a sentence, never within one or within a number", () => {
+describe("firstSentences", () => {
+  it("A long text is cut after a whole sentence, never within a number.", () => {
     const long = "This is soft tissue, not an airway. The nearest airway that was found is 12.5 mm away (up to 5 mm).";
     expect(firstSentences(`${long} Point at an airway; if one is missing here, paint its lumen.`)).toBe(
       "This is soft tissue, not an airway.",
@@ -111,9 +111,9 @@ describe("a long reason", () => {
   });
 });
 
-describe("where a way leaves the tree", () => {
+describe("leavesTreeAt", () => {
   const points = [0, 10, 20, 30].map((z) => [0, 0, z] as const);
-  it("is counted from its end", () => {
+  it("The index is found from the end of the path by the length of its new part.", () => {
     expect(leavesTreeAt(points, 0)).toBe(3);
     expect(leavesTreeAt(points, null)).toBe(3);
     expect(leavesTreeAt(points, 10)).toBe(2);

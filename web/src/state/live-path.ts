@@ -1,26 +1,26 @@
-/** The path to the cursor: the valid answer, and the text beside the cursor. */
+/** Path to the cursor: its requests, the valid answer, and the text beside the cursor. */
 
 import type { AskLivePathMessage, LivePathMessage } from "../wire/messages";
 import { fixed, mm, sentence } from "./format";
-import { type Answered, NewestAsker } from "./newest-asker";
+import { type Answered, LatestRequestQueue } from "./newest-asker";
 
-/** A request for a path: to a point, or to a place in an airway view. */
+/** Point of a path request: a patient point, or a pixel of an airway picture. */
 export type LiveQuestion = Pick<AskLivePathMessage, "lps" | "frame_id" | "column" | "row">;
 
-/** An answer with its response time. */
+/** Answer to a path request with its response time. */
 export type LiveAnswer = Answered<LivePathMessage>;
 
-/** Requests for the path to the cursor. */
-export class LiveAsker extends NewestAsker<LiveQuestion, LivePathMessage> {
+/** Queue of the requests for the path to the cursor. */
+export class LivePathQueue extends LatestRequestQueue<LiveQuestion, LivePathMessage> {
   constructor(send: (message: AskLivePathMessage) => boolean, nowMs: () => number) {
     super((id, question) => send({ type: "live_path", request_id: id, ...question }), nowMs);
   }
 }
 
-/** Length, mm, below which a new part of a path or a shift of its end is rounding. */
+/** Length, mm, below which a new part of a path, or a shift of its end, counts as rounding. */
 const SMALL_MM = 0.3;
 
-/** Return the text lines beside the cursor; `warns` is true if there is no path. */
+/** Return the text lines about a path beside the cursor; `warns` is true if there is no path. */
 export function livePathLines(answer: LivePathMessage): { lines: readonly string[]; warns: boolean } {
   if (answer.problem !== null || answer.length_mm === null) {
     return { lines: [firstSentences(sentence(answer.problem ?? "no path to this point"))], warns: true };
@@ -35,21 +35,24 @@ export function livePathLines(answer: LivePathMessage): { lines: readonly string
   return { lines, warns: false };
 }
 
-/** Largest number of characters beside the cursor. */
-const ROOM = 90;
+/** Largest number of characters of the text beside the cursor. */
+const MAX_CHARS = 90;
 
-/** Return as many whole sentences as fit, at least one. */
+/** Return as many whole sentences of a text as fit beside the cursor, at least one. */
 export function firstSentences(text: string): string {
   const [first = "", ...more] = text.match(/[^.]+(?:\.\d+[^.]*)*\.?\s*/g) ?? [text];
-  let kept = first;
+  let cut = first;
   for (const next of more) {
-    if (kept.length + next.trimEnd().length > ROOM) break;
-    kept += next;
+    if (cut.length + next.trimEnd().length > MAX_CHARS) break;
+    cut += next;
   }
-  return kept.trimEnd();
+  return cut.trimEnd();
 }
 
-/** Return the index of the point where the path leaves the tree: its last `newMm` are outside the tree. */
+/**
+ * Return the index of the path point at which the path leaves the tree; the last `newMm` of the path are outside the
+ * tree.
+ */
 export function leavesTreeAt(points: LivePathMessage["points_lps"], newMm: number | null): number {
   if (newMm === null || newMm <= SMALL_MM) return points.length - 1;
   let left = newMm;

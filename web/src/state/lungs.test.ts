@@ -26,27 +26,27 @@ const LUNGS: LungsMessage = {
   outdated: false,
 };
 
-describe("layers round the targets", () => {
-  it("are asked for but for those that are switched off, and stations need no picture", () => {
+describe("layers around the targets", () => {
+  it("wantedLayers returns the layers that are not hidden, and never the lymph node stations.", () => {
     expect(wantedLayers([])).toEqual(["vessels", "fissures", "lobes", "reach"]);
     expect(wantedLayers(["lobes", "stations"])).toEqual(["vessels", "fissures", "reach"]);
     expect(toggled(toggled(["lobes"], "reach"), "lobes")).toEqual(["reach"]);
   });
 
-  it("are listed where there are any, each with its limits", () => {
+  it("layerRows lists the available layers with their figures and limits.", () => {
     expect(layerRows(null)).toEqual([]);
-    expect(layerRows(LUNGS).map(({ layer, told, limits }) => [layer, told, limits])).toEqual([
+    expect(layerRows(LUNGS).map(({ layer, figures, limits }) => [layer, figures, limits])).toEqual([
       ["vessels", "143 ml in both lungs", ["No mediastinum."]],
       ["stations", "7", ["Airway landmarks only."]],
     ]);
   });
 
-  it("draw a station only where the tree shows its airways", () => {
+  it("stationsSeen returns only stations with a point in the tree, and none while they are hidden.", () => {
     expect(stationsSeen(LUNGS, [])).toEqual([{ station: "7", from: [0, 0, 0], to: [12, 0, 0] }]);
     expect(stationsSeen(LUNGS, ["stations"])).toEqual([]);
   });
 
-  it("have vessels round the tree while these are switched on", () => {
+  it("vesselsSeen returns the vessel lines unless they are hidden or missing.", () => {
     expect(vesselsSeen(LUNGS, ["lobes"])).toBe(LUNGS.vessels);
     expect(vesselsSeen(LUNGS, ["vessels"])).toEqual([]);
     expect(vesselsSeen(null, [])).toEqual([]);

@@ -1,17 +1,18 @@
-/** Structures mapped around the targets, for the panel and the views. */
+/** Lung structures that were mapped around the targets, for the panel and the views. */
 
 import type { LungsMessage, PictureLayer, Station, VesselLine } from "../wire/messages";
 import { add, asVec3, scale, type Vec3 } from "./vec";
 
-/** Name of a layer on the wire. */
+/** Name of a layer in the protocol. */
 export type LayerName = PictureLayer["layer"];
 
 /**
- * A layer that the user can hide: the layers of the wire, and the lymph node stations, which are not part of a picture.
+ * A layer that the user can hide: the layers of the protocol, and the lymph node stations, which are not part of a
+ * picture.
  */
 export type ShownLayer = LayerName | "stations";
 
-/** All layers with their titles and explanations. */
+/** All layers with titles and explanations, in display order. */
 export const LAYER_NAMES: readonly { layer: ShownLayer; title: string; words: string }[] = [
   {
     layer: "vessels",
@@ -27,15 +28,15 @@ export const LAYER_NAMES: readonly { layer: ShownLayer; title: string; words: st
 /** Layers that the server sends with pictures. */
 export const WIRE_LAYERS: readonly LayerName[] = ["vessels", "fissures", "lobes", "reach"];
 
-/** Return the layers that the client requests from the server. */
+/** Return the layers that the client requests from the server: those that are not hidden. */
 export const wantedLayers = (hidden: readonly ShownLayer[]): LayerName[] =>
   WIRE_LAYERS.filter((layer) => !hidden.includes(layer));
 
-/** Return the hidden layers after one was toggled. */
+/** Return the hidden layers after the visibility of one layer was switched. */
 export const toggled = (hidden: readonly ShownLayer[], layer: ShownLayer): ShownLayer[] =>
   hidden.includes(layer) ? hidden.filter((one) => one !== layer) : [...hidden, layer];
 
-/** Length of the direction mark beyond the airway wall, mm. */
+/** Length, mm, of the line that marks the direction of a lymph node station, from its point in the airway. */
 const LOOK_MM = 12;
 
 /** A lymph node station as drawn in a view. */
@@ -45,7 +46,7 @@ export interface SeenStation {
   readonly to: Vec3;
 }
 
-/** Return the visible lymph node stations. */
+/** Return the visible lymph node stations whose airway point is in the tree. */
 export function stationsSeen(lungs: LungsMessage | null, hidden: readonly ShownLayer[]): SeenStation[] {
   if (lungs === null || hidden.includes("stations")) return [];
   return lungs.stations.flatMap(({ station, point_lps: point, direction_lps: direction }: Station) => {
@@ -57,34 +58,34 @@ export function stationsSeen(lungs: LungsMessage | null, hidden: readonly ShownL
 
 const NO_VESSELS: readonly VesselLine[] = [];
 
-/** Return the vessel lines, or none if they are hidden. */
+/** Return the vessel lines; an empty list while they are hidden. */
 export const vesselsSeen = (lungs: LungsMessage | null, hidden: readonly ShownLayer[]): readonly VesselLine[] =>
   lungs === null || hidden.includes("vessels") ? NO_VESSELS : lungs.vessels;
 
-/** A row of the list of layers. */
+/** A row of the list of layers in the panel. */
 export interface LayerRow {
   readonly layer: ShownLayer;
   readonly title: string;
   readonly words: string;
-  /** The layer's contents in figures. */
-  readonly told: string;
+  /** Contents of the layer in figures, as text. */
+  readonly figures: string;
   readonly limits: readonly string[];
-  /** Parts with a colour each, such as lobes. */
+  /** Names of the layer's parts that have separate colours, such as lobes. */
   readonly parts: readonly string[];
 }
 
-/** Return the available layers in display order. */
+/** Return the rows of the available layers in display order. */
 export function layerRows(lungs: LungsMessage | null): LayerRow[] {
   if (lungs === null) return [];
   return LAYER_NAMES.flatMap((row) => {
     if (row.layer === "stations") {
       const placed = lungs.stations.filter(({ point_lps: point }) => point !== null);
-      const told = [...new Set(placed.map(({ station }) => station))].join(", ");
+      const figures = [...new Set(placed.map(({ station }) => station))].join(", ");
       return lungs.stations.length === 0
         ? []
-        : [{ ...row, told: told === "" ? "none placed" : told, limits: [lungs.station_limits], parts: [] }];
+        : [{ ...row, figures: figures === "" ? "none placed" : figures, limits: [lungs.station_limits], parts: [] }];
     }
     const found = lungs.layers.find(({ layer }) => layer === row.layer);
-    return found === undefined ? [] : [{ ...row, told: found.words, limits: found.limits, parts: found.parts }];
+    return found === undefined ? [] : [{ ...row, figures: found.words, limits: found.limits, parts: found.parts }];
   });
 }

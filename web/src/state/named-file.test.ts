@@ -11,14 +11,14 @@ const NAMED: SavingInfo = {
   beside: "/share/team (2).carina",
 };
 
-describe("the choices for a named file", () => {
-  it("offers nothing while the file is this window's own", () => {
+describe("conflictChoices", () => {
+  it("Without a conflict there is no choice, and namedPath returns the path of the file.", () => {
     expect(conflictChoices({ ...NAMED, beside: null })).toEqual({ beside: null, opens: false, replaces: false });
     expect(namedPath(NAMED)).toBe("/share/team.carina");
     expect(namedPath(NOTHING_SAVED)).toBeNull();
   });
 
-  it("offers all three where the file contains another version of a case", () => {
+  it("All three choices exist if the file contains another version of a case.", () => {
     for (const copy_conflict of ["changed", "other-case"] as const)
       expect(conflictChoices({ ...NAMED, copy_conflict })).toEqual({
         beside: "/share/team (2).carina",
@@ -27,12 +27,12 @@ describe("the choices for a named file", () => {
       });
   });
 
-  it("does not open a file that is not a case, or is missing", () => {
+  it("A file that is missing or not a case cannot be opened, but can be replaced.", () => {
     for (const copy_conflict of ["not-a-case", "missing"] as const)
       expect(conflictChoices({ ...NAMED, copy_conflict })).toMatchObject({ opens: false, replaces: true });
   });
 
-  it("does not replace a file that another window has open", () => {
+  it("A file that another window has open can be neither replaced nor opened.", () => {
     expect(conflictChoices({ ...NAMED, copy_conflict: "open-elsewhere" })).toMatchObject({
       beside: "/share/team (2).carina",
       opens: false,

@@ -2,13 +2,13 @@
 
 import type { SavingInfo } from "../wire/messages";
 
-/** Choices of the user after another process has changed the named file. */
+/** Choices that the user has after another process has changed the named file. */
 export interface ConflictChoices {
-  /** Free path for "Save beside it". */
+  /** Free path that "Save beside it" would write; null without a conflict. */
   readonly beside: string | null;
-  /** Whether the other content is a case that can be opened. */
+  /** Whether the changed file contains a case that can be opened. */
   readonly opens: boolean;
-  /** Whether the file may be replaced; not while another window has it open. */
+  /** Whether the changed file may be replaced; false while another window has it open. */
   readonly replaces: boolean;
 }
 
@@ -17,7 +17,7 @@ export function namedPath(saving: SavingInfo): string | null {
   return saving.copy_name === null ? null : `${saving.copy_folder ?? ""}/${saving.copy_name}`;
 }
 
-/** Return the choices after a conflict. */
+/** Return the choices that the user has after a conflict with the named file. */
 export function conflictChoices(saving: SavingInfo): ConflictChoices {
   const kind = saving.copy_conflict;
   return {

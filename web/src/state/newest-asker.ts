@@ -1,28 +1,28 @@
-/** Requests at the cursor: which request is sent, and which answer is valid. */
+/** Queue of requests at the cursor: decides which request is sent, and which answer is valid. */
 
-/** Time, ms, after which an unanswered request is sent again. */
+/** Time, ms, after which a new request is sent although the previous one has no answer. */
 const LOST_MS = 2000;
 
-/** An answer with its response time. */
+/** Answer to a request at the cursor, with its response time. */
 export interface Answered<Answer> {
   readonly answer: Answer;
   /** Time from the request to the answer, ms. */
   readonly tookMs: number;
-  /** Whether a newer request waits, so that this answer is for an earlier cursor position. */
+  /** Whether a later request is waiting, so that this answer is for an earlier cursor position. */
   readonly overtaken: boolean;
 }
 
 /**
- * Request queue that sends only the latest request, and only after the previous one was answered, so that a slow server
- * never has a backlog.
+ * Request queue that sends only the latest request, and only after the previous request was answered. A slow server
+ * therefore never has a backlog.
  */
-export class NewestAsker<Question, Answer extends { readonly request_id: number }> {
+export class LatestRequestQueue<Question, Answer extends { readonly request_id: number }> {
   readonly #send: (id: number, question: Question) => boolean;
   readonly #nowMs: () => number;
   #nextId = 1;
   #underWay: { id: number; atMs: number } | null = null;
   #waiting: Question | null = null;
-  /** Answers with an identifier up to this one are discarded. */
+  /** Answers with a request identifier up to this value are discarded. */
   #forgotten = 0;
   #newest = 0;
 
@@ -31,7 +31,7 @@ export class NewestAsker<Question, Answer extends { readonly request_id: number 
     this.#nowMs = nowMs;
   }
 
-  ask(question: Question): void {
+  request(question: Question): void {
     const lost = this.#underWay !== null && this.#nowMs() - this.#underWay.atMs > LOST_MS;
     if (this.#underWay !== null && !lost) {
       this.#waiting = question;
@@ -47,9 +47,9 @@ export class NewestAsker<Question, Answer extends { readonly request_id: number 
     this.#forgotten = this.#nextId - 1;
   }
 
-  /** Return the answer with its response time, or null if the answer is not expected. */
+  /** Return the answer with its response time; null if the answer is outdated or not expected. */
   receive(answer: Answer): Answered<Answer> | null {
-    // The request was not sent by this connection.
+    // No request with this identifier was sent on this connection.
     if (answer.request_id >= this.#nextId) return null;
     const sent = this.#underWay;
     const mine = sent !== null && sent.id === answer.request_id;
@@ -65,7 +65,7 @@ export class NewestAsker<Question, Answer extends { readonly request_id: number 
     return { answer, tookMs, overtaken: next !== null };
   }
 
-  /** Forget all requests, for a new connection. */
+  /** Discard all requests without an answer, because a new connection does not answer them. */
   reset(): void {
     this.#underWay = null;
     this.forget();

@@ -1,12 +1,12 @@
 import { describe, expect, it } from "vitest";
 import { NO_PACE, PaceMeter } from "./pace";
 
-describe("the pace", () => {
-  it("says nothing before there is something to say", () => {
+describe("PaceMeter", () => {
+  it("Before the first pose it returns NO_PACE.", () => {
     expect(new PaceMeter().read(5)).toEqual(NO_PACE);
   });
 
-  it("is measured from a pose's arrival to its picture", () => {
+  it("The latency is the time from the arrival of a pose to the drawing of its picture.", () => {
     const meter = new PaceMeter();
     for (let pose = 1; pose <= 20; pose += 1) {
       meter.poseArrived(pose, pose * 40);
@@ -15,7 +15,7 @@ describe("the pace", () => {
     expect(meter.read(900)).toEqual({ fps: 25, ageMs: 33, waitingMs: 0 });
   });
 
-  it("does not count pauses, nor the finer picture that follows when the tip stands still", () => {
+  it("Pauses and finer pictures of a resting tip do not lower the frame rate.", () => {
     const meter = new PaceMeter();
     for (const [pose, at] of [
       [1, 0],
@@ -31,7 +31,7 @@ describe("the pace", () => {
     expect(meter.read(9050).fps).toBe(20);
   });
 
-  it("tells how long the newest pose has been waiting for its picture", () => {
+  it("waitingMs is the time for which the latest pose has waited for its picture.", () => {
     const meter = new PaceMeter();
     meter.poseArrived(1, 0);
     meter.pictureDrawn(1, 20);
@@ -44,7 +44,7 @@ describe("the pace", () => {
     expect(meter.read(1170).waitingMs).toBe(0);
   });
 
-  it("keeps no more poses than it can need", () => {
+  it("After 100,000 poses without a picture the latency of the latest one is still measured.", () => {
     const meter = new PaceMeter();
     for (let pose = 0; pose < 100_000; pose += 1) meter.poseArrived(pose, pose);
     meter.pictureDrawn(99_999, 100_000);
@@ -52,8 +52,8 @@ describe("the pace", () => {
   });
 });
 
-describe("the view finder", () => {
-  it("answers a pose and is no picture of the airway view", () => {
+describe("PaceMeter with a replacement picture", () => {
+  it("A replacement picture ends the waiting time and restarts the measurement.", () => {
     const meter = new PaceMeter();
     for (let pose = 1; pose < 20; pose += 1) {
       meter.poseArrived(pose, pose * 20);

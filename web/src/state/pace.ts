@@ -1,8 +1,11 @@
-/** Measurement of the picture rate: the time from the arrival of a pose to the drawing of its picture. */
+/**
+ * Measurement of the airway view's frame rate, and of the latency from the arrival of a pose to the drawing of its
+ * picture.
+ */
 
 /** Frame rate and latency of the airway view. */
 export interface Pace {
-  /** Frame rate of the airway view during the last movement; null before the first one. */
+  /** Frame rate during the last movement, pictures per second; null before the first movement. */
   readonly fps: number | null;
   /**
    * Time from the arrival of the latest drawn pose to the drawing of its picture, ms; null before the first picture.
@@ -12,16 +15,17 @@ export interface Pace {
   readonly waitingMs: number;
 }
 
-/** Values before the first picture. */
+/** Frame rate and latency before the first picture. */
 export const NO_PACE: Pace = { fps: null, ageMs: null, waitingMs: 0 };
 
-/** Interval, ms, above which two pictures do not belong to the same movement. */
+/** Interval between two pictures, ms, above which they do not belong to the same movement. */
 const PAUSE_MS = 400;
+/** Weight of the latest interval in the exponential average of the intervals between pictures. */
 const SMOOTHING = 0.15;
-/** Largest number of poses without a picture that are stored; the limit bounds the memory. */
+/** Largest number of stored poses without a picture; it bounds the memory. */
 const MAX_POSES = 256;
 
-/** Measures the interval and the latency of pictures. */
+/** Meter of the frame rate and the latency of the airway view. */
 export class PaceMeter {
   readonly #arrivedMs = new Map<number, number>();
   #newestPose = -1;
@@ -45,7 +49,7 @@ export class PaceMeter {
     this.#shownPose = poseId;
     const arrived = this.#arrivedMs.get(poseId);
     for (const known of [...this.#arrivedMs.keys()]) if (known < poseId) this.#arrivedMs.delete(known);
-    // A finer picture of a pose that is already shown says nothing about the picture rate.
+    // A finer picture of a pose that is already shown does not count for the frame rate.
     if (!isNew) return;
     if (arrived !== undefined) this.#ageMs = nowMs - arrived;
     const gap = this.#lastDrawMs === null ? null : nowMs - this.#lastDrawMs;
@@ -54,7 +58,10 @@ export class PaceMeter {
     this.#gapMs = this.#gapMs === null ? gap : this.#gapMs + SMOOTHING * (gap - this.#gapMs);
   }
 
-  /** Record that a replacement picture shows this pose: the pose no longer waits, and the measurement restarts. */
+  /**
+   * Record that a replacement picture shows a pose: the pose no longer waits for a picture, and the measurement
+   * restarts.
+   */
   standInDrawn(poseId: number): void {
     this.#shownPose = poseId;
     this.#lastDrawMs = null;

@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
 import type { Target } from "../wire/messages";
-import { isSamePen, pathWords, penMessage, startOf, targetMessage } from "./path-search";
+import { isSamePen, pathText, penMessage, startOf, targetMessage } from "./path-search";
 
 const TARGET: Target = {
   target_id: "target-1",
@@ -20,8 +20,8 @@ const TARGET: Target = {
 };
 const NOTHING = { targets: [], root_lps: null };
 
-describe("where a path begins", () => {
-  it("is the marked start, else that of the newest such path, else where the airways do", () => {
+describe("startOf", () => {
+  it("It returns the marked start, else the start of the latest target with this cost, else the root of the airways.", () => {
     const session = {
       targets: [TARGET, { ...TARGET, cost: "lumen" as const, root_lps: null }],
       root_lps: [7, 8, 9] as const,
@@ -33,22 +33,22 @@ describe("where a path begins", () => {
   });
 });
 
-describe("the command for a target", () => {
-  it("is as ever through the lumen", () => {
+describe("targetMessage", () => {
+  it("Through the lumen the command has neither a cost nor a start.", () => {
     const search = { pathCost: "lumen", pathStart: [0, 0, 1] } as const;
     expect(targetMessage([1, 2, 3], search, NOTHING)).toEqual({ type: "add_target", lps: [1, 2, 3] });
   });
 
-  it("names cost and start, and there is none without a start", () => {
+  it("With another cost the command contains cost and start, and is null without a start.", () => {
     const search = { pathCost: "paper", pathStart: [0, 0, 1] } as const;
-    const asked = { type: "add_target", lps: [1, 2, 3], cost: "paper", root_lps: [0, 0, 1] };
-    expect(targetMessage([1, 2, 3], search, NOTHING)).toEqual(asked);
+    const expected = { type: "add_target", lps: [1, 2, 3], cost: "paper", root_lps: [0, 0, 1] };
+    expect(targetMessage([1, 2, 3], search, NOTHING)).toEqual(expected);
     expect(targetMessage([1, 2, 3], { ...search, pathStart: null }, NOTHING)).toBeNull();
   });
 });
 
-describe("what the pen is to mark", () => {
-  it("is the tool in the hand, a target with its cost and start", () => {
+describe("penMessage", () => {
+  it("It names a tool that the pen can use, and for a target also its cost and start.", () => {
     const search = { pathCost: "walls", pathStart: [0, 0, 1] } as const;
     expect(penMessage({ ...search, armed: "start" }, NOTHING)).toEqual({ type: "arm_pen", tool: "start" });
     expect(penMessage({ ...search, armed: "cut" }, NOTHING)).toEqual({ type: "arm_pen", tool: null });
@@ -63,20 +63,20 @@ describe("what the pen is to mark", () => {
   });
 });
 
-describe("what is told of a path", () => {
-  it("says what is not known, and the values along it", () => {
-    expect(pathWords(TARGET, false)).toBe(
+describe("pathText", () => {
+  it("The text of a path with another cost states the values along it and the length outside the lumen.", () => {
+    expect(pathText(TARGET, false)).toBe(
       "139\u202fmm from the start, cost walls, not compared with a lumen, values 116 to 140",
     );
-    expect(pathWords({ ...TARGET, outside_mm: 12.4, value_range: [-990, 40] }, true)).toBe(
+    expect(pathText({ ...TARGET, outside_mm: 12.4, value_range: [-990, 40] }, true)).toBe(
       "139\u202fmm from the start, cost walls, 12\u202fmm outside the lumen, values -990 to 40 HU",
     );
-    expect(pathWords({ ...TARGET, outside_mm: 0 }, false)).toContain("all in the lumen");
+    expect(pathText({ ...TARGET, outside_mm: 0 }, false)).toContain("all in the lumen");
   });
 
-  it("is as ever through the lumen", () => {
+  it("The text of a path through the lumen states its length from the tracheal entry, and is empty without a path.", () => {
     const target = { ...TARGET, cost: "lumen" as const, root_lps: null, snapped_mm: 1.25 };
-    expect(pathWords(target, true)).toMatch(/^139\u202fmm from the tracheal entry, moved 1\.3\u202fmm into the lumen$/);
-    expect(pathWords({ ...target, length_mm: null }, true)).toBe("");
+    expect(pathText(target, true)).toMatch(/^139\u202fmm from the tracheal entry, moved 1\.3\u202fmm into the lumen$/);
+    expect(pathText({ ...target, length_mm: null }, true)).toBe("");
   });
 });

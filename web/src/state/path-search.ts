@@ -6,11 +6,11 @@ import { marksByPen } from "./pen";
 import type { Armed } from "./tools";
 import { asVec3, type Vec3 } from "./vec";
 
-/** Cost function of the path search. */
+/** Name of a cost function of the path search. */
 export type PathCost = Target["cost"];
 
 /** Label and explanation of each cost function. */
-export const COST_WORDS: Readonly<Record<PathCost, { readonly label: string; readonly words: string }>> = {
+export const COST_TEXTS: Readonly<Record<PathCost, { readonly label: string; readonly words: string }>> = {
   lumen: { label: "Lumen", words: "Follow the middle of the segmented airways" },
   walls: {
     label: "Walls",
@@ -29,7 +29,8 @@ interface Search {
 }
 
 /**
- * Return the start of the path: the marked start, else the start of the latest such path, else the root of the airways.
+ * Return the start point of the next path: the marked start, else the start of the latest target with this cost
+ * function, else the root of the airways. Null if none exists.
  */
 export function startOf(ui: Search, session: Pick<StateMessage, "targets" | "root_lps"> | null): Vec3 | null {
   if (ui.pathStart !== null) return ui.pathStart;
@@ -38,7 +39,7 @@ export function startOf(ui: Search, session: Pick<StateMessage, "targets" | "roo
   return start === null ? null : asVec3(start);
 }
 
-/** Return the command that adds a target; null if its path has no start yet. */
+/** Return the command that adds a target; null if its cost function needs a start point and has none. */
 export function targetMessage(
   lps: Vec3,
   ui: Search,
@@ -49,7 +50,7 @@ export function targetMessage(
   return start === null ? null : { type: "add_target", lps, cost: ui.pathCost, root_lps: start };
 }
 
-/** Return the message that selects what the pen's button marks. */
+/** Return the message that tells the server which point the pen's button marks. */
 export function penMessage(
   ui: Search & { readonly armed: Armed | null },
   session: Pick<StateMessage, "targets" | "root_lps"> | null,
@@ -59,14 +60,14 @@ export function penMessage(
   return { type: "arm_pen", tool, cost: ui.pathCost, root_lps: startOf(ui, session) };
 }
 
-/** Return whether two messages select the same mark. */
+/** Return whether two messages select the same use of the pen's button. */
 export function isSamePen(one: ArmPenMessage, other: ArmPenMessage): boolean {
   const start = (message: ArmPenMessage) => message.root_lps?.join(" ") ?? null;
   return one.tool === other.tool && one.cost === other.cost && start(one) === start(other);
 }
 
-/** Return what is known about a target's path, as text. */
-export function pathWords(target: Target, isHu: boolean): string {
+/** Return the facts about a target's path as text. */
+export function pathText(target: Target, isHu: boolean): string {
   if (target.length_mm === null) return "";
   if (target.cost === "lumen") {
     const moved =

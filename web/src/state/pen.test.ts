@@ -1,7 +1,7 @@
 import { describe, expect, it } from "vitest";
 import type { PenMessage, StateMessage } from "../wire/messages";
 import { INITIAL_STATE, penPoint, reduce } from "./app-state";
-import { penMarkWords, penOffWords, wasUsedByPen } from "./pen";
+import { penMarkText, penOffText, wasUsedByPen } from "./pen";
 
 const pen = (change: Partial<PenMessage> = {}): PenMessage => ({
   type: "pen",
@@ -13,45 +13,45 @@ const pen = (change: Partial<PenMessage> = {}): PenMessage => ({
   ...change,
 });
 
-describe("what a pen's button marks", () => {
-  it("is said: its own tip where it is registered, else the scope's, and why", () => {
-    expect(penMarkWords(pen())).toContain("the pen tip");
-    expect(penMarkWords(pen({ lps: null }))).toBe(
+describe("point that the pen's button marks", () => {
+  it("The text names the pen's tip if the pen is registered, else the scope's tip and the reason.", () => {
+    expect(penMarkText(pen())).toContain("the pen tip");
+    expect(penMarkText(pen({ lps: null }))).toBe(
       "The pen is not registered: its button marks the position of the scope tip.",
     );
-    expect(penMarkWords(pen({ lps: null, tracked: false }))).toContain("is not tracked");
+    expect(penMarkText(pen({ lps: null, tracked: false }))).toContain("is not tracked");
   });
 
-  it("is the pen's point, and nothing while no pen moves the tip", () => {
-    const told = reduce(INITIAL_STATE, { kind: "server", message: pen() });
-    expect(penPoint(told)).toEqual([1, 2, 3]);
-    const gone = reduce(told, { kind: "server", message: pen({ device: null, lps: null }) });
+  it("penPoint returns the pen's point, and null if no pen moves the tip.", () => {
+    const reported = reduce(INITIAL_STATE, { kind: "server", message: pen() });
+    expect(penPoint(reported)).toEqual([1, 2, 3]);
+    const gone = reduce(reported, { kind: "server", message: pen({ device: null, lps: null }) });
     expect(gone.pen).toBeNull();
     expect(penPoint(gone)).toBeNull();
   });
 });
 
-describe("a tool that the pen's button has used", () => {
-  const told = (num: number, airways: StateMessage["airways"]) =>
+describe("wasUsedByPen", () => {
+  const reported = (num: number, airways: StateMessage["airways"]) =>
     ({ targets: Array.from({ length: num }), airways }) as unknown as StateMessage;
 
-  it("is put down, and no other tool, and not before", () => {
-    expect(wasUsedByPen("target", told(0, "found"), told(1, "found"))).toBe(true);
-    expect(wasUsedByPen("target", told(1, "found"), told(1, "found"))).toBe(false);
-    expect(wasUsedByPen("add", told(0, "found"), told(1, "found"))).toBe(false);
-    expect(wasUsedByPen("root", told(0, "found"), told(0, "finding"))).toBe(true);
-    expect(wasUsedByPen("root", told(0, "finding"), told(0, "finding"))).toBe(false);
-    expect(wasUsedByPen("target", null, told(1, "found"))).toBe(false);
+  it("It is true only for a pen tool whose target was added or whose search has started.", () => {
+    expect(wasUsedByPen("target", reported(0, "found"), reported(1, "found"))).toBe(true);
+    expect(wasUsedByPen("target", reported(1, "found"), reported(1, "found"))).toBe(false);
+    expect(wasUsedByPen("add", reported(0, "found"), reported(1, "found"))).toBe(false);
+    expect(wasUsedByPen("root", reported(0, "found"), reported(0, "finding"))).toBe(true);
+    expect(wasUsedByPen("root", reported(0, "finding"), reported(0, "finding"))).toBe(false);
+    expect(wasUsedByPen("target", null, reported(1, "found"))).toBe(false);
   });
 });
 
-describe("what is left between pen and tip", () => {
-  it("is said in absolute movement until it is nothing", () => {
-    expect(penOffWords(null)).toBeNull();
-    expect(penOffWords(pen())).toBeNull();
-    expect(penOffWords(pen({ off_mm: 56.21, off_deg: 12 }))).toMatch(/^56\.2.mm, 12\u00b0$/);
-    expect(penOffWords(pen({ off_mm: 0.2, off_deg: 0 }))).toMatch(/^0\.2.mm$/);
-    expect(penOffWords(pen({ off_mm: 0, off_deg: 3 }))).toMatch(/^0\.0.mm, 3\u00b0$/);
-    expect(penOffWords(pen({ off_mm: 0.04, off_deg: 0.4 }))).toBeNull();
+describe("penOffText", () => {
+  it("The text states the offset between pen and tip, and is null below the displayed precision.", () => {
+    expect(penOffText(null)).toBeNull();
+    expect(penOffText(pen())).toBeNull();
+    expect(penOffText(pen({ off_mm: 56.21, off_deg: 12 }))).toMatch(/^56\.2.mm, 12\u00b0$/);
+    expect(penOffText(pen({ off_mm: 0.2, off_deg: 0 }))).toMatch(/^0\.2.mm$/);
+    expect(penOffText(pen({ off_mm: 0, off_deg: 3 }))).toMatch(/^0\.0.mm, 3\u00b0$/);
+    expect(penOffText(pen({ off_mm: 0.04, off_deg: 0.4 }))).toBeNull();
   });
 });

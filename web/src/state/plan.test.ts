@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
 import type { PlannedTurn, RouteInfo } from "../wire/messages";
-import { besideRouteMm, turnBefore, turnWords } from "./plan";
+import { besideRouteMm, turnBefore, turnText } from "./plan";
 
 const turn = (at: [number, number, number] | null): PlannedTurn => ({
   head: "3 o'clock",
@@ -10,13 +10,13 @@ const turn = (at: [number, number, number] | null): PlannedTurn => ({
   seen_from_lps: at,
 });
 
-describe("the list of turns", () => {
-  it("is told for the operator's position", () => {
-    expect(turnWords(turn(null), "head")).toBe("3 o'clock");
-    expect(turnWords(turn(null), "facing")).toBe("9 o'clock");
+describe("list of turns", () => {
+  it("turnText returns the text for the operator's position.", () => {
+    expect(turnText(turn(null), "head")).toBe("3 o'clock");
+    expect(turnText(turn(null), "facing")).toBe("9 o'clock");
   });
 
-  it("knows the turn before which the tip stands, and none once the tip has moved on", () => {
+  it("turnBefore returns the turn at whose viewpoint the tip is, and null elsewhere.", () => {
     const turns = [turn(null), turn([1, 2, 3]), turn([5, 5, 5])];
     expect(turnBefore(turns, [1, 2, 3.1])).toBe(1);
     expect(turnBefore(turns, [1, 2, 4])).toBeNull();
@@ -24,7 +24,7 @@ describe("the list of turns", () => {
     expect(turnBefore([], [1, 2, 3])).toBeNull();
   });
 
-  it("finds the tip's place beside the route only in its airway", () => {
+  it("besideRouteMm returns the nearest position on the route, and null for a tip outside the route's airways.", () => {
     const route = {
       points_lps: [
         [0, 0, 0],

@@ -1,4 +1,4 @@
-/** Texts about a plan. */
+/** Texts about a plan, and the tip's position relative to its turns and route. */
 
 import type {
   Look,
@@ -23,13 +23,13 @@ const SIGNS: Readonly<Record<string, string>> = {
   none: "no airway leads to it",
 };
 
-/** Return the explanation of an airway sign (relation of the nearest airway to the target). */
-export const signWords = (sign: string): string => SIGNS[sign] ?? sign;
+/** Return the explanation of a bronchus sign: the relation of the nearest airway to the target. */
+export const signText = (sign: string): string => SIGNS[sign] ?? sign;
 
 /** Return a fraction as a percentage. */
 export const share = (part: number): string => `${fixed(100 * part)}\u202f%`;
 
-/** Rows of the table that compares routes. */
+/** Rows of the table that compares routes, with the function that returns each row's text. */
 export const ROUTE_ROWS: readonly { title: string; words: string; of: (route: RouteOffer) => string }[] = [
   { title: "Airway", words: "The airway in which the scope is parked", of: (route) => route.branch_name },
   {
@@ -69,7 +69,7 @@ export const ROUTE_ROWS: readonly { title: string; words: string; of: (route: Ro
   },
 ];
 
-/** Return the verdicts in reading order: first instruments that reach the target, then those that may reach it. */
+/** Return the verdicts in display order: first the instruments that reach the target, then those that may reach it. */
 export function verdictsInOrder(verdicts: readonly ScopeVerdict[]): ScopeVerdict[] {
   return [...verdicts].sort((a, b) => rank(a) - rank(b));
 }
@@ -77,17 +77,17 @@ export function verdictsInOrder(verdicts: readonly ScopeVerdict[]): ScopeVerdict
 const ORDER = ["reaches", "may reach", "cannot say", "does not reach"];
 const rank = ({ outcome }: ScopeVerdict): number => (ORDER.indexOf(outcome) + ORDER.length + 1) % (ORDER.length + 1);
 
-/** Return the text of a turn for the operator's position. */
-export const turnWords = (turn: PlannedTurn, operator: Look["operator"]): string =>
+/** Return the text of a turn for the selected operator position. */
+export const turnText = (turn: PlannedTurn, operator: Look["operator"]): string =>
   operator === "head" ? turn.head : turn.facing;
 
 /**
- * Distance, mm, from the viewpoint of a turn up to which the tip counts as being there; turning the view moves the tip
- * off the exact point.
+ * Distance of the tip from the viewpoint of a turn, mm, up to which the tip counts as being at the viewpoint; turning
+ * the view moves the tip slightly.
  */
 const STANDS_MM = 0.3;
 
-/** Return the list index of the turn at whose viewpoint the tip is; null if the tip is elsewhere. */
+/** Return the list index of the turn at whose viewpoint the tip is; null if the tip is not at a viewpoint. */
 export function turnBefore(turns: readonly PlannedTurn[], tip: Vec3 | null): number | null {
   if (tip === null) return null;
   const at = turns.findIndex(

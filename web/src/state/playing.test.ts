@@ -1,8 +1,8 @@
 import { describe, expect, it } from "vitest";
 import { clock, passedKey } from "./playing";
 
-describe("the clock of a flight", () => {
-  it("has minutes, and tenths of seconds that never are sixty", () => {
+describe("clock of a flight", () => {
+  it("The time has minutes and tenths of seconds, and the seconds are never rounded to 60.", () => {
     expect([0, 7.46, 59.94, 59.96, 61, 725.3].map(clock)).toEqual([
       "0:00.0",
       "0:07.5",
@@ -14,8 +14,8 @@ describe("the clock of a flight", () => {
   });
 });
 
-describe("the key frame that was passed last", () => {
-  it("is the one whose time has come", () => {
+describe("passedKey", () => {
+  it("It returns the last key frame whose time has been reached, and -1 for an empty list.", () => {
     const keys = [{ time_s: 0 }, { time_s: 2 }, { time_s: 5 }];
     expect([0, 1.9, 1.995, 2, 4, 9].map((t) => passedKey(keys, t))).toEqual([0, 0, 1, 1, 1, 2]);
     expect(passedKey([], 1)).toBe(-1);

@@ -2,22 +2,22 @@
 
 import { fixed } from "./format";
 
-/** State of a playback. */
+/** State of the playback of a flight. */
 export interface Playing {
   readonly on: boolean;
-  /** Current or last position in the flight, s. */
+  /** Current position in the flight, s; the last one if the playback is paused. */
   readonly atS: number;
   readonly rate: number;
 }
 
-/** A playback that has not been started. */
+/** State of a playback that has not been started. */
 export const NOT_PLAYING: Playing = { on: false, atS: 0, rate: 1 };
-/** Playback rates that the user can select. */
+/** Playback rates that the user can select, as factors of the real time. */
 export const PLAY_RATES = [0.5, 1, 2] as const;
 /** Flight speeds between key frames that the user can select, mm/s. */
 export const KEY_SPEEDS_MM_S = [2, 5, 10, 20, 30, 50, 100] as const;
 
-/** Return a time as text, `0:07.5`. */
+/** Return a time in the flight as text, `0:07.5`. */
 export function clock(seconds: number): string {
   const tenths = Math.round(seconds * 10);
   const minutes = Math.floor(tenths / 600);

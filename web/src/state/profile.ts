@@ -2,17 +2,17 @@
 
 import type { BranchProfile } from "../wire/messages";
 
-/** A cross-section in the chart. */
+/** A cross-section of the branch as a point of the chart. */
 export interface ProfilePoint {
   readonly atMm: number;
   readonly lumenMm: number;
-  /** Error of the diameter, mm; null if unknown. */
+  /** Error of the diameter, mm; null if it is unknown. */
   readonly errorMm: number | null;
-  /** Whether the section is at a fork, where it does not measure one airway. */
+  /** Whether the section is at a fork, where it does not measure a single airway. */
   readonly atJunction: boolean;
 }
 
-/** Return the sections that have a lumen. */
+/** Return the sections of a branch that have a measured lumen. */
 export function measuredPoints(profile: BranchProfile): ProfilePoint[] {
   return profile.at_mm.flatMap((atMm, n) => {
     const lumenMm = profile.lumen_mm[n] ?? null;
@@ -21,24 +21,24 @@ export function measuredPoints(profile: BranchProfile): ProfilePoint[] {
   });
 }
 
-/** Scale of the chart. */
+/** Scale of the chart, from mm to px. */
 export interface ChartScale {
   readonly lengthMm: number;
   readonly topMm: number;
-  /** Convert a distance along the branch (mm) to px inside the chart. */
+  /** Convert a distance along the branch, mm, to a horizontal position in the chart, px. */
   x(atMm: number): number;
   y(lumenMm: number): number;
-  /** Diameters with a grid line, mm. */
+  /** Diameters at which the chart has a grid line, mm. */
   readonly ticksMm: readonly number[];
 }
 
 const STEPS_MM = [0.5, 1, 2, 5, 10, 20] as const;
 
-/** Return the scale for a chart of the given size in px. */
+/** Return the scale of a chart with the given points and the given size in px. */
 export function chartScale(points: readonly ProfilePoint[], width: number, height: number): ChartScale {
   const lengthMm = Math.max(...points.map((point) => point.atMm), 1e-3);
   const most = Math.max(...points.map((point) => point.lumenMm + (point.errorMm ?? 0)), 0.5);
-  // The axis starts at 0, so that the relative size of a narrowing is visible.
+  // The diameter axis starts at 0, so that the relative size of a narrowing is visible.
   const step = STEPS_MM.find((mm) => most / mm <= 3.5) ?? 50;
   const topMm = Math.ceil(most / step) * step;
   return {
@@ -66,7 +66,7 @@ export function runsOf(points: readonly ProfilePoint[]): ProfilePoint[][] {
   return runs;
 }
 
-/** Return the section nearest to a position; null if there are none. */
+/** Return the section nearest to a position along the branch; null for an empty list. */
 export function nearestSection(points: readonly ProfilePoint[], atMm: number): ProfilePoint | null {
   return points.reduce<ProfilePoint | null>(
     (best, point) => (best === null || Math.abs(point.atMm - atMm) < Math.abs(best.atMm - atMm) ? point : best),

@@ -13,8 +13,8 @@ function flat(right: Vec3, down: Vec3, origin: Vec3, perColumn: number, perRow: 
 
 const none = { lps_from_camera: null, fov_deg: null, lens: null, lps_from_pixel: null, width: 200, height: 100 };
 
-describe("flat pictures", () => {
-  it("go from pixels to the patient and back, oblique and with unequal pixels", () => {
+describe("planar pictures", () => {
+  it("pixelFromLps inverts lpsFromPixel for oblique pictures with non-square pixels.", () => {
     const random = randomOf(11);
     for (let round = 0; round < 300; round += 1) {
       const { right, down } = randomAxes(random);
@@ -30,7 +30,7 @@ describe("flat pictures", () => {
     }
   });
 
-  it("count depth into the screen, in mm", () => {
+  it("The depth is positive into the screen, in mm.", () => {
     const geometry = geometryOf({ ...none, lps_from_pixel: flat([1, 0, 0], [0, 1, 0], [0, 0, 5], 0.5, 0.5) });
     if (geometry === null) throw new Error("a matrix gives a geometry");
     // Axial picture with the patient's right at the left and anterior up: the normal into the screen points to the
@@ -38,24 +38,24 @@ describe("flat pictures", () => {
     expect(pixelFromLps(geometry, [10, 20, 9])).toEqual({ column: 20, row: 40, depthMm: 4 });
   });
 
-  it("keep corner coordinates: the middle of the first pixel is half a pixel from the origin", () => {
+  it("Pixel coordinates refer to corners: the first pixel's centre is at (0.5, 0.5).", () => {
     const geometry = geometryOf({ ...none, lps_from_pixel: flat([1, 0, 0], [0, 1, 0], [0, 0, 0], 2, 2) });
     if (geometry?.kind !== "flat") throw new Error("a matrix gives a flat picture");
     expect(lpsFromPixel(geometry, { column: 0.5, row: 0.5 })).toEqual([1, 1, 0]);
     expect(mmPerPixel(geometry)).toBe(2);
   });
 
-  it("have no place on a matrix without area", () => {
+  it("pixelFromLps returns null for a matrix without area.", () => {
     const geometry = geometryOf({ ...none, lps_from_pixel: new Array(16).fill(0) });
     if (geometry === null) throw new Error("a matrix gives a geometry");
     expect(pixelFromLps(geometry, [1, 2, 3])).toBeNull();
   });
 });
 
-describe("pictures seen by a camera", () => {
+describe("camera pictures", () => {
   const identity = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1];
 
-  it("put the axis of view in the middle and half the field of view at the shorter side's edge", () => {
+  it("The viewing direction is in the middle, and half the field of view at the edge of the shorter side.", () => {
     const geometry = geometryOf({ ...none, lps_from_camera: identity, fov_deg: 90 });
     if (geometry === null) throw new Error("a camera gives a geometry");
     expect(pixelFromLps(geometry, [0, 0, 10])).toEqual({ column: 100, row: 50, depthMm: 10 });
@@ -64,7 +64,7 @@ describe("pictures seen by a camera", () => {
     expect(pixelFromLps(geometry, [10, 0, 10])?.column).toBeCloseTo(150);
   });
 
-  it("see nothing behind, and cut a line there", () => {
+  it("A point behind the camera has no pixel, and a line is split there.", () => {
     const geometry = geometryOf({ ...none, lps_from_camera: identity, fov_deg: 90 });
     if (geometry === null) throw new Error("a camera gives a geometry");
     expect(pixelFromLps(geometry, [0, 0, -1])).toBeNull();
@@ -79,7 +79,7 @@ describe("pictures seen by a camera", () => {
     expect(runs.map((run) => run.length)).toEqual([2, 2]);
   });
 
-  it("keep a point's ray for any camera: moving along it does not move the pixel", () => {
+  it("All points on a ray have the same pixel for any camera.", () => {
     const random = randomOf(12);
     for (let round = 0; round < 200; round += 1) {
       const { right, down, forward } = randomAxes(random);
@@ -109,7 +109,7 @@ describe("lenses", () => {
     pixels: ([number, number] | null)[];
   })[];
 
-  it.each(cases.map((made) => [made.name, made] as const))("put points where Python puts them: %s", (_name, made) => {
+  it.each(cases.map((made) => [made.name, made] as const))("Pixels equal those of Python: %s", (_name, made) => {
     const geometry = geometryOf({ ...made, lps_from_pixel: null });
     if (geometry === null) throw new Error("a camera gives a geometry");
     expect(made.pixels.filter((pixel) => pixel !== null).length).toBeGreaterThan(9);
@@ -126,7 +126,7 @@ describe("lenses", () => {
     });
   });
 
-  it("cut a line that passes behind a fisheye", () => {
+  it("A circle around a fisheye camera is split where it passes behind the camera.", () => {
     const fisheye = cases.find((made) => made.lens?.model === "fisheye");
     if (fisheye === undefined) throw new Error("there is a fisheye among the lenses");
     const geometry = geometryOf({
@@ -147,8 +147,8 @@ describe("lenses", () => {
   });
 });
 
-describe("the scale bar", () => {
-  it("is a round length that fits", () => {
+describe("scaleBar", () => {
+  it("Its length is 1, 2 or 5 times a power of ten and fits into the given width.", () => {
     for (const mmPerPx of [0.013, 0.4, 0.66, 1, 3.7]) {
       const bar = scaleBar(mmPerPx, 90);
       expect(bar.px).toBeLessThanOrEqual(90);
@@ -158,7 +158,7 @@ describe("the scale bar", () => {
     }
   });
 
-  it("has the length of what it measures", () => {
+  it("distance returns the Euclidean distance of two points.", () => {
     expect(distance([0, 0, 0], [0, 3, 4])).toBe(5);
   });
 });

@@ -6,13 +6,13 @@
 import type { PictureLens } from "../wire/messages";
 import { add, type Camera, cameraFromMatrix, column, cross, dot, scale, sub, unit, type Vec3 } from "./vec";
 
-/** Picture coordinates: pixel (0, 0) is the corner of the top-left pixel; its centre is (0.5, 0.5). */
+/** Position in a picture, px. The corner of the top-left pixel is (0, 0); the centre of that pixel is (0.5, 0.5). */
 export interface PixelPoint {
   column: number;
   row: number;
 }
 
-/** A picture point with its depth. */
+/** Position in a picture with its depth. */
 export interface SeenPoint extends PixelPoint {
   /**
    * Depth along the viewing direction, mm: behind the plane (planar picture) or in front of the camera (camera
@@ -25,7 +25,7 @@ export interface SeenPoint extends PixelPoint {
 export interface FlatGeometry {
   kind: "flat";
   origin: Vec3;
-  /** LPS vectors in mm per pixel to the right and down. */
+  /** Patient vectors (LPS, mm) of one pixel to the right, `perColumn`, and of one pixel down, `perRow`. */
   perColumn: Vec3;
   perRow: Vec3;
 }
@@ -35,16 +35,16 @@ export interface SeenGeometry {
   kind: "seen";
   camera: Camera;
   focalPx: number;
-  /** The lens model; null for a pinhole camera. */
+  /** The lens model of the camera; null for a pinhole camera. */
   lens: PictureLens | null;
   width: number;
   height: number;
 }
 
-/** Geometry of a picture. */
+/** Geometry of a planar picture or of a camera picture. */
 export type Geometry = FlatGeometry | SeenGeometry;
 
-/** The fields of a picture's header that define its geometry. */
+/** The fields of a picture header that define the geometry of the picture. */
 export interface Placed {
   width: number;
   height: number;
@@ -55,7 +55,7 @@ export interface Placed {
 }
 
 /**
- * Return the geometry of a picture, or null if its header has none. A cut-plane also has a camera; it counts as planar.
+ * Return the geometry of a picture; null if its header has none. A cut-plane also has a camera, but counts as planar.
  */
 export function geometryOf(picture: Placed): Geometry | null {
   if (picture.lps_from_pixel !== null) {
@@ -67,7 +67,7 @@ export function geometryOf(picture: Placed): Geometry | null {
     };
   }
   if (picture.lps_from_camera !== null && picture.fov_deg !== null && picture.fov_deg < 179) {
-    // The field of view is the full angle across the image circle, whose diameter is the shorter side.
+    // The field of view is the full angle across the image circle, whose diameter is the shorter side of the picture.
     const focalPx = (0.5 * Math.min(picture.width, picture.height)) / Math.tan((picture.fov_deg * Math.PI) / 360);
     return {
       kind: "seen",
@@ -86,24 +86,25 @@ export function lpsFromPixel(geometry: FlatGeometry, pixel: PixelPoint): Vec3 {
   return add(geometry.origin, add(scale(geometry.perColumn, pixel.column), scale(geometry.perRow, pixel.row)));
 }
 
-/** Return the unit normal that points into the screen: right x down, as for a camera. */
+/** Return the unit normal of a planar picture that points into the screen: right x down, as for a camera. */
 export function normalOf(geometry: FlatGeometry): Vec3 {
   return unit(cross(geometry.perColumn, geometry.perRow));
 }
 
-/** Return the length of a pixel, mm. */
+/** Return the size of a pixel in a planar picture, mm. */
 export function mmPerPixel(geometry: FlatGeometry): number {
   return Math.sqrt(dot(geometry.perColumn, geometry.perColumn));
 }
 
 /**
- * Return the picture point of a patient point (LPS mm); null if the camera cannot see it (behind the camera, or too
- * near).
+ * Return the position of a patient point (LPS mm) in a picture; null if the point is behind the camera or too near to
+ * it.
  */
 export function pixelFromLps(geometry: Geometry, lps: Vec3): SeenPoint | null {
   if (geometry.kind === "flat") {
     const offset = sub(lps, geometry.origin);
-    // Least squares over both axes, so that axes that are not exactly perpendicular are inverted exactly.
+    // Solve by least squares over both axes, so that the result is exact even if the axes are not exactly
+    // perpendicular.
     const cc = dot(geometry.perColumn, geometry.perColumn);
     const rr = dot(geometry.perRow, geometry.perRow);
     const cr = dot(geometry.perColumn, geometry.perRow);
@@ -137,8 +138,8 @@ export function pixelFromLps(geometry: Geometry, lps: Vec3): SeenPoint | null {
 }
 
 /**
- * Return the picture point of a point in camera space (mm); null if the lens does not image it. The wire's PictureLens
- * has the formulas.
+ * Return the position in the picture of a point in camera space, mm; null if the lens does not image the point. The
+ * protocol's PictureLens defines the formulas.
  */
 function throughLens(lens: PictureLens, x: number, y: number, z: number): PixelPoint | null {
   const across = Math.hypot(x, y);
@@ -152,7 +153,7 @@ function throughLens(lens: PictureLens, x: number, y: number, z: number): PixelP
     at = across === 0 ? [0, 0] : [(x / across) * radius, (y / across) * radius];
   } else {
     if (z <= 0) return null;
-    // Order of OpenCV: k1 k2 p1 p2 k3, then the coefficients k4 k5 k6 of the denominator.
+    // The coefficients are in OpenCV's order: k1 k2 p1 p2 k3, then k4 k5 k6 of the denominator.
     const [p1, p2] = [k3, k4];
     const [u, v] = [x / z, y / z];
     const s = u * u + v * v;
@@ -165,15 +166,15 @@ function throughLens(lens: PictureLens, x: number, y: number, z: number): PixelP
 }
 
 /**
- * Largest angle to the viewing direction of a drawn line. A line behind a fisheye camera would cross the whole picture;
- * 120 degrees is beyond every corner.
+ * Largest angle between the viewing direction and a drawn line, rad. A line behind a fisheye camera would cross the
+ * whole picture; 120 degrees is beyond every corner.
  */
 const WIDEST_LINE_RAD = (120 * Math.PI) / 180;
 
-/** Distance, mm, from the camera below which lines are not drawn. */
+/** Depth in front of the camera, mm, below which lines are not drawn. */
 export const NEAR_MM = 0.5;
 
-/** Project a polyline to runs of picture points; parts that the camera cannot see are left out. */
+/** Project a polyline to runs of picture positions; the parts that the camera cannot see are left out. */
 export function projectLine(geometry: Geometry, pointsLps: readonly Vec3[]): SeenPoint[][] {
   const runs: SeenPoint[][] = [];
   let run: SeenPoint[] = [];
@@ -190,14 +191,14 @@ export function projectLine(geometry: Geometry, pointsLps: readonly Vec3[]): See
   return runs.filter((part) => part.length > 1);
 }
 
-/** Return the patient directions of the picture's columns and rows. */
+/** Return the patient directions of a picture's rows and columns: unit vectors to the right and down. */
 export function axesOf(geometry: Geometry): { right: Vec3; down: Vec3 } {
   return geometry.kind === "flat"
     ? { right: unit(geometry.perColumn), down: unit(geometry.perRow) }
     : { right: geometry.camera.right, down: geometry.camera.down };
 }
 
-/** Return a round length for a scale bar of at most `maxPx` pixels. */
+/** Return a round length in mm for a scale bar of at most `maxPx` pixels, and the bar's length in px. */
 export function scaleBar(mmPerPx: number, maxPx: number): { mm: number; px: number } {
   const limit = mmPerPx * maxPx;
   const power = 10 ** Math.floor(Math.log10(limit));

@@ -1,8 +1,8 @@
 import { describe, expect, it } from "vitest";
 import { fingerprintLines, qrPath } from "./qr";
 
-describe("a QR code", () => {
-  it("covers its dark modules and no others", () => {
+describe("qrPath", () => {
+  it("The path covers exactly the dark modules.", () => {
     const rows = ["1011", "0000", "0110", "1111"];
     const dark = new Set<string>();
     for (const [, x, y, width] of qrPath(rows).matchAll(/M(\d+) (\d+)h(\d+)v1h-\3z/g)) {
@@ -13,8 +13,8 @@ describe("a QR code", () => {
   });
 });
 
-describe("a fingerprint", () => {
-  it("is shown whole, in lines", () => {
+describe("fingerprintLines", () => {
+  it("The four lines contain all bytes of the fingerprint in order.", () => {
     const sha256 = Array.from({ length: 32 }, (_, n) => n.toString(16).padStart(2, "0").toUpperCase()).join(":");
     const lines = fingerprintLines(sha256);
     expect(lines.length).toBe(4);

@@ -1,6 +1,6 @@
 /** Display of a QR code and a certificate fingerprint. */
 
-/** Return the dark modules as one SVG path, with one rectangle per run. */
+/** Return the dark modules of a QR code as one SVG path, with one rectangle per horizontal run. */
 export function qrPath(rows: readonly string[]): string {
   return rows
     .flatMap((row, down) =>
@@ -9,9 +9,10 @@ export function qrPath(rows: readonly string[]): string {
     .join("");
 }
 
+/** Number of byte pairs in a line of the fingerprint. */
 const PAIRS_PER_LINE = 8;
 
-/** Return the fingerprint in lines of eight byte pairs, in a layout similar to that of a phone. */
+/** Return a SHA-256 fingerprint in lines of eight byte pairs, similar to the layout on a phone. */
 export function fingerprintLines(sha256: string): string[] {
   const pairs = sha256.split(":");
   const lines: string[] = [];

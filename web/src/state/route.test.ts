@@ -53,17 +53,17 @@ const TREE = buildTree({
   ],
 }); // biome-ignore format: points in one line each
 
-/** A camera that looks from the head, anterior up: the patient's right is at the right of the picture. */
+/** Camera that looks from the head, with anterior up: the patient's right is at the right of the picture. */
 const FROM_HEAD: Camera = { right: [-1, 0, 0], down: [0, 1, 0], forward: [0, 0, -1], position: [0, 0, 0] };
 
-describe("along the route", () => {
-  it("stops in front of the next fork, then at the end", () => {
+describe("positions along the route", () => {
+  it("The next stop is the viewpoint before the next fork, then the end of the route.", () => {
     expect(nextStopMm(ROUTE, 0)).toBe(15);
     expect(nextStopMm(ROUTE, 14)).toBe(15);
     expect(nextStopMm(ROUTE, 15)).toBe(40);
   });
 
-  it("has points between its points and none beyond its ends", () => {
+  it("pointAt interpolates between points, clamps beyond the ends, and returns null without points.", () => {
     expect(pointAt(ROUTE, 20)).toEqual([0, 0, -20]);
     expect(pointAt(ROUTE, 35)).toEqual([5, 0, -30]);
     expect(pointAt(ROUTE, 99)).toEqual([10, 0, -30]);
@@ -71,7 +71,7 @@ describe("along the route", () => {
     expect(pointAt({ points_lps: [], cumulative_mm: [] }, 3)).toBeNull();
   });
 
-  it("can be cut out with both ends", () => {
+  it("pointsBetween includes both ends of the section.", () => {
     expect(pointsBetween(ROUTE, 25, 35)).toEqual([
       [0, 0, -25],
       [0, 0, -30],
@@ -79,13 +79,13 @@ describe("along the route", () => {
     ]);
   });
 
-  it("knows its direction and the place nearest to a point", () => {
+  it("directionAt returns the direction of the route, and nearestMm the position nearest to a point.", () => {
     expect(directionAt(ROUTE, 20)).toEqual([0, 0, -1]);
     expect(nearestMm(ROUTE, [3, 3, -9])).toBe(10);
   });
 });
 
-describe("the narrowest diameter of a route", () => {
+describe("narrowest diameter of a route", () => {
   const span = (branchId: number, fromMm: number, toMm: number, kind: RouteSpan["kind"] = "tracked"): RouteSpan => ({
     branch_id: branchId,
     name: null,
@@ -115,7 +115,7 @@ describe("the narrowest diameter of a route", () => {
   });
   const of = (known: Record<number, BranchMeasures>) => (id: number) => known[id] ?? null;
 
-  it("is the least measured one of its branches, at its place on the route", () => {
+  it("It is the smallest measured diameter of the branches, with its error and its position on the route.", () => {
     const known = of({ 0: measures(16, 15, 5), 1: measures(6, 4, 12) });
     expect(narrowest([span(0, 0, 100), span(1, 100, 120)], known)).toEqual({
       diameterMm: 4,
@@ -124,29 +124,29 @@ describe("the narrowest diameter of a route", () => {
     });
   });
 
-  it("is that of the last branch as a whole where the route ends before its narrowest place", () => {
+  it("If the route ends before the last branch's narrowest place, the diameter of that whole branch counts.", () => {
     const known = of({ 0: measures(16, 15, 5), 1: measures(6, 4, 12) });
     expect(narrowest([span(0, 0, 100), span(1, 100, 108)], known)?.diameterMm).toBe(6);
   });
 
-  it("is unknown until a branch is measured, and ignores branches drawn by hand", () => {
+  it("It is null for a route without measured branches, and branches drawn by hand do not count.", () => {
     expect(narrowest([span(0, 0, 100)], of({}))).toBeNull();
     expect(narrowest([span(0, 0, 100, "manual")], of({ 0: measures(3, 2, 5) }))).toBeNull();
     expect(narrowest([span(0, 0, 100)], of({ 0: measures(null, null, null) }))).toBeNull();
   });
 });
 
-describe("the tree", () => {
+describe("airway tree", () => {
   if (TREE === null) throw new Error("the tree has a root");
 
-  it("takes sides from geometry: left is +x", () => {
+  it("The body side comes from geometry: +x is left.", () => {
     expect(TREE.root.side).toBe("middle");
     expect(TREE.byId.get(1)?.side).toBe("right");
     expect(TREE.byId.get(3)?.side).toBe("right");
     expect(TREE.byId.get(2)?.side).toBe("left");
   });
 
-  it("keeps the sides apart where the root lies in the middle of the trachea", () => {
+  it("The sides are correct for a root in the middle of the trachea, with one branch up and one down.", () => {
     const made = buildTree({
       format: "carina-tree",
       version: 1,
@@ -167,12 +167,12 @@ describe("the tree", () => {
     expect(sides).toEqual(["middle", "middle", "middle", "right", "left", "right", "right"]);
   });
 
-  it("knows the way down and the way up", () => {
+  it("mainLeaf follows the widest child at each fork, and lineage returns the ancestors from the root.", () => {
     expect(mainLeaf(TREE.root).branch.id).toBe(3);
     expect(lineage(TREE, 3).map((node) => node.branch.id)).toEqual([0, 1, 3]);
   });
 
-  it("orders the ways on as the picture shows them, not as the patient lies", () => {
+  it("waysOn orders the branches from left to right in the picture, not in the patient.", () => {
     const ways = waysOn(TREE.root, FROM_HEAD, ROUTE);
     expect(ways.map((way) => way.node.branch.id)).toEqual([2, 1]);
     expect(ways.map((way) => way.chosen)).toEqual([true, false]);
@@ -181,7 +181,7 @@ describe("the tree", () => {
     expect(facing.map((way) => way.node.branch.id)).toEqual([1, 2]);
   });
 
-  it("calls the way in the middle of the picture straight on, and gives the other its hour there", () => {
+  it("A branch in the middle of the picture has no clock hour, and the other branch has one.", () => {
     // The camera is at the entrance of the left branch and looks along the branch.
     const into: Camera = { right: [0, 0, -1], down: [0, 1, 0], forward: [1, 0, 0], position: [-20, 0, -31] };
     const ways = waysOn(TREE.root, into, ROUTE);
@@ -191,13 +191,13 @@ describe("the tree", () => {
     ]);
   });
 
-  it("goes one way to the side and no further", () => {
+  it("neighbourWay returns the next branch on that side, and null at the outermost branch.", () => {
     const ways = waysOn(TREE.root, FROM_HEAD, ROUTE);
     expect(neighbourWay(ways, 1)?.node.branch.id).toBe(1);
     expect(neighbourWay(ways, -1)).toBeNull();
   });
 
-  it("finds the fork ahead, and keeps the one that was just reached", () => {
+  it("forkAhead returns the next fork, and a fork just reached until the tip is past it.", () => {
     expect(forkAhead(TREE, ROUTE, 10, FROM_HEAD)).toMatchObject({ distanceMm: 20, near: true });
     expect(
       forkAhead(
@@ -209,7 +209,7 @@ describe("the tree", () => {
     ).toBe(false);
     expect(forkAhead(TREE, ROUTE, 30, FROM_HEAD)?.distanceMm).toBe(0);
     expect(forkAhead(TREE, ROUTE, 38, FROM_HEAD)).toBeNull();
-    // At the look-out of a fork that follows within millimetres, that fork is selected.
+    // At the viewpoint of the second of two forks a few millimetres apart, the second fork is selected.
     const short: RouteInfo = {
       ...ROUTE,
       forks_mm: [30, 33],
@@ -223,7 +223,7 @@ describe("the tree", () => {
     expect(forkAhead(TREE, short, 31.5, FROM_HEAD)?.distanceMm).toBe(1.5);
   });
 
-  it("ends on a tree that loops", () => {
+  it("A tree with a cycle is built without an endless loop.", () => {
     const looped = buildTree({
       format: "carina-tree",
       version: 1,
@@ -236,14 +236,14 @@ describe("the tree", () => {
   });
 });
 
-describe("numbers", () => {
-  it("are written with their side and a true minus", () => {
+describe("numbers as text", () => {
+  it("Values have a true minus sign, and coordinates have side letters.", () => {
     expect(fixed(-600)).toBe("\u2212600");
     expect(fixed(-0.2)).toBe("0");
     expect(coordinates([-17.6, 35.3, 12.1])).toBe("R\u202f17.6  P\u202f35.3  S\u202f12.1 mm");
   });
 
-  it("are read as people type them, or refused", () => {
+  it("parseCoordinates accepts three numbers with commas, semicolons or spaces, and returns null for other text.", () => {
     expect(parseCoordinates(" -17.6, 35.3,12.1 ")).toEqual([-17.6, 35.3, 12.1]);
     expect(parseCoordinates("\u221217.6;35.3 12.1")).toEqual([-17.6, 35.3, 12.1]);
     expect(parseCoordinates("1 2")).toBeNull();
@@ -251,7 +251,7 @@ describe("numbers", () => {
     expect(parseCoordinates("")).toBeNull();
   });
 
-  it("are read as pictures say them, each axis once and without a sign", () => {
+  it("parseCoordinates accepts side letters if each axis occurs once and without a sign.", () => {
     expect(parseCoordinates("R 89.3 A 127.0 S 390.6")).toEqual([-89.3, -127, 390.6]);
     expect(parseCoordinates("s 390.6, l89.3; P 0 mm")).toEqual([89.3, 0, 390.6]);
     for (const wrong of [
@@ -265,7 +265,7 @@ describe("numbers", () => {
     }
   });
 
-  it("do not promise seconds that nobody knows", () => {
+  it("timeLeft rounds the remaining time to the accuracy of the estimate.", () => {
     expect(timeLeft(1)).toBe("almost done");
     expect(timeLeft(38)).toBe("about 40 s left");
     expect(timeLeft(170)).toBe("about 3 min left");

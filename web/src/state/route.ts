@@ -4,25 +4,25 @@ import type { BranchMeasures, RouteInfo, RouteSpan } from "../wire/messages";
 import { asVec3, lerp, sub, unit, type Vec3 } from "./vec";
 
 /**
- * Distance below which two places count as the same fork, so that rounding of a pose does not move it before the fork
- * again.
+ * Distance, mm, below which two places count as the same fork, so that a rounded pose at a fork does not count as
+ * before the fork.
  */
 export const FORK_TOLERANCE_MM = 0.5;
 
 /**
- * Return the position at which the automatic flight stops: the look-out before the next fork, else the end of the
- * route.
+ * Return the position along the route, mm, at which the automatic flight stops: the viewpoint before the next fork,
+ * else the end of the route.
  */
 export function nextStopMm(route: Pick<RouteInfo, "lookouts_mm" | "length_mm">, pathMm: number): number {
   return route.lookouts_mm.find((at) => at > pathMm + FORK_TOLERANCE_MM) ?? route.length_mm;
 }
 
-/** Return the position limited to the route, mm. */
+/** Return a position clamped to the route, mm. */
 export function clampToRoute(route: Pick<RouteInfo, "length_mm">, pathMm: number): number {
   return Math.min(Math.max(pathMm, 0), route.length_mm);
 }
 
-/** Return the index of the last point at or before a distance. */
+/** Return the index of the last route point at or before a position. */
 function indexAt(cumulativeMm: readonly number[], pathMm: number): number {
   let low = 0;
   let high = cumulativeMm.length - 1;
@@ -34,7 +34,7 @@ function indexAt(cumulativeMm: readonly number[], pathMm: number): number {
   return low;
 }
 
-/** Return the interpolated point at a distance along the route. */
+/** Return the interpolated route point at a position; null for a route without points. */
 export function pointAt(route: Pick<RouteInfo, "points_lps" | "cumulative_mm">, pathMm: number): Vec3 | null {
   const index = indexAt(route.cumulative_mm, pathMm);
   const a = route.points_lps[index];
@@ -47,7 +47,7 @@ export function pointAt(route: Pick<RouteInfo, "points_lps" | "cumulative_mm">, 
   return lerp(asVec3(a), asVec3(b), t);
 }
 
-/** Return the interpolated lumen radius at a distance along the route, mm; 0 if the route has no radii. */
+/** Return the interpolated lumen radius at a position along the route, mm; 0 if the route has no radii. */
 export function radiusAt(route: Pick<RouteInfo, "radius_mm" | "cumulative_mm">, pathMm: number): number {
   const index = indexAt(route.cumulative_mm, pathMm);
   const a = route.radius_mm[index] ?? 0;
@@ -57,7 +57,7 @@ export function radiusAt(route: Pick<RouteInfo, "radius_mm" | "cumulative_mm">, 
   return to > from ? a + (b - a) * Math.min(Math.max((pathMm - from) / (to - from), 0), 1) : a;
 }
 
-/** Return the points of the route between two distances, ends included. */
+/** Return the route points between two positions, both ends included. */
 export function pointsBetween(
   route: Pick<RouteInfo, "points_lps" | "cumulative_mm">,
   fromMm: number,
@@ -75,21 +75,24 @@ export function pointsBetween(
   return [first, ...inner, last];
 }
 
-/** Return the unit direction of the route at a distance. */
+/** Return the unit direction of the route at a position, LPS; null for a route without points. */
 export function directionAt(route: Pick<RouteInfo, "points_lps" | "cumulative_mm">, pathMm: number): Vec3 | null {
   const a = pointAt(route, pathMm - 0.5);
   const b = pointAt(route, pathMm + 0.5);
   return a === null || b === null ? null : unit(sub(b, a));
 }
 
-/** Return the branch at a distance along the route. */
+/**
+ * Return the branch of the route at a position; the last branch for a position outside all branches, null for a route
+ * without branches.
+ */
 export function spanAt(route: Pick<RouteInfo, "spans">, pathMm: number): RouteSpan | null {
   return route.spans.find((span) => pathMm >= span.from_mm && pathMm < span.to_mm) ?? route.spans.at(-1) ?? null;
 }
 
 /**
- * Return the narrowest measured diameter on a route, mm; null until its branches are measured. In the last branch the
- * narrowest section counts if the route reaches it, else the diameter of the whole branch.
+ * Return the narrowest measured diameter on a route, with its error and position, mm; null until a branch is measured.
+ * In the last branch the narrowest section counts if the route reaches it, else the diameter of the whole branch.
  */
 export function narrowest(
   spans: RouteInfo["spans"],
@@ -112,7 +115,7 @@ export function narrowest(
   return found;
 }
 
-/** Return the distance along the route of its point nearest to a place. */
+/** Return the position along the route, mm, of the route point nearest to a patient point. */
 export function nearestMm(route: Pick<RouteInfo, "points_lps" | "cumulative_mm">, lps: Vec3): number {
   let best = Number.POSITIVE_INFINITY;
   let at = 0;

@@ -3,16 +3,16 @@
 import type { SavingInfo } from "../wire/messages";
 import { clock } from "./format";
 
-/** A text with its tooltip. */
-export interface SavedWords {
+/** A text about the saved state, with its tooltip. */
+export interface SavedText {
   readonly label: string;
-  /** The tooltip. */
+  /** Tooltip of the text. */
   readonly words: string;
   readonly warns: boolean;
 }
 
-/** Return the text about the saved state; null while no case is open. */
-export function savedWords(saving: SavingInfo | null, nowMs: number): SavedWords | null {
+/** Return the text about the saved state of the case; null while no case is open. */
+export function savedText(saving: SavingInfo | null, nowMs: number): SavedText | null {
   if (saving === null) return null;
   if (!saving.keeps) {
     return {

@@ -12,8 +12,8 @@ const TETRAHEDRON = {
   triangles: [0, 2, 1, 0, 1, 3, 1, 2, 3, 0, 3, 2],
 };
 
-describe("the section of a surface", () => {
-  test("is a closed line in the plane", () => {
+describe("sectionOf", () => {
+  test("A plane through a closed surface gives a closed line in the plane.", () => {
     const lines = sectionOf(TETRAHEDRON, [0, 0, 1], [0, 0, 1]);
     expect(lines).toHaveLength(3);
     const ends = lines.flat().map((point) => point.map((v) => v.toFixed(6)).join(","));
@@ -23,14 +23,14 @@ describe("the section of a surface", () => {
     }
   });
 
-  test("is nothing beside the surface", () => {
+  test("A plane beside the surface gives no lines.", () => {
     expect(sectionOf(TETRAHEDRON, [0, 0, 5], [0, 0, 1])).toEqual([]);
   });
 });
 
-describe("what a lens sees of a route", () => {
+describe("numInView", () => {
   const straight = Array.from({ length: 30 }, (_, n): Vec3 => [0, 0, 6 + n]);
-  test("all of a straight tube", () => {
+  test("All points of a straight tube are in view.", () => {
     expect(
       numInView(
         [0, 0, 0],
@@ -40,7 +40,7 @@ describe("what a lens sees of a route", () => {
     ).toBe(30);
   });
 
-  test("a bend hides what lies behind it, sooner in a narrow tube", () => {
+  test("A bend hides the points beyond it, and hides more of them in a narrow tube than in a wide one.", () => {
     const bent = [...straight, ...Array.from({ length: 30 }, (_, n): Vec3 => [1 + n, 0, 35])];
     const wide = numInView(
       [0, 0, 0],

@@ -2,14 +2,14 @@
 
 import { add, dot, scale, sub, type Vec3 } from "./vec";
 
-/** A triangle surface. */
+/** A surface of triangles: vertices (LPS mm) and vertex indices. */
 export interface Surface {
   readonly vertices: readonly Vec3[];
-  /** Vertex indices, three per triangle. */
+  /** Indices of the vertices, three per triangle. */
   readonly triangles: readonly number[];
 }
 
-/** Return the lines in which a surface intersects the plane through `origin` with the unit vector `normal`. */
+/** Return the line pieces in which a surface intersects the plane through `origin` with the unit vector `normal`. */
 export function sectionOf(surface: Surface, origin: Vec3, normal: Vec3): [Vec3, Vec3][] {
   const height = surface.vertices.map((vertex) => dot(sub(vertex, origin), normal));
   const lines: [Vec3, Vec3][] = [];
@@ -37,14 +37,14 @@ export function sectionOf(surface: Surface, origin: Vec3, normal: Vec3): [Vec3, 
 /** Step of the visibility test along the line of sight, mm. */
 const LOOK_MM = 1.5;
 /**
- * Distance beyond the wall, mm, that still counts as visible, because the centreline is not exactly in the middle of
- * the lumen.
+ * Distance beyond the lumen's radius, mm, at which a point of the line of sight still counts as inside, because the
+ * centreline is not exactly in the middle of the lumen.
  */
 const SLACK_MM = 0.75;
 
 /**
- * Return how many leading points of a centreline the lens sees before a wall hides the rest. A point is visible if the
- * straight line to it stays inside the tube of the given radii.
+ * Return the number of leading centreline points that the lens sees before a wall hides the following ones. A point is
+ * visible if the straight line to it stays inside the tube of the given radii.
  */
 export function numInView(lens: Vec3, points: readonly Vec3[], radiiMm: readonly number[]): number {
   for (let n = 0; n < points.length; n += 1) {
@@ -63,7 +63,7 @@ export function numInView(lens: Vec3, points: readonly Vec3[], radiiMm: readonly
 
 function isInTube(at: Vec3, points: readonly Vec3[], radiiMm: readonly number[], upTo: number): boolean {
   const first = points[0];
-  // The lumen around the lens, before the first point, also counts as free.
+  // The lumen between the lens and the first point also counts as inside the tube.
   if (first !== undefined && Math.hypot(...sub(at, first)) <= (radiiMm[0] ?? 0) + NEAR_LENS_MM) return true;
   for (let n = 0; n <= upTo; n += 1) {
     const point = points[n];

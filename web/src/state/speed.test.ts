@@ -12,8 +12,8 @@ function fly(meter: SpeedMeter, mmS: number, num: number, gapMs: number, from = 
   return { atMs, z };
 }
 
-describe("the speed of the tip", () => {
-  it("is the way by the time, at any rate of poses", () => {
+describe("SpeedMeter", () => {
+  it("The speed is distance by time for any rate of poses.", () => {
     for (const gapMs of [8, 16, 33, 90]) {
       const meter = new SpeedMeter();
       const { atMs } = fly(meter, 20, 60, gapMs);
@@ -21,7 +21,7 @@ describe("the speed of the tip", () => {
     }
   });
 
-  it("is steady where poses come in bunches", () => {
+  it("The speed is within 1.5 mm/s of the true one for poses that arrive in bursts.", () => {
     const meter = new SpeedMeter();
     let atMs = 0;
     for (let n = 0; n < 120; n += 1) {
@@ -33,14 +33,14 @@ describe("the speed of the tip", () => {
     expect(Math.abs(speed - 20)).toBeLessThan(1.5);
   });
 
-  it("follows a change within its window", () => {
+  it("After a change the new speed is reached within the averaging window.", () => {
     const meter = new SpeedMeter();
     const now = fly(meter, 20, 60, 16);
     const { atMs } = fly(meter, 5, 45, 16, now);
     expect(meter.read(atMs)).toBeCloseTo(5, 6);
   });
 
-  it("is none at rest, and none for a tip that turns on the spot", () => {
+  it("The speed is null at rest and for a tip that only turns.", () => {
     const meter = new SpeedMeter();
     expect(meter.read(0)).toBeNull();
     const { atMs, z } = fly(meter, 20, 60, 16);
@@ -49,7 +49,7 @@ describe("the speed of the tip", () => {
     expect(meter.read(atMs + 16 * 40)).toBeNull();
   });
 
-  it("is not shaken by a tip that is put elsewhere, nor by the step that begins a movement", () => {
+  it("The speed is null after a jump of the tip and at the first step of a movement.", () => {
     const meter = new SpeedMeter();
     let now = fly(meter, 20, 60, 16);
     now = { atMs: now.atMs + 16, z: now.z + 120 };
@@ -62,7 +62,7 @@ describe("the speed of the tip", () => {
     expect(meter.read(now.atMs)).toBeCloseTo(20, 6);
   });
 
-  it("is shown in whole numbers, in tenths where it is slow", () => {
+  it("shownSpeed returns whole numbers, and tenths below 10 mm/s.", () => {
     expect([null, 0.04, 4.96, 9.94, 9.96, 20.4].map(shownSpeed)).toEqual([null, 0, 5, 9.9, 10, 20]);
   });
 });

@@ -1,4 +1,4 @@
-/** Speed of the tip, computed from the latest poses for every input device. */
+/** Speed of the tip, computed from the latest poses, whatever input device moves the tip. */
 
 import { distance, type Vec3 } from "./vec";
 
@@ -7,19 +7,19 @@ export const AUTO_SPEED_MM_S = 20;
 /** Speeds of the automatic flight that the user can select, mm/s. */
 export const AUTO_SPEEDS_MM_S = [2, 5, 10, 20, 30, 50, 100] as const;
 
-/** Averaging window, ms: long enough for poses that arrive in bursts, short enough to follow the hand. */
+/** Averaging window of the speed, ms: long enough for poses that arrive in bursts, short enough to follow the hand. */
 const WINDOW_MS = 600;
-/** Shortest measured time, ms; a shorter time gives a noisy speed. */
+/** Shortest time span of a measured speed, ms; a shorter span gives a noisy speed. */
 const LEAST_MS = 200;
 /** Time without a pose, ms, after which the tip counts as resting. */
 const STILL_MS = 300;
 /**
- * Largest step between two poses, mm; a larger step is a jump, not a movement. 500 mm/s, the fastest stick speed, at 30
- * poses/s.
+ * Largest step between two poses, mm, that counts as movement; a larger step is a jump. It corresponds to 500 mm/s, the
+ * fastest stick speed, at 30 poses/s.
  */
 const JUMP_MM = 17;
 
-/** Measures the speed of the tip. */
+/** Meter of the tip's speed. */
 export class SpeedMeter {
   #at: Vec3 | null = null;
   #steps: { atMs: number; mm: number }[] = [];
@@ -37,7 +37,7 @@ export class SpeedMeter {
     if (mm === 0) return;
     const last = this.#steps.at(-1);
     if (last === undefined || nowMs - last.atMs > STILL_MS) {
-      // The duration of the first step of a movement is unknown, so only later steps count.
+      // Start the measurement at the second pose of a movement, because the duration of the first step is unknown.
       this.#steps = [{ atMs: nowMs, mm: 0 }];
       this.#beganMs = nowMs;
       return;
@@ -46,12 +46,12 @@ export class SpeedMeter {
     while ((this.#steps[0]?.atMs ?? nowMs) < nowMs - WINDOW_MS) this.#steps.shift();
   }
 
-  /** Return the speed, mm/s; null at rest. */
+  /** Return the speed of the tip, mm/s; null at rest. */
   read(nowMs: number): number | null {
     const last = this.#steps.at(-1);
     if (last === undefined || nowMs - last.atMs > STILL_MS) return null;
     const first = this.#steps[0] ?? last;
-    // Each step is stored with its end time; the first stored step began before the measured time.
+    // A step is stored with its end time, so the first stored step is before the measured time span.
     const span = last.atMs - first.atMs;
     if (last.atMs - this.#beganMs < LEAST_MS || span <= 0) return null;
     const mm = this.#steps.slice(1).reduce((sum, step) => sum + step.mm, 0);
@@ -64,7 +64,7 @@ export class SpeedMeter {
   }
 }
 
-/** Return the displayed speed: whole mm/s, or tenths for low speeds. */
+/** Return the speed as displayed: whole mm/s, or tenths below 10 mm/s; null at rest. */
 export function shownSpeed(speed: number | null): number | null {
   if (speed === null) return null;
   return speed < 9.95 ? Math.round(speed * 10) / 10 : Math.round(speed);

@@ -1,9 +1,9 @@
-/** Bounding spheres of the branch centrelines, cached; they quickly exclude the branches that are far from a plane. */
+/** Cached bounding spheres of the branch centrelines, which quickly exclude branches that are far from a plane. */
 
 import type { BranchNode } from "./airways";
 import { add, asVec3, distance, scale, type Vec3 } from "./vec";
 
-/** A sphere in LPS mm. */
+/** A sphere: centre (LPS) and radius in mm. */
 export interface Sphere {
   readonly centre: Vec3;
   readonly radiusMm: number;

@@ -1,19 +1,19 @@
 /** The steps of the workflow from a CT to a rehearsed route, in order; the user can return to each step. */
 
-/** Steps in order. */
+/** Names of the workflow steps in order. */
 export const STEPS = ["open", "check", "airways", "target", "route", "rehearse", "share"] as const;
-/** Name of a step. */
+/** Name of a workflow step. */
 export type Step = (typeof STEPS)[number];
 
-/** Title and tooltip of a step. */
-export interface StepWords {
+/** Title and tooltip of a workflow step. */
+export interface StepTexts {
   title: string;
-  /** The purpose of the step, as its tooltip. */
+  /** Purpose of the step, shown as its tooltip. */
   words: string;
 }
 
-/** Texts of each step. */
-export const STEP_WORDS: Readonly<Record<Step, StepWords>> = {
+/** Title and tooltip of each workflow step. */
+export const STEP_TEXTS: Readonly<Record<Step, StepTexts>> = {
   open: { title: "Open", words: "Details of the open case; open another case here" },
   check: { title: "Check", words: "Is this CT good enough? Findings, other series, window / level" },
   airways: { title: "Airways", words: "The segmented airway tree, its start point and threshold" },

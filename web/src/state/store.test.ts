@@ -5,52 +5,52 @@ import { Store } from "./store";
 const speed = (speedMmS: number) => ({ kind: "speed", speedMmS }) as const;
 const advancing = (on: boolean) => ({ kind: "ui", change: { advancing: on } }) as const;
 
-function heard() {
+function storeWithListeners() {
   const due: (() => void)[] = [];
   const store = new Store(INITIAL_STATE, (task) => due.push(task));
-  const told = { all: 0, panels: 0 };
+  const calls = { all: 0, panels: 0 };
   store.subscribe(() => {
-    told.all += 1;
+    calls.all += 1;
   });
   const leave = store.subscribePanel(() => {
-    told.panels += 1;
+    calls.panels += 1;
   });
   const refresh = () => {
     for (const task of due.splice(0)) task();
   };
-  return { store, told, refresh, leave };
+  return { store, calls, refresh, leave };
 }
 
-describe("who listens to the state", () => {
-  test("a panel hears once a refresh of all that streamed in, others of each at once", () => {
-    const { store, told, refresh } = heard();
+describe("Store", () => {
+  test("A panel is notified of streamed events once per display refresh, and other listeners of each event.", () => {
+    const { store, calls, refresh } = storeWithListeners();
     for (const one of [1, 2, 3]) store.dispatch(speed(one));
     expect(store.get().speedMmS).toBe(3);
-    expect(told).toEqual({ all: 3, panels: 0 });
+    expect(calls).toEqual({ all: 3, panels: 0 });
     refresh();
-    expect(told).toEqual({ all: 3, panels: 1 });
+    expect(calls).toEqual({ all: 3, panels: 1 });
     refresh();
-    expect(told.panels).toBe(1);
+    expect(calls.panels).toBe(1);
     store.dispatch(speed(4));
     refresh();
-    expect(told.panels).toBe(2);
+    expect(calls.panels).toBe(2);
   });
 
-  test("of what a person does a panel hears at once, and with it of what streamed in before", () => {
-    const { store, told, refresh } = heard();
+  test("A panel is notified of a user action at once, together with the streamed events before it.", () => {
+    const { store, calls, refresh } = storeWithListeners();
     store.dispatch(speed(1));
     store.dispatch(advancing(true));
-    expect(told.panels).toBe(1);
+    expect(calls.panels).toBe(1);
     refresh();
-    expect(told.panels).toBe(1);
+    expect(calls.panels).toBe(1);
   });
 
-  test("what changes nothing is not told of, and who has left hears nothing", () => {
-    const { store, told, refresh, leave } = heard();
+  test("A panel that has unsubscribed is not notified.", () => {
+    const { store, calls, refresh, leave } = storeWithListeners();
     store.dispatch(speed(1));
     refresh();
     leave();
     store.dispatch(advancing(true));
-    expect(told.panels).toBe(1);
+    expect(calls.panels).toBe(1);
   });
 });

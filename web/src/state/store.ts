@@ -4,10 +4,10 @@
 
 import { type AppEvent, type AppState, INITIAL_STATE, reduce } from "./app-state";
 
-/** Run a task once, at a later time such as the next display refresh. */
+/** A scheduler that runs a task once at a later time, such as the next display refresh. */
 export type Soon = (task: () => void) => void;
 
-/** Events that the server sends several times per picture, without an action of the user. */
+/** Kinds of events that arrive several times per picture without an action of the user. */
 const STREAMED: ReadonlySet<AppEvent["kind"]> = new Set([
   "server",
   "picture",
@@ -17,7 +17,7 @@ const STREAMED: ReadonlySet<AppEvent["kind"]> = new Set([
   "preview",
 ] as const);
 
-/** Store of the state. */
+/** Store of the page's state, with listeners. */
 export class Store {
   #state: AppState;
   readonly #soon: Soon;
@@ -26,8 +26,8 @@ export class Store {
   #panelsDue = false;
 
   /**
-   * `soon` schedules the notification of panels after streamed events; panels are notified of the user's actions
-   * immediately.
+   * `soon` schedules the notification of panels after streamed events. After an action of the user the panels are
+   * notified immediately.
    */
   constructor(initial: AppState = INITIAL_STATE, soon: Soon = (task) => task()) {
     this.#state = initial;
@@ -57,8 +57,8 @@ export class Store {
   };
 
   /**
-   * Add a listener for components that are slow to render; return a function that removes it. A pose and its pictures
-   * arrive within one display refresh and cause one call.
+   * Add a listener for components that are slow to render; return a function that removes it. After streamed events the
+   * listener is called once per display refresh, for example for a pose and its pictures.
    */
   subscribePanel = (listener: () => void): (() => void) => {
     this.#panels.add(listener);

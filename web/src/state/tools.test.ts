@@ -2,14 +2,14 @@ import { describe, expect, it } from "vitest";
 import { nextBrush, strokePoints, wantsBranch, wantsPath } from "./tools";
 
 describe("tools", () => {
-  it("show the way to the cursor where a click would use it", () => {
+  it("The path to the cursor is shown only for tools whose click uses it, and the fork tool first selects a branch.", () => {
     expect(wantsPath("target")).toBe(true);
     expect(wantsPath("add")).toBe(false);
     expect([wantsBranch("fork", false), wantsBranch("fork", true)]).toEqual([true, false]);
     expect(wantsPath(null)).toBe(false);
   });
 
-  it("have brushes from half a millimetre to a trachea, and stop at both ends", () => {
+  it("nextBrush returns the next brush radius and stops at both ends of the list.", () => {
     expect(nextBrush(1.5, 1)).toBe(2);
     expect(nextBrush(1.5, -1)).toBe(1);
     expect(nextBrush(0.5, -1)).toBe(0.5);
@@ -17,7 +17,7 @@ describe("tools", () => {
     expect(nextBrush(1.7, 1)).toBe(2);
   });
 
-  it("send a stroke as few points, both ends among them", () => {
+  it("strokePoints reduces a stroke to few points that include both ends.", () => {
     const drawn = Array.from({ length: 101 }, (_, n) => [n / 10, 0, 0] as const);
     const sent = strokePoints(drawn, 2);
     expect(sent[0]).toEqual([0, 0, 0]);

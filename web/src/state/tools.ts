@@ -1,4 +1,4 @@
-/** Tools that define the effect of the next click: mark a target or a root, or edit the airway tree. */
+/** Tools that define the effect of the next click: mark a point (target, root, start), or edit the airway tree. */
 
 import type { Target, ViewName } from "../wire/messages";
 import { VIEWS } from "../wire/views";
@@ -12,19 +12,19 @@ export type LesionTool = "lesion-add" | "lesion-cut";
 /** Name of a tool that can be active. */
 export type Armed = "target" | "root" | "start" | LesionTool | TreeTool;
 
-/** Texts of a tool. */
-export interface ToolWords {
+/** Texts of a tool's button. */
+export interface ToolTexts {
   readonly label: string;
-  /** The text below the icon. */
+  /** Short text below the icon of the button. */
   readonly short: string;
-  /** The tooltip. */
+  /** Tooltip of the button. */
   readonly words: string;
-  /** The instruction shown while the tool is active. */
+  /** Instruction that is shown while the tool is active. */
   readonly hint: string;
 }
 
 /** Texts of each tree tool. */
-export const TOOL_WORDS: Readonly<Record<TreeTool, ToolWords>> = {
+export const TOOL_TEXTS: Readonly<Record<TreeTool, ToolTexts>> = {
   add: {
     label: "Add branch",
     short: "Add",
@@ -75,8 +75,8 @@ export const TOOL_WORDS: Readonly<Record<TreeTool, ToolWords>> = {
   },
 };
 
-/** Texts of the other tools, which mark a point of the plan. */
-const MARK_WORDS: Readonly<Record<"target" | "root" | "start" | LesionTool, Pick<ToolWords, "label" | "hint">>> = {
+/** Texts of the tools that mark a point or edit the boundary of a target. */
+const MARK_TEXTS: Readonly<Record<"target" | "root" | "start" | LesionTool, Pick<ToolTexts, "label" | "hint">>> = {
   start: { label: "Mark start", hint: "Click where the path should start, in any view." },
   target: { label: "Mark target", hint: "Click a nodule, or a place in the airways, in any view." },
   "lesion-add": { label: "Paint target", hint: "Draw in a slice where the target is larger." },
@@ -88,17 +88,17 @@ const MARK_WORDS: Readonly<Record<"target" | "root" | "start" | LesionTool, Pick
 };
 
 /** Return the label and the instruction of the active tool. */
-export function wordsOf(armed: Armed, forkHeld: boolean): { label: string; hint: string } {
+export function textsOf(armed: Armed, forkHeld: boolean): { label: string; hint: string } {
   if (armed === "fork" && forkHeld) {
     return {
-      label: TOOL_WORDS.fork.label,
+      label: TOOL_TEXTS.fork.label,
       hint: "Now click where the fork belongs. The lines show what moves with it.",
     };
   }
-  return isTreeTool(armed) ? TOOL_WORDS[armed] : MARK_WORDS[armed];
+  return isTreeTool(armed) ? TOOL_TEXTS[armed] : MARK_TEXTS[armed];
 }
 
-/** Return the short text for a picture's corner, which must not cover an orientation letter. */
+/** Return the short text of the active tool in the corner of a view, where it must not cover an orientation letter. */
 export function shortOf(armed: Armed): string {
   switch (armed) {
     case "target":
@@ -114,11 +114,11 @@ export function shortOf(armed: Armed): string {
     case "lesion-cut":
       return "Erase target";
     default:
-      return TOOL_WORDS[armed].short;
+      return TOOL_TEXTS[armed].short;
   }
 }
 
-/** Return whether the tool works in this view: an X-ray has no depth, and a brush needs a plane. */
+/** Return whether the tool works in a view: an X-ray has no depth, and a brush needs a plane. */
 export function worksIn(armed: Armed, view: ViewName): boolean {
   const { pick } = VIEWS[view];
   return isBrush(armed) ? pick === "plane" : pick !== null;
@@ -132,14 +132,14 @@ export const isTreeTool = (armed: Armed | null): armed is TreeTool =>
   armed !== null && (TREE_TOOLS as readonly string[]).includes(armed);
 
 /**
- * Return whether the path to the cursor is shown while the tool is active; tree tools show a preview of the edit
+ * Return whether the path to the cursor is shown while the tool is active. Tree tools show a preview of the edit
  * instead.
  */
 export function wantsPath(armed: Armed | null, cost: Target["cost"] = "lumen"): boolean {
   return armed === "target" && cost === "lumen";
 }
 
-/** Return whether the click selects a branch instead of a point. */
+/** Return whether a click with the tool selects a branch instead of a point. */
 export function wantsBranch(armed: Armed | null, forkHeld: boolean): boolean {
   return armed === "cut" || armed === "smooth" || (armed === "fork" && !forkHeld);
 }
@@ -157,30 +157,30 @@ const BRUSHES_MM = [0.5, 0.75, 1, 1.5, 2, 3, 4, 6, 8, 12] as const;
 /** Initial brush radius, mm. */
 export const FIRST_BRUSH_MM = 1.5;
 
-/** Return the next larger (+1) or smaller (-1) brush radius, mm. */
+/** Return the next larger (+1) or smaller (-1) brush radius, mm; the last one of the list at its ends. */
 export function nextBrush(radiusMm: number, step: -1 | 1): number {
   if (step > 0) return BRUSHES_MM.find((mm) => mm > radiusMm + 1e-6) ?? radiusMm;
   return BRUSHES_MM.findLast((mm) => mm < radiusMm - 1e-6) ?? radiusMm;
 }
 
 /**
- * Reduce the points of a brush stroke: the straight lines between them deviate by at most a quarter radius from the
- * drawn stroke.
+ * Reduce the number of points of a brush stroke. The straight lines between the remaining points deviate from the drawn
+ * stroke by at most a quarter of the brush radius.
  */
 export function strokePoints<P extends readonly [number, number, number]>(drawn: readonly P[], radiusMm: number): P[] {
   const limit = radiusMm / 4;
-  const kept: P[] = [];
+  const reduced: P[] = [];
   for (const point of drawn) {
-    const last = kept.at(-1);
+    const last = reduced.at(-1);
     const far =
       last === undefined ||
       Math.hypot(point[0] - last[0], point[1] - last[1], point[2] - last[2]) >= Math.max(limit, 0.1);
-    if (far) kept.push(point);
+    if (far) reduced.push(point);
   }
   const end = drawn.at(-1);
-  if (end !== undefined && kept.at(-1) !== end && kept.length > 0) kept.push(end);
-  return kept.slice(0, MAX_STROKE);
+  if (end !== undefined && reduced.at(-1) !== end && reduced.length > 0) reduced.push(end);
+  return reduced.slice(0, MAX_STROKE);
 }
 
-/** Largest number of stroke points that the wire accepts. */
+/** Largest number of points of a stroke that the protocol accepts. */
 const MAX_STROKE = 2000;

@@ -63,8 +63,8 @@ const onScreen = (x: number, y: number, z: number) => {
 
 const TREE = made();
 
-describe("the branch under a cursor", () => {
-  it("in a slice is the one whose lumen the point lies in", () => {
+describe("branch under the cursor", () => {
+  it("In a slice it is the branch whose lumen contains the point, although another centreline may be nearer.", () => {
     expect(placeInLumen(TREE.index, [6, 0, -20])?.branchId).toBe(0);
     expect(placeInLumen(TREE.index, [-30, 0, -55])?.branchId).toBe(1);
     expect(placeInLumen(TREE.index, [0, 30, -20])).toBeNull();
@@ -72,11 +72,11 @@ describe("the branch under a cursor", () => {
     expect(placeInLumen(TREE.index, [36, 4, -58])?.branchId).toBe(2);
   });
 
-  it("tells where along the branch it is", () => {
+  it("nearestPlace returns the distance along the branch.", () => {
     expect(nearestPlace(TREE.index, [3, 1, -20])).toMatchObject({ branchId: 0, alongMm: 20 });
   });
 
-  it("from outside is the one in front, and a thin one is caught beside it", () => {
+  it("In an outside view it is the frontmost branch, and a thin branch is found a few pixels beside it.", () => {
     expect(placeFromOutside(TREE.index, FRONT, onScreen(0, 0, -20), 1)?.branchId).toBe(0);
     expect(placeFromOutside(TREE.index, FRONT, onScreen(-20, 0, -50), 1)?.branchId).toBe(1);
     // The thin branch is behind the end of the left branch, and visible only beyond that end.
@@ -86,7 +86,7 @@ describe("the branch under a cursor", () => {
     expect(placeFromOutside(TREE.index, FRONT, { column: 20, row: 20 }, 1)).toBeNull();
   });
 
-  it("in the airway view is the opening that is pointed at, else the branch of the tip", () => {
+  it("In the airway view it is the branch whose opening is under the cursor, else the branch of the tip.", () => {
     const down: SeenGeometry = {
       ...FRONT,
       camera: { right: [1, 0, 0], down: [0, 1, 0], forward: [0, 0, -1], position: [0, 0, -15] },
@@ -98,8 +98,8 @@ describe("the branch under a cursor", () => {
   });
 });
 
-describe("what hangs on a branch", () => {
-  it("is itself and all below", () => {
+describe("descendants of a branch", () => {
+  it("below returns the branch and all its descendants.", () => {
     const ids = (id: number) => {
       const node = TREE.byId.get(id);
       return node === undefined ? [] : below(node).map((member) => member.branch.id);
@@ -108,7 +108,7 @@ describe("what hangs on a branch", () => {
     expect(new Set(ids(0))).toEqual(new Set([0, 1, 2, 3]));
   });
 
-  it("begins at the place of the cut", () => {
+  it("pointsFrom returns the points from the given position to the branch's end.", () => {
     const trunk = TREE.root;
     const rest = pointsFrom(trunk, 33);
     expect(rest[0]?.[2]).toBeCloseTo(-33);
@@ -118,8 +118,8 @@ describe("what hangs on a branch", () => {
   });
 });
 
-describe("the fork that is meant", () => {
-  it("is the nearer end of the branch, if something begins there", () => {
+describe("forkOf", () => {
+  it("It returns the branch that ends at the nearer fork, or the branch's own fork if there is no other.", () => {
     expect(forkOf(TREE, 2, 2)).toBe(0);
     expect(forkOf(TREE, 2, 40)).toBe(2);
     expect(forkOf(TREE, 1, 40)).toBe(0);

@@ -8,10 +8,10 @@ import { add, type Camera, distance, dot, scale, sub, unit, type Vec3 } from "./
 
 export type { TreeIndex } from "./branch-tree";
 
-/** A place on the tree. */
+/** A position on the tree: a branch, and the nearest point of its centreline. */
 export interface TreePlace {
   readonly branchId: number;
-  /** Distance along the branch from its beginning, mm. */
+  /** Distance along the branch from its beginning to the point, mm. */
   readonly alongMm: number;
   /** Point on the centreline, LPS mm. */
   readonly lps: Vec3;
@@ -20,7 +20,7 @@ export interface TreePlace {
   readonly distanceMm: number;
 }
 
-/** Return the index of all centreline points. */
+/** Return the search index of the centreline points of all branches. */
 export function indexOf(nodes: Iterable<BranchNode>): TreeIndex {
   const all = [...nodes];
   const count = all.reduce((sum, node) => sum + node.branch.points.length, 0);
@@ -62,7 +62,10 @@ function placeOf(index: TreeIndex, n: number, distanceMm: number): TreePlace {
   };
 }
 
-/** Return the nearest place on the centrelines; null if there are none. At a fork the thinner child branch wins. */
+/**
+ * Return the position on the centrelines nearest to a patient point; null for an empty tree. At a fork, where several
+ * branches are equally near, the thinner child branch is returned.
+ */
 export function nearestPlace(index: TreeIndex, lps: Vec3): TreePlace | null {
   let best = -1;
   let least = Number.POSITIVE_INFINITY;
@@ -79,13 +82,16 @@ export function nearestPlace(index: TreeIndex, lps: Vec3): TreePlace | null {
   return best < 0 ? null : placeOf(index, best, Math.sqrt(least));
 }
 
-/** Tolerance of the lumen test: half a voxel of a common CT, and the error of the centrelines. */
+/**
+ * Tolerance of the lumen test: factor (`times`) and addend (`plusMm`) of the radius, for half a voxel of a common CT
+ * and the error of the centrelines.
+ */
 const IN_LUMEN = { times: 1.15, plusMm: 0.6 };
 
-/** Return the branch whose lumen contains a point, or null. */
+/** Return the position on the branch whose lumen contains a patient point; null outside all lumens. */
 export function placeInLumen(index: TreeIndex, lps: Vec3): TreePlace | null {
-  // The nearest centreline is not sufficient: near the wall of a thick airway, a thin airway's centreline may be nearer
-  // although its lumen does not contain the point.
+  // The nearest centreline is not sufficient: near the wall of a thick airway, the centreline of a thin airway may be
+  // nearer although its lumen does not contain the point.
   let best = -1;
   let least = 1;
   for (let n = 0; n < index.x.length; n += 1) {
@@ -105,10 +111,10 @@ export function placeInLumen(index: TreeIndex, lps: Vec3): TreePlace | null {
   return { ...place, distanceMm: distance(place.lps, lps) };
 }
 
-/** Distance in screen px up to which the cursor selects a thin branch. */
+/** Distance from the cursor, screen px, up to which a thin branch is selected. */
 const REACH_PX = 7;
 
-/** Return the place of the tree under a cursor in an outside view: the frontmost of the lumens under the cursor. */
+/** Return the position on the frontmost branch under the cursor in an outside view; null on the background. */
 export function placeFromOutside(
   index: TreeIndex,
   geometry: SeenGeometry,
@@ -133,8 +139,8 @@ export function placeFromOutside(
     );
     const radius = index.radius[n] ?? 0;
     if (away > radius * perMm + REACH_PX * pxPerScreenPx) continue;
-    // The frontmost branch wins; among branches at the same depth, the one nearest to the cursor. The near wall of a
-    // lumen hides what is inside and behind the lumen.
+    // Prefer the frontmost branch, because the near wall of a lumen hides everything behind it. Among branches at the
+    // same depth, prefer the one nearest to the cursor.
     const worth = depth - radius + (2 * away) / perMm;
     if (worth < bestWorth) {
       bestWorth = worth;
@@ -145,13 +151,14 @@ export function placeFromOutside(
   return placeOf(index, best, 0);
 }
 
-/** Distance ahead up to which an opening is distinguishable from the wall, mm. */
+/** Distance ahead of the camera, mm, up to which an opening is distinguishable from the wall. */
 const AHEAD_MM = 90;
+/** Number of generations beyond the tip's branch whose openings are searched. */
 const GENERATIONS_AHEAD = 3;
 
 /**
- * Return the branch that a place in the airway view leads into: the farthest of the openings under the cursor, else the
- * branch that contains the tip.
+ * Return the ID of the branch whose opening is under the cursor in the airway view, the farthest if there are several;
+ * else the ID of the branch that contains the tip. Null if that branch does not exist.
  */
 export function branchAhead(tree: BranchTree, hereId: number, geometry: Geometry, pixel: PixelPoint): number | null {
   const here = tree.byId.get(hereId);
@@ -170,18 +177,18 @@ export function branchAhead(tree: BranchTree, hereId: number, geometry: Geometry
   return best;
 }
 
-/** A branch opening in a picture. */
+/** Opening of a branch in a picture: position and radius. */
 export interface Opening extends PixelPoint {
   readonly radiusPx: number;
 }
 
 /**
- * Return the position and size of a branch's opening in a camera picture; null if the opening is not in front of the
- * camera.
+ * Return the position and the radius of a branch's opening in a camera picture; null if the opening is not in front of
+ * the camera.
  */
 export function openingOf(node: BranchNode, geometry: SeenGeometry): Opening | null {
   const { branch } = node;
-  // Measure past the spur, where the branch is separate from its parent.
+  // Measure at a point past the spur, where the branch is separate from its parent.
   const far = Math.min(Math.max(node.diameterMm, 3), 8);
   let along = 0;
   let at = 0;
@@ -192,7 +199,8 @@ export function openingOf(node: BranchNode, geometry: SeenGeometry): Opening | n
   const lps = pointOf(branch.points[at]);
   const seen = pixelFromLps(geometry, lps);
   if (seen === null || seen.depthMm < 1 || seen.depthMm > AHEAD_MM) return null;
-  // Project a point one radius aside, which is exact for every lens model, not only for a pinhole.
+  // Project a point one radius to the side, which gives the radius in the picture for every lens model and not only for
+  // a pinhole.
   const aside = pixelFromLps(geometry, add(lps, scale(sideways(geometry.camera), branch.radius[at] ?? 1)));
   if (aside === null) return null;
   return {
@@ -206,7 +214,10 @@ const sideways = (camera: Camera): Vec3 => unit(camera.right);
 
 const pointOf = (point: readonly [number, number, number] | undefined): Vec3 => point ?? [0, 0, 0];
 
-/** Return the points of a branch from a position along it to its end, including the position. */
+/**
+ * Return the centreline points of a branch from a position along it to its end. The first point is interpolated at the
+ * position.
+ */
 export function pointsFrom(node: BranchNode, alongMm: number): Vec3[] {
   const { points } = node.branch;
   let along = 0;

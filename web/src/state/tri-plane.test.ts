@@ -50,10 +50,10 @@ function camera(): SeenGeometry {
 
 const CENTRE: Vec3 = [5, -4, 6];
 
-describe("the planes of the tri-plane view", () => {
+describe("planes of the tri-plane view", () => {
   const geometry = camera();
 
-  it("lie under the cursor where the camera sees them first", () => {
+  it("planeUnder returns the plane that the camera sees at the pixel, with the point on it.", () => {
     for (const [plane, lps] of [
       ["axial", [15, -14, 6]],
       ["coronal", [20, -4, 20]],
@@ -69,7 +69,7 @@ describe("the planes of the tri-plane view", () => {
     }
   });
 
-  it("hide those behind them, and the background is none", () => {
+  it("The nearest plane hides the others, and the background gives null.", () => {
     // Below the axial plane, but seen from above, the ray meets the axial plane first.
     const pixel = pixelFromLps(geometry, [5, -4, -10]);
     if (pixel === null) throw new Error("not seen");
@@ -77,7 +77,7 @@ describe("the planes of the tri-plane view", () => {
     expect(planeUnder(geometry, GRID, CENTRE, { column: 1, row: 1 })).toBeNull();
   });
 
-  it("have outlines in the volume, round the plane", () => {
+  it("outlineOf returns corners on the plane and on the box, and none for a plane outside the volume.", () => {
     for (const axis of [0, 1, 2] as const) {
       const outline = outlineOf(GRID, CENTRE, axis);
       expect(outline.length).toBeGreaterThanOrEqual(4);
@@ -90,7 +90,7 @@ describe("the planes of the tri-plane view", () => {
     expect(outlineOf(GRID, [900, 0, 0], 0)).toEqual([]);
   });
 
-  it("follow a drag along their normal", () => {
+  it("A drag along the projected normal moves the plane by that distance, and a perpendicular drag by 0.", () => {
     const lps: Vec3 = [15, -14, 6];
     const grabbed = { plane: "axial", axis: 2, lps } as const;
     const from = pixelFromLps(geometry, lps);
@@ -103,7 +103,7 @@ describe("the planes of the tri-plane view", () => {
     expect(dragMm(geometry, grabbed, { dx: -(to.row - from.row), dy: to.column - from.column })).toBeCloseTo(0, 6);
   });
 
-  it("come nearer with a drag upwards where they face the viewer", () => {
+  it("If the normal points to the viewer, an upward drag moves the plane nearer.", () => {
     // Seen straight from above, the axial plane's normal projects to a point.
     const above = geometryOf({
       width: 200,

@@ -1,7 +1,7 @@
 /**
- * The three planes of the tri-plane view as its camera sees them: outlines, the plane under the cursor, and the
- * distance that a drag moves a plane along its normal. As in the ray caster, the nearest plane inside the volume along
- * a ray is visible.
+ * The three planes of the tri-plane view as its camera sees them: their outlines, the plane under the cursor, and the
+ * distance that a drag moves a plane along its normal. As in the ray caster, the first plane that a ray meets inside
+ * the volume is visible.
  */
 
 import type { PlaneName } from "../wire/views";
@@ -16,7 +16,7 @@ const AXES: readonly [Vec3, Vec3, Vec3] = [
   [0, 0, 1],
 ];
 
-/** The plane under the cursor, and the point on it. */
+/** The plane under the cursor, and the point of the plane under the cursor. */
 export interface PlaneHit {
   readonly plane: PlaneName;
   readonly axis: 0 | 1 | 2;
@@ -36,7 +36,7 @@ function box(grid: Grid): { origin: Vec3; edges: readonly [Vec3, Vec3, Vec3] } {
   };
 }
 
-/** Return whether a point is inside the box of the voxels. */
+/** Return whether a patient point is inside the box of the voxels. */
 export function isInside(grid: Grid, lps: Vec3): boolean {
   const { origin, edges } = box(grid);
   const volume = dot(edges[0], cross(edges[1], edges[2]));
@@ -48,7 +48,7 @@ export function isInside(grid: Grid, lps: Vec3): boolean {
   });
 }
 
-/** Return the unit direction of the ray through a place of the picture. */
+/** Return the unit direction, LPS, of the ray through a position in the picture. */
 function rayThrough(geometry: SeenGeometry, pixel: PixelPoint): Vec3 {
   const { camera, focalPx, width, height } = geometry;
   const across = scale(camera.right, (pixel.column - width / 2) / focalPx);
@@ -56,7 +56,7 @@ function rayThrough(geometry: SeenGeometry, pixel: PixelPoint): Vec3 {
   return unit(add(camera.forward, add(across, along)));
 }
 
-/** Return the plane under the cursor with the point on it; null on the background. */
+/** Return the visible plane under a position in the picture, with its point there; null on the background. */
 export function planeUnder(geometry: SeenGeometry, grid: Grid, centre: Vec3, pixel: PixelPoint): PlaneHit | null {
   const dir = rayThrough(geometry, pixel);
   const origin = geometry.camera.position;
@@ -71,15 +71,15 @@ export function planeUnder(geometry: SeenGeometry, grid: Grid, centre: Vec3, pix
   return null;
 }
 
-/** Return the two elements after one of three, in cyclic order. */
+/** Return the two elements that follow one of three elements in cyclic order. */
 function others(three: readonly [Vec3, Vec3, Vec3], one: 0 | 1 | 2): [Vec3, Vec3] {
   const [x, y, z] = three;
   return one === 0 ? [y, z] : one === 1 ? [z, x] : [x, y];
 }
 
 /**
- * Return the corners of a plane's part inside the volume, in order around it; fewer than three if the plane misses the
- * volume.
+ * Return the corners of the part of a plane that is inside the volume, in order around the part; fewer than three
+ * corners if the plane is outside the volume.
  */
 export function outlineOf(grid: Grid, centre: Vec3, axis: 0 | 1 | 2): Vec3[] {
   const { origin, edges } = box(grid);
@@ -109,12 +109,12 @@ export function outlineOf(grid: Grid, centre: Vec3, axis: 0 | 1 | 2): Vec3[] {
 }
 
 /**
- * Projected length of a normal, px per mm, below which the normal points to the viewer; an upward drag then moves the
- * plane nearer.
+ * Projected length of a plane's normal, px per mm, below which the normal points nearly to the viewer. An upward drag
+ * then moves the plane nearer.
  */
 const FACE_ON_PX_PER_MM = 0.35;
 
-/** Return the distance, mm along its normal, by which a drag (picture px) moves the plane grabbed at a point. */
+/** Return the distance along its normal, mm, by which a drag (picture px) moves a plane grabbed at a point. */
 export function dragMm(
   geometry: SeenGeometry,
   grabbed: PlaneHit,

@@ -21,8 +21,8 @@ const place = (kind: UncertainPlace["kind"], statement: string, explanation: str
   explanation,
 });
 
-describe("places that could not be followed", () => {
-  it("show the explanation once where several places of a kind have it", () => {
+describe("groupsOf", () => {
+  it("Places of the same kind with the same explanation share one explanation.", () => {
     const groups = groupsOf([
       place("leak", "lost here, 4.1 mm wide", "its wall is too thin here"),
       place("lost", "lost here, 3.9 mm wide"),
@@ -35,7 +35,7 @@ describe("places that could not be followed", () => {
     ]);
   });
 
-  it("show the explanation in the text of a single place", () => {
+  it("A single place has the explanation in its own text.", () => {
     const [group] = groupsOf([place("faint", "its wall is barely visible", "it may not be an airway")]);
     expect(group?.why).toBeNull();
     expect(group?.places[0]?.words).toBe("its wall is barely visible: it may not be an airway");

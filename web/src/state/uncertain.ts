@@ -1,15 +1,20 @@
-/** Groups of places at which the search could not follow an airway; a common text of a group is shown once. */
+/**
+ * Grouping of the places at which the search could not follow an airway, so that a common explanation is shown once.
+ */
 
 import type { UncertainPlace } from "../wire/messages";
 
 /** A group of places of the same kind. */
 export interface UncertainGroup {
-  /** Possible reasons for all places of the group; null where each place has its own text. */
+  /** Explanation that all places of the group have in common; null if each place has its own text. */
   readonly why: string | null;
   readonly places: readonly { readonly place: UncertainPlace; readonly words: string }[];
 }
 
-/** Group places by kind, in the order of their first occurrence. The server supplies the texts. */
+/**
+ * Group places by their kind, in the order of their first occurrence. The explanation of a group with several places is
+ * that of its first place. The server supplies the texts.
+ */
 export function groupsOf(places: readonly UncertainPlace[]): UncertainGroup[] {
   const kinds = new Map<UncertainPlace["kind"], UncertainPlace[]>();
   for (const place of places) kinds.set(place.kind, [...(kinds.get(place.kind) ?? []), place]);

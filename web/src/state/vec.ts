@@ -7,11 +7,11 @@ export type Vec3 = readonly [number, number, number];
 export const add = (a: Vec3, b: Vec3): Vec3 => [a[0] + b[0], a[1] + b[1], a[2] + b[2]];
 /** Return a - b. */
 export const sub = (a: Vec3, b: Vec3): Vec3 => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
-/** Return a times a factor. */
+/** Return the vector a multiplied by the number s. */
 export const scale = (a: Vec3, s: number): Vec3 => [a[0] * s, a[1] * s, a[2] * s];
-/** Return the dot product. */
+/** Return the dot product of two vectors. */
 export const dot = (a: Vec3, b: Vec3): number => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-/** Return the cross product a x b. */
+/** Return the cross product a x b of two vectors. */
 export const cross = (a: Vec3, b: Vec3): Vec3 => [
   a[1] * b[2] - a[2] * b[1],
   a[2] * b[0] - a[0] * b[2],
@@ -34,7 +34,7 @@ export function unit(a: Vec3): Vec3 {
   return n > 0 ? scale(a, 1 / n) : a;
 }
 
-/** Return a list of three numbers as a point; throw an Error for any other length. */
+/** Convert a list of three numbers to a point; throw an Error for any other length. */
 export function asVec3(values: readonly number[]): Vec3 {
   const [x, y, z] = values;
   if (values.length !== 3 || x === undefined || y === undefined || z === undefined) {
@@ -43,7 +43,7 @@ export function asVec3(values: readonly number[]): Vec3 {
   return [x, y, z];
 }
 
-/** Return column `index` (0..3) of a row-major 4x4 matrix, without its last row. */
+/** Return the first three numbers of column `index` (0..3) of a row-major 4x4 matrix. */
 export function column(matrix: readonly number[], index: number): Vec3 {
   return [matrix[index] ?? 0, matrix[4 + index] ?? 0, matrix[8 + index] ?? 0];
 }
@@ -56,7 +56,7 @@ export interface Camera {
   position: Vec3;
 }
 
-/** Return a camera tilted upwards about its right axis, as in a forward-oblique scope. */
+/** Return a camera tilted upwards about its right axis by an angle in degrees, as in a forward-oblique scope. */
 export function lookingUp(camera: Camera, deg: number): Camera {
   const c = Math.cos((deg * Math.PI) / 180);
   const s = Math.sin((deg * Math.PI) / 180);

@@ -1,4 +1,6 @@
-/** Queries of the table of views (`wire/views.ts`). Other files must not compare view names. */
+/**
+ * Queries of the table of views (`wire/views.ts`). Other files use these queries instead of comparing names of views.
+ */
 
 import type { ViewName } from "../wire/messages";
 import { CELLS, type CellName, LEAD_VIEW, PLANES, type PlaneName, VIEWS } from "../wire/views";
@@ -6,47 +8,47 @@ import { CELLS, type CellName, LEAD_VIEW, PLANES, type PlaneName, VIEWS } from "
 type Zoom = (typeof VIEWS)[ViewName]["zoom"];
 type ViewsWith<Z extends Zoom> = { [V in ViewName]: (typeof VIEWS)[V]["zoom"] extends Z ? V : never }[ViewName];
 
-/** Views with zoom and pan in their own plane. */
+/** Names of the views that zoom and pan in a plane. */
 export type FlatView = ViewsWith<"slice" | "extent">;
-/** Views whose camera orbits the displayed object. */
+/** Names of the views whose camera orbits the displayed object. */
 export type OrbitView = ViewsWith<"orbit">;
-/** Places of the window beside the airway view. */
+/** Names of the window's cells beside the airway view. */
 export type SideCell = Exclude<CellName, typeof LEAD_VIEW>;
-/** The view that each place of the window shows. */
+/** The view that each cell of the window shows. */
 export type ShownViews = Readonly<Record<CellName, ViewName>>;
 
 /** Names of all views. */
 export const VIEW_NAMES = Object.keys(VIEWS) as ViewName[];
-/** Places beside the airway view, in order. */
+/** Names of the cells beside the airway view, in order. */
 export const SIDE_CELLS = (Object.keys(CELLS) as CellName[]).filter((cell): cell is SideCell => cell !== LEAD_VIEW);
 
-/** Return whether a view is zoomed and panned in its own plane. */
+/** Return whether a view zooms and pans in a plane. */
 export const isFlatView = (view: ViewName): view is FlatView =>
   VIEWS[view].zoom === "slice" || VIEWS[view].zoom === "extent";
 /** Return whether a view's camera orbits the displayed object. */
 export const isOrbitView = (view: ViewName): view is OrbitView => VIEWS[view].zoom === "orbit";
-/** Views with zoom and pan in their own plane. */
+/** The views that zoom and pan in a plane. */
 export const FLAT_VIEWS = VIEW_NAMES.filter(isFlatView);
 
-/** Return the views that a place can show. */
+/** Return the views that a cell of the window can show. */
 export const viewsOf = (cell: CellName): readonly ViewName[] => CELLS[cell].views;
 
 const firstOf = (cell: CellName): ViewName => CELLS[cell].views[0];
-/** The view that each place shows at first. */
+/** The view that each cell of the window shows at first. */
 export const FIRST_SHOWN: ShownViews = Object.fromEntries(
   (Object.keys(CELLS) as CellName[]).map((cell) => [cell, firstOf(cell)]),
 ) as Record<CellName, ViewName>;
 
-/** Return the view after the current view of a place, in cyclic order. */
+/** Return the view that follows the current view of a cell, in cyclic order. */
 export function nextIn(cell: CellName, shown: ShownViews): ViewName {
   const views = viewsOf(cell);
   return views[(views.indexOf(shown[cell]) + 1) % views.length] ?? firstOf(cell);
 }
 
-/** Return the shown views after a view was brought to its place. */
+/** Return the shown views after one view was brought into its cell. */
 export const showing = (view: ViewName, shown: ShownViews): ShownViews => ({ ...shown, [VIEWS[view].cell]: view });
 
-/** Return the view with this kind of zoom. */
+/** Return the first view with a kind of zoom; throw an Error if there is none. */
 export function viewZoomedBy(zoom: Zoom): ViewName {
   const found = VIEW_NAMES.find((view) => VIEWS[view].zoom === zoom);
   if (found === undefined) throw new Error(`no view is moved by ${zoom}`);

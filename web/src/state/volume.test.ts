@@ -21,8 +21,8 @@ function obliqueGrid(random: () => number) {
   return { grid, at };
 }
 
-describe("the volume's box", () => {
-  it("leaves points inside as they are", () => {
+describe("clampToVolume", () => {
+  it("A point inside the volume is returned unchanged.", () => {
     const random = randomOf(21);
     for (let round = 0; round < 100; round += 1) {
       const { grid, at } = obliqueGrid(random);
@@ -31,7 +31,7 @@ describe("the volume's box", () => {
     }
   });
 
-  it("brings points outside to the nearest voxel coordinates inside, each axis for itself", () => {
+  it("A point outside is moved to the nearest voxel coordinate inside, on each axis separately.", () => {
     const random = randomOf(22);
     for (let round = 0; round < 100; round += 1) {
       const { grid, at } = obliqueGrid(random);

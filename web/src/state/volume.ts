@@ -6,7 +6,7 @@ import { add, asVec3, column, cross, dot, scale, sub, type Vec3 } from "./vec";
 /** The voxel grid of the open volume: its affine matrix and shape. */
 export type Grid = Pick<CaseInfo, "lps_from_ijk" | "shape_zyx">;
 
-/** Return a point with its voxel coordinates limited to the box; exact on oblique grids. */
+/** Return a patient point with its voxel coordinates clamped to the box, LPS mm; correct for oblique grids. */
 export function clampToVolume(grid: Grid, lps: Vec3): Vec3 {
   const axes = [column(grid.lps_from_ijk, 0), column(grid.lps_from_ijk, 1), column(grid.lps_from_ijk, 2)] as const;
   const origin = column(grid.lps_from_ijk, 3);
@@ -20,17 +20,20 @@ export function clampToVolume(grid: Grid, lps: Vec3): Vec3 {
   ] as const;
   const [nz, ny, nx] = grid.shape_zyx;
   const clamped = [clamp(ijk[0], nx), clamp(ijk[1], ny), clamp(ijk[2], nz)] as const;
-  // A point inside is returned unchanged, without the rounding of a conversion to voxel coordinates and back.
+  // Return a point inside the box unchanged, without the rounding of a conversion to voxel coordinates and back.
   if (clamped.every((value, axis) => value === ijk[axis])) return lps;
   return add(origin, add(add(scale(axes[0], clamped[0]), scale(axes[1], clamped[1])), scale(axes[2], clamped[2])));
 }
 
-/** Limit slightly inside the box, because rounding may move a point on the edge outside. */
+/**
+ * Distance of the limit from the centre of the outermost voxel, voxels. It is slightly below 0.5, because rounding may
+ * move a point on the edge outside.
+ */
 const EDGE_VOX = 0.499;
 
 const clamp = (value: number, count: number): number => Math.min(Math.max(value, -EDGE_VOX), count - 1 + EDGE_VOX);
 
-/** Return the middle of the box. */
+/** Return the middle of the volume's box, LPS mm. */
 export function middleOf(info: Grid): Vec3 {
   const [nz, ny, nx] = asVec3(info.shape_zyx);
   return [nx, ny, nz].reduce<Vec3>(

@@ -18,7 +18,7 @@ const picked = (...answers: PickedMessage[]): readonly WallPoint[] =>
   answers.reduce(addPick, [] as readonly WallPoint[]);
 
 describe("wall points", () => {
-  it("say where they are, how far away, what the scan shows and in which airway", () => {
+  it("The lines state position, airway, distance from the lens and voxel value in HU.", () => {
     expect(wallPointLines(picked(answer([-12.34, -4.5, 100.2])), null, true)).toEqual([
       "R\u202f12.3  A\u202f4.5  S\u202f100.2 mm",
       "RUL, generation 2",
@@ -27,7 +27,7 @@ describe("wall points", () => {
     ]);
   });
 
-  it("say so where the numbers of the file are not HU, and nothing that is not known", () => {
+  it("The lines state that values are not HU, and leave out unknown facts.", () => {
     const bare = answer([1, 2, 3], { branch_id: null, branch_name: null, generation: null });
     expect(wallPointLines(picked(bare), null, false).slice(2)).toEqual(["\u2212412 (not HU)"]);
     const unnamed = answer([1, 2, 3], { branch_name: null, generation: 6, voxel_value: null });
@@ -37,7 +37,7 @@ describe("wall points", () => {
     ]);
   });
 
-  it("two of them have a distance, and the oldest leaves when a third comes", () => {
+  it("The distance of the last two points is stated, and a third point replaces the oldest.", () => {
     const two = picked(answer([0, 0, 0]), answer([3, 4, 0]));
     expect(pointsApartMm(two)).toBeCloseTo(5);
     expect(wallPointLines(two, null, true).at(-1)).toBe("5.0\u202fmm apart");
@@ -47,7 +47,7 @@ describe("wall points", () => {
     expect(pointsApartMm(picked(answer([0, 0, 0])))).toBeNull();
   });
 
-  it("a ray that meets no wall adds none", () => {
+  it("A click that hits no wall adds no point.", () => {
     const one = picked(answer([1, 2, 3]));
     expect(addPick(one, answer(null))).toBe(one);
     expect(wallPointLines([], null, true)).toEqual([]);

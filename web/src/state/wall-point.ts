@@ -15,10 +15,13 @@ export interface WallPoint {
   readonly generation: number | null;
 }
 
-/** Largest number of points: two, for a distance measurement. */
+/** Largest number of stored wall points: two, for a distance measurement. */
 const MAX_POINTS = 2;
 
-/** Return the points with the point of an answer; unchanged if the click hit no wall. */
+/**
+ * Return the wall points with the point of a new answer, and without the oldest if there are too many; unchanged if the
+ * click hit no wall.
+ */
 export function addPick(points: readonly WallPoint[], answer: PickedMessage): readonly WallPoint[] {
   if (answer.lps === null || answer.depth_mm === null) return points;
   const point = {
@@ -32,23 +35,26 @@ export function addPick(points: readonly WallPoint[], answer: PickedMessage): re
   return [...points, point].slice(-MAX_POINTS);
 }
 
-/** Return the straight distance between the last two points, mm; null with fewer than two. */
+/** Return the straight distance between the last two wall points, mm; null with fewer than two. */
 export function pointsApartMm(points: readonly WallPoint[]): number | null {
   const [before, newest] = points.slice(-MAX_POINTS);
   return before === undefined || newest === undefined ? null : distance(before.lps, newest.lps);
 }
 
-/** Return the facts about the latest point, one per line. `label` is the name of its branch, if the tree has one. */
+/**
+ * Return the facts about the latest wall point, one per line. `label` is the list's name of the branch, which replaces
+ * a missing name.
+ */
 export function wallPointLines(points: readonly WallPoint[], label: string | null, isHu: boolean): readonly string[] {
   const newest = points.at(-1);
   if (newest === undefined) return [];
-  // Longer lines come first, where the round picture leaves more space.
+  // Put longer lines first, because the round picture leaves more space at the top of the corner.
   const lines = [coordinates(newest.lps)];
   const branch = newest.branchName ?? label;
   if (branch !== null) {
     lines.push(newest.generation === null ? branch : `${branch}, generation ${newest.generation}`);
   }
-  // The tip moves on, so the text states that the distance was measured at the click.
+  // State that the distance was measured at the click, because the tip moves on.
   lines.push(`${mm(newest.depthMm)} away when clicked`);
   if (newest.voxelValue !== null) lines.push(`${fixed(newest.voxelValue)}${isHu ? " HU" : " (not HU)"}`);
   const apart = pointsApartMm(points);

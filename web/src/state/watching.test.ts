@@ -1,9 +1,9 @@
 import { describe, expect, it } from "vitest";
 import { FIRST_SIGHT } from "../wire/messages";
-import { mayWatcherSend, watchingWords } from "./watching";
+import { mayWatcherSend, watchingText } from "./watching";
 
-describe("a window that watches", () => {
-  it("may set its own sight and ask about what it sees, and nothing else", () => {
+describe("window that only watches", () => {
+  it("It may send its own view settings and queries, and no other message.", () => {
     expect(mayWatcherSend({ type: "set_crosshair", lps: null })).toBe(true);
     expect(mayWatcherSend({ type: "set_carm", ...FIRST_SIGHT.carm })).toBe(true);
     expect(mayWatcherSend({ type: "probe", lps: [0, 0, 0] })).toBe(true);
@@ -13,11 +13,11 @@ describe("a window that watches", () => {
     expect(mayWatcherSend({ type: "set_fov", fov_deg: 90 })).toBe(false);
   });
 
-  it("is counted in the top bar", () => {
+  it("The top bar states the number of watchers.", () => {
     const page = { url: "", address: "", sha256: "", num_refused: 0, watchers: [] };
     const watcher = { number: 1, address: "192.0.2.1", since_s: 0 };
-    expect(watchingWords(page)).toBe("on the network");
-    expect(watchingWords({ ...page, watchers: [watcher] })).toBe("1 person watching");
-    expect(watchingWords({ ...page, watchers: [watcher, { ...watcher, number: 2 }] })).toBe("2 people watching");
+    expect(watchingText(page)).toBe("on the network");
+    expect(watchingText({ ...page, watchers: [watcher] })).toBe("1 person watching");
+    expect(watchingText({ ...page, watchers: [watcher, { ...watcher, number: 2 }] })).toBe("2 people watching");
   });
 });

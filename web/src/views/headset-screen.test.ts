@@ -18,20 +18,20 @@ function close(found: readonly number[], expected: readonly number[]): void {
   for (const [n, value] of expected.entries()) expect(found[n]).toBeCloseTo(value, 5);
 }
 
-describe("the screen in the room", () => {
-  it("stands upright in front of the head, its right on the right", () => {
+describe("inFrontOf", () => {
+  it("The screen is upright in front of the head, with its right side on the right.", () => {
     const room = inFrontOf({ matrix: head(1, 1.7, 2, 0) }, 1);
     close(at(room, 0, 0), [1, 1.7, 0.5]);
     close(at(room, 1, 1), [1.8, 2.5, 0.5]);
   });
 
-  it("goes round with the head and does not tilt when the head looks up", () => {
+  it("The screen follows the horizontal direction of the head and does not tilt when the head looks up.", () => {
     const room = inFrontOf({ matrix: head(0, 1.7, 0, 90, 40) }, 1);
     close(at(room, 0, 0), [-1.5, 1.7, 0]);
     close(at(room, 1, 0), [-1.5, 1.7, -0.8]);
   });
 
-  it("is finite for a head that looks straight up", () => {
+  it("The screen is at the front of the room for a head that looks straight up.", () => {
     for (const [x, z] of [
       [0, 0],
       [1e-6, 0],
@@ -45,14 +45,14 @@ describe("the screen in the room", () => {
     }
   });
 
-  it("has the picture's proportions", () => {
+  it("The screen has the aspect ratio of the picture.", () => {
     close(at(inFrontOf({ matrix: IDENTITY }, 2), 1, 1), [1.6, 0.8, -1.5]);
     close(at(inFrontOf({ matrix: IDENTITY }, 0.5), 1, 1), [0.8, 1.6, -1.5]);
   });
 });
 
-describe("matrices", () => {
-  it("chain as WebGL has them: the right one first", () => {
+describe("product", () => {
+  it("The right matrix is applied first, as in WebGL.", () => {
     const move = new Float32Array([1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 5, 6, 7, 1]);
     const scale = new Float32Array([2, 0, 0, 0, 0, 3, 0, 0, 0, 0, 4, 0, 0, 0, 0, 1]);
     close([...product(move, scale)], [2, 0, 0, 0, 0, 3, 0, 0, 0, 0, 4, 0, 5, 6, 7, 1]);
@@ -97,8 +97,8 @@ const VIEW = { projectionMatrix: IDENTITY, transform: { inverse: { matrix: IDENT
 const VIEWER = { transform: { matrix: IDENTITY }, views: [VIEW, VIEW] } as unknown as XrViewerPose;
 const IMAGE = { width: 4, height: 4 } as unknown as NewestPicture["image"];
 
-describe("its pictures", () => {
-  it("are drawn for each eye at every refresh, and handed to the device only when they are new", async () => {
+describe("PictureScreen", () => {
+  it("The picture is drawn for each eye at every refresh, and uploaded only when it is new.", async () => {
     const log: string[] = [];
     let frameId = 1;
     const { screen, session, states } = screenOf(log, () => ({ image: IMAGE, frameId, round: true }));
@@ -115,7 +115,7 @@ describe("its pictures", () => {
     expect(log.filter((name) => name === "drawArrays").length).toBe(60);
   });
 
-  it("are seen from each eye: the room first moved into the eye, then projected", async () => {
+  it("Each eye uses its own view matrix and then its projection matrix.", async () => {
     const { screen, session, places } = screenOf([], () => ({ image: IMAGE, frameId: 1, round: true }));
     await screen.open(session);
     const eye = new Float32Array(IDENTITY);
@@ -127,7 +127,7 @@ describe("its pictures", () => {
     close([...(places[0] ?? [])].slice(12), [0.06, 0, 1.3, 1.5]);
   });
 
-  it("stay where the head was, until the screen is asked to come in front of it again", async () => {
+  it("The screen stays at its first position until it is placed again.", async () => {
     const { screen, session, places } = screenOf([], () => ({ image: IMAGE, frameId: 1, round: true }));
     await screen.open(session);
     screen.draw(VIEWER);
@@ -139,7 +139,7 @@ describe("its pictures", () => {
     close([...(places.at(-1) ?? [])].slice(12), [-1.5, 0, 0, 1]);
   });
 
-  it("are left out for an eye that the headset does not show now", async () => {
+  it("The picture is not drawn for an eye without a viewport.", async () => {
     const log: string[] = [];
     const { screen, session } = screenOf(log, () => ({ image: IMAGE, frameId: 1, round: true }), true, [true, false]);
     await screen.open(session);
@@ -147,7 +147,7 @@ describe("its pictures", () => {
     expect(log.filter((name) => name === "drawArrays").length).toBe(1);
   });
 
-  it("keep their proportions when the picture's change, and the screen its place", async () => {
+  it("A picture of another aspect ratio changes the width of the screen, but not its position.", async () => {
     let image = IMAGE;
     let frameId = 1;
     const { screen, session, places } = screenOf([], () => ({ image, frameId, round: true }));
@@ -163,7 +163,7 @@ describe("its pictures", () => {
     close([...(places.at(-1) ?? [])].slice(12), [0, 0, -1.5, 1]);
   });
 
-  it("are an empty room while there is none", async () => {
+  it("Without a picture the screen is only cleared.", async () => {
     const log: string[] = [];
     const { screen, session } = screenOf(log, () => null);
     await screen.open(session);
@@ -172,7 +172,7 @@ describe("its pictures", () => {
     expect(log).not.toContain("drawArrays");
   });
 
-  it("are refused in words where the device does not take the shaders", async () => {
+  it("A failed shader link is reported with the device's message.", async () => {
     const { screen, session } = screenOf([], () => null, false);
     await expect(screen.open(session)).rejects.toThrow("bad shader");
   });

@@ -1,37 +1,38 @@
 /**
- * A virtual screen in the headset that shows the latest airway picture. It is drawn at the headset's frame rate; a slow
- * renderer delays the picture but not the response to head movement.
+ * Virtual screen in the headset that shows the latest airway picture. The screen is drawn at the headset's frame rate;
+ * a slow renderer delays the picture but not the response to head movement.
  */
 
 import type { HeadsetScreen, XrSession, XrTransform, XrView, XrViewerPose } from "../input/devices/webxr";
 import fragmentText from "./shaders/screen.frag?raw";
 import vertexText from "./shaders/screen.vert?raw";
 
-/** Distance of the screen and half its height, m: about 55 degrees, as a monitor viewed from near. */
+/** Distance of the screen from the head, m. The screen has a visual angle of about 55 degrees, as a near monitor. */
 const AWAY_M = 1.5;
+/** Half the height of the screen, m. */
 const HALF_M = 0.8;
 
-/** The latest picture, with a version number that changes with it. */
+/** The latest airway picture; `frameId` changes with each new picture. */
 export interface NewestPicture {
   readonly image: TexImageSource & { readonly width: number; readonly height: number };
   readonly frameId: number;
   readonly round: boolean;
 }
 
-/** The part of the browser's `XRWebGLLayer` that is used. */
+/** The part of the browser's `XRWebGLLayer` that Carina uses. */
 export interface XrLayer {
   readonly framebuffer: WebGLFramebuffer | null;
   getViewport(view: XrView): { x: number; y: number; width: number; height: number } | null;
 }
 
 /** Page functions that {@link PictureScreen} uses; tests supply fakes. */
-export interface ScreenSurroundings {
+export interface ScreenHooks {
   newest(): NewestPicture | null;
   canvas(): HTMLCanvasElement;
   layer(session: XrSession, gl: WebGL2RenderingContext): XrLayer;
 }
 
-/** Return the column-major 4x4 matrix product a b, as WebGL uses it. */
+/** Return the product a b of two column-major 4x4 matrices, as WebGL uses them. */
 export function product(a: ArrayLike<number>, b: ArrayLike<number>): Float32Array {
   const found = new Float32Array(16);
   for (let column = 0; column < 4; column += 1) {
@@ -44,37 +45,40 @@ export function product(a: ArrayLike<number>, b: ArrayLike<number>): Float32Arra
   return found;
 }
 
-/** Return the column-major matrix `room_from_screen` of an upright screen in front of the head, at its height. */
+/**
+ * Return the column-major matrix `room_from_screen` of an upright screen in front of the head, at the height of the
+ * head.
+ */
 export function inFrontOf(head: Pick<XrTransform, "matrix">, aspect: number): Float32Array {
   const m = head.matrix;
-  // The head looks along -z. The vertical direction is ignored; for a head that looks straight up the screen is in
-  // direction -z of the room.
+  // The head looks along -z of its matrix. The vertical part of the direction is ignored. For a head that looks
+  // straight up, the screen is in direction -z of the room.
   let [x, z] = [-(m[8] ?? 0), -(m[10] ?? -1)];
   const flat = Math.hypot(x, z);
   [x, z] = flat < 1e-3 ? [0, -1] : [x / flat, z / flat];
   const [wide, high] = aspect >= 1 ? [HALF_M * aspect, HALF_M] : [HALF_M, HALF_M / aspect];
   const [px, py, pz] = [(m[12] ?? 0) + AWAY_M * x, m[13] ?? 0, (m[14] ?? 0) + AWAY_M * z];
-  // The screen's x axis is perpendicular to the viewing direction; its z axis points to the head.
+  // The x axis of the screen is perpendicular to the viewing direction, and its z axis points to the head.
   return new Float32Array([-z * wide, 0, x * wide, 0, 0, high, 0, 0, -x, 0, -z, 0, px, py, pz, 1]);
 }
 
-/** A WebGL screen in the headset. */
+/** Virtual screen that WebGL draws in the headset. */
 export class PictureScreen implements HeadsetScreen {
-  readonly #around: ScreenSurroundings;
+  readonly #hooks: ScreenHooks;
   #gl: WebGL2RenderingContext | null = null;
   #layer: XrLayer | null = null;
   #program: WebGLProgram | null = null;
   #texture: WebGLTexture | null = null;
   #uploaded: number | null = null;
-  /** Pose of the head when the screen was last placed. */
+  /** Pose of the head when the screen was last placed; null until the screen is placed. */
   #head: Pick<XrTransform, "matrix"> | null = null;
 
-  constructor(around: ScreenSurroundings) {
-    this.#around = around;
+  constructor(hooks: ScreenHooks) {
+    this.#hooks = hooks;
   }
 
   async open(session: XrSession): Promise<void> {
-    const canvas = this.#around.canvas();
+    const canvas = this.#hooks.canvas();
     const gl = canvas.getContext("webgl2", { xrCompatible: true, antialias: true, alpha: false });
     if (gl === null) throw new Error("this browser draws nothing by WebGL 2");
     await (gl as { makeXRCompatible?: () => Promise<void> }).makeXRCompatible?.();
@@ -90,7 +94,7 @@ export class PictureScreen implements HeadsetScreen {
     ] as const) {
       gl.texParameteri(gl.TEXTURE_2D, name, value);
     }
-    this.#layer = this.#around.layer(session, gl);
+    this.#layer = this.#hooks.layer(session, gl);
     session.updateRenderState({ baseLayer: this.#layer });
   }
 
@@ -101,7 +105,7 @@ export class PictureScreen implements HeadsetScreen {
     gl.bindFramebuffer(gl.FRAMEBUFFER, layer.framebuffer);
     gl.clearColor(0.055, 0.067, 0.075, 1);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-    const newest = this.#around.newest();
+    const newest = this.#hooks.newest();
     if (newest === null || newest.image.width === 0 || newest.image.height === 0) return;
     // biome-ignore lint/correctness/useHookAtTopLevel: WebGL's, no hook of React's
     gl.useProgram(this.#program);
@@ -111,10 +115,10 @@ export class PictureScreen implements HeadsetScreen {
       gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, newest.image);
       this.#uploaded = newest.frameId;
     }
-    // Copy, because WebXR may reuse the matrix of a frame.
+    // Copy the matrix, because WebXR may reuse the array of a frame.
     this.#head ??= { matrix: Float32Array.from(viewer.transform.matrix) };
-    // Use the aspect ratio of the current picture, because the page layout may change and a round lumen must stay
-    // round.
+    // Use the aspect ratio of the current picture, because the layout of the page may change it and a round lumen must
+    // stay round.
     const room = inFrontOf(this.#head, newest.image.width / newest.image.height);
     gl.uniform1i(gl.getUniformLocation(this.#program as WebGLProgram, "is_round"), newest.round ? 1 : 0);
     const place = gl.getUniformLocation(this.#program as WebGLProgram, "eye_from_screen");

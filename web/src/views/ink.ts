@@ -1,17 +1,17 @@
-/** Colours and strokes of the overlays. Red, yellow and green are reserved for the three planes. */
+/** Colours, marks and strokes of the overlays. Red, yellow and green are reserved for the three planes. */
 
-/** Colours of the planes. */
+/** Colours of the three slice planes. */
 export const PLANE_COLOURS = { axial: "#ff6f61", coronal: "#63d28c", sagittal: "#f3d34f" } as const;
 
-/** Colours of the overlays. */
+/** Colours of the overlays, apart from those of the planes. */
 export const INK = {
   text: "#e6e8ea",
   quiet: "#a9b1b8",
   accent: "#4fd3e6",
   warning: "#f4b44c",
-  /** Outline of the lumen: a hue that no plane, lobe or mark uses. */
+  /** Outline of the lumen, in a hue that no plane, lobe or mark has. */
   lumen: "#f08ce0",
-  /** A target with a size, and the needle path to the target. */
+  /** A target with a size, and the needle path to it. */
   lesion: "#b79cff",
   needle: "#ffffff",
   halo: "rgba(8, 10, 12, 0.85)",
@@ -22,7 +22,7 @@ export const INK = {
 /** Font family of the overlays. */
 export const FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Noto Sans", "DejaVu Sans", sans-serif';
 
-/** Drawing context of an overlay. */
+/** Canvas context on which an overlay is drawn. */
 export type Ink = CanvasRenderingContext2D;
 
 /** A point on the screen, CSS px. */
@@ -39,7 +39,7 @@ export interface Rect {
   height: number;
 }
 
-/** Draw text that is readable on any picture: light with a dark outline. */
+/** Draw text that is readable on any picture: light letters with a dark outline. */
 export function label(
   ink: Ink,
   text: string,
@@ -63,7 +63,7 @@ export function label(
   ink.fillText(text, at.x, at.y);
 }
 
-/** Draw a polyline. */
+/** Draw a polyline in a colour, width (CSS px) and opacity. */
 export function line(ink: Ink, points: readonly ScreenPoint[], colour: string, width: number, alpha = 1): void {
   if (points.length < 2) return;
   ink.save();
@@ -81,7 +81,7 @@ export function line(ink: Ink, points: readonly ScreenPoint[], colour: string, w
   ink.restore();
 }
 
-/** Draw the tip: a disc with its viewing direction; hollow if the tip is off the plane. */
+/** Draw the mark of the tip: a disc with the viewing direction, which is hollow if the tip is off the plane. */
 export function tipMark(ink: Ink, at: ScreenPoint, look: ScreenPoint | null, onPlane: boolean): void {
   ink.save();
   ink.lineWidth = 2;
@@ -112,7 +112,9 @@ export function tipMark(ink: Ink, at: ScreenPoint, look: ScreenPoint | null, onP
   ink.restore();
 }
 
-/** Draw the tip of a tracked pen: a nib whose point is at the tip; hollow if the tip is off the plane. */
+/**
+ * Draw the mark of a tracked pen: a nib whose point is at the pen's tip, which is hollow if the tip is off the plane.
+ */
 export function penMark(ink: Ink, at: ScreenPoint, onPlane: boolean): void {
   ink.save();
   ink.lineJoin = "round";
@@ -138,7 +140,7 @@ export function penMark(ink: Ink, at: ScreenPoint, onPlane: boolean): void {
   ink.restore();
 }
 
-/** Draw a target: a diamond, amber if there is no path to the target. */
+/** Draw the mark of a target: a diamond. The caller passes amber if no path leads to the target. */
 export function targetMark(ink: Ink, at: ScreenPoint, colour: string, alpha: number): void {
   ink.save();
   ink.globalAlpha = alpha;
@@ -159,11 +161,17 @@ export function targetMark(ink: Ink, at: ScreenPoint, colour: string, alpha: num
   ink.restore();
 }
 
-/** Placement of names beside their marks without overlap: a name moves to another side or is left out. */
+/**
+ * Placement of names beside their marks without overlap. A name that does not fit on one side is drawn on another side,
+ * or left out.
+ */
 export class NamePlaces {
   readonly #taken: { left: number; right: number; top: number; bottom: number }[] = [];
 
-  /** Draw a name; return false if it was left out. `sides` are tried in order: 1 is right of the mark, -1 is left. */
+  /**
+   * Draw a name beside its mark; return false if the name was left out. `sides` are tried in order: 1 is right of the
+   * mark, -1 is left.
+   */
   name(
     ink: Ink,
     text: string,
@@ -190,7 +198,7 @@ export class NamePlaces {
   }
 }
 
-/** Draw the start of a path: a ring with its label. */
+/** Draw the mark of a path's start point: a ring with a label. */
 export function startMark(
   ink: Ink,
   at: ScreenPoint,

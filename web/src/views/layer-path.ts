@@ -1,21 +1,23 @@
-/** Conversion of a layer's lines, as received with a picture, to canvas paths; corners between voxels are rounded. */
+/** Conversion of the layer lines that arrive with a picture to canvas paths. Corners between voxels are rounded. */
 
 import type { LayerName } from "../state/lungs";
 import type { PixelPoint } from "../state/projection";
 import type { WireLayer } from "../wire/parse";
 import { outlineLines } from "./outline-path";
 
-/** A layer that can be drawn. */
+/** A layer of a picture as canvas paths. */
 export interface DrawnLayer {
   readonly layer: LayerName;
   readonly part: string;
   readonly path: Path2D;
-  /** Transform from path to picture pixels, in the order of the canvas method `transform`. */
+  /**
+   * Transform from the path's coordinates to picture pixels, in the argument order of the canvas method `transform`.
+   */
   readonly place: readonly [number, number, number, number, number, number];
   readonly complete: boolean;
 }
 
-/** Return the layers of a picture as canvas paths. */
+/** Return the layers of a received picture as canvas paths. */
 export function drawnLayers(layers: readonly WireLayer[]): DrawnLayer[] {
   return layers.map(({ header, bytes }) => {
     const [a = 1, b = 0, c = 0, d = 1, e = 0, f = 0] = header.pixel_from_line;
@@ -30,7 +32,8 @@ export function drawnLayers(layers: readonly WireLayer[]): DrawnLayer[] {
 }
 
 /**
- * Return a smooth path through the middles of the line pieces; the corners of a mask are not more exact than a voxel.
+ * Return a smooth path through the middles of the pieces of the lines, because the corners of a mask are not more exact
+ * than a voxel.
  */
 function smoothPath(lines: readonly (readonly PixelPoint[])[]): Path2D {
   const path = new Path2D();

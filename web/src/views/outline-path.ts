@@ -1,11 +1,11 @@
-/** Conversion of the lumen outline, as received with a picture, to a canvas path. */
+/** Conversion of the lumen outline that arrives with a picture to a canvas path. */
 
 import type { PixelPoint } from "../state/projection";
 
-/** Units of the wire per pixel. */
+/** Number of units per pixel in the protocol's coordinates. */
 const PARTS = 16;
 
-/** Return the lines of an outline in pixels of its picture; the parser of the wire has validated the bytes. */
+/** Return the lines of an outline in pixels of its picture. The protocol's parser has validated the bytes. */
 export function outlineLines(bytes: Uint8Array): PixelPoint[][] {
   const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
   const lines: PixelPoint[][] = [];
@@ -22,7 +22,7 @@ export function outlineLines(bytes: Uint8Array): PixelPoint[][] {
   return lines;
 }
 
-/** Return the outline as one path in pixels of the picture. */
+/** Return the outline as one canvas path, in pixels of its picture. */
 export function outlinePath(bytes: Uint8Array): Path2D {
   const path = new Path2D();
   for (const points of outlineLines(bytes)) {

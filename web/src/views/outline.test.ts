@@ -4,8 +4,8 @@ import { clipPathOf, isInside, type Shape, shapeOf } from "./outline";
 const FRAME = { x: 10, y: 20, width: 200, height: 200 };
 const at = (x: number, y: number) => ({ x: 110 + x, y: 120 + y });
 
-describe("the outline of a picture", () => {
-  it("holds the middle and what lies within half its width, and of the corners as much as its shape has", () => {
+describe("shape of a picture", () => {
+  it("isInside contains the middle and half the width, and corner points only if the shape contains them.", () => {
     const inside = (x: number, y: number) =>
       (["fill", "octagon", "round"] as Shape[]).map((shape) => isInside(shape, FRAME, at(x, y)));
     expect(inside(0, 0)).toEqual([true, true, true]);
@@ -17,7 +17,7 @@ describe("the outline of a picture", () => {
     expect(inside(99, 99)).toEqual([true, false, false]);
   });
 
-  it("is cut by CSS where clicks end", () => {
+  it("The CSS clip path of an octagon equals the shape of isInside.", () => {
     const corners = [...clipPathOf("octagon").matchAll(/([\d.]+)% ([\d.]+)%/g)].map((match) => ({
       x: FRAME.x + (Number(match[1]) / 100) * FRAME.width,
       y: FRAME.y + (Number(match[2]) / 100) * FRAME.height,
@@ -31,7 +31,7 @@ describe("the outline of a picture", () => {
     expect(clipPathOf("fill")).toBe("none");
   });
 
-  it("is that of the mask", () => {
+  it("shapeOf returns the shape of each outline setting.", () => {
     expect((["none", "round", "octagon"] as const).map(shapeOf)).toEqual(["fill", "round", "octagon"]);
   });
 });

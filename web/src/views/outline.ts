@@ -1,20 +1,20 @@
-/** Shape of a picture on the screen: the whole frame, or the shape of a bronchoscope's monitor image. */
+/** Shape of the airway picture on the screen: the full frame, or the shape of a bronchoscope's monitor image. */
 
 import type { Outline } from "../wire/messages";
 import type { Ink, Rect, ScreenPoint } from "./ink";
 
-/** Shape of a picture. */
+/** Shape of the airway picture on the screen. */
 export type Shape = "fill" | "round" | "octagon";
 
-/** Half the side of an octagon in half widths; all sides are equally far from the middle. */
+/** Half the side of an octagon, in half widths of the octagon. */
 const HALF_SIDE = Math.tan(Math.PI / 8);
 
-/** Return the shape of an outline setting. */
+/** Return the picture's shape for an outline setting. */
 export function shapeOf(outline: Outline): Shape {
   return outline === "none" ? "fill" : outline;
 }
 
-/** Corners of an octagon in half widths from its middle, clockwise. */
+/** Corners of an octagon, clockwise, in half widths from its middle. */
 const CORNERS: readonly (readonly [number, number])[] = [
   [HALF_SIDE, -1],
   [1, -HALF_SIDE],
@@ -26,7 +26,7 @@ const CORNERS: readonly (readonly [number, number])[] = [
   [-HALF_SIDE, -1],
 ];
 
-/** Begin a path along a frame's shape. */
+/** Begin a canvas path along the shape in a frame. */
 export function traceOutline(ink: Ink, shape: Shape, frame: Rect): void {
   const half = frame.width / 2;
   const [x, y] = [frame.x + half, frame.y + frame.height / 2];
@@ -37,7 +37,7 @@ export function traceOutline(ink: Ink, shape: Shape, frame: Rect): void {
   ink.closePath();
 }
 
-/** Return whether a point is inside the shape. */
+/** Return whether a screen point is inside the shape in a frame. */
 export function isInside(shape: Shape, frame: Rect, at: ScreenPoint): boolean {
   const half = frame.width / 2;
   const dx = Math.abs(at.x - frame.x - half);

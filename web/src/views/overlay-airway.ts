@@ -1,5 +1,6 @@
 /**
- * Overlay of the airway view: orientation ring, path ahead, and route line, all computed from the displayed picture.
+ * Overlay of the airway view: orientation ring, path to the cursor, and route line. All are computed from the displayed
+ * picture.
  */
 
 import { angleBetween, type RingMark, ringMarks } from "../state/letters";
@@ -18,18 +19,17 @@ import type { Scene } from "./scene";
 import { RING_PX, type Viewport } from "./viewport";
 import { paintWallMarks } from "./wall-marks";
 
-/**
- * Distances along the route, mm, between which the line is drawn: it must not cover the region at the tip or show
- * through walls.
- */
+/** Distance ahead of the tip, mm, at which the route line begins, because nearer parts would cover the tip. */
 const LINE_FROM_MM = 6;
+/** Distance ahead of the tip, mm, at which the route line ends, because farther parts would show through walls. */
 const LINE_TO_MM = 45;
-/** Distance, mm, up to which a target behind the wall is shown. */
+/** Distance from the lens, mm, up to which a target behind the wall is shown. */
 const TARGET_TO_MM = 80;
-/** Step along the route, mm, of the visibility test. */
+/** Step along the route of the test whether the lens sees the route, mm. */
 const LOOK_APART_MM = 1;
+/** Number of ticks on the clock dial. */
 const HOURS = 12;
-/** Space for a letter of the ring, px. */
+/** Space around a letter of the ring without the lines of the dial, px. */
 const LETTER_PX = 16;
 
 /** Draw the overlay of the airway view. */
@@ -50,7 +50,7 @@ export function paintAirway(ink: Ink, viewport: Viewport, scene: Scene): void {
   ink.clip();
   if (scene.routeLineVisible && scene.route !== null && scene.pathMm !== null) {
     const { route, pathMm } = scene;
-    // The part drawn by hand is already dashed as a branch.
+    // Draw only the tracked parts of the route; `paintDrawn` draws the other parts dashed, as branches.
     const seenToMm = inViewTo(route, pathMm, geometry.camera.position);
     const ahead = route.spans
       .filter((span) => span.kind === "tracked")
@@ -83,7 +83,7 @@ export function paintAirway(ink: Ink, viewport: Viewport, scene: Scene): void {
   paintCursorNote(ink, viewport, scene);
 }
 
-/** Return the distance along the route up to which the lens sees it before a wall hides the line. */
+/** Return the position along the route, mm, up to which the lens sees the route before a wall hides the route. */
 function inViewTo(route: RouteInfo, fromMm: number, lens: Vec3): number {
   const places: number[] = [];
   for (let mm = fromMm + LINE_FROM_MM; mm <= Math.min(fromMm + LINE_TO_MM, route.length_mm); mm += LOOK_APART_MM)
@@ -94,7 +94,7 @@ function inViewTo(route: RouteInfo, fromMm: number, lens: Vec3): number {
   return count === places.length ? fromMm + LINE_TO_MM : (places[count] ?? fromMm);
 }
 
-/** Return the scene with the hand-drawn branches that begin near enough to be visible; walls hide the others. */
+/** Return the scene with only those hand-drawn branches that are near enough to the lens; walls hide the others. */
 function aheadOf(geometry: SeenGeometry, scene: Scene): Scene {
   if (scene.drawn.length === 0) return scene;
   const near = scene.drawn.filter(({ branch }) =>
@@ -103,7 +103,7 @@ function aheadOf(geometry: SeenGeometry, scene: Scene): Scene {
   return { ...scene, drawn: near };
 }
 
-/** Return the scene with the part of the edit preview that is near enough to be visible. */
+/** Return the scene with only those runs of the edit preview that are near enough to the lens. */
 function previewInView(geometry: SeenGeometry, scene: Scene): Scene {
   if (scene.preview === null) return scene;
   const runs = scene.preview.runs.filter(({ points }) =>
@@ -113,8 +113,8 @@ function previewInView(geometry: SeenGeometry, scene: Scene): Scene {
 }
 
 /**
- * Return the scene with the path to the cursor from its point nearest to the lens; the part before that point is
- * hidden.
+ * Return the scene with the path to the cursor from the path point nearest to the lens on. The part before that point
+ * is not ahead of the lens.
  */
 function withinReach(geometry: SeenGeometry, scene: Scene): Scene {
   const { live } = scene;
@@ -124,7 +124,7 @@ function withinReach(geometry: SeenGeometry, scene: Scene): Scene {
   return { ...scene, live: { points: live.points.slice(first), leavesAt: Math.max(live.leavesAt - first, 0) } };
 }
 
-/** Draw the clock dial around the picture; a letter replaces the tick of its hour. */
+/** Draw the clock dial around the picture. A letter of the ring replaces the tick of its hour. */
 function paintDial(ink: Ink, centre: ScreenPoint, radius: number, marks: readonly RingMark[]): void {
   ink.save();
   ink.strokeStyle = INK.ring;

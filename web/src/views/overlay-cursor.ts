@@ -1,6 +1,4 @@
-/**
- * Overlay at the cursor: the path to the cursor with its text, the brush, and the name of the branch under the cursor.
- */
+/** Overlay at the cursor: the path to the cursor, the edit preview, the brush, and the text at the cursor. */
 
 import { type Geometry, projectLine } from "../state/projection";
 import type { Vec3 } from "../state/vec";
@@ -8,7 +6,10 @@ import { FONT, INK, type Ink, line, type ScreenPoint } from "./ink";
 import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
 
-/** Draw the path to the cursor: white inside the tree, in the accent colour where it is new, faint off a slice. */
+/**
+ * Draw the path to the cursor: white inside the tree, and in the accent colour beyond the tree; parts off a slice are
+ * faint.
+ */
 export function paintLivePath(
   ink: Ink,
   viewport: Viewport,
@@ -26,7 +27,8 @@ export function paintLivePath(
 }
 
 /**
- * Draw the preview of an edit: solid where the CT shows an airway, dashed amber where the line would be drawn by hand.
+ * Draw the preview of an edit: a solid line where the CT shows an airway, and a dashed amber line where the branch
+ * would be drawn by hand.
  */
 export function paintPreview(
   ink: Ink,
@@ -43,7 +45,7 @@ export function paintPreview(
   }
 }
 
-/** Draw a path over a picture; thin off a slice. */
+/** Draw a line of patient points over a picture; parts off a slice are thin. */
 function strokeWay(
   ink: Ink,
   viewport: Viewport,
@@ -80,7 +82,7 @@ function strokeWay(
   }
 }
 
-/** Draw the brush in its true size, and its current stroke. `mmPerPx` refers to screen pixels. */
+/** Draw the brush in its true size, and the stroke in progress. `mmPerPx` is the size of a screen pixel, mm. */
 export function paintBrush(
   ink: Ink,
   viewport: Viewport,
@@ -110,14 +112,16 @@ export function paintBrush(
   }
 }
 
+/** Height of a line of the text at the cursor, CSS px. */
 const LINE_PX = 15;
+/** Largest number of characters in a line of the text at the cursor. */
 const MAX_CHARS = 36;
 
-/** Draw the text at the cursor, in the view that contains the cursor. */
+/** Draw the text at the cursor in the view under the cursor; nothing in other views. */
 export function paintCursorNote(ink: Ink, viewport: Viewport, scene: Scene): void {
   const { cursor } = scene;
   if (cursor === null || cursor.view !== viewport.view) return;
-  // Read the note only in the view with the cursor, so that the other views are not repainted when it changes.
+  // Read the text only in the view under the cursor, so that the other views are not repainted when the text changes.
   const { note } = scene;
   if (note === null) return;
   const lines = note.lines.flatMap((words) => wrapped(words, MAX_CHARS));
@@ -127,7 +131,7 @@ export function paintCursorNote(ink: Ink, viewport: Viewport, scene: Scene): voi
   const width = Math.max(...lines.map((words) => ink.measureText(words).width)) + 12;
   const height = lines.length * LINE_PX + 7;
   const { width: right, height: bottom } = viewport.size;
-  // Place the text beside the cursor, on the side with enough space, and never under the cursor.
+  // Place the text beside the cursor on the side with enough space, and never under the cursor.
   const x = cursor.x + 16 + width <= right ? cursor.x + 16 : Math.max(cursor.x - 16 - width, 2);
   const y = Math.min(Math.max(cursor.y + 12 + height <= bottom ? cursor.y + 12 : cursor.y - 12 - height, 2), bottom);
   ink.fillStyle = "rgba(8, 10, 12, 0.82)";
@@ -141,7 +145,7 @@ export function paintCursorNote(ink: Ink, viewport: Viewport, scene: Scene): voi
   ink.restore();
 }
 
-/** Break a text between words. */
+/** Break a text into lines of at most `maxChars` characters, between words. */
 export function wrapped(words: string, maxChars: number): string[] {
   const lines: string[] = [];
   for (const word of words.split(" ")) {

@@ -1,4 +1,7 @@
-/** Overlay of slices, cut-plane and X-ray: crosshair, route, targets, tip, orientation letters, scale bar. */
+/**
+ * Overlay of the slices, the cut-plane and the X-ray: crosshair, route, targets, tip, orientation letters and scale
+ * bar.
+ */
 
 import { edgeLetters, lettersOf } from "../state/letters";
 import {
@@ -35,8 +38,9 @@ import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
 import { paintWallMarks } from "./wall-marks";
 
-/** Distance, mm, up to which an object counts as being in a slice. */
+/** Distance of an object from a slice, mm, up to which the object counts as in the slice. */
 const IN_PLANE_MM = 2.5;
+/** Half the gap in the middle of the crosshair, CSS px. */
 const GAP_PX = 9;
 
 /** Draw the overlay of a planar picture. */
@@ -49,7 +53,8 @@ export function paintFlat(ink: Ink, viewport: Viewport, scene: Scene): void {
   const seesThrough = pick === null;
   const standsIn = header.stands_for !== null;
   ink.save();
-  // A planar picture that replaces the round airway view is round, and only the letters are outside it.
+  // A planar picture that replaces the round airway view is clipped to the round shape; only the letters are outside
+  // it.
   if (standsIn) clipToPicture(ink, viewport);
   const inPlane = (depthMm: number) => seesThrough || Math.abs(depthMm) <= IN_PLANE_MM;
   if (plane !== null) paintCrosshair(ink, viewport, geometry, scene, plane);
@@ -76,7 +81,7 @@ export function paintFlat(ink: Ink, viewport: Viewport, scene: Scene): void {
     const near = inPlane(seen.depthMm);
     const at = viewport.screenAt(seen);
     const colour = target.reachable ? INK.accent : INK.warning;
-    // A target with a size is drawn as its cross-section where the slice cuts it.
+    // Where the slice cuts a target with a size, its cross-section is drawn instead of the mark.
     if (!target.hasSize || !near || seesThrough) targetMark(ink, at, colour, near ? 1 : 0.35);
     if (near && !seesThrough) names.name(ink, target.name, at, colour, viewport.size);
   }
@@ -131,7 +136,7 @@ function paintCrosshair(ink: Ink, viewport: Viewport, geometry: FlatGeometry, sc
   const at = viewport.screenAt(seen);
   const { width, height } = viewport.size;
   const alpha = scene.followsTip ? 0.55 : 0.9;
-  // Each line of the crosshair is the intersection with another plane.
+  // Each line of the crosshair is the intersection of the slice with another plane.
   const vertical = planeAcross(PLANES[plane].right_axis);
   const horizontal = planeAcross(PLANES[plane].down_axis);
   line(
@@ -206,8 +211,8 @@ function paintRoute(
 }
 
 /**
- * Draw the letters of the four edges; with `sides`, the side letters are in the upper corners, because the axis and the
- * names use the sides.
+ * Draw the orientation letters of the four edges. With `sides`, the letters of the left and right edges are in the
+ * upper corners, because the distance axis and the names use these edges.
  */
 export function paintLetters(
   ink: Ink,
@@ -227,18 +232,18 @@ export function paintLetters(
   label(ink, letters.right, { x: sides?.right ?? width - 6, y: sideY }, { ...style, align: "right" });
 }
 
-const SLAB_WORDS = { min: "min", max: "max", mean: "mean" } as const;
+const SLAB_TEXTS = { min: "min", max: "max", mean: "mean" } as const;
 
-/** Draw the thickness of a thick slice. */
+/** Draw the thickness and the projection of a thick slice as text. */
 export function paintSlab(ink: Ink, viewport: Viewport, scene: Scene): void {
   if (scene.slab.thickness_mm <= 0) return;
   const { width, height } = viewport.size;
   const outlined = scene.outlineVisible && viewport.outline !== null ? ", outline of the central plane" : "";
-  const words = `${SLAB_WORDS[scene.slab.kind]} ${scene.slab.thickness_mm} mm${outlined}`;
+  const words = `${SLAB_TEXTS[scene.slab.kind]} ${scene.slab.thickness_mm} mm${outlined}`;
   label(ink, words, { x: width - 8, y: height - 12 }, { size: 11, align: "right" });
 }
 
-/** Draw the scale bar in the lower left corner, or centred at a place. */
+/** Draw the scale bar in the lower left corner of the view, or centred at a given point. */
 export function paintScale(
   ink: Ink,
   viewport: Viewport,

@@ -1,6 +1,6 @@
 /**
- * Overlay of the structures around the targets on slices and the cut-plane: vessels, fissures, lobes, and the reach of
- * a tool.
+ * Overlay of the lung structures around the targets on slices and the cut-plane: vessels, fissures, lobes, lymph node
+ * stations, and the reach of a tool.
  */
 
 import type { LayerName, ShownLayer } from "../state/lungs";
@@ -11,14 +11,14 @@ import type { Viewport } from "./viewport";
 
 interface Style {
   readonly stroke: number;
-  /** Opacity of the filled inside; 0 draws no fill. */
+  /** Opacity of the filled inside of a structure; 0 draws no fill. */
   readonly fill: number;
   readonly alpha: number;
   readonly dash: readonly number[];
   readonly widthPx: number;
 }
 
-/** Styles of the layers; uncertain parts are dashed, fainter, and not filled. */
+/** Line styles by layer and part. Uncertain parts are dashed, fainter, and not filled. */
 const STYLES: Readonly<Record<LayerName, Readonly<Record<string, Style>>>> = {
   vessels: {
     sure: { stroke: 1, fill: 0.16, alpha: 0.95, dash: [], widthPx: 1 },
@@ -39,7 +39,7 @@ const LAYER_COLOURS = {
   stations: "#ffb3c7",
 } as const;
 
-/** Return the colour of a layer in the pictures and the list; each lobe has its own colour. */
+/** Return the colour of a layer in the pictures and in the list; `part` selects the colour of a lobe. */
 export function layerColour(layer: ShownLayer, part = ""): string {
   if (layer !== "lobes") return LAYER_COLOURS[layer];
   return part in LOBE_COLOURS ? LOBE_COLOURS[part as keyof typeof LOBE_COLOURS] : INK.quiet;
@@ -47,7 +47,7 @@ export function layerColour(layer: ShownLayer, part = ""): string {
 
 const styleOf = (layer: LayerName, part: string): Style | undefined => STYLES[layer][part] ?? STYLES[layer][""];
 
-/** Draw the layers of a picture. */
+/** Draw the layers of the displayed picture. */
 export function paintLayers(ink: Ink, viewport: Viewport, scene: Scene): void {
   const { header, layers } = viewport;
   if (header === null || layers.length === 0) return;
@@ -90,7 +90,8 @@ export function paintLayers(ink: Ink, viewport: Viewport, scene: Scene): void {
 }
 
 /**
- * Draw the lymph node stations. A station is a place on an airway with a direction; no lymph node is detected or drawn.
+ * Draw the lymph node stations. A station is a point in an airway with a direction; Carina neither detects nor draws
+ * lymph nodes.
  */
 export function paintStations(
   ink: Ink,
@@ -114,7 +115,7 @@ export function paintStations(
       ink.arc(at.x, at.y, 3, 0, 2 * Math.PI);
       ink.stroke();
       if (away < 4) continue;
-      // The dashed line is the search direction, not a detected lymph node.
+      // Dash the line, because it is the direction in which to search for the lymph node, not a detected node.
       ink.setLineDash([3, 2]);
       ink.beginPath();
       ink.moveTo(at.x, at.y);

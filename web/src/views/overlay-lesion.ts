@@ -1,6 +1,6 @@
 /**
- * Overlay of targets with a size, and of the needle path to the selected target, in slices, projections and the airway
- * view.
+ * Overlay of the targets with a size, and of the needle path to the selected target, in slices, outside views and the
+ * airway view.
  */
 
 import { type FlatGeometry, type Geometry, normalOf, pixelFromLps } from "../state/projection";
@@ -10,17 +10,22 @@ import { INK, type Ink, label, line, type ScreenPoint } from "./ink";
 import type { Scene, SceneLesion } from "./scene";
 import type { Viewport } from "./viewport";
 
+/** Width of a target's outline, CSS px. */
 const OUTLINE_PX = 1.75;
+/** Width of the needle path, CSS px. */
 const NEEDLE_PX = 2.5;
+/** Dash pattern of the needle path, CSS px. */
 const DASH: readonly number[] = [6, 3];
-/** Opacity of a silhouette behind a wall, low enough that the wall stays visible. */
+/** Opacity of a target's silhouette behind a wall, low enough that the wall stays visible. */
 const BEHIND_ALPHA = 0.22;
+/** Number of parts into which the needle path is divided for its projection. */
 const PARTS = 24;
+/** Distance of a target's label above the target's middle, CSS px. */
 const LABEL_PX = 24;
-/** Distance before the parking position, mm, from which the airway view shows the needle path. */
+/** Distance of the tip from the parking position, mm, up to which the airway view shows the needle path. */
 const NEEDLE_FROM_MM = 25;
 
-/** Draw a target's outline in a slice, or its silhouette in a projection. */
+/** Draw each target with a size: its outline in a slice, or its silhouette in a projection. */
 export function paintLesionsFlat(
   ink: Ink,
   viewport: Viewport,
@@ -36,7 +41,7 @@ export function paintLesionsFlat(
   paintNeedle(ink, viewport, geometry, scene, inPlane);
 }
 
-/** Draw silhouettes and the needle path in outside views. */
+/** Draw the silhouettes of the targets, and the needle path, in an outside view. */
 export function paintLesionsOutside(ink: Ink, viewport: Viewport, geometry: Geometry, scene: Scene): void {
   for (const lesion of scene.lesions) {
     paintSilhouette(ink, viewport, geometry, lesion.surface, lesion.chosen ? 0.45 : 0.25);
@@ -44,7 +49,7 @@ export function paintLesionsOutside(ink: Ink, viewport: Viewport, geometry: Geom
   paintNeedle(ink, viewport, geometry, scene, () => true);
 }
 
-/** Draw targets behind the airway wall, with their distance from the lens. */
+/** Draw the targets behind the airway wall, with their distances from the lens, up to `mostMm`. */
 export function paintLesionsSeen(ink: Ink, viewport: Viewport, geometry: Geometry, scene: Scene, mostMm: number): void {
   if (geometry.kind !== "seen") return;
   for (const lesion of scene.lesions) {
@@ -54,12 +59,13 @@ export function paintLesionsSeen(ink: Ink, viewport: Viewport, geometry: Geometr
     if (awayMm > mostMm) continue;
     paintSilhouette(ink, viewport, geometry, lesion.surface, lesion.chosen ? BEHIND_ALPHA : BEHIND_ALPHA / 2);
     const at = viewport.screenAt(seen);
-    // The label is above the target's middle, where the needle path ends.
+    // Place the label above the target's middle, because the needle path ends at the middle.
     const beside = { x: at.x, y: at.y - LABEL_PX };
     label(ink, `${lesion.name}, ${awayMm.toFixed(0)} mm`, beside, { size: 11, colour: INK.lesion });
   }
   const toGoMm = scene.needle?.toGoMm ?? null;
-  // Farther away, a wall is between the lens and the needle path.
+  // Draw the needle path only near the parking position; from farther away a wall is between the lens and the needle
+  // path.
   if (toGoMm === null || toGoMm <= NEEDLE_FROM_MM)
     paintNeedle(ink, viewport, geometry, scene, (depthMm) => depthMm < mostMm);
 }
@@ -90,7 +96,8 @@ function paintSection(ink: Ink, viewport: Viewport, geometry: FlatGeometry, lesi
 }
 
 /**
- * Draw the convex hull of the projected surface; a nodule is nearly convex, and its silhouette is not a measurement.
+ * Draw the convex hull of a projected target surface. A nodule is nearly convex, and its silhouette is not used for
+ * measurements.
  */
 function paintSilhouette(ink: Ink, viewport: Viewport, geometry: Geometry, surface: Surface, alpha: number): void {
   const points: ScreenPoint[] = [];
@@ -117,7 +124,7 @@ function paintSilhouette(ink: Ink, viewport: Viewport, geometry: Geometry, surfa
   ink.restore();
 }
 
-/** Return the convex hull of points (Andrew's monotone chain). */
+/** Return the convex hull of screen points (Andrew's monotone chain). */
 export function hullOf(points: readonly ScreenPoint[]): ScreenPoint[] {
   const sorted = [...points].sort((a, b) => a.x - b.x || a.y - b.y);
   const half = (list: readonly ScreenPoint[]): ScreenPoint[] => {

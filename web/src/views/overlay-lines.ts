@@ -1,9 +1,6 @@
-/**
- * Overlay of the curved pictures along the route: distances and names on the axis, lumen, targets, tip, letters, scale
- * bar.
- */
+/** Overlay of the curved pictures along the route: distance axis, names, lumen, targets, tip, letters and scale bar. */
 
-import { kindWords } from "../state/branch-words";
+import { kindText } from "../state/branch-words";
 import { fixed } from "../state/format";
 import { axesAt, type LinesGeometry, linesOf, nearestPixel, pixelOfPath } from "../state/lines";
 import { radiusAt } from "../state/route";
@@ -15,18 +12,23 @@ import { paintLetters, paintScale, paintSlab } from "./overlay-flat";
 import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
 
-/** Distance, mm, up to which an object counts as being in the picture's surface. */
+/** Distance of an object from the surface of the picture, mm, up to which the object counts as in the surface. */
 const IN_SURFACE_MM = 2.5;
-/** Distance from the surface, mm, beyond which a target is not drawn. */
+/** Distance of a target from the surface of the picture, mm, beyond which the target is not drawn. */
 const NEAR_SURFACE_MM = 15;
-/** Half the width of the strip of a straightened airway, mm, as the server renders it. */
+/** Half the width of the straightened airway's strip, mm, as the server renders the strip. */
 const STRIP_MM = 40;
+/** Smallest distance of the distance axis from the left edge, CSS px. */
 const AXIS_PX = 7;
-/** Space beside a strip for distances and names, CSS px. */
+/** Space beside a strip for the distance axis, CSS px. */
 const AXIS_ROOM_PX = 66;
+/** Space beside a strip for the names of the branches, CSS px. */
 const NAMES_ROOM_PX = 110;
+/** Length of a tick of the distance axis, CSS px. */
 const TICK_PX = 4;
+/** Smallest distance between two ticks of the distance axis, CSS px. */
 const TICKS_APART_PX = 30;
+/** Smallest vertical distance between two names of branches, CSS px. */
 const NAMES_APART_PX = 15;
 const DASH: readonly number[] = [5, 4];
 const TICKS_MM = [1, 2, 5, 10, 20, 50, 100, 200] as const;
@@ -68,7 +70,10 @@ export function paintLines(ink: Ink, viewport: Viewport, scene: Scene): void {
   paintCursorNote(ink, viewport, scene);
 }
 
-/** Return the positions of the axis and the names: at the picture's sides, or beside the strip if there is space. */
+/**
+ * Return the horizontal positions of the distance axis and of the names, CSS px: at the sides of the picture, or beside
+ * the strip if there is space.
+ */
 function sidesOf(viewport: Viewport, geometry: LinesGeometry, isStrip: boolean): { left: number; right: number } {
   const { width } = viewport.size;
   if (!isStrip) return { left: AXIS_PX, right: width - 8 };
@@ -80,7 +85,7 @@ function sidesOf(viewport: Viewport, geometry: LinesGeometry, isStrip: boolean):
   };
 }
 
-/** Return the rows of the picture that are on the route, its ends included. */
+/** Return the rows of the picture that show the route, both ends included. */
 function rowsOnPath(geometry: LinesGeometry): number[] {
   const first = pixelOfPath(geometry, geometry.pathMm[0] ?? 0)?.row ?? 0;
   const last = pixelOfPath(geometry, geometry.pathMm.at(-1) ?? 0)?.row ?? 0;
@@ -92,9 +97,9 @@ function rowsOnPath(geometry: LinesGeometry): number[] {
     });
 }
 
-/** Draw the measured width of the lumen. */
+/** Draw the measured width of the lumen as two lines. */
 function paintLumen(ink: Ink, viewport: Viewport, geometry: LinesGeometry, route: RouteInfo): void {
-  // Parts drawn by hand have no measured lumen.
+  // Leave out the parts that were drawn by hand, because they have no measured lumen.
   const seen = partsOnPath(geometry, route).filter((part) => !part.drawn);
   for (const [side, rows] of [-1, 1].flatMap((side) => seen.map((part) => [side, part.rows] as const))) {
     const points: ScreenPoint[] = [];
@@ -123,7 +128,9 @@ function paintPath(ink: Ink, viewport: Viewport, geometry: LinesGeometry, route:
   }
 }
 
-/** Split the rows on the route into runs that the CT shows and runs drawn by hand; neighbouring runs share a row. */
+/**
+ * Split the rows that show the route into runs that the CT shows and runs drawn by hand; neighbouring runs share a row.
+ */
 function partsOnPath(geometry: LinesGeometry, route: RouteInfo): { rows: number[]; drawn: boolean }[] {
   const parts: { rows: number[]; drawn: boolean }[] = [];
   for (const index of rowsOnPath(geometry)) {
@@ -211,7 +218,7 @@ function paintAxis(
     }
     const y = (Math.max(a, 0) + Math.min(b, height)) / 2;
     if (y - taken < NAMES_APART_PX || y < 26 || y > height - 26) continue;
-    const kind = kindWords(span.kind);
+    const kind = kindText(span.kind);
     if (!route.lumen_known && kind === null) continue;
     label(
       ink,

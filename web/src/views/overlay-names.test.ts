@@ -44,7 +44,7 @@ const paint = (titled: BranchNode[]) => {
 };
 
 describe("names on the tree", () => {
-  it("stand on their own side of the trachea, or nowhere", () => {
+  it("A name is on its own side of the trachea, or left out if it does not fit there.", () => {
     const written = paint([node("LLL", 230, 180, 8), node("RLL", 170, 180, 7), node("left basal trunk", 290, 120, 6)]);
     const at = Object.fromEntries(written.map(({ text, x }) => [text, x]));
     expect(at["LLL"]).toBeGreaterThan(230);
@@ -53,7 +53,7 @@ describe("names on the tree", () => {
     expect(at["left basal trunk"]).toBeUndefined();
   });
 
-  it("are written once for a bronchus in several pieces", () => {
+  it("A bronchus in several pieces is named once.", () => {
     const written = paint([node("RLL", 170, 220, 8), node("RLL", 160, 120, 7)]);
     expect(written.filter(({ text }) => text === "RLL")).toHaveLength(1);
   });

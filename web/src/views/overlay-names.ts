@@ -1,4 +1,4 @@
-/** Overlay of the airway tree view: branches in the colours of their lobes, with names that do not overlap. */
+/** Overlay of the airway tree view: branches in the colours of their lobes, and names that do not overlap. */
 
 import type { BranchNode } from "../state/airways";
 import { pixelFromLps, type SeenGeometry } from "../state/projection";
@@ -8,8 +8,8 @@ import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
 
 /**
- * Lobe colours, as in the list: oranges on the right and blues on the left, which also differ in lightness. Names
- * always accompany the colours.
+ * Lobe colours, the same as in the list: oranges on the right and blues on the left, which also differ in lightness.
+ * Names always accompany the colours.
  */
 export const LOBE_COLOURS = {
   RUL: "#e69f00",
@@ -20,18 +20,18 @@ export const LOBE_COLOURS = {
   LLL: "#3f7fd0",
 } as const;
 
-/** Width of the rings on hand-drawn branches, and of the gaps between the rings, CSS px. */
+/** Width of the rings on hand-drawn branches, and of the gaps between these rings, CSS px. */
 const RING_PX = 4;
-/** Picture area per name, CSS px squared: a small view shows only the names of large branches. */
+/** Area of the view per name, CSS px squared. A small view therefore shows only the names of large branches. */
 const PX2_A_NAME = 4800;
 
-/** Draw the branches in the colours of their lobes. */
+/** Draw the branches with a known lobe in the colour of the lobe. */
 export function paintLobes(ink: Ink, viewport: Viewport, geometry: SeenGeometry, scene: Scene): void {
   for (const node of scene.named) {
     const band = node.lobe === null ? null : bandOf(viewport, geometry, node);
     if (band !== null && node.lobe !== null) line(ink, band.points, LOBE_COLOURS[node.lobe], band.width, 0.5);
   }
-  // The renderer draws hand-drawn branches like any other tube; amber rings distinguish them.
+  // The renderer draws hand-drawn branches like other branches; amber rings distinguish them.
   for (const node of scene.drawn) {
     const band = bandOf(viewport, geometry, node);
     if (band === null) continue;
@@ -52,7 +52,10 @@ export function paintLobes(ink: Ink, viewport: Viewport, geometry: SeenGeometry,
   }
 }
 
-/** Return a branch as a band of its lumen's width. */
+/**
+ * Return the line and the width (CSS px) of a band that is as wide as a branch's lumen; null if the camera sees no point
+ * of the branch.
+ */
 function bandOf(
   viewport: Viewport,
   geometry: SeenGeometry,
@@ -69,8 +72,8 @@ function bandOf(
 
 /**
  * Draw names at the middle of their branches, large branches first, after the names of targets and stations. A bronchus
- * in several pieces is named once. The name is on the side away from the trachea, so that it does not cover the other
- * lung's airways.
+ * in several pieces is named once. A name is on the side away from the trachea, so that it does not cover the airways
+ * of the other lung.
  */
 export function paintNames(
   ink: Ink,

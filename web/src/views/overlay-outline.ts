@@ -1,4 +1,4 @@
-/** Overlay of the airways on slices and the cut-plane: outline of the lumen, and the centrelines near the plane. */
+/** Overlay of the airways on slices and the cut-plane: the outline of the lumen, and the centrelines near the plane. */
 
 import type { BranchNode, BranchTree } from "../state/airways";
 import { isDoubtful } from "../state/branch-words";
@@ -11,23 +11,29 @@ import { LOBE_COLOURS } from "./overlay-names";
 import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
 
+/** Width of the lumen outline, CSS px. */
 const OUTLINE_PX = 1.25;
-/** Opacity of the outline on a thick slice, because the outline differs between the planes within the slab. */
+/**
+ * Opacity of the lumen outline on a thick slice; the outline is valid for one plane and differs in the others of the
+ * slab.
+ */
 const SLAB_ALPHA = 0.6;
+/** Width of a centreline, CSS px. */
 const LINE_PX = 1.5;
-/** Radius of the lumen, px, below which the line is thinner, so that the lumen stays visible. */
+/** Radius of the lumen, px, below which its outline is thinner, so that the lumen stays visible. */
 const NARROW_PX = 4;
-/** Distance, mm, over which a centreline fades out beyond the plane. */
+/** Distance, mm, over which a centreline fades out on both sides of the plane. */
 const FADE_MM = 2;
 const ALPHAS = [1, 0.7, 0.45, 0.2] as const;
 const DOTTED: readonly number[] = [1, 3];
 const DOT_PX = { least: 1.25, most: 3, ofRadius: 0.25 } as const;
 /**
- * Smallest distance, px, between dots at which a centreline crosses the plane; a winding centreline crosses it often.
+ * Smallest distance, px, between the dots that mark where a centreline crosses the plane. A winding centreline crosses
+ * the plane often.
  */
 const DOTS_APART_PX = 8;
 
-/** Draw the outline of the lumen. */
+/** Draw the outline of the lumen on the displayed picture. */
 export function paintOutline(ink: Ink, viewport: Viewport, scene: Scene): void {
   const { header, outline } = viewport;
   if (!scene.outlineVisible || header === null) return;
@@ -51,7 +57,7 @@ export function paintOutline(ink: Ink, viewport: Viewport, scene: Scene): void {
   ink.restore();
 }
 
-/** Return whether the picture is a thick slab; only slices can be. */
+/** Return whether the picture is a thick slice; only slices can be thick. */
 const isThick = ({ header }: Viewport, scene: Scene): boolean =>
   header !== null && VIEWS[header.view].slab === "window" && scene.slab.thickness_mm > 0;
 
@@ -61,14 +67,15 @@ export function paintCentrelines(ink: Ink, viewport: Viewport, geometry: FlatGeo
   const solidMm = solidWithin(geometry, viewport, scene);
   const normal = normalOf(geometry);
   for (const node of branchesNear(scene.tree, geometry.origin, normal, solidMm + FADE_MM)) {
-    // Hand-drawn branches are dashed, above everything else, and cannot be hidden.
+    // Skip branches drawn by hand, which `paintDrawn` draws dashed above everything else, and which the user cannot
+    // hide.
     if (node.branch.kind === "tracked") paintBranch(ink, viewport, geometry, node, solidMm);
   }
 }
 
 /**
  * Return the distance from the plane, mm, within which a branch counts as in the plane: half a voxel across the plane,
- * or half the slab.
+ * or half the slab of a thick slice.
  */
 function solidWithin(geometry: FlatGeometry, viewport: Viewport, scene: Scene): number {
   if (isThick(viewport, scene)) return scene.slab.thickness_mm / 2;
@@ -140,7 +147,9 @@ function paintBranch(ink: Ink, viewport: Viewport, geometry: FlatGeometry, node:
   }
 }
 
-/** Return the opacity level for a distance from the plane; beyond the last level nothing is drawn. */
+/**
+ * Return the opacity level of a centreline point at a distance from the plane; nothing is drawn beyond the last level.
+ */
 function levelOf(depthMm: number, solidMm: number): number {
   if (depthMm <= solidMm) return 0;
   return 1 + Math.floor(((depthMm - solidMm) / FADE_MM) * (ALPHAS.length - 1));

@@ -1,11 +1,11 @@
-/** Overlay of the tip of a tracked pen, with the first line of the path's text if the path leads to the pen. */
+/** Overlay of a tracked pen's tip, with the first line of the path's text while the path leads to the pen. */
 
 import { type Geometry, pixelFromLps } from "../state/projection";
 import { INK, type Ink, NamePlaces, penMark } from "./ink";
 import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
 
-/** Draw the tip of the pen. */
+/** Draw the mark and the text of a tracked pen's tip. */
 export function paintPen(
   ink: Ink,
   viewport: Viewport,

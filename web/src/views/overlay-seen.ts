@@ -1,8 +1,9 @@
 /**
- * Overlay of the outside views (tree, tri-plane, radiograph): route, targets and tip, projected by the view's camera.
+ * Overlay of the outside views (tree, tri-plane, radiograph): route, targets and tip, projected by the camera of the
+ * view.
  */
 
-import { carmWords } from "../state/format";
+import { carmText } from "../state/format";
 import { axesOf, geometryOf, pixelFromLps, projectLine, type SeenGeometry } from "../state/projection";
 import { outlineOf } from "../state/tri-plane";
 import { add, scale } from "../state/vec";
@@ -32,7 +33,7 @@ import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
 import { paintWallMarks } from "./wall-marks";
 
-/** Length of the arrow of the viewing direction, mm. */
+/** Length of the arrow that shows the tip's viewing direction, mm. */
 const LOOK_MM = 12;
 
 /** Draw the overlay of an outside view. */
@@ -95,7 +96,10 @@ export function paintSeen(ink: Ink, viewport: Viewport, scene: Scene): void {
   paintCursorNote(ink, viewport, scene);
 }
 
-/** Draw the edges of the planes in their colours, with names; the plane that a drag would move is drawn stronger. */
+/**
+ * Draw the edges of the three planes in the colours of the planes, with names. The plane that a drag would move has
+ * stronger lines.
+ */
 function paintPlanes(ink: Ink, viewport: Viewport, geometry: SeenGeometry, scene: Scene): void {
   const { grid, crosshair } = scene;
   if (grid === null || crosshair === null) return;
@@ -116,9 +120,9 @@ function paintPlanes(ink: Ink, viewport: Viewport, geometry: SeenGeometry, scene
   }
 }
 
-/** Draw the angles of the C-arm in the notation of fluoroscopy. */
+/** Draw the angles of the C-arm as text, in the notation of fluoroscopy. */
 function paintAngles(ink: Ink, scene: Scene): void {
-  carmWords(scene.carm).forEach((words, index) => {
+  carmText(scene.carm).forEach((words, index) => {
     label(ink, words, { x: 7, y: 13 + 15 * index }, { size: 11, align: "left" });
   });
 }

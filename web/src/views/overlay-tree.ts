@@ -1,10 +1,10 @@
 /**
- * Overlay of the airway tree on pictures: hand-drawn branches, places that could not be followed, and the hovered or
- * selected branch.
+ * Overlay of the airway tree on pictures: branches drawn by hand, places that the search could not follow, and the
+ * hovered or selected branch.
  */
 
 import type { BranchNode } from "../state/airways";
-import { kindWords } from "../state/branch-words";
+import { kindText } from "../state/branch-words";
 import { type Geometry, pixelFromLps, projectLine, type SeenPoint } from "../state/projection";
 import { openingOf } from "../state/tree-index";
 import { asVec3, type Vec3 } from "../state/vec";
@@ -14,11 +14,14 @@ import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
 
 const DASH: readonly number[] = [5, 4];
+/** Opacity of parts that are off the slice. */
 const FAINT = 0.3;
+/** Width of a planar view, CSS px, from which hand-drawn branches are labelled. */
 const NAMED_FROM_PX = 300;
 
 /**
- * Draw the tree on slices, X-rays and outside views. `inPlane` decides by the depth whether a point belongs to a slice.
+ * Draw the uncertain places, the hovered branch and the selected branch on slices, X-rays and outside views. `inPlane`
+ * returns whether a point at a depth belongs to the slice.
  */
 export function paintTree(
   ink: Ink,
@@ -29,26 +32,26 @@ export function paintTree(
 ): void {
   const names = new NamePlaces();
   for (const place of scene.uncertain) paintUncertain(ink, viewport, geometry, asVec3(place.lps), inPlane);
-  // Draw all pieces of the bronchus, which the list shows as one row.
+  // Draw all branches of the selected bronchus, which the list shows as one row.
   for (const piece of scene.selected?.row ?? []) {
     if (piece !== scene.hovered?.node) paintNode(ink, viewport, geometry, piece, inPlane);
   }
   if (scene.hovered !== null) {
     const { node } = scene.hovered;
-    // If the outline is visible, a slice already shows the lumen, so the band is not drawn.
+    // If the lumen outline is visible, a slice already shows the lumen, so its band is not drawn.
     const cut = geometry.kind === "flat" && !inPlane(Number.MAX_VALUE);
     if (!(cut && scene.outlineVisible)) paintLumen(ink, viewport, geometry, node, inPlane);
     paintNode(ink, viewport, geometry, node, inPlane);
     const middle = node.branch.points[node.branch.points.length >> 1];
     const seen = middle === undefined ? null : pixelFromLps(geometry, asVec3(middle));
-    // In the view under the cursor, the text at the cursor contains the name.
+    // In the view under the cursor, the text at the cursor contains the branch's name.
     if (seen !== null && scene.cursor?.view !== viewport.view && (geometry.kind === "seen" || inPlane(seen.depthMm))) {
       names.name(ink, node.label, viewport.screenAt(seen), INK.text, viewport.size);
     }
   }
 }
 
-/** Draw the object that the active tool would change: amber, above the route. */
+/** Draw the lines and the fork that the active tool would change: amber, above the route. */
 export function paintActedOn(
   ink: Ink,
   viewport: Viewport,
@@ -65,7 +68,7 @@ export function paintActedOn(
   if (scene.heldFork !== null) paintFork(ink, viewport, geometry, scene.heldFork, inPlane);
 }
 
-/** Draw bridges and hand-drawn branches above all else: amber, dashed and labelled. */
+/** Draw bridges and branches drawn by hand above everything else: amber, dashed and labelled. */
 export function paintDrawn(
   ink: Ink,
   viewport: Viewport,
@@ -77,7 +80,7 @@ export function paintDrawn(
   for (const node of scene.drawn) paintDrawnBranch(ink, viewport, geometry, node, inPlane, names);
 }
 
-/** Draw the opening of the hovered branch in the airway view. */
+/** Draw a ring at the opening of the hovered branch in the airway view. */
 export function paintTreeAhead(ink: Ink, viewport: Viewport, geometry: Geometry, scene: Scene): void {
   if (geometry.kind !== "seen") return;
   const node = scene.hovered?.node ?? null;
@@ -104,7 +107,7 @@ export function paintTreeAhead(ink: Ink, viewport: Viewport, geometry: Geometry,
 /** Return the centreline points of a branch, LPS mm. */
 export const pointsOf = (node: BranchNode): Vec3[] => node.branch.points.map((point) => asVec3(point));
 
-/** Return the parts of a line that belong to the picture, in screen coordinates. */
+/** Return the runs of a line that belong to the picture, in screen coordinates. */
 function runsOf(
   viewport: Viewport,
   geometry: Geometry,
@@ -126,7 +129,7 @@ function runsOf(
   return runs;
 }
 
-/** Draw the centreline of a branch; hand-drawn branches are in `drawn` and never a solid line. */
+/** Draw the centreline of a branch. Branches drawn by hand are in `drawn` and never a solid line. */
 function paintNode(
   ink: Ink,
   viewport: Viewport,
@@ -146,7 +149,7 @@ function paintCentreline(
   inPlane: (depthMm: number) => boolean,
 ): void {
   if (geometry.kind === "flat") {
-    // Parts off the slice are drawn faintly.
+    // Draw the parts that are off the slice faintly.
     for (const run of projectLine(geometry, points)) {
       line(
         ink,
@@ -163,7 +166,7 @@ function paintCentreline(
   }
 }
 
-/** Draw the lumen of a branch: a band of its width in outside views, its cross-sections in a slice. */
+/** Draw the lumen of a branch: a band as wide as the lumen in outside views, cross-sections in a slice. */
 function paintLumen(
   ink: Ink,
   viewport: Viewport,
@@ -190,7 +193,7 @@ function paintLumen(
   ink.restore();
 }
 
-/** Return half the width of a lumen in the picture, CSS px; 0 if the slice does not cut the lumen. */
+/** Return half the width of a branch's lumen in the picture, CSS px; 0 if the slice does not cut the lumen. */
 function chordPx(
   viewport: Viewport,
   geometry: Geometry,
@@ -201,7 +204,7 @@ function chordPx(
   if (geometry.kind === "seen") return ((radiusMm * geometry.focalPx) / seen.depthMm) * viewport.magnification;
   const perMm = viewport.magnification / Math.hypot(...geometry.perColumn);
   if (Math.abs(seen.depthMm) < radiusMm) return Math.sqrt(radiusMm ** 2 - seen.depthMm ** 2) * perMm;
-  // In a projection such as an X-ray the whole lumen is visible.
+  // A projection such as an X-ray shows the whole lumen.
   return inPlane(Number.MAX_VALUE) ? radiusMm * perMm : 0;
 }
 
@@ -224,13 +227,16 @@ function paintDrawnBranch(
   ink.restore();
   const longest = runs.reduce<ScreenPoint[]>((best, run) => (run.length > best.length ? run : best), []);
   const middle = longest[longest.length >> 1];
-  // In a small slice the text would cover the structure that it names.
+  // In a small slice the label would cover the branch that it names.
   const hasRoom = geometry.kind === "seen" || viewport.size.width >= NAMED_FROM_PX;
   if (middle !== undefined && hasRoom)
-    names.name(ink, kindWords(node.branch.kind) ?? "", middle, INK.warning, viewport.size);
+    names.name(ink, kindText(node.branch.kind) ?? "", middle, INK.warning, viewport.size);
 }
 
-/** Draw a small amber ring with a gap at a place where the airway continues in an unknown direction. */
+/**
+ * Draw an uncertain place: a small amber ring with a gap, because the direction in which the airway continues is
+ * unknown.
+ */
 function paintUncertain(
   ink: Ink,
   viewport: Viewport,

@@ -1,4 +1,7 @@
-/** Overlay of vessels around the airway tree, as lines; near vessels hide far vessels, and airways hide both. */
+/**
+ * Overlay of the vessels around the airway tree, as lines. Near vessels hide far vessels, and airways hide the vessels
+ * behind them.
+ */
 
 import { pixelFromLps, type SeenGeometry } from "../state/projection";
 import { asVec3, dot, sub, type Vec3 } from "../state/vec";
@@ -7,14 +10,15 @@ import { layerColour } from "./overlay-layers";
 import type { Scene, SceneLesion } from "./scene";
 import type { Viewport } from "./viewport";
 
-/** Number of depth levels of the strokes, from far to near; far strokes are fainter. */
+/** Number of depth levels into which the lines are sorted, from far to near; far lines are fainter. */
 const NUM_DEPTHS = 8;
 const ALPHAS = [0.22, 0.7] as const;
-/** Step of the line widths, px; vessels of similar width are stroked together. */
+/** Step of the line widths, px. Vessels whose widths round to the same step are stroked together. */
 const WIDTH_STEP_PX = 0.5;
+/** Smallest width of a vessel line, px. */
 const LEAST_PX = 0.75;
 
-/** Lines of equal width and depth, which are stroked together. */
+/** Collection of lines by depth level and width; lines of the same level and width are stroked together. */
 class Strokes {
   readonly #paths = new Map<string, { path: Path2D; depth: number; width: number; sure: boolean }>();
 
@@ -33,33 +37,36 @@ class Strokes {
   }
 }
 
-interface Kept {
+interface CachedDrawing {
   readonly canvas: HTMLCanvasElement;
   readonly of: readonly unknown[];
 }
 
-/** The last strokes of each viewport, valid until its camera moves; the camera of this view does not follow the tip. */
-const KEPT = new WeakMap<Viewport, Kept>();
+/**
+ * Drawing of the vessels for each viewport, valid until the camera of the view moves. This camera does not follow the
+ * tip.
+ */
+const DRAWINGS = new WeakMap<Viewport, CachedDrawing>();
 
-/** Draw the centrelines of vessels in their width; uncertain vessels are dashed and fainter. */
+/** Draw the vessels as lines in their width; uncertain vessels are dashed and fainter. */
 export function paintVessels(ink: Ink, viewport: Viewport, geometry: SeenGeometry, scene: Scene): void {
   if (scene.vessels.length === 0) {
-    KEPT.delete(viewport);
+    DRAWINGS.delete(viewport);
     return;
   }
   const of = [viewport.version, scene.vessels, scene.tree, scene.lesions];
-  let kept = KEPT.get(viewport);
-  if (kept === undefined || kept.of.some((one, n) => one !== of[n])) {
+  let drawing = DRAWINGS.get(viewport);
+  if (drawing === undefined || drawing.of.some((one, n) => one !== of[n])) {
     const canvas = document.createElement("canvas");
     [canvas.width, canvas.height] = [viewport.overlay.width, viewport.overlay.height];
     const own = canvas.getContext("2d");
     if (own === null) return;
     own.setTransform(ink.getTransform());
     strokeVessels(own, viewport, geometry, scene);
-    kept = { canvas, of };
-    KEPT.set(viewport, kept);
+    drawing = { canvas, of };
+    DRAWINGS.set(viewport, drawing);
   }
-  ink.drawImage(kept.canvas, 0, 0, viewport.size.width, viewport.size.height);
+  ink.drawImage(drawing.canvas, 0, 0, viewport.size.width, viewport.size.height);
 }
 
 function strokeVessels(ink: Ink, viewport: Viewport, geometry: SeenGeometry, scene: Scene): void {
@@ -112,7 +119,7 @@ function strokeVessels(ink: Ink, viewport: Viewport, geometry: SeenGeometry, sce
       ink.setLineDash(sure ? [] : [2, 2.5]);
       ink.stroke(path);
     }
-    // Erase the lines over the airways, because the airway picture is beneath the overlay.
+    // Erase the lines over airways, because the airway picture is below the overlay.
     ink.globalCompositeOperation = "destination-out";
     ink.globalAlpha = 1;
     ink.setLineDash([]);
@@ -124,7 +131,7 @@ function strokeVessels(ink: Ink, viewport: Viewport, geometry: SeenGeometry, sce
   ink.restore();
 }
 
-/** Return whether a point is inside a target; lines inside a target are not drawn as vessels. */
+/** Return whether a patient point is inside a target; lines inside a target are not drawn. */
 function isInside({ centre, surface }: SceneLesion, point: Vec3): boolean {
   const [first] = surface.vertices;
   if (first === undefined) return false;

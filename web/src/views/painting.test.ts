@@ -14,8 +14,8 @@ const withUi = (change: Partial<typeof INITIAL_STATE.ui>) => ({
   ui: { ...INITIAL_STATE.ui, ...change },
 });
 
-describe("what is drawn over a picture", () => {
-  test("holds while nothing that was read has changed", () => {
+describe("repaint of an overlay", () => {
+  test("A painting stays valid while the picture's version and the values that it has read are unchanged.", () => {
     const scene = sceneOf(INITIAL_STATE);
     const painting = drawn(scene, "tip", "routeLineVisible");
     expect(painting.holds({ version: 1 }, scene)).toBe(true);
@@ -24,7 +24,7 @@ describe("what is drawn over a picture", () => {
     expect(painting.holds({ version: 2 }, scene)).toBe(false);
   });
 
-  test("parts that say the same are the same objects from one scene to the next", () => {
+  test("Parts of two scenes with equal contents are the same objects.", () => {
     const brush = withUi({ armed: "paint", brushMm: 3 });
     const first = sceneOf(brush);
     const again = sceneOf({ ...brush });

@@ -1,9 +1,9 @@
-/** Contents of the overlays, computed from the state once per repaint. */
+/** Contents of the overlays, computed from the page's state once per repaint. */
 
 import type { BranchNode, BranchTree } from "../state/airways";
 import { type AppState, type Cursor, crosshairLps, pathMm } from "../state/app-state";
-import { kindWords, lumenMm } from "../state/branch-words";
-import { type PreviewRun, previewTool, previewWords, runsOf } from "../state/edit-preview";
+import { kindText, lumenMm } from "../state/branch-words";
+import { type PreviewRun, previewText, previewTool, runsOf } from "../state/edit-preview";
 import { forkOf } from "../state/fork-choice";
 import { mm, plural } from "../state/format";
 import { type LiveAnswer, leavesTreeAt, livePathLines } from "../state/live-path";
@@ -20,7 +20,7 @@ import type { Carm, EditLine, PlansMessage, RouteInfo, Slab, UncertainPlace, Ves
 import type { PlaneName } from "../wire/views";
 import { type Shape, shapeOf } from "./outline";
 
-/** A target. */
+/** A target as drawn in the views. */
 export interface SceneTarget {
   lps: Vec3;
   name: string;
@@ -29,7 +29,7 @@ export interface SceneTarget {
   hasSize: boolean;
 }
 
-/** A target with a size. */
+/** A target with a size as drawn in the views. */
 export interface SceneLesion {
   name: string;
   centre: Vec3;
@@ -37,15 +37,15 @@ export interface SceneLesion {
   chosen: boolean;
 }
 
-/** Contents of the overlays. */
+/** Contents of the overlays of all views. */
 export interface Scene {
-  /** Camera of the latest pose, which may be newer than the pictures. */
+  /** Camera of the latest pose, which may be newer than the displayed pictures; null without a pose. */
   tip: Camera | null;
-  /** Intersection of the slices, LPS mm. */
+  /** Point where the slices intersect, LPS mm; null without one. */
   crosshair: Vec3 | null;
   followsTip: boolean;
   route: RouteInfo | null;
-  /** Parts of the route that the CT shows, drawn as a solid line. The other parts are in `drawn` and dashed. */
+  /** Parts of the route that the CT shows, drawn as solid lines. The other parts are in `drawn` and dashed. */
   routeRuns: readonly (readonly Vec3[])[];
   routeLineVisible: boolean;
   /** Whether slices and the cut-plane show the lumen outline and the centrelines. */
@@ -53,55 +53,63 @@ export interface Scene {
   /** Layers around the targets that the user has hidden. */
   hiddenLayers: readonly ShownLayer[];
   stations: readonly SeenStation[];
-  /** Centrelines of vessels, if they are visible. */
+  /** Centrelines of the vessels; empty while they are hidden. */
   vessels: readonly VesselLine[];
   tree: BranchTree | null;
   pathMm: number | null;
   targets: readonly SceneTarget[];
   lesions: readonly SceneLesion[];
-  /** Needle path from the scope's tip into the target, and the distance between the tip and the parking position. */
+  /**
+   * Needle path from the scope's tip at the parking position into the target, and the distance of the tip from the
+   * parking position, mm; null without a needle path.
+   */
   needle: { tip: Vec3; aim: Vec3; toGoMm: number | null } | null;
   root: Vec3 | null;
-  /** Start of a path search through the whole scan, while that cost function is selected. */
+  /** Start point of a path search through the whole scan, while its cost function is selected; null otherwise. */
   start: Vec3 | null;
   airwayShape: Shape;
-  /** Box of the volume. */
+  /** Voxel grid of the volume; null without a case. */
   grid: Grid | null;
   carm: Carm;
   slab: Slab;
-  /** The plane of the tri-plane view under the cursor. */
+  /** The plane of the tri-plane view under the cursor; null if there is none. */
   overPlane: PlaneName | null;
-  /** Clicked points of the wall, oldest first. */
+  /** Clicked points of the airway wall, LPS mm, oldest first. */
   wallPoints: readonly Vec3[];
-  /** Branches that the CT does not show: bridges and hand-drawn branches. */
+  /** Branches that the CT does not show: bridges and branches drawn by hand. */
   drawn: readonly BranchNode[];
   /** Branches with a known lobe. */
   named: readonly BranchNode[];
-  /** Branches with a name (anatomical or by the user), large branches first. */
+  /** Branches with a name from the anatomy or the user, large branches first. */
   titled: readonly BranchNode[];
-  /** End of the first branch, usually the trachea. */
+  /** End point of the tree's first branch, usually the trachea, LPS mm; null without a tree. */
   trunkEnd: Vec3 | null;
   uncertain: readonly UncertainPlace[];
-  /** The branch under the cursor. */
+  /** The branch under the cursor; null if there is none. */
   hovered: { node: BranchNode; place: TreePlace | null } | null;
   selected: BranchNode | null;
-  /** The branch that contains the tip. */
+  /** ID of the branch that contains the tip; null if there is none. */
   hereId: number | null;
-  /** Lines that a cut at the cursor would remove, or smoothing would change. */
+  /** Centreline parts that a cut at the cursor would remove, or that smoothing would change. */
   doomed: readonly (readonly Vec3[])[];
-  /** The fork that is being moved, or that a click would select. */
+  /** End point, LPS mm, of the fork that is being moved, or that a click would select; null without one. */
   heldFork: Vec3 | null;
-  /** Preview of an edit or of a question; faint while the answer is for an earlier cursor position. */
+  /**
+   * Preview of an edit, or of the question about a branch without evidence. `faint` is true while the answer is for an
+   * earlier cursor position.
+   */
   preview: { runs: readonly PreviewRun[]; faint: boolean } | null;
-  /** Path to the cursor, with the index of the point at which it leaves the tree. */
+  /**
+   * Path to the cursor; `leavesAt` is the index of the point at which the path leaves the tree. Null without a path.
+   */
   live: { points: readonly Vec3[]; leavesAt: number } | null;
   /**
-   * Tip of the tracked pen, while its button marks the tip or the scope follows it, and its text; the first text that
-   * fits is drawn.
+   * Tip of the tracked pen with its texts, of which the first that fits is drawn. Null unless the pen's button marks
+   * its tip or the scope follows the pen.
    */
   pen: { lps: Vec3; words: readonly string[] } | null;
   cursor: Cursor | null;
-  /** Text at the cursor. */
+  /** Text at the cursor; `warns` draws it as a warning. Null without a text. */
   note: { lines: readonly string[]; warns: boolean } | null;
   brush: { radiusMm: number; erase: boolean } | null;
   stroke: readonly Vec3[];
@@ -159,7 +167,7 @@ function endOf(tree: BranchTree | null): Vec3 | null {
   return point === undefined ? null : asVec3(point);
 }
 
-/** Return the hovered and selected objects, and those of the active tool. */
+/** Return the contents of the scene that depend on the cursor, the selection and the active tool. */
 function pointedAt(
   state: AppState,
 ): Pick<
@@ -203,13 +211,13 @@ function pointedAt(
   }
   const node = ui.hovered === null ? undefined : tree?.byId.get(ui.hovered.branchId);
   const hovered = node === undefined || ui.hovered === null ? null : { node, place: ui.hovered.place };
-  // The end of the route is not a selection, because the route line already shows it.
+  // The end of the route does not count as a selection, because the route line already shows it.
   const selected = ui.selected === null ? null : (tree?.byId.get(ui.selected) ?? null);
-  const meant =
+  const forkAtCursor =
     tree !== null && ui.armed === "fork" && hovered !== null
       ? forkOf(tree, hovered.node.branch.id, hovered.place?.alongMm ?? 0)
       : null;
-  const fork = ui.forkHeld ?? meant;
+  const fork = ui.forkHeld ?? forkAtCursor;
   const held = fork === null ? undefined : tree?.byId.get(fork)?.branch.points.at(-1);
   return {
     ...parts,
@@ -233,11 +241,11 @@ function actedOn(armed: Armed | null, node: BranchNode, alongMm: number): Vec3[]
 
 function noteOf(state: AppState, hovered: BranchNode | null): Scene["note"] {
   const { ui, livePath, preview, doubt } = state;
-  // The text of the question is shown beside the tool.
+  // The question about a branch without evidence is shown beside the tool, not at the cursor.
   if (doubt !== null) return null;
-  // The text is shown at the pen.
+  // While the path leads to the pen, its text is shown at the pen.
   if (ui.penLeads) return null;
-  if (previewTool(ui.armed, ui.forkHeld !== null) !== null) return preview === null ? null : previewWords(preview);
+  if (previewTool(ui.armed, ui.forkHeld !== null) !== null) return preview === null ? null : previewText(preview);
   if (wantsPath(ui.armed)) return livePath === null ? null : livePathLines(livePath.answer);
   if (hovered === null) return null;
   const name = branchLine(hovered);
@@ -253,13 +261,13 @@ function noteOf(state: AppState, hovered: BranchNode | null): Scene["note"] {
 }
 
 function branchLine(node: BranchNode): string {
-  const kind = kindWords(node.branch.kind);
+  const kind = kindText(node.branch.kind);
   const lumen = lumenMm(node);
   if (kind !== null) return `${node.label} (${kind})`;
   return lumen === null ? node.label : `${node.label}, ${mm(lumen)}`;
 }
 
-/** Return the text about a path in a long and a shorter form. */
+/** Return the text about a path in a long form and in shorter forms. */
 function shorter({ answer }: LiveAnswer): string[] {
   const { lines } = livePathLines(answer);
   const length = answer.length_mm === null ? "no path" : mm(answer.length_mm, 0);
@@ -292,7 +300,10 @@ function shownRuns(route: RouteInfo | null): readonly (readonly Vec3[])[] {
 
 let last: Scene | null = null;
 
-/** Return the scene. Parts with equal contents stay the same objects, so that overlays need no repaint. */
+/**
+ * Return the scene for a state. Parts with the same contents as before are the same objects, so that overlays are not
+ * repainted.
+ */
 export function sceneOf(state: AppState): Scene {
   const made = madeOf(state);
   const before = last;
@@ -327,7 +338,9 @@ const MADE = [
   "slab",
 ] as const satisfies readonly (keyof Scene)[];
 
-/** Compare lists and plain objects by content to a limited depth, other values by identity. */
+/**
+ * Return whether two values are equal: lists and plain objects by content to a limited depth, other values by identity.
+ */
 function isSame(a: unknown, b: unknown, depth = 3): boolean {
   if (Object.is(a, b)) return true;
   if (depth === 0 || typeof a !== "object" || typeof b !== "object" || a === null || b === null) return false;
@@ -337,7 +350,10 @@ function isSame(a: unknown, b: unknown, depth = 3): boolean {
   return keys.every((key) => isSame(Reflect.get(a, key), Reflect.get(b, key), depth - 1));
 }
 
-/** Number of elements above which lists are compared by identity: long lists are slow to compare and rarely change. */
+/**
+ * Number of elements above which lists are compared by identity, because long lists are slow to compare and rarely
+ * change.
+ */
 const MOST_PARTS = 64;
 
 function madeOf(state: AppState): Scene {

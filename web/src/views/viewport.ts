@@ -1,6 +1,6 @@
 /**
- * One view on the screen: a canvas for the picture, a canvas for the overlay, and the conversion between their
- * coordinates.
+ * One view on the screen: a canvas for the picture, a canvas for the overlay, and the conversion between the
+ * coordinates of both.
  */
 
 import type { PixelPoint } from "../state/projection";
@@ -12,9 +12,9 @@ import { type DrawnLayer, drawnLayers } from "./layer-path";
 import { clipPathOf, type Shape } from "./outline";
 import { outlinePath } from "./outline-path";
 
-/** Smallest and largest picture side on the wire, px. */
+/** Smallest picture side that the protocol accepts, px. */
 const MIN_SIDE_PX = 16;
-/** Space for the letters around a round picture, CSS px. */
+/** Space for the letters on each side of a round picture, CSS px. */
 export const RING_PX = 26;
 
 /** One view on the screen. */
@@ -23,11 +23,11 @@ export class Viewport {
   readonly picture: HTMLCanvasElement;
   readonly overlay: HTMLCanvasElement;
   header: PictureHeader | null = null;
-  /** Outline of the lumen, in pixels of the displayed picture. */
+  /** Outline of the lumen, in pixels of the displayed picture; null without one. */
   outline: Path2D | null = null;
   /** Layers of the displayed picture. */
   layers: readonly DrawnLayer[] = [];
-  /** Number that changes with the picture, its size or its shape, but not with the overlay. */
+  /** Number that changes with the displayed picture, its size or its shape, but not with the overlay. */
   version = 0;
   #view: ViewName;
   #shape: Shape;
@@ -43,7 +43,8 @@ export class Viewport {
     this.overlay = document.createElement("canvas");
     this.overlay.className = "overlay";
     this.overlay.setAttribute("aria-hidden", "true");
-    // The browser may discard a canvas in the background; it is painted again on return.
+    // The browser may discard the contents of a canvas in the background; paint them again when the browser restores
+    // the canvas.
     this.overlay.addEventListener("contextrestored", () => {
       this.version += 1;
     });
@@ -59,7 +60,10 @@ export class Viewport {
     return this.#shape;
   }
 
-  /** Show another view in the same place; the old picture is cleared, so that it is not mistaken for the new view. */
+  /**
+   * Show another view in the same place. The old picture is cleared, so that it is not mistaken for a picture of the
+   * new view.
+   */
   show(view: ViewName, shape: Shape): void {
     const changed = view !== this.#view;
     this.#view = view;
@@ -87,7 +91,7 @@ export class Viewport {
     this.#place();
   }
 
-  /** Position of the picture in the host element, CSS px. */
+  /** Rectangle of the picture in the host element, CSS px. */
   get frame(): Rect {
     const { width, height } = this.#hostSize;
     if (this.#shape === "fill") return { x: 0, y: 0, width, height };
@@ -104,7 +108,7 @@ export class Viewport {
     return this.#hostSize;
   }
 
-  /** Picture size to request from the server, device pixels; null without space for a picture. */
+  /** Picture size to request from the server, device pixels; null if the host element has no space for a picture. */
   get wantedPixels(): { width: number; height: number } | null {
     const { width, height } = this.frame;
     const scale = Math.min(this.#ratio, VIEWS[this.#view].max_px / Math.max(width, height, 1));
@@ -126,7 +130,8 @@ export class Viewport {
     this.layers = drawnLayers(layers);
     const { width, height } = this.picture;
     const fit = fitInside(header, width, height);
-    // While a cell changes its size, pictures of other proportions arrive; the rest must not show an older picture.
+    // While the view changes its size, a picture with other proportions may arrive. Clear the uncovered part of the
+    // canvas, which would show an older picture.
     if (fit.width < width || fit.height < height) ink.clearRect(0, 0, width, height);
     ink.imageSmoothingEnabled = true;
     ink.imageSmoothingQuality = "high";
@@ -134,7 +139,7 @@ export class Viewport {
     this.#describe();
   }
 
-  /** Convert a place in the host element (CSS px) to picture coordinates. */
+  /** Convert a position in the host element (CSS px) to picture coordinates; null without a picture. */
   pixelAt(at: ScreenPoint): PixelPoint | null {
     if (this.header === null) return null;
     const place = this.#pictureOnHost(this.header);
@@ -153,12 +158,12 @@ export class Viewport {
     };
   }
 
-  /** CSS px per picture pixel. */
+  /** Size of a picture pixel, CSS px. */
   get magnification(): number {
     return this.header === null ? 1 : this.#pictureOnHost(this.header).width / this.header.width;
   }
 
-  /** Return the cleared overlay canvas with coordinates in CSS px; null if there is none. */
+  /** Clear the overlay canvas and return its context, with coordinates in CSS px; null if the browser provides none. */
   ink(): Ink | null {
     const ink = this.overlay.getContext("2d");
     if (ink === null) return null;
@@ -181,7 +186,8 @@ export class Viewport {
 
   #place(): void {
     const frame = this.frame;
-    // A view hidden behind an enlarged one keeps its picture until it is visible again.
+    // Keep the picture of a view without size, which is hidden behind an enlarged view, until the view is visible
+    // again.
     if (frame.width < 1 || frame.height < 1) return;
     const { style } = this.picture;
     style.left = `${frame.x}px`;
@@ -192,21 +198,22 @@ export class Viewport {
     const width = Math.max(Math.round(frame.width * this.#ratio), 1);
     const height = Math.max(Math.round(frame.height * this.#ratio), 1);
     if (this.picture.width === width && this.picture.height === height) return;
-    // A change of a canvas's size clears it, so the last picture is copied and scaled until the next one arrives.
-    const kept = this.header === null ? null : copyOf(this.picture);
+    // A change of a canvas's size clears the canvas. Copy the last picture and scale it, until the next picture
+    // arrives.
+    const copy = this.header === null ? null : copyOf(this.picture);
     this.picture.width = width;
     this.picture.height = height;
-    if (kept !== null && this.header !== null) {
-      // Use the picture's proportions, as the overlay does, and not those of the old canvas.
-      const from = fitInside(this.header, kept.width, kept.height);
+    if (copy !== null && this.header !== null) {
+      // Use the proportions of the picture, as the overlay does, not those of the old canvas.
+      const from = fitInside(this.header, copy.width, copy.height);
       const to = fitInside(this.header, width, height);
       this.picture
         .getContext("2d")
-        ?.drawImage(kept, from.x, from.y, from.width, from.height, to.x, to.y, to.width, to.height);
+        ?.drawImage(copy, from.x, from.y, from.width, from.height, to.x, to.y, to.width, to.height);
     }
   }
 
-  /** Write the state of this canvas to data attributes, for browser tests. */
+  /** Write the state of the displayed picture to data attributes, for browser tests. */
   #describe(): void {
     const { dataset } = this.picture;
     dataset.view = this.#view;
@@ -214,14 +221,14 @@ export class Viewport {
     dataset.frameId = this.header === null ? "" : String(this.header.frame_id);
     dataset.poseId = this.header === null ? "" : String(this.header.pose_id);
     dataset.full = this.header === null ? "" : String(this.header.full);
-    // Empty unless another picture replaces the view's picture.
+    // Name of the picture that replaces the view's picture; empty if none does.
     dataset.shows = this.header === null || this.header.stands_for === null ? "" : this.header.view;
   }
 }
 
 function fitInside(of: { width: number; height: number }, width: number, height: number): Rect {
   const scale = Math.min(width / of.width, height / of.height);
-  // A rounding error of the same proportions must not leave a thin line.
+  // Treat proportions within a rounding error as equal, so that no thin line remains at the edge.
   const near = Math.abs(width / of.width - height / of.height) < 0.02 * scale;
   const fitted = near ? { width, height } : { width: of.width * scale, height: of.height * scale };
   return { x: (width - fitted.width) / 2, y: (height - fitted.height) / 2, ...fitted };

@@ -1,4 +1,4 @@
-/** Marks at clicked points of the airway wall, at fixed patient positions, in all views. */
+/** Marks at the clicked points of the airway wall, in all views. The marks stay at fixed patient positions. */
 
 import { mm } from "../state/format";
 import { type Geometry, pixelFromLps } from "../state/projection";
@@ -7,18 +7,22 @@ import { INK, type Ink, label, line, type ScreenPoint } from "./ink";
 import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
 
-/** Distance, mm, beyond which a wall point in the airway view is most likely behind another wall. */
+/**
+ * Distance of a wall point from the lens, mm, beyond which another wall most likely hides the point in the airway view.
+ */
 const FAR_MM = 60;
+/** Opacity of the marks of points that are not near. */
 const FAINT = 0.35;
 const ARM_PX = 6;
-/** Distance between two marks, px, below which a label would cover them. */
+/** Distance between two marks, px, below which no label is drawn, because it would cover the marks. */
 const LABEL_FROM_PX = 70;
-/** Size of a view, px, below which the marks are smaller. */
+/** Side of a view, px, below which the marks are smaller. */
 const SMALL_CELL_PX = 400;
 const GAP_PX = 2.5;
 
 /**
- * Draw the marks. `isNear` decides by the depth (behind a plane, or in front of a camera) whether a point is visible.
+ * Draw the marks of the clicked wall points. `isNear` returns whether a point at a depth (behind a plane, or in front
+ * of a camera) is visible.
  */
 export function paintWallMarks(
   ink: Ink,
@@ -48,7 +52,7 @@ export function paintWallMarks(
   }
 }
 
-/** Draw a cross with a free middle; the latest one has a ring. */
+/** Draw a mark: a cross with a free middle. The latest mark has a ring. */
 function wallMark(ink: Ink, at: ScreenPoint, alpha: number, newest: boolean, size: number): void {
   for (const [colour, width] of [
     [INK.halo, 4],

@@ -1,6 +1,6 @@
 /**
- * All views on the screen: distributes received pictures, repaints overlays, and reports the visible views to the
- * server.
+ * All views on the screen: passes received pictures to the views, repaints the overlays, and reports the visible views
+ * to the server.
  */
 
 import type { PictureHeader, ViewName, ViewSize } from "../wire/messages";
@@ -25,14 +25,14 @@ export interface WallHooks {
   nextRefresh(task: () => void): void;
 }
 
-/** All views on the screen. */
+/** Collection of all views on the screen. */
 export class Wall {
   readonly #viewports = new Set<Viewport>();
   readonly #hooks: WallHooks;
   readonly #painted = new WeakMap<Viewport, Painting>();
   #repaintDue = false;
   #layoutDue = false;
-  #told = "";
+  #reported = "";
 
   constructor(hooks: WallHooks) {
     this.#hooks = hooks;
@@ -62,7 +62,7 @@ export class Wall {
     const viewport = this.find(header.stands_for ?? header.view);
     if (viewport === null) return false;
     viewport.draw(header, image, outline, layers);
-    // Paint immediately, so that the outline of one picture never appears over another.
+    // Paint now, so that the outline of one picture never appears over another picture.
     if (outline !== null || layers.length > 0) this.#paint(viewport, this.#hooks.scene());
     this.touch();
     return true;
@@ -78,7 +78,7 @@ export class Wall {
     this.touch();
   }
 
-  /** Schedule a repaint, because the contents of an overlay have changed. */
+  /** Schedule a repaint of all overlays at the next display refresh, because the scene has changed. */
   touch(): void {
     if (this.#repaintDue) return;
     this.#repaintDue = true;
@@ -89,7 +89,10 @@ export class Wall {
     });
   }
 
-  /** Repaint a view only if something it shows has changed; most events, such as cursor movement, concern one view. */
+  /**
+   * Repaint the overlay of a view only if something that it shows has changed; most events, such as a cursor movement,
+   * concern one view.
+   */
   #paint(viewport: Viewport, scene: Scene): void {
     const seen = sceneIn(viewport, scene);
     if (this.#painted.get(viewport)?.holds(viewport, seen) === true) return;
@@ -107,7 +110,10 @@ export class Wall {
     });
   }
 
-  /** Report the visible views to the server; with `again` also without a change, for a new connection. */
+  /**
+   * Report the visible views and their sizes to the server if they have changed; with `again` also without a change,
+   * for a new connection.
+   */
   tellLayout(again: boolean): void {
     const views: ViewSize[] = [];
     for (const viewport of this.#hooks.isSeen() ? this.#viewports : []) {
@@ -115,22 +121,22 @@ export class Wall {
       if (pixels !== null) views.push({ view: viewport.view, ...pixels });
     }
     const text = JSON.stringify(views);
-    if (text === this.#told && !again) return;
-    this.#told = text;
+    if (text === this.#reported && !again) return;
+    this.#reported = text;
     this.#hooks.layoutChanged(views);
   }
 }
 
-/** Paint an overlay; return false if there was no canvas. */
+/** Paint the overlay of a view; return false if there is no canvas. */
 function paint(viewport: Viewport, scene: Scene): boolean {
   const ink = viewport.ink();
   if (ink === null) return false;
-  // The displayed picture selects the overlay, because a cut-plane may replace the airway view in its place.
+  // Select the overlay by the displayed picture, because a cut-plane may replace the airway view.
   PAINTERS[VIEWS[viewport.header?.view ?? viewport.view].overlay](ink, viewport, scene);
   return true;
 }
 
-/** Return the scene for one view; only the view under the cursor receives the cursor. */
+/** Return the scene for one view: the cursor is included only for the view under the cursor. */
 function sceneIn(viewport: Viewport, scene: Scene): Scene {
   return scene.cursor === null || scene.cursor.view === viewport.view ? scene : { ...scene, cursor: null };
 }

@@ -23,51 +23,51 @@ const refused = (read: () => unknown): boolean => {
 };
 
 describe("samples of the protocol", () => {
-  it("are there: a folder that is empty would pass everything", () => {
+  it("Each folder contains at least four samples, because an empty folder would pass every test.", () => {
     for (const folder of ["valid/server", "valid/client", "valid/pictures", "invalid/server", "invalid/client"]) {
       expect(samples(folder).length).toBeGreaterThan(3);
     }
   });
 
-  it.each(samples("valid/server"))("reads $name", ({ bytes }) => {
+  it.each(samples("valid/server"))("parseServerMessage accepts the server's message $name.", ({ bytes }) => {
     expect(parseServerMessage(text(bytes))).toEqual(JSON.parse(text(bytes)));
   });
 
-  it.each(samples("valid/client"))("would send $name", ({ bytes }) => {
+  it.each(samples("valid/client"))("checkClientMessage accepts the client's message $name.", ({ bytes }) => {
     expect(() => checkClientMessage(text(bytes))).not.toThrow();
   });
 
-  it.each(samples("valid/pictures"))("reads the picture $name", ({ bytes }) => {
+  it.each(samples("valid/pictures"))("parsePicture accepts the picture $name.", ({ bytes }) => {
     const { header, payload } = parsePicture(bytes.buffer);
     expect(header.width).toBeGreaterThan(0);
     expect(payload.length).toBeGreaterThan(0);
   });
 
-  it.each(samples("invalid/server"))("refuses $name", ({ bytes }) => {
+  it.each(samples("invalid/server"))("parseServerMessage rejects the server's message $name.", ({ bytes }) => {
     expect(refused(() => parseServerMessage(text(bytes)))).toBe(true);
   });
 
-  it.each(samples("invalid/client"))("would not send $name", ({ bytes }) => {
+  it.each(samples("invalid/client"))("checkClientMessage rejects the client's message $name.", ({ bytes }) => {
     expect(refused(() => checkClientMessage(text(bytes)))).toBe(true);
   });
 
-  it.each(samples("valid/phone"))("would send from a phone $name", ({ bytes }) => {
+  it.each(samples("valid/phone"))("checkPhoneMessage accepts the phone's message $name.", ({ bytes }) => {
     expect(() => checkPhoneMessage(text(bytes))).not.toThrow();
   });
 
-  it.each(samples("valid/to-phone"))("reads on a phone $name", ({ bytes }) => {
+  it.each(samples("valid/to-phone"))("parseToPhone accepts the message to the phone $name.", ({ bytes }) => {
     expect(parseToPhone(text(bytes))).toEqual(JSON.parse(text(bytes)));
   });
 
-  it.each(samples("invalid/phone"))("would not send from a phone $name", ({ bytes }) => {
+  it.each(samples("invalid/phone"))("checkPhoneMessage rejects the phone's message $name.", ({ bytes }) => {
     expect(refused(() => checkPhoneMessage(text(bytes)))).toBe(true);
   });
 
-  it.each(samples("invalid/to-phone"))("refuses on a phone $name", ({ bytes }) => {
+  it.each(samples("invalid/to-phone"))("parseToPhone rejects the message to the phone $name.", ({ bytes }) => {
     expect(refused(() => parseToPhone(text(bytes)))).toBe(true);
   });
 
-  it.each(samples("invalid/pictures"))("refuses the picture $name", ({ bytes }) => {
+  it.each(samples("invalid/pictures"))("parsePicture rejects the picture $name.", ({ bytes }) => {
     expect(refused(() => parsePicture(bytes.buffer))).toBe(true);
   });
 });

@@ -7,10 +7,10 @@ import schemaJson from "../../../protocol/schema.json";
 import type { ClientMessage, PictureHeader, PictureLayer, ServerMessage, ToPhoneMessage } from "./messages";
 import { clientProblem, doubledKey, layersOf, pictureProblem } from "./second-checks";
 
-/** The error of a message that violates the protocol. */
+/** Error of a message that violates the protocol. */
 export class WireError extends Error {}
 
-/** The part of JSON Schema that the schema generator uses. */
+/** The part of JSON Schema that the schema generator of the server uses. */
 interface Schema {
   readonly $ref?: string;
   readonly const?: unknown;
@@ -42,7 +42,7 @@ function resolve(schema: Schema): Schema {
   return schema.$ref === undefined ? schema : definition(schema.$ref.replace("#/$defs/", ""));
 }
 
-/** Return the first violation of a schema as text, or null for a valid value. */
+/** Return the first violation of a schema by a value, as text; null for a valid value. */
 function problem(given: Schema, value: unknown, where: string): string | null {
   const schema = resolve(given);
   if (schema.const !== undefined) return value === schema.const ? null : `${where} must be ${String(schema.const)}`;
@@ -84,7 +84,7 @@ function numberProblem(schema: Schema, value: unknown, where: string): string | 
 
 function stringProblem(schema: Schema, value: unknown, where: string): string | null {
   if (typeof value !== "string") return `${where} must be text`;
-  // Count code points, as Python does.
+  // Count code points, as Python does, and not UTF-16 units.
   const count = schema.minLength === undefined && schema.maxLength === undefined ? 0 : [...value].length;
   if (schema.minLength !== undefined && count < schema.minLength) return `${where} is too short`;
   if (schema.maxLength !== undefined && count > schema.maxLength) return `${where} is too long`;
@@ -126,7 +126,7 @@ function objectProblem(schema: Schema, value: unknown, where: string): string | 
   return null;
 }
 
-/** Return the definition of each message type of one direction. */
+/** Return the schema of each message type of a union, by the name of the type. */
 function byType(union: string): ReadonlyMap<unknown, Schema> {
   return new Map(
     (definition(union).oneOf ?? []).map((choice) => {
@@ -168,42 +168,47 @@ export function parseServerMessage(text: string): ServerMessage {
   return parseMessage(SERVER_TYPES, text) as ServerMessage;
 }
 
-/** Check a message of this client by the schema; throw a {@link WireError} if it violates the schema. */
+/** Check the text of a message from this client by the schema; throw a {@link WireError} if it violates the schema. */
 export function checkClientMessage(text: string): void {
   const found = clientProblem(parseMessage(CLIENT_TYPES, text) as ClientMessage);
   if (found !== null) throw new WireError(found);
 }
 
-/** Parse a message of the server to the phone page. */
+/** Parse a message of the server to the phone page; throw a {@link WireError} if it violates the schema. */
 export function parseToPhone(text: string): ToPhoneMessage {
   return parseMessage(TO_PHONE_TYPES, text) as ToPhoneMessage;
 }
 
-/** Check a message of the phone page by the schema. */
+/**
+ * Check the text of a message from the phone page by the schema; throw a {@link WireError} if it violates the schema.
+ */
 export function checkPhoneMessage(text: string): void {
   parseMessage(PHONE_TYPES, text);
 }
 
-/** Largest accepted header length; a larger value is invalid. */
+/** Largest accepted length of a picture's header, bytes. */
 const MAX_HEADER_BYTES = 65_536;
 
-/** A received picture. */
+/** A received picture: header, image data, outline and layers. */
 export interface WirePicture {
   readonly header: PictureHeader;
   readonly payload: Uint8Array<ArrayBuffer>;
-  /** Lines of the lumen outline in the wire's encoding; null if the picture has none. */
+  /** Lines of the lumen outline in the protocol's encoding; null if the picture has none. */
   readonly outline: Uint8Array<ArrayBuffer> | null;
-  /** Lines of the structures around the targets. */
+  /** Lines of the lung structures around the targets. */
   readonly layers: readonly WireLayer[];
 }
 
-/** A received layer. */
+/** A layer of a received picture. */
 export interface WireLayer {
   readonly header: PictureLayer;
   readonly bytes: Uint8Array<ArrayBuffer>;
 }
 
-/** Split a binary message: header length (u32, little-endian), JSON header, payload. */
+/**
+ * Parse the binary message of a picture: header length (u32, little-endian), JSON header, payload. Throw a {@link
+ * WireError} if the message violates the protocol.
+ */
 export function parsePicture(data: ArrayBuffer): WirePicture {
   if (data.byteLength < 4) throw new WireError("an image message is truncated: it ends within its header");
   const headerBytes = new DataView(data).getUint32(0, true);

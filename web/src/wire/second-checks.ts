@@ -3,12 +3,13 @@
 import type { AskEditPreviewMessage, AskLivePathMessage, ClientMessage, PictureHeader, PictureLayer } from "./messages";
 
 /**
- * Return a key that occurs twice in one object of a JSON text, or null. `JSON.parse` would silently use the last value.
+ * Return the first key that occurs twice in one object of a JSON text; null if there is none. `JSON.parse` would use the
+ * last value without an error.
  */
 export function doubledKey(text: string): string | null {
   const objects: (Set<string> | null)[] = [];
   let index = 0;
-  /** Whether the next string is a key: in an object, a string after `{` or `,` is a key. */
+  /** Whether the next string of the text is a key: in an object, a string after `{` or `,` is a key. */
   let keyDue = false;
   while (index < text.length) {
     const char = text[index];
@@ -48,7 +49,7 @@ function endOfString(text: string, start: number): number {
   return index + 1;
 }
 
-/** Return a violation of the second checks in a client message as text, or null. */
+/** Return the first violation of the second checks by a client message, as text; null for a valid message. */
 export function clientProblem(message: ClientMessage): string | null {
   switch (message.type) {
     case "layout":
@@ -85,7 +86,7 @@ export function clientProblem(message: ClientMessage): string | null {
   }
 }
 
-/** Return a violation in a message that must contain either a point or a complete picture place, or null. */
+/** Return a text if a message contains neither or both of a point and a complete picture position; null otherwise. */
 function placeProblem(message: AskLivePathMessage | AskEditPreviewMessage): string | null {
   const inPicture = [message.frame_id, message.column, message.row].filter((part) => part !== null).length;
   return inPicture === (message.lps === null ? 3 : 0) ? null : `${message.type} needs a point or a place in a picture`;
@@ -95,8 +96,8 @@ const PNG_MAGIC = [0x89, 0x50, 0x4e, 0x47];
 const JPEG_MAGIC = [0xff, 0xd8, 0xff];
 
 /**
- * Return a violation in a picture's payload: the payload must begin with its codec's signature and end with complete
- * outline lines.
+ * Return the first violation in the payload of a picture, as text; null for a valid payload. The payload must begin with
+ * the signature of its codec, and end with the complete lines of its outline and layers.
  */
 export function pictureProblem(header: PictureHeader, payload: Uint8Array): string | null {
   const magic = header.codec === "png" ? PNG_MAGIC : JPEG_MAGIC;
@@ -116,7 +117,7 @@ export function pictureProblem(header: PictureHeader, payload: Uint8Array): stri
   return null;
 }
 
-/** Return the layers of a picture; none from an older server. */
+/** Return the layers of a picture; an empty list for the header of an older server, which has no layers. */
 export const layersOf = (header: PictureHeader): readonly PictureLayer[] => header.layers ?? [];
 
 function linesProblem(payload: Uint8Array, end: number, numBytes: number): string | null {

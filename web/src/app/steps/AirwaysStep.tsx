@@ -6,10 +6,10 @@ import { useApp, useStation } from "../context";
 import { Act, SwitchKey } from "../controls";
 import { EditTools, ToolInHand } from "../EditTools";
 import { MaskPicker } from "../MaskImport";
-import { PenWords } from "../ToolTag";
+import { PenText } from "../ToolTag";
 import { Threshold } from "./Threshold";
 
-/** Render the Airways step. */
+/** Render the panel of the Airways step. */
 export function AirwaysStep() {
   const station = useStation();
   const session = useApp((state) => state.session);
@@ -68,7 +68,7 @@ export function AirwaysStep() {
   );
 }
 
-/** Render the root and the air threshold of the search. */
+/** Render the start point and the air threshold of the airway segmentation. */
 function Root() {
   const station = useStation();
   const rootLps = useApp((state) => state.session?.root_lps ?? null);
@@ -86,7 +86,7 @@ function Root() {
         on={armed}
         onChange={() => station.act("arm_root")}
       />
-      <PenWords />
+      <PenText />
       <Threshold />
     </div>
   );

@@ -1,7 +1,7 @@
 import { keyOf, WINDOWS } from "../../input/keymap";
 import { greyWindow } from "../../state/app-state";
 import { findingsOf } from "../../state/badges";
-import { sentence, windowWords } from "../../state/format";
+import { sentence, windowText } from "../../state/format";
 import type { CaseNote } from "../../wire/messages";
 import { useApp, useStation } from "../context";
 import { Act, Choice } from "../controls";
@@ -25,7 +25,7 @@ const SLABS = [
 type SlabName = (typeof SLABS)[number]["value"];
 const NO_BADGES: readonly CaseNote[] = [];
 
-/** Render the Check step. */
+/** Render the panel of the Check step. */
 export function CheckStep() {
   const station = useStation();
   const info = useApp((state) => state.session?.case ?? null);
@@ -36,7 +36,7 @@ export function CheckStep() {
   if (info === null) return null;
   const findings = findingsOf(badges, info.quality, info.warnings);
   const reason = info.not_hu_reason ?? "this volume is not in Hounsfield units";
-  const saidAbove = findings.some((words) => words.includes(reason));
+  const isListed = findings.some((words) => words.includes(reason));
   const chosen = PRESETS.find(({ value }) => WINDOWS[value].width_hu === width && WINDOWS[value].level_hu === level);
   return (
     <>
@@ -54,7 +54,7 @@ export function CheckStep() {
       )}
       {info.is_hu ? null : (
         <>
-          {saidAbove ? null : <p className="warning-text">{sentence(reason)}</p>}
+          {isListed ? null : <p className="warning-text">{sentence(reason)}</p>}
           <Threshold />
         </>
       )}
@@ -75,14 +75,14 @@ export function CheckStep() {
           choices={PRESETS.map(({ value, label }) => ({
             value,
             label,
-            words: `${windowWords(WINDOWS[value].width_hu, WINDOWS[value].level_hu)} HU`,
+            words: `${windowText(WINDOWS[value].width_hu, WINDOWS[value].level_hu)} HU`,
             keys: keyOf(value),
           }))}
           onChange={(value) => value !== "own" && station.act(value)}
         />
       ) : null}
       <p className="quiet numbers">
-        {windowWords(width, level)}
+        {windowText(width, level)}
         {info.is_hu ? " HU" : ""}; drag with the right mouse button in a slice to change it
       </p>
       <h3>Slab thickness</h3>

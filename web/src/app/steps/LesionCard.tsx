@@ -1,9 +1,11 @@
-/** Card of a target with a size: its kind, its dimensions, the user's description, and the path to the target. */
+/**
+ * Card of a target with a size: its kind, its dimensions, the user's description, and the needle path to the target.
+ */
 
 import { useId, useState } from "react";
 import { Input, Label, TextArea, TextField } from "react-aria-components";
 import { sentence } from "../../state/format";
-import { planOf, signWords } from "../../state/plan";
+import { planOf, signText } from "../../state/plan";
 import { asVec3 } from "../../state/vec";
 import type { Target, TargetPlan } from "../../wire/messages";
 import { useApp, useStation } from "../context";
@@ -46,7 +48,7 @@ export function LesionCard({ target }: { target: Target }) {
         )}
         {target.note === "" || editing ? null : <span className="quiet lesion-note">{target.note}</span>}
         {plan?.bronchus_sign == null ? null : (
-          <span className="quiet">Bronchus sign: {signWords(plan.bronchus_sign)}</span>
+          <span className="quiet">Bronchus sign: {signText(plan.bronchus_sign)}</span>
         )}
         {plan !== null && plan.problem !== null ? (
           <span className="warning-text" data-testid="lesion-problem">
@@ -92,7 +94,9 @@ export function LesionCard({ target }: { target: Target }) {
   );
 }
 
-/** Render the description as editable fields: Enter in the name saves it, Escape restores it. */
+/**
+ * Render the description of a target as editable fields: Enter in the name saves the description, Escape restores it.
+ */
 function Describe({ target, onDone }: { target: Target; onDone: () => void }) {
   const station = useStation();
   const hint = useId();
@@ -172,7 +176,7 @@ function Describe({ target, onDone }: { target: Target; onDone: () => void }) {
   );
 }
 
-/** Render the manual changes of the boundary (a diameter, or a brush) and the aim point. */
+/** Render the controls that change a target's boundary (a diameter, or a brush) and its aim point. */
 function Boundary({ target, plan }: { target: Target; plan: TargetPlan }) {
   const station = useStation();
   const armed = useApp((state) => (state.ui.brushedTarget === target.target_id ? state.ui.armed : null));

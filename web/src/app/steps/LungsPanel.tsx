@@ -1,4 +1,7 @@
-/** Panel of the structures around the target and the reach of an instrument: buttons to compute, show and hide them. */
+/**
+ * Panel of the lung structures around the target and of the reach of an instrument: buttons that compute, show and hide
+ * them.
+ */
 
 import { sentence } from "../../state/format";
 import { layerRows } from "../../state/lungs";
@@ -7,7 +10,7 @@ import { useApp, useStation } from "../context";
 import { Act, SwitchKey } from "../controls";
 import { Icon } from "../icons";
 
-/** Render the panel of the structures around the target. */
+/** Render the panel of the lung structures for a scope and a tool. */
 export function LungsPanel({ scope, tool }: { scope: string; tool: string }) {
   const station = useStation();
   const lungs = useApp((state) => state.lungs);
@@ -50,7 +53,7 @@ export function LungsPanel({ scope, tool }: { scope: string; tool: string }) {
       />
       {rows.length === 0 ? null : (
         <ul className="layers">
-          {rows.map(({ layer, title: name, words, told, limits, parts }) => (
+          {rows.map(({ layer, title: name, words, figures, limits, parts }) => (
             <li key={layer} data-testid={`layer-${layer}`}>
               <SwitchKey
                 label={name}
@@ -62,7 +65,7 @@ export function LungsPanel({ scope, tool }: { scope: string; tool: string }) {
               <details>
                 <summary>
                   {parts.length === 0 ? <Swatch colour={layerColour(layer)} /> : null}
-                  <span className="numbers">{told}</span>
+                  <span className="numbers">{figures}</span>
                 </summary>
                 {limits.map((limit) => (
                   <p key={limit} className="quiet">
@@ -94,7 +97,7 @@ export function LungsPanel({ scope, tool }: { scope: string; tool: string }) {
   );
 }
 
-/** Render the colour of a layer. */
+/** Render a square in the colour of a layer. */
 function Swatch({ colour }: { colour: string }) {
   return <span className="swatch" aria-hidden="true" style={{ background: colour }} />;
 }

@@ -4,7 +4,7 @@ import { Act } from "../controls";
 import { MaskPicker } from "../MaskImport";
 import { PathForm, Pickers } from "../StartPage";
 
-/** Render the Open step. */
+/** Render the panel of the Open step. */
 export function OpenStep() {
   const station = useStation();
   const info = useApp((state) => state.session?.case ?? null);

@@ -1,17 +1,20 @@
-/** Comparison of the routes to a target, the verdicts of instruments on the selected route, and the printable plan. */
+/**
+ * Planned routes of a target: their comparison, the verdicts of instruments on the selected route, and the printable
+ * plan.
+ */
 
 import { useState } from "react";
 import { Button } from "react-aria-components";
 import { tipLps } from "../../state/app-state";
 import { sentence } from "../../state/format";
-import { ROUTE_ROWS, turnBefore, turnWords, verdictsInOrder } from "../../state/plan";
+import { ROUTE_ROWS, turnBefore, turnText, verdictsInOrder } from "../../state/plan";
 import type { PlansMessage, ScopeVerdict, Target, TargetPlan } from "../../wire/messages";
 import { useApp, useStation } from "../context";
 import { Act } from "../controls";
 import { Icon } from "../icons";
 import type { PlanSuffix } from "../workstation";
 
-/** Render the planned routes of a target. */
+/** Render the planned routes of a target, with verdicts and exports. */
 export function PlannedRoutes({ target, plan }: { target: Target; plan: TargetPlan }) {
   const plans = useApp((state) => state.plans);
   const chosen = plan.chosen === null ? null : (plan.routes[plan.chosen - 1] ?? null);
@@ -178,7 +181,7 @@ function Options({ target, plan }: { target: Target; plan: TargetPlan }) {
   );
 }
 
-/** Render an optional number, saved when the field loses focus or on Enter. */
+/** Render a field for an optional length in mm, which is saved when the field loses focus or on Enter. */
 function Millimetres({
   title,
   value,
@@ -304,8 +307,8 @@ const PLAN_FILES: readonly [PlanSuffix, string, string][] = [
 ];
 
 /**
- * Render the list of turns; a click moves the tip to the viewpoint of the fork, so that the view shows the same clock
- * hour.
+ * Render the list of turns of the selected route. A click moves the tip to the viewpoint of the fork, from which the
+ * view shows the listed clock hour.
  */
 function Turns({ plans }: { plans: PlansMessage }) {
   const station = useStation();
@@ -329,7 +332,7 @@ function Turns({ plans }: { plans: PlansMessage }) {
                 station.send({ type: "see_turn", number: index + 1 });
               }}
             >
-              {turnWords(turn, operator)}
+              {turnText(turn, operator)}
             </Button>
           </li>
         ))}
@@ -382,7 +385,10 @@ const ARCHIVE_FILES: readonly [PlanSuffix, string, string][] = [
   [".pdf.dcm", "PDF", "The report as a PDF in a DICOM file"],
 ];
 
-/** Render the export to DICOM, which refers to the CT's images; if their folder is unknown, state what is missing. */
+/**
+ * Render the export of the plan to DICOM, which refers to the images of the CT. If their folder is unknown, the text
+ * states what is missing.
+ */
 function Archive({ target }: { target: Target }) {
   const station = useStation();
   const problem = useApp((state) => state.plans?.dicom_problem ?? null);

@@ -8,7 +8,7 @@ import { FlightList, RecordSwitch } from "../FlightList";
 import { Icon } from "../icons";
 import { ScopeSelect } from "../ScopeSelect";
 
-/** Render the Rehearse step. */
+/** Render the panel of the Rehearse step. */
 export function RehearseStep() {
   const station = useStation();
   const route = useApp((state) => state.route);
@@ -27,10 +27,10 @@ export function RehearseStep() {
   }
   const scope = scopes?.find((each) => each.name === name) ?? null;
   const begin = (fromMm: number | null) => {
-    // Leave and re-enter the mode: the simulated scope restarts, and its contact count is reset to 0.
+    // Leave scope mode and enter it again, so that the simulation restarts and counts contacts from 0.
     station.send({ type: "set_mode", mode: "path" });
-    // Send immediately, not at the next refresh as station.goTo does, which would enter path mode and end the scope
-    // mode.
+    // Send the message now. station.goTo would send it at the next refresh, after scope mode has begun, and would end
+    // that mode.
     if (fromMm !== null) station.send({ type: "go_to", path_mm: fromMm });
     station.send({ type: "set_mode", mode: "scope" });
   };
@@ -88,7 +88,7 @@ export function RehearseStep() {
   );
 }
 
-/** Render how far the selected instrument fits, and which others advance farther. */
+/** Render how far the selected instrument fits on the route, and which other instruments advance farther. */
 function Fit({ route, scope, scopes }: { route: RouteInfo; scope: Scope; scopes: readonly Scope[] }) {
   const stop = firstTooNarrow(route, scope.fit_mm);
   const passing = thatPass(route, scopes);
@@ -129,7 +129,7 @@ function Fit({ route, scope, scopes }: { route: RouteInfo; scope: Scope; scopes:
   );
 }
 
-/** Render the counts of the rehearsal. */
+/** Render the counts and times of the rehearsal. */
 function Score({ held }: { held: HeldScope }) {
   return (
     <dl className="facts" data-testid="score">

@@ -11,7 +11,7 @@ import { PlannedRoutes } from "./PlannedRoutes";
 import { useReachOf } from "./reach-of";
 import { TargetRow } from "./TargetStep";
 
-/** Render the Route step. */
+/** Render the panel of the Route step. */
 export function RouteStep() {
   const station = useStation();
   const route = useApp((state) => state.route);

@@ -3,7 +3,7 @@ import { EXPORTS } from "../../wire/exports";
 import { useApp, useStation } from "../context";
 import { Act } from "../controls";
 
-/** Render the Share step. */
+/** Render the panel of the Share step. */
 export function ShareStep() {
   const station = useStation();
   const found = useApp((state) => state.session?.airways === "found");

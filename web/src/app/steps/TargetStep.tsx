@@ -3,18 +3,18 @@ import { Button, FieldError, FileTrigger, Form, Input, Label, TextField } from "
 import { keyOf } from "../../input/keymap";
 import { filesOfPicker } from "../../net/upload";
 import { coordinates, parseCoordinates, sentence } from "../../state/format";
-import { COST_WORDS, type PathCost, pathWords, startOf } from "../../state/path-search";
+import { COST_TEXTS, type PathCost, pathText, startOf } from "../../state/path-search";
 import { asVec3, type Vec3 } from "../../state/vec";
 import type { Target } from "../../wire/messages";
 import { useApp, useStation } from "../context";
 import { Act, Choice, SwitchKey, Tip } from "../controls";
 import { Icon } from "../icons";
-import { PenWords } from "../ToolTag";
+import { PenText } from "../ToolTag";
 import { LesionCard } from "./LesionCard";
 import { LungsPanel } from "./LungsPanel";
 import { useReachOf } from "./reach-of";
 
-/** Render the Target step. */
+/** Render the panel of the Target step. */
 export function TargetStep() {
   const station = useStation();
   const targets = useApp((state) => state.session?.targets ?? null);
@@ -32,7 +32,7 @@ export function TargetStep() {
         testId="arm-target"
         onPress={() => station.act("arm_target")}
       />
-      <PenWords />
+      <PenText />
       <Coordinates />
       <FromFile />
       <LungsPanel scope={reach.scope} tool={reach.tool} />
@@ -55,13 +55,16 @@ export function TargetStep() {
 
 const COSTS: readonly PathCost[] = ["lumen", "walls", "paper"];
 
-/** Render the cost function of the path search, and the start of paths that need no airways. */
+/**
+ * Render the selection of the path search's cost function, and the start point for cost functions that need no airways.
+ */
 function PathSearch() {
   const station = useStation();
   const cost = useApp((state) => state.ui.pathCost);
   const found = useApp((state) => state.session?.airways === "found");
   const armed = useApp((state) => state.ui.armed === "start");
-  // Select the start as text, because a point would be a new object each time.
+  // Return the start point as text, because a selector must return the same value for an unchanged state and an array
+  // would be new each time.
   const start = useApp((state) => {
     const lps = startOf(state.ui, state.session);
     return lps === null ? null : coordinates(lps);
@@ -72,7 +75,7 @@ function PathSearch() {
       <Choice<PathCost>
         name="Path search"
         value={cost}
-        choices={COSTS.map((value) => ({ value, ...COST_WORDS[value] }))}
+        choices={COSTS.map((value) => ({ value, ...COST_TEXTS[value] }))}
         onChange={(chosen) => station.choosePathCost(chosen)}
       />
       {cost === "lumen" ? (
@@ -100,7 +103,7 @@ function PathSearch() {
   );
 }
 
-/** Render the row of a target. */
+/** Render one target as a row of the list of targets. */
 export function TargetRow({ target }: { target: Target }) {
   const station = useStation();
   const chosen = useApp((state) => state.route?.target_id === target.target_id);
@@ -114,7 +117,7 @@ export function TargetRow({ target }: { target: Target }) {
         <strong>{target.name}</strong>
         {target.problem === null ? (
           <span className="quiet numbers" data-testid="target-words">
-            {pathWords(target, isHu)}
+            {pathText(target, isHu)}
           </span>
         ) : (
           <span className="warning-text">{sentence(target.problem)}</span>
@@ -153,7 +156,7 @@ export function TargetRow({ target }: { target: Target }) {
   );
 }
 
-/** Render the import of a target drawn in another program. */
+/** Render the import of targets that were drawn in another program. */
 function FromFile() {
   const station = useStation();
   const [structure, setStructure] = useState("");
@@ -189,7 +192,7 @@ function FromFile() {
   );
 }
 
-/** Render the input of coordinates in the scanner's frame. */
+/** Render the input of a target's coordinates in the scanner's frame (LPS). */
 function Coordinates() {
   const station = useStation();
   const [text, setText] = useState("");
@@ -209,7 +212,7 @@ function Coordinates() {
         event.preventDefault();
         if (point === null) return;
         add();
-        // Return the focus to the flight after the input.
+        // Remove the focus from the field after the input, so that the keys move the tip again.
         if (document.activeElement instanceof HTMLElement) document.activeElement.blur();
       }}
     >

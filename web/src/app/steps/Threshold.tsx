@@ -1,4 +1,7 @@
-/** The threshold of air: a slider for the user's value, and a button that restores Carina's value. */
+/**
+ * Threshold of air for the airway segmentation: a slider for the user's value, and a button that restores the automatic
+ * value.
+ */
 
 import { useEffect, useState } from "react";
 import { Label, Slider, SliderOutput, SliderThumb, SliderTrack } from "react-aria-components";
@@ -6,7 +9,7 @@ import { fixed } from "../../state/format";
 import { useApp, useStation } from "../context";
 import { Act } from "../controls";
 
-/** Render the threshold of air. */
+/** Render the slider of the air threshold; nothing without an open case. */
 export function Threshold() {
   const station = useStation();
   const value = useApp((state) => state.session?.lumen_threshold ?? null);

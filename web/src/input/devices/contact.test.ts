@@ -9,14 +9,14 @@ const felt = (poses: readonly (PoseMessage | null)[]): boolean[] => {
   return poses.map((each) => sense.met(each));
 };
 
-describe("what the hand feels", () => {
-  it("is the tip leaving the lumen where nothing holds it, once", () => {
+describe("ContactSense", () => {
+  it("Without the scope simulation one contact is reported when the tip leaves the lumen.", () => {
     expect(felt([pose(true, null), pose(false, null), pose(false, null), pose(true, null), pose(false, null)])).toEqual(
       [false, true, false, false, true],
     );
   });
 
-  it("is each new contact of a held scope, which never leaves the lumen", () => {
+  it("With the scope simulation each increase of the contact count is reported once.", () => {
     expect(felt([pose(true, 0), pose(true, 1), pose(true, 1), pose(true, 3), pose(true, 3)])).toEqual([
       false,
       true,
@@ -26,7 +26,7 @@ describe("what the hand feels", () => {
     ]);
   });
 
-  it("is nothing when a scope is laid anew, or another case is opened", () => {
+  it("No contact is reported when a simulation starts again, when it ends, or when the case changes.", () => {
     expect(felt([pose(true, 5), pose(true, 0), pose(true, null), pose(true, 7), null, pose(true, 9)])).toEqual([
       false,
       false,

@@ -2,7 +2,7 @@
 
 import type { PoseMessage } from "../../wire/messages";
 
-/** Detector that receives every pose and returns true at the beginning of a contact. */
+/** Detector that receives every pose, and returns true when a contact between tip and wall begins. */
 export class ContactSense {
   #wasInside = true;
   #contacts: number | null = null;
@@ -20,8 +20,8 @@ export class ContactSense {
       this.#contacts = null;
       return wasInside && !pose.inside;
     }
-    // With the scope simulation the tip never leaves the lumen, because the wall stops it; the simulation counts its
-    // contacts. The count restarts at 0 with a new simulation.
+    // In the scope simulation the wall stops the tip, so the tip never leaves the lumen. The simulation counts contacts
+    // instead, from 0 after each restart.
     this.#contacts = pose.scope.num_contacts;
     return before !== null && pose.scope.num_contacts > before;
   }

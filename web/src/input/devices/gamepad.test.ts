@@ -33,8 +33,8 @@ function pads() {
   return { made, sent, acted, tick };
 }
 
-describe("gamepads", () => {
-  it("reads sticks and triggers as six axes, and a worn stick as rest", () => {
+describe("Gamepads", () => {
+  it("Sticks and triggers are converted to six axes, and values within the dead zone to 0.", () => {
     expect(padAxes(pad([0.1, -0.1, 0.05, 0]))).toEqual([0, 0, 0, 0, 0, 0]);
     expect(padAxes(pad([0, -1, 0, 0]))).toEqual([1, 0, 0, 0, 0, 0]);
     expect(padAxes(pad([1, 0, -1, -1]))).toEqual([0, 0, 0, -1, 1, 1]);
@@ -45,7 +45,7 @@ describe("gamepads", () => {
     expect(padAxes(pad([]))).toEqual([0, 0, 0, 0, 0, 0]);
   });
 
-  it("sends while a stick is pushed, its rest once, and then nothing", () => {
+  it("A sample is sent at each refresh while a stick is deflected, once when it returns to rest, and then none.", () => {
     const { sent, tick } = pads();
     tick(pad());
     expect(sent).toEqual([]);
@@ -58,7 +58,7 @@ describe("gamepads", () => {
     expect(times).toEqual([...times].sort((a, b) => a - b));
   });
 
-  it("does what keys do on a press, once, and not for what was held before", () => {
+  it("A button runs its key action once per press, but not if it was pressed when the gamepad was first seen.", () => {
     const { acted, tick } = pads();
     tick(pad([], [3]));
     tick(pad([], [3]));
@@ -73,7 +73,7 @@ describe("gamepads", () => {
     expect(other.acted).toEqual([]);
   });
 
-  it("says that a pad is gone, and takes it again when it is back", () => {
+  it("A disconnected gamepad is reported as gone, and its samples are sent again after it reconnects.", () => {
     const { made, sent, tick } = pads();
     tick(pad([0, -1, 0, 0]));
     expect(made.names).toEqual(["gamepad 1: Test pad"]);
@@ -83,7 +83,7 @@ describe("gamepads", () => {
     expect(sent.at(-1)?.type).toBe("device_sample");
   });
 
-  it("shakes the pads that can, and is quiet about those that cannot", () => {
+  it("Gamepads with a vibration actuator vibrate, and those without one cause no error.", () => {
     const { made, tick } = pads();
     const effects: object[] = [];
     const shaking = pad([], [], {

@@ -55,7 +55,7 @@ class FakeDevice extends EventTarget implements HidDevice {
 
 const SKETCH = collectionsOf(sketchDescriptor());
 let sent: ClientMessage[];
-let told: number;
+let numBadReports: number;
 let device: FakeDevice;
 let handle: Handle;
 const samples = () => sent.filter((message): message is DeviceSampleMessage => message.type === "device_sample");
@@ -68,20 +68,20 @@ const made = (of: HidDevice) =>
     },
     () => 99,
     () => {
-      told += 1;
+      numBadReports += 1;
     },
   );
 
 beforeEach(async () => {
   sent = [];
-  told = 0;
+  numBadReports = 0;
   device = new FakeDevice(SKETCH);
   handle = made(device);
   await handle.open();
 });
 
-describe("the sketch's descriptor", () => {
-  it("is the collection that the browser is asked for, and whole", () => {
+describe("report descriptor of the example firmware", () => {
+  it("The descriptor matches the browser's filter and defines all 15 bytes of the report.", () => {
     expect(SKETCH.map(({ usagePage, usage }) => ({ usagePage, usage }))).toEqual(HANDLE_FILTERS);
     expect(handle.problem).toBeNull();
     const bits = (SKETCH[0]?.inputReports?.[0]?.items ?? []).map(
@@ -91,8 +91,8 @@ describe("the sketch's descriptor", () => {
   });
 });
 
-describe("a handle", () => {
-  it("says insertion in mm, roll in rad, the lever's part of its way, buttons, and its own time", () => {
+describe("Handle", () => {
+  it("A report is sent as insertion in mm, roll in rad, lever as a fraction, buttons and the handle's time.", () => {
     device.report(12_500, 12_345, -9_000, 500, 0b10);
     handle.tick();
     const [sample] = samples();
@@ -102,14 +102,14 @@ describe("a handle", () => {
     expect(sample?.handle?.[2]).toBe(0.5);
   });
 
-  it("that floods says no more than the newest of each refresh", () => {
+  it("Of many reports between two refreshes only the latest is sent.", () => {
     for (let n = 0; n < 1000; n += 1) device.report(n, n, 0, 0, 0);
     handle.tick();
     handle.tick();
     expect(samples().map((sample) => sample.handle?.[0])).toEqual([9.99]);
   });
 
-  it("goes on over the end of its clock", () => {
+  it("The sample time continues when the handle's 31-bit clock wraps around.", () => {
     device.report(2 ** 31 - 10, 0, 0, 0, 0);
     handle.tick();
     device.report(6, 0, 0, 0, 0);
@@ -118,7 +118,7 @@ describe("a handle", () => {
     expect((after?.time_s ?? 0) - (before?.time_s ?? 0)).toBeCloseTo(0.016, 6);
   });
 
-  it("whose clock steps back a little has not come to its end", () => {
+  it("A small step back of the handle's clock is not taken for a wrap-around.", () => {
     device.report(2000, 0, 0, 0, 0);
     handle.tick();
     device.report(1990, 0, 0, 0, 0);
@@ -126,7 +126,7 @@ describe("a handle", () => {
     expect(samples().map((sample) => sample.time_s)).toEqual([2, 1.99]);
   });
 
-  it("is not believed beyond its own ranges or its report's end, and that is told once", () => {
+  it("Values out of range and truncated reports are counted and not sent, and the callback reports them once.", () => {
     device.report(1, 0, 0, 1500, 0);
     device.report(2, 2_000_000_000, 0, 0, 0);
     device.report(3, 0, 0, 0, 0, 9);
@@ -135,13 +135,13 @@ describe("a handle", () => {
       Object.assign(new Event("inputreport"), { reportId: 7, data: new DataView(new ArrayBuffer(2)) }),
     );
     handle.tick();
-    expect([samples().length, handle.numBad, told]).toEqual([0, 4, 1]);
+    expect([samples().length, handle.numBad, numBadReports]).toEqual([0, 4, 1]);
     device.report(5, 100, 0, -1000, 0);
     handle.tick();
     expect(samples()[0]?.handle).toEqual([1, 0, -1]);
   });
 
-  it("is found by usages: other places, sizes and ranges, and no clock", async () => {
+  it("Fields are found by their usages at other positions, sizes and ranges; without a clock the page's is used.", async () => {
     const field = (usage: number, reportSize: number, low: number, high: number) => ({
       usages: [0xff42 * 0x10000 + usage],
       reportSize,
@@ -176,7 +176,7 @@ describe("a handle", () => {
     expect(samples()[0]?.handle?.[2]).toBe(-1);
   });
 
-  it("whose lever has no way says nothing: what is no number would end the connection", async () => {
+  it("A lever with an empty range is counted as invalid, and no sample is sent.", async () => {
     const field = (usage: number, high: number) => ({
       usages: [0xff42 * 0x10000 + usage],
       reportSize: 8,
@@ -193,10 +193,10 @@ describe("a handle", () => {
       Object.assign(new Event("inputreport"), { reportId: 0, data: new DataView(new ArrayBuffer(3)) }),
     );
     still.tick();
-    expect([samples().length, still.numBad, told]).toEqual([0, 1, 1]);
+    expect([samples().length, still.numBad, numBadReports]).toEqual([0, 1, 1]);
   });
 
-  it("without insertion, roll and lever in one report is refused in words", () => {
+  it("A descriptor whose single report lacks insertion, roll or lever is rejected with a message.", () => {
     const report = (reportId: number, ...usages: number[]) => ({
       reportId,
       items: usages.map((usage) => ({
@@ -226,7 +226,7 @@ class FakeHid extends EventTarget implements Hid {
   }
 }
 
-describe("the place for a device", () => {
+describe("HidPort", () => {
   let hid: FakeHid;
   let gone: string[];
   let failed: string[];
@@ -242,20 +242,20 @@ describe("the place for a device", () => {
     });
   });
 
-  it("is empty when nothing is chosen, and takes what is chosen", async () => {
-    await port.ask();
+  it("The port has no device until the user selects one, and then sends its samples.", async () => {
+    await port.selectDevice();
     expect(port.name).toBeNull();
     hid.offers = [device];
-    await port.ask();
+    await port.selectDevice();
     expect(port.name).toBe("scope handle Test handle");
     device.report(1, 100, 0, 0, 0);
     port.tick();
     expect(samples().length).toBe(1);
   });
 
-  it("is empty while the device is pulled out, and holds it again, as the same or another object", async () => {
+  it("An unplugged device leaves the port, and the port reopens it when it is plugged in again.", async () => {
     hid.offers = [device];
-    await port.ask();
+    await port.selectDevice();
     const another = new FakeDevice([]);
     hid.event("disconnect", another);
     expect(port.name).not.toBeNull();
@@ -279,37 +279,37 @@ describe("the place for a device", () => {
     expect(gone).toEqual(["scope handle Test handle", "scope handle Test handle"]);
   });
 
-  it("keeps what it holds when another of its kind is plugged in, and leaves it for one that is chosen", async () => {
+  it("A second device that is plugged in does not replace the open device, but a selected one does.", async () => {
     hid.offers = [device];
-    await port.ask();
+    await port.selectDevice();
     const another = new FakeDevice(SKETCH);
     hid.event("connect", another);
     await settled();
     expect([device.opened, another.opened, gone]).toEqual([true, false, []]);
     hid.offers = [another];
-    await port.ask();
+    await port.selectDevice();
     expect([device.opened, another.opened, gone]).toEqual([false, true, ["scope handle Test handle"]]);
     device.report(1, 100, 0, 0, 0);
     port.tick();
     expect(samples()).toEqual([]);
   });
 
-  it("says why a device cannot be used or opened", async () => {
+  it("A failure message states why a device is unusable or cannot be opened.", async () => {
     hid.offers = [new FakeDevice([])];
-    await port.ask();
+    await port.selectDevice();
     device.refuses = true;
     device.opened = false;
     hid.offers = [device];
-    await port.ask();
+    await port.selectDevice();
     expect(failed[0]).toContain("Test handle cannot be used: it does not send insertion");
     expect(failed[1]).toBe("The device could not be opened: it is open in another program.");
     expect(port.name).toBeNull();
   });
 
-  it("takes the interface of a device that holds its controls, when chosen and when plugged in", async () => {
+  it("Of several interfaces of a device the port opens the one with the controls, also after replugging.", async () => {
     const keys = new FakeDevice([]);
     hid.offers = [keys, device];
-    await port.ask();
+    await port.selectDevice();
     expect([port.name, failed]).toEqual(["scope handle Test handle", []]);
     hid.event("disconnect", device);
     await settled();
@@ -320,9 +320,9 @@ describe("the place for a device", () => {
     expect([port.name, failed, keys.opened, device.opened]).toEqual(["scope handle Test handle", [], false, true]);
   });
 
-  it("holds one device though another is told of while it is opened", async () => {
+  it("If a second device connects while the first is being opened, only the second one stays open.", async () => {
     hid.offers = [device];
-    await port.ask();
+    await port.selectDevice();
     hid.event("disconnect", device);
     await settled();
     const [first, second] = [new FakeDevice(SKETCH), new FakeDevice(SKETCH)];
@@ -337,19 +337,19 @@ describe("the place for a device", () => {
     expect(samples().length).toBe(1);
   });
 
-  it("opens nothing once the page is left", async () => {
+  it("A device that is selected before the port stops is not opened afterwards.", async () => {
     const late = new FakeDevice(SKETCH);
     hid.offers = [late];
-    const asked = port.ask();
+    const request = port.selectDevice();
     await port.stop();
-    await asked;
+    await request;
     await settled();
     expect([port.name, late.opened]).toEqual([null, false]);
   });
 
-  it("is left with the page", async () => {
+  it("Stopping the port closes its device, and later connections are ignored.", async () => {
     hid.offers = [device];
-    await port.ask();
+    await port.selectDevice();
     await port.stop();
     expect([device.opened, gone.length]).toEqual([false, 1]);
     hid.event("connect", device);

@@ -1,20 +1,23 @@
-/** A scope handle connected by WebHID (`docs/scope-handle.md`): insertion, roll and lever. */
+/** Scope handle connected by WebHID (`docs/scope-handle.md`): insertion, roll and lever. */
 
 import type { ClientMessage } from "../../wire/messages";
 import { buttonBit, type HidField, isButton, readField } from "./hid";
 import type { HidDevice } from "./hid-port";
 import { FieldReader } from "./hid-reader";
 
-/** Vendor-defined usage page, so that no other software treats the handle as a mouse or a gamepad. */
+/** Vendor-defined HID usage page of the handle, so that no other software treats the handle as a mouse or a gamepad. */
 const PAGE = 0xff42;
-/** Filters of the browser's device selection. */
+/** Filters that restrict the browser's device selection to scope handles. */
 export const HANDLE_FILTERS = [{ usagePage: PAGE, usage: 0x01 }];
 const CLOCK = PAGE * 0x10000 + 0x21;
 const INSERTION = PAGE * 0x10000 + 0x22;
 const ROLL = PAGE * 0x10000 + 0x23;
 const LEVER = PAGE * 0x10000 + 0x24;
+/** Time at which the handle's clock starts again at 0, ms. */
 const CLOCK_WRAPS_MS = 2 ** 31;
+/** Insertion per unit of the report, mm. */
 const MM = 0.01;
+/** Roll per unit of the report, rad. */
 const RAD = (0.01 * Math.PI) / 180;
 
 interface Values {
@@ -23,7 +26,7 @@ interface Values {
   buttons: number;
 }
 
-/** Reader of a scope handle. */
+/** Reader that converts the reports of a scope handle to device samples. */
 export class Handle extends FieldReader {
   readonly #send: (message: ClientMessage) => void;
   readonly #nowS: () => number;
@@ -33,7 +36,7 @@ export class Handle extends FieldReader {
   #wraps = 0;
   numBad = 0;
 
-  /** `bad` is called at the first report that does not match the descriptor. */
+  /** `bad` is called once, at the first report that does not match the descriptor. */
   constructor(device: HidDevice, send: (message: ClientMessage) => void, nowS: () => number, bad: () => void) {
     super("scope handle", device);
     this.#send = send;
@@ -64,8 +67,8 @@ export class Handle extends FieldReader {
     });
   }
 
-  protected heard(fields: readonly HidField[], data: DataView): void {
-    // The device also sends reports that do not belong to the handle.
+  protected received(fields: readonly HidField[], data: DataView): void {
+    // Ignore reports without the insertion, because the device also sends reports that do not belong to the handle.
     if (!fields.some((field) => field.usage === INSERTION)) return;
     const values = this.#values(fields, data);
     if (values === null) {
@@ -79,20 +82,20 @@ export class Handle extends FieldReader {
     let buttons = 0;
     for (const field of fields) {
       const value = readField(data, field);
-      // A value outside the descriptor's range is HID's standard form of a missing value.
+      // By the HID specification, a value outside the descriptor's range states that the device has no value.
       if (value === null || value < field.minimum || value > field.maximum) return null;
       if (isButton(field.usage)) buttons |= buttonBit(field, value);
       else found.set(field.usage, field.usage === LEVER ? value / Math.max(field.maximum, -field.minimum) : value);
     }
     const [insertion, roll, lever] = [found.get(INSERTION), found.get(ROLL), found.get(LEVER)];
     if (insertion === undefined || roll === undefined || lever === undefined) return null;
-    // The descriptor gives the lever an empty range.
+    // The lever has no finite position if its range in the descriptor is empty.
     if (!Number.isFinite(lever)) return null;
     return { timeS: this.#timeS(found.get(CLOCK)), handle: [insertion * MM, roll * RAD, lever], buttons };
   }
 
   /**
-   * Return the time on the handle's clock without wrap-around, s; the time on the page's clock if the handle has none.
+   * Return the time of a report, s: the handle's clock without wrap-around, or the page's clock if the handle has none.
    */
   #timeS(clockMs: number | undefined): number {
     if (clockMs === undefined) return this.#nowS();

@@ -1,6 +1,7 @@
 /**
- * Parser of HID report descriptors for tests: converts descriptor bytes to the collections that WebHID would return.
- * Independent implementation of the HID specification (1.11, section 6.2.2) for input reports.
+ * Parser of HID report descriptors for tests: converts the bytes of a descriptor to the collections that WebHID would
+ * return. It implements the HID specification (1.11, section 6.2.2) for input reports, independently of the code under
+ * test.
  */
 
 import type { HidCollection, HidItem } from "./hid";
@@ -12,7 +13,7 @@ interface Mutable {
   inputReports: { reportId: number; items: HidItem[] }[];
 }
 
-/** Return the collections of a report descriptor. */
+/** Return the collections that WebHID would return for the bytes of a report descriptor. */
 export function collectionsOf(bytes: Uint8Array): readonly HidCollection[] {
   const roots: Mutable[] = [];
   const open: Mutable[] = [];
@@ -35,7 +36,7 @@ export function collectionsOf(bytes: Uint8Array): readonly HidCollection[] {
         minimum = signed;
         break;
       case 0x24:
-        // The maximum is unsigned if the minimum is not negative: FF FF with a minimum of 0 is 65535.
+        // If the minimum is not negative, the maximum is unsigned: the bytes FF FF with a minimum of 0 are 65535.
         maximum = minimum < 0 ? signed : value;
         break;
       case 0x74:

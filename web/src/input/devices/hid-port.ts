@@ -1,11 +1,11 @@
 /**
- * Connection to one HID device: the user selects the device by a click; the port closes it when it is unplugged and
- * reopens it when it is plugged in again.
+ * Connection to one HID device. The user selects the device by a click; the port closes the device when it is unplugged
+ * and reopens it when it is plugged in again.
  */
 
 import type { HidCollection } from "./hid";
 
-/** The part of the browser's `HIDDevice` that is used. */
+/** The part of the browser's `HIDDevice` that Carina uses. */
 export interface HidDevice extends EventTarget {
   readonly vendorId: number;
   readonly productId: number;
@@ -16,56 +16,51 @@ export interface HidDevice extends EventTarget {
   close(): Promise<void>;
 }
 
-/** The part of the browser's `navigator.hid` that is used. */
+/** The part of the browser's `navigator.hid` that Carina uses. */
 export interface Hid extends EventTarget {
   requestDevice(options: { filters: readonly object[] }): Promise<readonly HidDevice[]>;
 }
 
-/** The browser's event of an input report. */
+/** The browser's event for an input report of a device. */
 export interface InputReport extends Event {
   readonly reportId: number;
   readonly data: DataView;
 }
 
-/** Reader of one device. */
+/** Reader of the reports of one device, which sends their values. */
 export interface HidReader {
   readonly name: string;
-  /** The reason why the device cannot be used, as text; null if it can. */
+  /** Reason why the device cannot be used, as text for the user; null if the device can be used. */
   readonly problem: string | null;
   open(): Promise<void>;
   close(): Promise<void>;
-  /** Send the current values; call it once per display refresh. */
+  /** Send the current values of the device; call it once per display refresh. */
   tick(): void;
 }
 
 /** Callbacks of a {@link HidPort}. */
-export interface HidPortSurroundings {
+export interface HidPortHooks {
   gone(name: string): void;
   failed(words: string): void;
 }
 
-/** Connection to one HID device. */
+/** Connection to one HID device, from its selection until the port is stopped. */
 export class HidPort {
   readonly #hid: Hid;
   readonly #filters: readonly object[];
   readonly #read: (device: HidDevice) => HidReader;
-  readonly #around: HidPortSurroundings;
+  readonly #hooks: HidPortHooks;
   #device: HidDevice | null = null;
   #reader: HidReader | null = null;
-  /** The device that is being opened; a later device replaces it. */
+  /** The device that is being opened; null if none is. A device that is selected meanwhile replaces it. */
   #taking: { readonly device: HidDevice } | null = null;
   #stopped = false;
 
-  constructor(
-    hid: Hid,
-    filters: readonly object[],
-    read: (device: HidDevice) => HidReader,
-    around: HidPortSurroundings,
-  ) {
+  constructor(hid: Hid, filters: readonly object[], read: (device: HidDevice) => HidReader, hooks: HidPortHooks) {
     this.#hid = hid;
     this.#filters = filters;
     this.#read = read;
-    this.#around = around;
+    this.#hooks = hooks;
     hid.addEventListener("disconnect", this.#pulledOut);
     hid.addEventListener("connect", this.#pluggedIn);
   }
@@ -74,10 +69,13 @@ export class HidPort {
     return this.#reader?.name ?? null;
   }
 
-  /** Show the browser's device selection; browsers require a click. */
-  async ask(): Promise<void> {
+  /**
+   * Show the browser's device selection, and open the selected device. Browsers permit the selection only in response
+   * to a click.
+   */
+  async selectDevice(): Promise<void> {
     try {
-      // The browser returns one device per interface; use the interface that the reader supports.
+      // Browsers list each interface of a device as a separate device; use the interface that the reader supports.
       const devices = await this.#hid.requestDevice({ filters: this.#filters });
       const device = devices.find((one) => this.#read(one).problem === null) ?? devices[0];
       if (device !== undefined) await this.#take(device);
@@ -103,7 +101,7 @@ export class HidPort {
     if (this.#stopped || this.#taking?.device === device) return;
     const reader = this.#read(device);
     if (reader.problem !== null) {
-      this.#around.failed(`${device.productName} cannot be used: ${reader.problem}.`);
+      this.#hooks.failed(`${device.productName} cannot be used: ${reader.problem}.`);
       return;
     }
     const taking = { device };
@@ -112,7 +110,8 @@ export class HidPort {
       await this.#letGo();
       await reader.open();
       if (this.#taking !== taking) {
-        // Another device was selected or the port was stopped while this device was opened.
+        // Close the device again: another device was selected, or the port was stopped, while the device was being
+        // opened.
         await reader.close().catch(() => undefined);
         return;
       }
@@ -127,7 +126,7 @@ export class HidPort {
     const reader = this.#reader;
     this.#reader = null;
     if (reader === null) return;
-    this.#around.gone(reader.name);
+    this.#hooks.gone(reader.name);
     await reader.close().catch(() => undefined);
   }
 
@@ -138,10 +137,10 @@ export class HidPort {
   readonly #pluggedIn = (event: Event): void => {
     const { device } = event as Event & { device?: HidDevice };
     const before = this.#device;
-    // Compare by vendor and product, because browsers may use a new object for the same device.
+    // Compare devices by vendor and product, because a browser may use a new object for the same device.
     if (device === undefined || before === null || this.#reader !== null) return;
     if (device.vendorId !== before.vendorId || device.productId !== before.productId) return;
-    // This is another interface of the same device.
+    // The reader cannot use this object, which is another interface of the same device.
     if (this.#read(device).problem !== null) return;
     this.#take(device).catch((trouble) => this.#fail(trouble));
   };
@@ -149,6 +148,6 @@ export class HidPort {
   #fail(trouble: unknown): void {
     // In some environments a DOMException is not an Error.
     const why = trouble instanceof DOMException || trouble instanceof Error ? trouble.message : "";
-    this.#around.failed(`The device could not be opened: ${why.replace(/\.$/, "") || "access was denied"}.`);
+    this.#hooks.failed(`The device could not be opened: ${why.replace(/\.$/, "") || "access was denied"}.`);
   }
 }

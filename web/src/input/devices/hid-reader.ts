@@ -1,14 +1,15 @@
-/** Base class of HID device readers: opens and closes the device and decodes its reports by the descriptor. */
+/** Base class of HID device readers: opens and closes the device, and decodes its reports by the report descriptor. */
 
 import { fieldsOf, type HidField } from "./hid";
 import type { HidDevice, HidReader, InputReport } from "./hid-port";
 
+/** Largest number of characters of a device's name. */
 const NAME_LENGTH = 200;
 
-/** Base class of a reader that decodes reports into fields. */
+/** Reader that decodes the reports of a HID device into fields; a subclass interprets the fields. */
 export abstract class FieldReader implements HidReader {
   readonly #device: HidDevice;
-  /** Fields by report number. */
+  /** Fields of each input report, by report ID. */
   protected readonly fields: ReadonlyMap<number, readonly HidField[]>;
   readonly name: string;
 
@@ -22,8 +23,8 @@ export abstract class FieldReader implements HidReader {
 
   abstract tick(): void;
 
-  /** Handle a report that the descriptor defines. */
-  protected abstract heard(fields: readonly HidField[], data: DataView): void;
+  /** Handle the fields and the bytes of a received report whose ID the descriptor defines. */
+  protected abstract received(fields: readonly HidField[], data: DataView): void;
 
   async open(): Promise<void> {
     this.#device.addEventListener("inputreport", this.#report);
@@ -38,6 +39,6 @@ export abstract class FieldReader implements HidReader {
   readonly #report = (event: Event): void => {
     const { reportId, data } = event as InputReport;
     const fields = this.fields.get(reportId);
-    if (fields !== undefined) this.heard(fields, data);
+    if (fields !== undefined) this.received(fields, data);
   };
 }

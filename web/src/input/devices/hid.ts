@@ -5,9 +5,10 @@
 
 /** Usages of the Generic Desktop page (HID Usage Tables 1.4, page 0x01): X, Y, Z, Rx, Ry, Rz. */
 export const AXIS_USAGES = [0x10030, 0x10031, 0x10032, 0x10033, 0x10034, 0x10035] as const;
+/** Usage page of buttons (HID Usage Tables 1.4). */
 const BUTTON_PAGE = 0x09;
 
-/** The part of WebHID's `HIDReportItem` that is used. */
+/** The part of WebHID's `HIDReportItem` that Carina uses. */
 export interface HidItem {
   readonly usages?: readonly number[];
   readonly usageMinimum?: number;
@@ -20,7 +21,7 @@ export interface HidItem {
   readonly isArray?: boolean;
 }
 
-/** The part of WebHID's `HIDCollectionInfo` that is used. */
+/** The part of WebHID's `HIDCollectionInfo` that Carina uses. */
 export interface HidCollection {
   readonly usagePage?: number;
   readonly usage?: number;
@@ -28,7 +29,7 @@ export interface HidCollection {
   readonly inputReports?: readonly { readonly reportId?: number; readonly items?: readonly HidItem[] }[];
 }
 
-/** Location and range of a number in a report. */
+/** Usage, location and range of one number in a report. */
 export interface HidField {
   readonly usage: number;
   readonly bit: number;
@@ -37,7 +38,7 @@ export interface HidField {
   readonly maximum: number;
 }
 
-/** Return the fields of every input report by its identifier. */
+/** Return the fields of each input report, by report ID. */
 export function fieldsOf(collections: readonly HidCollection[]): ReadonlyMap<number, readonly HidField[]> {
   const found = new Map<number, HidField[]>();
   const visit = (collection: HidCollection) => {
@@ -57,7 +58,7 @@ export function fieldsOf(collections: readonly HidCollection[]): ReadonlyMap<num
           bit += size;
         }
       }
-      // A collection and its parent may list the same report.
+      // A collection and its parent may list the same report; use the list with the most fields.
       if ((found.get(id)?.length ?? 0) < fields.length) found.set(id, fields);
     }
     for (const child of collection.children ?? []) visit(child);
@@ -73,11 +74,14 @@ function usageOf(item: HidItem, n: number): number | null {
     return usage <= (item.usageMaximum ?? usage) ? usage : null;
   }
   const usages = item.usages ?? [];
-  // The last usage applies to all following fields.
+  // If an item has fewer usages than fields, its last usage applies to the remaining fields.
   return usages[Math.min(n, usages.length - 1)] ?? null;
 }
 
-/** Return the value of a field, signed if the descriptor's range is; null beyond the end of the report. */
+/**
+ * Return the value of a field in a report, signed if the minimum in the descriptor is negative; null beyond the end of
+ * the report.
+ */
 export function readField(data: DataView, field: HidField): number | null {
   let value = 0;
   for (let n = 0; n < field.size; n += 1) {
@@ -97,12 +101,15 @@ export function scaled(value: number, field: HidField): number {
   return Math.max(-1, Math.min(1, (value - middle) / half));
 }
 
-/** Return whether a usage is a button. */
+/** Return whether a usage is that of a button. */
 export function isButton(usage: number): boolean {
   return usage >> 16 === BUTTON_PAGE;
 }
 
-/** Return the bit of a pressed button: button 1 is bit 0. Buttons beyond the 31 bits of a sample are ignored. */
+/**
+ * Return the bit of a pressed button in a sample: button 1 is bit 0. Return 0 for a released button, and for a button
+ * beyond the 31 bits of a sample.
+ */
 export function buttonBit(field: HidField, value: number): number {
   const number = (field.usage & 0xffff) - 1;
   return value !== 0 && number >= 0 && number < 31 ? 1 << number : 0;

@@ -6,9 +6,9 @@ function page(refusals: string[]) {
   const element = document.createElement("canvas");
   let holder: Element | null = null;
   Object.defineProperty(document, "pointerLockElement", { configurable: true, get: () => holder });
-  const asked: unknown[] = [];
+  const requests: unknown[] = [];
   element.requestPointerLock = (options?: object) => {
-    asked.push(options);
+    requests.push(options);
     const refusal = refusals.shift();
     if (refusal !== undefined) return Promise.reject(new DOMException("no", refusal));
     holder = element;
@@ -30,15 +30,15 @@ function page(refusals: string[]) {
   });
   const move = (movementX: number, movementY: number) =>
     document.dispatchEvent(Object.assign(new Event("mousemove"), { movementX, movementY }));
-  return { lock, element, asked, looked, changes, refused, move };
+  return { lock, element, requests, looked, changes, refused, move };
 }
 
-describe("pointer lock", () => {
-  it("turns the tip while it is locked, also where raw movement is not offered", async () => {
-    const { lock, element, asked, looked, changes, move } = page(["NotSupportedError"]);
+describe("PointerLock", () => {
+  it("Mouse movement turns the tip while the pointer is locked, also without raw movement in the browser.", async () => {
+    const { lock, element, requests, looked, changes, move } = page(["NotSupportedError"]);
     move(10, 10);
     await lock.request(element);
-    expect(asked).toEqual([{ unadjustedMovement: true }, undefined]);
+    expect(requests).toEqual([{ unadjustedMovement: true }, undefined]);
     expect(lock.locked).toBe(true);
     move(4, -2);
     expect(looked).toEqual([[4 * LOCK_RAD_PER_PX, 2 * LOCK_RAD_PER_PX]]);
@@ -49,7 +49,7 @@ describe("pointer lock", () => {
     lock.stop();
   });
 
-  it("says why the browser refused", async () => {
+  it("The browser's reason is reported when it refuses the lock.", async () => {
     const { lock, element, refused } = page(["SecurityError"]);
     await lock.request(element);
     expect(refused).toEqual(["no"]);

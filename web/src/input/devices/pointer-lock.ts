@@ -1,4 +1,7 @@
-/** Pointer Lock: the mouse turns the tip without the limit of the screen's edge. Escape releases the pointer. */
+/**
+ * Pointer Lock: while the mouse pointer is locked, mouse movement turns the tip and does not end at the screen's edge.
+ * Escape releases the pointer.
+ */
 
 /** Rotation of the tip per pixel of mouse movement, rad. */
 export const LOCK_RAD_PER_PX = 0.0025;
@@ -6,7 +9,7 @@ export const LOCK_RAD_PER_PX = 0.0025;
 /** Callbacks of a {@link PointerLock}. */
 export interface LockHandlers {
   look(yawRad: number, pitchRad: number): void;
-  /** Handle a turn of the wheel, in px of scrolling. */
+  /** Handle a turn of the mouse wheel while the pointer is locked, in px of scrolling. */
   wheel(deltaPx: number): void;
   changed(locked: boolean): void;
   refused(why: string): void;
@@ -17,7 +20,7 @@ export function hasPointerLock(page: Document): boolean {
   return "pointerLockElement" in page;
 }
 
-/** Lock of the mouse pointer to an element. */
+/** Lock of the mouse pointer to an element of the page. */
 export class PointerLock {
   readonly #page: Document;
   readonly #handlers: LockHandlers;
@@ -37,7 +40,8 @@ export class PointerLock {
     this.#element = element;
     try {
       try {
-        // Request raw movement without the system's pointer acceleration, if the system supports it.
+        // Request movement without the pointer acceleration of the operating system; some systems do not support this
+        // option.
         await element.requestPointerLock({ unadjustedMovement: true });
       } catch (trouble) {
         if (!(trouble instanceof DOMException) || trouble.name !== "NotSupportedError") throw trouble;

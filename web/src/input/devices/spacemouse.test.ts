@@ -65,8 +65,8 @@ class FakeDevice extends EventTarget implements HidDevice {
   }
 }
 
-describe("the report descriptor", () => {
-  it("says where axes and buttons are", () => {
+describe("fieldsOf and readField", () => {
+  it("Axes and buttons are located by usage and bit offset in their reports.", () => {
     const fields = fieldsOf(COMPACT);
     expect(fields.get(1)?.map((f) => [f.usage, f.bit])).toEqual([
       [0x10030, 0],
@@ -76,7 +76,7 @@ describe("the report descriptor", () => {
     expect(fields.get(3)?.map((f) => f.usage)).toEqual([0x90001, 0x90002]);
   });
 
-  it("reads numbers of any size at any bit, with their sign, and none beyond the end", () => {
+  it("readField returns values of any size at any bit with their sign, and null beyond the report's end.", () => {
     const data = new DataView(Uint8Array.from([0b1011_0000, 0b0000_0001, 0xff]).buffer);
     const field = { usage: 0, bit: 4, size: 5, minimum: 0, maximum: 31 };
     expect(readField(data, field)).toBe(0b11011);
@@ -88,8 +88,8 @@ describe("the report descriptor", () => {
   });
 });
 
-describe("a SpaceMouse", () => {
-  it("moves the tip with the cap, rests once, and is gone when closed", async () => {
+describe("SpaceMouse", () => {
+  it("The cap moves the tip, its rest position is sent once, and nothing is sent after the device was closed.", async () => {
     const device = new FakeDevice();
     const sent: ClientMessage[] = [];
     let now = 0;

@@ -1,4 +1,4 @@
-/** A SpaceMouse connected by WebHID: its cap moves and rotates the tip in six degrees of freedom. */
+/** SpaceMouse connected by WebHID: its cap moves and rotates the tip in six degrees of freedom. */
 
 import type { ClientMessage } from "../../wire/messages";
 import { type SixAxes, shaped } from "./gamepad";
@@ -6,22 +6,23 @@ import { AXIS_USAGES, buttonBit, type HidField, isButton, readField, scaled } fr
 import type { HidDevice } from "./hid-port";
 import { FieldReader } from "./hid-reader";
 
-/** Vendors of the devices: 3Dconnexion, and Logitech for older models. */
+/** Filters of the browser's device selection by vendor: 3Dconnexion, and Logitech for older models. */
 export const SPACEMOUSE_FILTERS = [{ vendorId: 0x256f }, { vendorId: 0x046d, usagePage: 0x01, usage: 0x08 }];
 
 /**
- * Return the axes of the tip for the axes of the cap (X right, Y towards the user, Z down, and a rotation about each).
+ * Convert the axes of the cap (X right, Y towards the user, Z down, and a rotation about each) to the six axes of the
+ * tip.
  */
 export function capAxes(values: readonly number[]): SixAxes {
   const at = (n: number) => shaped(values[n] ?? 0);
   return [-at(1) + 0, at(0) + 0, -at(2) + 0, at(5) + 0, -at(3) + 0, -at(4) + 0];
 }
 
-/** Reader of a SpaceMouse. */
+/** Reader that converts the reports of a SpaceMouse to device samples. */
 export class SpaceMouse extends FieldReader {
   readonly #send: (message: ClientMessage) => void;
   readonly #nowS: () => number;
-  /** The latest value of each axis; translation and rotation arrive in separate reports. */
+  /** Latest value of each axis of the cap; translation and rotation arrive in separate reports. */
   readonly #values = [0, 0, 0, 0, 0, 0];
   #buttons = 0;
   #rests = true;
@@ -38,8 +39,8 @@ export class SpaceMouse extends FieldReader {
   }
 
   /**
-   * Send the latest values while the cap is deflected; call it once per display refresh. This limits the rate of a
-   * device with many reports.
+   * Send the latest values while the cap is deflected or a button is held, and the rest position once; call it once per
+   * display refresh. The call rate limits the rate of samples, because the device sends more reports.
    */
   tick(): void {
     const axes = capAxes(this.#values);
@@ -59,7 +60,7 @@ export class SpaceMouse extends FieldReader {
     });
   }
 
-  protected heard(fields: readonly HidField[], data: DataView): void {
+  protected received(fields: readonly HidField[], data: DataView): void {
     let buttons: number | null = null;
     for (const field of fields) {
       const value = readField(data, field);

@@ -101,7 +101,7 @@ class FakeXr extends EventTarget implements Xr {
 let xr: FakeXr;
 let sent: ClientMessage[];
 let acts: Action[];
-let said: string[];
+let failures: string[];
 let changes: boolean[];
 let drawn: number;
 let recentred: number;
@@ -116,7 +116,7 @@ let right: FakeController;
 
 beforeEach(() => {
   xr = new FakeXr();
-  [sent, acts, said, changes] = [[], [], [], []];
+  [sent, acts, failures, changes] = [[], [], [], []];
   drawn = recentred = closed = 0;
   whileOpening = () => undefined;
   openFails = drawFails = null;
@@ -149,14 +149,14 @@ beforeEach(() => {
     enabled: () => enabled,
     clutchHeldMoves: () => clutchHeld,
     changed: (inside) => changes.push(inside),
-    failed: (words) => said.push(words),
+    failed: (words) => failures.push(words),
   });
 });
 
 const samples = () => sent.filter((message): message is DeviceSampleMessage => message.type === "device_sample");
 
-describe("what there is", () => {
-  it("is no WebXR, no headset, or one that can be entered", async () => {
+describe("headsetOffer", () => {
+  it("It returns no-webxr, no-headset or ready depending on the browser and the computer.", async () => {
     expect(await headsetOffer(null)).toBe("no-webxr");
     expect(await headsetOffer(xr)).toBe("ready");
     xr.supports = false;
@@ -166,8 +166,8 @@ describe("what there is", () => {
   });
 });
 
-describe("a controller", () => {
-  it("is a pen in mm whose axes are right, down, forward", async () => {
+describe("controller of a headset", () => {
+  it("Its sample has a position in mm and an orientation with the axes right, down and forward.", async () => {
     await headset.enter();
     right.place = at(0.1, 1.2, -0.3);
     right.press(0, 1);
@@ -182,7 +182,7 @@ describe("a controller", () => {
     });
   });
 
-  it("turns as the hand does: a quaternion equals its own matrix of columns right, -up, -back", () => {
+  it("Its orientation equals the grip's rotation matrix with the columns right, -up and -back.", () => {
     const turn = { x: 0.1, y: -0.5, z: 0.3, w: Math.sqrt(1 - 0.35) };
     const axis = (q: readonly [number, number, number, number], n: 0 | 1 | 2) => {
       const [w, x, y, z] = q;
@@ -204,7 +204,7 @@ describe("a controller", () => {
     }
   });
 
-  it("says nothing while its trigger is free, and once more when it is let go", async () => {
+  it("No sample is sent while the trigger is released, and one sample is sent when it is released.", async () => {
     await headset.enter();
     for (let n = 0; n < 30; n += 1) xr.session.refresh(n * 11);
     expect(samples()).toEqual([]);
@@ -217,7 +217,7 @@ describe("a controller", () => {
     expect(drawn).toBe(60);
   });
 
-  it.each([false, true])("moves while the trigger is held, whatever pens' clutches do (hold: %s)", async (hold) => {
+  it.each([false, true])("A held trigger moves the tip whatever the clutch setting is (%s).", async (hold) => {
     clutchHeld = hold;
     await headset.enter();
     right.press(0, 1);
@@ -231,7 +231,7 @@ describe("a controller", () => {
     expect(pushed?.advance).toBe(1);
   });
 
-  it("has buttons that act once for each press", async () => {
+  it("A held button runs its action once.", async () => {
     await headset.enter();
     for (const button of [1, 4, 5]) right.press(button, 1);
     for (let n = 0; n < 5; n += 1) xr.session.refresh(n * 11);
@@ -240,7 +240,7 @@ describe("a controller", () => {
     expect(samples().every((sample) => (sample.buttons & 1) === 1)).toBe(true);
   });
 
-  it("is not listened to under the headset's own menu, without a case, or out of sight", async () => {
+  it("No sample is sent under the headset's system menu, without a case, or without tracking.", async () => {
     await headset.enter();
     right.press(0, 1);
     xr.session.visibilityState = "visible-blurred";
@@ -257,7 +257,7 @@ describe("a controller", () => {
     expect(samples().length).toBe(1);
   });
 
-  it("looks along the path again only where it is listened to", async () => {
+  it("The view-reset button has no effect under the system menu, without a case, or if it was held before.", async () => {
     await headset.enter();
     xr.session.visibilityState = "visible-blurred";
     right.press(5, 1);
@@ -268,7 +268,7 @@ describe("a controller", () => {
     enabled = false;
     right.press(5, 1);
     xr.session.refresh(22);
-    // The trigger was held before the headset was enabled, which does not count as a press.
+    // The button was pressed before the headset was enabled, so that it does not count as a new press.
     enabled = true;
     xr.session.refresh(33);
     expect(acts).toEqual([]);
@@ -279,7 +279,7 @@ describe("a controller", () => {
     expect(acts).toEqual(["reset_look"]);
   });
 
-  it("is gone when it is switched off, and new when it is back", async () => {
+  it("A controller that is switched off is reported as gone, and its samples are sent again after its return.", async () => {
     await headset.enter();
     right.press(0, 1);
     xr.session.refresh(0);
@@ -292,7 +292,7 @@ describe("a controller", () => {
     expect(samples().length).toBe(2);
   });
 
-  it("shakes", async () => {
+  it("The controller vibrates, and a rejected vibration causes no message.", async () => {
     await headset.enter();
     xr.session.refresh(0);
     headset.rumble(0.6, 120);
@@ -301,12 +301,12 @@ describe("a controller", () => {
     right.shakes = false;
     headset.rumble(0.6, 120);
     await new Promise((done) => setTimeout(done, 0));
-    expect(said).toEqual([]);
+    expect(failures).toEqual([]);
   });
 });
 
-describe("the headset", () => {
-  it("is left by itself, and entered again", async () => {
+describe("Headset", () => {
+  it("It reports the end of a session by the system, and can be entered again.", async () => {
     await headset.enter();
     xr.session.refresh(0);
     await xr.session.end();
@@ -319,21 +319,21 @@ describe("the headset", () => {
     expect(changes).toEqual([true, false, true, false]);
   });
 
-  it("says why it cannot be entered, and a session that began is ended", async () => {
+  it("It reports why it cannot be entered, and ends a session whose screen cannot be opened.", async () => {
     xr.refuses = new Error("the headset is in use");
     await headset.enter();
-    expect(said).toEqual(["The headset view could not be started: the headset is in use."]);
+    expect(failures).toEqual(["The headset view could not be started: the headset is in use."]);
     xr.refuses = null;
     openFails = new Error("no WebGL");
     await headset.enter();
     expect([headset.inside, xr.session.ended, changes]).toEqual([false, true, []]);
   });
 
-  it("can be entered again after it was taken off while it was entered", async () => {
+  it("It can be entered again after the session ended while its screen was being opened.", async () => {
     whileOpening = () => void xr.session.end();
     await headset.enter();
     expect([headset.inside, closed, changes]).toEqual([false, 1, []]);
-    expect(said).toEqual(["The headset view could not be started: the headset was taken off meanwhile."]);
+    expect(failures).toEqual(["The headset view could not be started: the headset was taken off meanwhile."]);
     whileOpening = () => undefined;
     xr.session = new FakeSession();
     xr.session.inputSources = [right];
@@ -342,7 +342,7 @@ describe("the headset", () => {
     expect([headset.inside, drawn, changes]).toEqual([true, 1, [true]]);
   });
 
-  it("can be entered again after it refused the first picture", async () => {
+  it("It can be entered again after the session refused the first frame request.", async () => {
     xr.session.requestAnimationFrame = () => {
       throw new DOMException("the session has ended", "InvalidStateError");
     };
@@ -353,20 +353,20 @@ describe("the headset", () => {
     expect(headset.inside).toBe(true);
   });
 
-  it("goes on when a picture fails, and says so once", async () => {
+  it("The frame loop continues when drawing fails, and the error is reported once per session.", async () => {
     await headset.enter();
     drawFails = new Error("the graphics context was lost");
     for (let n = 0; n < 20; n += 1) xr.session.refresh(n * 11);
     expect(drawn).toBe(20);
-    expect(said.length).toBe(1);
+    expect(failures.length).toBe(1);
     await headset.leave();
     xr.session = new FakeSession();
     await headset.enter();
     xr.session.refresh(0);
-    expect(said.length).toBe(2);
+    expect(failures.length).toBe(2);
   });
 
-  it("is entered once, however often it is asked for", async () => {
+  it("Two simultaneous requests to enter start one session.", async () => {
     await Promise.all([headset.enter(), headset.enter()]);
     expect(changes).toEqual([true]);
   });

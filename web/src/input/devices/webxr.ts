@@ -1,12 +1,10 @@
-/**
- * A VR headset connected by WebXR: its controllers act as tracked pens, and its frame loop draws the airway picture.
- */
+/** VR headset connected by WebXR: its controllers act as tracked pens, and its frame loop draws the airway picture. */
 
 import type { ClientMessage } from "../../wire/messages";
 import type { Action } from "../keymap";
 import { shaped } from "./gamepad";
 
-// The part of WebXR that is used; TypeScript's library does not declare it.
+// Types of the part of WebXR that Carina uses, because TypeScript's library does not declare WebXR.
 
 /** WebXR `DOMPointReadOnly`: a point or a quaternion. */
 export interface XrPoint {
@@ -65,7 +63,10 @@ export interface Xr extends EventTarget {
   requestSession(mode: string, options?: object): Promise<XrSession>;
 }
 
-/** The picture inside the headset. It always draws the latest picture and does not wait for the next one. */
+/**
+ * Virtual screen in the headset that draws the latest airway picture at each frame, without waiting for the next
+ * picture.
+ */
 export interface HeadsetScreen {
   open(session: XrSession): Promise<void>;
   draw(viewer: XrViewerPose): void;
@@ -75,22 +76,25 @@ export interface HeadsetScreen {
 }
 
 /** Page functions that {@link Headset} uses; tests supply fakes. */
-export interface HeadsetSurroundings {
+export interface HeadsetHooks {
   readonly screen: HeadsetScreen;
   send(message: ClientMessage): void;
   act(action: Action): void;
   /** Return whether an open case allows movement of the tip. */
   enabled(): boolean;
-  /** Return whether pens move the tip while the clutch is held, instead of while it is released (`controls.clutch`). */
+  /**
+   * Return the clutch setting of pens (`controls.clutch`): true if a pen moves the tip while its clutch is held, false
+   * if while it is released.
+   */
   clutchHeldMoves(): boolean;
   changed(inside: boolean): void;
   failed(words: string): void;
 }
 
-/** Availability of a headset. */
+/** Availability of a headset in this browser. */
 export type HeadsetOffer = "no-webxr" | "no-headset" | "ready";
 
-/** Return the availability of a headset in this browser and computer. */
+/** Return the availability of a headset in this browser and on this computer. */
 export async function headsetOffer(xr: Xr | null): Promise<HeadsetOffer> {
   if (xr === null) return "no-webxr";
   try {
@@ -100,14 +104,21 @@ export async function headsetOffer(xr: Xr | null): Promise<HeadsetOffer> {
   }
 }
 
-/** Button indices of a controller in the "xr-standard" mapping. */
+/** Index of the trigger among the buttons, in WebXR's "xr-standard" mapping. */
 const TRIGGER = 0;
+/** Index of the grip button in the same mapping. */
 const SQUEEZE = 1;
+/** Index of the lower button in the same mapping. */
 const LOWER = 4;
+/** Index of the upper button in the same mapping. */
 const UPPER = 5;
+/** Index of the vertical axis of the stick, among the axes of the same mapping. */
 const STICK_Y = 3;
+/** Value of a trigger or button, 0 to 1, above which it counts as held. */
 const HELD = 0.5;
+/** Millimetres per metre, because WebXR uses metres. */
 const MM_PER_M = 1000;
+/** Bit of the clutch in the buttons of a sample. */
 const CLUTCH_BIT = 2;
 
 /**
@@ -124,19 +135,19 @@ interface Controller {
   pressed: ReadonlySet<number>;
 }
 
-/** A session in a VR headset. */
+/** Session in a VR headset: frame loop, controllers and virtual screen. */
 export class Headset {
   readonly #xr: Xr;
-  readonly #around: HeadsetSurroundings;
+  readonly #hooks: HeadsetHooks;
   #session: XrSession | null = null;
   #space: XrSpace | null = null;
   #entering = false;
   readonly #controllers = new Map<XrInputSource, Controller>();
-  #faultSaid = false;
+  #faultReported = false;
 
-  constructor(xr: Xr, around: HeadsetSurroundings) {
+  constructor(xr: Xr, hooks: HeadsetHooks) {
     this.#xr = xr;
-    this.#around = around;
+    this.#hooks = hooks;
   }
 
   get inside(): boolean {
@@ -147,7 +158,7 @@ export class Headset {
     return [...this.#controllers.values()].map((controller) => controller.name);
   }
 
-  /** Start the session; browsers require a click. */
+  /** Start the session in the headset. Browsers permit the start only in response to a click. */
   async enter(): Promise<void> {
     if (this.#session !== null || this.#entering) return;
     this.#entering = true;
@@ -162,16 +173,16 @@ export class Headset {
       });
       session.addEventListener("inputsourceschange", () => this.#forgetThoseGone(begun));
       this.#space = await session.requestReferenceSpace("local");
-      await this.#around.screen.open(session);
+      await this.#hooks.screen.open(session);
       if (isOver) throw new Error("the headset was taken off meanwhile");
       session.requestAnimationFrame(this.#frame);
       this.#session = session;
-      this.#faultSaid = false;
-      this.#around.changed(true);
+      this.#faultReported = false;
+      this.#hooks.changed(true);
     } catch (trouble) {
       this.#space = null;
-      this.#around.screen.close();
-      this.#around.failed(`The headset view could not be started: ${wordsOf(trouble)}.`);
+      this.#hooks.screen.close();
+      this.#hooks.failed(`The headset view could not be started: ${textsOf(trouble)}.`);
       await session?.end().catch(() => undefined);
     } finally {
       this.#entering = false;
@@ -195,21 +206,21 @@ export class Headset {
     const session = this.#session;
     const space = this.#space;
     if (session === null || space === null) return;
-    // Request the next frame first, so that an error below does not stop the frame loop.
+    // Request the next frame before this frame is drawn, so that an error below does not stop the frame loop.
     session.requestAnimationFrame(this.#frame);
     try {
       this.#read(session, space, timeMs / 1000, frame);
       const viewer = frame.getViewerPose(space);
-      if (viewer != null) this.#around.screen.draw(viewer);
+      if (viewer != null) this.#hooks.screen.draw(viewer);
     } catch (trouble) {
-      if (!this.#faultSaid) this.#around.failed(`The headset image could not be drawn: ${wordsOf(trouble)}.`);
-      this.#faultSaid = true;
+      if (!this.#faultReported) this.#hooks.failed(`The headset image could not be drawn: ${textsOf(trouble)}.`);
+      this.#faultReported = true;
     }
   };
 
   #read(session: XrSession, space: XrSpace, timeS: number, frame: XrFrame): void {
     // While the headset's system menu is open, the controllers do not move the tip.
-    const listens = this.#around.enabled() && (session.visibilityState ?? "visible") === "visible";
+    const listens = this.#hooks.enabled() && (session.visibilityState ?? "visible") === "visible";
     for (const source of session.inputSources) {
       if (source.gamepad == null) continue;
       const controller = this.#controllerOf(source);
@@ -217,8 +228,8 @@ export class Headset {
       const value = (n: number) => buttons[n]?.value ?? 0;
       const now = new Set([SQUEEZE, LOWER, UPPER].filter((n) => buttons[n]?.pressed === true));
       const fresh = (n: number) => now.has(n) && !controller.pressed.has(n);
-      if (fresh(SQUEEZE)) this.#around.screen.recenter();
-      if (listens && fresh(UPPER)) this.#around.act("reset_look");
+      if (fresh(SQUEEZE)) this.#hooks.screen.recenter();
+      if (listens && fresh(UPPER)) this.#hooks.act("reset_look");
       controller.pressed = now;
 
       const held = listens && value(TRIGGER) > HELD;
@@ -226,20 +237,20 @@ export class Headset {
       const speaks = held || advance !== 0 || (listens && now.has(LOWER));
       const pose = speaks || controller.speaks ? frame.getPose(source.gripSpace ?? source.targetRaySpace, space) : null;
       if (pose == null) {
-        // Without tracking the tip stays; it follows the controller again once tracking returns.
+        // Without tracking the controller sends no sample, so the tip stays until tracking returns.
         continue;
       }
       controller.speaks = speaks;
       const { position, orientation } = pose.transform;
-      this.#around.send({
+      this.#hooks.send({
         type: "device_sample",
         device: controller.name,
         time_s: timeS,
         position_mm: [position.x * MM_PER_M, position.y * MM_PER_M, position.z * MM_PER_M],
         orientation_wxyz: penFromGrip(orientation),
         axes: null,
-        // The tip moves while the trigger is held, whatever the clutch setting of pens is.
-        buttons: Number(now.has(LOWER)) + (held === this.#around.clutchHeldMoves() ? CLUTCH_BIT : 0),
+        // Set the clutch bit so that the tip moves while the trigger is held, whatever the clutch setting of pens is.
+        buttons: Number(now.has(LOWER)) + (held === this.#hooks.clutchHeldMoves() ? CLUTCH_BIT : 0),
         handle: null,
         advance,
       });
@@ -262,7 +273,7 @@ export class Headset {
   #forget(source: XrInputSource): void {
     const controller = this.#controllers.get(source);
     this.#controllers.delete(source);
-    if (controller !== undefined) this.#around.send({ type: "device_gone", device: controller.name });
+    if (controller !== undefined) this.#hooks.send({ type: "device_gone", device: controller.name });
   }
 
   #ended(session: XrSession): void {
@@ -270,13 +281,13 @@ export class Headset {
     this.#session = null;
     this.#space = null;
     for (const source of [...this.#controllers.keys()]) this.#forget(source);
-    this.#around.screen.close();
-    this.#around.changed(false);
+    this.#hooks.screen.close();
+    this.#hooks.changed(false);
   }
 }
 
-function wordsOf(trouble: unknown): string {
+function textsOf(trouble: unknown): string {
   // In some environments a DOMException is not an Error.
-  const said = trouble instanceof DOMException || trouble instanceof Error ? trouble.message : "";
-  return said.replace(/\.$/, "") || "the browser refused access";
+  const reason = trouble instanceof DOMException || trouble instanceof Error ? trouble.message : "";
+  return reason.replace(/\.$/, "") || "the browser refused access";
 }
