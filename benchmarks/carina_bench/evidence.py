@@ -177,7 +177,13 @@ def shows_lumen(volume: Volume, points: Points, noise_hu: float) -> NDArray[np.b
 
 
 def taken(volume: Volume, airways: Airways, points: Points) -> NDArray[np.int8]:
-    """Return an (n,) code of a click at each (n, 3) point: 1 accepted, 0 questioned or refused, -1 already in the tree."""
+    """Return the result of a click at each of the (n, 3) points, LPS mm.
+
+    Returns
+    -------
+    NDArray[np.int8]
+        (n,) 1 if the click is accepted, 0 if it is questioned or refused, -1 if the point is already in the tree.
+    """
     found = np.zeros(len(points), dtype=np.int8)
     for number, point in enumerate(points):
         way = branch_way(volume, airways, point)
@@ -203,7 +209,7 @@ def _values_at(volume: Volume, places: NDArray[np.float64]) -> NDArray[np.float6
 def _round(
     volume: Volume, voxel: NDArray[np.int64], values: NDArray[Any], reach_mm: float
 ) -> tuple[NDArray[Any], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the values in a box around a voxel, the distance of each from the voxel in mm, and the indices (i, j, k)."""
+    """Return the values in a box around a voxel, their distances from the voxel in mm, and their indices (i, j, k)."""
     reach = np.ceil(reach_mm / np.array(volume.spacing_mm)).astype(int)
     shape = np.array(volume.shape_zyx[::-1])
     low, high = np.maximum(voxel - reach, 0), np.minimum(voxel + reach, shape - 1)
