@@ -12,12 +12,13 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 MAX_BYTES = 2 * 1024 * 1024
-BIG_FILES = {"python/carina/_cases/"}  # The bundled CC BY case.
+"""Largest size of a file in bytes."""
+BIG_FILES = {"python/carina/_cases/"}  # The bundled patient case (CC BY) may be larger.
 NAMED_PATH = re.compile(
     r"`((?:crates|packages|python|web|tests|tools|docs|examples|benchmarks|protocol|build_backend)/[\w./*-]*)`"
 )
 ELSEWHERE = re.compile(r"\b(?:DESIGN|STYLE)(?:\.md| section| \d|:)|\bissue \d+|\breference/\w+\.md")
-"""Pattern of citations of papers that are not in the repository; docs/ contains their content."""
+"""Pattern of citations of papers that are not in the repository; their content is in docs/."""
 CITED_DECISION = re.compile(r"\bdecisions?[ /](\d{4})\b", re.IGNORECASE)
 GENERATED = ("benchmarks/results", "tests/out", "python/carina/_web")
 HOME_PATH = re.compile(rb"(?<![\w.])/(?:home|root|Users)/[A-Za-z0-9._-]+/")
@@ -25,13 +26,13 @@ TEXT = {".py", ".rs", ".ts", ".tsx", ".md", ".toml", ".json", ".html", ".css", "
 
 
 def tracked_files() -> list[str]:
-    """Return the files in git's index."""
+    """Return the paths of the files in the index of git."""
     listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, check=True, capture_output=True)
     return [name for name in listed.stdout.decode().split("\0") if name]
 
 
 def dead_paths(name: str) -> list[str]:
-    """Return the paths in a document that do not exist."""
+    """Return a finding for each path in a document that does not exist."""
     text = (ROOT / name).read_text(encoding="utf-8")
     found = []
     for path in sorted(set(NAMED_PATH.findall(text))):
@@ -41,7 +42,7 @@ def dead_paths(name: str) -> list[str]:
 
 
 def dead_decisions(name: str, text: str) -> list[str]:
-    """Return a finding for each decision that a file cites by a number that no decision has."""
+    """Return a finding for each cited decision number of a file that no decision has."""
     cited = sorted(set(CITED_DECISION.findall(text)))
     return [
         f"{name}: cites decision {number}, which does not exist; docs/decisions/index.md maps former numbers"

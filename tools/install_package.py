@@ -1,4 +1,4 @@
-"""Install Carina in place with uv, and show each compiled crate with the time since the start.
+"""Install Carina in place with uv, and print each compiled crate with the time since the start of the build.
 
 uv prints the output of a build only among its own messages (``-v``); this program selects the lines of cargo and Vite
 and writes the whole output to ``build/install.log``.
@@ -18,7 +18,9 @@ from typing import TextIO
 
 ROOT = Path(__file__).resolve().parent.parent
 LOG = ROOT / "build" / "install.log"
+"""File with the whole output of the build."""
 TAIL = 40
+"""Number of lines of the output that are printed after a failure."""
 COMPILING = re.compile(r"\bCompiling ([\w-]+) v[\w.+-]+")
 WEB = re.compile(r"\bvite v[\d.]+ building\b")
 
@@ -61,7 +63,7 @@ def show(
 
 
 def main(uv: str, python: str) -> int:
-    """Install Carina; on failure print the end of the output."""
+    """Install Carina and return the exit code of uv; after a failure print the end of the output."""
     command = [uv, "pip", "install", "-v", "--python", python, "--no-deps"]
     command += ["--reinstall-package", "carina", "-e", "."]
     print("Installing Carina (the whole output: build/install.log)", flush=True)

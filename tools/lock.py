@@ -30,7 +30,7 @@ MARK = "# pyproject: "
 
 
 def _fingerprint(name: str) -> str:
-    """Return a hash of the inputs of a lock file: the dependency tables of pyproject.toml."""
+    """Return a hash of the inputs of a lock file: of the dependency tables in pyproject.toml."""
     import tomllib
 
     data = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
@@ -50,10 +50,10 @@ def _fingerprint(name: str) -> str:
 
 
 def export(uv: str, name: str) -> str:
-    """Return the text of a lock file."""
+    """Return the text of the lock file ``name``."""
     with tempfile.TemporaryDirectory() as scratch:
         out = Path(scratch) / "requirements.txt"
-        # All dependencies and platforms; the project itself is built, not locked.
+        # The lock file contains all dependencies for all platforms, but not the project, which is built.
         command = [uv, "export", "-q", "--no-emit-project", "--no-header", "--no-annotate", "-o", str(out)]
         command += LOCKS[name]
         subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
@@ -63,7 +63,7 @@ def export(uv: str, name: str) -> str:
 
 
 def main() -> int:
-    """Write or check the lock files."""
+    """Write the lock files, or check that they are current; return 1 if one is not."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--check", action="store_true", help="fail if the lock does not match pyproject.toml")
     parser.add_argument("--uv", default="uv", help="the uv to use")
