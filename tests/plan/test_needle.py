@@ -11,7 +11,10 @@ from carina.plan import NeedleErrors, hit_share
 
 
 def drawn_share(nodule, tip, aim, reach_mm, errors, *, moved_mm, num, rng):
-    """Return the fraction of hits of random needles: lateral tip error, direction error, and movement of the nodule."""
+    """Return the share of random needles that hit a nodule.
+
+    Random are the lateral error of the tip, the error of the direction, and the movement of the nodule.
+    """
     along = (aim - tip) / np.linalg.norm(aim - tip)
     across = np.linalg.svd(along[None])[2][1:]
     tips = tip + rng.normal(0.0, errors.tip_mm, (num, 2)) @ across
