@@ -1,4 +1,4 @@
-"""Edits of the airway tree in a session: undo and redo, and their effect on targets, route and messages."""
+"""Tests of edits of the airway tree in a session: undo and redo, and effects on targets, routes and messages."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def case():
 
 @pytest.fixture
 def bench(case):
-    """Return a bench with the small drawn tree, real airways and real edits."""
+    """Return a session with the small drawn tree, real airways and real edits, whose background the test runs."""
     made = small_bench(
         open_volume=lambda _path, _progress, _cancel: case.volume,
         find_airways=lambda _volume, **_options: case.airways,
@@ -129,7 +129,7 @@ def test_route_that_an_edit_does_not_touch_stays_active(bench):
     assert pose.pose is not None
 
 
-def test_edit_that_keeps_the_lumen_does_not_prepare_the_renderer_again(bench):
+def test_edit_that_leaves_the_lumen_unchanged_does_not_prepare_the_renderer(bench):
     prepared = bench.renderers[-1].prepared
     edit(bench, RenameBranch(5, "LB6"), SmoothBranch(5))
     assert bench.renderers[-1].prepared == prepared
@@ -306,7 +306,7 @@ def test_bridge_without_an_airway_beyond_it_is_refused_without_a_question():
     assert [(trouble.code, trouble.message) for trouble in bench.of_type(Trouble)] == [(doubt.code, str(doubt))]
 
 
-def test_target_at_the_new_root_keeps_its_place_and_states_why_it_has_no_path(bench, case):
+def test_target_at_the_new_root_stays_and_states_why_it_has_no_path(bench, case):
     there = MoveRoot(point(case.airways.tree.branch(5).points[-2]))
     tracker = edit_airways(case.volume, case.airways, there).tracker
     place = point(case.volume.to_lps(np.array(tracker.root_ijk, dtype=float)))
