@@ -1,7 +1,7 @@
-"""Run ``carina info``, ``airways``, ``export`` and ``plan`` on many files, and list outcomes outside the contract.
+"""Run ``carina info``, ``airways``, ``export`` and ``plan`` on many files, and list outcomes that violate the contract.
 
-Usage: ``python tests/cli/odd_files.py [--no-slices] FOLDER...`` prints one line for each wrong outcome. A child process
-runs the commands of a batch of files: after a crash of the child, the next one goes on with the next file.
+Usage: ``python tests/cli/odd_files.py [--no-slices] FOLDER...`` prints one line for each such outcome. A child process
+runs the commands of a batch of files. If it crashes, a new child process continues with the next file.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from typing import Any
 EXIT_CODES = {0, 1, 2, 3, 4}
 """Exit codes that docs/contracts.md allows for a command that is not interrupted."""
 MACHINE = {"machine.", "disk."}
-"""Prefixes of the error codes that may end with exit code 1; every other refusal of a file has exit code 3."""
+"""Prefixes of the error codes with which a command may end with exit code 1; every other refusal has exit code 3."""
 MAX_MESSAGE = 2000
 LIMIT_S = 120.0
 BATCH = 12
@@ -34,8 +34,8 @@ POINT = "0,0,0"
 def inputs_in(folder: Path, *, slices: bool = True) -> list[Path]:
     """Return every file below a folder, and every folder with at least two files.
 
-    Without ``slices``, a folder with more than three files of one suffix counts as a series: of these files only the
-    first is returned.
+    Without ``slices``, a folder with more than three files of one suffix counts as a series, and only the first of
+    these files is returned.
     """
     found: list[Path] = []
     for root, _, names in os.walk(folder):
@@ -99,7 +99,10 @@ def run_command(arguments: list[str]) -> tuple[int, str, str]:
 
 
 def outcome_problem(code: int, out: str, err: str) -> str | None:
-    """Return what is wrong with the outcome of a command with ``--json``; None if it obeys the contract."""
+    """Return a description of how the outcome of a command with ``--json`` violates the contract.
+
+    None if it does not.
+    """
     if "Traceback" in err or "internal error" in err + out:
         return f"exit {code}: {err.strip()[-300:]}"
     if code not in EXIT_CODES:
@@ -144,7 +147,7 @@ def run_batch(paths: list[Path], scan: Path | None, home: str, results: Any) -> 
 
 
 def problems(paths: list[Path], scan: Path | None = None) -> Iterator[str]:
-    """Run all commands on all files in child processes and yield a line for each wrong outcome."""
+    """Run all commands on all files in child processes; yield a line for each outcome that violates the contract."""
     context = multiprocessing.get_context("spawn")
     with tempfile.TemporaryDirectory() as home:
         waiting = [paths[n : n + BATCH] for n in range(0, len(paths), BATCH)]

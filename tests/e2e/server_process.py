@@ -25,7 +25,7 @@ class Child:
 
     def __init__(self, arguments: list[str], home: Path) -> None:
         own = own_folders(home)
-        # The cache of computed data is shared; it is not a folder of the user.
+        # The cache of computed data is common to all tests, and no folder of the user.
         del own["XDG_CACHE_HOME"]
         environment = {**os.environ, **own}
         self.process = subprocess.Popen(
@@ -72,7 +72,7 @@ class Server:
     child: Child
     url: str
     number: int = 0
-    """Number of the workstation in its host."""
+    """Number of the workstation among those of its host."""
     begins: int = 0
     """Index of the first log line that this workstation may have written."""
     cookies: list[dict[str, object]] = field(default_factory=list)

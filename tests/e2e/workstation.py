@@ -11,12 +11,13 @@ from playwright.sync_api import Error as PlaywrightError
 from playwright.sync_api import TimeoutError as PlaywrightTimeout
 from server_process import Server
 
-# Upper limits for hanging operations, far beyond their duration on a busy machine.
+# Limits for operations that hang, far above their duration on a busy machine, ms.
 READY_MS = 600_000
 PICTURE_MS = 120_000
 SIZE = {"width": 1440, "height": 900}
 EMPTY = "icon.svg"
-# Background network, updates and sync would disturb tests, and the sandbox does not work for root in a container.
+# Background network traffic, updates and synchronisation would disturb tests. The sandbox does not work for root in a
+# container.
 FLAGS = [
     "--no-sandbox",
     "--disable-quic",
@@ -26,9 +27,9 @@ FLAGS = [
 ]
 
 
-# Script that waits until the page is at rest. The server handles messages in order, so that the answer to a probe of
-# the script (hidden from the page) shows that all earlier messages were handled. If the pose has not changed, no
-# message is pending.
+# Script that waits until the page is at rest. The server handles messages in order, so the answer to a probe, which the
+# page ignores, shows that all earlier messages were handled. If the pose has not changed meanwhile, no message is
+# pending.
 SETTLE = """
 window.WebSocket = class extends WebSocket {
   constructor(...options) {
@@ -66,7 +67,7 @@ window.__settled = async (limitMs) => {
   }
 };
 """
-# State of the page, for the report about a page that hangs.
+# Script that returns the state of the page, for the report about a page that hangs.
 STATE = """() => {
   const { stage, route, pose, session, frames, jobs, messages, ui, targets, can_undo, picks } = window.__carina.state;
   return JSON.stringify({ stage, pose, session, frames, jobs, messages, ui, targets, can_undo, picks,
@@ -106,7 +107,7 @@ FUNCTION = re.compile(r"\(?[\[\w, \]]*\)? =>")
 
 
 class Workstation:
-    """One open page of the workstation."""
+    """Open page of the workstation, with the actions and observations of a user."""
 
     def __init__(self, page: Any, scripts: tuple[str, ...] = ()) -> None:
         self.page = page
@@ -121,7 +122,7 @@ class Workstation:
         page.on("pageerror", lambda error: self.faults.append(str(error)))
 
     def _said(self, message: Any) -> None:
-        # A browser requests the icon of a picture that it shows as a page; the client's page names its own icon.
+        # The browser requests an icon for a picture that it shows as a page; the client's page defines its icon.
         if message.type == "error" and not message.location["url"].endswith("/favicon.ico"):
             self.faults.append(message.text)
 
@@ -147,7 +148,7 @@ class Workstation:
         self.page.mouse.move(0, 0)
         try:
             self.page.goto(f"{self._origin}/{EMPTY}")
-        except PlaywrightError:  # the workstation has ended
+        except PlaywrightError:  # The workstation has ended, so the page cannot request anything.
             return False
         # The client stores nothing in the browser except its cookie.
         self.page.context.clear_cookies()
@@ -177,9 +178,9 @@ class Workstation:
             button.first.click()
 
     def wait_ready(self) -> None:
-        """Wait until a case is open, its airways are found and the airway view shows the final picture of them.
+        """Wait until a case is open, its airways are found, and the airway view shows the final picture.
 
-        Messages arrive one by one: the pose on the new route is the last of them, and has the mode that ``state`` gave.
+        Messages arrive one by one. The last of them is the pose on the new route, whose mode is that of the state.
         """
         self.page.wait_for_function(
             """() => {
@@ -192,7 +193,7 @@ class Workstation:
         self.wait_still()
 
     def wait_for(self, condition: str, arg: Any = None) -> None:
-        """Wait until an expression of the page, or a function of ``arg``, is true.
+        """Wait until an expression of the page, or a function of ``arg``, returns true.
 
         The condition counts as false while it reads a property of a null or missing value.
         """
@@ -221,7 +222,7 @@ class Workstation:
         return {"frame_id": int(data["frameId"]), "pose_id": int(data["poseId"])}
 
     def frame_answers(self, view: str, pose_id: int) -> bool:
-        """Wait until the picture of the view answers this pose; return False if it does not in time."""
+        """Wait until the picture of the view shows the pose; return False if the picture does not arrive in time."""
         try:
             self.page.wait_for_function(
                 "([view, pose]) => Number(document.querySelector(`canvas[data-view=${view}]`).dataset.poseId) >= pose",
@@ -259,7 +260,7 @@ class Workstation:
         return self.page.evaluate("() => window.__poses")
 
     def watch_stand_ins(self) -> None:
-        """Record from now on which view is shown in place of the airway view."""
+        """From now on record which view is shown in place of the airway view while it is slow."""
         self.page.evaluate(
             """() => {
                 const canvas = document.querySelector('canvas[data-view=airway]');
@@ -274,7 +275,7 @@ class Workstation:
         return self.page.evaluate("() => window.__shown")
 
     def fly_until(self, condition: str, seconds: float) -> None:
-        """Move forwards and backwards until an expression of the page is true; fail if it is not in time."""
+        """Move forwards and backwards until an expression of the page is true; fail after ``seconds``."""
         for _ in range(int(seconds / 1.2) + 1):
             for key in ("w", "s"):
                 self.page.keyboard.down(key)
@@ -304,7 +305,7 @@ class Workstation:
         return self.page.evaluate("(view) => window.__pixels(view)", view)
 
     def once(self, condition: str, told: str) -> Any:
-        """Wait for a condition of the page, and return the value of an expression in the same moment."""
+        """Wait for a condition of the page, and return the value of the expression ``told`` at the same moment."""
         told_then = self.page.wait_for_function(f"() => ({condition}) ? [{told}] : false", timeout=PICTURE_MS)
         return told_then.json_value()[0]
 
@@ -361,7 +362,10 @@ class Workstation:
         )
 
     def deepest_tip(self, sign: float) -> dict[str, Any]:
-        """Return the tip of highest generation on one side (sign of x in LPS: the patient's right is negative)."""
+        """Return the tip of the highest generation on one side.
+
+        ``sign`` is that of x in LPS (the patient's right is negative).
+        """
         return self.page.evaluate(
             """(sign) => {
                 const branches = [...window.__carina.state.tree.byId.values()].map((node) => node.branch);
@@ -435,7 +439,7 @@ class Workstation:
         )
 
     def hold(self, key: str, milliseconds: int) -> float:
-        """Hold a key, and return how many seconds it was down by the page's clock."""
+        """Hold a key; return the seconds for which it was down by the clock of the page."""
         began_ms = self.page.evaluate("() => performance.now()")
         self.page.keyboard.down(key)
         self.let_pass(milliseconds)
@@ -457,7 +461,7 @@ class Workstation:
 
 
 def open_page(browser: Any, scripts: tuple[str, ...] = ()) -> Workstation:
-    """Open a page with the fixed size and pixel ratio, in a context of its own."""
+    """Return a page with the fixed size and pixel ratio, in a new browser context."""
     context = browser.new_context(viewport=SIZE, device_scale_factor=1)
     context.set_default_timeout(PICTURE_MS)
     return Workstation(context.new_page(), scripts)
