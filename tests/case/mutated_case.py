@@ -1,4 +1,4 @@
-"""Mutations of a case file with recomputed digests, so that only the checks of values can detect them."""
+"""Mutations of a case file whose digests are recomputed, so that only the checks of values can detect them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""SQLite journals beside a case file: they are checked before a copy or a replay."""
+"""Tests of SQLite journals beside a case file: they are checked before a copy or a replay."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def killed(made, tmp_path):
 
 @pytest.fixture(autouse=True)
 def ends():
-    """Limit the time of a test, because a call that blocks on a pipe would never return."""
+    """Limit the time of a test, because a call that blocks on a pipe never returns."""
     if os.name != "posix":
         yield
         return
@@ -141,7 +141,7 @@ def test_empty_journal_or_journal_of_zeros_loses_nothing(made, closed, tail, siz
 
 
 def test_journal_that_names_a_file_of_another_database_is_refused(closed, tmp_path):
-    # After the replay, SQLite deletes the file whose name is at the end of a rollback journal.
+    # After a replay SQLite deletes the file whose name is at the end of a rollback journal.
     victim = tmp_path / "work.txt"
     victim.write_text("years of work")
     pages = closed.stat().st_size // 4096

@@ -1,4 +1,4 @@
-"""Audit of dependencies: licences, advisories and checks that did not run.
+"""Tests of the audit of dependencies: licences, advisories, and checks that could not run.
 
 Each finding fails the audit unless it is accepted until a date.
 """
@@ -216,7 +216,7 @@ def test_accepted_gap_passes_until_its_last_day_and_is_printed_with_its_reason(a
     assert capsys.readouterr().out.count(f"audit.toml accepted this gap until {yesterday}") == 3
 
 
-def test_result_with_an_accepted_gap_is_not_called_complete(audit, allowed):
+def test_result_with_an_accepted_gap_is_not_reported_as_complete(audit, allowed):
     result = audit.Result("licences, Python", num_seen=3, unseen=["1 package"])
     gap = audit.Gap("another system", TODAY)
     audit.judge_gaps([result], audit.Allowed(allowed.licences, {}, {}, {"licences, Python": gap}), TODAY)

@@ -1,4 +1,4 @@
-"""Options named in messages: each one exists in the command that prints the message."""
+"""Tests that each option named in a message exists in the command that prints the message."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def options() -> dict[str, set[str]]:
 def named() -> list[tuple[str, str, int]]:
     """Return the options in texts of the package as (module, option, line).
 
-    Docstrings and definitions of options are left out.
+    Docstrings and definitions of options are omitted.
     """
     found = []
     for path in sorted(SOURCE.rglob("*.py")):

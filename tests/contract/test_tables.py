@@ -1,4 +1,4 @@
-"""Tables as columns, pandas and Arrow, and the message about a missing library with its installation command."""
+"""Tests of tables as columns, in pandas and Arrow, and of the message about a missing library."""
 
 from __future__ import annotations
 
@@ -160,7 +160,7 @@ table = carina.measure_tree(volume, carina.find_airways(volume)).to_columns()
 
 
 def looked_up(code: str) -> Iterator[str]:
-    """Yield the names in code that a beginner must look up, apart from the module itself."""
+    """Return the names in code that a beginner must look up, except the module ``carina``."""
     for node in ast.walk(ast.parse(code)):
         if isinstance(node, ast.Attribute):
             yield node.attr

@@ -1,4 +1,4 @@
-"""Agreement of the table of views with the Python types, the wire and the cells of the window."""
+"""Tests that the table of views agrees with the Python types, the wire and the cells of the window."""
 
 from __future__ import annotations
 

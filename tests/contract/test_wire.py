@@ -1,4 +1,4 @@
-"""Messages of the wire: each sample of protocol/valid is accepted, each one of protocol/invalid is refused."""
+"""Tests of the messages of the wire: each sample of protocol/valid is accepted, each of protocol/invalid is refused."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def test_every_message_has_a_valid_sample():
 
 
 @pytest.mark.parametrize("path", [p for p in samples("valid") if p.suffix == ".json"], ids=label)
-def test_message_is_unchanged_by_reading_and_writing(path):
+def test_message_that_is_read_and_written_again_is_unchanged(path):
     message = PARSERS[path.parent.name](path.read_bytes())
     assert json.loads(wire.encode_message(message)) == json.loads(path.read_bytes())
 

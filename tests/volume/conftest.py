@@ -10,12 +10,12 @@ import pytest
 from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian, generate_uid
 
-# The directions are oblique and every spacing differs, so a test with swapped axes or signs fails.
+# The directions are oblique and all spacings differ, so a test fails if axes or signs are exchanged.
 ROW_LPS = np.array([0.8, 0.6, 0.0])
 COLUMN_LPS = np.array([-0.36, 0.48, -0.8])
 NORMAL_LPS = np.cross(ROW_LPS, COLUMN_LPS)
 ORIGIN_LPS = np.array([-31.5, 12.25, 140.0])
-ROW_MM, COLUMN_MM, GAP_MM = 0.9, 0.7, 1.25  # distance of rows, columns and slices
+ROW_MM, COLUMN_MM, GAP_MM = 0.9, 0.7, 1.25  # distance between rows, between columns, and between slices
 ROWS, COLUMNS, SLICES = 11, 13, 9
 
 
@@ -63,7 +63,7 @@ def write_series(tmp_path: Path) -> Callable[..., Path]:
             dataset.ImageType = ["ORIGINAL", "PRIMARY", "AXIAL"]
             dataset.SeriesNumber = number
             dataset.SeriesDescription = description
-            # differs from the distance of the slices on purpose: the importer must not use it
+            # The thickness differs from the distance between slices, because the importer must not use it.
             dataset.SliceThickness = 5.0
             dataset.Rows, dataset.Columns = ROWS, COLUMNS
             dataset.PixelSpacing = [ROW_MM, COLUMN_MM]

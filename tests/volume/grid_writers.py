@@ -17,7 +17,7 @@ __all__ = ["AIR", "FORMS", "LPS_FROM_IJK", "SHAPE_ZYX", "bgzip", "chest", "metai
 SHAPE_ZYX = (12, 20, 24)
 AIR = 3
 """Number of air voxels around the body on each side of a slice."""
-# The direction is oblique and each spacing differs, so a test with swapped axes or signs fails.
+# The direction is oblique and all spacings differ, so a test fails if axes or signs are exchanged.
 SPACING_MM = (0.7, 0.9, 1.25)
 DIRECTIONS = np.reshape((0.8, -0.36, -0.48, 0.6, 0.48, 0.64, 0.0, -0.8, 0.6), (3, 3))
 LPS_FROM_IJK = np.eye(4)
@@ -85,7 +85,7 @@ def nifti_bytes(
 
 
 def nifti(folder: Path, values: np.ndarray, *, behind: bytes = b"", name: str = "ct.nii", **options: Any) -> Path:
-    """Write a NIfTI file in one piece, with zeros between header and values; ``behind`` is appended."""
+    """Write a NIfTI file in one piece, with zeros between header and values, and with ``behind`` after the values."""
     header, numbers = nifti_bytes(values, **options)
     gap = bytes(max(0, int(options.get("offset", 352)) - 348)) if np.isfinite(options.get("offset", 352)) else b""
     path = folder / name

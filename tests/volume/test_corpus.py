@@ -1,4 +1,4 @@
-"""Answers of the importer to every input of the corpus, and the page that lists them."""
+"""Tests of the importer's answer to every input of the corpus, and of the page that lists the inputs."""
 
 from __future__ import annotations
 
