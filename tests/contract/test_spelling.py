@@ -33,7 +33,7 @@ def names_in(path: Path) -> Iterator[str]:
                 yield found
 
 
-def test_no_name_or_key_in_the_package_is_spelled_center() -> None:
+def test_no_name_or_key_in_the_package_has_the_american_spelling_of_centre() -> None:
     found = {
         (path.relative_to(PACKAGE).as_posix(), name)
         for path in PACKAGE.rglob("*.py")
