@@ -14,7 +14,7 @@ from carina.track.tree.airway_tree import Route
 
 
 def bent_path() -> np.ndarray:
-    """Return a path down the trachea and then 60 degrees to the left, unevenly spaced like a real route, LPS mm."""
+    """Return a path (LPS mm) down the trachea and then 60 degrees to the left, with uneven steps like a real route."""
     down = [[2.0, -5.0, 120.0 - z] for z in (0.0, 7.0, 20.0, 55.0, 80.0)]
     aside = np.array([np.sin(np.radians(60.0)), 0.1, -np.cos(np.radians(60.0))])
     corner = np.array(down[-1])

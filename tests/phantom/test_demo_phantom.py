@@ -81,6 +81,6 @@ def test_demo_is_generated_when_the_cache_cannot_be_written(tmp_path: Path) -> N
 def test_generator_output_matches_the_checksum_of_its_version() -> None:
     made = generate_phantom(seed=7, spacing_mm=6.0, generations=5, stenosis=True, nodule=True)
     found = hashlib.sha256(made.volume.hu_zyx.tobytes() + made.lumen_zyx.tobytes()).hexdigest()[:16]
-    # If this assertion fails, the same options give a different chest: raise GENERATOR_VERSION, so that cached demos
-    # are generated again, and replace the checksum.
+    # If this assertion fails, the generator makes a different chest from the same options: raise GENERATOR_VERSION, so
+    # that cached demos are generated again, and replace the checksum.
     assert (GENERATOR_VERSION, found) == (2, "893589dcaaf69299")
