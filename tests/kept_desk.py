@@ -14,7 +14,7 @@ from small_case import Background, Clock, SmallRenderer, small_parts
 
 
 class Wall:
-    """Clock of the time of day, in seconds since 1970."""
+    """Clock with the time of day, in seconds since 1970, that a test sets."""
 
     def __init__(self) -> None:
         self.now_s = 1_800_000_000.0
@@ -31,7 +31,7 @@ def put_text(path: Path, text: str, placement: Any) -> None:
 
 
 class MemoryFile:
-    """Case file that is stored in memory, by its path."""
+    """Case file that is stored in memory under its path."""
 
     kept: dict[str, tuple[str, Any]] = {}  # noqa: RUF012 - one disk
 
@@ -86,7 +86,7 @@ class Desk:
         self.digest = "one CT"
         self.files: list[MemoryFile] = []
         self.written: dict[str, Any] = {}
-        """States of cases that were written as whole files, without a live file, by path."""
+        """Contents of cases that were written as whole files without a live file, by path."""
         self.store: Any = None
 
     def start(self) -> Session:
@@ -128,7 +128,7 @@ class Desk:
         assert self.session._saving.write_now()
 
     def kill(self) -> None:
-        """Simulate a kill: nothing more is written, and the locks are released as the operating system would do."""
+        """Simulate a kill: nothing more is written, and the locks are released as by the operating system."""
         kept = self.session._saving._kept
         assert kept is not None
         if kept.held is not None:

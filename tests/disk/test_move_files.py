@@ -1,4 +1,4 @@
-"""Moves that never replace an existing file, on disks without hard links."""
+"""Tests of moves that never replace an existing file, on disks without hard links."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from carina.disk.move_files import move_to_new_name
 
 @pytest.fixture
 def files(tmp_path, monkeypatch):
-    """Provide a file and a free name on a disk without hard links."""
+    """Provide a file and an unused name on a disk without hard links."""
 
     def link(_source, _target):
         raise OSError(errno.EPERM, "Operation not permitted")
@@ -24,7 +24,7 @@ def files(tmp_path, monkeypatch):
 
 
 def failing(monkeypatch, source, do):
-    """Let the move of a file fail after another operation."""
+    """Let the move of a file run ``do`` first and then fail."""
 
     def replace(_self, target):
         do(target)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# Start, end (LPS mm) and radius.
+# Start and end (LPS mm) and radius (mm) of a branch.
 TRACHEA = ((0.0, 0.0, 60.0), (0.0, 0.0, 0.0), 7.0)
 RIGHT = ((0.0, 0.0, 0.0), (-22.0, 4.0, -34.0), 5.5)
 LEFT = ((0.0, 0.0, 0.0), (30.0, 6.0, -26.0), 4.0)
@@ -34,7 +34,7 @@ class Tree:
 
 
 def straight(number, parent, children, name, line, **more) -> Branch:
-    """Return a straight branch of constant radius, with a point at each mm."""
+    """Return a straight branch of constant radius, with a point every mm."""
     start, end, radius = line
     steps = int(np.linalg.norm(np.subtract(end, start))) + 1
     points = np.linspace(start, end, steps)

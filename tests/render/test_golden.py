@@ -1,6 +1,6 @@
-"""Golden images: small pictures of the phantom, compared exactly.
+"""Tests of golden images: small pictures of the phantom, compared exactly.
 
-Look at every image that ``make golden`` wrote before you commit it.
+Look at every image that ``make golden`` has written before you commit it.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ SIZE = {"width": 96, "height": 96}
 AT = (0.5, -1.0, 26.0)
 WAY = FlightPath([(0.0, 0.0, 40.0), (0.0, 0.0, 0.0), (-22.0, 4.0, -34.0)])
 
-# Name: (view of the phantom, transfer function, what a person must see).
+# By name: view of the phantom, transfer function, and what a person must see in the image.
 CASES = {
     "airway-endoscopic": (
         lambda pose: AirwayView(pose, fov_deg=100.0, **SIZE),
@@ -101,7 +101,7 @@ CASES = {
     ),
 }
 
-# Parts that are drawn from the airway tree; DECORATED has name: (pose, parts, what a person must see).
+# DECORATED contains by name the pose, the parts that are drawn from the airway tree, and what a person must see.
 DOWN_THE_TRACHEA = Pose.looking((0.0, 0.5, 40.0), (0.0, 0.0, -1.0), (0.0, -1.0, 0.0))
 AT_THE_CARINA = Pose.looking((0.0, 0.0, 12.0), (0.0, 0.0, -1.0), (0.0, -1.0, 0.0))
 DECORATED = {
@@ -124,7 +124,7 @@ DECORATED = {
 
 
 def compare(name: str, found: np.ndarray, seen: str) -> None:
-    """Fail unless the picture equals the golden image; store expected, actual and difference images side by side."""
+    """Fail unless the picture equals the golden image; store the expected, the actual and the difference image."""
     path = GOLDEN / f"{name}.png"
     if os.environ.get("CARINA_GOLDEN") == "rewrite":
         GOLDEN.mkdir(parents=True, exist_ok=True)

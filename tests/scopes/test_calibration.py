@@ -1,4 +1,4 @@
-"""Tests of camera calibration files: files of OpenCV and damaged files."""
+"""Tests of camera calibration files: files of OpenCV, and damaged files."""
 
 from __future__ import annotations
 
@@ -96,16 +96,17 @@ def test_three_file_forms_of_one_calibration_give_the_same_lens():
         2.3839153080878486e-01,
     )
     assert rest == [0.0, 0.0, 0.0]
-    # Offset of half a pixel: OpenCV counts from the centre of the first pixel.
+    # The offset is half a pixel, because OpenCV counts from the centre of the first pixel.
     assert lens.calibration.centre_px == (342.28315473308373 + 0.5, 235.57082909788173 + 0.5)
 
 
-def test_calibration_scales_to_the_picture_size():
+def test_calibration_is_scaled_to_the_size_of_the_picture():
     lens = lens_from_text(YAML)
     full, half = lens.optics(640, 480), lens.optics(320, 240)
     at = np.array([[10.0, 20.0], [600.0, 400.0]])
     assert np.allclose(full.directions_of(at), half.directions_of(at / 2), rtol=0, atol=1e-12)
-    # 480 pixels at a focal length of 536 pixels, enlarged a little by the barrel distortion.
+    # The field of view is that of 480 pixels at a focal length of 536 pixels, slightly larger because of barrel
+    # distortion.
     assert 48.3 < full.fov_deg < 53.0
     with pytest.raises(ValueError, match=r"640 x 480, such as 512 x 384.*found 512 x 512"):
         lens.optics(512, 512)
@@ -116,7 +117,7 @@ def test_calibration_scales_to_the_picture_size():
 def test_fisheye_calibration_is_recognised_by_its_key():
     lens = lens_from_text(json.dumps(FISHEYE))
     assert lens.model == "fisheye" and lens.coefficients == (0.03, -0.01, 0.004, -0.0007)
-    # Formula of Kannala and Brandt at 30 degrees to the right.
+    # The formula is that of Kannala and Brandt, at 30 degrees to the right.
     a = np.deg2rad(30.0)
     r = a * (1 + 0.03 * a**2 - 0.01 * a**4 + 0.004 * a**6 - 0.0007 * a**8)
     found = lens.optics(1280, 720).pixels_of([[np.sin(a), 0.0, np.cos(a)]])[0]
