@@ -143,7 +143,7 @@ def test_recording_is_stored_in_pieces_of_a_second_and_can_be_replayed(file, doi
     connection.close()
 
 
-def test_interrupted_recording_is_kept_up_to_its_last_piece(file, doing):
+def test_interrupted_recording_contains_all_moves_up_to_its_last_stored_piece(file, doing):
     flown(file, doing, closes=False)
     (facts,) = file.recordings()
     assert not facts.complete
@@ -177,7 +177,7 @@ def test_recordings_can_be_renamed_ordered_and_deleted(file, doing):
 # Plans and reports
 
 
-def test_plans_and_reports_are_stored(file):
+def test_plans_and_reports_are_read_back_from_the_case_file(file):
     assert file.extra("report") == ()
     file.set_extra("report", ({"words": "größer"}, [1.5, None]))
     file.set_extra("plan", ("one",))
@@ -190,7 +190,7 @@ def test_plans_and_reports_are_stored(file):
 
 
 @pytest.mark.parametrize("order", [(0, 1, 2), (2, 0, 1), (1, 0, 2)])
-def test_same_scan_with_permuted_axes_shows_the_same_airways(file, doing, order):
+def test_case_opened_with_permuted_axes_of_its_scan_has_equal_airways(file, doing, order):
     volume = doing.case.volume
     # The axes i, j, k of the new volume are permuted axes of the old one; the first is reversed.
     shape = volume.shape_zyx[::-1]

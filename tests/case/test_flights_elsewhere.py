@@ -111,7 +111,7 @@ def test_pieces_written_by_the_disk_meanwhile_are_not_duplicated(file, doing):
     assert num_missing == 0
 
 
-def test_unreadable_flight_does_not_affect_the_others(file, doing):
+def test_readable_flights_are_written_despite_an_unreadable_flight(file, doing):
     class Damaged(Refusing):
         def recording_text(self, recording_id):
             raise DiskError("cannot read the case", code="disk.error")

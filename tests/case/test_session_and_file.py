@@ -87,7 +87,7 @@ def document(session):
 
 
 @pytest.mark.parametrize("is_killed", [False, True])
-def test_undo_after_reopening_gives_the_same_steps_as_without_reopening(tmp_path, is_killed):
+def test_undo_steps_after_reopening_equal_those_without_reopening(tmp_path, is_killed):
     session, background = started(tmp_path)
     worked(session, background)
     assert session._saving.write_now()

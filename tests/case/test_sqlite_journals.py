@@ -133,7 +133,7 @@ def test_invalid_journal_is_not_replayed_and_is_renamed(made, closed, tail, cont
 
 @pytest.mark.parametrize("tail", ["-wal", "-journal"])
 @pytest.mark.parametrize("size", [0, 512, 5000])
-def test_empty_journal_or_journal_of_zeros_loses_nothing(made, closed, tail, size):
+def test_case_with_an_empty_journal_or_one_of_zeros_opens_completely(made, closed, tail, size):
     closed.with_name(closed.name + tail).write_bytes(bytes(size))
     for read_only in (True, False):
         with CaseFile.open(closed, read_only=read_only) as file:

@@ -351,14 +351,14 @@ def test_2000_case_files_with_flipped_bits_or_truncation_are_refused_or_whole(ma
 # Rescue of a case file
 
 
-def test_undamaged_case_is_rescued_completely(made, stranger, tmp_path):
+def test_rescue_of_an_undamaged_case_restores_all_content(made, stranger, tmp_path):
     assert rescued(stranger, tmp_path / "rescued.carina") == ()
     with CaseFile.open(tmp_path / "rescued.carina") as file:
         assert_same_moment(file.load(made[0].case.volume), made[0].moment(), made[0].case)
         assert file.recordings()[0].name == "flight"
 
 
-def test_rescue_lists_lost_parts_and_restores_the_others(made, stranger, tmp_path):
+def test_rescue_of_a_damaged_case_lists_lost_parts_and_restores_the_rest(made, stranger, tmp_path):
     doing = made[0]
     changed(
         stranger,

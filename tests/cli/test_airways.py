@@ -94,7 +94,7 @@ def test_ct_without_airways_exits_4_with_reason_and_remedy(carina, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["a.json", "a.vtp", "a.swc", "a.mrk.json", "a.nii.gz", "a.stl", "a.glb"])
-def test_export_writes_every_format(carina, case, tmp_path, name):
+def test_export_writes_a_file_in_each_tree_format(carina, case, tmp_path, name):
     ended = carina("export", case / "ct.nii.gz", "-o", tmp_path / name, "--json")
     assert ended.code == 0
     assert ended.json()["output"] == str(tmp_path / name)
@@ -115,7 +115,7 @@ def test_export_of_a_given_tree_runs_no_search(carina, case, tmp_path):
     assert "another patient" in ended.json()["error"]["message"]
 
 
-def test_export_with_an_unknown_suffix_is_refused_with_the_known_ones(carina, case, tmp_path):
+def test_export_with_an_unknown_suffix_is_refused_with_the_known_suffixes(carina, case, tmp_path):
     ended = carina("export", case / "ct.nii.gz", "-o", tmp_path / "a.txt", "--json")
     assert ended.code == 2
     assert ".glb" in ended.json()["error"]["message"]

@@ -33,7 +33,7 @@ def test_missing_extra_exits_1_with_the_installation_command(carina, monkeypatch
     assert not (tmp_path / "out").exists()
 
 
-def test_unknown_section_exits_2_and_lists_the_known_ones(carina, tmp_path):
+def test_unknown_benchmark_section_exits_2_and_lists_the_known_sections(carina, tmp_path):
     ended = carina("bench", "render", "--only", "everything", "--json", "-o", tmp_path / "out")
     assert ended.code == 2
     assert "frames" in ended.json()["error"]["message"]

@@ -81,7 +81,7 @@ def test_other_sections_run_after_a_failed_section(carina, tmp_path, measured, m
     assert "network" in found and "simulation" not in found
 
 
-def test_each_section_is_printed_and_written_when_it_ends(monkeypatch, tmp_path, capsys):
+def test_cluster_benchmark_prints_and_writes_each_section_at_its_end(monkeypatch, tmp_path, capsys):
     seen = []
 
     def second(*_):

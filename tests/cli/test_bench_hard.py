@@ -158,7 +158,7 @@ def test_fine_vessels_do_not_touch_airways_and_some_are_close_to_them():
     assert sum(gap < 1.5 for gap in gaps) >= 5
 
 
-def test_terminal_airways_taper_by_the_rule_and_do_not_touch_each_other():
+def test_terminal_airways_taper_by_murrays_rule_without_touching():
     found = grown(5)
     every = {tube.id: tube for tube in (a_tip(), *found)}
     assert len(found) >= 8 and len(every) == len(found) + 1
@@ -236,7 +236,7 @@ def test_true_radii_equal_those_of_the_painted_lumen():
         np.testing.assert_allclose(area, math.pi * radius**2, rtol=0.03)
 
 
-def test_equal_seeds_give_equal_volumes_and_other_seeds_do_not():
+def test_equal_seeds_give_equal_hard_cases_and_different_seeds_different_ones():
     one, again, other = grown(5), grown(5), grown(6)
     assert len(one) == len(again)
     assert all(np.array_equal(a.points, b.points) for a, b in zip(one, again, strict=True))
@@ -305,7 +305,7 @@ def test_every_case_name_of_the_hard_part_has_parameters_for_painting():
     assert track.PARTS["hard"].cases == track_hard.CASES
 
 
-def test_hard_part_runs_only_if_it_is_named(carina, monkeypatch, tmp_path):
+def test_hard_part_of_the_benchmark_runs_only_if_only_names_it(carina, monkeypatch, tmp_path):
     monkeypatch.setattr(track, "built_parts", lambda: ["speed", "hard"])
     monkeypatch.setattr(track, "run_section", lambda _function, request, threads: [])
     all_parts = carina("bench", "track", "--json", "-o", tmp_path / "all").json()["parts"]

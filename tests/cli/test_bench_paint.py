@@ -203,7 +203,7 @@ def test_slices_have_the_requested_thickness_and_distance(slice_mm):
     assert abs(seen - 29 * 0.5) <= 0.5 * slice_mm + 1e-6
 
 
-def test_equal_seeds_give_equal_volumes_and_other_seeds_do_not():
+def test_equal_seeds_give_equal_painted_cts_and_different_seeds_different_ones():
     scene, *_ = straight(1.5, (0.3, 0.1, 0.0), (1, 2, 3))
     one, again, other = (paint(scene, PaintOptions(seed=seed)).volume.hu_zyx for seed in (4, 4, 5))
     assert np.array_equal(one, again)

@@ -43,7 +43,7 @@ def test_help_names_every_part_and_which_ones_run_only_if_named(carina):
     assert set(if_named.partition("names it, ")[2].split(", ")) == {n for n, p in track.PARTS.items() if p.needs_name}
 
 
-def test_unknown_case_of_a_part_exits_2_and_lists_the_known_ones(carina, tmp_path):
+def test_unknown_case_of_a_part_exits_2_and_lists_the_known_cases(carina, tmp_path):
     ended = carina("bench", "track", "--only", "quality", "--case", "sharper", "--json", "-o", tmp_path / "out")
     assert ended.code == 2
     assert "sharp-25" in ended.json()["error"]["message"]
@@ -69,7 +69,7 @@ def test_found_branch_outside_every_true_lumen_is_false():
     assert less["false_branches"] >= 1 and less["precision"] < whole["precision"]
 
 
-def test_unknown_part_exits_2_and_lists_the_known_ones(carina, tmp_path):
+def test_unknown_part_of_the_track_benchmark_exits_2_and_lists_the_known_parts(carina, tmp_path):
     ended = carina("bench", "track", "--only", "everything", "--json", "-o", tmp_path / "out")
     assert ended.code == 2
     assert "speed" in ended.json()["error"]["message"]
@@ -92,7 +92,7 @@ def test_part_without_its_module_is_omitted_with_a_message(carina, monkeypatch, 
 
 
 @pytest.mark.parametrize("named", [False, True])
-def test_part_without_its_other_program_is_skipped_unless_requested(carina, monkeypatch, tmp_path, named):
+def test_part_without_its_program_for_comparison_is_omitted_unless_named(carina, monkeypatch, tmp_path, named):
     def refuse(*_arguments, **_options):
         error = CarinaError("dijkstra3d is not installed", code="machine.extra")
         raise error

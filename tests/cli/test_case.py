@@ -90,7 +90,7 @@ def test_info_lists_the_content_of_a_case_without_its_scan(carina, case, made_ca
     assert "6 changes, 1 undone" in said
 
 
-def test_history_lists_labels_and_times(carina, case):
+def test_case_history_lists_the_label_and_time_of_each_step(carina, case):
     steps = carina("case", "history", case, "--json").json()["steps"]
     assert [step["holds"] for step in steps] == [True] * 6 + [False]
     assert steps[0]["label"].startswith("rename")

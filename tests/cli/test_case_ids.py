@@ -164,7 +164,7 @@ def test_ambiguous_beginning_of_a_case_id_is_refused_and_a_whole_id_accepted(sto
     assert stored_case(Path(ID[:12])).case_id == ID[:12]
 
 
-def test_open_continues_the_stored_case(carina, stored, monkeypatch):
+def test_open_with_a_case_id_continues_the_stored_case(carina, stored, monkeypatch):
     asked = {}
     monkeypatch.setattr("carina.server.serve", lambda path, **options: asked.update(path=path, **options) or 0)
     assert carina("open", ID[:6], "--no-browser").code == 0

@@ -302,7 +302,7 @@ def test_target_with_a_leading_minus_sign_is_tracked_and_the_tree_written(carina
     assert tree == ended.json()["tree"]
 
 
-def test_one_target_without_a_path_exits_4_and_the_others_are_written(carina, ct, tmp_path):
+def test_target_without_a_path_exits_4_and_paths_of_other_targets_are_written(carina, ct, tmp_path):
     arguments = ["track", ct, "--target", RMB, "--target", FAR, "-o", tmp_path / "tree.json", "--json"]
     ended = carina(*arguments)
     assert ended.code == 4
@@ -379,7 +379,7 @@ def test_picture_from_a_camera_outside_the_volume_reports_it(carina, ct, tmp_pat
     assert "outside the volume" in ended.err
 
 
-def test_full_disk_exits_1_with_a_message_and_keeps_the_old_files(carina, ct, tmp_path, monkeypatch):
+def test_command_on_a_full_disk_exits_1_and_leaves_the_old_files(carina, ct, tmp_path, monkeypatch):
     def full(*_arguments, **_options):
         raise OSError(28, "No space left on device")
 

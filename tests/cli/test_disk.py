@@ -90,7 +90,7 @@ def check(ended, code):
 
 
 @pytest.mark.parametrize("verb", VERBS, ids=label)
-def test_disk_that_becomes_full_is_reported_and_the_former_file_stays(run, tmp_path, monkeypatch, verb):
+def test_command_whose_disk_becomes_full_reports_it_and_leaves_the_old_file(run, tmp_path, monkeypatch, verb):
     if verb[0] == "fly":
         pytest.importorskip("av", reason="PyAV is not installed")
     folder = tmp_path / "results"

@@ -167,7 +167,7 @@ def test_recording_of_another_case_is_refused_and_writes_nothing(carina, ct, tmp
     assert not list(tmp_path.glob("*.mp4"))
 
 
-def test_recording_of_this_case_gives_a_video_of_its_length(carina, ct, tmp_path):
+def test_video_of_a_recording_has_the_length_of_the_recording(carina, ct, tmp_path):
     bench = small_bench()
     volume = api.open_volume(ct)
     bench.session.do(OpenVolume(volume))

@@ -80,7 +80,7 @@ def test_picture_that_cannot_be_unpickled_is_an_invalid_strip(pickled):
         open_answer(whole.replace(bare, pickled.ljust(len(bare), b"\0")))
 
 
-def test_other_object_in_place_of_a_picture_is_an_invalid_strip():
+def test_reply_with_another_object_than_a_picture_is_an_invalid_strip():
     other = {"view": "airway"}
     with pytest.raises(ClusterError, match="expected an image, found a dict"):
         open_answer(pack_answer((1, 1, 0, 3, 0.0, "leap", COUNTS, other, np.zeros((3, 8, 3), np.uint8))))

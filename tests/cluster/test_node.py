@@ -23,7 +23,7 @@ def test_token_is_created_once_and_readable_by_its_owner_only(tmp_path):
     assert text != node.make_token(tmp_path / "other").read_text()
 
 
-def test_token_readable_by_others_is_refused(tmp_path):
+def test_token_file_readable_by_other_users_is_refused(tmp_path):
     made = node.make_token(tmp_path / "token")
     made.chmod(0o644)
     with pytest.raises(ClusterError, match="chmod 600"):

@@ -309,7 +309,7 @@ def test_renderer_that_fails_during_a_frame_loses_no_picture(case, cluster):
     _wait_ready(made)
 
 
-def test_renderer_that_cannot_receive_a_load_request_affects_no_other(case, cluster, monkeypatch):
+def test_other_renderers_load_the_scene_if_one_cannot_receive_the_request(case, cluster, monkeypatch):
     made = cluster(settings=FAST)
     _wait_ready(made)
     expected = made.truth.render(_airway(case)).rgb
@@ -517,7 +517,7 @@ def test_renderer_refuses_strips_of_content_that_it_has_not_loaded(case):
 
 
 @pytest.mark.parametrize("name", VIEW_NAMES)
-def test_every_view_can_be_pickled(case, name):
+def test_view_restored_from_a_pickle_gives_an_equal_picture(case, name):
     view = _views(case)[name]
     there = pickle.loads(pickle.dumps(view, protocol=5))
     renderer = case.renderer()

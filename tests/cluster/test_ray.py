@@ -182,7 +182,7 @@ def test_wrong_replies_of_a_renderer_are_reported_and_not_shown(whole, trouble, 
         flight.cluster.ray.get(flight.lane(name)._handle.misbehave.remote())
 
 
-def test_closed_cluster_releases_its_machines(head, flight):
+def test_closed_console_releases_the_machines_of_its_renderers(head, flight):
     flight.cluster.close()
     assert flight.ready() == []
     picture = flight.renderer.render(VIEW)

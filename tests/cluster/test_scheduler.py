@@ -38,7 +38,7 @@ def test_each_row_is_in_exactly_one_strip(num_rows, shares, min_rows, max_rows):
     assert min(heights.values()) >= min(min_rows, num_rows)
 
 
-def test_strip_heights_follow_the_shares():
+def test_strip_heights_are_proportional_to_the_shares():
     pieces = cut_rows(512, {"a": 0.3, "b": 0.1, "c": 0.6}, min_rows=4)
     assert [(lane, end - first) for lane, first, end in pieces] == [("a", 154), ("b", 51), ("c", 307)]
 
@@ -340,7 +340,7 @@ def test_complete_frame_drops_the_older_frames_of_its_stream():
     assert not rig.answer(rig.issued[0], 0.02), "no row of a dropped frame is wanted"
 
 
-def test_dropped_frame_releases_its_buffer():
+def test_buffer_of_a_dropped_frame_is_used_by_the_next_frame():
     rig = _flying("a", settings=ClusterSettings(in_flight=4, open_frames=1))
     rig.scheduler.want(1, 10, 0.0)
     rig.scheduler.want(2, 10, 0.0)

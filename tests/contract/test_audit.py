@@ -158,7 +158,7 @@ REPORTS = {
 
 
 @pytest.mark.parametrize("look", REPORTS)
-def test_advisory_is_a_finding_unless_it_is_excepted_and_exceptions_expire(audit, allowed, monkeypatch, look):
+def test_advisory_is_a_finding_unless_an_exception_has_not_expired(audit, allowed, monkeypatch, look):
     monkeypatch.setattr(audit.shutil, "which", lambda tool: tool)
     run = answers(json.dumps(REPORTS[look]), code=1)
     asked = getattr(audit, look)
@@ -202,7 +202,7 @@ def audit_without_tools(audit, allowed, monkeypatch, *, gap_until=None) -> int:
     return audit.main()
 
 
-def test_unread_database_fails_the_audit(audit, allowed, monkeypatch, capsys):
+def test_audit_without_a_readable_advisory_database_fails(audit, allowed, monkeypatch, capsys):
     assert audit_without_tools(audit, allowed, monkeypatch) == 1
     assert capsys.readouterr().out.count("NOT looked at: no tool; make the check possible, or accept the gap") == 3
 

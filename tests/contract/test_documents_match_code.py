@@ -173,7 +173,7 @@ def test_tests_that_a_document_names_exist(document: Path) -> None:
 
 
 @pytest.mark.parametrize("document", documents(), ids=lambda path: path.name)
-def test_names_in_a_document_exist(document: Path) -> None:
+def test_names_in_backticks_of_a_document_exist_in_the_code(document: Path) -> None:
     found = [f"{one.document}:{one.line}: `{one.text}`: {why}" for one in names_in(document) if (why := problem(one))]
     assert not found, "\n".join(found)
 

@@ -36,7 +36,7 @@ def test_table_of_valid_arguments_contains_every_public_function() -> None:
 
 
 @pytest.mark.parametrize("name", CALLS)
-def test_call_with_valid_arguments_succeeds(name: str, things: Things) -> None:
+def test_public_function_called_with_its_valid_arguments_succeeds(name: str, things: Things) -> None:
     call, arguments, state = called(name, things)
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(things.folder)

@@ -95,7 +95,7 @@ def test_unknown_view_name_is_refused_with_the_names_of_all_views(options: dict[
     assert str(refused.value) == f"expected one of the views {', '.join(VIEW_NAMES)}; found 'airwy'"
 
 
-def test_view_object_gives_the_same_picture_as_its_name() -> None:
+def test_picture_of_a_view_object_equals_that_of_the_view_name() -> None:
     size = {"width": 40, "height": 32}
     for view, named in (
         (SliceView("axial", (5.5, 5.5, 5.5), **size), {"view": "axial"}),

@@ -66,7 +66,7 @@ def test_table_has_columns_of_plain_types_and_equal_length(kind: str, tables: di
         assert all(value is None or type(value) is kinds[of] for value in values), name
 
 
-def test_tables_of_a_tree_and_of_its_measures_have_the_same_branches(tables: dict[str, Tabular]) -> None:
+def test_tables_of_a_tree_and_of_its_measures_have_equal_branches(tables: dict[str, Tabular]) -> None:
     tree, measures = tables["tree"].to_columns(), tables["measures"].to_columns()
     for name in ("id", "name", "generation", "parent", "kind"):
         assert tree[name] == measures[name]

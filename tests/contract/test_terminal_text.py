@@ -35,7 +35,7 @@ CONTROLS = {chr(n) for n in (*range(32), *range(0x7F, 0xA0), *range(0x202A, 0x20
 
 
 @pytest.mark.parametrize("text", ATTACKS)
-def test_control_sequences_are_removed(text):
+def test_control_sequences_in_text_are_removed_before_printing(text):
     assert as_terminal_text(text) == ATTACKS[text]
     assert as_line(text) == ATTACKS[text]
 
@@ -52,7 +52,7 @@ def test_line_breaks_stay_in_messages_and_are_removed_from_lines():
     assert as_line("a\n\tb") == "a  b"
 
 
-def test_json_keeps_the_text_and_escapes_control_characters():
+def test_json_output_contains_the_text_with_escaped_control_characters():
     for text in ATTACKS:
         dumped = json.dumps({"title": text}, ensure_ascii=False, indent=2)
         escaped = escaped_json(dumped)

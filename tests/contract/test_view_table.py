@@ -57,7 +57,7 @@ def test_every_cell_has_a_view_and_a_control_for_each_of_its_views():
             assert all(row.short for row in views)
 
 
-def test_brush_needs_an_outline_and_a_plane_in_the_same_views():
+def test_views_with_a_brush_have_an_outline_and_a_plane():
     assert names(outlined={True}) == names(pick={"plane"}) == set(get_args(FlatViewName))
 
 

@@ -37,7 +37,7 @@ def label(path: Path) -> str:
 
 
 @pytest.mark.parametrize("path", samples("valid"), ids=label)
-def test_valid_samples_are_accepted(path):
+def test_valid_sample_messages_are_accepted(path):
     PARSERS[path.parent.name](path.read_bytes())
 
 
@@ -130,7 +130,7 @@ def test_deep_nesting_is_refused_and_does_not_exhaust_the_stack(depth):
         wire.parse_client_message(text)
 
 
-def test_text_over_the_limit_is_refused_before_it_is_parsed():
+def test_message_text_over_the_size_limit_is_refused_before_parsing():
     with pytest.raises(ProtocolError, match="too long") as refusal:
         wire.parse_client_message(" " * 300_000)
     assert refusal.value.code == "protocol.size"

@@ -28,7 +28,7 @@ def load(path: Path):
     return module
 
 
-def test_every_example_is_tested_here():
+def test_every_example_folder_has_a_test_in_this_file():
     assert sorted(path.name for path in EXAMPLES.glob("*/*.*")) == [
         "first_airway.py",
         "from_ct_to_film.ipynb",

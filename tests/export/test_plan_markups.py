@@ -189,7 +189,7 @@ def test_target_states_its_size_its_error_and_its_motion(written):
     assert "Not a medical device." in words
 
 
-def test_several_targets_have_different_names_and_badges_are_kept(tmp_path):
+def test_several_targets_have_different_names_and_the_file_has_all_badges(tmp_path):
     plans = {"Nodule A": a_plan(), "Nodule B": a_plan(doubts=(), aim_lps=(20.0, -3.0, -70.0))}
     badge = Note("import.lossy", "the slices were compressed with loss", badge=True)
     path = write_plan_markups(tmp_path / "p.mrk.json", plans, a_tree(), badges=[badge])

@@ -150,7 +150,7 @@ def centre_of(data) -> list[float]:
     raise AssertionError("no point")
 
 
-def test_cancelled_export_leaves_no_file(ct, volume, tmp_path):
+def test_cancelled_export_of_a_segmentation_leaves_no_file(ct, volume, tmp_path):
     with pytest.raises(CancelledError):
         write_target_seg(tmp_path / "t.dcm", nodule(), volume, ct, cancel=lambda: True)
     assert not list(tmp_path.iterdir())
@@ -287,7 +287,7 @@ def test_simpleitk_reads_the_segmentation_at_the_position_of_the_nodule(ct, volu
     assert np.abs(found - expected).max() < 0.01
 
 
-def test_another_ct_a_newer_ct_and_a_file_that_is_not_dicom_are_refused(ct, volume, tmp_path):
+def test_segmentation_for_another_ct_or_a_file_that_is_not_dicom_is_refused(ct, volume, tmp_path):
     out = tmp_path / "out"
     out.mkdir()
     write = functools.partial(write_target_seg, out / "t.dcm", nodule(), volume)

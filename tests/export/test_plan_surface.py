@@ -51,6 +51,6 @@ def test_any_set_of_voxels_has_a_closed_surface(seed, num):
     assert mesh.volume_mm3 > 0.0
 
 
-def test_empty_mask_has_no_surface():
+def test_surface_of_an_empty_mask_is_refused():
     with pytest.raises(UsageError, match="no voxel"):
         nodule_surface(dataclasses.replace(ellipsoid([2.0, 2.0, 2.0]), inside_zyx=np.zeros((3, 3, 3), bool)))

@@ -139,7 +139,7 @@ def test_video_with_a_rate_above_the_highest_codec_level_is_refused():
         VideoWriter("a.mp4", 8192, 4352, rate_hz=240.0)
 
 
-def test_notes_state_the_written_size_and_sizes_that_few_players_show():
+def test_notes_of_a_video_state_its_size_and_whether_few_players_show_it():
     assert size_notes("a.mp4", 640, 480, rate_hz=30.0) == ()
     assert size_notes("a.mp4", 4096, 2160, rate_hz=60.0) == ()
     (note,) = size_notes("a.webm", 101, 75, rate_hz=30.0)

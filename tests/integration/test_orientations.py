@@ -139,7 +139,7 @@ def distance_mm(points, others):
     return np.linalg.norm(points[:, None] - others[None], axis=2).min(axis=1)
 
 
-def test_right_main_bronchus_is_on_the_right_of_the_patient(phantom, found):
+def test_right_main_bronchus_is_at_lower_lps_x_in_every_orientation(phantom, found):
     _, seen_here = found
     tree = seen_here["airways"].tree
     by_name = {branch.name: branch for branch in tree.branches if branch.name}

@@ -85,7 +85,7 @@ def test_forks_are_found_ahead_and_behind() -> None:
         ([[0, 0, 0], [0, 0, 9]], {"forks_mm": [11.0]}, "forks must lie on the path"),
     ],
 )
-def test_invalid_path_is_refused_with_the_reason(points: list, options: dict, says: str) -> None:
+def test_flight_path_with_invalid_points_is_refused_with_the_reason(points: list, options: dict, says: str) -> None:
     with pytest.raises(UsageError, match=says):
         FlightPath(points, **options)
 
@@ -114,6 +114,6 @@ def test_path_of_a_tracked_path_has_its_points() -> None:
     np.testing.assert_array_equal(FlightPath(tracked).source_lps, points)
 
 
-def test_object_without_points_is_refused() -> None:
+def test_flight_path_of_an_object_without_points_is_refused() -> None:
     with pytest.raises(UsageError, match="FlightPath: points_lps: expected finite numbers"):
         FlightPath(object())

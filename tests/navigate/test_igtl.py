@@ -332,7 +332,7 @@ def test_server_stops_while_a_peer_is_connected(reads, monkeypatch):
         assert not ending.is_alive()
 
 
-def test_silent_connection_is_opened_again():
+def test_connection_to_a_silent_peer_is_opened_again():
     heard = Heard()
     with socket.create_server(("127.0.0.1", 0)) as listening:
         listening.settimeout(8.0)

@@ -230,7 +230,7 @@ def test_flight_with_times_and_speeds_mixed_or_a_single_key_frame_is_refused():
 
 
 @pytest.mark.parametrize("points", [[(0.0, 0, 0)], [(0.0, 0), (1.0, 0)], [(0.0, 0, math.nan), (0, 0, 1)]])
-def test_invalid_leg_paths_are_refused(points):
+def test_key_frame_with_an_invalid_path_of_its_leg_is_refused(points):
     with pytest.raises(UsageError, match="at least two points"):
         AirwayWay(np.array(points), 0)
 

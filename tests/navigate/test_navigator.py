@@ -160,7 +160,7 @@ def test_advancing_follows_the_path_and_stops_at_its_ends() -> None:
     assert tip.limit == "none"
 
 
-def test_free_look_keeps_the_path_position_persists_and_can_be_reset() -> None:
+def test_free_look_on_a_path_leaves_the_position_and_lasts_until_it_is_reset() -> None:
     tip, plain = on_path(), on_path()
     tip.steer(yaw_rad=0.5)
     tip.steer(pitch_rad=0.2)

@@ -138,7 +138,7 @@ def test_hand_on_the_path_moves_the_tip_only_forward_and_its_turns_move_the_view
     assert hand.pilot.navigator.look_offset_rad[0] == pytest.approx(0.4)
 
 
-def test_stick_direction_at_a_fork_requests_that_branch():
+def test_stick_direction_at_a_fork_requests_the_branch_on_this_side():
     # The camera looks down the trachea with anterior up, so the patient's right is on the right of the picture.
     for yaw, wanted in ((1.0, None), (0.0, None), (-1.0, 2)):
         hand = Hand(path=True)

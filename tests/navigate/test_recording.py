@@ -221,7 +221,7 @@ def test_broken_lines_are_refused_with_their_number(flown, tmp_path, line):
 @pytest.mark.parametrize(
     "text", ["", "hello", '{"format":"carina-recording","version":2}', '{"format":"carina-tree"}', "\xff"]
 )
-def test_file_that_is_no_recording_is_refused(tmp_path, text):
+def test_file_without_the_format_of_a_recording_is_refused(tmp_path, text):
     place = tmp_path / "x.jsonl"
     place.write_bytes(text.encode("latin-1"))
     with pytest.raises(VolumeImportError):
@@ -248,7 +248,7 @@ def test_only_one_recording_runs_at_a_time_and_ends_with_the_case(flown, tmp_pat
     assert open_recording(tmp_path / "a.jsonl").complete
 
 
-def test_recorder_stores_no_patient_data(flown, tmp_path):
+def test_recording_of_a_flight_contains_no_patient_data(flown, tmp_path):
     session, clock = flown
     session.do(RecordFlight(tmp_path / "a.jsonl"))
     fly(session, clock)

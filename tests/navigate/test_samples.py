@@ -195,7 +195,7 @@ def test_filter_smooths_rotations_along_the_shortest_path():
     assert 0.0 < math.acos((np.trace(lag) - 1.0) / 2.0) < 0.3
 
 
-def test_filter_restarts_after_a_gap():
+def test_smoothing_filter_restarts_after_a_gap_in_the_samples():
     smooth = SampleFilter(DeviceControls(min_cutoff_hz=1.0, beta_per_mm=0.0))
     smooth.apply(pen(0.0))
     assert smooth.apply(pen(0.01, 10.0)).position_mm[0] < 5.0

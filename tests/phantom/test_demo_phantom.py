@@ -36,7 +36,7 @@ def test_demo_is_generated_once_and_then_read_from_the_cache(tmp_path: Path) -> 
 @pytest.mark.usefixtures("small_demo")
 @pytest.mark.parametrize("name", ["ct.npy", "lumen.npy", "truth.json", "sums.json"])
 @pytest.mark.parametrize("damage", ["cut", "changed", "gone"])
-def test_damaged_cache_is_generated_again(tmp_path: Path, name: str, damage: str) -> None:
+def test_demo_with_a_damaged_cache_file_is_generated_again(tmp_path: Path, name: str, damage: str) -> None:
     made = demo_phantom(cache_dir=tmp_path)
     (file,) = tmp_path.glob(f"phantom-*/{name}")
     data = file.read_bytes()

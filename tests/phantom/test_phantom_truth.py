@@ -142,7 +142,7 @@ def test_every_centreline_point_is_in_the_lumen(central: Phantom, chest: Phantom
             assert values.all(), b["name"] or b["id"]
 
 
-def test_trachea_reaches_the_top_slice(chest: Phantom) -> None:
+def test_lumen_of_the_trachea_is_in_the_top_slice(chest: Phantom) -> None:
     top = np.array(chest.truth["branches"][0]["points"][0])
     assert chest.volume.to_ijk(top)[2] == pytest.approx(chest.volume.shape_zyx[0] - 1, abs=1e-9)
     assert at(chest.lumen_zyx, chest, top[None]).tolist() == [1]
@@ -206,7 +206,7 @@ def at_index(made: Phantom, point: tuple[float, float, float]) -> tuple[int, ...
     return int(k), int(j), int(i)
 
 
-def test_lungs_are_denser_posteriorly(chest: Phantom) -> None:
+def test_lungs_of_the_phantom_are_denser_at_the_back_than_at_the_front(chest: Phantom) -> None:
     # The density of a patient who lies on the back rises by 0.32 HU per mm towards the back. Medians exclude the
     # vessels.
     def median(y: float) -> float:
@@ -216,7 +216,7 @@ def test_lungs_are_denser_posteriorly(chest: Phantom) -> None:
     assert median(40.0) - median(-50.0) == pytest.approx(0.32 * 90, abs=10)
 
 
-def test_wall_separates_lumen_and_lung(central: Phantom) -> None:
+def test_wall_of_a_segmental_bronchus_is_brighter_than_lumen_and_lung(central: Phantom) -> None:
     # The wall of a segmental bronchus in the lung is visible on all sides, with lower HU because of partial volumes.
     branch = branches_of(central)["RB10"]
     points, radius = np.array(branch["points"]), np.array(branch["radius"])

@@ -460,7 +460,7 @@ def test_phone_that_lost_its_network_reconnects_and_the_old_link_is_notified(pho
     wait_for(lambda: not phone.page.info().connected)
 
 
-def test_state_that_cannot_be_encoded_disconnects_the_phone(phone, monkeypatch):
+def test_phone_is_disconnected_if_the_state_cannot_be_encoded(phone, monkeypatch):
     with dialled(phone) as link:
         state(link)
         link.send(sample(1.0))

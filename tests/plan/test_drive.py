@@ -77,7 +77,7 @@ def carried_out(way: DriveWay, wall: WallField, told: dict[str, Any]) -> ScopeDr
 
 
 @pytest.mark.parametrize("branch_id", BRANCHES)
-def test_replay_of_the_listed_moves_ends_in_the_right_branch(branch_id: int) -> None:
+def test_replay_of_the_listed_moves_ends_in_the_planned_branch(branch_id: int) -> None:
     way, driven = chest_way(branch_id), chest_drive(branch_id)
     assert driven.arrived, driven.why
     drive = carried_out(way, chest_wall(), json.loads(json.dumps(driven.to_json(poses=False))))

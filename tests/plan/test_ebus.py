@@ -112,7 +112,7 @@ def test_station_is_on_its_branch_and_its_distance_is_along_the_tree() -> None:
         assert np.linalg.norm(mark.direction_lps) == pytest.approx(1.0)
 
 
-def test_mirrored_chest_has_its_stations_on_the_other_side_with_a_note() -> None:
+def test_stations_of_a_mirrored_chest_are_on_the_opposite_side_with_a_note() -> None:
     plain, other = ebus_landmarks(tree()), ebus_landmarks(mirrored(tree()))
     told = {"4R": "4L", "4L": "4R", "10R": "10L", "10L": "10R", "11Rs": "11Ls", "11Ri": "11Li", "11L": "11R"}
     by_place = {(mark.station, mark.point_lps): mark for mark in other}

@@ -166,6 +166,6 @@ def test_thin_plate_is_found_at_its_position(at_mm: float) -> None:
     assert np.median(hit) == pytest.approx(32.0 + at_mm, abs=1.0)
 
 
-def test_lung_and_vessels_alone_have_no_fissure() -> None:
+def test_no_fissure_is_found_in_lung_with_vessels_only() -> None:
     assert not sought(scan(0.0, 0.0, 30.0)).mask.any()
     assert not sought(scan(0.0, 0.0, 20.0, tube=True)).mask.any()

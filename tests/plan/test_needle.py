@@ -56,7 +56,7 @@ def test_needle_without_errors_hits_and_too_short_needle_misses() -> None:
     assert shares == sorted(shares, reverse=True) and shares[-1] < 0.5
 
 
-def test_invalid_errors_are_refused() -> None:
+def test_needle_with_invalid_errors_is_refused() -> None:
     with pytest.raises(UsageError, match="angle_deg: expected 0 to 45; found -1"):
         NeedleErrors(-1.0)
     with pytest.raises(UsageError, match="tip_mm: expected 0 to 20; found nan"):

@@ -179,7 +179,7 @@ def test_equal_outlines_in_two_items_of_one_structure_are_counted_once(tmp_path)
 
 
 @pytest.mark.parametrize(("inner", "is_xor"), [(0.88, False), (0.87, False), (1.0, True), (0.99, True)])
-def test_outlines_that_may_be_a_boundary_or_a_wall_are_refused(inner, is_xor):
+def test_nested_outlines_that_may_be_two_boundaries_or_a_wall_are_refused(inner, is_xor):
     contours = [ellipse(h, grow=part, is_xor=is_xor) for h in slice_heights() for part in (1.0, inner)]
     with pytest.raises(OutlineError, match=r"nearly equal and cancel|drawn twice, or a thin wall") as error:
         measured(contours)

@@ -98,7 +98,7 @@ def test_all_outputs_state_the_same_narrowest_diameter_of_a_route() -> None:
     assert (offer.fit == "fits") == stored["fits"] == (route.width.chance(plan().scope) >= 0.9)
 
 
-def test_page_loads_nothing_and_allows_only_its_own_content(tmp_path) -> None:
+def test_report_page_makes_no_request_and_allows_only_its_content(tmp_path) -> None:
     text = page(tmp_path)
     assert "http" not in text.replace("http://www.w3.org/2000/svg", "").replace("http-equiv", "")
     assert not re.search(r"<(img|iframe|object|embed|form|base)\b", text) and " style=" not in text
@@ -378,7 +378,7 @@ def test_report_file_of_an_unknown_kind_is_refused_with_a_message(tmp_path, name
     assert list(tmp_path.iterdir()) == []
 
 
-def test_cancelled_report_leaves_no_file(tmp_path) -> None:
+def test_cancelled_writing_of_a_report_leaves_no_file(tmp_path) -> None:
     shares: list[float] = []
     with pytest.raises(CancelledError):
         make_sheet(

@@ -66,7 +66,7 @@ def test_fonts_are_embedded_and_slices_are_under_vector_outlines() -> None:
     assert first.get_contents().get_data().count(b" l ") + first.get_contents().get_data().count(b" l\n") > 100
 
 
-def test_tracing_sheet_is_one_page() -> None:
+def test_tracing_sheet_of_the_pdf_is_one_page() -> None:
     (only,) = pages("Letter", "tracing")
     text = plain(only.extract_text())
     assert all(plain(fork.to_name) in text for fork in sheet().forks)

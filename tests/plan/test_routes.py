@@ -260,7 +260,7 @@ def test_target_in_the_trachea_is_reached_from_the_trachea() -> None:
     assert best.from_carina_mm < 0.0 and best.from_carina_mm == pytest.approx(best.along_mm - trachea.length_mm)
 
 
-def test_plan_is_plain_json_and_a_grown_nodule_gives_the_same_plan() -> None:
+def test_plan_is_plain_json_and_equal_for_a_click_and_its_grown_nodule() -> None:
     said = plan().to_json()
     assert json.loads(json.dumps(said)) == said
     assert said["weights"] == {name: getattr(ScoreWeights(), name) for name in ScoreWeights.__slots__}
@@ -456,7 +456,7 @@ def test_tissue_outside_the_examined_box_is_neither_lung_nor_vessel() -> None:
     ]
 
 
-def test_left_lower_lobe_moves_as_far_as_the_right() -> None:
+def test_left_and_right_lower_lobe_are_assumed_to_move_equally() -> None:
     airways, volume = made_airways(**CHEST), made_phantom(**CHEST).volume
     place = airways.tree.named("LLL").points[-1]
     assert plan_route(volume, airways, ellipsoid((3.0, 3.0, 3.0), place), wall=wall()).moved_mm == 20.0

@@ -76,7 +76,7 @@ def test_brush_adds_and_removes_its_ball(off, radius_mm):
     assert less.notes == more.notes == ("boundary edited by hand",)
 
 
-def test_edits_that_leave_no_target_are_refused():
+def test_boundary_edits_that_leave_no_target_are_refused():
     volume, nodule = scene()
     centre = np.array(nodule.centre_lps)
     with pytest.raises(UsageError, match="nothing of the target would be left") as error:

@@ -82,7 +82,7 @@ def _heights(volume, centre):
     return [h for h in heights if abs(h) < RADIUS_MM]
 
 
-def test_outlines_round_voxels_and_through_their_centres_give_the_same_mask(tmp_path):
+def test_outlines_round_voxels_and_through_voxel_centres_give_equal_masks(tmp_path):
     volume, _, inside = scene()
     expected = nodule_from_mask(volume, inside)
     for outlines, note in (

@@ -81,6 +81,6 @@ def test_ct_cut_through_the_lungs_has_vessels() -> None:
     assert 0.3 * whole.known.sum() < cut.known.sum() < 0.95 * whole.known.sum()
 
 
-def test_ct_without_lungs_is_refused() -> None:
+def test_map_of_whole_lungs_refuses_a_ct_without_lungs() -> None:
     with pytest.raises(NoResultError):
         lung_box(Volume(np.full((40, 60, 60), 40, np.int16), np.diag([2.0, 2.0, 2.0, 1.0])))

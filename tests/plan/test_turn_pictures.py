@@ -100,7 +100,7 @@ def test_middle_of_the_opening_is_inside_its_outline() -> None:
         assert at is not None and made.outline[int(at[1]), int(at[0])], made.turn
 
 
-def test_other_openings_are_outside_the_outline() -> None:
+def test_openings_of_other_branches_are_outside_the_outline() -> None:
     tree = made_airways(**CHEST).tree
     for made in pictures():
         for other in made.turn.others:

@@ -80,7 +80,7 @@ def test_vessel_of_any_direction_is_found_at_its_position(
     assert (found.sure[~found.vessel] == 0.0).all()
 
 
-def test_lung_alone_and_a_plate_have_no_vessel() -> None:
+def test_no_vessel_is_found_in_plain_lung_and_in_a_plate() -> None:
     for noise_hu in (10.0, 40.0):
         assert seen(scan(noise_hu=noise_hu)).vessel.mean() < 1e-4
     # The plate of 0.3 mm simulates a fissure.

@@ -147,7 +147,7 @@ def compare(name: str, found: np.ndarray, seen: str) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(CASES))
-def test_golden_pictures_are_unchanged(name, airway):
+def test_pictures_of_the_phantom_equal_the_golden_images(name, airway):
     view, transfer, seen = CASES[name]
     renderer = Renderer(airway.volume, transfer=transfer_preset(transfer))
     renderer.set_lumen(airway.lumen_zyx)
@@ -156,7 +156,7 @@ def test_golden_pictures_are_unchanged(name, airway):
 
 
 @pytest.mark.parametrize("name", sorted(DECORATED))
-def test_golden_pictures_of_the_decoration_are_unchanged(name, airway):
+def test_pictures_of_the_decoration_equal_the_golden_images(name, airway):
     pose, parts, seen = DECORATED[name]
     preset = transfer_preset("endoscopic")
     on = {part: getattr(preset.appearance, part) for part in parts}

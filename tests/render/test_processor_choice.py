@@ -190,7 +190,7 @@ def test_lost_device_loses_no_picture_and_logs_one_message(mode, caplog):
     assert "lost" in caplog.text
 
 
-def test_volume_too_large_for_the_device_does_not_disable_it_for_others(caplog):
+def test_device_is_used_for_other_volumes_after_a_too_large_volume(caplog):
     rig = Rig(StandIn(), "gpu", adapters=(CARD,))
     rig.device.upload_error = RenderError(
         "the volume does not fit in the memory of the graphics device", code="render.gpu-limit"

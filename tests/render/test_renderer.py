@@ -38,7 +38,7 @@ def test_leaping_equals_brute_force_bit_for_bit(airway):
             assert leap.rgb.max() > 60, "a black picture would agree with anything"
 
 
-def test_leap_before_prepare_gives_the_same_picture_and_reports_brute_force(airway):
+def test_leap_before_prepare_gives_the_brute_force_picture_and_reports_it(airway):
     renderer = Renderer(airway.volume)
     before = renderer.render(view(airway))
     assert before.stats.method == "brute"
@@ -276,7 +276,7 @@ def test_added_wall_only_increases_values_and_keeps_the_lumen_clear(airway):
     np.testing.assert_array_equal(with_wall(volume.hu_zyx, np.zeros_like(lumen), levels), volume.hu_zyx)
 
 
-def test_other_transfer_functions_cast_the_volume_unchanged():
+def test_transfer_functions_without_a_closed_wall_cast_the_unchanged_volume():
     volume, lumen = thin_tube()
     spec = AirwayView(Pose.looking(volume.centre_lps, (1, 0, 0)), width=32, height=32)
     for name in ("ct-grey", "paper", "see-through"):

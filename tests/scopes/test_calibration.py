@@ -83,7 +83,7 @@ FISHEYE = {
 }
 
 
-def test_three_file_forms_of_one_calibration_give_the_same_lens():
+def test_one_calibration_in_three_file_forms_gives_equal_lenses():
     lens = lens_from_text(YAML)
     assert lens == lens_from_text(XML) == lens_from_text(JSON)
     assert lens.model == "brown"
@@ -173,7 +173,7 @@ def test_broken_calibration_is_refused_with_the_defect(name, tmp_path):
     assert refusal.value.exit_code == 3 and refusal.value.code == "render.lens"
 
 
-def test_file_without_calibration_is_refused(tmp_path):
+def test_file_without_a_camera_calibration_is_refused(tmp_path):
     for name, data in (("binary.yml", b"\xff\xfe\x00\x81"), ("huge.yml", b"#" * 1_000_001)):
         (tmp_path / name).write_bytes(data)
         with pytest.raises(VolumeImportError):

@@ -95,7 +95,7 @@ def test_get_request_needs_no_origin_and_a_socket_needs_one(gate):
     "origin",
     ["http://evil.example", "null", "", "https://127.0.0.1:8123", "http://127.0.0.1:8124", "http://localhost:8123"],
 )
-def test_other_origin_is_refused_with_valid_credentials(gate, method, origin):
+def test_request_from_another_origin_is_refused_despite_valid_credentials(gate, method, origin):
     headers = GOOD | {"origin": origin, "cookie": gate.set_cookie.split(";")[0]}
     assert gate.refusal(method=method, headers=headers) == "the request comes from another page"
 

@@ -36,7 +36,7 @@ def done(*messages):
     return did
 
 
-def test_consecutive_movements_are_added():
+def test_consecutive_movements_are_executed_as_their_sum():
     [one] = done(steer(1.0, roll_rad=0.1), steer(-0.25, 0.5), steer(pitch_rad=2.0))
     assert one == steer(0.75, 0.5, 2.0, 0.1)
 
@@ -81,7 +81,7 @@ def test_full_inbox_does_not_read_further_messages():
     asyncio.run(run())
 
 
-def test_message_that_raises_ends_the_worker_and_does_not_block_the_reader():
+def test_error_in_a_message_ends_the_worker_without_blocking_the_reader():
     def broken(_message):
         raise SystemError
 

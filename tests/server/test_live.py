@@ -152,7 +152,7 @@ def test_value_out_of_range_closes_the_socket_with_the_value_and_the_range(live,
         ([[0, 1, 2, 1, 0.5]], "0 to 1; found at point 0"),
     ],
 )
-def test_invalid_transfer_function_is_refused_with_a_message_and_the_old_one_stays(tmp_path, points, words):
+def test_invalid_transfer_function_is_refused_and_the_old_one_stays_in_use(tmp_path, points, words):
     with running(tmp_path, transfer_from_json=TransferFunction.from_json) as live, live.window() as window:
         before = open_case(window)
         document = {"format": "carina-transfer", "version": 1, "points": points}
@@ -264,7 +264,7 @@ def test_changed_frame_rate_is_reported_to_the_window(live):
         assert later.until_state(lambda s: True).frame_rate_hz == 24.0
 
 
-def test_refused_file_keeps_the_session_and_sends_the_message_of_the_refusal(live):
+def test_refused_file_leaves_the_session_unchanged_and_sends_the_reason(live):
     with live.window() as window:
         before = open_case(window)
         window.send(wire.OpenPath("/scans/bad"))
@@ -290,7 +290,7 @@ def test_targets_are_undone_and_redone_over_the_wire(live):
         assert window.until_state(lambda s: len(s.targets) == 1).targets == added.targets
 
 
-def test_change_that_keeps_tree_and_route_does_not_send_them_again(live):
+def test_change_without_a_new_tree_or_route_sends_neither_again(live):
     with live.window() as window:
         open_case(window)
 

@@ -106,7 +106,7 @@ def test_uncertain_ends_are_sent_with_or_without_a_branch(branch_id):
     assert wire.parse_server_message(wire.encode_message(message)) == message
 
 
-def test_airways_that_were_not_found_are_sent_with_the_reason():
+def test_absent_airways_are_sent_with_the_reason():
     airways = small_airways(small_volume())
     trunk = Branch(0, None, (1,), 0, "Trachea", "tracked", np.array([[0.0, 0, 0], [0, 0, -90]]), np.full(2, 8.0))
     right = Branch(1, 0, (), 1, "RMB", "tracked", np.array([[0.0, 0, -90], [-30, 0, -130]]), np.full(2, 6.0))

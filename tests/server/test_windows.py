@@ -208,7 +208,7 @@ def test_handled_message_is_not_sent_before_results_for_any_order_of_sender_and_
             assert newest(window, wire.State).sight.slab.thickness_mm == thickness_mm
 
 
-def test_window_that_does_not_read_delays_no_other(two):
+def test_window_that_does_not_read_delays_no_other_window(two):
     first, second = two
     # The second window acknowledges no picture and reads no message.
     for n in range(200):

@@ -223,7 +223,7 @@ def test_case_is_renamed_while_open_and_after_closing(desk):
         desk.session.do(c.RenameCase("nothing", "x"))
 
 
-def test_deleted_case_is_restored_unchanged(desk):
+def test_deleted_case_that_is_restored_has_all_its_content(desk):
     desk.open()
     desk.work(100.0)
     (listed,) = desk.listed()
@@ -257,7 +257,7 @@ def test_ct_stays_cached_while_another_case_uses_it(desk):
     assert "one CT" not in desk.cache.kept
 
 
-def test_start_removes_cases_deleted_a_day_ago_and_no_others(desk, tmp_path):
+def test_start_removes_only_cases_that_were_deleted_a_day_ago(desk, tmp_path):
     desk.open()
     desk.work(100.0)
     desk.session.do(c.CloseCase())
@@ -306,7 +306,7 @@ def test_cache_of_cts_is_reported_emptied_and_disabled_for_later_sessions(desk):
         desk.session.do(c.KeepCts(True))
 
 
-def test_record_that_names_another_folder_is_ignored(tmp_path):
+def test_case_record_that_names_another_folder_is_ignored(tmp_path):
     records = CaseRecords(tmp_path, lambda: 1_800_000_000.0)
     held = records.begin("one CT", None)
     held.release()

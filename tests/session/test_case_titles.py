@@ -140,7 +140,7 @@ def test_no_stored_file_contains_the_title_of_the_ct(tmp_path):
     assert not [path for path in kept if title.encode() in path.read_bytes()]
 
 
-def test_case_has_the_same_name_when_it_is_opened_again(tmp_path):
+def test_case_opened_again_has_the_name_of_its_first_opening(tmp_path):
     desk = Desk(tmp_path)
     session = desk.start()
     desk.open()

@@ -83,7 +83,7 @@ def test_newer_inputs_restart_the_running_job():
     assert len({e.job_id for e in shop.told}) == 1
 
 
-def test_stale_result_is_not_returned():
+def test_result_for_stale_inputs_is_not_returned():
     shop = Workshop()
 
     def make(inputs, _attempt):
@@ -175,7 +175,7 @@ def test_failure_states_its_reason_and_is_retried_on_request_only():
     assert (shop.value.standing(A), shop.value.error) == ("had", None)
 
 
-def test_failure_keeps_the_older_value_for_its_inputs():
+def test_older_value_is_available_for_its_inputs_after_a_failure():
     shop = Workshop()
     shop.value.want(A)
     shop.background.run_all()
@@ -185,7 +185,7 @@ def test_failure_keeps_the_older_value_for_its_inputs():
     assert (shop.value.of(A), shop.value.of(B)) == ("a after None", None)
 
 
-def test_other_inputs_and_returning_inputs_are_computed_after_a_failure():
+def test_different_inputs_and_repeated_inputs_are_computed_after_a_failure():
     shop = Workshop()
     shop.while_making = fail
     shop.value.want(A)
@@ -371,7 +371,7 @@ def test_callback_is_dropped_if_the_value_fails_or_other_inputs_are_requested():
     assert (shop.made, done) == ([A, A, C], [])
 
 
-def test_error_in_a_callback_is_reported_and_the_value_stays():
+def test_error_in_a_callback_is_reported_without_losing_the_value():
     shop = Workshop()
     shop.value.want(A, then=fail)
     shop.background.run_all()
@@ -463,7 +463,7 @@ def test_lock_is_not_held_while_a_value_is_computed():
     assert (shop.value.of(B), shop.ends()) == (B, ["done"])
 
 
-def test_cached_value_is_computed_once_for_the_same_objects_and_again_for_others():
+def test_cached_value_is_computed_again_only_for_other_objects():
     made = []
 
     def make(inputs):

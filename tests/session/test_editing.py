@@ -154,7 +154,7 @@ def test_lumen_restored_after_a_stopped_preparation_is_prepared_again(bench):
     assert renderer.prepared > prepared, "the maps of before went when the renderer was given another lumen"
 
 
-def test_impossible_edits_change_nothing_and_state_the_reason(bench, case):
+def test_impossible_edits_leave_the_tree_unchanged_and_state_the_reason(bench, case):
     before = document(bench)
     with pytest.raises(UsageError, match="lies outside the scan"):
         bench.session.do(EditTree(AddBranch((900.0, 0.0, 0.0))))
@@ -178,7 +178,7 @@ def test_edit_without_airways_is_refused():
         bench.session.do(EditTree(CutBranch(1)))
 
 
-def test_stopped_edit_changes_nothing(bench):
+def test_stopped_edit_leaves_the_tree_unchanged(bench):
     before = document(bench)
     job_id = bench.session.do(EditTree(CutBranch(2)))
     bench.session.do(Cancel(job_id))
@@ -241,7 +241,7 @@ def lung_bench():
     return made
 
 
-def test_branch_without_evidence_needs_confirmation_and_changes_nothing_before(lung_bench):
+def test_branch_without_evidence_is_added_only_after_confirmation(lung_bench):
     edit(lung_bench, AddBranch(in_plain_lung()))
     (asked,) = lung_bench.of_type(NotEvident)
     assert lung_bench.of_type(Trouble) == []
@@ -284,7 +284,7 @@ def test_preview_of_an_edit_equals_the_edit(lung_bench):
         lung_bench.session.ask(PreviewOf(AddBranch(in_plain_lung())))
 
 
-def test_bridge_without_an_airway_beyond_it_is_refused_without_a_question():
+def test_bridge_without_an_airway_beyond_its_end_is_refused_without_a_question():
     doubt = NoEvidenceError(
         "the CT shows too little airway wall beyond the bridge",
         doubtful_mm=9.0,

@@ -124,7 +124,7 @@ def test_mask_on_another_grid_is_reported_and_keeps_the_chosen_label_when_resamp
     assert bench.session.snapshot().undo_label == "use the segmentation for the airways"
 
 
-def test_dismissed_mask_changes_nothing(bench):
+def test_dismissed_mask_leaves_the_airways_unchanged(bench):
     before = bench.session.snapshot()
     take(bench, "/masks/other.nrrd")
     bench.session.do(DismissMask())

@@ -158,7 +158,7 @@ def test_file_of_a_save_interrupted_by_a_crash_is_recognised_as_own(disk, path):
     refusal(NamedFile(path, recorded, next_digest="00" * 32))
 
 
-def test_symbolic_link_stays_a_link(disk, path, tmp_path):
+def test_save_through_a_symbolic_link_writes_its_target_and_leaves_the_link(disk, path, tmp_path):
     real = tmp_path / "share" / "team.carina"
     real.parent.mkdir()
     path.symlink_to(real)
@@ -247,7 +247,7 @@ def test_without_locks_replace_keeps_every_file_created_in_between(path, monkeyp
     assert path.read_text() == "ours"
 
 
-def test_disk_that_fills_during_replace_keeps_both_contents(path, monkeypatch):
+def test_replace_on_a_disk_that_becomes_full_leaves_both_contents(path, monkeypatch):
     path.write_text("theirs")
 
     def link(_source, _target):
@@ -355,7 +355,7 @@ def test_changes_in_a_journal_beside_the_file_are_not_lost(disk, path, tail):
 
 
 @pytest.mark.parametrize("tail", ["-wal", "-journal"])
-def test_replace_keeps_the_journal_with_the_replaced_file(disk, path, tail):
+def test_replace_moves_the_journal_together_with_the_replaced_file(disk, path, tail):
     """Check that no journal stays beside the new file, where it would be replayed on that file."""
     path.write_text("theirs")
     journal = path.with_name(path.name + tail)
@@ -426,7 +426,7 @@ def test_moved_file_that_cannot_be_removed_does_not_fail_the_save(path, monkeypa
 
 
 @pytest.mark.parametrize("letter", ["a", "\u00e4"])
-def test_names_beside_a_file_with_a_long_name_are_not_too_long(disk, tmp_path, letter, monkeypatch):
+def test_names_of_files_beside_a_file_with_a_long_name_are_within_the_limit(disk, tmp_path, letter, monkeypatch):
     path = tmp_path / f"{letter * (240 // len(letter.encode()))}.carina"
     path.write_text("theirs")
     beside = path_beside(path)

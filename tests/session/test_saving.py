@@ -345,7 +345,7 @@ def test_notes_in_the_record_that_cannot_be_written_do_not_block_saving(desk, mo
     session.close()
 
 
-def test_open_case_is_detected_without_locking_it(desk):
+def test_open_case_is_detected_without_a_lock_on_its_file(desk):
     session = desk.start()
     desk.open()
     session.do(c.SetFov(100.0))
@@ -399,7 +399,7 @@ def test_window_does_not_write_a_changed_named_file_and_reports_it(desk, named):
     assert named.read_text() == "a letter"
 
 
-def test_replaced_file_is_kept_under_a_reported_name(desk, named):
+def test_replaced_named_file_is_moved_to_a_name_that_is_reported(desk, named):
     named.write_text("a letter")
     desk.session.do(c.SaveCase())
     desk.background.run_all()
@@ -412,7 +412,7 @@ def test_replaced_file_is_kept_under_a_reported_name(desk, named):
     desk.session.close()
 
 
-def test_closing_over_a_changed_named_file_keeps_the_work_and_reports_it(desk, named):
+def test_closing_with_a_changed_named_file_leaves_it_and_reports_it(desk, named):
     named.write_text("a letter")
     desk.session.do(c.CloseCase())
     assert [event.code for event in desk.events if isinstance(event, Trouble)] == ["case.changed"]

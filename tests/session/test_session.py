@@ -133,7 +133,7 @@ def test_cancelled_opening_leaves_the_session_unchanged():
     assert not bench.of_type(Trouble)
 
 
-def test_second_opening_stops_the_first():
+def test_opening_a_second_case_cancels_the_first_opening():
     bench = small_bench()
     bench.session.do(OpenPath("case"))
     bench.session.do(OpenPath("other"))
@@ -226,7 +226,7 @@ def test_setting_the_root_is_undone_without_a_new_search():
     assert bench.renderers[-1].lumen is first.lumen_zyx
 
 
-def test_root_without_airways_changes_nothing_and_states_the_reason():
+def test_root_at_a_point_without_airways_leaves_the_tree_and_states_the_reason():
     bench = small_bench()
     bench.open()
     before = bench.session.snapshot()
@@ -473,7 +473,7 @@ def test_unreadable_list_of_recent_cases_is_empty(tmp_path):
     assert LocalStore(tmp_path).notice_accepted()
 
 
-def test_progress_reports_the_time_left():
+def test_progress_of_a_job_reports_the_time_left():
     bench = small_bench()
     seen = []
 

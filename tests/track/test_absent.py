@@ -48,7 +48,7 @@ def test_complete_tree_has_no_absent_segment(chest):
     assert chest[1].absent == ()
 
 
-def test_tree_without_names_reports_nothing_absent(chest):
+def test_tree_without_names_has_no_absent_segments(chest):
     bare = tuple(dataclasses.replace(branch, name=None) for branch in chest[1].tree.branches)
     assert find_absent(AirwayTree(bare)) == ()
 
@@ -309,7 +309,7 @@ def test_missed_segments_in_coarse_scans_of_a_healthy_chest_name_no_disease(spac
     assert [words for words in told if DISEASE.search(words)] == []
 
 
-def test_a_stump_beside_a_branch_is_not_the_end_of_this_branch():
+def test_stump_beside_a_branch_is_not_listed_as_the_end_of_the_branch():
     trunk = Branch(0, None, (1,), 0, "Trachea", "tracked", np.array([[0.0, 0, 0], [0, 0, -90]]), np.full(2, 8.0))
     right = Branch(1, 0, (), 1, "RMB", "tracked", np.array([[0.0, 0, -90], [-30, 0, -130]]), np.full(2, 6.0))
     tree = AirwayTree((trunk, right))

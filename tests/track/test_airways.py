@@ -23,7 +23,7 @@ STORED = [
 
 
 @pytest.mark.parametrize(("axes", "flips"), STORED)
-def test_sides_and_branches_are_right_on_any_grid(draw_chest, axes, flips):
+def test_branches_and_their_sides_are_correct_for_any_storage_order(draw_chest, axes, flips):
     chest = draw_chest(axes=axes, flips=flips)
     airways = find_airways(chest.volume)
     tree = airways.tree
@@ -160,7 +160,7 @@ def test_volume_of_one_value_is_refused(rng):
         find_airways(noise)
 
 
-def test_imported_mask_replaces_the_lumen(chest):
+def test_search_with_an_imported_mask_uses_its_voxels_as_the_lumen(chest):
     automatic = find_airways(chest.volume)
     given = find_airways(chest.volume, lumen_zyx=automatic.lumen_zyx * np.uint8(7))
     assert len(given.tree) == len(automatic.tree)

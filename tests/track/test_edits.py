@@ -441,7 +441,7 @@ def test_refused_edit_of_a_list_is_reported_with_its_number(case):
     assert refused.value.code == alone.value.code
 
 
-def test_edit_can_be_cancelled(case):
+def test_edit_of_the_tree_can_be_cancelled(case):
     with pytest.raises(CancelledError):
         edit_airways(case.volume, case.airways, CutBranch(2), cancel=lambda: True)
     told = []

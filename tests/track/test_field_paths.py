@@ -75,7 +75,7 @@ def test_costs_equal_those_of_a_heap_within_half_a_percent(cost):
     assert paths.num_settled == np.isfinite(truth).sum()
 
 
-def test_integer_weights_are_added_exactly():
+def test_cost_of_integer_weights_is_their_exact_sum():
     rng = np.random.default_rng(6)
     volume = volume_of((7, 8, 9))
     field = rng.integers(0, 200, volume.shape_zyx).astype(np.float32)
@@ -86,7 +86,7 @@ def test_integer_weights_are_added_exactly():
         assert paths.path_to(at(volume, i, j, k)).cost == truth[k, j, i]
 
 
-def test_path_stays_in_its_region_and_mask():
+def test_path_in_a_field_stays_in_the_given_region_and_mask():
     volume = volume_of((5, 20, 20))
     field = np.full(volume.shape_zyx, 10.0, np.float32)
     # A path of low cost exists outside the box.

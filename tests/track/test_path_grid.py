@@ -152,7 +152,7 @@ def test_brush_covers_whole_voxels_of_the_ct(thick):
 
 
 @pytest.mark.parametrize("order", [(0, 1, 2), (1, 2, 0), (2, 0, 1)])
-def test_divided_slices_stored_in_another_order_give_the_same_airways(thick, order):
+def test_divided_slices_in_another_storage_order_give_equal_airways(thick, order):
     ct, airways = thick
     values = np.ascontiguousarray(ct.hu_zyx.transpose(order)[::-1])
     matrix = ct.lps_from_ijk.copy()

@@ -132,7 +132,7 @@ def test_edit_of_copied_airways_equals_the_edit_of_the_original(
     assert_same_airways(carina.edit_airways(copied_volume, copied, edit), expected)
 
 
-def test_edits_paths_and_measures_in_another_process_equal_those_of_this_process(tmp_path: Path) -> None:
+def test_edits_paths_and_measures_are_equal_in_another_process(tmp_path: Path) -> None:
     case = edit_case()
     target = tuple(float(v) for v in case.airways.tree.tips()[0].tip_lps)
     given, made = tmp_path / "given.pickle", tmp_path / "made.pickle"

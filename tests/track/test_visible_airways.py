@@ -77,7 +77,7 @@ def test_each_visible_entry_has_a_centreline_without_gaps_and_each_invisible_one
             assert np.linalg.norm(np.diff(points, axis=0), axis=1).max() <= 10.0, where
 
 
-def test_an_airway_that_both_readers_list_is_in_the_union_once(tmp_path):
+def test_airway_that_both_readers_list_is_in_the_union_once(tmp_path):
     def entry(name, points):
         return {"airway": name, "level": "segment", "visible": True, "slices": [1, 2], "points_lps": points}
 

@@ -41,6 +41,6 @@ def test_limit_of_the_cache_is_read_from_the_environment(text, num_bytes):
 
 
 @pytest.mark.parametrize("text", ["much", "-1", "nan", "inf"])
-def test_invalid_size_is_refused(text):
+def test_invalid_limit_of_the_cache_in_the_environment_is_refused(text):
     with pytest.raises(UsageError, match="gigabytes"):
         load_settings({"CARINA_CACHE_GB": text})

@@ -74,7 +74,7 @@ def test_every_uncompressed_transfer_syntax_gives_equal_voxels(write_series, exp
     np.testing.assert_array_equal(open_volume(write_series(syntax=syntax)).hu_zyx, expected_hu_zyx)
 
 
-def test_big_endian_pixels_are_converted(write_series, expected_hu_zyx):
+def test_big_endian_series_has_the_values_of_its_pixels(write_series, expected_hu_zyx):
     def swap(dataset, index):
         dataset.PixelData = np.frombuffer(dataset.PixelData, "<i2").astype(">i2").tobytes()
 
@@ -126,13 +126,13 @@ def test_missing_slice_is_reported_with_its_gap(write_series):
         assert words in str(error)
 
 
-def test_uneven_gaps_are_refused(write_series):
+def test_series_with_uneven_gaps_between_slices_is_refused(write_series):
     error = refusal(write_series(edit=lambda d, i: move(d, frame(d)[2] * (0.5 if i >= 6 else 0.0))))
     assert error.code == "import.geometry.irregular"
     assert "found 1.75 mm after slice 6 of 9" in str(error)
 
 
-def test_slowly_drifting_gaps_are_refused(write_series):
+def test_series_with_slowly_increasing_gaps_is_refused(write_series):
     error = refusal(write_series(edit=lambda d, i: move(d, frame(d)[2] * 0.02 * i * i)))
     assert error.code == "import.geometry.irregular"
 
@@ -230,7 +230,7 @@ def test_series_with_mixed_sizes_or_orientations_is_refused(write_series, edit, 
     assert "IM005" in str(error)
 
 
-def test_single_slice_is_refused(write_series):
+def test_series_of_a_single_slice_is_refused(write_series):
     assert refusal(write_series(num_slices=1)).code == "import.single-slice"
 
 
@@ -329,7 +329,7 @@ def test_an_unknown_compression_is_refused_by_name(write_series):
     assert refusal(write_series(edit=video, syntax=MPEG2MPML)).code == "import.not-supported"
 
 
-def test_files_that_are_not_images_are_skipped(write_series, expected_hu_zyx):
+def test_files_without_images_are_skipped_and_the_series_opens(write_series, expected_hu_zyx):
     folder = write_series()
     (folder / "report.pdf").write_bytes(b"%PDF-1.4 nothing here" * 20)
     (folder / "DIRFILE").write_bytes(b"\0" * 128 + b"DICM" + b"\x02\x00\x00\x00UL\x04\x00" + b"\xff" * 50)

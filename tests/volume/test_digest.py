@@ -123,7 +123,7 @@ def test_digest_is_the_sha256_of_the_volume_in_itk_lps_orientation(chest):
     assert ct_digest(chest) == hashlib.sha256(values.astype("<i2").tobytes()).hexdigest()
 
 
-def test_canonical_volume_is_returned_unchanged():
+def test_volume_in_canonical_orientation_is_returned_unchanged():
     canonical = canonical_geometry(numbered())
     again = canonical_geometry(canonical)
     assert again.shape_zyx == canonical.shape_zyx

@@ -221,7 +221,7 @@ def test_gap_of_a_fractional_number_of_slices_is_refused_as_irregular():
     assert "more places" not in str(caught.value)
 
 
-def test_further_irregular_gaps_are_counted():
+def test_number_of_further_irregular_gaps_is_stated():
     gaps = [1.0] * 20
     gaps[7] = gaps[11] = 2.0
     with pytest.raises(VolumeImportError, match=r"\(and at 1 more places\)"):

@@ -191,7 +191,7 @@ def test_a_sheared_metaimage_is_refused(tmp_path):
 
 @pytest.mark.parametrize("suffix", ["nii", "nii.gz", "nrrd", "mha"])
 @pytest.mark.parametrize("compress", [False, True])
-def test_every_truncated_file_is_refused(tmp_path, suffix, compress):
+def test_grid_file_truncated_at_any_length_is_refused(tmp_path, suffix, compress):
     whole = write(tmp_path / f"whole.{suffix}", compress=compress).read_bytes()
     path = tmp_path / f"cut.{suffix}"
     for keep in (10, 200, len(whole) // 2, len(whole) - 40, len(whole) - 1):
@@ -200,7 +200,7 @@ def test_every_truncated_file_is_refused(tmp_path, suffix, compress):
         assert refusal(path).code in ("import.truncated", "import.header", "import.not-an-image")
 
 
-def test_damaged_compressed_stream_is_refused(tmp_path):
+def test_grid_file_with_a_damaged_compressed_stream_is_refused(tmp_path):
     whole = bytearray(write(tmp_path / "ct.nii.gz").read_bytes())
     whole[len(whole) // 2] ^= 0xFF
     (tmp_path / "ct.nii.gz").write_bytes(bytes(whole))

@@ -54,7 +54,7 @@ def test_values_that_begin_like_gzip_are_not_inflated(tmp_path):
 
 
 @pytest.mark.parametrize("form", ["nrrd gzip", "metaimage compressed", "nrrd", "metaimage"])
-def test_truncated_gzip_file_is_refused(tmp_path, form):
+def test_truncated_gzip_file_under_any_name_is_refused(tmp_path, form):
     path = grids.FORMS[form](tmp_path, grids.chest())
     packed = gzip.compress(path.read_bytes())
     path.write_bytes(packed[:-20])

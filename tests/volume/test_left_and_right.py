@@ -46,13 +46,13 @@ def test_a_negative_voxel_spacing_is_refused_with_each_form(tmp_path, axis, form
 
 
 @pytest.mark.parametrize("qfac", [-2.0, -0.5, float("nan"), float("-inf")])
-def test_ambiguous_qfac_is_refused(tmp_path, qfac):
+def test_nifti_file_with_an_ambiguous_qfac_is_refused(tmp_path, qfac):
     path = nifti_forms.with_qform(tmp_path, grids.LPS_FROM_IJK)
     assert f"its pixdim[0] (qfac) is {qfac:g}, but it should be 1 or -1" in refusal(patched(path, (76, qfac)))
 
 
 @pytest.mark.parametrize("qfac", [1.0, 0.0, 2.0])
-def test_unambiguous_qfac_opens(tmp_path, qfac):
+def test_nifti_file_with_an_unambiguous_qfac_opens(tmp_path, qfac):
     path = nifti_forms.with_qform(tmp_path, grids.LPS_FROM_IJK)
     volume = open_volume(patched(path, (76, qfac)))
     np.testing.assert_allclose(volume.lps_from_ijk, grids.LPS_FROM_IJK, rtol=0, atol=2e-5)

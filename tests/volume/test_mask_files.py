@@ -136,7 +136,7 @@ def test_mask_with_several_labels_needs_the_choice_of_one(volume, inside, tmp_pa
         (np.arange(480, dtype=np.uint32).reshape(SHAPE) % 3 * np.uint32(2**30), "not labels"),
     ],
 )
-def test_files_that_are_not_masks_are_refused(tmp_path, values, words):
+def test_mask_files_with_other_values_than_labels_are_refused(tmp_path, values, words):
     volume = Volume(np.zeros(values.shape, dtype=np.int16), oblique())
     with pytest.raises(VolumeImportError, match=words):
         open_mask(write(tmp_path / "m.nrrd", values, oblique()), volume)
@@ -300,7 +300,7 @@ def _many(data):
         (_segment_of_none, "refer to segments"),
     ],
 )
-def test_damaged_segmentation_is_refused(volume, inside, tmp_path, change, words):
+def test_dicom_segmentation_with_a_defect_is_refused_with_the_reason(volume, inside, tmp_path, change, words):
     path = segmentation(tmp_path / "seg.dcm", inside, oblique(), shuffled=False, change=change)
     with pytest.raises(VolumeImportError, match=words):
         open_mask(path, volume)

@@ -141,7 +141,7 @@ LOSSLESS = (
 
 
 @pytest.mark.parametrize("syntax", LOSSLESS.split())
-def test_every_lossless_transfer_syntax_gives_the_same_slice(data_dir, syntax):
+def test_slices_of_every_lossless_transfer_syntax_are_equal(data_dir, syntax):
     headers = read_headers(
         data_dir / "odd" / "dicom" / "cornerstone3D_transfer_syntaxes", recursive=False, watch=Watch()
     )
@@ -195,7 +195,7 @@ def test_all_48_orientations_give_equal_values_at_equal_positions(data_dir, rng)
         ("PROVENANCE.txt", "import.not-an-image"),
     ],
 )
-def test_unusual_grids_are_refused(data_dir, name, code):
+def test_public_grid_files_with_unusual_geometry_are_refused(data_dir, name, code):
     with pytest.raises(VolumeImportError) as caught:
         open_volume(data_dir / "odd" / "nifti" / name)
     assert caught.value.code == code

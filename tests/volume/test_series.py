@@ -58,7 +58,7 @@ def test_chest_in_the_description_outweighs_a_few_more_slices(write_series):
     assert open_volume(folder).source.title == "Lung 1.0"
 
 
-def test_other_series_replaces_a_refused_one_only_if_it_covers_half_of_it(write_series):
+def test_another_series_replaces_a_refused_one_only_if_half_as_long(write_series):
     def gap(dataset, index):
         if index >= 5:
             dataset.ImagePositionPatient = [-31.5 - 3.0 * index, 12.25, 140.0]
@@ -102,7 +102,7 @@ def test_inspection_gives_the_geometry_without_reading_pixels(write_series, expe
     assert found.axes == "lip"
 
 
-def test_mr_series_are_not_hu(write_series):
+def test_values_of_an_mr_series_are_not_hu(write_series):
     volume = open_volume(write_series(edit=lambda d, i: setattr(d, "Modality", "MR")))
     assert not volume.is_hu
     assert "MR" in (volume.not_hu_reason or "")
