@@ -35,7 +35,7 @@ class EncryptedSocket:
         self._connection = connection
 
     def send(self, message: str | bytes) -> None:
-        """Send one message."""
+        """Send one message over the connection."""
         _await(self._loop, self._connection.send(message))
 
     def ping(self, data: bytes, num: int) -> None:
@@ -47,7 +47,7 @@ class EncryptedSocket:
             await self._connection.ping(data + n.to_bytes(4, "big"))
 
     def recv(self, timeout: float | None = None) -> str | bytes:
-        """Return the next message.
+        """Return the next message that arrives on the connection.
 
         Raises
         ------

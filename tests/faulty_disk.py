@@ -97,7 +97,7 @@ class FaultyDisk:
 
     @property
     def is_faulty(self) -> bool:
-        """Whether the fault has begun."""
+        """Whether the fault of the disk has begun."""
         return bool(self._control.active)
 
     @property
@@ -156,7 +156,7 @@ class Durable:
         return made
 
     def read(self) -> None:
-        """Apply the recorded changes."""
+        """Read the log of the library, and apply the recorded changes of files."""
         for op, path, other, offset, data in _entries(self._log.read_bytes()):
             if path.endswith("-shm"):
                 continue  # The file is shared memory, which SQLite creates again.

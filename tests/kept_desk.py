@@ -24,7 +24,7 @@ class Wall:
 
 
 def put_text(path: Path, text: str, placement: Any) -> None:
-    """Write a draft and move it to its place, as a case file does."""
+    """Write a text to a draft and move the draft to its path, as a case file does."""
     draft = path.with_name(path.name + ".draft")
     draft.write_text(text)
     (placement or Path.replace)(draft, path)
@@ -117,7 +117,7 @@ class Desk:
         return self.session
 
     def kept_files(self, files: KeptFiles) -> KeptFiles:
-        """Return the factories of case files; subclasses replace them."""
+        """Return the functions that open case files; subclasses replace them."""
         return files
 
     def open(self, path: str = "case") -> None:

@@ -89,7 +89,7 @@ class Interrupts:
         signal.default_int_handler(number, frame)
 
     def ignore(self) -> None:
-        """Ignore further interrupts, so that none stops the cleanup."""
+        """Ignore further interrupts of the user, so that none stops the cleanup."""
         if threading.current_thread() is threading.main_thread():
             signal.signal(signal.SIGINT, signal.SIG_IGN)
 

@@ -47,7 +47,7 @@ class Machine:
         return seconds, rays_s if self.counts else None
 
     def seconds(self, order: RenderOrder, now_s: float) -> float:
-        """Return the time of a picture in seconds."""
+        """Return the time that the machine needs for a picture, seconds."""
         return self.cost(order, now_s)[0]
 
     def _rays_s(self, order: RenderOrder) -> float:

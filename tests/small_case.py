@@ -169,7 +169,7 @@ class SmallTracker:
 
 
 def small_airways(volume: Volume, *, root_lps: Any = None, note: str = "three branches") -> Any:
-    """Return the airways of :func:`small_volume`."""
+    """Return the airways of :func:`small_volume`, without a search."""
     tree = small_tree(volume.lps_from_ijk)
     return SimpleNamespace(
         lumen_zyx=small_lumen(),
@@ -198,7 +198,7 @@ class SmallRenderer:
     hit: Any = None
     """Wall point that a pick returns; None if the pick finds none."""
     grey: int = 90
-    """Grey level of the pictures."""
+    """Grey level of all pixels of the pictures, 0 to 255."""
     rays_s: float | None = None
     """CPU time of a picture's rays that the renderer reports, seconds, or None."""
     picks: list[Any] = field(default_factory=list)
@@ -257,7 +257,7 @@ class Background:
 
 
 class Clock:
-    """Clock that a test advances, in seconds."""
+    """Clock in seconds that only the test advances."""
 
     def __init__(self) -> None:
         self.now_s = 100.0
@@ -270,7 +270,7 @@ class Clock:
 
 
 def small_transfer(name: str = "endoscopic", unit: str = "HU") -> Any:
-    """Return a replacement of a transfer function."""
+    """Return a replacement of a transfer function with a name and a unit of values."""
     return SimpleNamespace(name=name, unit=unit, to_json=lambda: {"format": "carina-transfer", "version": 1})
 
 

@@ -15,7 +15,7 @@ from collections import Counter
 from pathlib import Path
 
 MODULE = Path(__file__).parents[1] / "python" / "carina" / "_core.abi3.so"
-"""File of the compiled module."""
+"""Path of the compiled module that is disassembled."""
 FUNCTION = re.compile(r"^[0-9a-f]+ <(?P<name>.*)>:$")
 """Pattern of the first line of a function in the disassembly."""
 OPERATION = re.compile(r"\bcall\b.*<core::core_arch::")

@@ -219,7 +219,7 @@ A repeating class is a record class of two or more fields of which a share of RE
 MOST_METHODS = {"Session": 15, "Case": 15}
 """Largest number of public methods and properties by class."""
 MOST_ATTRIBUTES = {"OpenCase": 22}
-"""Largest number of attributes by class."""
+"""Largest number of attributes of the named classes."""
 
 QUOTED = re.compile(r"""(["'`])([a-z][a-z-]*)\1""")
 OBJECT_KEY = re.compile(r"^\s*([a-z]+):\s", re.MULTILINE)
@@ -376,7 +376,7 @@ def check_limits(files: Mapping[str, str]) -> list[str]:
 
 
 def main() -> int:
-    """Print every violation of the architecture; return 1 if there is one."""
+    """Print every violation of the rules of ARCHITECTURE.md and of the limits; return 1 if there is one."""
     rules = read_rules((ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8"))
     imports = all_imports()
     found = [

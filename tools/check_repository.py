@@ -12,7 +12,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 MAX_BYTES = 2 * 1024 * 1024
-"""Largest size of a file in bytes."""
+"""Largest size of a file in the repository, bytes."""
 BIG_FILES = {"python/carina/_cases/"}  # The bundled patient case (CC BY) may be larger.
 NAMED_PATH = re.compile(
     r"`((?:crates|packages|python|web|tests|tools|docs|examples|benchmarks|protocol|build_backend)/[\w./*-]*)`"
@@ -52,7 +52,7 @@ def dead_decisions(name: str, text: str) -> list[str]:
 
 
 def main() -> int:
-    """Print every finding; return 1 if there is one."""
+    """Print every finding of the checks of the repository; return 1 if there is one."""
     if not (ROOT / ".git").exists():
         print("repository: not a git checkout, nothing to check")
         return 0

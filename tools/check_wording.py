@@ -27,7 +27,7 @@ SURFACES = {
 }
 """Surfaces on which users read text, with their titles."""
 PROSE = re.compile(r"[A-Za-z\u00c0-\u024f)}\]][,.;:]? +[(\u201c\"{\[]?[A-Za-z\u00c0-\u024f{]")
-"""Pattern of two words."""
+"""Pattern of two consecutive words, by which text for users is recognised."""
 UNREAD_CALLS = {"compile", "sub", "match", "search", "fullmatch", "TypeVar", "getenv", "TypeAdapter", "debug"}
 """Names of functions whose string arguments are not text for users."""
 PROGRAMS = {"python/carina/server/wire/generate.py"}
@@ -305,7 +305,7 @@ class Reader(ast.NodeVisitor):
             self.kept.append((node.lineno, node.col_offset, tidy, 0 if whole else id(node)))
 
     def visit_Expr(self, node: ast.Expr) -> None:
-        """Visit an expression statement, unless it is a docstring."""
+        """Collect the texts of an expression statement; a docstring is not collected."""
         if not isinstance(node.value, ast.Constant):
             self.generic_visit(node)
 

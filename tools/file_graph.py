@@ -24,7 +24,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 @dataclass(frozen=True, slots=True)
 class Import:
-    """Import of one file by another."""
+    """Import of one file by another, with its line and kind."""
 
     source: Path
     line: int

@@ -18,7 +18,7 @@ from typing import TextIO
 
 ROOT = Path(__file__).resolve().parent.parent
 LOG = ROOT / "build" / "install.log"
-"""File with the whole output of the build."""
+"""File to which the whole output of the build is written."""
 TAIL = 40
 """Number of lines of the output that are printed after a failure."""
 COMPILING = re.compile(r"\bCompiling ([\w-]+) v[\w.+-]+")
@@ -35,7 +35,7 @@ def num_crates() -> int | None:
 
 
 def clock(seconds: float) -> str:
-    """Return a duration as minutes and seconds.
+    """Return a duration in seconds as text with minutes and seconds.
 
     Examples
     --------

@@ -50,7 +50,7 @@ def _fingerprint(name: str) -> str:
 
 
 def export(uv: str, name: str) -> str:
-    """Return the text of the lock file ``name``."""
+    """Return the text that the lock file ``name`` must contain."""
     with tempfile.TemporaryDirectory() as scratch:
         out = Path(scratch) / "requirements.txt"
         # The lock file contains all dependencies for all platforms, but not the project, which is built.

@@ -68,7 +68,7 @@ BOUNDING = {"min", "max", "minimum", "maximum", "clip", "range"}
 TURNS = ("comparison", "bound", "comparison", "bound", "and-or", "comparison", "bound", "sign")
 """Kinds of mutants in the order in which they are drawn; comparisons and bounds are drawn more often."""
 Position = tuple[int, int]
-"""Line (from 1) and column (from 0)."""
+"""Position in a file: line (from 1) and column (from 0)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +88,7 @@ class Mutant:
         return f"{self.path.relative_to(ROOT)}:{self.line}:{self.column + 1}"
 
     def text(self) -> str:
-        """Return the text of the changed file."""
+        """Return the text of the file with the mutation."""
         lines = self.path.read_text(encoding="utf-8").splitlines(keepends=True)
         line = lines[self.line - 1]
         assert line[self.column :].startswith(self.before), self
@@ -143,7 +143,7 @@ class Source:
 
 
 def mutants_of(path: Path) -> Iterator[Mutant]:
-    """Yield every possible mutant of a file."""
+    """Yield every possible mutant of the file at ``path``."""
     source = Source(path)
 
     def change(kind: str, at: Position, before: str, after: str) -> Mutant:

@@ -109,7 +109,7 @@ def _markdown(text: str) -> str:
 
 
 def main() -> int:
-    """Run the notebook and write the HTML page."""
+    """Run the notebook given on the command line, and write its HTML page."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("notebook", type=Path)
     parser.add_argument("-o", "--output", type=Path, required=True)

@@ -31,7 +31,7 @@ BEFORE_CARINA_MM = (70.0, 50.0, 32.0)
 TO_THE_BACK_LPS = (0.0, 1.0, 0.0)
 """Unit vector from the patient's front to the back, LPS."""
 SIZE = 512
-"""Width and height of a picture, pixels."""
+"""Width and height of a picture shown to readers, pixels."""
 
 
 def turned(pose: Pose, roll_rad: float) -> Pose:
@@ -73,7 +73,7 @@ def draw(folder: Path, cases: Sequence[str], seed: int | None = None) -> int:
         pose = turned(pose, rng.uniform(0.0, 2.0 * np.pi))
         scope = scope_preset("generic")
         view = AirwayView.of_scope(scope, pose, width=SIZE, height=SIZE, texture=decorated)
-        # Only the pixels are saved: a saved `Picture` would contain its pose.
+        # Only the pixels are saved, because a saved `Picture` would contain its pose and so the answer.
         pictures.save(folder, f"{n:02d}", renderer.render(view).rgb)
         key[f"{n:02d}"] = {
             "case": case,

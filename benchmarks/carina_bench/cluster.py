@@ -38,13 +38,13 @@ __all__ = ["PAPER_TABLE_1", "PAPER_TABLE_2", "SECTIONS", "report", "serial_share
 SECTIONS = ("network", "simulation", "sleeping", "real", "transport", "kills")
 """Sections of the benchmark, in the order in which they run."""
 WITHOUT_RAY = ("network", "simulation")
-"""Sections that need no Ray."""
+"""Names of the sections that can run without Ray."""
 SIDE = 512
-"""Width and height of a picture, pixels."""
+"""Width and height of the rendered pictures, pixels."""
 GRIDS = {"head, 128x128x64": (64, 128, 128), "lung, 256x256x200": (200, 256, 256)}
 """Shapes (nz, ny, nx) of the volumes of the paper's tables, by the name of the table's row."""
 CONCURRENCY = (1, 2, 4, 8)
-"""Numbers of equal machines that are measured."""
+"""Numbers of equal machines for which the cluster is measured."""
 
 PAPER_TABLE_1 = {
     "head, 128x128x64": {1: (1.70, 1.00, 100, 855193), 2: (3.20, 1.88, 94, 452661), 4: (4.64, 2.73, 68, 407028),

@@ -45,7 +45,7 @@ __all__ = [
 IP = "127.0.0.2"
 """Address of the head on the loopback interface."""
 SIDE = 512
-"""Width and height of a picture, pixels."""
+"""Width and height of the rendered pictures, pixels."""
 ROW_S = 0.004 / (SIDE / 8)
 """Time of a sleeping renderer for one row, s: eight equal strips of a picture take 4 ms each."""
 
@@ -200,7 +200,7 @@ def fly(
 
 
 def stand_in_view(_number: int) -> View:
-    """Return the view that sleeping renderers receive."""
+    """Return the view that is sent to sleeping renderers; all frames have the same view."""
     return AirwayView(Pose.looking((8.0, 8.0, 8.0), (0.0, 0.0, -1.0)), width=SIDE, height=SIDE)
 
 
@@ -243,7 +243,7 @@ def transport(head: tuple[Node, Path], *, num: int, seconds: float) -> tuple[lis
 
 
 def lost_renderers(head: tuple[Node, Path], *, num: int, kills: int) -> dict[str, Any]:
-    """Measure the gaps between displayed frames while renderers are ended one after the other by kill -9."""
+    """Measure the time between displayed frames while renderers are killed one after the other (kill -9)."""
     worst = []
     with renderers_ready(head, num, SleepingRenderer, ClusterSettings(), row_seconds=ROW_S) as (console, _):
         renderer = small_renderer(console)

@@ -13,9 +13,9 @@ from carina.volume import Volume
 __all__ = ["Secretions", "with_secretions"]
 
 FLUID_HU = 15.0
-"""CT value of the fluid, HU."""
+"""CT value of fluid and mucus in a bronchus, HU."""
 AIR_HU = -1000.0
-"""CT value of the air, HU."""
+"""CT value of the air in a bronchus, HU."""
 WALL_HU = 150
 """Largest CT value to which a voxel at the border of lumen and wall may rise, HU."""
 FINE = 4

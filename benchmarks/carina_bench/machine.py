@@ -17,7 +17,7 @@ from carina.render import build_info
 __all__ = ["load_average", "machine_facts", "require_peers", "stolen_s"]
 
 PEERS = ("vtk", "numba", "scipy", "numpy", "dijkstra3d", "scikit-image")
-"""Packages with which Carina is compared."""
+"""Names of the Python packages with which Carina is compared."""
 
 
 def require_peers(*names: str) -> None:

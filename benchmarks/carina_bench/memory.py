@@ -35,9 +35,9 @@ VIEWS = (
     "tree",
 )
 PATIENCE_S = 400.0
-"""Largest waiting time for all views, s."""
+"""Longest time to wait until every view has been received, s."""
 MOVES = 40
-"""Number of moves of the short flight."""
+"""Number of movements of the tip in the short flight."""
 
 
 def _peak_bytes(process_id: int) -> int | None:

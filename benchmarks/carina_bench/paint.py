@@ -157,7 +157,7 @@ class _Axis:
 
     @property
     def tile(self) -> int:
-        """Number of cells of the scene in a tile."""
+        """Number of cells of the scene along the edge of a tile on this axis."""
         return max(round(TILE_CELLS / self.fine), 4)
 
     @property

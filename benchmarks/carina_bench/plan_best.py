@@ -55,7 +55,7 @@ TOLERANCE = 0.04
 LEAST_SHOWN = 0.003
 """Least contribution to a difference of scores that the report lists."""
 RANKS = ("reaches", "may reach", "does not reach")
-"""Outlooks of a route by rank."""
+"""Outlook of a route for each rank: index 0 is the best rank."""
 
 
 def best_of_all(case: PlanCase, plan: Plan, around: Surroundings, rng: np.random.Generator) -> tuple[float, str, Row]:

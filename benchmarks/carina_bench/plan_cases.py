@@ -28,11 +28,11 @@ Floats = NDArray[np.float64]
 Say = Callable[[str], None]
 
 RADII_MM = (4.0, 9.0)
-"""Least and largest radius of a nodule, mm."""
+"""Least and largest radius of a generated nodule, mm."""
 APART_MM = 5.0
 """Least distance between the surfaces of two nodules, so that each can be segmented alone, mm."""
 NODULE_HU = 30.0
-"""CT value of a nodule, HU."""
+"""CT value of a generated nodule, HU."""
 SIGMA_MM = 0.6
 """Standard deviation of the blur of a nodule's edge in a phantom, mm."""
 STEP_MM = 0.3
@@ -104,7 +104,7 @@ class TrueTree:
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """Round nodule: centre and radius."""
+    """Round nodule of a case, the target of a planned route: centre and radius."""
 
     centre_lps: tuple[float, float, float]
     radius_mm: float

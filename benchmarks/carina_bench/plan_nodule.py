@@ -26,7 +26,7 @@ from carina.volume import Volume
 __all__ = ["Figures", "painted_figures", "phantom_figures"]
 
 PAINTED = ("solid", "vessel", "pleura", "ground-glass", "part-solid", "2 mm", "3 mm")
-"""Kinds of painted nodules."""
+"""Kinds of nodules that are painted from exact shapes."""
 LIMITS = {"solid": 0.05, "phantom, no vessel": 0.05}
 """Largest relative error of the volume by kind of nodule."""
 OTHER_LIMIT = 0.15

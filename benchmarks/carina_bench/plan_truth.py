@@ -51,17 +51,17 @@ Floats = NDArray[np.float64]
 SCOPE, TOOL = "ultrathin", "needle-21g"
 """Names of the scope and of the tool for which routes are planned."""
 PATIENTS = ("Patient1", "Patient2", "Patient3", "lobes-Patient1", "lobes-Patient2")
-"""Patients whose CTs are painted."""
+"""Names of the patients whose CTs are painted with nodules."""
 CONDITION = "medium-25"
 """Condition (kernel and noise) under which they are painted."""
 NUM_PER_PATIENT, NUM_PER_PHANTOM = 36, 6
 """Number of nodules in a painted patient and in a phantom."""
 PHANTOM_SEEDS = range(1, 21)
-"""Seeds of the phantoms."""
+"""Seeds of the phantoms with nodules."""
 LEAST_ARRIVE, MOST_WRONG = 0.94, 0.01
 """Least share of reachable targets at which the route arrives; largest share of wrong statements "reachable"."""
 EDGE_MM = 0.05
-"""Step along the needle, mm."""
+"""Distance between two tested points along the needle, mm."""
 AT_ALL_MM = 3.0
 """Length of a true branch below which the found path need not follow its centreline, mm."""
 PASSED = 0.6
@@ -153,7 +153,7 @@ def _true_place(truth: TrueTree, way: Floats) -> int:
     inside = np.linalg.norm(truth.points - way[-1], axis=1) - truth.radius_mm
     near = np.flatnonzero(inside <= max(float(inside.min()) + 0.3, 0.0))
     off = np.linalg.norm(truth.points[near] - way[-1], axis=1)
-    # This is the nearest point of each true branch.
+    # The dictionary contains the nearest point of each true branch.
     best = {int(truth.branch[n]): int(n) for _, n in sorted(zip(-off, near, strict=True))}
     return max(best.values(), key=lambda n: (float(truth.narrowest_mm[n]), -n))
 

@@ -45,13 +45,13 @@ Say = Callable[[str], None]
 Floats = NDArray[np.float64]
 
 SEEDS = range(101, 105)
-"""Seeds of the painted phantoms."""
+"""Seeds of the painted phantoms whose routes are compared."""
 PATIENTS = ("Patient1", "Patient2", "Patient3", "lobes-Patient1", "lobes-Patient2")
-"""Patients whose CTs are painted."""
+"""Names of the patients whose painted CTs are compared."""
 KERNELS = ("medium", "sharp")
-"""Kernels with which they are painted."""
+"""Names of the kernels with which the CTs are painted."""
 SLICES = ("0.7mm", "1.5mm", "3mm")
-"""Slice thicknesses with which they are painted."""
+"""Names of the slice thicknesses with which the CTs are painted."""
 MOST_OUTSIDE = 0.1
 """Largest share of a route's points, without those in the trachea, that may lie outside the true lumen."""
 FORMER_SHARE, FORMER_SIGMA_MM = 0.2, 0.15

@@ -11,7 +11,7 @@ __all__ = ["line_plot", "reliability_plot", "timeline"]
 COLOURS = ("#3b82c4", "#d97a2b", "#4a9b5c", "#b0509a", "#8a7a2f", "#2aa5a5", "#c23b5e", "#777777")
 """Colours of lines and boxes, in the order of their use."""
 INK = "#777777"
-"""Colour of axes and text."""
+"""Colour of axes and texts of a plot."""
 WIDTH, HEIGHT = 640, 400
 """Width and height of a plot, pixels."""
 LEFT, RIGHT, TOP, BOTTOM = 64, 168, 40, 48

@@ -31,7 +31,7 @@ Request = dict[str, Any]
 SIZE = 512
 """Width and height of a picture, pixels."""
 METHODS: tuple[Literal["brute"], Literal["leap"]] = ("brute", "leap")
-"""Rendering methods that are compared."""
+"""Methods of casting rays that are compared."""
 BASELINE_REPEATS = 3
 """Number of pictures of the numba baseline for each pose; one takes 2 to 3 s in the largest case."""
 WORST = {"decorated_over_shipped": max}

@@ -34,7 +34,7 @@ LAYOUT = {LEAD_VIEW: (960, 720), "axial": (480, 360), "coronal": (480, 360), "sa
 WARM_MS = 1000.0
 """Limit of the wall time until the first airway picture, ms."""
 STAGES = ("state", "first airway picture", "all views", "final airway picture")
-"""Stages whose times are measured."""
+"""Stages of opening a saved case until which times are measured."""
 
 
 def report(*, folder: Path, ct: str | None, quick: bool, as_json: bool) -> int:
@@ -144,7 +144,7 @@ class _Watched:
         return dict(self._seen)
 
     def close(self) -> None:
-        """Stop receiving pictures."""
+        """Stop receiving the pictures of the session."""
         self._pump.stop()
         self._thread.join()
 

@@ -10,9 +10,9 @@ from carina.render import Light, TransferFunction
 __all__ = ["FOV_DEG", "STEP_VOX", "STOP_TRANSPARENCY", "TRANSFER", "VTK_STOP_TRANSPARENCY", "opacity_table"]
 
 FOV_DEG = 90.0
-"""Field of view, degrees."""
+"""Field of view of every compared picture, degrees."""
 STEP_VOX = 0.5
-"""Ray step in voxels."""
+"""Distance between two samples of a ray, voxels."""
 STOP_TRANSPARENCY = 1 / 512
 """Transparency at which the rays of Carina and of the numba baseline stop."""
 VTK_STOP_TRANSPARENCY = 255 / 32767

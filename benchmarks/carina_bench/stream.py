@@ -26,7 +26,7 @@ from carina_bench.machine import machine_facts
 __all__ = ["report"]
 
 SIZE_PX = 512
-"""Width and height of the picture, pixels."""
+"""Width and height of the picture at rest, pixels."""
 LIMIT_MS = 50.0
 """Limit of the 95th percentile of the time, ms."""
 READY_S = 300.0
@@ -192,7 +192,7 @@ class _Client:
                 except TimeoutError:
                     break
                 if isinstance(message, wire.PictureHeader) and message.view == "airway":
-                    # This is the side of a square with the area of the picture.
+                    # The value is the side of a square with the area of the picture.
                     sizes_px.append(round(math.sqrt(message.width * message.height)))
                     num_older += message.pose_id < newest_id
                     newest_id = max(newest_id, message.pose_id)

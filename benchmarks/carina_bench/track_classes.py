@@ -42,19 +42,19 @@ NOISES: dict[str, tuple[float, float]] = {
 }
 """Noise by name: standard deviation in HU, and sigma of its correlation in mm (0: white noise)."""
 SLICES = ("0.7mm", "1.5mm", "2mm", "3mm")
-"""Slices of CTs with the least noise, 25 HU."""
+"""Names of the slices of CTs with the least noise, 25 HU."""
 FEWER_SLICES = ("0.7mm", "2mm")
 """Slices of CTs with more noise than 25 HU: for the soft and for the sharp kernel."""
 PHANTOM_SEEDS = (1, 11)
-"""Seeds of the phantoms."""
+"""Seeds of the phantoms on which the confidence is compared."""
 PHANTOM_PIXEL_MM = 0.8
 """Spacing of the phantoms in the plane of the slices, mm."""
 PHANTOM_SLICES_MM = (0.8, 1.5, 2.0, 3.0)
-"""Distances of the phantoms' slices, mm."""
+"""Distances between slices of the phantoms, mm."""
 MOST_ERROR = 0.05
 """Largest difference, and largest calibration error, that a class may have."""
 CASES = (*PATIENTS, "phantoms")
-"""Values that ``--case`` accepts."""
+"""Values that ``--case`` accepts: painted patients, or all phantoms."""
 
 
 @dataclass(frozen=True, slots=True)

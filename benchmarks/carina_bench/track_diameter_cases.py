@@ -28,11 +28,11 @@ __all__ = ["KERNEL_NAMES", "SLICE_NAMES", "DiameterCase", "painted_patients", "p
 Say = Callable[[str], None]
 
 KERNEL_NAMES = tuple(KERNELS)
-"""Names of the kernels."""
+"""Names of the kernels with which CTs are painted."""
 SLICE_NAMES = ("0.7mm", "1mm", "1.5mm", "2mm", "2.5mm", "3mm")
-"""Names of the slice thicknesses."""
+"""Names of the slice thicknesses with which CTs are painted."""
 SPACING_MM = 0.7
-"""Spacing of the phantoms, mm."""
+"""Spacing of the painted phantoms, mm."""
 BESIDE_MM = 8.0
 """Width of the tissue around the airways of a phantom that is painted, mm."""
 BEYOND_WALL_MM = 1.1
@@ -44,7 +44,7 @@ class DiameterCase:
     """Painted CT with the true centrelines and radii of its airways."""
 
     subject: str
-    """``phantom N`` or the name of a patient."""
+    """Subject of the CT: ``phantom N`` or the name of a patient."""
     kernel: str
     slices: str
     volume: Volume
@@ -52,7 +52,7 @@ class DiameterCase:
 
     @property
     def condition(self) -> str:
-        """Kernel and slice thickness, as text."""
+        """Kernel and slice thickness of the CT, as text for the report."""
         return f"{self.kernel} {self.slices}"
 
 

@@ -36,13 +36,13 @@ Say = Callable[[str], None]
 Floats = NDArray[np.float64]
 
 SEEDS = range(101, 121)
-"""Seeds of the painted phantoms."""
+"""Seeds of the painted phantoms whose diameters are compared."""
 QUICK_SEEDS = range(101, 102)
-"""Seeds of a quick run."""
+"""Seeds of the painted phantoms in a quick run."""
 PATIENTS = ("Patient1", "Patient2", "lobes-Patient1", "lobes-Patient2")
-"""Patients whose CTs are painted."""
+"""Names of the patients whose painted CTs are compared."""
 SIZES_MM = (0.0, 1.6, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0, 30.0)
-"""Limits of the classes of true diameter, mm."""
+"""Limits of the classes of true diameter in the report, mm."""
 SIZES_VOX = (0.0, 3.0, 4.0, 6.0, 10.0, 99.0)
 """Limits of the classes of true diameter, voxels."""
 LEAST_IN_CLASS = 8
@@ -50,9 +50,9 @@ LEAST_IN_CLASS = 8
 LEAST_SECTIONS = 3
 """Least number of usable sections of a branch that is compared."""
 MOST_BIAS = 3.0
-"""Largest bias, %."""
+"""Largest bias of a class of diameters, %."""
 LEAST_COVERAGE, MOST_COVERAGE = 0.85, 0.95
-"""Limits of the coverage, as shares."""
+"""Least and largest coverage of a class of diameters, as shares."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -20,7 +20,7 @@ Points = NDArray[np.float64]
 Floats = NDArray[np.float64]
 
 CLIP_HU = 3000.0
-"""CT value of metal, HU."""
+"""CT value of a clip and of other metal, HU."""
 CLIP_SIZE_MM = (1.5, 1.5, 5.0)
 """Size of a surgical clip along the patient's x, y and z axes, mm."""
 STREAK_HU = 900.0

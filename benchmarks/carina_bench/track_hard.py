@@ -58,7 +58,7 @@ AIMS: dict[tuple[str, str], tuple[float, float]] = {
 }
 """Least TD and BD, as means of the patients, by kernel and slice thickness."""
 LEAST_PRECISION = 0.98
-"""Least precision within a voxel."""
+"""Limit of the precision within a voxel, as a share."""
 MOST_FALSE_MEDIAN, MOST_FALSE = 1, 3
 """Largest number of false branches of a case: median over the cases, and of any case."""
 RING_MM = (0.1, 0.3, 0.5, 0.7, 0.9)
@@ -66,7 +66,7 @@ RING_MM = (0.1, 0.3, 0.5, 0.7, 0.9)
 NUM_MISSED = 600
 """Approximate number of missed points at which the contrast is measured."""
 NUM_DIRECTIONS = 12
-"""Number of points of a ring."""
+"""Number of points of a ring around a missed lumen."""
 
 
 def run(quick: bool, say: Say, cases: Sequence[str] = ()) -> list[Row]:
@@ -159,7 +159,7 @@ class Missed:
     """Points of a true branch that the found lumen does not contain."""
 
     points: NDArray[np.float64]
-    """Points (n, 3), LPS mm."""
+    """Points (n, 3) outside the found lumen, LPS mm."""
     radius_mm: NDArray[np.float64]
     course: NDArray[np.float64]
     """Unit vectors (n, 3) along the branch at the points, LPS."""

@@ -26,9 +26,9 @@ Row = dict[str, Any]
 Floats = NDArray[np.float64]
 
 SEEDS = range(1, 5)
-"""Seeds of the phantoms."""
+"""Seeds of the phantoms that are measured."""
 QUICK_SEEDS = range(1, 2)
-"""Seeds of a quick run."""
+"""Seeds of the phantoms in a quick run."""
 SPACING_MM, NOISE_HU = 0.7, 25.0
 """Spacing (mm) and standard deviation of the noise (HU) of the phantoms."""
 QUICK_SPACING_MM = 1.2
@@ -84,7 +84,7 @@ class Truth:
 
 
 def run(quick: bool, say: Callable[[str], None]) -> list[Row]:
-    """Return the rows of this part (see ``carina_bench.track``)."""
+    """Return the rows of measured diameters, lengths, angles and stenosis (see ``carina_bench.track``)."""
     seeds, spacing = (QUICK_SEEDS, QUICK_SPACING_MM) if quick else (SEEDS, SPACING_MM)
     found: dict[str, list[Floats]] = {}
     seconds, edits, num_sections = [], [], 0

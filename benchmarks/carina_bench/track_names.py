@@ -27,13 +27,13 @@ __all__ = ["along", "lobe_lengths", "run", "tally"]
 
 Row = dict[str, Any]
 SEEDS = range(1, 21)
-"""Seeds of the phantoms."""
+"""Seeds of the phantoms whose bronchi are named."""
 QUICK_SEEDS = range(1, 3)
-"""Seeds of a quick run."""
+"""Seeds of the phantoms in a quick run."""
 SPACING_MM, NOISE_HU = 0.7, 25.0
 """Spacing (mm) and standard deviation of the noise (HU) of the phantoms."""
 LOBES = ("RUL", "RML", "RLL", "LUL", "LLL")
-"""Names of the lobes."""
+"""Names of the five lobes of the lungs."""
 LOBE_FOLDER = "masks/thin_slice_lobes"
 """Folder of the patients below CARINA_DATA_DIR."""
 LOBE_CASES = {"thin-slice patient 1": "Patient1", "thin-slice patient 2": "Patient2"}
@@ -53,7 +53,7 @@ CLEAR_SHARE = 0.75
 
 
 def run(quick: bool, say: Callable[[str], None]) -> list[Row]:
-    """Return the rows of this part (see ``carina_bench.track``)."""
+    """Return the rows of named segments, subsegments and lobes (see ``carina_bench.track``)."""
     seeds = QUICK_SEEDS if quick else SEEDS
     exact: Counter[str] = Counter()
     found: Counter[str] = Counter()

@@ -38,7 +38,7 @@ CONDITIONS: dict[str, Condition] = {
 }
 """Conditions (kernel, noise, movement, additions) by name."""
 QUICK_CONDITIONS = ("medium-25", "sharp-25")
-"""Conditions of a quick run."""
+"""Names of the conditions in a quick run."""
 PATIENTS = ("Patient1", "Patient2", "Patient3", "lobes-Patient1", "lobes-Patient2")
 """Patients whose masks (0.46 to 0.70 mm) are fine enough to show airways of 1 mm diameter."""
 

@@ -49,7 +49,7 @@ LEAST_LENGTH_MM = 30.0
 MOST_OUTSIDE = 0.05
 """Largest distance of a measured share from the range of calibrated shares."""
 CASES = (*PATIENTS, HELD_PATIENT, "phantoms", "real")
-"""Values that ``--case`` accepts."""
+"""Values that ``--case`` accepts: patients, phantoms, or real CTs."""
 
 
 def run(quick: bool, say: Say, cases: Sequence[str] = ()) -> list[Row]:

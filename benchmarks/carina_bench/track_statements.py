@@ -52,9 +52,9 @@ BLUNT_END_MM = 5.0
 THIN_MM, THICK_MM = 1.0, 3.0
 """Slice thicknesses of the phantoms, mm."""
 NUM_PEOPLE = 20
-"""Number of healthy phantoms."""
+"""Number of healthy phantoms that are searched."""
 NUM_PATIENTS_OF_A_FINDING = 4
-"""Number of phantoms with each finding."""
+"""Number of phantoms that are searched with each kind of finding."""
 FILLED = ("RB6", "LB10", "RML", "LB6", "RB10")
 """Bronchi that are filled in phantoms."""
 FLUID = ((1.0, 4.0, 9.0), (0.8, 4.0, 9.0))
@@ -66,7 +66,7 @@ LEAST_TRUE = 0.95
 LEAST_NAMED = 0.9
 """Least share of missed segments that are in the list of absences."""
 CASES = (*PATIENTS, "healthy", "resected", "filled", "tubes", "necks", "crops", "real")
-"""Values that ``--case`` accepts."""
+"""Values that ``--case`` accepts: painted patients, and kinds of phantoms or real CTs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,14 +215,14 @@ def judge(case: Case, airways: Airways, counts: Counts, say: Say) -> None:
 
 
 def _covers(name: str, segment: str) -> bool:
-    """Return whether a name such as RB1+3 contains the segment RB3."""
+    """Return whether the name of a stem such as RB1+3 contains the segment, such as RB3."""
     side, _, numbers = name.partition("B")
     own_side, _, own = segment.partition("B")
     return side == own_side and set(own.split("+")) <= set(numbers.split("+"))
 
 
 def _lobe(segment: str) -> str:
-    """Return the lobe of a segment such as RB3 or LB1+2."""
+    """Return the name of the lobe to which a segment such as RB3 or LB1+2 belongs."""
     first = segment.split("+", maxsplit=1)[0]
     return next(lobe for lobe, segments in LOBES.items() if first in segments)
 

@@ -26,7 +26,7 @@ INSIDE_MM = 0.03
 MERGED_MM = 0.05
 """Depth inside the rounded union of lumens beyond which a point is not on the wall, mm."""
 SHIFTS_MM = (0.5, 0.5, 0.5, 0.25, 0.12, 0.06, 0.03, 0.015)
-"""Shifts of the ball perpendicular to the airway, in this order, mm."""
+"""Shifts of the ball perpendicular to the airway, in the order in which they are tried, mm."""
 TRIES = 3
 """Largest number of repetitions of each shift; a shift is repeated as long as the ball grows."""
 AROUND_MM = 12.0

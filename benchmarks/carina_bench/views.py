@@ -23,7 +23,7 @@ from carina_bench.scene import STEP_VOX, TRANSFER
 __all__ = ["never_slower"]
 
 PAIRS = 30
-"""Number of pairs of pictures of each view."""
+"""Number of pairs of pictures (leaping, brute force) that are measured of each view."""
 SIZE = 256
 """Width and height of a picture, pixels."""
 

@@ -210,7 +210,7 @@ ACTS = (
 
 
 def act(doing: Doing, name: str, number: Any) -> None:
-    """Perform one action by its name."""
+    """Let the simulated user perform the action ``name``; ``number(n)`` chooses one of n values."""
     if name in {"undo", "redo", "fold", "measure"}:
         getattr(doing, name)()
     elif name in {"target", "key", "look", "gaze"}:
@@ -289,7 +289,7 @@ def kept_file(path: Any) -> None:
 
 
 def _read_again(command: Any) -> Any:
-    """Return the command as the file stores it: None for a brush narrower than 0.1 mm, which no window can send."""
+    """Return a command as it is read from the file; None for a brush that no window can send (below 0.1 mm)."""
     edit = getattr(command, "edit", None)
     return None if isinstance(edit, PaintLumen) and edit.radius_mm < 0.1 else command
 

@@ -114,7 +114,7 @@ def test_path_of_the_scan_is_stored_relative_to_the_case_file(file, doing):
 
 
 def flown(file, doing, *, num_seconds=5, closes=True):
-    """Record a flight with ten moves per second."""
+    """Record a flight with ten moves per second in the case file; ``closes`` ends the recording."""
     pilot = Pilot(Navigator(Pose.looking((0.0, 0.0, 0.0), (0.0, 0.0, -1.0)), volume=doing.case.volume))
     sink = file.record("first flight", begun_s=12.0)
     recorder = Recorder(pilot, sink, case={"digest": "00"}, carina="1", now_s=100.0, view={"shading": True})

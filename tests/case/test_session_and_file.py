@@ -237,7 +237,7 @@ def test_live_case_of_an_older_version_is_migrated_and_the_original_is_retained(
 
 
 def flown(session, clock, seconds):
-    """Record a flight with ten moves per second."""
+    """Record a flight of ``seconds`` with ten moves per second in the session."""
     for _ in range(10 * seconds):
         clock.now_s += 0.1
         session.do(Steer(0.5, 0.01, 0.02, 0.0))

@@ -41,7 +41,7 @@ def closed(made, tmp_path):
 
 @pytest.fixture
 def killed(made, tmp_path):
-    """Return the path of a case with its journal."""
+    """Return the path of a case file with the journal that a killed writer has left."""
     shutil.copy(made[1] / "killed.carina-wal", tmp_path / "x.carina-wal")
     return Path(shutil.copy(made[1] / "killed.carina", tmp_path / "x.carina"))
 
@@ -74,7 +74,7 @@ def openings(path):
 
 
 def refusals(path):
-    """Return the error of each way to open a case, and assert that all files are unchanged."""
+    """Return the error of each way to open a case file, and assert that all files are unchanged."""
     before = {one.name: one.stat() for one in path.parent.iterdir()}
     found = []
     for how, opens in openings(path).items():

@@ -16,7 +16,7 @@ from own_folders import own_folders
 
 @dataclass
 class Ended:
-    """Exit code and outputs of a command."""
+    """Exit code, standard output and standard error of a finished command."""
 
     code: int
     out: str
@@ -58,5 +58,5 @@ def phantom_folder(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def ct(phantom_folder):
-    """Return the path of the phantom's CT."""
+    """Return the path of the phantom's CT file."""
     return phantom_folder / "ct.nii.gz"

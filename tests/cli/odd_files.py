@@ -52,7 +52,7 @@ def inputs_in(folder: Path, *, slices: bool = True) -> list[Path]:
 
 
 def commands_for(path: Path, work: Path) -> list[list[str]]:
-    """Return the four commands that read a path as a CT, in the order of their run time."""
+    """Return the four commands that read ``path`` as a CT, those with the shortest run time first."""
     name = os.fspath(path)
     return [
         ["info", name, "--json"],
@@ -63,7 +63,7 @@ def commands_for(path: Path, work: Path) -> list[list[str]]:
 
 
 def as_target(path: Path, scan: Path, work: Path) -> list[list[str]]:
-    """Return the commands that read a path as a mask, a tree or a target of a scan."""
+    """Return the commands that read ``path`` as a mask, a tree or a target of the scan."""
     name = os.fspath(path)
     return [
         ["airways", str(scan), "--from-mask", name, "--json"],
@@ -126,7 +126,7 @@ def outcome_problem(code: int, out: str, err: str) -> str | None:
 
 
 def run_batch(paths: list[Path], scan: Path | None, home: str, results: Any) -> None:
-    """Run all commands on some files and send (file, command, problem) for each."""
+    """Run all commands on the files ``paths``, and send (file, command, problem) for each to ``results``."""
     for kind in ("CACHE", "CONFIG", "DATA", "STATE"):
         os.environ[f"XDG_{kind}_HOME"] = f"{home}/{kind.lower()}"
     os.environ["CARINA_CACHE_GB"] = "0"

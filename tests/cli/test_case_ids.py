@@ -42,7 +42,7 @@ def worked(tmp_path_factory):
 
 @pytest.fixture
 def stored(carina, worked):
-    """Return the case records of this computer, with one case."""
+    """Return the case records of this computer, which contain one case."""
     folder, volume, moment = worked
     records = CaseRecords(load_settings().cases_dir, lambda: 1.7e9)
     with pytest.MonkeyPatch.context() as patch:

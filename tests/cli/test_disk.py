@@ -39,7 +39,7 @@ class Full:
 
 @pytest.fixture(scope="module")
 def tree(ct, tmp_path_factory):
-    """Return the tree of the phantom, found once."""
+    """Return the path of the phantom's tree, which is found once for all tests."""
     import carina
 
     volume = carina.open_volume(ct)

@@ -47,7 +47,7 @@ def keys(phantom_folder, tmp_path_factory):
 
 
 def read_video(path):
-    """Return the pictures of a video."""
+    """Return the pictures of a video file as arrays."""
     with av.open(str(path)) as container:
         return [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
 

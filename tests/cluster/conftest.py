@@ -34,7 +34,7 @@ class SmallCase:
 
 @pytest.fixture(scope="session")
 def case() -> SmallCase:
-    """Return the case, equal in every run."""
+    """Return the bent tube with its lumen and camera; it is equal in every run."""
     shape = (40, 34, 36)
     z, y, x = np.meshgrid(*(np.arange(n, dtype=float) for n in shape), indexing="ij")
     off = np.hypot((x - 17 - 3 * np.sin(z / 9)) * 0.9, (y - 16) * 1.1)
@@ -84,7 +84,7 @@ class Trouble:
 
 
 class FaultyLane(LocalLane):
-    """Lane with the faults of its ``trouble``."""
+    """Connection to a renderer (lane) whose replies have the faults of its ``trouble``."""
 
     def __init__(self, renderer: Renderer, *, name: str) -> None:
         self.trouble = Trouble()
@@ -123,7 +123,7 @@ class FaultyLane(LocalLane):
         super().submit(order, answered)
 
     def release(self) -> None:
-        """Send all delayed replies."""
+        """Send all replies that a fault has delayed."""
         self.trouble.holds = False
         with self._guard:
             held, self.trouble.held = self.trouble.held, []

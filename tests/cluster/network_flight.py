@@ -77,7 +77,7 @@ def renders(flight, name: str) -> bool:
 
 
 def main(folder: Path, prefix: str) -> dict[str, object]:
-    """Run the whole flight and return its figures."""
+    """Run the flight with all interruptions of links, and return its figures."""
     token = make_token(folder / "token")
     node = Node(
         token, head=True, ip=ADDRESSES[0], port=PORT, dedicated=True, temp_dir=folder / "ray", log=folder / "head.log",

@@ -38,7 +38,7 @@ def import_path() -> dict[str, str]:
 
 
 def free_port() -> int:
-    """Return a port on which no program listens."""
+    """Return a network port on which no program listens."""
     with socket.socket() as probe:
         probe.bind((IP, 0))
         return int(probe.getsockname()[1])
@@ -111,7 +111,7 @@ def running_head(renderers: int) -> Iterator[Head]:
 
 
 def small_volume(size: int = 16) -> Volume:
-    """Return a cubic volume of noise."""
+    """Return a cubic volume of noise with ``size`` voxels on each edge."""
     hu = np.random.default_rng(5).integers(-1000, 200, (size, size, size)).astype(np.int16)
     return Volume(hu, np.eye(4))
 
@@ -198,7 +198,7 @@ class Flight:
         return float(theirs.mean())
 
     def lane(self, name: str):
-        """Return the lane of a renderer."""
+        """Return the connection (lane) of the renderer ``name``."""
         return self.console._members[name].lane
 
     @property

@@ -106,7 +106,7 @@ def machines(case):
 
 @pytest.fixture(scope="module")
 def truth(case):
-    """Return the whole picture of each view."""
+    """Return the picture of each view that one renderer outside the cluster makes."""
     renderer = case.renderer()
     return {name: renderer.render(view).rgb for name, view in _views(case).items()}
 

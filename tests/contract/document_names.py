@@ -22,7 +22,7 @@ SPAN = re.compile(r"(?<!`)`([^`\n]+)`(?!`)")
 IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 SUFFIXES = ("py", "pyi", "rs", "ts", "tsx", "md", "json", "jsonl", "toml", "html", "css", "wgsl", "yml", "sh", "lock")
 FOREIGN = re.compile(r"(pip|uv|ray|ruff|git|cargo|docker|systemctl|npm|ssh|scp)\b")
-"""Commands of other programs."""
+"""Pattern of names that begin with a command of another program."""
 CODE = (".py", ".pyi", ".rs", ".ts", ".tsx", ".mjs", ".wgsl", ".c")
 
 
@@ -144,7 +144,7 @@ def command_names() -> frozenset[str]:
 
 @cache
 def make_targets() -> frozenset[str]:
-    """Return the targets of the Makefile."""
+    """Return the names of the targets in the Makefile."""
     return frozenset(re.findall(r"^([a-z][\w-]*):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
 
 
@@ -246,7 +246,7 @@ ALLOWED = {
 
 
 def problem(named: Named) -> str | None:
-    """Return why a name in backticks cannot be resolved; None if it is correct, or not a name."""
+    """Return the reason why a name in backticks cannot be resolved; None if it is correct or no name."""
     text = named.text
     if text in ALLOWED:
         return None

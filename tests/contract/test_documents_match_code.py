@@ -26,7 +26,7 @@ ALL_DOCUMENTS = [
 
 
 def subclasses(base: type[CarinaError]) -> set[type[CarinaError]]:
-    """Return a class and all its subclasses."""
+    """Return an error class and all its direct and indirect subclasses."""
     return {base}.union(*(subclasses(one) for one in base.__subclasses__()))
 
 

@@ -53,12 +53,12 @@ PRINTED_BY: dict[str, tuple[str, ...]] = {
     "volume/mask_files.py --label": ("airways", "export"),
     "volume/mask_files.py --resample": ("airways", "export", "plan"),
 }
-"""Commands that print the messages of a module, or only its messages with one option."""
+"""Commands that print the messages of a module, or only those messages of it that contain an option."""
 
 
 @functools.cache
 def options() -> dict[str, set[str]]:
-    """Return the options of each command."""
+    """Return the options of each command of ``carina``, by the command's name."""
     found: dict[str, set[str]] = {}
 
     def walk(command, name):

@@ -44,7 +44,7 @@ def test_no_name_or_key_in_the_package_has_the_american_spelling_of_centre() -> 
 
 
 def keys_of(document: Any) -> Iterator[str]:
-    """Yield all keys of a document."""
+    """Yield all keys of a JSON document, at any depth."""
     if isinstance(document, dict):
         yield from document
         for value in document.values():

@@ -30,7 +30,7 @@ class Shared:
         self._pages: dict[tuple[str, ...], Workstation] = {}
 
     def browser(self, path: str) -> Any:
-        """Return the running browser, or start one."""
+        """Return the worker's running browser, or start the browser program at ``path``."""
         if self._browser is None:
             sync_api.expect.set_options(timeout=PICTURE_MS)
             playwright = self._open.enter_context(sync_api.sync_playwright())
@@ -39,7 +39,7 @@ class Shared:
         return self._browser
 
     def host(self, factory: pytest.TempPathFactory) -> Host:
-        """Return the running host, or start one."""
+        """Return the worker's running host of workstations, or start one."""
         if self._host is None:
             self._host = Host(factory.mktemp("host"))
             self._open.callback(self._end, self._host)

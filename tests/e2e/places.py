@@ -97,7 +97,7 @@ def tree_is_shown(workstation):
 
 
 def all_points(workstation):
-    """Return every point of the tree as text."""
+    """Return the points of all branches of the tree on the page, as text that tests compare."""
     points = workstation.page.evaluate(
         "() => [...window.__carina.state.tree.byId.values()].flatMap((node) => node.branch.points)"
     )

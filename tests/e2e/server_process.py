@@ -67,7 +67,7 @@ class Child:
 
 @dataclass
 class Server:
-    """Running workstation."""
+    """Running workstation: process, URL and log."""
 
     child: Child
     url: str
@@ -105,10 +105,7 @@ def stop_server(server: Server) -> int:
 
 
 class Host:
-    """Process of ``workstation_host.py``.
-
-    A new workstation in it takes a tenth of the time of a new process with its search for airways.
-    """
+    """Client of the process ``workstation_host.py``, which runs many workstations."""
 
     def __init__(self, home: Path) -> None:
         self._homes = (home / f"config-{n}" for n in itertools.count(1))
@@ -123,7 +120,7 @@ class Host:
         return answer
 
     def open(self, **options: Any) -> Server:
-        """Open a new workstation with its own settings."""
+        """Open a new workstation in the host, with default settings of its user."""
         begins = len(self._child.log)
         answer = self._ask({"open": {"home": str(next(self._homes)), "demo": None, "path": None, **options}})
         return Server(self._child, answer["url"], answer["number"], begins)

@@ -15,7 +15,7 @@ def home(tmp_path):
 
 
 def record(workstation, num, *, leaves=0):
-    """Fly forward during a recording."""
+    """Record a flight in which the tip flies forward."""
     page = workstation.page
     page.get_by_test_id("record").click()
     workstation.wait_for(f"window.__carina.state.flights.length === {num}")

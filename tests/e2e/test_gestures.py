@@ -72,7 +72,7 @@ def scripts():
 
 @pytest.fixture
 def ready(server, workstation):
-    """Return a prepared page for one test."""
+    """Return a page with the case open and intercepted actions, for one test."""
     prepare(workstation, server)
     yield workstation
     assert workstation.faults == []
@@ -87,7 +87,7 @@ class SharedPage:
         self._first = None
 
     def at_first(self, browser, host):
-        """Return the page in its initial state."""
+        """Return the shared page in its initial state; open it if there is none."""
         if self.workstation is None or not self._is_back():
             self.close()
             server = host.open(demo="phantom")

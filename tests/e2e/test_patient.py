@@ -17,7 +17,7 @@ SEGMENTAL = 3
 
 @pytest.fixture(scope="module")
 def server(patient_dicom, tmp_path_factory) -> Iterator[Server]:
-    """Run ``carina open FOLDER``."""
+    """Run ``carina open FOLDER`` on the DICOM folder of the patient, and stop it at the end."""
     running = start_server(["open", str(patient_dicom)], tmp_path_factory.mktemp("home"))
     yield running
     code = stop_server(running)

@@ -171,7 +171,7 @@ class Workstation:
         self.accept_notice()
 
     def accept_notice(self) -> None:
-        """Close the first-run notice if it is shown."""
+        """Close the notice of the first run if the page shows it."""
         self.page.wait_for_selector("[data-testid=notice-accept], [data-testid=start], [data-testid=workstation]")
         button = self.page.locator("[data-testid=notice-accept]")
         if button.count():
@@ -336,7 +336,7 @@ class Workstation:
         pass_in(self.page, milliseconds)
 
     def refreshes(self, number: int) -> None:
-        """Wait until the page has drawn this number of times, so that code which runs once per refresh has run."""
+        """Wait until the page was drawn ``number`` times, so that code of a refresh has run."""
         self.page.evaluate(
             """async (number) => {
                 for (let n = 0; n < number; n += 1) await new Promise((done) => requestAnimationFrame(done));
@@ -479,6 +479,6 @@ def picture_of(page: Any, name: str) -> None:
 
 
 def save_page(page: Any, name: str) -> None:
-    """Save a screenshot in ``tests/out/e2e``."""
+    """Save a screenshot of the page in ``tests/out/e2e``."""
     OUT.mkdir(parents=True, exist_ok=True)
     page.screenshot(path=str(OUT / f"{name}.png"))

@@ -148,7 +148,7 @@ class Kept:
         )
 
     def parts(self) -> Parts:
-        """Return the parts for a session."""
+        """Return the parts of a session, which use the cached results."""
         return replace(
             self._real,
             open_demo=self.open_demo,
@@ -229,7 +229,7 @@ class Ports:
     first = 0
 
     def bind(self) -> Any:
-        """Return a listening socket on loopback."""
+        """Return a listening socket on loopback: on the common port, or on another one if it is in use."""
         try:
             sock = bind("127.0.0.1", self.first)
         except CarinaError:  # The port is in use, because two workstations are open at once.
@@ -295,7 +295,7 @@ def open_workstation(kept: Kept, stack: ExitStack, home: str, demo: str | None, 
 
 
 def main() -> None:
-    """Execute commands until the input ends."""
+    """Execute the commands of standard input until it ends."""
     remember_scenes()
     remember_pieces()
     pacing.FrameBudget = SteadyBudget  # type: ignore[misc]

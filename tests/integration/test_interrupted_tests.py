@@ -122,7 +122,7 @@ def test_ci_prints_the_name_of_the_failed_step(ci, tmp_path, make, code, end):
 def interrupt(
     command: list[str], environment: dict[str, str], folder: Path, started: Callable[[], bool], *, times: int = 1
 ) -> None:
-    """Start a command, send SIGINT to its group when it runs, and require that none of its processes remains."""
+    """Start a command, send SIGINT to its process group, and assert that none of its processes remains."""
     output = folder / "output"
     with output.open("w") as file:
         run = subprocess.Popen(

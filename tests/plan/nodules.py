@@ -1,4 +1,4 @@
-"""Nodules of exact shape, without a CT."""
+"""Nodules of exact shape without a CT, for tests of plans and drawings."""
 
 from __future__ import annotations
 

@@ -146,7 +146,7 @@ def scan(thick_mm: float, at_mm: float, noise_hu: float, tube: bool = False) -> 
 
 
 def sought(box: Box) -> FissureBox:
-    """Return the fissures found in a whole scan."""
+    """Return the fissures that the search finds in a whole scan."""
     grid = np.diag([STEP_MM, STEP_MM, STEP_MM, 1.0])
     grid[:3, 3] = -20.0
     label = np.ones((52, 52, 52), np.uint8)

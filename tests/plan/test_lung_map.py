@@ -46,7 +46,7 @@ def test_structures_in_mediastinum_are_no_lung_vessels_and_trachea_is_no_lung():
         assert not amid[z, y, 24:36].any(), "between the lungs"
         # A vessel beside the mediastinum has lung on one side only.
         assert amid[z, y, 19]
-        # These voxels are between trachea and spine.
+        # The voxels of this block are between trachea and spine.
         assert not amid[z, 30, 24:36].any()
 
 

@@ -64,7 +64,7 @@ def filmed_report(folder: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def tab(browser) -> Iterator[Any]:
-    """Yield a page without network that all tests share.
+    """Yield a browser page without network, which all tests of the file share.
 
     A new process for each test would take most of the time.
     """

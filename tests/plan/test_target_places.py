@@ -44,7 +44,7 @@ def airway(polyp_mm: float, radius_mm: float = TRACHEA_MM, around_hu: float = 20
     volume = Volume(np.rint(hu).astype(np.int16), matrix)
     lumen = np.maximum(tube, -ball) if polyp_mm > 0.0 else tube
     wall = WallField.from_distances(np.clip(-lumen, -2.5, 4.5).astype(np.float32), matrix)
-    # These points are in the part of the ball inside the lumen.
+    # The points are in the part of the ball that is inside the lumen.
     rng = np.random.default_rng(4)
     centre = np.array([radius_mm - 0.5 * polyp_mm, 0.0, 0.0])
     points = centre + rng.uniform(-polyp_mm, polyp_mm, (200_000, 3))

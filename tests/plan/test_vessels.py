@@ -19,7 +19,7 @@ from carina.volume import Volume
 HALF_MM, STEP_MM, FINE = 15.0, 0.7, 2
 LUNG_HU, BLOOD_HU = -860.0, 40.0
 Line = tuple[tuple[float, float, float], tuple[float, float, float], float]
-"""Start, end and radius of a vessel."""
+"""Start (LPS mm), end (LPS mm) and radius (mm) of a drawn vessel."""
 
 
 def nowhere() -> WallField:

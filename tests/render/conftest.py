@@ -16,7 +16,7 @@ from carina.volume import Volume
 
 @dataclass(frozen=True)
 class Airway:
-    """Phantom of trachea and main bronchi.
+    """Phantom of a trachea and both main bronchi: volume, lumen, and a pose.
 
     The trachea runs along -z from (0, 0, 40), the carina is near the origin, and the right bronchus is wider.
     """
@@ -34,7 +34,7 @@ def _distance_mm(points: NDArray[np.float64], a: tuple[float, ...], b: tuple[flo
 
 @pytest.fixture(scope="session")
 def airway() -> Airway:
-    """Return the phantom, equal in every run."""
+    """Return the phantom of trachea and main bronchi, which is equal in every run."""
     shape = (48, 62, 70)
     matrix = place(rotation(0.2, -0.15, 0.3), (1.1, 0.9, 1.7), (2.0, 1.0, 5.0), shape)
     grid = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), axis=-1)[..., ::-1].astype(float)

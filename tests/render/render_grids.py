@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 
 def rotation(x: float, y: float, z: float) -> NDArray[np.float64]:
-    """Return the 3x3 rotation about x, y and z by these angles, radians."""
+    """Return the 3x3 matrix of a rotation about x, y and z by these angles, radians."""
 
     def turn(axis: int, angle: float) -> NDArray[np.float64]:
         a, b = (axis + 1) % 3, (axis + 2) % 3

@@ -42,7 +42,7 @@ def straight(number, parent, children, name, line, **more) -> Branch:
 
 
 def forked(**trachea) -> Tree:
-    """Return the tree of the fixture ``airway``."""
+    """Return the tree of the phantom in the fixture ``airway``; arguments change its trachea."""
     return Tree((
         straight(0, None, (1, 2), "Trachea", TRACHEA, **trachea),
         straight(1, 0, (), "RMB", RIGHT),

@@ -15,7 +15,7 @@ from carina.volume import Volume
 
 @pytest.fixture
 def slow(monkeypatch):
-    """Make every build of a map count as slow."""
+    """Make every build of an IsoRegion map count as slow, so that the map is stored."""
     monkeypatch.setattr(isoregion_cache, "SLOW_NS_PER_VOXEL", 0.0)
 
 

@@ -115,7 +115,8 @@ def test_transfer_function_of_the_same_classes_needs_no_new_map(airway, monkeypa
     renderer.prepare()
     monkeypatch.setattr(_core, "build_cell_map", None)
     renderer.set_transfer(transfer_preset("see-through"))
-    # It is transparent up to -700 HU like the endoscopic preset, so the classes and the map are the same.
+    # The transfer function is transparent up to -700 HU like the endoscopic preset, so the classes and the map are the
+    # same.
     assert renderer.prepared
     renderer.prepare()
     black = TransferFunction(points=np.array([[0.0, 0, 0, 0, 0.0], [1.0, 1, 1, 1, 1.0]]))

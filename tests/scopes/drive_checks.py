@@ -35,7 +35,7 @@ class Shaft:
 
 
 def joined(shafts: list[Shaft]) -> Shaft:
-    """Return several shafts as one."""
+    """Return one shaft with the points of several shafts."""
     return Shaft(*(np.concatenate([getattr(s, name) for s in shafts]) for name in ("points", "into", "radii")))
 
 
@@ -72,7 +72,7 @@ class Worst:
     told: str = ""
 
     def take(self, depths: Floats, points: Floats, told: str) -> None:
-        """Store the largest of these depths if it exceeds the stored one."""
+        """Store the largest of these depths, with its point and description, if it exceeds the stored depth."""
         if len(depths) and not depths.max() <= self.mm:
             n = int(depths.argmax())
             self.mm, self.told = float(depths[n]), f"{depths[n]:.3f} mm {told} at {np.round(points[n], 2).tolist()}"
@@ -80,7 +80,7 @@ class Worst:
 
 @dataclass
 class Findings:
-    """Results of the checks of several drives."""
+    """Results of several checked drives: largest depths of tip and shaft in the wall."""
 
     tip: Worst = field(default_factory=Worst)
     shaft: Worst = field(default_factory=Worst)
@@ -102,7 +102,7 @@ class Findings:
         assert {"none", "wall", "narrow"} <= set(self.limits)
 
     def told(self) -> str:
-        """Return a readable summary of the results."""
+        """Return a summary of the results as text."""
         return "\n".join(
             [
                 f"{self.num_drives} drives, {self.num_looked_at} states looked at, {self.num_touched} drives touched",

@@ -74,7 +74,7 @@ class LumenCells:
         return cls(low, cell, inside, wall.signed_mm, wall.is_inside)
 
     def holds_balls(self, middles: Floats, radii: Floats) -> NDArray[np.bool_]:
-        """Return for each ball whether it is certainly in the lumen; False if the lattice does not show it."""
+        """Return for each ball whether the lattice shows that it is inside the lumen."""
         return (self._at(middles).astype(float) - 1.0) * self._cell_mm >= radii
 
     def depths_mm(self, points: Floats) -> Floats:

@@ -1,4 +1,4 @@
-"""Tests of the library of bronchoscopes."""
+"""Tests of the library of bronchoscopes: each row of the table in docs with its figures."""
 
 from __future__ import annotations
 

@@ -136,7 +136,7 @@ class Window:
             assert self.hear(WAIT_S) and time.monotonic() < end_s, (self.state, self.history, self.told)
 
     def wait_open(self) -> None:
-        """Wait until the case is open, its airways are found and it has been saved."""
+        """Wait until the case is open, its airways are found and the case has been saved."""
         self.until(lambda: self.state.get("airways") == "found" and self.state["saving"]["keeps"])
 
 

@@ -37,7 +37,7 @@ def newest(window, kind):
 
 
 def settle(window):
-    """Wait until all sent messages are handled: the answer to a query comes after them."""
+    """Wait until the server has handled all messages that the window has sent."""
     window.send(wire.Probe((0.5, 0.0, 0.0)))
     window.until(lambda m: isinstance(m, wire.Value) and m.lps == (0.5, 0.0, 0.0))
 

@@ -24,7 +24,7 @@ class Size:
 
 
 class Cache:
-    """In-memory replacement of the cache of CTs."""
+    """Replacement of the cache of CTs that stores volumes in memory."""
 
     def __init__(self) -> None:
         self.kept = {"one CT": 1000, "another CT": 2000}

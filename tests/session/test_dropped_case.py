@@ -59,7 +59,7 @@ class Desk:
 
 @pytest.fixture
 def desks(tmp_path):
-    """Return the workstations of two users."""
+    """Return two workstations, each with the stored cases of one user."""
     made = [Desk(tmp_path / name) for name in ("mine", "theirs")]
     yield made
     for desk in made:

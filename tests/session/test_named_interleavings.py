@@ -30,7 +30,7 @@ FAULTS = ("locks", "no locks", "no hard links")
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """Return a CT with a case file beside it."""
+    """Return the path of a CT with a case file beside it."""
     folder = tmp_path_factory.mktemp("named")
     write_phantom(carina.generate_phantom(spacing_mm=4.0, generations=3), folder / "scan")
     with carina.Case.open(folder / "scan" / "ct.nii.gz") as case:
@@ -48,7 +48,7 @@ class Author:
     messages: list[str] = field(default_factory=list)
     saved: set[tuple[str, float]] = field(default_factory=set)
     refusals: int = 0
-    """Number of saves that were refused."""
+    """Number of saves of this user that were refused."""
     told: int = 0
     """Number of messages about refused saves that the user received."""
 

@@ -67,7 +67,7 @@ class StallingDesk(Desk):
         return self.session._saving._kept
 
     def until(self, condition):
-        """Wait until the condition is true.
+        """Wait until ``condition`` returns true.
 
         The caller holds the lock of the threads, which the condition must not acquire.
         """

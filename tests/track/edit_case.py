@@ -62,7 +62,7 @@ def edit_case() -> EditCase:
         (left, tips[2], 1.8),
         (left, tips[3], 1.9),
     ]
-    # This tube is a branch of the trachea that is blocked near its start.
+    # The hidden tube is a branch of the trachea that is blocked near its start.
     hidden = (at(1, 2, 18), at(8, 8, 8), 1.9)
     depth = np.min([_off(points, a, b) - r for a, b, r in [*tubes, hidden]], axis=0)
 

@@ -64,7 +64,7 @@ def some_edit(kind: str, airways: Airways, number: Callable[[int], int], case: E
 
 @dataclass
 class Editing:
-    """Airways with their undo and redo stacks."""
+    """Airways that are edited at random, with their undo and redo stacks."""
 
     case: EditCase = field(default_factory=edit_case)
     done: list[Airways] = field(default_factory=list)

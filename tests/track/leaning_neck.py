@@ -21,7 +21,7 @@ BEHIND_MM = 13.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LeaningNeck:
-    """A CT with a neck and a leaning trachea."""
+    """CT with a neck and a leaning trachea, and the true tree of the phantom."""
 
     made: Phantom
     volume: Volume

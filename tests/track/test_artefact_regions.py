@@ -50,7 +50,7 @@ def badges(airways: Airways) -> set[str]:
 
 
 def num_false(airways: Airways, seed: int, volume: Volume) -> int:
-    """Return the number of false branches.
+    """Return the number of false branches among the airways found in a disturbed CT.
 
     More than half of the points of a false branch lie farther than a voxel outside every lumen.
     """

@@ -38,7 +38,7 @@ def painted(paint, spacing=(0.8, 0.8, 0.8), noise=20.0):
 
 
 def tube(points, start, end, radius):
-    """Return for each point whether it is in a tube with flat ends."""
+    """Return for each point whether it is in a tube with flat ends, given by its axis and radius (mm)."""
     a, b = np.array(start, dtype=float), np.array(end, dtype=float)
     length = np.linalg.norm(b - a)
     along = (points - a) @ (b - a) / length

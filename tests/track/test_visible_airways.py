@@ -32,7 +32,7 @@ class FakeBranch:
 
 @dataclass
 class FakeTree:
-    """A tree of straight branches."""
+    """Tree of straight branches, with the attributes that the rule of found airways reads."""
 
     branches: list[FakeBranch] = field(default_factory=list)
 

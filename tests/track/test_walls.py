@@ -16,7 +16,7 @@ SPACING = (0.8, 0.9, 1.0)
 
 
 def turned(seed: int) -> np.ndarray:
-    """Return a random rotation matrix."""
+    """Return a random 3x3 rotation matrix for a seed."""
     q = np.random.default_rng(seed).normal(size=4)
     w, x, y, z = q / np.linalg.norm(q)
     return np.array(

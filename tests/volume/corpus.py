@@ -35,7 +35,7 @@ class Input:
     make: Callable[[Path], Path]
     """Function that writes the input into an empty folder and returns the path to open."""
     expected: str
-    """Error code of the refusal, or ``opens``."""
+    """Error code with which the input must be refused, or ``opens``."""
     notes: tuple[str, ...] = ()
     """Codes of all notes that the importer must give; any other note fails the test."""
     is_hu: bool = True

@@ -60,7 +60,7 @@ def clock() -> Clock:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Return the folder of the cache."""
+    """Return the folder in which the cache stores its files."""
     return tmp_path / "cache" / "volumes"
 
 

@@ -23,7 +23,7 @@ SECRETS = ("Secret", "SECRET", "1.2.3.98", "1.2.3.4.5")
 
 
 def _deny(monkeypatch, *names: str) -> None:
-    """Simulate that these files may not be read, because the user root may read every file."""
+    """Simulate that the files with these names may not be read; the user root could read every file."""
     whole = Path.open
 
     def refuse(path: Path, *args, **kwargs):

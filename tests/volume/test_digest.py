@@ -57,7 +57,7 @@ def about(axis: int, degrees: float) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def chest() -> Volume:
-    """Return the volume that all forms of a grid file contain."""
+    """Return the volume that a grid file in any form must give."""
     return Volume(grid_writers.chest(), LPS_FROM_IJK)
 
 

@@ -229,7 +229,7 @@ def test_number_of_further_irregular_gaps_is_stated():
 
 
 def header(shape=(3, 3, 3), matrix=None, components=1) -> GridHeader:
-    """Return a header of a grid file."""
+    """Return a header of a grid file with the given shape, matrix and number of components."""
     return GridHeader(
         format="nrrd",
         shape_ijk=shape,

@@ -1,4 +1,4 @@
-"""Tests of the limits of the class Volume."""
+"""Tests of the least and largest voxel spacing of the class Volume."""
 
 from __future__ import annotations
 

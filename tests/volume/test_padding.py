@@ -47,7 +47,7 @@ def _plane() -> np.ndarray:
 def test_padding_value_in_the_tissue_range_counts_only_at_the_edge_of_the_slice():
     plane = _plane()
     plane[OUTSIDE] = 40
-    plane[12:17, 2:6] = 40  # These are 20 equal pixels of muscle that do not touch the edge.
+    plane[12:17, 2:6] = 40  # The block is 20 equal pixels of muscle that do not touch the edge.
     found = find_padding(plane, plane, ((40, 40),))
     assert found is not None
     np.testing.assert_array_equal(found.inside, OUTSIDE)
