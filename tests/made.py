@@ -40,9 +40,10 @@ CACHE = ROOT / ".pytest_cache" / "d" / "made"
 """Folder of the cache, beside the caches of pytest's plugins; ``pytest --cache-clear`` empties it."""
 
 
-# Options of a chest that several test files use: all generations, and fine enough for named segments.
 MASKED_CHEST: dict[str, Any] = {"seed": 1, "spacing_mm": 1.1, "noise_hu": 25.0}
+"""Options of a chest for several test files: all generations, and fine enough for named segments."""
 OTHER_CHEST: dict[str, Any] = {"seed": 2, "spacing_mm": 1.1}
+"""Options of a second chest, with other anatomy and less noise."""
 # Options of a chest with the central airways only.
 SMALL_CHEST: dict[str, Any] = {"seed": 4, "spacing_mm": 1.2, "generations": 4}
 

@@ -12,7 +12,6 @@ from workstation import open_page
 
 pytestmark = pytest.mark.browser
 
-# Script that records the actions of tools instead of sending them, so that the tree stays unchanged.
 KEEP_DEEDS = """
 window.__actions = [];
 window.WebSocket = class extends WebSocket {
@@ -23,6 +22,7 @@ window.WebSocket = class extends WebSocket {
   }
 };
 """
+"""Script that records the actions of tools instead of sending them, so that the tree stays unchanged."""
 TOOLS = {
     "target": "n",
     "root": "b",
@@ -35,8 +35,9 @@ TOOLS = {
     "erase": "Shift+Q",
     "reroot": "Shift+B",
 }
+"""Key that activates each tool."""
 POINT_TOOLS = ("target", "root", "add", "bridge", "reroot")
-# Views, and the cell of the page that shows each of them.
+"""Tools that act at a point; the other tools act on a branch or a fork."""
 PICTURES = {
     "airway": "airway",
     "axial": "axial",
@@ -50,7 +51,9 @@ PICTURES = {
     "tree": "outside",
     "tri-plane": "outside",
 }
+"""Cell of the page that shows each view."""
 SWITCHED = {"straightened": "v", "curved": "v", "drr": "x", "tri-plane": "t"}
+"""Key that switches the cell of a view until the cell shows this view."""
 
 
 def prepare(workstation, server) -> None:

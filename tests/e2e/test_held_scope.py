@@ -7,9 +7,10 @@ from test_devices import MOCK, hold
 
 pytestmark = pytest.mark.browser
 
-# Limit for the distances to the wall, which are computed once for a case: about a minute on two busy cores.
 WALL_MS = 900_000
+"""Limit for computing the wall distances of a case, ms; on two busy cores this takes about a minute."""
 FLIGHT_MS = 300_000
+"""Limit for a movement of the scope, ms."""
 
 
 def test_scope_in_the_lumen_bends_is_stopped_by_the_wall_and_released(server, workstation):

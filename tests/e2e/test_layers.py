@@ -12,9 +12,10 @@ from made import made_phantom
 
 pytestmark = pytest.mark.browser
 
-# The chest is coarse, because finding all structures around a target is the longest job.
 CHEST = {"seed": 4, "spacing_mm": 1.4, "generations": 5, "nodule": True}
+"""Options of a chest that is coarse, because finding all structures around a target is the longest job."""
 LAYERS = ("vessels", "fissures", "lobes", "stations")
+"""Layers that are hidden and shown over the slices."""
 
 
 @pytest.fixture

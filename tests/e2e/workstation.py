@@ -11,11 +11,14 @@ from playwright.sync_api import Error as PlaywrightError
 from playwright.sync_api import TimeoutError as PlaywrightTimeout
 from server_process import Server
 
-# Limits for operations that hang, far above their duration on a busy machine, ms.
 READY_MS = 600_000
+"""Limit for opening a case with its airways, ms; far above the time on a busy machine."""
 PICTURE_MS = 120_000
+"""Limit for the arrival of a picture, ms; far above the time on a busy machine."""
 SIZE = {"width": 1440, "height": 900}
+"""Width and height of the page, CSS px."""
 EMPTY = "icon.svg"
+"""File of the site that is opened as an empty page."""
 # Background network traffic, updates and synchronisation would disturb tests. The sandbox does not work for root in a
 # container.
 FLAGS = [
@@ -67,14 +70,15 @@ window.__settled = async (limitMs) => {
   }
 };
 """
-# Script that returns the state of the page, for the report about a page that hangs.
 STATE = """() => {
   const { stage, route, pose, session, frames, jobs, messages, ui, targets, can_undo, picks } = window.__carina.state;
   return JSON.stringify({ stage, pose, session, frames, jobs, messages, ui, targets, can_undo, picks,
     branch: route?.branch_id });
 }"""
+"""Script that returns the state of the page, for the report about a page that hangs."""
 SHOWN_VIEWS = """() => [...document.querySelectorAll('canvas[data-view]')]
     .filter((canvas) => canvas.offsetParent).map((canvas) => canvas.dataset.view)"""
+"""Script that returns the views whose canvas is visible."""
 PIXELS = """
 window.__pixels = (view) => {
   const canvas = document.querySelector(`canvas[data-view=${view}]`);
@@ -85,6 +89,7 @@ window.__pixels = (view) => {
   return [...context.getImageData(0, 0, 32, 32).data];
 };
 """
+"""Script that defines a function which returns a coarse grid of pixel values of a view."""
 
 
 HELD_OR_NO_PROGRESS = """

@@ -15,7 +15,6 @@ from carina.export.plan_content import drawn_plans
 from carina.export.plan_markups import write_plan_markups
 from carina.volume import Note
 
-# Allowed values of keys in markups-schema-v1.0.3.json.
 TEXTS = {
     "type",
     "name",
@@ -27,6 +26,7 @@ TEXTS = {
     "associatedNodeID",
     "glyphType",
 }
+"""Keys of markups-schema-v1.0.3.json whose value is a text."""
 BOOLS = {
     "locked",
     "fixedNumberOfControlPoints",
@@ -37,8 +37,11 @@ BOOLS = {
     "useGlyphScale",
     "sliceProjection",
 }
+"""Keys of the schema whose value is true or false."""
 LENGTHS = {"position": 3, "orientation": 9, "color": 3, "selectedColor": 3}
+"""Keys of the schema whose value is a list of numbers, with the length of the list."""
 NUMBERS = {"opacity", "textScale", "glyphSize", "lineThickness"}
+"""Keys of the schema whose value is a number."""
 CHOICES: dict[str, set[Any]] = {
     "type": {"Fiducial", "Line", "Angle", "Curve", "ClosedCurve", "Plane", "ROI"},
     "coordinateSystem": {"LPS", "RAS"},
@@ -46,6 +49,7 @@ CHOICES: dict[str, set[Any]] = {
     "positionStatus": {"undefined", "preview", "defined"},
     "glyphType": {"Sphere3D", "Diamond3D"},
 }
+"""Allowed values of the keys of the schema that have a fixed choice."""
 
 
 def check_schema(value: dict[str, Any]) -> None:

@@ -44,11 +44,16 @@ def middle_of(phantom, name):
     return np.array(branch["points"][len(branch["points"]) // 2])
 
 
-# Eight flips and six permutations of the axes give 48 ways to store a grid along the patient's axes. The eleven below
-# contain every flip of one axis, the flip of all three, and every permutation, with and without a flip.
 FLIPS = {"as it is": (), "flip i": (0,), "flip j": (1,), "flip k": (2,), "flip all": (0, 1, 2)}
+"""Flipped axes of an orientation, by its name."""
 ORDERS = ["".join("ijk"[n] for n in order) for order in itertools.permutations(range(3)) if order != (0, 1, 2)]
+"""Orientations that permute the axes; the name gives the new order of i, j and k."""
 STORED = [*FLIPS, *ORDERS, "kij flip i", "oblique"]
+"""Orientations that are tested.
+
+Eight flips and six permutations of the axes give 48 ways to store a grid along the patient's axes. Those tested here
+contain every flip of one axis, the flip of all three, and every permutation, with and without a flip.
+"""
 
 
 def stored(image, how):

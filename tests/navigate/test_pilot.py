@@ -20,16 +20,19 @@ from carina.navigate.rotation import rotation_from_vector, wxyz_from_rotation
 from carina.scopes import Pose
 
 PLAIN = DeviceControls(filter_on=False)
-# One path leads down a trachea of 60 mm and into the right main bronchus; the other one leads to the left.
 DOWN = [(0.0, 0.0, -float(z)) for z in range(61)]
+"""Points of a trachea of 60 mm from the origin to the feet, LPS mm."""
 RIGHT = (-math.sin(0.7), 0.0, -math.cos(0.7))
+"""Direction of the right main bronchus, LPS."""
 LEFT = (math.sin(0.7), 0.0, -math.cos(0.7))
+"""Direction of the left main bronchus, LPS."""
 PATH = m.SetPath(
     tuple(DOWN + [(RIGHT[0] * n, 0.0, -60.0 + RIGHT[2] * n) for n in range(1, 41)]),
     forks_mm=(60.0,),
     lookouts_mm=(50.0,),
     ways=(m.PathFork(60.0, (m.PathWay(1, RIGHT), m.PathWay(2, LEFT)), 1),),
 )
+"""Path down the trachea and into the right main bronchus, with the left main bronchus as the other branch."""
 
 
 class Hand:

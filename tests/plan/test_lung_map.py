@@ -14,9 +14,13 @@ from carina.plan.lungs.vessels import VesselBranch, VesselTree
 
 MATRIX = np.eye(4)
 MATRIX[:3, 3] = (-30.0, -20.0, -40.0)
-# The shape is as wide as a chest at the trachea: lung on both sides of the middle, which the closing also fills.
 SHAPE = (50, 40, 60)
+"""Shape (z, y, x) of the volume in voxels.
+
+It is as wide as a chest at the trachea: lung on both sides of the middle, which the closing also fills.
+"""
 MIDDLE = slice(22, 38)
+"""Voxels along x of the mediastinum."""
 
 
 def box(*, trachea: bool) -> Box:

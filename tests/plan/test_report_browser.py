@@ -20,8 +20,6 @@ sync_api = pytest.importorskip("playwright.sync_api")
 pytestmark = pytest.mark.browser
 
 FLAGS = ["--no-sandbox", "--disable-quic", "--disable-background-networking", "--disable-component-update"]
-# Script that returns the mean position of orange pixels (target, last leg) and of blue pixels (route), as fractions of
-# the canvas width.
 WHERE = """() => {
   const canvas = document.getElementById('tree'), {width, height} = canvas;
   const data = canvas.getContext('2d').getImageData(0, 0, width, height).data;
@@ -35,7 +33,12 @@ WHERE = """() => {
   const mean = (values) => values.reduce((a, b) => a + b, 0) / Math.max(values.length, 1);
   return {orange: mean(found.orange), num_orange: found.orange.length, num_blue: found.blue.length, grey: found.grey};
 }"""
+"""Script that returns the mean position of orange pixels (target, last leg) and of blue pixels (route).
+
+The positions are fractions of the canvas width.
+"""
 DRAWN = "() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
+"""Script that waits until the page has drawn a frame."""
 
 
 @pytest.fixture(scope="module")

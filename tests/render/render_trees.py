@@ -6,10 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# Start and end (LPS mm) and radius (mm) of a branch.
 TRACHEA = ((0.0, 0.0, 60.0), (0.0, 0.0, 0.0), 7.0)
+"""Start and end (LPS mm) and radius (mm) of the trachea."""
 RIGHT = ((0.0, 0.0, 0.0), (-22.0, 4.0, -34.0), 5.5)
+"""Start and end (LPS mm) and radius (mm) of the right main bronchus."""
 LEFT = ((0.0, 0.0, 0.0), (30.0, 6.0, -26.0), 4.0)
+"""Start and end (LPS mm) and radius (mm) of the left main bronchus."""
 
 
 @dataclass(frozen=True)

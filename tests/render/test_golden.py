@@ -101,9 +101,10 @@ CASES = {
     ),
 }
 
-# DECORATED contains by name the pose, the parts that are drawn from the airway tree, and what a person must see.
 DOWN_THE_TRACHEA = Pose.looking((0.0, 0.5, 40.0), (0.0, 0.0, -1.0), (0.0, -1.0, 0.0))
+"""Camera in the trachea that looks down, with anterior up."""
 AT_THE_CARINA = Pose.looking((0.0, 0.0, 12.0), (0.0, 0.0, -1.0), (0.0, -1.0, 0.0))
+"""Camera before the carina that looks down, with anterior up."""
 DECORATED = {
     "decorated-trachea": (
         DOWN_THE_TRACHEA,
@@ -121,6 +122,7 @@ DECORATED = {
     "decorated-spurs": (AT_THE_CARINA, ("spurs",), "a pale ridge between the two bronchi, and nothing else"),
     "decorated-vessels": (DOWN_THE_TRACHEA, ("vessels",), "a few thin red lines that branch"),
 }
+"""Golden images of the decoration by name: pose, parts drawn from the airway tree, and what a person must see."""
 
 
 def compare(name: str, found: np.ndarray, seen: str) -> None:

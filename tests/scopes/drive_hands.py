@@ -10,10 +10,12 @@ import numpy as np
 
 from carina.scopes import ScopeDrive, ScopePreset, ScopeState, scope_preset, scope_presets
 
-# The last scope is too thick for all airways except the widest.
 SCOPES = (*scope_presets(), replace(scope_preset("ebus"), name="thickest", tip_mm=7.8, tube_mm=7.8))
+"""Scopes of the library, and a last one that is too thick for all airways except the widest."""
 KINDS = ("wander", "push", "fast", "retreat", "stops", "roll", "jump", "press")
+"""Kinds of random input, by the names of the generators below."""
 DT_S = 1.0 / 60.0
+"""Time between two samples of the input, s."""
 
 Hand = Generator[tuple[float, float, float], ScopeState, None]
 """Generator that receives the state of a scope and yields the next sample.

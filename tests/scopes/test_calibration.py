@@ -10,7 +10,6 @@ import pytest
 from carina.errors import VolumeImportError
 from carina.scopes import lens_from_file, lens_from_text
 
-# Written by cv2.FileStorage of OpenCV 4.
 YAML = """%YAML:1.0
 ---
 calibration_time: "Sat Nov 21 09:00:00 2026"
@@ -33,6 +32,7 @@ distortion_coefficients: !!opencv-matrix
        2.3839153080878486e-01 ]
 avg_reprojection_error: 3.9259109564815858e-01
 """
+"""YAML file of a calibration, as written by cv2.FileStorage of OpenCV 4."""
 XML = """<?xml version="1.0"?>
 <opencv_storage>
 <image_width>640</image_width>
@@ -54,6 +54,7 @@ XML = """<?xml version="1.0"?>
     2.3839153080878486e-01</data></distortion_coefficients>
 </opencv_storage>
 """
+"""XML file of the same calibration, as written by cv2.FileStorage."""
 JSON = """{
     "image_width": 640,
     "image_height": 480,
@@ -75,12 +76,14 @@ JSON = """{
     }
 }
 """
+"""JSON file of the same calibration."""
 FISHEYE = {
     "image_size": [1280, 720],
     "fisheye_model": 1,
     "K": [[520.0, 0.0, 640.2], [0.0, 519.0, 355.5], [0.0, 0.0, 1.0]],
     "D": [[0.03], [-0.01], [0.004], [-0.0007]],
 }
+"""Calibration of OpenCV's fisheye model as JSON values."""
 
 
 def test_one_calibration_in_three_file_forms_gives_equal_lenses():

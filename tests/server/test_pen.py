@@ -12,12 +12,14 @@ from carina.navigate.rotation import rotation_from_vector, wxyz_from_rotation
 from carina.server.wire import messages as wire
 from small_case import small_volume
 
-# The coordinates of the tracker are rotated against those of the patient about two axes.
 TURN = rotation_from_vector(np.array([0.4, -0.9, 0.2]))
+"""Rotation from the coordinates of the tracker to those of the patient."""
 AWAY = np.array([120.0, -45.0, 300.0])
-# The pen moves 4 mm between samples, about 200 mm/s, which a filter cannot follow at once.
+"""Origin of the tracker's coordinates, LPS mm."""
 HURRY_MM = 4.0
+"""Distance of the pen between two samples, mm: about 200 mm/s, which a filter cannot follow at once."""
 SAMPLE_S = 0.02
+"""Time between two samples of the pen, s."""
 
 
 class TrackedPen:

@@ -11,12 +11,16 @@ from numpy.typing import NDArray
 from carina.phantom import Phantom, generate_phantom
 from carina.volume import Volume
 
-# Box that contains the chest down to the lower lobe bronchi, and the neck.
 BOX_LPS = ((-130.0, -105.0, -110.0), (130.0, 105.0, 195.0))
+"""Box that contains the neck and the chest down to the lower lobe bronchi, LPS mm."""
 GULLET_RADIUS_MM = 3.6
+"""Radius of the air in the oesophagus, mm."""
 GULLET_WALL_MM = 2.0
+"""Thickness of the wall around the air in the oesophagus, mm."""
 BESIDE_MM = 16.0
+"""Distance of the oesophagus from the top of the trachea to the side, mm."""
 BEHIND_MM = 13.0
+"""Distance of the oesophagus behind the trachea, mm."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,9 +18,10 @@ from made import made_airways, made_phantom
 from made import patient as the_patient
 
 VOXEL_MM = CHEST["spacing_mm"]
-# Segmental bronchi (left lower lobe, superior segment of the right one) with start and length of the fluid, mm.
 SEGMENTS = {"LB10": (5.0, 12.0), "RB6": (4.0, 11.0)}
+"""Segmental bronchi with start and length of the fluid, mm: of the left lower lobe and the right superior segment."""
 LEVELS = (0.4, 0.6, 0.8)
+"""Filled shares of a section's height."""
 
 
 @cache

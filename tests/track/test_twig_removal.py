@@ -28,8 +28,11 @@ def row(parent, generation, *points, radius=8.0):
     }
 
 
-# In real CTs the trachea leans, so its end in the top slice is longer than wide.
 TOP, FORK, CARINA = (-9.3, -183.1, 345.5), (-9.8, -179.3, 341.0), (-16.0, -159.0, 262.0)
+"""Ends of the two parts of the trachea, LPS mm.
+
+In real CTs the trachea leans, so its end in the top slice is longer than wide.
+"""
 TRUNK = [
     row(None, 0, TOP, FORK),
     row(0, 1, FORK, (-22.8, -164.3, 297.5), CARINA),

@@ -10,13 +10,18 @@ import pytest
 from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian, generate_uid
 
-# The directions are oblique and all spacings differ, so a test fails if axes or signs are exchanged.
 ROW_LPS = np.array([0.8, 0.6, 0.0])
+"""Direction of the rows, LPS; the directions are oblique, so a test with exchanged axes or signs fails."""
 COLUMN_LPS = np.array([-0.36, 0.48, -0.8])
+"""Direction of the columns, LPS."""
 NORMAL_LPS = np.cross(ROW_LPS, COLUMN_LPS)
+"""Direction of the slices, LPS."""
 ORIGIN_LPS = np.array([-31.5, 12.25, 140.0])
-ROW_MM, COLUMN_MM, GAP_MM = 0.9, 0.7, 1.25  # distance between rows, between columns, and between slices
+"""Position of the first pixel of the first slice, LPS mm."""
+ROW_MM, COLUMN_MM, GAP_MM = 0.9, 0.7, 1.25
+"""Distances between rows, between columns and between slices, mm; all differ, so exchanged axes are detected."""
 ROWS, COLUMNS, SLICES = 11, 13, 9
+"""Numbers of rows, columns and slices."""
 
 
 def stored_values(index: int) -> np.ndarray:
