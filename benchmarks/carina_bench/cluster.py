@@ -89,8 +89,8 @@ SCHEMES = (
 def report(*, folder: Path, only: Sequence[str], quick: bool, as_json: bool) -> int:
     """Run the sections, print the results, and write plots and ``cluster.json`` to ``folder``; return the exit code.
 
-    A section that fails is reported and listed under ``failed``; the results of the other sections are kept. The exit
-    code is 1 if a section failed, else 0.
+    A section that fails is reported and listed under ``failed``; the results of the other sections are reported as
+    well. The exit code is 1 if a section failed, else 0.
     """
     unknown = [name for name in only if name not in SECTIONS]
     if unknown:
@@ -485,7 +485,7 @@ def _timeline(flown: Any, title: str) -> str:
         if job.frame_id in frames:
             name = job.lane.rpartition(" ")[2]
             # A renderer starts its strip ``seconds`` before its answer arrives, but not before its previous strip ends:
-            # the transport, whose time varies, lies before and after the rendering.
+            # the transport, whose time varies, takes place before and after the rendering.
             end_ms = job.answered_s * 1e3
             row = jobs.setdefault(name, [])
             begin_ms = max(end_ms - job.seconds * 1e3, row[-1][1] if row else -math.inf)

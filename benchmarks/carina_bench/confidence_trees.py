@@ -162,7 +162,7 @@ def random_tree(rng: np.random.Generator, *, generations: int = 6, two_lungs: bo
 
 
 def vessel_tree(tree: AirwayTree, rng: np.random.Generator, *, is_vein: bool) -> AirwayTree:
-    """Return a tree of arteries, or of veins if ``is_vein``, whose tips lie between the tips of an airway tree.
+    """Return a tree of arteries, or of veins if ``is_vein``, whose tips are between the tips of an airway tree.
 
     Starting at the tips, neighbouring vessels are joined first, towards the heart.
     """

@@ -19,7 +19,7 @@ AIR_HU = -1000.0
 WALL_HU = 150
 """Largest CT value to which a voxel at the border of lumen and wall may rise, HU."""
 FINE = 4
-"""Number of cells along each edge of a voxel, so that a fluid level need not lie on the border of a voxel."""
+"""Number of cells along each edge of a voxel, so that a fluid level need not be at the border of a voxel."""
 STEP_MM = 0.1
 """Distance between two samples along the axis of the bronchus, mm."""
 

@@ -169,7 +169,7 @@ def add_fine_vessels(
 ) -> None:
     """Add vessels (mm from the centre of the first cell) to the blurred image ``values`` (nz, ny, nx), in place.
 
-    Blood replaces the tissue of a cell, so a vessel that lies inside a vessel of the masks adds nothing.
+    Blood replaces the tissue of a cell, so a vessel that is inside a vessel of the masks adds nothing.
     """
     places, masses, radii = _samples(vessels)
     cells = [

@@ -362,8 +362,8 @@ def _arteries(tubes: list[Tube], space: _Space, rng: np.random.Generator) -> lis
             side = side / np.linalg.norm(side)
             beside.append(point + away * side)
         points = np.array(beside)
-        # An artery starts beyond the fork, because at the fork it would lie in the parent airway, and it stays in the
-        # lung.
+        # An artery starts beyond the fork, because at the fork it would be inside the parent airway; all its points
+        # must be in the lung.
         usable = space.in_lung(points, 1.0) & (STEP_MM * np.arange(len(points)) >= 2.0)
         if usable.sum() >= 5:
             run = np.flatnonzero(usable)

@@ -137,7 +137,8 @@ def _fork(
             gap = (np.linalg.norm(points[:, None] - there, axis=2) - outer).min(axis=1)
             clear = gap > radius + thickness + FREE_MM
             clear &= space.in_lung(points, LUNG_MM) & ~space.at_vessel(points, radius + thickness + 0.2)
-            # Near the fork a new airway lies in its parent, which already keeps the distance to its neighbours.
+            # Near the fork a new airway is inside its parent, which already has the required distance from its
+            # neighbours.
             clear |= along < before + 0.5
             if clear.all():
                 tube = Tube(

@@ -25,7 +25,7 @@ MERGE_SHARE = 0.35
 The width is a share of the radius of the thinner airway.
 """
 FAR_MM = np.float32(50.0)
-"""Distance that stands for "far from every tube", mm."""
+"""Distance that is stored for cells far from every tube, mm."""
 FULL_LEVEL = 0.99
 """Level of fluid, in radii above the axis, from which the fluid fills the lumen."""
 

@@ -59,7 +59,7 @@ RANKS = ("reaches", "may reach", "does not reach")
 
 
 def best_of_all(case: PlanCase, plan: Plan, around: Surroundings, rng: np.random.Generator) -> tuple[float, str, Row]:
-    """Return the score, the outlook and the description of the best of all points where the scope can stand."""
+    """Return the score, the outlook and the description of the best of all possible positions of the scope."""
     assert case.airways is not None and case.wall is not None
     nodule, reach_mm = plan.nodule, plan.tool.reach_mm
     centre = np.array(nodule.centre_lps)

@@ -38,7 +38,7 @@ SIGMA_MM = 0.6
 STEP_MM = 0.3
 """Distance between two points of a true centreline, mm."""
 WIDE_MM = 2.5
-"""Largest radius of a lumen that may lie inside a nodule, mm."""
+"""Largest radius of a lumen that may be inside a nodule, mm."""
 LUNG_HU = (-990.0, -600.0)
 """Least and largest CT value of lung in which a nodule is placed, HU."""
 NEAR_SHARE, NEAR_MM, NEAR_RADIUS_MM = 0.75, 18.0, (1.2, 3.5)
@@ -76,7 +76,7 @@ class TrueTree:
             wide = 2.0 * np.minimum.accumulate(own) if parent >= 0 else np.full(len(own), 2.0 * float(np.median(own)))
             is_stub = number in with_children and STEP_MM * len(own) < 2.0 * float(np.median(own))
             if parent >= 0:
-                # A branch that is shorter than wide lies in the lumens of its neighbours, so it does not narrow the
+                # A branch that is shorter than wide is inside the lumens of its neighbours, so it does not narrow the
                 # path.
                 wide = np.minimum(np.inf if is_stub else wide, np.full(len(own), room[parent]))
             room.append(float(wide[-1]))

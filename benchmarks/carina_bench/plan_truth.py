@@ -131,7 +131,7 @@ def flown(case: PlanCase, target: Target, route: PlannedRoute, scope: ScopePrese
 
 
 def _way(tree: AirwayTree, route: PlannedRoute) -> Floats:
-    """Return the points of a route to the scope's parking point, which may lie between two centreline points."""
+    """Return the points of a route to the scope's parking point, which may be between two centreline points."""
     points = np.concatenate([branch.points for branch in tree.lineage(route.branch_id)])
     tip = np.array(route.leg.tip_lps)
     last = int(np.argmin(np.linalg.norm(points - tip, axis=1)))
@@ -139,7 +139,7 @@ def _way(tree: AirwayTree, route: PlannedRoute) -> Floats:
 
 
 def _room_mm(truth: TrueTree, way: Floats) -> float:
-    """Return the least width of true lumen around a path, mm; it may lie in any of the true branches.
+    """Return the least width of true lumen around a path, mm; the lumen may be that of any of the true branches.
 
     The width of a point is at most the diameter of the true lumen there.
     """

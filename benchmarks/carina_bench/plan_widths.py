@@ -53,7 +53,7 @@ KERNELS = ("medium", "sharp")
 SLICES = ("0.7mm", "1.5mm", "3mm")
 """Names of the slice thicknesses with which the CTs are painted."""
 MOST_OUTSIDE = 0.1
-"""Largest share of a route's points, without those in the trachea, that may lie outside the true lumen."""
+"""Largest share of a route's points, without those in the trachea, that may be outside the true lumen."""
 FORMER_SHARE, FORMER_SIGMA_MM = 0.2, 0.15
 """Standard deviations that plans used before decision 0130.
 

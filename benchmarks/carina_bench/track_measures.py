@@ -74,9 +74,9 @@ class Truth:
         return away, which
 
     def branch_along(self, branch: Branch) -> int | None:
-        """Return the index of the true branch along which most of the middle half of a found branch lies.
+        """Return the index of the true branch along which most of the middle half of a found branch runs.
 
-        None if there is none.
+        The result is None if there is no such branch.
         """
         count = len(branch.points)
         _, which = self.nearest(branch.points[count // 4 : max(count // 4 + 1, 3 * count // 4 + 1)])

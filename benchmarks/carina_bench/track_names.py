@@ -109,7 +109,7 @@ def _variants(truth: AirwayTree) -> list[str]:
 
 
 def along(tree: AirwayTree, points: NDArray[np.float64]) -> int:
-    """Return the ID of the branch along which most of the points (n, 3) lie."""
+    """Return the ID of the branch along which most of the points (n, 3) are."""
     stacked = np.concatenate([branch.points for branch in tree.branches])
     owner = np.concatenate([np.full(len(branch.points), branch.id) for branch in tree.branches])
     nearest = [owner[int(np.argmin(((stacked - point) ** 2).sum(axis=1)))] for point in points]
@@ -127,7 +127,7 @@ def tally(truth: AirwayTree, named: AirwayTree) -> Counter[str]:
         is_named = branch.name is not None
         if not is_named and (letters is None or not _is_segment(letters)):
             continue
-        # Only the middle of a branch is compared, because its ends lie in the lumens of its neighbours.
+        # Only the middle of a branch is compared, because its ends are inside the lumens of its neighbours.
         middle = branch.points[len(branch.points) // 3 : -max(len(branch.points) // 4, 1)]
         there = named.branch(along(named, middle))
         if not is_named:

@@ -364,7 +364,7 @@ def _crops(num: int) -> Iterator[Case]:
         made = generate_phantom(seed=seed, spacing_mm=THIN_MM, noise_hu=25.0)
         carina = made.volume.to_ijk(np.zeros(3))
         i, _, k = (int(value) for value in np.rint(carina))
-        # The right lung lies at low i; the scan contains the first 25 mm of both main bronchi.
+        # The right lung is at low i; the scan contains the first 25 mm of both main bronchi.
         parts = {
             "right lung": (slice(None), slice(None), slice(0, i + 25)),
             "left lung": (slice(None), slice(None), slice(i - 25, None)),

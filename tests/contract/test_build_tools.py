@@ -1,4 +1,4 @@
-"""Tests of `make run`: it names missing tools, asks before a download, and installs only what a run needs."""
+"""Tests of `make run`: it names missing tools, downloads only after consent, and installs only what a run needs."""
 
 from __future__ import annotations
 

@@ -172,7 +172,7 @@ def test_branch_without_evidence_is_dashed_confirmed_and_added_as_drawn_by_hand(
     assert asked["line"] == shown["lines"][0], "the question is about the way that was shown"
     assert workstation.state("messages.length") == 0, "a question is no error"
     workstation.picture("without-evidence-the-question")
-    # Esc leaves the tree unchanged and keeps the tool active.
+    # Esc leaves the tree unchanged and the tool active.
     workstation.page.keyboard.press("Escape")
     expect(question).to_have_count(0)
     assert workstation.state("ui.armed") == "add"

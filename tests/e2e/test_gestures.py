@@ -401,7 +401,7 @@ def test_tool_is_released_by_list_search_right_click_its_tag_and_another_step(re
         page.mouse.click(*middle_of(ready, view), button="right")
         assert ready.state("ui.armed") is None, view
 
-    # A drag with the right button changes window and level, and keeps the tool.
+    # A drag with the right button changes window and level, and leaves the tool active.
     arm(ready, "bridge")
     x, y = middle_of(ready, "axial")
     page.mouse.move(x, y)

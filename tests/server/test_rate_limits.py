@@ -196,8 +196,8 @@ def test_observer_who_floods_is_disconnected_and_all_messages_of_the_user_are_ex
 
 
 def test_connection_with_a_flood_of_bytes_is_closed_before_parsing(desk, handled, monkeypatch):
-    # The allowance must not grow during the flood, which takes a part of a second on a busy machine, so the time stands
-    # still.
+    # The allowance must not grow during the flood, which takes a part of a second on a busy machine, so its clock does
+    # not advance.
     monkeypatch.setattr(rate_limits, "RateLimit", lambda per_s, burst, _clock: RateLimit(per_s, burst, Clock()))
     live, window, page = desk
     with watching(page.url) as watcher:

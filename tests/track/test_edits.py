@@ -172,7 +172,7 @@ def test_bridge_keeps_its_kind_and_the_lumen_beyond_becomes_its_child(case):
     assert airways.tracker.inside(path.points_lps).all()
     read = AirwayTree.from_json(airways.tree.to_json())
     assert read.branch(bridge.id).kind == "bridge"
-    # Cutting and adding a branch beyond the bridge keeps the kind of the bridge.
+    # The bridge is still a bridge after a branch beyond it was cut and added again.
     later = edited(case, SmoothBranch(bridge.id), RenameBranch(bridge.id, "blocked"), start=airways)
     assert later.tree.branch(bridge.id).kind == "bridge"
 

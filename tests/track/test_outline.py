@@ -161,7 +161,7 @@ def test_painted_and_erased_voxels_are_in_the_outline(chest, found):
     outline = LumenOutline(chest.volume, painted)
     erased = edit_airways(chest.volume, painted, PaintLumen((aside_lps,), 1.5, "ball", erase=True))
     assert not holds(erased)
-    # A rename keeps the lumen array, so the outline is not computed again.
+    # A rename does not change the lumen array, so the outline is not computed again.
     assert outline.lumen_zyx is painted.lumen_zyx
 
 

@@ -184,7 +184,7 @@ def test_gantry_tilt_is_refused_and_near_zero_tilt_is_not(write_series, expected
         assert error.code == "import.geometry.tilt"
         assert f"{tilt_deg:.1f} degrees" in str(error)
         return
-    # The transform keeps the tilt, so that every slice has the position of its tag.
+    # The transform contains the tilt, so that every slice has the position of its tag.
     expected = expected_lps_from_ijk.copy()
     expected[:3, 2] += lean_mm * expected[:3, 1] / 0.9
     np.testing.assert_allclose(open_volume(folder).lps_from_ijk, expected, rtol=0, atol=1e-8)
