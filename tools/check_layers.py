@@ -222,9 +222,13 @@ MOST_ATTRIBUTES = {"OpenCase": 22}
 """Largest number of attributes of the named classes."""
 
 QUOTED = re.compile(r"""(["'`])([a-z][a-z-]*)\1""")
+"""Pattern of a name in quotation marks in a TypeScript or Rust file."""
 OBJECT_KEY = re.compile(r"^\s*([a-z]+):\s", re.MULTILINE)
+"""Pattern of a key at the start of a line of a TypeScript object."""
 TEST_FILE = re.compile(r"\.test\.tsx?$|(^|_)tests\.rs$")
+"""Pattern of the names of TypeScript and Rust test files."""
 GENERATED = re.compile(r"generated (from|by)|do not edit", re.IGNORECASE)
+"""Pattern of the notice at the top of a generated file."""
 Fields = frozenset[tuple[str, str]]
 
 

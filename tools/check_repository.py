@@ -17,12 +17,17 @@ BIG_FILES = {"python/carina/_cases/"}  # The bundled patient case (CC BY) may be
 NAMED_PATH = re.compile(
     r"`((?:crates|packages|python|web|tests|tools|docs|examples|benchmarks|protocol|build_backend)/[\w./*-]*)`"
 )
+"""Pattern of a path in backticks in a document; its existence is checked."""
 ELSEWHERE = re.compile(r"\b(?:DESIGN|STYLE)(?:\.md| section| \d|:)|\bissue \d+|\breference/\w+\.md")
 """Pattern of citations of papers that are not in the repository; their content is in docs/."""
 CITED_DECISION = re.compile(r"\bdecisions?[ /](\d{4})\b", re.IGNORECASE)
+"""Pattern of the citation of a decision; group 1 is the number of the decision."""
 GENERATED = ("benchmarks/results", "tests/out", "python/carina/_web")
+"""Start of the paths of generated files; a document may name such a file although it does not exist."""
 HOME_PATH = re.compile(rb"(?<![\w.])/(?:home|root|Users)/[A-Za-z0-9._-]+/")
+"""Pattern of a path in the home folder of a user, which must not be in a file of the repository."""
 TEXT = {".py", ".rs", ".ts", ".tsx", ".md", ".toml", ".json", ".html", ".css", ".lock", ".txt", ".yml", ".sh", ""}
+"""Suffixes of the text files whose characters are checked."""
 
 
 def tracked_files() -> list[str]:

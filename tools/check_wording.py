@@ -57,7 +57,9 @@ TOKENS = {
 }
 """Pattern by file of strings that contain two words but are no text for users: terms of a file format, sources."""
 NEVER = ROOT / "tools" / "wrong_words.toml"
+"""File of the words that must not occur in texts for users."""
 RUST_ERROR = re.compile(r'#\[error\(\s*"((?:[^"\\]|\\.)*)"', re.DOTALL)
+"""Pattern of the message of an error type in Rust."""
 
 Found = dict[str, list[str]]
 

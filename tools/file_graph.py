@@ -103,9 +103,13 @@ _RUST_TOKENS = re.compile(
     """,
     re.VERBOSE | re.DOTALL,
 )
+"""Pattern of a comment or a string literal in Rust."""
 _RUST_MODULE = re.compile(r"((?:\#\[[^\]]*\]\s*)*)(?:pub(?:\([^)]*\))?\s+)?mod\s+(\w+)\s*([;{])")
+"""Pattern of the declaration of a Rust module: its attributes, its name, and `;` (in another file) or `{` (inline)."""
 _RUST_USE = re.compile(r"\b(pub(?:\([^)]*\))?\s+)?use\s+([^;]+);")
+"""Pattern of a use declaration in Rust: its visibility and the used paths."""
 _RUST_PATH = re.compile(r"(?<![\w:])(\w+(?:::\w+)+)")
+"""Pattern of a Rust path of two or more names."""
 
 
 def _blanked(text: str) -> str:
@@ -266,6 +270,7 @@ def rust_imports(source: Path) -> list[Import]:
 _TYPESCRIPT_IMPORT = re.compile(
     r"""\b(?:(import|export)\s+(type\s)?[^"';()]*?\bfrom\s*|(import)\s*\(?\s*)["'](\.[^"']+)["']"""
 )
+"""Pattern of an import or re-export of a relative path in TypeScript."""
 
 
 def is_test(path: Path) -> bool:

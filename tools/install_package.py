@@ -22,7 +22,9 @@ LOG = ROOT / "build" / "install.log"
 TAIL = 40
 """Number of lines of the output that are printed after a failure."""
 COMPILING = re.compile(r"\bCompiling ([\w-]+) v[\w.+-]+")
+"""Pattern of the line that cargo prints when it begins to compile a crate."""
 WEB = re.compile(r"\bvite v[\d.]+ building\b")
+"""Pattern of the line that Vite prints when it begins to build the web client."""
 
 
 def num_crates() -> int | None:

@@ -19,14 +19,18 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = "requirements-docs.lock"
+"""Lock file of the packages that build the documentation."""
 RUN = "requirements-run.lock"
+"""Lock file of the packages that Carina needs to run, without the development tools."""
 LOCKS: dict[str, tuple[str, ...]] = {
     RUN: ("--no-dev",),
     "requirements.lock": (),
     "requirements-cluster.lock": ("--extra", "cluster"),
     DOCS: ("--only-group", "docs"),
 }
+"""Arguments of `uv export` by lock file."""
 MARK = "# pyproject: "
+"""Start of the line of a lock file that contains the hash of the dependency tables in pyproject.toml."""
 
 
 def _fingerprint(name: str) -> str:

@@ -13,6 +13,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 OUT = ROOT / "build" / "docs"
+"""Folder to which Sphinx writes the HTML pages."""
 
 
 def main() -> int:

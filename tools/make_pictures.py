@@ -32,6 +32,7 @@ from workstation import FLAGS, Workstation, open_page  # noqa: E402
 from find_browser import find_browser  # noqa: E402
 
 COMMAND = ".venv/bin/python tools/make_pictures.py"
+"""Command that makes the pictures again; it is named in the message about pictures that are out of date."""
 MAX_BYTES = 400_000
 """Largest size of a picture of the window, bytes."""
 QUALITY = 90
@@ -50,6 +51,7 @@ class Shot:
 
 
 SHOTS = (Shot("docs/pictures/workstation-patient.jpg", "patient", 25.0),)
+"""Pictures of the whole window that are made for the documentation."""
 
 DEMOS = ("phantom", "patient")
 """Bundled cases for which the start page shows the view of their carina."""
@@ -188,6 +190,7 @@ def changes(then: dict[str, Any], now: dict[str, Any]) -> list[str]:
 # JPEG consists of segments: 0xFF, a kind, a length that includes its own two bytes, and data.
 START_OF_SCAN, COMMENT = 0xDA, 0xFE
 KEYWORD = b"Carina window\0"
+"""Start of the JPEG comment that contains the stamp of a picture."""
 
 
 def segments(jpeg: bytes) -> Iterator[tuple[int, int, bytes]]:

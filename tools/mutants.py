@@ -37,7 +37,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "python" / "carina"
+"""Folder of the Python package whose code is changed."""
 TESTS = ROOT / "tests"
+"""Folder of the tests that run on the changed code."""
 NEAR = {
     "session": ("session", "server", "contract", "navigate"),
     "server": ("server", "contract", "session"),

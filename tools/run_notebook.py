@@ -28,6 +28,7 @@ STYLE = (
     "body{font:16px/1.5 sans-serif;max-width:960px;margin:2em auto}"
     "pre{background:#f4f5f7;padding:.7em;white-space:pre-wrap}"
 )
+"""CSS of the HTML page of a notebook."""
 
 
 @dataclass(frozen=True)

@@ -204,7 +204,7 @@ def test_runtime_packages_are_locked_to_the_versions_of_the_tests():
     assert {re.split("[>=<]", one)[0].lower() for one in project["dependencies"]} <= names
 
 
-def test_maturin_and_uv_download_no_tool_chain():
+def test_makefile_disables_the_tool_downloads_of_maturin_and_uv():
     text = (ROOT / "Makefile").read_text()
     assert "export MATURIN_NO_INSTALL_RUST := 1" in text
     assert "export UV_PYTHON_DOWNLOADS := never" in text

@@ -149,5 +149,5 @@ def test_help_texts_name_options_of_their_own_command():
         ("it contains the labels 1 (lung), 2 (node)", "it contains the labels 1 (lung), 2 (node)"),
     ],
 )
-def test_window_shows_messages_without_options(message, expected):
+def test_message_for_the_window_contains_no_command_line_options(message, expected):
     assert without_options(message) == expected

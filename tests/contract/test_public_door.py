@@ -240,7 +240,7 @@ def test_progress_bar_is_removed_if_the_work_fails(monkeypatch: pytest.MonkeyPat
     assert bar.closed
 
 
-def test_no_bar_is_drawn_without_a_terminal(capfd: pytest.CaptureFixture[str]) -> None:
+def test_demo_prints_nothing_without_a_terminal(capfd: pytest.CaptureFixture[str]) -> None:
     carina.demo_patient()
     shown = capfd.readouterr()
     assert shown.out == shown.err == ""

@@ -89,7 +89,7 @@ def test_x_ray_and_external_views_show_the_tip(server, workstation):
     assert workstation.faults == []
 
 
-def test_keyboard_card_opens_by_its_key(server, workstation):
+def test_question_mark_opens_the_keyboard_card_and_escape_closes_it(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.page.keyboard.press("?")

@@ -265,7 +265,7 @@ def test_grid_beyond_the_tolerance_is_refused_with_a_format_that_stores_it(tmp_p
     assert not list(tmp_path.iterdir())
 
 
-def test_nrrd_stores_any_grid_unchanged(tmp_path):
+def test_nrrd_of_an_oblique_grid_stores_its_directions_exactly(tmp_path):
     volume = leaning(20)
     path = write_mask(tmp_path / "m.nrrd", np.ones(volume.shape_zyx, np.uint8), volume)
     header = path.read_bytes().partition(b"\n\n")[0].decode()

@@ -56,7 +56,7 @@ def of(one: AirwayTree, station: str) -> list[Landmark]:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_hours_and_levels_match_the_textbook(seed: int) -> None:
+def test_hours_and_levels_of_lymph_node_stations_match_the_textbook(seed: int) -> None:
     marks = {(mark.station, mark.seen_from): mark for mark in ebus_landmarks(tree(seed))}
     expected = {
         ("4R", "trachea"): (1.0, 2.0),

@@ -125,7 +125,7 @@ def test_file_and_folder_of_the_same_name_are_both_stored(live):
     assert sorted(p.read_bytes() for p in live.uploads.place(upload).rglob("*") if p.is_file()) == [b"1", b"2", b"2"]
 
 
-def test_dropped_files_are_opened_and_removed(live):
+def test_uploaded_folder_is_deleted_after_it_was_opened(live):
     with live.http(cookie=live.cookie, origin=live.origin) as http, live.window() as window:
         upload_id = http.post("/api/upload").json()["upload_id"]
         for name in ("s/1.dcm", "../../2.dcm"):

@@ -62,7 +62,7 @@ def test_sight_of_a_follower_is_independent_of_the_owner_s(pair):
     assert (other.snapshot().sight.texture, other.snapshot().sight.shading) == (False, True)
 
 
-def test_refused_takeover_does_not_claim_the_ct(pair):
+def test_ct_can_be_claimed_after_a_refused_takeover(pair):
     owner, other, _, case_id = pair
     kept = owner._saving._kept
     # The claim is released, because an owner that took over the case itself may have none.

@@ -232,6 +232,6 @@ def test_command_line_lists_the_repaired_case_with_the_message(monkeypatch, tmp_
     assert "was damaged" in err
 
 
-def test_record_type_bounds_every_number_and_text():
+def test_every_number_and_text_of_a_case_record_has_a_limited_type():
     for field in msgspec.structs.fields(CaseRecord):
         assert field.type not in {int, float, str}, field.name

@@ -133,7 +133,7 @@ def test_path_from_or_to_a_forbidden_voxel_is_refused_with_a_message():
         FieldPaths(volume, walled, root)
 
 
-def test_search_can_be_cancelled_and_resumed():
+def test_cancelled_search_settles_every_voxel_when_resumed():
     volume = Volume(np.zeros((90, 90, 90), np.int16), np.eye(4))
     field = np.random.default_rng(1).uniform(1.0, 3.0, volume.shape_zyx).astype(np.float32)
     paths = FieldPaths(volume, field, (45.0, 45.0, 45.0))

@@ -126,7 +126,7 @@ def test_chest_that_is_hard_to_search_has_its_airways_and_no_false_ones(made, ha
 
 @pytest.mark.slow
 @pytest.mark.parametrize("tilt_deg", [-25.0, 25.0])
-def test_tilted_chest_has_the_same_airways(made, tilt_deg):
+def test_lumen_of_a_tilted_chest_overlaps_that_of_the_straight_chest(made, tilt_deg):
     t = np.radians(tilt_deg)
     turn = np.eye(4)
     turn[1:3, 1:3] = [[np.cos(t), -np.sin(t)], [np.sin(t), np.cos(t)]]
